@@ -1,0 +1,449 @@
+"""Independent reference filters: plain numpy, one track, explicit loops, covariance form.
+
+Written straight from the equations of Wang et al. 2021 (J. Air Force Eng. Univ. 22(1):70-76; "eq. (n)" below) and
+Arasaratnam & Haykin 2009 (IEEE TAC 54(6):1254-1269). Shapes: n states, m measured elements, T steps. Row k of `z`
+(counted from 0) is measured after the transition F(k), Q(k) from the step before (row 0: from the initial state).
+NaN elements of `z` are missing. Every filter returns a dict with
+
+    mean (T,n), P (T,n,n), weights (T,m), fading (T,)
+    nis (T,), log_likelihood (T,)   of the unweighted innovation, nominal R, unfaded prediction, seen elements only
+
+weights and fading are 1 where nothing was down-weighted or faded; nis and log_likelihood are 0 where nothing is seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Rule = tuple[Array, Array, Array]
+Posterior = tuple[Array, Array, Array, float]  # mean, P, weights of the seen elements, fading factor
+Result = dict[str, Array]
+
+
+class Model(NamedTuple):
+    """x_k = F x_{k-1} + SQ w, z_k = h(x_k, k) + SR v. F, SQ and SR may also be callables of k."""
+
+    F: Array | Callable[[int], Array]  # (n,n)
+    SQ: Array | Callable[[int], Array]  # (n,r), Q = SQ SQ^T
+    SR: Array | Callable[[int], Array]  # (m,m) lower triangular, R = SR SR^T
+    h: Callable[[Array, int], Array]  # (n,), k -> (m,)
+    angles: Array  # (m,) True where the element is an angle
+
+
+class Measured(NamedTuple):
+    """Predicted measurement of the s seen elements."""
+
+    zhat: Array  # (s,)
+    Pzz: Array  # (s,s), nominal R included
+    Pxz: Array  # (n,s)
+    e: Array  # (s,) innovation, angles wrapped
+    H: Array  # (s,n) statistical regression
+    S: Array  # (n,n) lower Cholesky factor of P
+
+
+class Prior(NamedTuple):
+    """Unfaded prediction of one step, compared with its measurement."""
+
+    mean: Array  # (n,)
+    P: Array  # (n,n) = J + Q
+    J: Array  # (n,n) = F P F^T
+    Q: Array  # (n,n)
+    seen: list[int]  # the s seen elements
+    SR: Array  # (s,s) noise square root of the seen elements
+    at: Measured
+    v: Array  # (s,) = SR^-1 e
+    nis: float
+    log_likelihood: float
+
+
+class Fade(NamedTuple):
+    """Options of the fading factors, eqs. (31)-(34)."""
+
+    weakening: float = 2.0  # beta
+    forgetting: float = 0.95  # rho
+    rcond: float = 0.1  # singular values up to rcond times the largest are dropped in the pseudo-inverse
+    fading_max: float = 1e3
+    trace: str = "full"  # or "position"
+
+
+# ---------------------------------------------------------------------------------------------- small tools and models
+
+
+def wrap(a: Any) -> Any:
+    """Angle(s) into [-pi, pi)."""
+    return np.mod(np.asarray(a) + np.pi, 2 * np.pi) - np.pi
+
+
+def tria(A: Array) -> Array:
+    """Lower-triangular S (p,p) with S S^T = A A^T and a non-negative diagonal; A is (p,r), r >= p."""
+    S = np.linalg.qr(A.T)[1].T
+    return S * np.where(np.diag(S) < 0, -1.0, 1.0)
+
+
+def ca(dt: float, q: float) -> tuple[Array, Array]:
+    """Constant acceleration, eqs. (1)-(5): F (6,6) and SQ (6,2) on [x, y, vx, vy, ax, ay]; q is a variance."""
+    F = np.kron(np.array([[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]]), np.eye(2))
+    return F, math.sqrt(q) * np.kron(np.array([[dt**2 / 2], [dt], [1]]), np.eye(2))
+
+
+def cv(dt: float, q: float) -> tuple[Array, Array]:
+    """Constant velocity: F (4,4) and SQ (4,2) on [x, y, vx, vy]."""
+    F = np.kron(np.array([[1, dt], [0, 1]]), np.eye(2))
+    return F, math.sqrt(q) * np.kron(np.array([[dt**2 / 2], [dt]]), np.eye(2))
+
+
+def turn(dt: float, rate: float, q: float) -> tuple[Array, Array]:
+    """Coordinated turn of known rate (rad/s, counter-clockwise positive): F (4,4), SQ (4,2) on [x, y, vx, vy]."""
+    (F, SQ), s, c = cv(dt, q), math.sin(rate * dt), math.cos(rate * dt)
+    if rate != 0:
+        F[:2, 2:] = np.array([[s, c - 1], [1 - c, s]]) / rate
+        F[2:, 2:] = np.array([[c, -s], [s, c]])
+    return F, SQ
+
+
+def bearings(x: Array, stations: Array) -> Array:
+    """Bearings (k,) of the position x[:2] from stations (k,2), from +y, clockwise positive, eq. (6)."""
+    return np.array([math.atan2(x[0] - sx, x[1] - sy) for sx, sy in stations])
+
+
+def range_bearing(x: Array, station: Array) -> Array:
+    """Distance and bearing (2,) of the position x[:2] from one station (2,)."""
+    dx, dy = x[0] - station[0], x[1] - station[1]
+    return np.array([math.hypot(dx, dy), math.atan2(dx, dy)])
+
+
+def position(x: Array) -> Array:
+    """The position x[:2]."""
+    return np.array(x[:2])
+
+
+def third_degree(n: int) -> Rule:
+    """Cubature points (n,2n), mean weights, covariance weights (Arasaratnam & Haykin 2009)."""
+    weights = np.full(2 * n, 1 / (2 * n))
+    return math.sqrt(n) * np.hstack([np.eye(n), -np.eye(n)]), weights, weights.copy()
+
+
+def unscented(n: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 1.0) -> Rule:
+    """Scaled unscented points (n,2n+1), centre first, mean weights, covariance weights."""
+    spread = alpha**2 * (n + kappa)
+    points = math.sqrt(spread) * np.hstack([np.zeros((n, 1)), np.eye(n), -np.eye(n)])
+    mean = np.full(2 * n + 1, 1 / (2 * spread))
+    mean[0] = (spread - n) / spread
+    cov = mean.copy()
+    cov[0] += 1 - alpha**2 + beta
+    return points, mean, cov
+
+
+# -------------------------------------------------------------------------------------------------------- filter steps
+
+
+def _at(value: Any, k: int) -> Array:
+    """A constant, or a callable's value at step k."""
+    return np.array(value(k) if callable(value) else value, dtype=float)
+
+
+def _cholesky(P: Array) -> Array:
+    """Lower Cholesky factor, NaN where there is none (a branch that broke down)."""
+    try:
+        return np.linalg.cholesky(P)
+    except np.linalg.LinAlgError:
+        return np.full_like(P, np.nan)
+
+
+def _seen(z: Array) -> list[int]:
+    """Indices of the elements of z (m,) that are not missing."""
+    return [i for i, value in enumerate(z) if not math.isnan(value)]
+
+
+def _noise(model: Model, k: int, seen: list[int]) -> Array:
+    """R (s,s) of the seen elements."""
+    SR = _at(model.SR, k)
+    return (SR @ SR.T)[np.ix_(seen, seen)]
+
+
+def _difference(a: Array, b: Array, angles: Array) -> Array:
+    """a - b, wrapped where it is an angle."""
+    return np.where(angles, wrap(a - b), a - b)
+
+
+def predict(mean: Array, P: Array, model: Model, k: int) -> tuple[Array, Array]:
+    """Mean and covariance after the transition to step k, eqs. (8)-(13), which are exact for a linear model."""
+    F, SQ = _at(model.F, k), _at(model.SQ, k)
+    return F @ mean, F @ P @ F.T + SQ @ SQ.T
+
+
+def measure(mean: Array, P: Array, z: Array, model: Model, k: int, rule: Rule) -> Measured:
+    """Predicted measurement from fresh points, eqs. (14)-(21); z (m,), only its seen elements are kept."""
+    points, wm, wc = rule
+    seen = _seen(z)
+    angles = np.asarray(model.angles, dtype=bool)[seen]
+    S = _cholesky(P)
+    centre = model.h(mean, k)[seen]
+    X = [mean + S @ points[:, j] for j in range(points.shape[1])]
+    offsets = [_difference(model.h(x, k)[seen], centre, angles) for x in X]
+    shift = np.zeros(len(seen))
+    for w, offset in zip(wm, offsets, strict=True):
+        shift += w * offset
+    Pzz = _noise(model, k, seen)
+    Pxz = np.zeros((len(mean), len(seen)))
+    for w, x, offset in zip(wc, X, offsets, strict=True):
+        Pzz += w * np.outer(offset - shift, offset - shift)
+        Pxz += w * np.outer(x - mean, offset - shift)
+    zhat = centre + shift
+    H = Pxz.T @ np.linalg.inv(P)
+    return Measured(zhat, Pzz, Pxz, _difference(np.asarray(z)[seen], zhat, angles), H, S)
+
+
+def update(mean: Array, P: Array, Pzz: Array, Pxz: Array, e: Array) -> tuple[Array, Array]:
+    """Posterior mean and covariance P - W Pzz W^T, eqs. (22)-(24)."""
+    W = Pxz @ np.linalg.inv(Pzz)
+    P = P - W @ Pzz @ W.T
+    return mean + W @ e, (P + P.T) / 2
+
+
+def _fit(e: Array, Pzz: Array) -> tuple[float, float]:
+    """Normalised innovation squared, eq. (35), and Gaussian log density of an innovation."""
+    if not np.isfinite(Pzz).all():
+        return math.nan, math.nan
+    nis = float(e @ np.linalg.inv(Pzz) @ e)
+    return nis, -0.5 * (nis + float(np.linalg.slogdet(Pzz)[1]) + len(e) * math.log(2 * math.pi))
+
+
+def _prior(mean: Array, P: Array, z: Array, model: Model, k: int, rule: Rule) -> Prior:
+    """Predict to step k and compare with z (m,)."""
+    F, SQ = _at(model.F, k), _at(model.SQ, k)
+    J, Q, seen = F @ P @ F.T, SQ @ SQ.T, _seen(z)
+    mean, P = predict(mean, P, model, k)
+    at = measure(mean, P, z, model, k, rule)
+    SR = np.linalg.cholesky(_noise(model, k, seen))
+    return Prior(mean, P, J, Q, seen, SR, at, np.linalg.inv(SR) @ at.e, *_fit(at.e, at.Pzz))
+
+
+def huber(v: Array, threshold: float) -> Array:
+    """Weights min(1, threshold / |v|), eqs. (25)-(26)."""
+    return np.array([1.0 if abs(a) < threshold else threshold / abs(a) for a in v])
+
+
+def igg(tau: float, low: float, high: float, variant: str = "distance") -> float:
+    """Three-segment weight on d = sqrt(tau), or on tau itself (variant "tau"); thresholds on d^2."""
+    d, near, far = (tau, low, high) if variant == "tau" else (math.sqrt(tau), math.sqrt(low), math.sqrt(high))
+    if d <= near:
+        return 1.0
+    return near / d * ((far - d) / (far - near)) ** 2 if d < far else 0.0
+
+
+def remember(V: Array, v: Array, seen: list[int], forgetting: float) -> Array:
+    """Innovation memory V (m,m) in units of the noise, eq. (31), entry by entry; NaN = not met before."""
+    V = V.copy()
+    for a, i in enumerate(seen):
+        for b, j in enumerate(seen):
+            product = v[a] * v[b]
+            V[i, j] = product if math.isnan(V[i, j]) else (forgetting * V[i, j] + product) / (1 + forgetting)
+    return V
+
+
+def fading_terms(p: Prior, V: Array, weights: Array, fade: Fade) -> tuple[float, float]:
+    """tr N and tr J, eqs. (32)-(33), whitened by the noise, which is diag(1 / weights) (s,) in its own units."""
+    H = np.linalg.inv(p.SR) @ p.at.H
+    if not np.isfinite(H).all():
+        return math.nan, math.nan
+    G = np.linalg.pinv(H, rcond=fade.rcond)
+    N = G @ (V[np.ix_(p.seen, p.seen)] - H @ p.Q @ H.T - fade.weakening * np.diag(1 / weights)) @ G.T
+    size = 2 if fade.trace == "position" else len(p.J)
+    return float(np.trace(N[:size, :size])), float(np.trace(p.J[:size, :size]))
+
+
+def _faded(p: Prior, V: Array, weights: Array, z: Array, model: Model, k: int, rule: Rule, fade: Fade) -> Posterior:
+    """Fade the position covariance, eqs. (29) and (34), measure again and update with SR diag(1 / weights) SR^T."""
+    trN, trJ = fading_terms(p, V, weights, fade)
+    factor = min(max(1.0, trN / trJ), fade.fading_max) if math.isfinite(trN) else 1.0
+    L = np.diag([math.sqrt(factor)] * 2 + [1.0] * (len(p.mean) - 2))
+    P = L @ p.J @ L.T + p.Q
+    at = measure(p.mean, P, z, model, k, rule)
+    return *update(p.mean, P, _inflated(at.Pzz, p.SR, weights), at.Pxz, at.e), weights, factor
+
+
+def _inflated(Pzz: Array, SR: Array, weights: Array) -> Array:
+    """Pzz with R = SR SR^T replaced by SR diag(1 / weights) SR^T."""
+    return np.asarray(Pzz + SR @ np.diag(1 / weights - 1) @ SR.T)
+
+
+def _weighted(p: Prior, weights: Array) -> Posterior:
+    """Update of the unfaded prediction with weights (s,)."""
+    return *update(p.mean, p.P, _inflated(p.at.Pzz, p.SR, weights), p.at.Pxz, p.at.e), weights, 1.0
+
+
+def _result(steps: list[dict[str, Any]]) -> Result:
+    """Stack the steps."""
+    return {key: np.array([step[key] for step in steps]) for key in steps[0]}
+
+
+def _step(p: Prior, posterior: Posterior, m: int) -> dict[str, Any]:
+    """One step of a result."""
+    mean, P, seen_weights, fading = posterior
+    weights = np.ones(m)
+    weights[p.seen] = seen_weights
+    step: dict[str, Any] = {"mean": mean, "P": P, "weights": weights, "fading": fading}
+    return step | {"nis": p.nis, "log_likelihood": p.log_likelihood}
+
+
+# ------------------------------------------------------------------------------------------------------------- filters
+
+
+def numerical_jacobian(model: Model) -> Callable[[Array, int], Array]:
+    """Central differences of h: a function of (x (n,), k) -> (m,n)."""
+
+    def jacobian(x: Array, k: int) -> Array:
+        columns = []
+        for j in range(len(x)):
+            d = np.zeros(len(x))
+            d[j] = 6e-6 * max(1.0, abs(x[j]))
+            columns.append(_difference(model.h(x + d, k), model.h(x - d, k), model.angles) / (2 * d[j]))
+        return np.array(columns).T
+
+    return jacobian
+
+
+def ekf(
+    z: Array, mean0: Array, P0: Array, model: Model, jacobian: Callable[[Array, int], Array] | None = None
+) -> Result:
+    """Extended Kalman filter; jacobian(x (n,), k) -> (m,n), numerical where it is not given."""
+    jacobian = jacobian or numerical_jacobian(model)
+    mean, P, steps = np.array(mean0, dtype=float), np.array(P0, dtype=float), []
+    for k in range(len(z)):
+        mean, P = predict(mean, P, model, k)
+        seen = _seen(z[k])
+        H = jacobian(mean, k)[seen]
+        e = _difference(z[k][seen], model.h(mean, k)[seen], np.asarray(model.angles, dtype=bool)[seen])
+        Pzz = H @ P @ H.T + _noise(model, k, seen)
+        mean, P = update(mean, P, Pzz, P @ H.T, e)
+        nis, ll = _fit(e, Pzz)
+        ones = np.ones(len(z[k]))
+        steps.append({"mean": mean, "P": P, "nis": nis, "log_likelihood": ll, "weights": ones, "fading": 1.0})
+    return _result(steps)
+
+
+def kalman(z: Array, mean0: Array, P0: Array, model: Model, H: Array | Callable[[int], Array]) -> Result:
+    """Kalman filter with z = H x (m,n), or H(k); model.h is not used."""
+    linear = model._replace(h=lambda x, k: _at(H, k) @ x)
+    return ekf(z, mean0, P0, linear, jacobian=lambda x, k: _at(H, k))
+
+
+def _run(z: Array, mean0: Array, P0: Array, model: Model, rule: Rule, act: Callable[[Prior, int], Posterior]) -> Result:
+    """Filter with one hypothesis; act(prior, k) is its update."""
+    mean, P, steps = np.array(mean0, dtype=float), np.array(P0, dtype=float), []
+    for k in range(len(z)):
+        p = _prior(mean, P, z[k], model, k, rule)
+        posterior = act(p, k)
+        mean, P = posterior[:2]
+        steps.append(_step(p, posterior, z.shape[1]))
+    return _result(steps)
+
+
+def srckf(z: Array, mean0: Array, P0: Array, model: Model) -> Result:
+    """Cubature Kalman filter, eqs. (7)-(24)."""
+    return _run(z, mean0, P0, model, third_degree(len(mean0)), lambda p, k: _weighted(p, np.ones(len(p.seen))))
+
+
+def ukf(
+    z: Array, mean0: Array, P0: Array, model: Model, alpha: float = 1.0, beta: float = 0.0, kappa: float = 1.0
+) -> Result:
+    """Unscented Kalman filter, fresh points for the measurement."""
+    rule = unscented(len(mean0), alpha, beta, kappa)
+    return _run(z, mean0, P0, model, rule, lambda p, k: _weighted(p, np.ones(len(p.seen))))
+
+
+def rsrckf(z: Array, mean0: Array, P0: Array, model: Model, threshold: float = 1.345) -> Result:
+    """Huber-weighted cubature filter, eqs. (25)-(26)."""
+    return _run(z, mean0, P0, model, third_degree(len(mean0)), lambda p, k: _weighted(p, huber(p.v, threshold)))
+
+
+def mr_ckf(
+    z: Array, mean0: Array, P0: Array, model: Model, low: float = 5.991, high: float = 1e4, variant: str = "distance"
+) -> Result:
+    """Cubature filter with one IGG-III weight per step, R / w; w = 0 skips the update."""
+
+    def act(p: Prior, k: int) -> Posterior:
+        weights = np.full(len(p.seen), igg(p.nis, low, high, variant))
+        return _weighted(p, weights) if weights.all() else (p.mean, p.P, weights, 1.0)
+
+    return _run(z, mean0, P0, model, third_degree(len(mean0)), act)
+
+
+def rmckf(z: Array, mean0: Array, P0: Array, model: Model, threshold: float = 1.345, **fade: Any) -> Result:
+    """Huber weights, eqs. (25)-(26), then fading with the weighted noise, eqs. (29)-(34); options of `Fade`."""
+    rule, options = third_degree(len(mean0)), Fade(**fade)
+    V = np.full((z.shape[1], z.shape[1]), np.nan)
+
+    def act(p: Prior, k: int) -> Posterior:
+        nonlocal V
+        V = remember(V, p.v, p.seen, options.forgetting)
+        return _faded(p, V, huber(p.v, threshold), z[k], model, k, rule, options)
+
+    return _run(z, mean0, P0, model, rule, act)
+
+
+def asrckf(z: Array, mean0: Array, P0: Array, model: Model, **fade: Any) -> Result:
+    """Strong-tracking cubature filter, eqs. (29)-(34): weights 1 in `rmckf`; options of `Fade`."""
+    return rmckf(z, mean0, P0, model, math.inf, **fade)
+
+
+def _adaptive_wins(robust: Prior, adaptive: Prior, decision: str) -> bool:
+    """Feedback decision of section 2.2; a tie and a broken-down adaptive branch select the robust one."""
+    if not (math.isfinite(robust.nis) and math.isfinite(adaptive.nis)):
+        return math.isfinite(adaptive.nis)
+    if decision == "likelihood":
+        return adaptive.log_likelihood > robust.log_likelihood
+    return adaptive.nis < robust.nis
+
+
+def fra(
+    z: Array,
+    mean0: Array,
+    P0: Array,
+    model: Model,
+    threshold: float = 1.345,
+    gate: float = 5.991,
+    decision: str = "normalised",
+    memory: str = "plain",
+    final: str = "robust",
+    **fade: Any,
+) -> Result:
+    """Feedback decision between the robust and the adaptive branch of an abnormal step, section 2.2.
+
+    decision "normalised" or "likelihood"; memory "plain" or "weighted"; final (an abnormal last step) "robust",
+    "adaptive" or "plain"; options of `Fade`. Besides the usual keys (weights and fading are those of what was kept):
+    abnormal (T,), adaptive (T,) True where the adaptive branch was kept, provisional (T,n).
+    """
+    rule, options = third_degree(len(mean0)), Fade(**fade)
+    V = np.full((z.shape[1], z.shape[1]), np.nan)
+    steps: list[dict[str, Any]] = []
+    p = _prior(np.array(mean0, dtype=float), np.array(P0, dtype=float), z[0], model, 0, rule)
+    for k in range(len(z)):
+        psi, ones = huber(p.v, threshold), np.ones(len(p.seen))
+        V_now = remember(V, p.v, p.seen, options.forgetting)
+        V = remember(V, psi * p.v, p.seen, options.forgetting) if memory == "weighted" else V_now
+        kept = provisional = _weighted(p, ones)
+        abnormal, adaptive, following = bool(p.seen) and not p.nis <= gate, False, None
+        if abnormal:
+            provisional = robust = _weighted(p, psi)
+            faded = _faded(p, V_now, ones, z[k], model, k, rule, options)
+            if k + 1 < len(z):
+                after_robust = _prior(*robust[:2], z[k + 1], model, k + 1, rule)
+                after_faded = _prior(*faded[:2], z[k + 1], model, k + 1, rule)
+                adaptive = _adaptive_wins(after_robust, after_faded, decision)
+                kept, following = (faded, after_faded) if adaptive else (robust, after_robust)
+            else:
+                adaptive = final == "adaptive"
+                kept = {"robust": robust, "adaptive": faded, "plain": kept}[final]
+        flags = {"abnormal": abnormal, "adaptive": adaptive, "provisional": provisional[0]}
+        steps.append(_step(p, kept, z.shape[1]) | flags)
+        if k + 1 < len(z):
+            p = following or _prior(*kept[:2], z[k + 1], model, k + 1, rule)
+    return _result(steps)

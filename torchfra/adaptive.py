@@ -1,0 +1,115 @@
+"""The prediction side: how much to widen a prediction whose motion model has stopped to hold."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.distributions import constraints
+
+from torchfra.hyper import Hyper, Value
+from torchfra.linalg import gram_pinv, hstack, tria
+from torchfra.types import Prediction, Whitened
+
+
+class Memory(NamedTuple):
+    """Running second moment of the innovations, in units of the measurement noise."""
+
+    moment: Tensor
+    """``V (..., m, m)``."""
+    begun: Tensor
+    """``(..., m, m)`` 1 where an entry has been seen at least once, else 0."""
+
+
+class Fading(nn.Module):
+    """Multiple fading factors: the innovations of late against what the model expects of them.
+
+    One factor per track, 1 or more, multiplies the covariance of the faded states that was carried over from the last
+    step, before process noise is added.
+
+    Args:
+        weakening: beta, share of the measurement noise that is taken off the innovations: above 1 reacts less.
+        forgetting: rho, memory of the innovations.
+        maximum: no factor above this; infinity for the paper's own formula.
+        rcond: singular values of the measurement matrix below this share of the largest are left out of its inverse; 0
+            for the paper's own formula, which explodes where lines of sight become parallel.
+        states: which state components fade.
+        trace: ``"full"`` compares whole traces, ``"position"`` those of the faded components.
+
+    A trace that is not a number gives a factor of 1.
+
+    Raises:
+        ValueError: a value out of its range.
+
+    Source: Wang et al. (2021), eqs. (29)-(34); Zhou, Xi & Zhang (1990) for the strong tracking filter.
+    Differs: singular values are compared in units of the measurement noise, so that metres and radians mix; with equal
+    noise on all elements, as in the paper, that changes nothing.  ``maximum`` and ``rcond`` are ours.
+    """
+
+    def __init__(
+        self,
+        weakening: Value = 2.0,
+        forgetting: Value = 0.95,
+        maximum: Value = 1e3,
+        *,
+        rcond: float = 0.1,
+        states: slice = slice(0, 2),
+        trace: str = "full",
+    ) -> None:
+        super().__init__()
+        if not 0 <= rcond < 1:
+            raise ValueError(f"rcond: expected a value in [0, 1), received {rcond}")
+        if trace not in ("full", "position"):
+            raise ValueError(f"trace: expected 'full' or 'position', received {trace!r}")
+        self.weakening = Hyper(weakening, constraints.greater_than_eq(1.0), name="weakening")
+        self.forgetting = Hyper(forgetting, constraints.interval(0.0, 1.0), name="forgetting")
+        self.maximum = Hyper(maximum, constraints.greater_than_eq(1.0), name="maximum")
+        self.rcond, self.states, self.trace = rcond, states, trace
+
+    def begin(self, residual: Tensor) -> Memory:
+        """Nothing seen yet, for residuals like this ``(..., m)``."""
+        nothing = residual.new_zeros(residual.shape + residual.shape[-1:])
+        return Memory(nothing, nothing)
+
+    def remember(self, memory: Memory, residual: Tensor, seen: Tensor) -> Memory:
+        """The memory after one more ``residual (..., m)``; entries not ``seen (..., m)`` stay as they were."""
+        moment, begun = memory
+        square = residual.unsqueeze(-1) * residual.unsqueeze(-2)
+        pair = seen.unsqueeze(-1) * seen.unsqueeze(-2)
+        rho = self.forgetting().to(residual)[..., None, None]
+        moment = moment + pair * (square - moment) / (1 + rho * begun)  # eq. (31)
+        return Memory(moment, torch.maximum(begun, pair))
+
+    def forward(self, prediction: Prediction, whitened: Whitened, memory: Memory, weights: Tensor) -> Tensor:
+        """The fading factor ``(...)``.
+
+        Args:
+            prediction: not faded.
+            whitened: the measurement against that prediction.
+            memory: with this step's innovation in it.
+            weights: ``(..., m)`` robust weights that divide the measurement noise; ones if it is trusted.
+        """
+        d = whitened.reads
+        root = prediction.belief.scale_tril[..., :d, :d]
+        h = torch.linalg.solve_triangular(root, whitened.slope, upper=False, left=False)
+        noise = h @ prediction.noise[..., :d, :]
+        excess = memory.moment - noise @ noise.mT
+        excess = excess - self.weakening().to(excess)[..., None, None] * torch.diag_embed(1 / weights)
+        trace_n = (gram_pinv(h, self.rcond) * excess).sum((-2, -1))  # eq. (32)
+        spread = prediction.spread if self.trace == "full" else prediction.spread[..., self.states, :]
+        ratio = trace_n / spread.square().sum((-2, -1))  # eqs. (33)-(34)
+        ratio = torch.where(ratio.isfinite(), ratio, 1.0)
+        return torch.minimum(ratio.clamp_min(1.0), self.maximum().to(ratio))
+
+    def inflate(self, prediction: Prediction, factor: Tensor) -> Prediction:
+        """The prediction with ``factor (...)`` on the covariance of the faded states; its mean stays.
+
+        Source: Wang et al. (2021), eq. (29).
+        """
+        faded = torch.zeros(prediction.spread.shape[-2], dtype=torch.bool, device=factor.device)
+        faded[self.states] = True
+        scale = torch.where(faded, factor.sqrt().unsqueeze(-1), 1.0)
+        spread, noise = scale.unsqueeze(-1) * prediction.spread, prediction.noise
+        root = tria(hstack(spread, noise))
+        return Prediction(prediction.belief._replace(scale_tril=root), spread, noise)

@@ -1,0 +1,163 @@
+"""What every filter is: a pure ``step``, and ``forward``, the only loop over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from torchfra.filters.frames import Frame, Time, batch_rank, check, make_frames
+from torchfra.linalg import tria
+from torchfra.motion import Motion
+from torchfra.sensors import Sensor
+from torchfra.types import Estimate, Gaussian, Innovation
+
+
+class Record(NamedTuple):
+    """What a step leaves behind besides its state; innovations in units of the measurement noise."""
+
+    belief: Gaussian
+    residual: Tensor
+    """``(..., m)``."""
+    root: Tensor
+    """``(..., m, m)`` lower root of the residual's covariance."""
+    normalised: Tensor
+    """``(..., m)`` the residual divided by its root."""
+    info: Any
+
+
+class Filter(nn.Module):
+    """Abstract: a subclass gives ``init`` and ``advance``.  Nothing of a track is ever kept in the module.
+
+    All is computed in the dtype and on the device of the measurements.
+
+    Args:
+        motion: how targets move.
+        sensor: what is measured.
+
+    Raises:
+        ValueError: the sensor reads more components than the motion's state has.
+    """
+
+    def __init__(self, motion: Motion, sensor: Sensor) -> None:
+        super().__init__()
+        if sensor.reads > motion.size:
+            raise ValueError(f"sensor: expected one that reads at most {motion.size} states, this reads {sensor.reads}")
+        self.motion, self.sensor = motion, sensor
+
+    def init(self, prior: Gaussian) -> Any:
+        """The state before the first measurement, from a belief one step earlier; it has a ``belief``."""
+        raise TypeError(f"{type(self).__name__} needs an init")
+
+    def advance(self, state: Any, frame: Frame) -> tuple[Any, Record]:
+        """One step on a prepared frame: the next state and what to keep of the step."""
+        raise TypeError(f"{type(self).__name__} needs an advance")
+
+    def finish(self, state: Any, records: list[Record]) -> tuple[list[Gaussian], list[Any]]:
+        """Beliefs and info of a sequence that ended in ``state``: a filter that decides late decides the rest here."""
+        return [r.belief for r in records], [r.info for r in records]
+
+    def step(
+        self,
+        state: Any,
+        z: Tensor,
+        *,
+        dt: Time = 1.0,
+        u: Tensor | None = None,
+        std: Tensor | None = None,
+        noise: Tensor | None = None,
+    ) -> tuple[Any, Innovation]:
+        """One measurement, for streaming.
+
+        Args:
+            state: from ``init`` or the step before; it is not changed.
+            z: ``(..., m)``; NaN is missing, and a step with nothing measured is a pure prediction.
+            dt: seconds since the last step, a number or ``(...)``.
+            u: ``(..., k)`` what the models need to know, such as where the stations are.
+            std: ``(..., m)`` standard deviation of this measurement, instead of the sensor's.
+            noise: ``(..., m, m)`` root of its covariance, instead of the sensor's.
+
+        Returns:
+            The next state, whose ``belief`` is the estimate, and what the measurement said.
+
+        Raises:
+            ValueError: a shape or a value that does not fit.
+        """
+        if isinstance(dt, Tensor) and dt.dim():
+            dt = dt.unsqueeze(-1)
+        u, std, noise = (x if x is None else x.unsqueeze(e) for x, e in ((u, -2), (std, -2), (noise, -3)))
+        frames, _, _ = self._prepare(z.unsqueeze(-2), state.belief, dt, u, std, noise)
+        frame = frames[0]
+        state, record = self.advance(state, frame)
+        nis, log_likelihood = _scores(record.normalised, record.root, frame.noise.log_norm)
+        residual = frame.noise.colour(record.residual.unsqueeze(-1)).squeeze(-1)
+        return state, Innovation(residual, frame.noise.colour(record.root), nis, log_likelihood)
+
+    def forward(
+        self,
+        z: Tensor,
+        prior: Gaussian,
+        *,
+        dt: Time = 1.0,
+        u: Tensor | None = None,
+        std: Tensor | None = None,
+        noise: Tensor | None = None,
+    ) -> Estimate:
+        """Whole tracks.
+
+        Args:
+            z: ``(..., T, m)`` measurements; NaN is missing, element by element.
+            prior: the belief one ``dt`` before the first of them: ``mean (..., n)`` and any root ``(..., n, n)``.
+            dt: seconds between steps, a number or what broadcasts with ``(..., T)``: ``(T,)`` for each step,
+                ``(..., 1)`` for each track, ``(..., T)`` for both.
+            u: ``(..., T, k)`` or ``(T, k)`` what the models need to know at a step, such as where the stations are.
+            std: ``(..., T, m)`` standard deviations of the measurements, instead of the sensor's.
+            noise: ``(..., T, m, m)`` roots of their covariances, instead of the sensor's.
+
+        Raises:
+            ValueError: a shape or a value that does not fit.
+        """
+        frames, log_norm, rank = self._prepare(z, prior, dt, u, std, noise)
+        state, records = self.init(Gaussian(*(x.to(z) for x in prior))), []
+        for frame in frames:
+            state, record = self.advance(state, frame)
+            records.append(record)
+        beliefs, info = self.finish(state, records)
+        normalised = _stack([r.normalised for r in records], rank)
+        root = _stack([r.root for r in records], rank)
+        nis, log_likelihood = _scores(normalised, root, log_norm.movedim(0, -1))
+        return Estimate(*_stack(beliefs, rank), nis, log_likelihood, _stack(info, rank))
+
+    def _prepare(
+        self,
+        z: Tensor,
+        prior: Gaussian,
+        dt: Time,
+        u: Tensor | None,
+        std: Tensor | None,
+        noise: Tensor | None,
+    ) -> tuple[list[Frame], Tensor, int]:
+        """Frames of ``z (..., T, m)``, the log of their noise, time first, and the number of batch dimensions."""
+        check(self.motion, self.sensor, z, prior, dt, u, std, noise)
+        step = dt if isinstance(dt, Tensor) else None
+        rank = batch_rank(self, (z, 2), (prior.mean, 1), (u, 2), (step, 1), (std, 2), (noise, 3))
+        frames, log_norm = make_frames(self.motion, self.sensor, z, dt, u, std, noise, rank)
+        return frames, log_norm, rank
+
+
+def _scores(normalised: Tensor, root: Tensor, log_norm: Tensor) -> tuple[Tensor, Tensor]:
+    """Normalised innovation squared and log density."""
+    nis = normalised.square().sum(-1)
+    return nis, log_norm - 0.5 * nis - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+
+
+def _stack(steps: Sequence[Any], rank: int) -> Any:
+    """Tensors, or tuples of them, stacked over time behind ``rank`` batch dimensions; None stays None."""
+    first = steps[0]
+    if first is None:
+        return None
+    if isinstance(first, Tensor):
+        return torch.stack(torch.broadcast_tensors(*steps), rank)
+    return type(first)(*(_stack(parts, rank) for parts in zip(*steps, strict=True)))

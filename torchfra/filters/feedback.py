@@ -1,0 +1,125 @@
+"""FRA: a robust and an adaptive branch where a step is abnormal, and the next measurement decides between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import Module
+
+from torchfra.adaptive import Fading, Memory
+from torchfra.cubature import Rule, third_degree
+from torchfra.filters.base import Filter, Record
+from torchfra.filters.frames import Frame
+from torchfra.filters.select import select, where_needed
+from torchfra.filters.srckf import SRCKF, State, correct, innovation, trust
+from torchfra.hyper import Hyper, Value
+from torchfra.motion import Motion
+from torchfra.sensors import Sensor
+from torchfra.types import Gaussian, Prediction, Whitened
+
+
+class FRAState(NamedTuple):
+    """What FRA knows after a step."""
+
+    belief: Gaussian
+    """Provisional estimate of this step: the robust branch where it was abnormal."""
+    adaptive: Gaussian
+    """The other branch; equal to ``belief`` where the step was normal."""
+    plain: Gaussian
+    """The estimate with neither remedy."""
+    settled: Gaussian
+    """Final estimate of the step before, now that its branches have met a measurement."""
+    abnormal: Tensor
+    """``(...)`` bool: this step waits for the next measurement."""
+    memory: Memory
+
+
+class FRAInfo(NamedTuple):
+    """Per step and track."""
+
+    abnormal: Tensor
+    """``(..., T)`` bool: the innovation failed the gate and the filter forked."""
+    adaptive: Tensor
+    """``(..., T)`` bool: the adaptive branch was kept."""
+    fading: Tensor
+    """``(..., T)`` fading factor of the adaptive branch, 1 at normal steps."""
+    weights: Tensor
+    """``(..., T, m)`` Huber weights of the robust branch, 1 at normal steps."""
+    provisional: Gaussian
+    """``mean (..., T, n)`` and ``scale_tril``: what was known at the step itself."""
+
+
+class FRA(Filter):
+    """Feedback-decision robust adaptive filter.
+
+    A step whose normalised innovation squared is above the gate is abnormal, be it an outlier or a manoeuvre.  There the
+    filter forks: one branch trusts the measurement less (robust), one the prediction less (adaptive).  Both predict the
+    next measurement, and the branch that did so better is kept.  So the estimate of an abnormal step is final only with
+    the next measurement: ``Estimate.mean`` holds the final ones and ``info.provisional`` what was known at each step;
+    ``step`` hands out the provisional one as ``state.belief``, and as ``state.settled`` the final one of the step before.
+
+    Args:
+        motion: how targets move.
+        sensor: what is measured.
+        robust: weights of the robust branch (``torchfra.robust``).
+        adaptive: fading factors of the adaptive branch (``torchfra.adaptive``).
+        rule: see ``SRCKF``.
+        gate: normalised innovation squared above which a step is abnormal.
+        decision: how the branches' predictions are compared: ``"normalised"`` by the normalised innovation (the
+            paper's; it favours the branch that expects more error), ``"likelihood"`` by the predictive likelihood.
+        memory: innovations that fading remembers: ``"plain"`` as they are (the paper's), ``"weighted"`` by the robust
+            weights from the step after on.
+        final: the branch of an abnormal last step, which nothing can decide: ``"robust"``, ``"adaptive"``, ``"plain"``.
+
+    Raises:
+        ValueError: an argument that is none of those.
+
+    Source: Wang et al. (2021), section 2.2 and fig. 1.
+    """
+
+    def __init__(
+        self,
+        motion: Motion,
+        sensor: Sensor,
+        *,
+        robust: Module,
+        adaptive: Fading,
+        rule: Callable[[int], Rule] = third_degree,
+        gate: Value = 5.991,
+        decision: str = "normalised",
+        memory: str = "plain",
+        final: str = "robust",
+    ) -> None:
+        super().__init__(motion, sensor)
+        for name, value, known in (
+            ("decision", decision, ("normalised", "likelihood")),
+            ("memory", memory, ("plain", "weighted")),
+            ("final", final, ("robust", "adaptive", "plain")),
+        ):
+            if value not in known:
+                raise ValueError(f"{name}: expected one of {known}, received {value!r}")
+        self.base = SRCKF(motion, sensor, rule=rule)
+        self.robust, self.adaptive = robust, adaptive
+        self.gate = Hyper(gate, name="gate")
+        self.decision, self.memory, self.final = decision, memory, final
+
+    def init(self, prior: Gaussian) -> FRAState:
+        """See ``Filter``."""
+        belief = self.base.init(prior).belief
+        memory = self.adaptive.begin(prior.mean.new_zeros(prior.mean.shape[:-1] + (self.sensor.size,)))
+        normal = torch.zeros(prior.mean.shape[:-1], dtype=torch.bool, device=prior.mean.device)
+        return FRAState(belief, belief, belief, belief, normal, memory)
+
+    def advance(self, state: FRAState, frame: Frame) -> tuple[FRAState, Record]:
+        """See ``Filter``."""
+        chosen = where_needed(self, state.abnormal, self.prefer, (state.belief, state.adaptive, frame), state.abnormal)
+        settled = select(chosen, state.adaptive, state.belief)
+        prediction = self.base.predict(settled, frame)
+        whitened = self.base.compare(prediction.belief, frame)
+        plain, root, normalised = correct(prediction.belief, whitened)
+        nis = normalised.square().sum(-1)
+        abnormal = nis > self.gate().to(nis)
+        ...

@@ -1,0 +1,147 @@
+"""What a filter can know of a step before it has a belief: checked once, and made for all steps at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from torchfra.hyper import Hyper
+from torchfra.linalg import is_traced
+from torchfra.motion import Motion
+from torchfra.sensors import Noise, Sensor
+from torchfra.types import Gaussian
+
+Time = float | Tensor
+
+
+class Frame(NamedTuple):
+    """All of a step that does not depend on the belief."""
+
+    z: Tensor
+    """``(..., m)``, 0 where missing."""
+    seen: Tensor
+    """``(..., m)``, 1 where measured and 0 where missing."""
+    noise: Noise
+    dt: Tensor
+    u: Tensor | None
+    transition: Tensor | None
+    """``F (..., n, n)``, None for a motion that is not linear."""
+    shift: Tensor | None
+    process: Tensor
+    """``S_Q (..., n, q)``."""
+
+
+def make_frames(
+    motion: Motion,
+    sensor: Sensor,
+    z: Tensor,
+    dt: Time,
+    u: Tensor | None,
+    std: Tensor | None,
+    noise: Tensor | None,
+    rank: int,
+) -> tuple[list[Frame], Tensor]:
+    """One frame for each step of ``z (..., T, m)``, and the log of their noise, time first.
+
+    ``rank`` is the number of batch dimensions, those of the hyperparameters included.
+    """
+    steps = z.shape[-2]
+
+    def lead(x: Tensor | None, event: int) -> Tensor | None:
+        """Time in front of the batch, the batch filled up to its rank."""
+        if x is None:
+            return None
+        x = x.to(z).movedim(-1 - event, 0)
+        return x.reshape(x.shape[:1] + (1,) * (rank + 1 + event - x.dim()) + x.shape[1:])
+
+    def each(x: Any, timed: bool = True) -> Iterable[Any]:
+        """One entry per step."""
+        if x is None or not timed:
+            return [x] * steps
+        return x.unbind(0) if isinstance(x, Tensor) else (type(x)(*step) for step in zip(*map(each, x), strict=True))
+
+    z = _certain(lead(z, 1)).contiguous()
+    u = lead(u, 1)
+    dt = torch.as_tensor(dt).to(z)
+    timed = dt.dim() > 0 and dt.shape[-1] > 1
+    dt = _certain(lead(dt, 0)) if timed else dt[..., 0] if dt.dim() else dt
+    missing = z.isnan()
+    scale = sensor.noise(z, lead(std, 1), lead(noise, 2))
+    shift = motion.shift(dt, u)
+    if shift is not None:
+        shift = shift.expand(torch.broadcast_shapes(shift.shape, (steps,) + (1,) * (rank + 1)))
+    columns = (
+        each(torch.where(missing, 0.0, z)),
+        each(1.0 - missing.to(z)),
+        each(scale),
+        each(dt, timed),
+        each(u),
+        each(motion.transition(dt), timed),
+        each(shift),
+        each(motion.noise(dt), timed),
+    )
+    return [Frame(*frame) for frame in zip(*columns, strict=True)], scale.log_norm
+
+
+def _certain(x: Tensor | None) -> Tensor:
+    assert x is not None
+    return x
+
+
+def batch_rank(filter_: nn.Module, *values: tuple[Tensor | None, int]) -> int:
+    """Batch dimensions of the values, given with the dimensions of an entry, and of the hyperparameters."""
+    std = filter_.sensor.std
+    hypers = [(h(), int(h is std)) for h in filter_.modules() if isinstance(h, Hyper)]
+    return max(max(x.dim() - event, 0) for x, event in [*values, *hypers] if x is not None)
+
+
+def check(
+    motion: Motion,
+    sensor: Sensor,
+    z: Tensor,
+    prior: Gaussian,
+    dt: Time,
+    u: Tensor | None,
+    std: Tensor | None,
+    noise: Tensor | None,
+) -> None:
+    """Shapes and values of what a user hands in; time is in front of the vector.
+
+    Raises:
+        ValueError: names the argument, what was expected and what came.
+    """
+    n, m = motion.size, sensor.size
+    if not z.is_floating_point():
+        raise ValueError(f"z: expected floating point numbers, received {z.dtype}")
+    if z.dim() < 2 or z.shape[-1] != m:
+        raise ValueError(f"z: expected (..., T, {m}), received {tuple(z.shape)}")
+    steps = z.shape[-2]
+    batch = {"z": z.shape[:-2]}
+    for name, x, shape in (
+        ("prior.mean", prior.mean, (n,)),
+        ("prior.scale_tril", prior.scale_tril, (n, n)),
+        ("u", u, (steps, None)),
+        ("std", std, (steps, m)),
+        ("noise", noise, (steps, m, m)),
+    ):
+        if x is None:
+            continue
+        fits = x.dim() >= len(shape) and all(b is None or a == b for a, b in zip(x.shape[-len(shape) :], shape, strict=True))
+        if not fits:
+            wanted = ", ".join("k" if s is None else str(s) for s in shape)
+            raise ValueError(f"{name}: expected (..., {wanted}), received {tuple(x.shape)}")
+        batch[name] = x.shape[: x.dim() - len(shape)]
+    if isinstance(dt, Tensor):
+        if dt.dim() and dt.shape[-1] not in (1, steps):
+            raise ValueError(f"dt: expected a number or (..., {steps}) or (..., 1), received {tuple(dt.shape)}")
+        batch["dt"] = dt.shape[:-1]
+    if not (isinstance(dt, Tensor) and is_traced(dt)) and not bool((torch.as_tensor(dt) > 0).all()):
+        raise ValueError(f"dt: expected seconds above 0, received {dt}")
+    try:
+        torch.broadcast_shapes(*batch.values())
+    except RuntimeError:
+        said = ", ".join(f"{name} {tuple(shape)}" for name, shape in batch.items())
+        raise ValueError(f"batch: expected shapes that broadcast, received {said}") from None

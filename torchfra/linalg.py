@@ -1,0 +1,140 @@
+"""Square-root algebra: triangularisation with an exact, rank-safe gradient, and a truncated pseudo-inverse.
+
+A covariance is never formed here.  Everything works on a square root ``A`` of it, ``P = A A^T``, and on the one
+lower-triangular root with non-negative diagonal, ``L = tria(A)``.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+
+def tria(a: Tensor, *, led: bool = False) -> Tensor:
+    """Lower-triangular root of ``a a^T`` with a non-negative diagonal, by orthogonal transformations.
+
+    Args:
+        a: ``(..., n, p)``, any ``n`` and ``p``: wide, square or tall.
+        led: whether the first ``n`` columns of ``a`` are a diagonal with nothing below zero on it, say all zero; saves
+            putting zeros there.
+
+    Returns:
+        ``L (..., n, n)`` with ``L L^T = a a^T``.  Where a row of ``a`` is zero, so are that row of ``L`` and the
+        column below its diagonal.
+
+    The gradient is that of ``L`` itself and is exact wherever ``L`` is differentiable, to any order.  Where ``a`` has
+    lost rank (a zero row, or no initial uncertainty and noise of low rank) ``L`` is differentiable only in the
+    directions that keep the lost pivots at zero: in those the gradient is exact too, and it is always finite.
+
+    Source: Arasaratnam & Haykin (2009), "Cubature Kalman Filters", Tria(.); Bjoerck & Paige (1992) for the equivalence
+    of Householder QR on ``[0; A]`` with Gram-Schmidt.
+    """
+    # The leading zeros settle two conventions of Householder QR at once.  Every reflection starts from a zero (or from
+    # something positive), so the diagonal of R is never positive; and a row without anything new leaves its own zero
+    # coordinate untouched, so that no arbitrary direction enters the column of L that belongs to it.
+    a = a if led else pad(a, (a.shape[-2], 0))
+    if not (a.requires_grad or is_traced(a)):
+        return _triangularise(a)  # the same numbers, without the bookkeeping of a gradient
+    result: Tensor = _Tria.apply(a)
+    return result
+
+
+def is_traced(*tensors: Tensor) -> bool:
+    """Whether this runs under ``torch.compile``, ``torch.export`` or a transform of ``torch.func``."""
+    wrapped = torch._C._functorch.is_functorch_wrapped_tensor
+    return torch.compiler.is_compiling() or any(wrapped(t) for t in tensors)
+
+
+def _triangularise(a: Tensor) -> Tensor:
+    n = a.shape[-2]
+    if is_traced(a):
+        return -torch.linalg.qr(a.mT, mode="r").R.mT
+    # What torch.linalg.qr does, less a copy and a pass that starts threads even for one small matrix.
+    reflected = torch.geqrf(a.mT)[0][..., :n, :].mT
+    return reflected * _minus_lower(n, a.dtype, a.device)
+
+
+@lru_cache(maxsize=64)
+def _minus_lower(n: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    return -torch.ones(n, n, dtype=dtype, device=device).tril()
+
+
+class _Tria(torch.autograd.Function):
+    """``dL = B - L K`` with ``B = dA Q``, ``Q = A^T L^-T`` and K skew, its upper part that of ``L^-1 B``.
+
+    K turns the rows of Q into each other so that L stays triangular.  A pivot that has lost its information turns
+    nothing: there Q has a zero column and K a zero row.
+    """
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(a: Tensor) -> Tensor:
+        return _triangularise(a)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor], output: Tensor) -> None:
+        ctx.save_for_backward(*inputs, output)
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> Tensor:  # type: ignore[override]  # one gradient for one input
+        a, lower = ctx.saved_tensors
+        rounding = 4 * sum(a.shape[-2:]) * torch.finfo(a.dtype).eps
+        live = lower.diagonal(dim1=-2, dim2=-1) > rounding * torch.linalg.vector_norm(a, dim=-1)
+        root = lower + torch.diag_embed((~live).to(a.dtype))
+        q = torch.linalg.solve_triangular(root, a, upper=False)
+        grad = grad.tril() * live.unsqueeze(-2)
+        turn = lower.mT @ grad
+        turn = (turn.mT - turn).triu(1) * live.unsqueeze(-1)
+        return (grad + torch.linalg.solve_triangular(root.mT, turn, upper=True)) @ q
+
+
+def apply(matrix: Tensor, vector: Tensor) -> Tensor:
+    """``matrix (..., m, n)`` times ``vector (..., n)``."""
+    return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
+
+
+def whiten(root: Tensor, vector: Tensor) -> Tensor:
+    """``root^-1 vector`` for a lower-triangular ``root (..., m, m)`` and ``vector (..., m)``."""
+    return torch.linalg.solve_triangular(root, vector.unsqueeze(-1), upper=False).squeeze(-1)
+
+
+def hstack(*blocks: Tensor) -> Tensor:
+    """Matrices ``(..., n, p_i)`` side by side, their batches broadcast."""
+    if len({b.shape[:-2] for b in blocks}) > 1:
+        batch = torch.broadcast_shapes(*(b.shape[:-2] for b in blocks))
+        blocks = tuple(b.expand(batch + b.shape[-2:]) for b in blocks)
+    return torch.cat(blocks, -1)
+
+
+def gram_pinv(h: Tensor, rcond: float) -> Tensor:
+    """``(H H^T)^+`` without the singular values of H that are below ``rcond`` times the largest.
+
+    Args:
+        h: ``(..., m, d)``; a matrix that is not finite counts as zero.
+        rcond: relative cut, from 0 (all that is above rounding) to 1.
+
+    Returns:
+        ``(..., m, m)``.  The gradient is exact as long as no singular value crosses the cut, also where singular
+        values coincide (that of a decomposition is not).
+    """
+    ok = h.isfinite().flatten(-2).all(-1)[..., None, None]
+    h = torch.where(ok, h, 0.0)
+    u, sigma, _ = torch.linalg.svd(h.detach(), full_matrices=True)
+    m = h.shape[-2]
+    cut = max(rcond, max(h.shape[-2:]) * torch.finfo(h.dtype).eps)
+    power = pad(sigma, (0, max(m - sigma.shape[-1], 0)))[..., :m].square()
+    kept = power > cut**2 * power[..., :1]
+    inverse = torch.where(kept, 1 / torch.where(kept, power, 1.0), 0.0)
+    # Divided differences of x -> 1/x (kept) or 0 (cut): the derivative of a matrix function in its own eigenbasis.
+    gap = power.unsqueeze(-1) - power.unsqueeze(-2)
+    mixed = kept.unsqueeze(-1) != kept.unsqueeze(-2)
+    jump = (inverse.unsqueeze(-1) - inverse.unsqueeze(-2)) / torch.where(mixed, gap, 1.0)
+    slope = torch.where(mixed, jump, -inverse.unsqueeze(-1) * inverse.unsqueeze(-2))
+    gram = h @ h.mT
+    change = u.mT @ (gram - gram.detach()) @ u  # zero, but carries the gradient
+    return u @ (torch.diag_embed(inverse) + slope * change) @ u.mT

@@ -1,0 +1,153 @@
+"""How targets move: the transition and a square root of the process noise, both following the time step.
+
+States list positions first, then velocities, then accelerations: ``[x, y, vx, vy, ax, ay]`` in m, m/s, m/s^2.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.distributions import constraints
+
+from torchfra.hyper import Hyper, Value
+from torchfra.linalg import apply
+
+
+class Motion(nn.Module):
+    """Abstract: how a state goes on over ``dt``, and how uncertain that is.
+
+    A linear motion gives ``transition``, any other ``forward``; either may replace ``noise`` and ``shift``.
+
+    Args:
+        dims: dimensions of space; they come first in the state.
+        orders: derivatives in the state, position included: 2 up to velocity, 3 up to acceleration.
+        q: variance of the noise acceleration, m^2/s^4, constant over a step and independent between steps and axes
+            (so that two short steps are not the same as a long one).  A tensor broadcasts with the batch.
+
+    Raises:
+        ValueError: ``dims`` below 1, ``q`` below 0.
+    """
+
+    def __init__(self, dims: int, orders: int, q: Value) -> None:
+        super().__init__()
+        if dims < 1:
+            raise ValueError(f"dims: expected 1 or more dimensions of space, received {dims}")
+        self.dims, self.orders, self.size = dims, orders, dims * orders
+        self.position, self.velocity = slice(0, dims), slice(dims, 2 * dims)
+        self.q = Hyper(q, constraints.nonnegative, name="q")
+
+    def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
+        """The state ``(..., n)`` after ``dt (...)`` seconds, without noise."""
+        matrix, shift = self.transition(dt), self.shift(dt, u)
+        if matrix is None:
+            raise TypeError(f"{type(self).__name__} needs a forward or a transition")
+        return apply(matrix, x) if shift is None else apply(matrix, x) + shift
+
+    def transition(self, dt: Tensor) -> Tensor | None:
+        """``F (..., n, n)`` for ``dt (...)`` if the motion is linear: filters then carry it exactly, without points."""
+        return None
+
+    def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
+        """A known change of the state, ``(..., n)``, on top of a linear transition: control, or a moving frame."""
+        return None
+
+    def noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., n, dims)`` for ``dt (...)``: a root of the process noise covariance, ``sqrt(q) [dt^2/2; dt; 1]``.
+
+        Source: Wang et al. (2021), eqs. (3)-(4).
+        """
+        gain = _taylor(dt, torch.arange(2, 2 - self.orders, -1, device=dt.device))
+        return _per_axis((self.q().to(dt).sqrt().unsqueeze(-1) * gain).unsqueeze(-1), self.dims)
+
+    def extra_repr(self) -> str:
+        """Dimensions of space and of the state."""
+        return f"dims={self.dims}, size={self.size}"
+
+
+class _Polynomial(Motion):
+    """The highest derivative in the state stays as it is."""
+
+    def transition(self, dt: Tensor) -> Tensor:
+        """``F (..., n, n)``: ``dt^k / k!`` from each derivative to the one k below it."""
+        order = torch.arange(self.orders, device=dt.device)
+        ahead = order - order.unsqueeze(-1)
+        matrix = torch.where(ahead >= 0, _taylor(dt.unsqueeze(-1), ahead.clamp_min(0)), 0.0)
+        return _per_axis(matrix, self.dims)
+
+
+class ConstantVelocity(_Polynomial):
+    """Constant velocity, disturbed by accelerations: states ``[position, velocity]``.
+
+    Args:
+        q: variance of the noise acceleration, m^2/s^4.
+        dims: dimensions of space.
+    """
+
+    def __init__(self, q: Value, dims: int = 2) -> None:
+        super().__init__(dims, 2, q)
+
+
+class ConstantAcceleration(_Polynomial):
+    """Constant acceleration, disturbed: states ``[position, velocity, acceleration]``.
+
+    Args:
+        q: variance of the change of acceleration per step, m^2/s^4.
+        dims: dimensions of space.
+
+    Source: Wang et al. (2021), eqs. (1)-(4).
+    """
+
+    def __init__(self, q: Value, dims: int = 2) -> None:
+        super().__init__(dims, 3, q)
+
+
+class CoordinatedTurn(Motion):
+    """A turn of known rate in the plane of the first two axes, the others at constant velocity.
+
+    States ``[position, velocity]``.  A rate of 0 is ``ConstantVelocity``; gradients are right there too.
+
+    Args:
+        rate: rad/s, counter-clockwise from x to y; a tensor broadcasts with the batch.
+        q: variance of the noise acceleration, m^2/s^4.
+        dims: dimensions of space, 2 or more.
+
+    Raises:
+        ValueError: ``dims`` below 2, ``rate`` not a number, ``q`` below 0.
+
+    Source: Li & Jilkov (2003), "Survey of Maneuvering Target Tracking. Part I", eq. (61).
+    """
+
+    def __init__(self, rate: Value, q: Value, dims: int = 2) -> None:
+        if dims < 2:
+            raise ValueError(f"dims: expected 2 or more dimensions for a turn, received {dims}")
+        super().__init__(dims, 2, q)
+        self.rate = Hyper(rate, constraints.real, name="rate")
+
+    def transition(self, dt: Tensor) -> Tensor:
+        """``F (..., n, n)`` for ``dt (...)``."""
+        dt, angle = torch.broadcast_tensors(dt, self.rate().to(dt) * dt)
+        # sin(a)/a and (1 - cos(a))/a, smooth at 0
+        along, across = torch.sinc(angle / torch.pi), angle / 2 * torch.sinc(angle / (2 * torch.pi)).square()
+        moved, turned = self._plane(along, across), self._plane(angle.cos(), angle.sin())
+        still = torch.eye(self.dims, dtype=dt.dtype, device=dt.device).expand_as(turned)
+        top, bottom = torch.cat([still, dt[..., None, None] * moved], -1), torch.cat([still * 0, turned], -1)
+        return torch.cat([top, bottom], -2)
+
+    def _plane(self, c: Tensor, s: Tensor) -> Tensor:
+        rows = torch.stack([torch.stack([c, -s], -1), torch.stack([s, c], -1)], -2)
+        rest = torch.eye(self.dims, dtype=c.dtype, device=c.device)[2:]
+        rows = torch.nn.functional.pad(rows, (0, self.dims - 2))
+        return torch.cat([rows, rest.expand(c.shape + rest.shape)], -2)
+
+
+def _taylor(dt: Tensor, power: Tensor) -> Tensor:
+    """``dt^k / k!`` for every k in ``power``, in a new last dimension (or, for a square of powers, the last of dt)."""
+    factorial = torch.exp(torch.lgamma(power.to(dt) + 1)).round()
+    return dt.unsqueeze(-1) ** power / factorial
+
+
+def _per_axis(block: Tensor, dims: int) -> Tensor:
+    """Kronecker product with the identity over the axes: ``(..., a, b) -> (..., a dims, b dims)``."""
+    eye = torch.eye(dims, dtype=block.dtype, device=block.device)
+    product = block.unsqueeze(-2).unsqueeze(-1) * eye.unsqueeze(-2)
+    return product.flatten(-2).flatten(-3, -2)

@@ -1,0 +1,64 @@
+"""The measurement side: how much to trust each element of an innovation, from 1 (fully) down to 0 (not at all)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from torchfra.hyper import Hyper, Value
+
+
+class Huber(nn.Module):
+    """Weight 1 up to a threshold and ``threshold / |v|`` beyond it, per element.
+
+    The innovation counts in units of the measurement noise alone, not of the whole innovation covariance: a large
+    error of the prediction is taken for an outlier too.
+
+    Args:
+        threshold: in standard deviations of the noise; infinity never doubts a measurement.
+
+    Source: Huber (1964); Wang et al. (2021), eqs. (25)-(26).
+    """
+
+    def __init__(self, threshold: Value = 1.345) -> None:
+        super().__init__()
+        self.threshold = Hyper(threshold, name="threshold")
+
+    def forward(self, residual: Tensor, nis: Tensor) -> Tensor:
+        """Weights ``(..., m)`` of a ``residual (..., m)`` in units of the noise; ``nis (...)`` is not looked at."""
+        excess = residual.abs() / self.threshold().to(residual).unsqueeze(-1)
+        return 1 / excess.clamp_min(1.0)
+
+
+class ThreeSegment(nn.Module):
+    """One weight for all elements, from the distance of the whole innovation: full, falling, none (IGG-III).
+
+    With ``d = sqrt(nis)``, ``a = sqrt(low)`` and ``b = sqrt(high)``: 1 up to a, ``a/d ((b - d)/(b - a))^2`` between,
+    0 from b on, which leaves the measurement out.
+
+    Args:
+        low: normalised innovation squared up to which a measurement is trusted fully.
+        high: from which on it is not used at all.
+        squared: take ``nis, low, high`` themselves in the place of ``d, a, b``.
+
+    Raises:
+        ValueError: ``high`` not above ``low``.
+
+    Source: Yang et al. (2001) for the weight.  Differs: Wang et al. (2021) compare with the filter of Wu et al. (2015)
+    and print its thresholds only; the form of the weight is our reading.
+    """
+
+    def __init__(self, low: Value = 5.991, high: Value = 10000.0, *, squared: bool = False) -> None:
+        super().__init__()
+        self.low, self.high, self.squared = Hyper(low, name="low"), Hyper(high, name="high"), squared
+        if not bool((self.high() > self.low()).all()):
+            raise ValueError(f"high: expected a value above low, received {high} with low {low}")
+
+    def forward(self, residual: Tensor, nis: Tensor) -> Tensor:
+        """Weights ``(..., m)``, all the same, of an innovation whose normalised square is ``nis (...)``."""
+        low, high = self.low().to(nis), self.high().to(nis)
+        # The clamps keep the root and its gradient away from 0, inside the segment where the weight is 1 anyway.
+        d = nis.clamp_min(low) if self.squared else nis.clamp_min(low).sqrt()
+        a, b = (low, high) if self.squared else (low.sqrt(), high.sqrt())
+        weight = a / d * ((b - d).clamp_min(0.0) / (b - a)).square()
+        return torch.where(nis > low, weight, 1.0).unsqueeze(-1).expand(nis.shape + residual.shape[-1:])

@@ -1,0 +1,97 @@
+"""The shapes and the tuples that everything shares.
+
+Shape letters: ``...`` any batch, ``T`` time, ``n`` state, ``m`` measurement, ``d`` the leading state components that a
+sensor reads.  Batch first, time before the vector, no trailing-one columns; SI units and radians.  A NaN in a
+measurement is missing data.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class Gaussian(NamedTuple):
+    """A belief: ``mean (..., n)`` and ``scale_tril (..., n, n)``, the lower root of the covariance."""
+
+    mean: Tensor
+    scale_tril: Tensor
+
+    @property
+    def covariance(self) -> Tensor:
+        """``P (..., n, n) = scale_tril @ scale_tril.mT``."""
+        return self.scale_tril @ self.scale_tril.mT
+
+
+class Prediction(NamedTuple):
+    """A belief carried over one step, and what it was made of: ``P = spread spread^T + noise noise^T``."""
+
+    belief: Gaussian
+    spread: Tensor
+    """``(..., n, r)`` root of the part that came from the belief before, F P F^T."""
+    noise: Tensor
+    """``(..., n, q)`` root of the process noise."""
+
+
+class Whitened(NamedTuple):
+    """A measurement against its prediction, in units of the measurement noise (whose covariance is then the identity).
+
+    A missing element is all zero: it says nothing.
+    """
+
+    residual: Tensor
+    """``(..., m)`` measured minus predicted."""
+    spread: Tensor
+    """``(..., m, r + d)`` root of the covariance of what was predicted: ``[rest, H S]``."""
+    reads: int
+    """``d``, the last columns of ``spread``: how the measurement follows the root of the belief."""
+
+    @property
+    def slope(self) -> Tensor:
+        """``H S (..., m, d)``."""
+        return self.spread[..., self.spread.shape[-1] - self.reads :]
+
+
+class Innovation(NamedTuple):
+    """What one measurement said about the prediction, in the measurement's own units."""
+
+    residual: Tensor
+    """``(..., m)`` measured minus predicted, angles wrapped; 0 where missing."""
+    scale_tril: Tensor
+    """``(..., m, m)`` lower root of its covariance under the nominal noise."""
+    nis: Tensor
+    """``(...)`` normalised innovation squared, of the elements that were seen."""
+    log_likelihood: Tensor
+    """``(...)`` log density of the elements that were seen."""
+
+
+class Estimate(NamedTuple):
+    """A whole track, filtered."""
+
+    mean: Tensor
+    """``(..., T, n)``."""
+    scale_tril: Tensor
+    """``(..., T, n, n)`` lower root of the covariance."""
+    nis: Tensor
+    """``(..., T)`` normalised innovation squared (nominal noise, seen elements)."""
+    log_likelihood: Tensor
+    """``(..., T)`` log density of the innovation (nominal noise, seen elements)."""
+    info: Any
+    """What this filter adds, one tuple of ``(..., T, ...)`` tensors: see the filter."""
+
+    @property
+    def covariance(self) -> Tensor:
+        """``P (..., T, n, n)``."""
+        return self.scale_tril @ self.scale_tril.mT
+
+    @property
+    def failed(self) -> Tensor:
+        """``(...)`` True for each track that lost its numbers (NaN or infinity) at some step; the others went on."""
+        finite = self.mean.isfinite().all(-1) & self.scale_tril.isfinite().flatten(-2).all(-1)
+        return ~finite.all(-1)
+
+    def to_distribution(self) -> torch.distributions.MultivariateNormal:
+        """The estimate as a distribution over states, one per track and step."""
+        return torch.distributions.MultivariateNormal(self.mean, scale_tril=self.scale_tril, validate_args=False)
