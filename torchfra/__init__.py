@@ -1,0 +1,26 @@
+"""Robust, adaptive tracking of manoeuvring targets: batched, differentiable square-root filters for PyTorch."""
+
+from torchfra import adaptive, cubature, linalg, metrics, motion, presets, readers, robust, scenarios, sensors
+from torchfra.hyper import Hyper
+from torchfra.malloc import keep_memory
+from torchfra.types import Estimate, Gaussian, Innovation
+
+from torchfra.version import __version__
+
+__all__ = [
+    "Estimate",
+    "Gaussian",
+    "Hyper",
+    "Innovation",
+    "adaptive",
+    "cubature",
+    "keep_memory",
+    "linalg",
+    "metrics",
+    "motion",
+    "presets",
+    "readers",
+    "robust",
+    "scenarios",
+    "sensors",
+]

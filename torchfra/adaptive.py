@@ -31,7 +31,7 @@ class Fading(nn.Module):
     Args:
         weakening: beta, share of the measurement noise that is taken off the innovations: above 1 reacts less.
         forgetting: rho, memory of the innovations.
-        maximum: no factor above this; infinity for the paper's own formula.
+        fading_max: no factor above this; infinity for the paper's own formula.
         rcond: singular values of the measurement matrix below this share of the largest are left out of its inverse; 0
             for the paper's own formula, which explodes where lines of sight become parallel.
         states: which state components fade.
@@ -44,14 +44,14 @@ class Fading(nn.Module):
 
     Source: Wang et al. (2021), eqs. (29)-(34); Zhou, Xi & Zhang (1990) for the strong tracking filter.
     Differs: singular values are compared in units of the measurement noise, so that metres and radians mix; with equal
-    noise on all elements, as in the paper, that changes nothing.  ``maximum`` and ``rcond`` are ours.
+    noise on all elements, as in the paper, that changes nothing.  ``fading_max`` and ``rcond`` are ours.
     """
 
     def __init__(
         self,
         weakening: Value = 2.0,
         forgetting: Value = 0.95,
-        maximum: Value = 1e3,
+        fading_max: Value = 1e3,
         *,
         rcond: float = 0.1,
         states: slice = slice(0, 2),
@@ -64,7 +64,7 @@ class Fading(nn.Module):
             raise ValueError(f"trace: expected 'full' or 'position', received {trace!r}")
         self.weakening = Hyper(weakening, constraints.greater_than_eq(1.0), name="weakening")
         self.forgetting = Hyper(forgetting, constraints.interval(0.0, 1.0), name="forgetting")
-        self.maximum = Hyper(maximum, constraints.greater_than_eq(1.0), name="maximum")
+        self.fading_max = Hyper(fading_max, constraints.greater_than_eq(1.0), name="fading_max")
         self.rcond, self.states, self.trace = rcond, states, trace
 
     def begin(self, residual: Tensor) -> Memory:
@@ -100,7 +100,7 @@ class Fading(nn.Module):
         spread = prediction.spread if self.trace == "full" else prediction.spread[..., self.states, :]
         ratio = trace_n / spread.square().sum((-2, -1))  # eqs. (33)-(34)
         ratio = torch.where(ratio.isfinite(), ratio, 1.0)
-        return torch.minimum(ratio.clamp_min(1.0), self.maximum().to(ratio))
+        return torch.minimum(ratio.clamp_min(1.0), self.fading_max().to(ratio))
 
     def inflate(self, prediction: Prediction, factor: Tensor) -> Prediction:
         """The prediction with ``factor (...)`` on the covariance of the faded states; its mean stays.

@@ -90,7 +90,7 @@ def read(path: str | Path, *, origin: Origin | None = None) -> list[Recording]:
             return _located(targets, origin)
         if origin is not None:
             raise ValueError(f"expected latitudes to go with the origin, received the columns {_listed(table)}")
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from error
     return [Recording(n, f[:, 0], np.delete(f, (0, 3), 1), None, dict(+repairs)) for n, f, repairs in targets]
 
@@ -118,7 +118,7 @@ def _listed(names: _Table | list[str]) -> str:
 def _from_json(text: str) -> _Table:
     try:
         data = json.loads(text)
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise ValueError(f"expected JSON, received text that is not ({error})") from error
     if isinstance(data, dict):
         columns = {name: column for name, column in data.items() if isinstance(column, dict)}
@@ -260,7 +260,8 @@ def _located(targets: list[_Target], origin: Origin | None) -> list[Recording]:
         from pymap3d import geodetic2enu  # type: ignore[import-untyped]
     except ImportError as error:
         raise ImportError('latitudes and longitudes need pymap3d: pip install "torchfra[data]"') from error
-    lat, lon, up = (*targets[0].fixes[0, [1, 2, 4]].tolist(), 0.0)[:3] if origin is None else origin
+    first = (*targets[0].fixes[0].tolist(), 0.0)
+    lat, lon, up = (first[1], first[2], first[4]) if origin is None else origin
     if not (abs(lat) <= 90 and abs(lon) <= 180 and math.isfinite(up)):
         raise ValueError(f"expected an origin of latitude, longitude in degrees, altitude in m, received {origin}")
     recordings = []
@@ -298,10 +299,8 @@ def resample(recording: Recording, dt: float, *, max_gap: float) -> list[tuple[A
 
 
 def _hermite(time: Array, position: Array, grid: Array) -> Array:
-    """``(k, d)`` on the grid ``(k,)``; the slope at a fix is that of the chord between its neighbours."""
-    last = np.arange(len(time))
-    left, right = (last - 1).clip(0), (last + 1).clip(max=len(time) - 1)
-    slope = (position[right] - position[left]) / (time[right] - time[left])[:, None]
+    """``(k, d)`` on the grid ``(k,)``; the slope at a fix is that of the parabola through it and its neighbours."""
+    slope = np.gradient(position, time, axis=0, edge_order=2 if len(time) > 2 else 1)
     i = (np.searchsorted(time, grid, "right") - 1).clip(0, len(time) - 2)
     h, rise = (time[i + 1] - time[i])[:, None], position[i + 1] - position[i]
     s = (grid - time[i])[:, None] / h

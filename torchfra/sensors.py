@@ -117,7 +117,7 @@ class Sensor(nn.Module):
 
 
 def _log_norm(std: Tensor, seen: Tensor) -> Tensor:
-    return -(std.log() + 0.5 * math.log(2 * math.pi) * seen).sum(-1)
+    return -(std.log() + 0.5 * math.log(2 * math.pi) * seen.to(std)).sum(-1)
 
 
 class Bearings(Sensor):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -14,8 +14,9 @@ from torchfra.cubature import Rule, third_degree
 from torchfra.filters.base import Filter, Record
 from torchfra.filters.frames import Frame
 from torchfra.filters.select import select, where_needed
-from torchfra.filters.srckf import SRCKF, State, correct, innovation, trust
+from torchfra.filters.srckf import SRCKF, correct, innovation, trust
 from torchfra.hyper import Hyper, Value
+from torchfra.linalg import is_traced
 from torchfra.motion import Motion
 from torchfra.sensors import Sensor
 from torchfra.types import Gaussian, Prediction, Whitened
@@ -115,11 +116,68 @@ class FRA(Filter):
 
     def advance(self, state: FRAState, frame: Frame) -> tuple[FRAState, Record]:
         """See ``Filter``."""
-        chosen = where_needed(self, state.abnormal, self.prefer, (state.belief, state.adaptive, frame), state.abnormal)
+        chosen = self._where(state.abnormal, self.prefer, (state.belief, state.adaptive, frame), state.abnormal)
         settled = select(chosen, state.adaptive, state.belief)
         prediction = self.base.predict(settled, frame)
         whitened = self.base.compare(prediction.belief, frame)
         plain, root, normalised = correct(prediction.belief, whitened)
-        nis = normalised.square().sum(-1)
-        abnormal = nis > self.gate().to(nis)
-        ...
+        residual, nis = whitened.residual, normalised.square().sum(-1)  # eq. (35)
+        abnormal = nis > self.gate().to(nis)  # eq. (36)
+        weights = self.robust(residual, nis)
+        memory = self.adaptive.remember(state.memory, residual, frame.seen)
+        robust, adaptive, factor = self._where(
+            abnormal, self.fork, (prediction, whitened, weights, memory, frame), (plain, plain, torch.ones_like(nis))
+        )
+        if self.memory == "weighted":
+            memory = self.adaptive.remember(state.memory, weights * residual, frame.seen)
+        weights = select(abnormal, weights, torch.ones_like(weights))
+        info = _Step(settled, chosen, abnormal, factor, weights)
+        state = FRAState(robust, adaptive, plain, settled, abnormal, memory)
+        return state, Record(robust, residual, root, normalised, info)
+
+    def prefer(self, robust: Gaussian, adaptive: Gaussian, frame: Frame) -> Tensor:
+        """``(...)`` bool: the adaptive branch predicts this measurement better; a tie goes to the robust one."""
+        both = Gaussian(*(torch.stack(torch.broadcast_tensors(*pair)) for pair in zip(robust, adaptive, strict=True)))
+        root, normalised = innovation(self.base.compare(self.base.predict(both, frame).belief, frame))
+        score = -normalised.square().sum(-1)
+        if self.decision == "likelihood":
+            score = 0.5 * score - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        return (score[1] > score[0]) | ~score[0].isfinite()
+
+    def fork(
+        self, prediction: Prediction, whitened: Whitened, weights: Tensor, memory: Memory, frame: Frame
+    ) -> tuple[Gaussian, Gaussian, Tensor]:
+        """Both branches' beliefs, and the fading factor ``(...)``."""
+        robust, _, _ = correct(prediction.belief, trust(whitened, weights))  # eqs. (25)-(26)
+        factor = self.adaptive(prediction, whitened, memory, torch.ones_like(weights))
+        faded = self.adaptive.inflate(prediction, factor).belief  # eqs. (29)-(34)
+        adaptive, _, _ = correct(faded, self.base.compare(faded, frame))
+        return robust, adaptive, factor
+
+    def finish(self, state: FRAState, records: list[Record]) -> tuple[list[Gaussian], list[FRAInfo]]:
+        """See ``Filter``: each step's estimate is settled in the next, the last by ``final``."""
+        last = {"robust": state.belief, "adaptive": state.adaptive, "plain": state.plain}[self.final]
+        kept = state.abnormal & torch.full_like(state.abnormal, self.final == "adaptive")
+        steps: list[_Step] = [r.info for r in records]
+        beliefs = [s.settled for s in steps[1:]] + [select(state.abnormal, last, state.plain)]
+        chosen = [s.chosen for s in steps[1:]] + [kept]
+        info = [FRAInfo(s.abnormal, c, s.fading, s.weights, r.belief)
+                for s, c, r in zip(steps, chosen, records, strict=True)]  # fmt: skip
+        return beliefs, info
+
+    def _where(self, mask: Tensor, function: Callable[..., Any], arguments: tuple[Any, ...], default: Any) -> Any:
+        """``function`` for the tracks in ``mask``: alone if they can be told apart now, else for all and then chosen."""
+        batched = any(h.raw.dim() for part in (self.robust, self.adaptive) for h in part.children())
+        if batched or self.gate.raw.dim() or is_traced(mask):
+            return select(mask, function(*arguments), default)
+        return where_needed(mask, function, arguments, default)
+
+
+class _Step(NamedTuple):
+    """What one step knows: about itself, and now for good about the one before."""
+
+    settled: Gaussian
+    chosen: Tensor
+    abnormal: Tensor
+    fading: Tensor
+    weights: Tensor

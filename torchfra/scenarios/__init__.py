@@ -1,0 +1,7 @@
+"""The experiments: a motion, a sensor, a prior and the tracks to go with them."""
+
+from torchfra.scenarios.base import Scenario, Tracks
+from torchfra.scenarios.bearings import bearings_manoeuvre, bearings_outliers
+
+
+__all__ = ["Scenario", "Tracks", "bearings_manoeuvre", "bearings_outliers"]

@@ -1,0 +1,93 @@
+"""What a scenario is, and noise that does not depend on how many runs are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchfra.motion import Motion
+from torchfra.sensors import Sensor
+from torchfra.types import Gaussian
+
+BLOCK = 256
+"""Runs that are always simulated together, so that a run never depends on how many others are asked for."""
+
+
+class Tracks(NamedTuple):
+    """A batch of tracks: what was, what was measured, and what a filter may know."""
+
+    truth: Tensor
+    """``(B, T, n)`` states; NaN where unknown."""
+    z: Tensor
+    """``(B, T, m)`` measurements; NaN is missing."""
+    u: Tensor | None
+    """``(T, k)`` or ``(B, T, k)`` what the models need to know at each step."""
+    prior: Gaussian
+    """``mean (B, n)`` and ``scale_tril (n, n)``: each run's belief one step before the first measurement."""
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """An experiment.
+
+    Args:
+        name: what it is called.
+        motion: the model that filters use; the truth may well do something else.
+        sensor: what measures.
+        prior: the belief all runs start from, or the centre of what they start from (each run's own: ``Tracks.prior``).
+        dt: seconds per step.
+        steps: measurements per run.
+        block: simulates ``BLOCK`` runs from a generator.
+        settings: what to write beside results.
+    """
+
+    name: str
+    motion: Motion
+    sensor: Sensor
+    prior: Gaussian
+    dt: float
+    steps: int
+    block: Callable[[np.random.Generator], Tracks]
+    settings: dict[str, object]
+
+    @property
+    def position(self) -> slice:
+        """The state's position components."""
+        return self.motion.position
+
+    @property
+    def velocity(self) -> slice:
+        """The state's velocity components."""
+        return self.motion.velocity
+
+    def simulate(self, runs: int, seed: int = 0, *, first: int = 0, dtype: torch.dtype = torch.float64) -> Tracks:
+        """Simulated runs ``first`` to ``first + runs``.
+
+        Args:
+            runs: how many.
+            seed: of the random numbers.
+            first: of the first run; run i of a seed is the same to the bit in every call.
+            dtype: of the result.
+
+        Raises:
+            ValueError: ``runs`` below 1, ``seed`` or ``first`` below 0.
+        """
+        if runs < 1 or seed < 0 or first < 0:
+            raise ValueError(f"runs, seed, first: expected at least 1, 0, 0, received {runs}, {seed}, {first}")
+        numbers = range(first // BLOCK, -(-(first + runs) // BLOCK))
+        blocks = [self.block(np.random.default_rng([seed, number])) for number in numbers]
+        cut = slice(first - numbers[0] * BLOCK, first - numbers[0] * BLOCK + runs)
+
+        def joined(parts: list[Tensor]) -> Tensor:
+            return torch.cat(parts)[cut].to(dtype)
+
+        prior = Gaussian(joined([b.prior.mean for b in blocks]), blocks[0].prior.scale_tril.to(dtype))
+        u = blocks[0].u
+        return Tracks(
+            joined([b.truth for b in blocks]), joined([b.z for b in blocks]), None if u is None else u.to(dtype), prior
+        )

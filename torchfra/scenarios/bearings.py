@@ -1,0 +1,124 @@
+"""Two moving stations take bearings of one target: the two experiments of Wang et al. (2021), section 3.
+
+Constant-acceleration filter, steps of 1 s over 100 s, bearings good to 1 degree, stations at 100 m/s heading 45 degrees.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchfra.motion import ConstantAcceleration, CoordinatedTurn
+from torchfra.scenarios.base import BLOCK, Scenario, Tracks
+from torchfra.sensors import Bearings
+from torchfra.types import Gaussian
+
+STEPS, DT, Q, STD = 100, 1.0, 1e-2, math.radians(1.0)
+_START = torch.tensor([2000.0, 4000.0, 6.0, -10.0, 0.2, -0.3], dtype=torch.float64)
+_POOR = torch.tensor([2400.0, 1500.0, 10.0, 15.0, 1.0, 1.0], dtype=torch.float64)
+_ROOT = torch.tensor([10.0, 10.0, 1.0, 1.0, 0.1, 0.1], dtype=torch.float64).diag()
+
+
+def bearings_outliers(outliers: str = "covariance", *, truth_noise: float = 0.0, initial: str = "paper") -> Scenario:
+    """Scenario 1: constant acceleration, abnormal noise at 40, 50, 60 (10 sigma) and 70 s (40 sigma).
+
+    Args:
+        outliers: reading of "10 sigma": ``"covariance"`` or ``"std"`` times 10, or an ``"offset"`` of 10 std of random
+            sign; ``"none"`` for none.
+        truth_noise: variance of a noise on the true acceleration, as ``q`` of the filter, m^2/s^4; the paper has 0.
+        initial: ``"paper"`` for its initial state, 2.5 km off; ``"truth"`` for one drawn around the true state.
+
+    Raises:
+        ValueError: an argument that is none of those.
+
+    Source: Wang et al. (2021), section 3.1 and table 1.
+    """
+    truth = _constant_acceleration(_START, STEPS)
+    sizes = {40: 10.0, 50: 10.0, 60: 10.0, 70: 40.0}
+    return _scenario("bearings-outliers", truth, sizes, outliers, truth_noise, initial)
+
+
+def bearings_manoeuvre(outliers: str = "covariance", *, truth_noise: float = 0.0, initial: str = "truth") -> Scenario:
+    """Scenario 2: constant acceleration, a turn of pi/10 rad/s from 30 to 80 s; abnormal noise at 50, 60, 70 s.
+
+    Args:
+        outliers: see ``bearings_outliers``.
+        truth_noise: see ``bearings_outliers``.
+        initial: ``"truth"`` (the paper's "near the truth"): each run starts from a state drawn around the true one;
+            ``"paper"`` from that of scenario 1.
+
+    Raises:
+        ValueError: an argument that is none of those.
+
+    Source: Wang et al. (2021), section 3.2.
+    """
+    before = _constant_acceleration(_START, 30)
+    rate = math.pi / 10
+    turn = CoordinatedTurn(rate, 0.0).transition(torch.tensor(DT, dtype=torch.float64))
+    state, turning = before[-1, :4], []
+    for _ in range(50):
+        state = turn @ state
+        vx, vy = state[2:]
+        turning.append(torch.cat([state, rate * torch.stack([-vy, vx])]))
+    after = _constant_acceleration(torch.cat([state, _START[4:]]), 20)
+    truth = torch.cat([before, torch.stack(turning), after])
+    return _scenario("bearings-manoeuvre", truth, {50: 10.0, 60: 10.0, 70: 10.0}, outliers, truth_noise, initial)
+
+
+def stations(steps: int = STEPS) -> Tensor:
+    """``(steps, 4)`` positions of both stations at 1, 2, ... s, m: what ``Bearings`` takes as ``u``."""
+    start = torch.tensor([0.0, 0.0, 2000.0, 0.0], dtype=torch.float64)
+    return start + 100 / math.sqrt(2) * DT * torch.arange(1, steps + 1, dtype=torch.float64).unsqueeze(-1)
+
+
+def _constant_acceleration(state: Tensor, steps: int) -> Tensor:
+    """States ``(steps, 6)`` after 1, 2, ... steps."""
+    t = DT * torch.arange(1, steps + 1, dtype=torch.float64).unsqueeze(-1)
+    p, v, a = state[:2], state[2:4], state[4:]
+    return torch.cat([p + v * t + a * t**2 / 2, v + a * t, a.expand(steps, 2)], -1)
+
+
+def _scenario(name: str, path: Tensor, sizes: dict[int, float], outliers: str, truth_noise: float,
+              initial: str) -> Scenario:  # fmt: skip
+    for argument, value, known in (
+        ("outliers", outliers, ("covariance", "std", "offset", "none")),
+        ("initial", initial, ("paper", "truth")),
+    ):
+        if value not in known:
+            raise ValueError(f"{argument}: expected one of {known}, received {value!r}")
+    if not truth_noise >= 0:
+        raise ValueError(f"truth_noise: expected a variance of 0 or more, received {truth_noise}")
+    motion, sensor, u = ConstantAcceleration(Q), Bearings(STD), stations()
+    size = torch.ones(STEPS, 1, dtype=torch.float64)
+    for second, times in sizes.items():
+        size[second - 1] = times
+    centre = _POOR if initial == "paper" else _START
+
+    def block(rng: np.random.Generator) -> Tracks:
+        # One draw holds all that any setting may need, so that settings can be compared on the same noise.
+        draw = torch.from_numpy(rng.standard_normal((BLOCK, 6 + STEPS * 6)))
+        start, (bearing, sign, jerk) = draw[:, :6], draw[:, 6:].unflatten(1, (STEPS, 6)).split(2, -1)
+        truth = path + _disturbance(jerk, truth_noise) if truth_noise else path.expand(BLOCK, -1, -1)
+        noise = STD * bearing * {"covariance": size.sqrt(), "std": size}.get(outliers, torch.ones_like(size))
+        if outliers == "offset":
+            noise = noise + STD * torch.where(size > 1, size, 0.0) * sign.sign()
+        mean = centre.expand(BLOCK, -1) if initial == "paper" else centre + start @ _ROOT
+        return Tracks(truth, sensor(truth, u) + noise, u, Gaussian(mean, _ROOT))
+
+    settings = {"outliers": outliers, "truth_noise": truth_noise, "initial": initial}
+    return Scenario(name, motion, sensor, Gaussian(centre, _ROOT), DT, STEPS, block, settings)
+
+
+def _disturbance(jerk: Tensor, variance: float) -> Tensor:
+    """Deviation of the state ``(B, T, 6)`` from its path under noise ``(B, T, 2)`` of this variance."""
+    model = ConstantAcceleration(variance)
+    dt = torch.tensor(DT, dtype=torch.float64)
+    matrix, root = model.transition(dt), model.noise(dt)
+    state, states = torch.zeros(len(jerk), 6, dtype=torch.float64), []
+    for noise in jerk.unbind(1):
+        state = state @ matrix.mT + noise @ root.mT
+        states.append(state)
+    return torch.stack(states, 1)
