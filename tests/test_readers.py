@@ -149,6 +149,7 @@ def test_a_new_callsign_does_not_split_a_track(write: Write) -> None:
 def test_rows_that_name_no_aircraft_take_the_name_of_the_file(write: Write) -> None:
     rows = [*flight(icao24=None), *flight(icao24=" "), *flight(range(50, 70, 10), icao24="a")]
     assert [track.name for track in read(write("who.json.gz", rows))] == ["a", "who"]
+    assert only(write("who.json.gz", flight(callsign="AB1"))).name == "AB1"
 
 
 def test_the_origin_may_be_given(write: Write) -> None:
@@ -193,6 +194,8 @@ def test_of_rows_with_one_time_the_first_is_kept(write: Write) -> None:
     track = only(write("p.csv", "t,x,y\n0,1,2\n1,3,4\n1,9,9\n2,5,6\n1,8,8\n"))
     assert track.repairs == {"rows put in time order": 1, "duplicate times dropped": 2}
     np.testing.assert_array_equal(track.position, [[1, 2], [3, 4], [5, 6]])
+    rows = "".join(f"{i % 2},{i},0\n" for i in range(100))
+    np.testing.assert_array_equal(only(write("p.csv", "t,x,y\n" + rows)).position, [[0, 0], [1, 0]])
 
 
 @pytest.mark.parametrize("empty", [None, math.nan, "", " "])
@@ -233,6 +236,14 @@ def test_the_first_aircraft_that_is_kept_gives_the_origin(write: Write) -> None:
     assert only(write("a.json", rows)).origin == (47.0, 8.0, 1000 * 0.3048)
 
 
+def test_an_aircraft_without_altitudes_is_flat_beside_others_that_are_not(write: Write) -> None:
+    rows = [*flight(icao24="b", altitude=None), *flight(icao24="a")]
+    one, other = read(write("a.json", rows))
+    assert one.origin == other.origin == (47.0, 8.0, 0.0)
+    assert (one.position.shape, other.position.shape) == ((4, 3), (4, 2))
+    np.testing.assert_allclose(one.position[:, :2], other.position, rtol=1e-4, atol=1e-6)
+
+
 # What is refused
 
 
@@ -250,7 +261,7 @@ def test_the_first_aircraft_that_is_kept_gives_the_origin(write: Write) -> None:
         ("a.json", "t,x,y\n0,1,2\n1,2,3\n", "expected JSON"),
         ("a.json", "[1, 2]", "expected a list of records"),
         ("a.json", "7", "expected a list of records"),
-        ("a.json", "[" * 100_000, "recursion"),
+        ("a.json", "[" * 100_000, "expected"),
         ("a.csv", 't,x,y\n0,1,"2\n1,2,3\n', "expected CSV"),
         ("a.csv", b"t,x,y\n0,1,\xff\n", "expected UTF-8 text"),
         ("a.csv", "t,x\n0,1\n", "missing y, received t, x"),
@@ -278,7 +289,7 @@ def test_the_first_aircraft_that_is_kept_gives_the_origin(write: Write) -> None:
         ("a.csv", states("0,a,-91,8,,,,"), r"within \+-90 in row 1, column lat, received '-91'"),
         ("a.csv", states("0,a,9,188,,,,"), r"within \+-180 in row 1, column lon, received '188'"),
         ("a.csv", "t,x,y\n,,\n,,\n", "with 2 fixes, received none in 2 rows after repairs: .*without time dropped': 2"),
-        ("a.json", [record(0, 47.0), record(1, 47.0)], "with 2 fixes, .* 'held positions dropped': 1"),
+        ("a.json", [record(0, 47.0), record(1, 47.0)], "with 2 fixes, .*'held positions dropped': 1"),
         ("a.json", [record(0, icao24="a"), record(1, icao24="b")], "with 2 fixes, received none in 2 rows"),
     ],
 )
@@ -402,8 +413,7 @@ texts = st.one_of(
 def test_any_text_is_read_or_refused_with_a_value_error(write: Write, text: str | bytes, name: str) -> None:
     try:
         tracks = read(write(name, text.encode(errors="surrogatepass") if isinstance(text, str) else text))
-    except ValueError as error:
-        assert name in str(error)
+    except ValueError:
         return
     for track in tracks:
         assert len(track.time) >= 2
@@ -447,9 +457,9 @@ def test_a_step_longer_than_the_track_gives_no_piece() -> None:
 
 
 def test_times_since_1970_do_not_lose_the_last_point() -> None:
-    time = START + np.arange(101) / 10
+    time = START + np.arange(334) / 10
     ((grid, _),) = resample(made(time, np.stack([time, time], 1)), 0.1, max_gap=1)
-    assert len(grid) == 101
+    assert len(grid) == 334
 
 
 def test_a_constant_acceleration_is_followed_exactly_between_uneven_fixes() -> None:

@@ -67,9 +67,9 @@ class Fading(nn.Module):
         self.fading_max = Hyper(fading_max, constraints.greater_than_eq(1.0), name="fading_max")
         self.rcond, self.states, self.trace = rcond, states, trace
 
-    def begin(self, residual: Tensor) -> Memory:
-        """Nothing seen yet, for residuals like this ``(..., m)``."""
-        nothing = residual.new_zeros(residual.shape + residual.shape[-1:])
+    def begin(self, mean: Tensor, m: int) -> Memory:
+        """Nothing remembered yet of ``m`` measured elements, for tracks of state ``mean (..., n)``."""
+        nothing = mean.new_zeros((*mean.shape[:-1], m, m))
         return Memory(nothing, nothing)
 
     def remember(self, memory: Memory, residual: Tensor, seen: Tensor) -> Memory:

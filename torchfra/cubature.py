@@ -108,8 +108,8 @@ class Tangent(nn.Module):
     def forward(self, function: Function, belief: Gaussian, difference: Difference) -> Linearised:
         """See ``Rule``."""
         mean, root = belief
-        at = mean.unsqueeze(-2) + torch.zeros_like(root)  # one copy of the mean per column of the root
-        values, slope = torch.func.jvp(function, (at,), (root.mT,))
+        at, along = torch.broadcast_tensors(mean.unsqueeze(-2), root.mT)  # the mean, once per column of the root
+        values, slope = torch.func.jvp(function, (at.contiguous(),), (along.contiguous(),))
         return Linearised(values[..., 0, :], slope.mT)
 
 

@@ -14,10 +14,13 @@ def error(mean: Tensor, truth: Tensor, states: slice) -> Tensor:
 
     Args:
         mean: the estimate.
-        truth: what was; NaN where unknown, and the error is NaN there.
+        truth: what was; NaN where unknown, and the error is NaN there; an estimate that is no number is
+            infinitely far off.
         states: the components, say ``scenario.position``.
     """
-    return torch.linalg.vector_norm(mean[..., states] - truth[..., states], dim=-1)
+    distance = torch.linalg.vector_norm(mean[..., states] - truth[..., states], dim=-1)
+    lost = distance.isnan() & ~truth[..., states].isnan().any(-1)
+    return torch.where(lost, torch.inf, distance)
 
 
 def rmse(mean: Tensor, truth: Tensor, states: slice) -> Tensor:
@@ -28,10 +31,7 @@ def rmse(mean: Tensor, truth: Tensor, states: slice) -> Tensor:
 
 def track_rmse(mean: Tensor, truth: Tensor, states: slice) -> Tensor:
     """Root mean square error over time of each track, ``(...)``; infinity for a track that lost its numbers."""
-    squared = error(mean, truth, states).square()
-    known = ~truth[..., states].isnan().any(-1)
-    squared = torch.where(known & squared.isnan(), torch.inf, squared)
-    return squared.nanmean(-1).sqrt()
+    return error(mean, truth, states).square().nanmean(-1).sqrt()
 
 
 def diverged(mean: Tensor, truth: Tensor, states: slice, limit: float = 2000.0) -> Tensor:

@@ -45,7 +45,7 @@ class Recording:
     """The track of one target."""
 
     name: str
-    """icao24 and first callsign, else the stem of the file."""
+    """icao24 and first callsign, as far as they are there, else the stem of the file."""
     time: Array
     """``(k,)`` seconds, strictly increasing; since 1970 if the file says so."""
     position: Array
@@ -90,8 +90,10 @@ def read(path: str | Path, *, origin: Origin | None = None) -> list[Recording]:
             return _located(targets, origin)
         if origin is not None:
             raise ValueError(f"expected latitudes to go with the origin, received the columns {_listed(table)}")
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+    except RecursionError as error:
+        raise ValueError(f"{path}: expected flat rows, received some nested too deep") from error
     return [Recording(n, f[:, 0], np.delete(f, (0, 3), 1), None, dict(+repairs)) for n, f, repairs in targets]
 
 
@@ -104,7 +106,8 @@ def _table(path: Path) -> _Table:
         raise ValueError(f"expected UTF-8 text or all of its gzip, received something else ({error})") from error
     if not text.strip():
         raise ValueError("expected a track, received an empty file")
-    is_json = ".json" in path.suffixes or (".csv" not in path.suffixes and text.lstrip()[0] in "[{")
+    suffix = Path(path.name.removesuffix(".gz")).suffix
+    is_json = suffix == ".json" or (suffix != ".csv" and text.lstrip()[0] in "[{")
     table = _from_json(text) if is_json else _from_csv(text)
     if not any(table.values()):
         raise ValueError(f"expected rows, received none under the columns {_listed(table)}")
@@ -211,8 +214,8 @@ def _targets(table: _Table, layout: tuple[str, ...], stem: str) -> list[_Target]
     for icao24, rows in members.items():
         index, repairs = _kept(data[rows])
         call = next((calls[rows[i]] for i in index if calls[rows[i]]), "")
-        name = f"{icao24} {call}".strip() if icao24 else stem
-        targets.append(_Target(name, _raised(data[rows][index], repairs), repairs))
+        name = f"{icao24} {call}".strip()
+        targets.append(_Target(name or stem, _raised(data[rows][index], repairs), repairs))
     good = [target for target in targets if len(target.fixes) >= 2]
     if not good:
         done = dict(sum((target.repairs for target in targets), Counter[str]()))
@@ -257,7 +260,7 @@ def _raised(fixes: Array, repairs: Counter[str]) -> Array:
 def _located(targets: list[_Target], origin: Origin | None) -> list[Recording]:
     """Turns degrees into metres about the origin, by default the first fix of all."""
     try:
-        from pymap3d import geodetic2enu  # type: ignore[import-untyped]
+        from pymap3d import geodetic2enu
     except ImportError as error:
         raise ImportError('latitudes and longitudes need pymap3d: pip install "torchfra[data]"') from error
     first = (*targets[0].fixes[0].tolist(), 0.0)

@@ -29,7 +29,7 @@ class Record(NamedTuple):
 
 
 class Filter(nn.Module):
-    """Abstract: a subclass gives ``init`` and ``advance``.  Nothing of a track is ever kept in the module.
+    """Abstract: a subclass gives ``begin`` and ``advance``.  Nothing of a track is ever kept in the module.
 
     All is computed in the dtype and on the device of the measurements.
 
@@ -48,8 +48,26 @@ class Filter(nn.Module):
         self.motion, self.sensor = motion, sensor
 
     def init(self, prior: Gaussian) -> Any:
-        """The state before the first measurement, from a belief one step earlier; it has a ``belief``."""
-        raise TypeError(f"{type(self).__name__} needs an init")
+        """The state before the first measurement.
+
+        Args:
+            prior: the belief one ``dt`` earlier, ``mean (..., n)`` and any root ``(..., n, n)``; its batch is that of
+                the tracks to come.
+
+        Raises:
+            ValueError: a shape that does not fit.
+        """
+        n = self.motion.size
+        mean, root = prior
+        if mean.shape[-1:] != (n,) or root.shape[-2:] != (n, n):
+            raise ValueError(f"prior: expected (..., {n}) and (..., {n}, {n}), received {tuple(mean.shape)} and {tuple(root.shape)}")
+        batch = torch.broadcast_shapes(mean.shape[:-1], root.shape[:-2])
+        batch = (1,) * (batch_rank(self) - len(batch)) + batch
+        return self.begin(Gaussian(mean.expand((*batch, n)), tria(root).expand((*batch, n, n))))  # eq. (7)
+
+    def begin(self, belief: Gaussian) -> Any:
+        """The state that a belief of full batch and triangular root makes; it has a ``belief``."""
+        raise TypeError(f"{type(self).__name__} needs a begin")
 
     def advance(self, state: Any, frame: Frame) -> tuple[Any, Record]:
         """One step on a prepared frame: the next state and what to keep of the step."""
@@ -88,8 +106,9 @@ class Filter(nn.Module):
         if isinstance(dt, Tensor) and dt.dim():
             dt = dt.unsqueeze(-1)
         u, std, noise = (x if x is None else x.unsqueeze(e) for x, e in ((u, -2), (std, -2), (noise, -3)))
-        frames, _, _ = self._prepare(z.unsqueeze(-2), state.belief, dt, u, std, noise)
-        frame = frames[0]
+        (frame,), _, batch = self._prepare(z.unsqueeze(-2), state.belief, dt, u, std, noise)
+        if batch != state.belief.mean.shape[:-1]:
+            raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, this is of {tuple(state.belief.mean.shape[:-1])}")
         state, record = self.advance(state, frame)
         nis, log_likelihood = _scores(record.normalised, record.root, frame.noise.log_norm)
         residual = frame.noise.colour(record.residual.unsqueeze(-1)).squeeze(-1)
@@ -119,8 +138,10 @@ class Filter(nn.Module):
         Raises:
             ValueError: a shape or a value that does not fit.
         """
-        frames, log_norm, rank = self._prepare(z, prior, dt, u, std, noise)
-        state, records = self.init(Gaussian(*(x.to(z) for x in prior))), []
+        frames, log_norm, batch = self._prepare(z, prior, dt, u, std, noise)
+        mean, root = (x.to(z) for x in prior)
+        rank, n = len(batch), mean.shape[-1:]
+        state, records = self.init(Gaussian(mean.expand(batch + n), root.expand(batch + n + n))), []
         for frame in frames:
             state, record = self.advance(state, frame)
             records.append(record)
@@ -138,13 +159,12 @@ class Filter(nn.Module):
         u: Tensor | None,
         std: Tensor | None,
         noise: Tensor | None,
-    ) -> tuple[list[Frame], Tensor, int]:
-        """Frames of ``z (..., T, m)``, the log of their noise, time first, and the number of batch dimensions."""
-        check(self.motion, self.sensor, z, prior, dt, u, std, noise)
-        step = dt if isinstance(dt, Tensor) else None
-        rank = batch_rank(self, (z, 2), (prior.mean, 1), (u, 2), (step, 1), (std, 2), (noise, 3))
+    ) -> tuple[list[Frame], Tensor, torch.Size]:
+        """Frames of ``z (..., T, m)``, the log of their noise, time first, and the batch of all that was handed in."""
+        batch = check(self.motion, self.sensor, z, prior, dt, u, std, noise)
+        rank = max(len(batch), batch_rank(self))
         frames, log_norm = make_frames(self.motion, self.sensor, z, dt, u, std, noise, rank)
-        return frames, log_norm, rank
+        return frames, log_norm, torch.Size((1,) * (rank - len(batch))) + batch
 
 
 def _scores(normalised: Tensor, root: Tensor, log_norm: Tensor) -> tuple[Tensor, Tensor]:

@@ -107,12 +107,10 @@ class FRA(Filter):
         self.gate = Hyper(gate, name="gate")
         self.decision, self.memory, self.final = decision, memory, final
 
-    def init(self, prior: Gaussian) -> FRAState:
+    def begin(self, belief: Gaussian) -> FRAState:
         """See ``Filter``."""
-        belief = self.base.init(prior).belief
-        memory = self.adaptive.begin(prior.mean.new_zeros(prior.mean.shape[:-1] + (self.sensor.size,)))
-        normal = torch.zeros(prior.mean.shape[:-1], dtype=torch.bool, device=prior.mean.device)
-        return FRAState(belief, belief, belief, belief, normal, memory)
+        normal = torch.zeros(belief.mean.shape[:-1], dtype=torch.bool, device=belief.mean.device)
+        return FRAState(belief, belief, belief, belief, normal, self.adaptive.begin(belief.mean, self.sensor.size))
 
     def advance(self, state: FRAState, frame: Frame) -> tuple[FRAState, Record]:
         """See ``Filter``."""

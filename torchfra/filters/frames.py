@@ -91,11 +91,10 @@ def _certain(x: Tensor | None) -> Tensor:
     return x
 
 
-def batch_rank(filter_: nn.Module, *values: tuple[Tensor | None, int]) -> int:
-    """Batch dimensions of the values, given with the dimensions of an entry, and of the hyperparameters."""
-    std = filter_.sensor.std
-    hypers = [(h(), int(h is std)) for h in filter_.modules() if isinstance(h, Hyper)]
-    return max(max(x.dim() - event, 0) for x, event in [*values, *hypers] if x is not None)
+def batch_rank(module: nn.Module) -> int:
+    """Batch dimensions that the hyperparameters of a filter bring: those of a std are all but its last."""
+    hypers = {name: h for name, h in module.named_modules() if isinstance(h, Hyper)}
+    return max(max(h.raw.dim() - name.endswith("sensor.std"), 0) for name, h in hypers.items())
 
 
 def check(
@@ -107,8 +106,8 @@ def check(
     u: Tensor | None,
     std: Tensor | None,
     noise: Tensor | None,
-) -> None:
-    """Shapes and values of what a user hands in; time is in front of the vector.
+) -> torch.Size:
+    """The batch of what a user hands in, once shapes and values are known to fit; time is in front of the vector.
 
     Raises:
         ValueError: names the argument, what was expected and what came.
@@ -141,7 +140,7 @@ def check(
     if not (isinstance(dt, Tensor) and is_traced(dt)) and not bool((torch.as_tensor(dt) > 0).all()):
         raise ValueError(f"dt: expected seconds above 0, received {dt}")
     try:
-        torch.broadcast_shapes(*batch.values())
+        return torch.broadcast_shapes(*batch.values())
     except RuntimeError:
         said = ", ".join(f"{name} {tuple(shape)}" for name, shape in batch.items())
         raise ValueError(f"batch: expected shapes that broadcast, received {said}") from None

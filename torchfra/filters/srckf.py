@@ -64,12 +64,9 @@ class SRCKF(Filter):
         self.motion_rule, self.sensor_rule = whole, whole.marginal(sensor.reads)
         self.robust, self.adaptive = robust, adaptive
 
-    def init(self, prior: Gaussian) -> State:
+    def begin(self, belief: Gaussian) -> State:
         """See ``Filter``."""
-        belief = Gaussian(prior.mean, tria(prior.scale_tril))  # eq. (7)
-        if self.adaptive is None:
-            return State(belief, None)
-        return State(belief, self.adaptive.begin(prior.mean.new_zeros(prior.mean.shape[:-1] + (self.sensor.size,))))
+        return State(belief, None if self.adaptive is None else self.adaptive.begin(belief.mean, self.sensor.size))
 
     def advance(self, state: State, frame: Frame) -> tuple[State, Record]:
         """See ``Filter``."""

@@ -42,7 +42,7 @@ class Scenario:
         prior: the belief all runs start from, or the centre of what they start from (each run's own: ``Tracks.prior``).
         dt: seconds per step.
         steps: measurements per run.
-        block: simulates ``BLOCK`` runs from a generator.
+        block: simulates the ``BLOCK`` runs of these numbers, ``(BLOCK,)``, from a generator.
         settings: what to write beside results.
     """
 
@@ -52,7 +52,7 @@ class Scenario:
     prior: Gaussian
     dt: float
     steps: int
-    block: Callable[[np.random.Generator], Tracks]
+    block: Callable[[np.random.Generator, Tensor], Tracks]
     settings: dict[str, object]
 
     @property
@@ -80,7 +80,9 @@ class Scenario:
         if runs < 1 or seed < 0 or first < 0:
             raise ValueError(f"runs, seed, first: expected at least 1, 0, 0, received {runs}, {seed}, {first}")
         numbers = range(first // BLOCK, -(-(first + runs) // BLOCK))
-        blocks = [self.block(np.random.default_rng([seed, number])) for number in numbers]
+        blocks = [
+            self.block(np.random.default_rng([seed, n]), torch.arange(n * BLOCK, (n + 1) * BLOCK)) for n in numbers
+        ]
         cut = slice(first - numbers[0] * BLOCK, first - numbers[0] * BLOCK + runs)
 
         def joined(parts: list[Tensor]) -> Tensor:
@@ -88,6 +90,6 @@ class Scenario:
 
         prior = Gaussian(joined([b.prior.mean for b in blocks]), blocks[0].prior.scale_tril.to(dtype))
         u = blocks[0].u
-        return Tracks(
-            joined([b.truth for b in blocks]), joined([b.z for b in blocks]), None if u is None else u.to(dtype), prior
-        )
+        if u is not None:
+            u = u.to(dtype) if u.dim() == 2 else joined([b.u for b in blocks if b.u is not None])
+        return Tracks(joined([b.truth for b in blocks]), joined([b.z for b in blocks]), u, prior)

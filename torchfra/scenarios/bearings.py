@@ -97,7 +97,7 @@ def _scenario(name: str, path: Tensor, sizes: dict[int, float], outliers: str, t
         size[second - 1] = times
     centre = _POOR if initial == "paper" else _START
 
-    def block(rng: np.random.Generator) -> Tracks:
+    def block(rng: np.random.Generator, numbers: Tensor) -> Tracks:
         # One draw holds all that any setting may need, so that settings can be compared on the same noise.
         draw = torch.from_numpy(rng.standard_normal((BLOCK, 6 + STEPS * 6)))
         start, (bearing, sign, jerk) = draw[:, :6], draw[:, 6:].unflatten(1, (STEPS, 6)).split(2, -1)
