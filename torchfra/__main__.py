@@ -1,0 +1,7 @@
+"""``python -m torchfra``."""
+
+import sys
+
+from torchfra.cli import main
+
+sys.exit(main())

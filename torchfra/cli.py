@@ -1,0 +1,170 @@
+"""The ``torchfra`` command."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchfra import readers, scenarios
+from torchfra.evaluate import FILTERS, evaluate, progress_bar, report, table
+from torchfra.files import write_json, write_text
+from torchfra.malloc import keep_memory
+from torchfra.scenarios import Scenario
+from torchfra.version import __version__
+
+SCENARIOS = {"bearings-outliers": scenarios.bearings_outliers, "bearings-manoeuvre": scenarios.bearings_manoeuvre}
+
+_FILES = """FILE is a recorded track, or several: OpenSky state vectors (CSV: time, icao24, lat, lon, ...), gzip-JSON tracks
+(timestamp, latitude, longitude, altitude, ...), or plain CSV with the columns t,x,y[,z] in seconds and metres."""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    shape = argparse.RawDescriptionHelpFormatter
+    top = argparse.ArgumentParser("torchfra", description="Robust, adaptive tracking of manoeuvring targets.")
+    top.add_argument("--version", action="version", version=f"torchfra {__version__}")
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    t = commands.add_parser(
+        "track",
+        formatter_class=shape,
+        help="filter the positions of a recorded track",
+        description=f"Filter recorded positions: writes NAME.csv and NAME.png for each target.\n\n{_FILES}",
+        epilog="example:\n  torchfra track flight.json.gz --sigma 30 --out filtered",
+    )
+    t.add_argument("file", metavar="FILE", type=Path)
+    t.add_argument("--filter", default="fra", metavar="NAME", help=f"one of {', '.join(FILTERS)} (default: fra)")
+    t.add_argument("--dt", type=float, metavar="S", help="also estimate every S seconds between the fixes")
+    t.add_argument("--sigma", type=float, default=25.0, metavar="M", help="std of a recorded position, m (default: 25)")
+    t.add_argument("--q", type=float, default=0.25, help="variance of the change of acceleration, m^2/s^4 (default: 0.25)")
+    t.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="where to write (default: out)")
+    t.add_argument("--no-plots", action="store_true", help="write the tables only")
+    _common(t)
+    t.set_defaults(run=_track)
+
+    c = commands.add_parser(
+        "compare",
+        formatter_class=shape,
+        help="run a batch of tracks through several filters",
+        description="Run many tracks through several filters: one table and one figure.  The tracks are recorded ones\n"
+        f"seen by a simulated sensor (FILES), or those of a paper's scenario.\n\n{_FILES}",
+        epilog="examples:\n  torchfra compare flights/*.json.gz --sensor radar --json radar.json\n"
+        "  torchfra compare --scenario bearings-outliers --runs 500 --filters srckf,rmckf,fra",
+    )
+    c.add_argument("files", metavar="FILE", type=Path, nargs="*")
+    c.add_argument("--scenario", metavar="NAME", help=f"instead of files, one of {', '.join(SCENARIOS)}")
+    c.add_argument("--filters", default=",".join(FILTERS), metavar="A,B", help="which (default: all)")
+    c.add_argument("--runs", type=int, metavar="M", help="tracks (default: 100; of files, each window once)")
+    c.add_argument("--seed", type=int, default=0, metavar="S", help="of the random numbers (default: 0)")
+    c.add_argument("--outliers", metavar="MODE", help="covariance (default), std, offset (scenarios only) or none")
+    c.add_argument("--sensor", default="bearings", help="for files: bearings (default) or radar")
+    c.add_argument("--dt", type=float, default=5.0, metavar="S", help="for files: seconds per step (default: 5)")
+    c.add_argument("--steps", type=int, default=120, metavar="T", help="for files: steps per window (default: 120)")
+    c.add_argument("--figure", type=Path, metavar="FILE", help="PNG (default: compare-SCENARIO.png)")
+    _common(c)
+    c.set_defaults(run=_compare)
+    return top
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; 0 if it did its work, 2 with one line on standard error if something handed in was wrong."""
+    options = parser().parse_args(arguments)
+    keep_memory()
+    try:
+        options.run(options)
+    except (ValueError, OSError, ImportError) as error:
+        print(f"torchfra: error: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _common(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--json", type=Path, metavar="FILE", help="write the results for machines to read")
+    command.add_argument("--quiet", action="store_true", help="no progress bar, and nothing printed but errors")
+
+
+def _track(options: argparse.Namespace) -> None:
+    from torchfra.track import GATE, track
+
+    results = track(
+        readers.read(options.file), options.filter, dt=options.dt, sigma=options.sigma, q=options.q, progress=not options.quiet
+    )
+    used: set[str] = set()
+    for result in progress_bar(results, "file", not options.quiet):
+        name = _unused(re.sub(r"[^\w.-]+", "_", result.recording.name).strip("_.") or "track", used)
+        write_text(options.out / f"{name}.csv", result.csv())
+        if not options.no_plots:
+            from torchfra import plotting
+
+            flags = {name: result.flags[name] for name in ("outlier", "manoeuvre")}
+            figure = plotting.filtered(
+                result.time, result.raw, result.position, result.nis, flags, GATE[result.raw.shape[1]],
+                f"{result.recording.name}, {options.filter}",
+            )  # fmt: skip
+            plotting.save(figure, options.out / f"{name}.png")
+        if not options.quiet:
+            print(_said(result.summary(), options.out / f"{name}.csv"))
+    if options.json is not None:
+        settings = {"filter": options.filter, "dt": options.dt, "sigma": options.sigma, "q": options.q}
+        tracks = [result.summary() for result in results]
+        write_json(options.json, {"file": options.file.name, "version": __version__, "settings": settings, "tracks": tracks})
+
+
+def _compare(options: argparse.Namespace) -> None:
+    if bool(options.files) == (options.scenario is not None):
+        raise ValueError("compare: expected either files or --scenario, received " + ("both" if options.files else "neither"))
+    outliers = options.outliers or "covariance"
+    if options.scenario is not None:
+        scenario, runs = named(options.scenario, outliers), options.runs or 100
+    else:
+        recordings = [r for file in options.files for r in readers.read(file)]
+        scenario = scenarios.recorded(recordings, options.sensor, dt=options.dt, steps=options.steps, outliers=outliers)
+        runs = options.runs or int(str(scenario.settings["windows"]))
+    names = [name for name in options.filters.split(",") if name]
+    results = evaluate(scenario, names, runs=runs, seed=options.seed, progress=not options.quiet)
+    figure = options.figure or Path(f"compare-{scenario.name}.png")
+    from torchfra import plotting
+
+    plotting.save(plotting.rmse_curves(results, "position", scenario.dt, f"{scenario.name}, {runs} runs"), figure)
+    if options.json is not None:
+        write_json(options.json, report(scenario, results, runs=runs, seed=options.seed))
+    if not options.quiet:
+        print(f"{scenario.name}: {runs} runs of {scenario.steps} steps, seed {options.seed}, outliers {outliers}")
+        print(table(results))
+        print(f"figure: {figure}")
+
+
+def named(name: str, outliers: str = "covariance", **options: Any) -> Scenario:
+    """A scenario by the name that commands use.
+
+    Raises:
+        ValueError: an unknown name.
+    """
+    if name not in SCENARIOS:
+        raise ValueError(f"scenario: expected one of {', '.join(SCENARIOS)}, received {name!r}")
+    return SCENARIOS[name](outliers, **options)
+
+
+def _unused(name: str, used: set[str]) -> str:
+    """A file name that no other target of this call has."""
+    number, candidate = 2, name
+    while candidate in used:
+        number, candidate = number + 1, f"{name}-{number}"
+    used.add(candidate)
+    return candidate
+
+
+def _said(summary: dict[str, Any], path: Path) -> str:
+    repairs = ", ".join(f"{count} {what}" for what, count in summary["repairs"].items()) or "none"
+    lost = " LOST ITS NUMBERS" if summary["failed"] else ""
+    return (
+        f"{summary['name']}: {summary['steps']} steps over {np.round(summary['seconds'] / 60, 1)} min, "
+        f"{summary['outlier']} outliers, {summary['manoeuvre']} manoeuvres, {summary['missing']} missing, "
+        f"fixes moved by {summary['median_correction']:.1f} m in the median{lost}; repairs: {repairs} -> {path}"
+    )

@@ -1,0 +1,150 @@
+"""Many runs of a scenario through many filters: one dictionary of figures for each."""
+
+from __future__ import annotations
+
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchfra import metrics, presets
+from torchfra.filters.base import Filter
+from torchfra.scenarios import Scenario, Tracks
+from torchfra.types import Estimate
+from torchfra.version import __version__
+
+FILTERS: dict[str, Callable[..., Filter]] = {
+    f.__name__: f
+    for f in (presets.ukf, presets.ekf, presets.srckf, presets.rsrckf, presets.mr_ckf, presets.asrckf, presets.rmckf,
+              presets.fra_srckf, presets.fra)
+}  # fmt: skip
+"""The filters that commands know by name."""
+
+Result = dict[str, Any]
+
+
+def evaluate(
+    scenario: Scenario,
+    names: Sequence[str],
+    *,
+    runs: int,
+    seed: int = 0,
+    limit: float = 2000.0,
+    chunk: int = 1000,
+    progress: bool = False,
+) -> dict[str, Result]:
+    """Runs of a scenario through filters.
+
+    Args:
+        scenario: what is tracked.
+        names: of ``FILTERS``.
+        runs: how many.
+        seed: of the random numbers; every filter sees the same runs.
+        limit: a run diverges when its position error, root mean square over time, is above this, m.
+        chunk: runs that are filtered at once; bounds the memory.
+        progress: whether to show a bar.
+
+    Returns:
+        For each filter: ``rmse_position`` and ``rmse_velocity`` over time ``[T]``, their means ``mean_rmse_*``,
+        ``median_error_position`` over all steps and runs, ``median_track_rmse`` and ``worst_track`` of the runs' own
+        root mean square errors, ``divergence_rate``, ``nees_position`` (median; an honest filter in the plane has 1.39),
+        ``microseconds`` per track and step and ``relative_time`` to the UKF on the same runs.
+
+    Raises:
+        ValueError: an unknown filter, or no runs.
+    """
+    unknown = [name for name in names if name not in FILTERS]
+    if unknown or not names:
+        raise ValueError(f"filters: expected names out of {', '.join(FILTERS)}, received {', '.join(unknown) or 'none'}")
+    timed = dict.fromkeys(["ukf", *names])
+    filters = {name: FILTERS[name](scenario.motion, scenario.sensor) for name in timed}
+    errors: dict[str, list[tuple[Tensor, ...]]] = {name: [] for name in timed}
+    seconds = dict.fromkeys(timed, 0.0)
+    starts = range(0, runs, chunk)
+    with torch.no_grad():
+        warm = scenario.simulate(min(runs, 10), seed)
+        for f in filters.values():
+            run(f, scenario, warm)
+        for first in progress_bar(starts, "runs", progress):
+            tracks = scenario.simulate(min(chunk, runs - first), seed, first=first)
+            for name, f in filters.items():
+                start = time.perf_counter()
+                estimate = run(f, scenario, tracks)
+                seconds[name] += time.perf_counter() - start
+                errors[name].append(_errors(estimate, tracks, scenario))
+    parts = {name: [torch.cat(part) for part in zip(*errors[name], strict=True)] for name in names}
+    steps = runs * scenario.steps
+    return {
+        name: _summary(*parts[name], limit)
+        | {"microseconds": seconds[name] / steps * 1e6, "relative_time": seconds[name] / seconds["ukf"]}
+        for name in names
+    }
+
+
+def run(f: Filter, scenario: Scenario, tracks: Tracks) -> Estimate:
+    """The tracks of a scenario through one filter."""
+    estimate: Estimate = f(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt)
+    return estimate
+
+
+def report(scenario: Scenario, results: dict[str, Result], *, runs: int, seed: int) -> dict[str, Any]:
+    """What a results file holds: what was done, with what, and what came out."""
+    versions = {"torchfra": __version__, "torch": torch.__version__, "numpy": np.__version__, "python": platform.python_version()}
+    settings = {"dt": scenario.dt, "steps": scenario.steps, "threads": torch.get_num_threads(), **scenario.settings}
+    return {"experiment": scenario.name, "runs": runs, "seed": seed, "settings": settings, "versions": versions,
+            "filters": results}  # fmt: skip
+
+
+def table(results: dict[str, Result]) -> str:
+    """The results as text, one line per filter."""
+    columns = (
+        ("RMSE m", "mean_rmse_position", ".1f"),
+        ("RMSE m/s", "mean_rmse_velocity", ".2f"),
+        ("median m", "median_error_position", ".1f"),
+        ("worst run m", "worst_track", ".0f"),
+        ("diverged %", "divergence_rate", ".2f"),
+        ("NEES", "nees_position", ".2f"),
+        ("time / UKF", "relative_time", ".2f"),
+    )
+    lines = [f"{'filter':<10}" + "".join(f"{title:>12}" for title, _, _ in columns)]
+    for name, result in results.items():
+        cells = [result[key] * (100 if key == "divergence_rate" else 1) for _, key, _ in columns]
+        said = [f"{c:{f}}" if c < 1e6 else f"{c:.0e}" for c, (_, _, f) in zip(cells, columns, strict=True)]
+        lines.append(f"{name:<10}" + "".join(f"{cell:>12}" for cell in said))
+    return "\n".join(lines)
+
+
+def progress_bar(items: Iterable[Any], unit: str, show: bool) -> Iterator[Any]:
+    """The items, behind a bar if that is wanted, a terminal is there and tqdm is installed."""
+    if show and sys.stderr.isatty():
+        try:
+            from tqdm import tqdm
+        except ImportError:
+            return iter(items)
+        return iter(tqdm(items, unit=unit, leave=False))
+    return iter(items)
+
+
+def _errors(estimate: Estimate, tracks: Tracks, scenario: Scenario) -> tuple[Tensor, ...]:
+    position = metrics.error(estimate.mean, tracks.truth, scenario.position)
+    velocity = metrics.error(estimate.mean, tracks.truth, scenario.velocity)
+    return position, velocity, metrics.nees(estimate, tracks.truth, scenario.position)
+
+
+def _summary(position: Tensor, velocity: Tensor, nees: Tensor, limit: float) -> Result:
+    over_time = {"position": position.square().nanmean(0).sqrt(), "velocity": velocity.square().nanmean(0).sqrt()}
+    own = position.square().nanmean(-1).sqrt()
+    return {
+        **{f"rmse_{name}": values.tolist() for name, values in over_time.items()},
+        **{f"mean_rmse_{name}": values.nanmean().item() for name, values in over_time.items()},
+        "median_error_position": position.nanmedian().item(),
+        "median_track_rmse": own.nanmedian().item(),
+        "worst_track": own.max().item(),
+        "divergence_rate": (own > limit).double().mean().item(),
+        "nees_position": nees.nanmedian().item(),
+    }

@@ -1,0 +1,127 @@
+"""Figures.  Each function returns a matplotlib figure that belongs to nobody; ``save`` writes it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from torchfra.files import write
+
+_COLOURS = {
+    "ukf": "#999999", "ekf": "#c7a76c", "srckf": "#4c72b0", "rsrckf": "#8172b3", "mr_ckf": "#937860", "asrckf": "#64b5cd",
+    "rmckf": "#dd8452", "fra_srckf": "#55a868", "fra": "#c44e52",
+}  # fmt: skip
+
+
+def save(figure: Figure, path: str | Path) -> Path:
+    """Writes a figure as PNG, whole or not at all."""
+    return write(path, lambda file: figure.savefig(file, format="png", dpi=140))
+
+
+def rmse_curves(results: dict[str, dict[str, Any]], quantity: str, dt: float, title: str) -> Figure:
+    """Root mean square error over time of every filter.
+
+    Args:
+        results: from ``torchfra.evaluate.evaluate``.
+        quantity: ``"position"`` (m) or ``"velocity"`` (m/s).
+        dt: seconds per step.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    axes = figure.subplots()
+    for name, result in results.items():
+        curve = np.array(result[f"rmse_{quantity}"], dtype=float)
+        axes.plot(dt * np.arange(1, len(curve) + 1), curve, label=name, **_style(name))
+    unit = {"position": "m", "velocity": "m/s"}[quantity]
+    axes.set(xlabel="time, s", ylabel=f"RMSE of {quantity}, {unit}", yscale="log", title=title)
+    return _finished(figure, axes)
+
+
+def tracks(truth: Tensor, estimates: dict[str, Tensor], title: str, stations: Tensor | None = None) -> Figure:
+    """One target's true path and what filters made of it, in the plane.
+
+    Args:
+        truth: ``(T, n)``.
+        estimates: by name, ``(T, n)`` each.
+        title: of the figure.
+        stations: ``(T, 2 k)`` positions of the stations.
+    """
+    figure = Figure(figsize=(7, 6), layout="constrained")
+    axes = figure.subplots()
+    if stations is not None:
+        for i, path in enumerate(stations.unflatten(-1, (-1, 2)).unbind(-2)):
+            axes.plot(*(path.mT / 1000), color="black", linestyle=":", linewidth=1, label="stations" if i == 0 else None)
+    axes.plot(*(truth[:, :2].mT / 1000), color="black", linewidth=2.5, label="truth")
+    for name, mean in estimates.items():
+        axes.plot(*(mean[:, :2].mT / 1000), label=name, **_style(name))
+    axes.set(xlabel="x, km", ylabel="y, km", title=title, aspect="equal")
+    axes.set_adjustable("datalim")
+    return _finished(figure, axes)
+
+
+def innovations(nis: dict[str, Tensor], gate: float, dt: float, title: str) -> Figure:
+    """Normalised innovation squared over time, against the gate.
+
+    Args:
+        nis: by name, ``(T,)`` each.
+        gate: what is abnormal.
+        dt: seconds per step.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    axes = figure.subplots()
+    for name, values in nis.items():
+        axes.plot(dt * np.arange(1, len(values) + 1), values.clamp_min(1e-3), label=name, **_style(name))
+    axes.axhline(gate, color="black", linestyle="--", linewidth=1, label=f"gate {gate:g}")
+    axes.set(xlabel="time, s", ylabel="normalised innovation squared", yscale="log", title=title)
+    return _finished(figure, axes)
+
+
+def filtered(time: Any, raw: Any, mean: Any, nis: Any, flags: dict[str, Any], gate: float, title: str) -> Figure:
+    """A recorded track after filtering: the path, how far the fixes lie from it, the innovations, and what was flagged.
+
+    Args:
+        time: ``(T,)`` seconds.
+        raw: ``(T, d)`` positions as recorded, NaN where missing.
+        mean: ``(T, d)`` filtered positions, m.
+        nis: ``(T,)``.
+        flags: by name, ``(T,)`` bool each.
+        gate: what is abnormal.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(11, 6), layout="constrained")
+    path, residual, innovation = figure.subplot_mosaic([["path", "residual"], ["path", "innovation"]]).values()
+    distance = np.linalg.norm(raw - mean, axis=-1)
+    path.plot(mean[:, 0] / 1000, mean[:, 1] / 1000, color=_COLOURS["srckf"], linewidth=1.2, label="filtered")
+    path.plot(raw[:, 0] / 1000, raw[:, 1] / 1000, ".", color="black", markersize=2, label="recorded")
+    residual.plot(time, distance, color=_COLOURS["srckf"], linewidth=0.8)
+    innovation.plot(time, np.maximum(nis, 1e-3), color=_COLOURS["srckf"], linewidth=0.8)
+    innovation.axhline(gate, color="black", linestyle="--", linewidth=1)
+    for (name, flag), mark, colour in zip(flags.items(), "x+", ("#c44e52", "#dd8452"), strict=False):
+        path.plot(mean[flag, 0] / 1000, mean[flag, 1] / 1000, mark, color=colour, label=f"{name} ({int(flag.sum())})")
+        for axes, values in ((residual, distance), (innovation, nis)):
+            axes.plot(time[flag], values[flag], mark, color=colour)
+    path.set(xlabel="east, km", ylabel="north, km", title=title, aspect="equal", adjustable="datalim")
+    residual.set(ylabel="recorded to filtered, m", yscale="symlog")
+    innovation.set(xlabel="time, s", ylabel="normalised innovation squared", yscale="log")
+    path.legend(frameon=False, fontsize=8)
+    for axes in (path, residual, innovation):
+        axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def _style(name: str) -> dict[str, Any]:
+    ours = name.startswith("fra")
+    return {"color": _COLOURS.get(name), "linewidth": 1.8 if ours else 1.1, "zorder": 3 if ours else 2}
+
+
+def _finished(figure: Figure, axes: Axes) -> Figure:
+    axes.grid(alpha=0.25)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, fontsize=8, ncols=2)
+    return figure
