@@ -34,9 +34,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--runs", type=int, default=100, metavar="M", help="Monte-Carlo runs (default: 100)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="of the random numbers (default: 0)")
     parser.add_argument("--outliers", default="covariance", help="covariance (default), std, offset or none")
-    parser.add_argument("--truth-noise", type=float, default=0.0, help="variance of noise on the truth, m^2/s^4 (default: 0)")
+    parser.add_argument(
+        "--truth-noise", type=float, default=0.0, help="variance of noise on the truth, m^2/s^4 (default: 0)"
+    )
     parser.add_argument("--initial", choices=["paper", "truth"], help="state to start from (default: the experiment's)")
-    parser.add_argument("--filters", default=PAPER, metavar="A,B", help=f"out of {', '.join(FILTERS)} (default: {PAPER})")
+    parser.add_argument(
+        "--filters", default=PAPER, metavar="A,B", help=f"out of {', '.join(FILTERS)} (default: {PAPER})"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the results for machines to read")
     parser.add_argument("--plots", type=Path, metavar="DIR", help="write the figures there")
     parser.add_argument("--quiet", action="store_true", help="no progress bar, and nothing printed but errors")

@@ -42,7 +42,9 @@ def parser() -> argparse.ArgumentParser:
     t.add_argument("--filter", default="fra", metavar="NAME", help=f"one of {', '.join(FILTERS)} (default: fra)")
     t.add_argument("--dt", type=float, metavar="S", help="also estimate every S seconds between the fixes")
     t.add_argument("--sigma", type=float, default=25.0, metavar="M", help="std of a recorded position, m (default: 25)")
-    t.add_argument("--q", type=float, default=0.25, help="variance of the change of acceleration, m^2/s^4 (default: 0.25)")
+    t.add_argument(
+        "--q", type=float, default=1.0, help="variance of the change of acceleration per step, m^2/s^4 (default: 1)"
+    )
     t.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="where to write (default: out)")
     t.add_argument("--no-plots", action="store_true", help="write the tables only")
     _common(t)
@@ -93,7 +95,12 @@ def _track(options: argparse.Namespace) -> None:
     from torchfra.track import GATE, track
 
     results = track(
-        readers.read(options.file), options.filter, dt=options.dt, sigma=options.sigma, q=options.q, progress=not options.quiet
+        readers.read(options.file),
+        options.filter,
+        dt=options.dt,
+        sigma=options.sigma,
+        q=options.q,
+        progress=not options.quiet,
     )
     used: set[str] = set()
     for result in progress_bar(results, "file", not options.quiet):
@@ -113,12 +120,16 @@ def _track(options: argparse.Namespace) -> None:
     if options.json is not None:
         settings = {"filter": options.filter, "dt": options.dt, "sigma": options.sigma, "q": options.q}
         tracks = [result.summary() for result in results]
-        write_json(options.json, {"file": options.file.name, "version": __version__, "settings": settings, "tracks": tracks})
+        write_json(
+            options.json, {"file": options.file.name, "version": __version__, "settings": settings, "tracks": tracks}
+        )
 
 
 def _compare(options: argparse.Namespace) -> None:
     if bool(options.files) == (options.scenario is not None):
-        raise ValueError("compare: expected either files or --scenario, received " + ("both" if options.files else "neither"))
+        raise ValueError(
+            "compare: expected either files or --scenario, received " + ("both" if options.files else "neither")
+        )
     outliers = options.outliers or "covariance"
     if options.scenario is not None:
         scenario, runs = named(options.scenario, outliers), options.runs or 100

@@ -109,7 +109,9 @@ class Tangent(nn.Module):
         """See ``Rule``."""
         mean, root = belief
         at, along = torch.broadcast_tensors(mean.unsqueeze(-2), root.mT)  # the mean, once per column of the root
-        values, slope = torch.func.jvp(function, (at.contiguous(),), (along.contiguous(),))
+        values, slope = torch.func.jvp(  # type: ignore[misc]  # three values only with has_aux
+            function, (at.contiguous(),), (along.contiguous(),)
+        )
         return Linearised(values[..., 0, :], slope.mT)
 
 

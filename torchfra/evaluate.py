@@ -60,7 +60,9 @@ def evaluate(
     """
     unknown = [name for name in names if name not in FILTERS]
     if unknown or not names:
-        raise ValueError(f"filters: expected names out of {', '.join(FILTERS)}, received {', '.join(unknown) or 'none'}")
+        raise ValueError(
+            f"filters: expected names out of {', '.join(FILTERS)}, received {', '.join(unknown) or 'none'}"
+        )
     timed = dict.fromkeys(["ukf", *names])
     filters = {name: FILTERS[name](scenario.motion, scenario.sensor) for name in timed}
     errors: dict[str, list[tuple[Tensor, ...]]] = {name: [] for name in timed}
@@ -80,7 +82,7 @@ def evaluate(
     parts = {name: [torch.cat(part) for part in zip(*errors[name], strict=True)] for name in names}
     steps = runs * scenario.steps
     return {
-        name: _summary(*parts[name], limit)
+        name: _summary(parts[name], limit)
         | {"microseconds": seconds[name] / steps * 1e6, "relative_time": seconds[name] / seconds["ukf"]}
         for name in names
     }
@@ -94,7 +96,12 @@ def run(f: Filter, scenario: Scenario, tracks: Tracks) -> Estimate:
 
 def report(scenario: Scenario, results: dict[str, Result], *, runs: int, seed: int) -> dict[str, Any]:
     """What a results file holds: what was done, with what, and what came out."""
-    versions = {"torchfra": __version__, "torch": torch.__version__, "numpy": np.__version__, "python": platform.python_version()}
+    versions = {
+        "torchfra": __version__,
+        "torch": torch.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
     settings = {"dt": scenario.dt, "steps": scenario.steps, "threads": torch.get_num_threads(), **scenario.settings}
     return {"experiment": scenario.name, "runs": runs, "seed": seed, "settings": settings, "versions": versions,
             "filters": results}  # fmt: skip
@@ -136,7 +143,8 @@ def _errors(estimate: Estimate, tracks: Tracks, scenario: Scenario) -> tuple[Ten
     return position, velocity, metrics.nees(estimate, tracks.truth, scenario.position)
 
 
-def _summary(position: Tensor, velocity: Tensor, nees: Tensor, limit: float) -> Result:
+def _summary(parts: list[Tensor], limit: float) -> Result:
+    position, velocity, nees = parts
     over_time = {"position": position.square().nanmean(0).sqrt(), "velocity": velocity.square().nanmean(0).sqrt()}
     own = position.square().nanmean(-1).sqrt()
     return {

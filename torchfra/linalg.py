@@ -39,23 +39,25 @@ def tria(a: Tensor, *, led: bool = False) -> Tensor:
     a = a if led else pad(a, (a.shape[-2], 0))
     if not (a.requires_grad or is_traced(a)):
         return _triangularise(a)  # the same numbers, without the bookkeeping of a gradient
-    result: Tensor = _Tria.apply(a)
+    result: Tensor = _Tria.apply(a)  # type: ignore[no-untyped-call]  # torch gives it no type
     return result
 
 
 def is_traced(*tensors: Tensor) -> bool:
     """Whether this runs under ``torch.compile``, ``torch.export`` or a transform of ``torch.func``."""
     wrapped = torch._C._functorch.is_functorch_wrapped_tensor
-    return torch.compiler.is_compiling() or any(wrapped(t) for t in tensors)
+    return bool(torch.compiler.is_compiling()) or any(wrapped(t) for t in tensors)
 
 
 def _triangularise(a: Tensor) -> Tensor:
     n = a.shape[-2]
     if is_traced(a):
-        return -torch.linalg.qr(a.mT, mode="r").R.mT
+        upper: Tensor = torch.linalg.qr(a.mT, mode="r").R
+        return -upper.mT
     # What torch.linalg.qr does, less a copy and a pass that starts threads even for one small matrix.
     reflected = torch.geqrf(a.mT)[0][..., :n, :].mT
-    return reflected * _minus_lower(n, a.dtype, a.device)
+    lower: Tensor = reflected * _minus_lower(n, a.dtype, a.device)
+    return lower
 
 
 @lru_cache(maxsize=64)
@@ -81,7 +83,7 @@ class _Tria(torch.autograd.Function):
         ctx.save_for_backward(*inputs, output)
 
     @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> Tensor:  # type: ignore[override]  # one gradient for one input
+    def backward(ctx: Any, grad: Tensor) -> Tensor:
         a, lower = ctx.saved_tensors
         rounding = 4 * sum(a.shape[-2:]) * torch.finfo(a.dtype).eps
         live = lower.diagonal(dim1=-2, dim2=-1) > rounding * torch.linalg.vector_norm(a, dim=-1)
@@ -90,17 +92,20 @@ class _Tria(torch.autograd.Function):
         grad = grad.tril() * live.unsqueeze(-2)
         turn = lower.mT @ grad
         turn = (turn.mT - turn).triu(1) * live.unsqueeze(-1)
-        return (grad + torch.linalg.solve_triangular(root.mT, turn, upper=True)) @ q
+        pulled: Tensor = (grad + torch.linalg.solve_triangular(root.mT, turn, upper=True)) @ q
+        return pulled
 
 
 def apply(matrix: Tensor, vector: Tensor) -> Tensor:
     """``matrix (..., m, n)`` times ``vector (..., n)``."""
-    return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
+    product: Tensor = (matrix @ vector.unsqueeze(-1)).squeeze(-1)
+    return product
 
 
 def whiten(root: Tensor, vector: Tensor) -> Tensor:
     """``root^-1 vector`` for a lower-triangular ``root (..., m, m)`` and ``vector (..., m)``."""
-    return torch.linalg.solve_triangular(root, vector.unsqueeze(-1), upper=False).squeeze(-1)
+    solved: Tensor = torch.linalg.solve_triangular(root, vector.unsqueeze(-1), upper=False)
+    return solved.squeeze(-1)
 
 
 def hstack(*blocks: Tensor) -> Tensor:
@@ -137,4 +142,5 @@ def gram_pinv(h: Tensor, rcond: float) -> Tensor:
     slope = torch.where(mixed, jump, -inverse.unsqueeze(-1) * inverse.unsqueeze(-2))
     gram = h @ h.mT
     change = u.mT @ (gram - gram.detach()) @ u  # zero, but carries the gradient
-    return u @ (torch.diag_embed(inverse) + slope * change) @ u.mT
+    result: Tensor = u @ (torch.diag_embed(inverse) + slope * change) @ u.mT
+    return result

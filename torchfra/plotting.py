@@ -55,7 +55,9 @@ def tracks(truth: Tensor, estimates: dict[str, Tensor], title: str, stations: Te
     axes = figure.subplots()
     if stations is not None:
         for i, path in enumerate(stations.unflatten(-1, (-1, 2)).unbind(-2)):
-            axes.plot(*(path.mT / 1000), color="black", linestyle=":", linewidth=1, label="stations" if i == 0 else None)
+            axes.plot(
+                *(path.mT / 1000), color="black", linestyle=":", linewidth=1, label="stations" if i == 0 else None
+            )
     axes.plot(*(truth[:, :2].mT / 1000), color="black", linewidth=2.5, label="truth")
     for name, mean in estimates.items():
         axes.plot(*(mean[:, :2].mT / 1000), label=name, **_style(name))

@@ -64,11 +64,16 @@ def fra_srckf(motion: Motion, sensor: Sensor, *, threshold: Value = 1.345, learn
 
     ``rcond=0, fading_max=inf`` are the paper's own formulas, which may diverge; the defaults 0.1 and 1000 do not.
     """
-    fading = {name: options.pop(name) for name in ("weakening", "forgetting", "fading_max", "rcond", "trace") if name in options}
+    fading = {
+        name: options.pop(name)
+        for name in ("weakening", "forgetting", "fading_max", "rcond", "trace")
+        if name in options
+    }
     adaptive = Fading(states=motion.position, **fading)
     return learnable(FRA(motion, sensor, robust=Huber(threshold), adaptive=adaptive, **options), learn)
 
 
 def fra(motion: Motion, sensor: Sensor, **options: Any) -> FRA:
     """Ours: ``fra_srckf`` that decides by predictive likelihood, and remembers innovations by their robust weights."""
-    return fra_srckf(motion, sensor, **{"decision": "likelihood", "memory": "weighted", "rcond": 0.2} | options)
+    ours: dict[str, Any] = {"decision": "likelihood", "memory": "weighted", "rcond": 0.2}
+    return fra_srckf(motion, sensor, **ours | options)

@@ -27,7 +27,8 @@ class Huber(nn.Module):
     def forward(self, residual: Tensor, nis: Tensor) -> Tensor:
         """Weights ``(..., m)`` of a ``residual (..., m)`` in units of the noise; ``nis (...)`` is not looked at."""
         excess = residual.abs() / self.threshold().to(residual).unsqueeze(-1)
-        return 1 / excess.clamp_min(1.0)
+        weights: Tensor = 1 / excess.clamp_min(1.0)
+        return weights
 
 
 class ThreeSegment(nn.Module):

@@ -58,6 +58,9 @@ class Sensor(nn.Module):
             noise covariance that is singular.
     """
 
+    angles: Tensor
+    root: Tensor | None
+
     def __init__(self, reads: int, angles: Sequence[bool], std: Value | None, noise: Tensor | None) -> None:
         super().__init__()
         self.reads, self.size = reads, len(angles)
@@ -154,7 +157,9 @@ class Bearings(Sensor):
         elif u is not None:
             stations = u[..., : 2 * self.size].unflatten(-1, (self.size, 2))
         else:
-            raise ValueError(f"u: expected the positions of {self.size} stations, (..., {2 * self.size}), received None")
+            raise ValueError(
+                f"u: expected the positions of {self.size} stations, (..., {2 * self.size}), received None"
+            )
         offset = x[..., None, :2] - stations
         return torch.atan2(offset[..., 0], offset[..., 1])
 

@@ -91,7 +91,7 @@ def track(
     *,
     dt: float | None = None,
     sigma: float = 25.0,
-    q: float = 0.25,
+    q: float = 1.0,
     progress: bool = False,
 ) -> list[Filtered]:
     """Recordings through a filter with a position sensor and constant acceleration.
@@ -122,7 +122,9 @@ def track(
     return [done[i] for i in range(len(recordings))]
 
 
-def _together(recordings: list[Recording], name: str, d: int, dt: float | None, sigma: float, q: float) -> list[Filtered]:
+def _together(
+    recordings: list[Recording], name: str, d: int, dt: float | None, sigma: float, q: float
+) -> list[Filtered]:
     """Recordings of ``d`` dimensions as one batch; the shorter ones are missing data at their end."""
     grids = [_grid(r, dt) for r in recordings]
     steps = max(len(time) for time, _ in grids)
@@ -133,18 +135,23 @@ def _together(recordings: list[Recording], name: str, d: int, dt: float | None, 
         gaps[i, 1 : len(time)] = torch.from_numpy(np.diff(time))
     options = {"gate": GATE[d]} if name.startswith("fra") else {}
     f = FILTERS[name](ConstantAcceleration(q, d), Position(sigma, dims=d), **options)
-    mean = torch.cat([z[:, 0], torch.zeros(len(z), 2 * d, dtype=torch.float64)], -1)
-    root = torch.tensor([10 * sigma, 300.0, 5.0], dtype=torch.float64).repeat_interleave(d).diag()
+    start = torch.cat([z[:, 0], torch.zeros(len(z), 2 * d, dtype=torch.float64)], -1)
+    first = torch.tensor([10 * sigma, 300.0, 5.0], dtype=torch.float64).repeat_interleave(d).diag()
     with torch.no_grad():
-        estimate: Estimate = f(z, Gaussian(mean, root), dt=gaps)
+        estimate: Estimate = f(z, Gaussian(start, first), dt=gaps)
     outlier, manoeuvre = _flags(estimate, GATE[d])
     std = estimate.scale_tril.square().sum(-1).sqrt()
     results = []
     for i, (recording, (time, raw)) in enumerate(zip(recordings, grids, strict=True)):
         k = len(time)
-        flags = {"missing": np.isnan(raw[:, 0]), "outlier": outlier[i, :k].numpy(), "manoeuvre": manoeuvre[i, :k].numpy()}
-        values = (x[i, :k].numpy() for x in (estimate.mean[..., :d], estimate.mean[..., d : 2 * d], std[..., :d], estimate.nis))
-        results.append(Filtered(recording, time, raw, *values, flags))
+        flags = {
+            "missing": np.isnan(raw[:, 0]),
+            "outlier": outlier[i, :k].numpy(),
+            "manoeuvre": manoeuvre[i, :k].numpy(),
+        }
+        mean, nis = estimate.mean[i, :k].numpy(), estimate.nis[i, :k].numpy()
+        position, velocity, spread = mean[:, :d], mean[:, d : 2 * d], std[i, :k, :d].numpy()
+        results.append(Filtered(recording, time, raw, position, velocity, spread, nis, flags))
     return results
 
 
@@ -153,7 +160,7 @@ def _grid(recording: Recording, dt: float | None) -> tuple[Array, Array]:
     time = recording.time - recording.time[0]
     if dt is None:
         return time, recording.position
-    regular = dt * np.arange(int(time[-1] / dt) + 1)
+    regular: Array = dt * np.arange(int(time[-1] / dt) + 1, dtype=np.float64)
     between = regular[np.abs(regular - time[_nearest(time, regular)]) > 1e-6 * dt]
     both = np.concatenate([time, between])
     raw = np.concatenate([recording.position, np.full((len(between), recording.position.shape[1]), np.nan)])

@@ -60,7 +60,9 @@ class Filter(nn.Module):
         n = self.motion.size
         mean, root = prior
         if mean.shape[-1:] != (n,) or root.shape[-2:] != (n, n):
-            raise ValueError(f"prior: expected (..., {n}) and (..., {n}, {n}), received {tuple(mean.shape)} and {tuple(root.shape)}")
+            raise ValueError(
+                f"prior: expected (..., {n}) and (..., {n}, {n}), received {tuple(mean.shape)} and {tuple(root.shape)}"
+            )
         batch = torch.broadcast_shapes(mean.shape[:-1], root.shape[:-2])
         batch = (1,) * (batch_rank(self) - len(batch)) + batch
         return self.begin(Gaussian(mean.expand((*batch, n)), tria(root).expand((*batch, n, n))))  # eq. (7)
@@ -108,7 +110,9 @@ class Filter(nn.Module):
         u, std, noise = (x if x is None else x.unsqueeze(e) for x, e in ((u, -2), (std, -2), (noise, -3)))
         (frame,), _, batch = self._prepare(z.unsqueeze(-2), state.belief, dt, u, std, noise)
         if batch != state.belief.mean.shape[:-1]:
-            raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, this is of {tuple(state.belief.mean.shape[:-1])}")
+            raise ValueError(
+                f"state: expected one from a prior of batch {tuple(batch)}, this is of {tuple(state.belief.mean.shape[:-1])}"
+            )
         state, record = self.advance(state, frame)
         nis, log_likelihood = _scores(record.normalised, record.root, frame.noise.log_norm)
         residual = frame.noise.colour(record.residual.unsqueeze(-1)).squeeze(-1)
@@ -149,7 +153,8 @@ class Filter(nn.Module):
         normalised = _stack([r.normalised for r in records], rank)
         root = _stack([r.root for r in records], rank)
         nis, log_likelihood = _scores(normalised, root, log_norm.movedim(0, -1))
-        return Estimate(*_stack(beliefs, rank), nis, log_likelihood, _stack(info, rank))
+        mean, root = _stack(beliefs, rank)
+        return Estimate(mean, root, nis, log_likelihood, _stack(info, rank))
 
     def _prepare(
         self,

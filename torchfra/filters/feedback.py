@@ -106,6 +106,7 @@ class FRA(Filter):
         self.robust, self.adaptive = robust, adaptive
         self.gate = Hyper(gate, name="gate")
         self.decision, self.memory, self.final = decision, memory, final
+        self._decisive = [h for part in (robust, adaptive, self.gate) for h in part.modules() if isinstance(h, Hyper)]
 
     def begin(self, belief: Gaussian) -> FRAState:
         """See ``Filter``."""
@@ -165,8 +166,8 @@ class FRA(Filter):
 
     def _where(self, mask: Tensor, function: Callable[..., Any], arguments: tuple[Any, ...], default: Any) -> Any:
         """``function`` for the tracks in ``mask``: alone if they can be told apart now, else for all and then chosen."""
-        batched = any(h.raw.dim() for part in (self.robust, self.adaptive) for h in part.children())
-        if batched or self.gate.raw.dim() or is_traced(mask):
+        batched = any(h.raw.dim() for h in self._decisive)
+        if batched or is_traced(mask):
             return select(mask, function(*arguments), default)
         return where_needed(mask, function, arguments, default)
 

@@ -94,7 +94,7 @@ def _certain(x: Tensor | None) -> Tensor:
 def batch_rank(module: nn.Module) -> int:
     """Batch dimensions that the hyperparameters of a filter bring: those of a std are all but its last."""
     hypers = {name: h for name, h in module.named_modules() if isinstance(h, Hyper)}
-    return max(max(h.raw.dim() - name.endswith("sensor.std"), 0) for name, h in hypers.items())
+    return max(max(h.raw.dim() - int(name.endswith("sensor.std")), 0) for name, h in hypers.items())
 
 
 def check(
@@ -128,7 +128,9 @@ def check(
     ):
         if x is None:
             continue
-        fits = x.dim() >= len(shape) and all(b is None or a == b for a, b in zip(x.shape[-len(shape) :], shape, strict=True))
+        fits = x.dim() >= len(shape) and all(
+            b is None or a == b for a, b in zip(x.shape[-len(shape) :], shape, strict=True)
+        )
         if not fits:
             wanted = ", ".join("k" if s is None else str(s) for s in shape)
             raise ValueError(f"{name}: expected (..., {wanted}), received {tuple(x.shape)}")
@@ -140,7 +142,7 @@ def check(
     if not (isinstance(dt, Tensor) and is_traced(dt)) and not bool((torch.as_tensor(dt) > 0).all()):
         raise ValueError(f"dt: expected seconds above 0, received {dt}")
     try:
-        return torch.broadcast_shapes(*batch.values())
+        return torch.Size(torch.broadcast_shapes(*batch.values()))
     except RuntimeError:
         said = ", ".join(f"{name} {tuple(shape)}" for name, shape in batch.items())
         raise ValueError(f"batch: expected shapes that broadcast, received {said}") from None

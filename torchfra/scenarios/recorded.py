@@ -108,7 +108,9 @@ def _windows(recordings: Sequence[Recording], dt: float, steps: int, max_gap: fl
                 part = states[first : first + steps + 1]
                 windows.append(np.pad(part, ((0, steps + 1 - len(part)), (0, 0)), constant_values=np.nan))
     if not windows:
-        raise ValueError(f"recordings: expected a track of more than {_SHORTEST * dt:g} s without a gap over {max_gap:g} s")
+        raise ValueError(
+            f"recordings: expected a track of more than {_SHORTEST * dt:g} s without a gap over {max_gap:g} s"
+        )
     return torch.from_numpy(np.stack(windows))
 
 
