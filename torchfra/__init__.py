@@ -4,7 +4,7 @@ from torchfra import adaptive, cubature, linalg, metrics, motion, presets, reade
 from torchfra.hyper import Hyper
 from torchfra.malloc import keep_memory
 from torchfra.types import Estimate, Gaussian, Innovation
-from torchfra.version import __version__
+from torchfra.version import __version__ as __version__
 
 __all__ = [
     "Estimate",

@@ -20,8 +20,8 @@ from torchfra.version import __version__
 
 SCENARIOS = {"bearings-outliers": scenarios.bearings_outliers, "bearings-manoeuvre": scenarios.bearings_manoeuvre}
 
-_FILES = """FILE is a recorded track, or several: OpenSky state vectors (CSV: time, icao24, lat, lon, ...), gzip-JSON tracks
-(timestamp, latitude, longitude, altitude, ...), or plain CSV with the columns t,x,y[,z] in seconds and metres."""
+_FILES = """FILE is a recorded track, or several: OpenSky state vectors (CSV: time, icao24, lat, lon), gzip-JSON
+tracks (timestamp, latitude, longitude, altitude, ...), or plain CSV with columns t,x,y[,z] in seconds and metres."""
 
 
 def parser() -> argparse.ArgumentParser:

@@ -69,7 +69,7 @@ class SigmaPoints(nn.Module):
         power, basis = torch.linalg.eigh(gram)
         if power[0] < -1e-12 * power[-1]:
             raise ValueError(
-                f"the centre's weight in the covariance ({1 - weights.sum() + extra:g}) is too negative for a real root: "
+                f"the centre's weight in the covariance ({1 - weights.sum() + extra:g}) is too negative for a root: "
                 "choose beta >= alpha^2, or a larger kappa"
             )
         root = basis * power.clamp_min(0.0).sqrt()

@@ -52,7 +52,7 @@ def evaluate(
     Returns:
         For each filter: ``rmse_position`` and ``rmse_velocity`` over time ``[T]``, their means ``mean_rmse_*``,
         ``median_error_position`` over all steps and runs, ``median_track_rmse`` and ``worst_track`` of the runs' own
-        root mean square errors, ``divergence_rate``, ``nees_position`` (median; an honest filter in the plane has 1.39),
+        root mean square errors, ``divergence_rate``, ``nees_position`` (median; 1.39 if honest, in the plane),
         ``microseconds`` per track and step and ``relative_time`` to the UKF on the same runs.
 
     Raises:

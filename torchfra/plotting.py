@@ -13,8 +13,8 @@ from torch import Tensor
 from torchfra.files import write
 
 _COLOURS = {
-    "ukf": "#999999", "ekf": "#c7a76c", "srckf": "#4c72b0", "rsrckf": "#8172b3", "mr_ckf": "#937860", "asrckf": "#64b5cd",
-    "rmckf": "#dd8452", "fra_srckf": "#55a868", "fra": "#c44e52",
+    "ukf": "#999999", "ekf": "#c7a76c", "srckf": "#4c72b0", "rsrckf": "#8172b3", "mr_ckf": "#937860",
+    "asrckf": "#64b5cd", "rmckf": "#dd8452", "fra_srckf": "#55a868", "fra": "#c44e52",
 }  # fmt: skip
 
 

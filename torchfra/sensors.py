@@ -82,7 +82,7 @@ class Sensor(nn.Module):
         self.register_buffer("angles", torch.tensor(angles), persistent=False)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
-        """The measurement ``(..., m)`` of states ``x (..., d or more)``, without noise; ``u (..., k)`` if it needs any."""
+        """The measurement ``(..., m)`` of states ``x (..., d or more)``, without noise, given ``u (..., k)``."""
         raise TypeError(f"{type(self).__name__} needs a forward")
 
     def difference(self, a: Tensor, b: Tensor) -> Tensor:

@@ -110,9 +110,8 @@ class Filter(nn.Module):
         u, std, noise = (x if x is None else x.unsqueeze(e) for x, e in ((u, -2), (std, -2), (noise, -3)))
         (frame,), _, batch = self._prepare(z.unsqueeze(-2), state.belief, dt, u, std, noise)
         if batch != state.belief.mean.shape[:-1]:
-            raise ValueError(
-                f"state: expected one from a prior of batch {tuple(batch)}, this is of {tuple(state.belief.mean.shape[:-1])}"
-            )
+            held = tuple(state.belief.mean.shape[:-1])
+            raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, this is of {held}")
         state, record = self.advance(state, frame)
         nis, log_likelihood = _scores(record.normalised, record.root, frame.noise.log_norm)
         residual = frame.noise.colour(record.residual.unsqueeze(-1)).squeeze(-1)

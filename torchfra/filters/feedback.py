@@ -56,11 +56,12 @@ class FRAInfo(NamedTuple):
 class FRA(Filter):
     """Feedback-decision robust adaptive filter.
 
-    A step whose normalised innovation squared is above the gate is abnormal, be it an outlier or a manoeuvre.  There the
-    filter forks: one branch trusts the measurement less (robust), one the prediction less (adaptive).  Both predict the
-    next measurement, and the branch that did so better is kept.  So the estimate of an abnormal step is final only with
+    A step whose normalised innovation squared is above the gate is abnormal, be it an outlier or a manoeuvre.  There
+    the filter forks: one branch trusts the measurement less (robust), one the prediction less (adaptive).  Both predict
+    the next measurement, and the branch that did so better is kept.  So the estimate of an abnormal step is final only with
     the next measurement: ``Estimate.mean`` holds the final ones and ``info.provisional`` what was known at each step;
-    ``step`` hands out the provisional one as ``state.belief``, and as ``state.settled`` the final one of the step before.
+    ``step`` hands out the provisional one as ``state.belief`` and the final one of the step before as
+    ``state.settled``.
 
     Args:
         motion: how targets move.
@@ -165,7 +166,7 @@ class FRA(Filter):
         return beliefs, info
 
     def _where(self, mask: Tensor, function: Callable[..., Any], arguments: tuple[Any, ...], default: Any) -> Any:
-        """``function`` for the tracks in ``mask``: alone if they can be told apart now, else for all and then chosen."""
+        """``function`` for the tracks in ``mask``: alone if that can be told now, else for all and then chosen."""
         batched = any(h.raw.dim() for h in self._decisive)
         if batched or is_traced(mask):
             return select(mask, function(*arguments), default)

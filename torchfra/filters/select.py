@@ -36,8 +36,8 @@ def select(mask: Tensor, yes: Any, no: Any) -> Any:
 def where_needed(mask: Tensor, function: Callable[..., Any], arguments: tuple[Any, ...], default: Any) -> Any:
     """``function(*arguments)`` for the tracks in ``mask (...)`` alone, ``default`` for the others.
 
-    The arguments are tuples of this package or vectors ``(..., m)``; ``function`` gives what ``default`` is: tensors that begin with the batch,
-    or tuples of them.  Tracks are gathered, so this is for code that runs eagerly.
+    The arguments are tuples of this package or vectors ``(..., m)``; ``function`` gives what ``default`` is: tensors
+    that begin with the batch, or tuples of them.  Tracks are gathered, so this is for code that runs eagerly.
     """
     rows = mask.flatten().nonzero().squeeze(-1)
     if len(rows) == 0:

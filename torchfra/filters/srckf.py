@@ -133,7 +133,7 @@ def correct(belief: Gaussian, whitened: Whitened) -> tuple[Gaussian, Tensor, Ten
     m, n = residual.shape[-1], belief.mean.shape[-1]
     unit = torch.eye(m, m + n, dtype=residual.dtype, device=residual.device)
     top = hstack(unit, pad(spread, (0, n - d)))
-    root = belief.scale_tril.expand(top.shape[:-2] + (n, n))
+    root = belief.scale_tril.expand((*top.shape[:-2], n, n))
     joint = tria(torch.cat([top, pad(root, (top.shape[-1] - n, 0))], -2), led=True)
     root = joint[..., :m, :m]
     normalised = whiten(root, residual)

@@ -1,6 +1,6 @@
 """Two moving stations take bearings of one target: the two experiments of Wang et al. (2021), section 3.
 
-Constant-acceleration filter, steps of 1 s over 100 s, bearings good to 1 degree, stations at 100 m/s heading 45 degrees.
+Constant-acceleration filter, steps of 1 s over 100 s, bearings good to 1 degree, stations at 100 m/s, heading 45.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ def recorded(
 
     Args:
         recordings: from ``torchfra.readers.read``.
-        sensor: ``"bearings"`` of two stations to the south of each window, or a ``"radar"`` there for range and bearing.
+        sensor: ``"bearings"`` of two stations south of each window, or a ``"radar"`` there for range and bearing.
         dt: seconds per step.
         steps: measurements in a window.
         max_gap: seconds without a position that split a track.
@@ -59,7 +59,7 @@ def recorded(
         raise ValueError(f"sensor: expected 'bearings' or 'radar', received {sensor!r}")
     if steps < _SHORTEST or not 0 <= share <= 1 or not size >= 1:
         raise ValueError(
-            f"steps, share, size: expected at least {_SHORTEST}, in [0, 1], at least 1, received {steps}, {share}, {size}"
+            f"steps, share, size: expected {_SHORTEST} or more, in [0, 1], 1 or more, received {steps}, {share}, {size}"
         )
     windows = _windows(recordings, dt, steps, max_gap)
     centre, reach = _frame(windows)
