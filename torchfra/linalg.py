@@ -19,8 +19,7 @@ def tria(a: Tensor, *, led: bool = False) -> Tensor:
 
     Args:
         a: ``(..., n, p)``, any ``n`` and ``p``: wide, square or tall.
-        led: whether the first ``n`` columns of ``a`` are a diagonal with nothing below zero on it, say all zero; saves
-            putting zeros there.
+        led: whether the first ``n`` columns of ``a`` are zero already, which saves putting them there.
 
     Returns:
         ``L (..., n, n)`` with ``L L^T = a a^T``.  Where a row of ``a`` is zero, so are that row of ``L`` and the
@@ -33,9 +32,9 @@ def tria(a: Tensor, *, led: bool = False) -> Tensor:
     Source: Arasaratnam & Haykin (2009), "Cubature Kalman Filters", Tria(.); Bjoerck & Paige (1992) for the equivalence
     of Householder QR on ``[0; A]`` with Gram-Schmidt.
     """
-    # The leading zeros settle two conventions of Householder QR at once.  Every reflection starts from a zero (or from
-    # something positive), so the diagonal of R is never positive; and a row without anything new leaves its own zero
-    # coordinate untouched, so that no arbitrary direction enters the column of L that belongs to it.
+    # The leading zeros settle two conventions of Householder QR at once.  Every reflection starts from a zero, so the
+    # diagonal of R is never positive; and a row without anything new leaves its own zero coordinate untouched, so that
+    # no arbitrary direction enters the column of L that belongs to it.
     a = a if led else pad(a, (a.shape[-2], 0))
     if not (a.requires_grad or is_traced(a)):
         return _triangularise(a)  # the same numbers, without the bookkeeping of a gradient

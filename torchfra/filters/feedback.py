@@ -58,8 +58,8 @@ class FRA(Filter):
 
     A step whose normalised innovation squared is above the gate is abnormal, be it an outlier or a manoeuvre.  There
     the filter forks: one branch trusts the measurement less (robust), one the prediction less (adaptive).  Both predict
-    the next measurement, and the branch that did so better is kept.  So the estimate of an abnormal step is final only with
-    the next measurement: ``Estimate.mean`` holds the final ones and ``info.provisional`` what was known at each step;
+    the next measurement, and the better branch is kept.  So the estimate of an abnormal step is final only with the
+    next measurement: ``Estimate.mean`` holds the final ones and ``info.provisional`` what was known at each step;
     ``step`` hands out the provisional one as ``state.belief`` and the final one of the step before as
     ``state.settled``.
 

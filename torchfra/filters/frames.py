@@ -65,7 +65,7 @@ def make_frames(
 
     z = _certain(lead(z, 1)).contiguous()
     u = lead(u, 1)
-    dt = torch.as_tensor(dt).to(z)
+    dt = torch.as_tensor(dt, dtype=z.dtype, device=z.device)
     timed = dt.dim() > 0 and dt.shape[-1] > 1
     dt = _certain(lead(dt, 0)) if timed else dt[..., 0] if dt.dim() else dt
     missing = z.isnan()

@@ -120,18 +120,18 @@ def innovation(whitened: Whitened) -> tuple[Tensor, Tensor]:
     """Root ``(..., m, m)`` of the residual's covariance and the residual ``(..., m)`` divided by it: (17), (35)."""
     m = whitened.residual.shape[-1]
     unit = torch.eye(m, dtype=whitened.spread.dtype, device=whitened.spread.device)
-    root = tria(hstack(unit, whitened.spread), led=True)
+    root = tria(hstack(unit, whitened.spread))
     return root, whiten(root, whitened.residual)
 
 
 def correct(belief: Gaussian, whitened: Whitened) -> tuple[Gaussian, Tensor, Tensor]:
     """The belief after the measurement, and the innovation's root and normalised residual: eqs. (17)-(24).
 
-    ``tria([[I, 0, rest, H S], [0, 0, 0, S]]) = [[S_zz, 0], [K S_zz, S_post]]``.
+    ``tria([[I, rest, H S], [0, 0, S]]) = [[S_zz, 0], [K S_zz, S_post]]``.
     """
     residual, spread, d = whitened
     m, n = residual.shape[-1], belief.mean.shape[-1]
-    unit = torch.eye(m, m + n, dtype=residual.dtype, device=residual.device)
+    unit = pad(torch.eye(m, dtype=residual.dtype, device=residual.device), (m + n, 0))  # behind what tria leads with
     top = hstack(unit, pad(spread, (0, n - d)))
     root = belief.scale_tril.expand((*top.shape[:-2], n, n))
     joint = tria(torch.cat([top, pad(root, (top.shape[-1] - n, 0))], -2), led=True)

@@ -1,0 +1,134 @@
+"""The commands do their work, write whole files, and say in one line what was wrong with what they were given."""
+
+import csv
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from torchfra import cli, readers
+from torchfra.track import track
+
+
+@pytest.fixture
+def noisy_track(tmp_path):
+    """A straight flight of 80 fixes, 25 m of noise, one fix 3 km off at the 40th."""
+    rng = np.random.default_rng(0)
+    time = np.arange(80) * 4.0
+    xy = np.stack([100 * time, 50 * time], 1) + 25 * rng.standard_normal((80, 2))
+    xy[40] += 3000
+    path = tmp_path / "flight.csv"
+    path.write_text("t,x,y\n" + "".join(f"{t},{x},{y}\n" for t, (x, y) in zip(time, xy, strict=True)))
+    return path
+
+
+def test_track_writes_a_table_a_figure_and_a_summary(noisy_track, tmp_path, capsys):
+    arguments = ["track", str(noisy_track), "--out", str(tmp_path / "out"), "--json", str(tmp_path / "s.json")]
+    assert cli.main(arguments) == 0
+    rows = list(csv.DictReader((tmp_path / "out/flight.csv").read_text().splitlines()))
+    assert len(rows) == 80
+    assert rows[40]["outlier"] == "1"
+    assert sum(int(row["outlier"]) for row in rows) <= 3
+    assert abs(float(rows[40]["x"]) - 100 * 160) < 300 < abs(float(rows[40]["raw_x"]) - 100 * 160)
+    assert (tmp_path / "out/flight.png").read_bytes().startswith(b"\x89PNG")
+    summary = json.loads((tmp_path / "s.json").read_text())["tracks"][0]
+    assert summary["steps"] == 80
+    assert "outliers" in capsys.readouterr().out
+
+
+def test_track_estimates_between_the_fixes_and_says_that_nothing_was_measured_there(noisy_track):
+    (result,) = track(readers.read(noisy_track), dt=1.0)
+    assert len(result.time) == 79 * 4 + 1
+    np.testing.assert_array_equal(result.flags["missing"], np.arange(len(result.time)) % 4 != 0)
+    assert np.isfinite(result.position).all()
+
+
+@pytest.mark.parametrize("name", ["srckf", "asrckf", "fra_srckf"])
+def test_several_tracks_at_once_are_filtered_as_if_alone(noisy_track, name):
+    (recording,) = readers.read(noisy_track)
+    short = readers.Recording("b", recording.time[:30], recording.position[:30] * 2, None, {})
+    high = np.concatenate([recording.position, np.full((80, 1), 7.0)], 1)
+    space = readers.Recording("c", recording.time, high, None, {})
+    together = track([recording, short, space], name)
+    for one, several in zip([recording, short, space], together, strict=True):
+        (alone,) = track([one], name)
+        np.testing.assert_allclose(several.position, alone.position, rtol=1e-9)
+        np.testing.assert_array_equal(several.flags["outlier"], alone.flags["outlier"])
+
+
+def test_track_gives_latitudes_back_where_the_file_had_some(tmp_path):
+    records = [{"timestamp": 1000 * k, "latitude": 48 + 1e-3 * k, "longitude": 2.0, "altitude": 3000, "icao24": "abc"}
+               for k in range(20)]  # fmt: skip
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps(records))
+    (result,) = track(readers.read(path))
+    np.testing.assert_allclose(result.columns()["latitude"], 48 + 1e-3 * np.arange(20), atol=2e-4)
+
+
+def test_compare_runs_a_scenario_through_filters(tmp_path, capsys):
+    arguments = ["compare", "--scenario", "bearings-outliers", "--filters", "srckf,fra", "--runs", "20", "--seed", "3",
+                 "--json", str(tmp_path / "r.json"), "--figure", str(tmp_path / "f.png")]  # fmt: skip
+    assert cli.main(arguments) == 0
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert result["runs"] == 20
+    assert result["seed"] == 3
+    assert result["filters"].keys() == {"srckf", "fra"}
+    assert result["filters"]["fra"]["mean_rmse_position"] < result["filters"]["srckf"]["mean_rmse_position"]
+    assert len(result["filters"]["fra"]["rmse_velocity"]) == 100
+    assert "torch" in result["versions"]
+    assert (tmp_path / "f.png").exists()
+    assert "srckf" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("sensor", ["bearings", "radar"])
+def test_compare_runs_recorded_tracks_through_filters(noisy_track, tmp_path, sensor):
+    arguments = ["compare", str(noisy_track), "--sensor", sensor, "--filters", "ukf,fra", "--steps", "60", "--quiet",
+                 "--json", str(tmp_path / "r.json"), "--figure", str(tmp_path / "f.png")]  # fmt: skip
+    assert cli.main(arguments) == 0
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert result["settings"]["sensor"] == sensor
+    assert result["filters"]["ukf"]["relative_time"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["compare"], "files or --scenario"),
+        (["compare", "--scenario", "nowhere"], "bearings-outliers"),
+        (["compare", "--scenario", "bearings-outliers", "--filters", "kalman"], "received kalman"),
+        (["compare", "--scenario", "bearings-outliers", "--outliers", "wild"], "'wild'"),
+        (["compare", "--scenario", "bearings-outliers", "--runs", "-1"], "received -1"),
+        (["track", "missing.csv"], "missing.csv"),
+        (["track", "{file}", "--filter", "kalman"], "kalman"),
+        (["track", "{file}", "--sigma", "-1"], "std"),
+        (["track", "{file}", "--dt", "0"], "dt"),
+    ],
+)
+def test_bad_arguments_are_answered_with_one_line_and_code_2(
+    arguments, said, noisy_track, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    assert cli.main([a.format(file=noisy_track) for a in arguments]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_file_that_cannot_be_finished_leaves_the_old_one_as_it_was(tmp_path):
+    from torchfra.files import write
+
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    with pytest.raises(RuntimeError):
+        write(path, lambda file: (_ for _ in ()).throw(RuntimeError()))
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_python_m_torchfra_is_the_command():
+    done = subprocess.run([sys.executable, "-m", "torchfra", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("torchfra ")
