@@ -2,8 +2,8 @@
 
     python scripts/benchmark.py --batch 1,10000 --filters ukf,srckf,fra_srckf,fra
 
-Prints microseconds per track and step: median and interquartile range of several passes, the filters in turn.  Tracks are
-those of the scenario named; FRA's time depends on how many of its steps are abnormal, and that share is printed too.
+Prints microseconds per track and step: median and interquartile range of several passes, the filters in turn.  Tracks
+are those of the scenario named; FRA's time depends on how many of its steps are abnormal, and that share is printed.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ class Fading(nn.Module):
         states: which state components fade.
         trace: ``"full"`` compares whole traces, ``"position"`` those of the faded components.
 
-    A trace that is not a number gives a factor of 1.
+    A trace that is zero or not a number gives a factor of 1.
 
     Raises:
         ValueError: a value out of its range.
@@ -92,15 +92,22 @@ class Fading(nn.Module):
         """
         d = whitened.reads
         root = prediction.belief.scale_tril[..., :d, :d]
-        h = torch.linalg.solve_triangular(root, whitened.slope, upper=False, left=False)
+        # A prediction that is certain of something, or came from nothing uncertain, has nothing to fade: it is divided
+        # by ones instead, and gets a factor of 1 in the end.
+        certain = root.diagonal(dim1=-2, dim2=-1) == 0
+        h = torch.linalg.solve_triangular(
+            root + torch.diag_embed(certain.to(root)), whitened.slope, upper=False, left=False
+        )
         noise = h @ prediction.noise[..., :d, :]
         excess = memory.moment - noise @ noise.mT
         excess = excess - self.weakening().to(excess)[..., None, None] * torch.diag_embed(1 / weights)
         trace_n = (gram_pinv(h, self.rcond) * excess).sum((-2, -1))  # eq. (32)
         spread = prediction.spread if self.trace == "full" else prediction.spread[..., self.states, :]
-        ratio = trace_n / spread.square().sum((-2, -1))  # eqs. (33)-(34)
-        ratio = torch.where(ratio.isfinite(), ratio, 1.0)
-        return torch.minimum(ratio.clamp_min(1.0), self.fading_max().to(ratio))
+        trace_j = spread.square().sum((-2, -1))  # eq. (33)
+        nothing = certain.any(-1) | (trace_j == 0)
+        ratio = trace_n / torch.where(nothing, 1.0, trace_j)
+        ratio = torch.where(nothing | ~ratio.isfinite(), 1.0, ratio)
+        return torch.minimum(ratio.clamp_min(1.0), self.fading_max().to(ratio))  # eq. (34)
 
     def inflate(self, prediction: Prediction, factor: Tensor) -> Prediction:
         """The prediction with ``factor (...)`` on the covariance of the faded states; its mean stays.

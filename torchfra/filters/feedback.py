@@ -14,7 +14,7 @@ from torchfra.cubature import Rule, third_degree
 from torchfra.filters.base import Filter, Record
 from torchfra.filters.frames import Frame
 from torchfra.filters.select import select, where_needed
-from torchfra.filters.srckf import SRCKF, correct, innovation, trust
+from torchfra.filters.srckf import compare, correct, innovation, predict, trust
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg import is_traced
 from torchfra.motion import Motion
@@ -103,7 +103,8 @@ class FRA(Filter):
         ):
             if value not in known:
                 raise ValueError(f"{name}: expected one of {known}, received {value!r}")
-        self.base = SRCKF(motion, sensor, rule=rule)
+        whole = rule(motion.size)
+        self.motion_rule, self.sensor_rule = whole, whole.marginal(sensor.reads)
         self.robust, self.adaptive = robust, adaptive
         self.gate = Hyper(gate, name="gate")
         self.decision, self.memory, self.final = decision, memory, final
@@ -118,8 +119,7 @@ class FRA(Filter):
         """See ``Filter``."""
         chosen = self._where(state.abnormal, self.prefer, (state.belief, state.adaptive, frame), state.abnormal)
         settled = select(chosen, state.adaptive, state.belief)
-        prediction = self.base.predict(settled, frame)
-        whitened = self.base.compare(prediction.belief, frame)
+        prediction, whitened = self.look(settled, frame)
         plain, root, normalised = correct(prediction.belief, whitened)
         residual, nis = whitened.residual, normalised.square().sum(-1)  # eq. (35)
         abnormal = nis > self.gate().to(nis)  # eq. (36)
@@ -135,10 +135,16 @@ class FRA(Filter):
         state = FRAState(robust, adaptive, plain, settled, abnormal, memory)
         return state, Record(robust, residual, root, normalised, info)
 
+    def look(self, belief: Gaussian, frame: Frame) -> tuple[Prediction, Whitened]:
+        """The prediction of a step, and the measurement against it."""
+        prediction = predict(self.motion, self.motion_rule, belief, frame)
+        return prediction, compare(self.sensor, self.sensor_rule, prediction.belief, frame)
+
     def prefer(self, robust: Gaussian, adaptive: Gaussian, frame: Frame) -> Tensor:
         """``(...)`` bool: the adaptive branch predicts this measurement better; a tie goes to the robust one."""
         both = Gaussian(*(torch.stack(torch.broadcast_tensors(*pair)) for pair in zip(robust, adaptive, strict=True)))
-        root, normalised = innovation(self.base.compare(self.base.predict(both, frame).belief, frame))
+        _, whitened = self.look(both, frame)
+        root, normalised = innovation(whitened)
         score = -normalised.square().sum(-1)
         if self.decision == "likelihood":
             score = 0.5 * score - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
@@ -151,7 +157,7 @@ class FRA(Filter):
         robust, _, _ = correct(prediction.belief, trust(whitened, weights))  # eqs. (25)-(26)
         factor = self.adaptive(prediction, whitened, memory, torch.ones_like(weights))
         faded = self.adaptive.inflate(prediction, factor).belief  # eqs. (29)-(34)
-        adaptive, _, _ = correct(faded, self.base.compare(faded, frame))
+        adaptive, _, _ = correct(faded, compare(self.sensor, self.sensor_rule, faded, frame))
         return robust, adaptive, factor
 
     def finish(self, state: FRAState, records: list[Record]) -> tuple[list[Gaussian], list[FRAInfo]]:

@@ -70,8 +70,8 @@ class SRCKF(Filter):
 
     def advance(self, state: State, frame: Frame) -> tuple[State, Record]:
         """See ``Filter``."""
-        prediction = self.predict(state.belief, frame)
-        whitened = self.compare(prediction.belief, frame)
+        prediction = predict(self.motion, self.motion_rule, state.belief, frame)
+        whitened = compare(self.sensor, self.sensor_rule, prediction.belief, frame)
         if self.robust is None and self.adaptive is None:
             belief, root, normalised = correct(prediction.belief, whitened)
             return State(belief, None), Record(belief, whitened.residual, root, normalised, Info(None, None))
@@ -82,31 +82,10 @@ class SRCKF(Filter):
             memory = self.adaptive.remember(memory, residual, frame.seen)
             factor = self.adaptive(prediction, whitened, memory, weights)
             prediction = self.adaptive.inflate(prediction, factor)  # eq. (29)
-            whitened = self.compare(prediction.belief, frame)
+            whitened = compare(self.sensor, self.sensor_rule, prediction.belief, frame)
         belief, _, _ = correct(prediction.belief, trust(whitened, weights))
         info = Info(None if self.robust is None else weights, factor)
         return State(belief, memory), Record(belief, residual, root, normalised, info)
-
-    def predict(self, belief: Gaussian, frame: Frame) -> Prediction:
-        """Time update: eqs. (8)-(13)."""
-        mean, root = belief
-        if frame.transition is not None:
-            mean, spread = apply(frame.transition, mean), frame.transition @ root
-            mean = mean if frame.shift is None else mean + frame.shift
-        else:
-            u = None if frame.u is None else frame.u.unsqueeze(-2)
-            moved = self.motion_rule(lambda x: self.motion(x, frame.dt.unsqueeze(-1), u), belief, torch.sub)
-            mean, spread = moved
-        return Prediction(Gaussian(mean, tria(hstack(spread, frame.process))), spread, frame.process)
-
-    def compare(self, belief: Gaussian, frame: Frame) -> Whitened:
-        """The measurement against a predicted belief, in units of its noise: eqs. (14)-(21)."""
-        d, sensor = self.sensor.reads, self.sensor
-        u = None if frame.u is None else frame.u.unsqueeze(-2)
-        seen = Gaussian(belief.mean[..., :d], belief.scale_tril[..., :d, :d])  # lower triangular: the marginal's root
-        value, spread = self.sensor_rule(lambda x: sensor(x, u), seen, sensor.difference)
-        residual = frame.noise.whiten(sensor.difference(frame.z, value).unsqueeze(-1)).squeeze(-1)
-        return Whitened(residual, frame.noise.whiten(spread), d)
 
     def weigh(self, whitened: Whitened, normalised: Tensor) -> Tensor:
         """Robust weights ``(..., m)``; ones if nothing is robust."""
@@ -114,6 +93,28 @@ class SRCKF(Filter):
             return torch.ones_like(whitened.residual)
         weights: Tensor = self.robust(whitened.residual, normalised.square().sum(-1))
         return weights
+
+
+def predict(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Prediction:
+    """Time update: eqs. (8)-(13)."""
+    mean, root = belief
+    if frame.transition is not None:
+        mean, spread = apply(frame.transition, mean), frame.transition @ root
+        mean = mean if frame.shift is None else mean + frame.shift
+    else:
+        u = None if frame.u is None else frame.u.unsqueeze(-2)
+        mean, spread = rule(lambda x: motion(x, frame.dt.unsqueeze(-1), u), belief, torch.sub)
+    return Prediction(Gaussian(mean, tria(hstack(spread, frame.process))), spread, frame.process)
+
+
+def compare(sensor: Sensor, rule: Rule, belief: Gaussian, frame: Frame) -> Whitened:
+    """The measurement against a predicted belief, in units of its noise: eqs. (14)-(21)."""
+    d = sensor.reads
+    u = None if frame.u is None else frame.u.unsqueeze(-2)
+    seen = Gaussian(belief.mean[..., :d], belief.scale_tril[..., :d, :d])  # lower triangular: the marginal's root
+    value, spread = rule(lambda x: sensor(x, u), seen, sensor.difference)
+    residual = frame.noise.whiten(sensor.difference(frame.z, value).unsqueeze(-1)).squeeze(-1)
+    return Whitened(residual, frame.noise.whiten(spread), d)
 
 
 def innovation(whitened: Whitened) -> tuple[Tensor, Tensor]:

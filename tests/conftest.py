@@ -1,0 +1,39 @@
+"""What several test files share."""
+
+import copy
+
+import pytest
+import torch
+
+from torchfra import presets, scenarios
+
+PRESETS = ["ekf", "ukf", "srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "fra_srckf", "fra"]
+STEPS = 12
+
+
+@pytest.fixture(scope="session")
+def scenario():
+    """Outliers, and an initial state near the truth."""
+    return scenarios.bearings_outliers("std", initial="truth")
+
+
+@pytest.fixture(scope="session")
+def tracks(scenario):
+    """Four short tracks: an outlier, a missing element, a missing step."""
+    t = scenario.simulate(4, 0)
+    z = t.z[:, :STEPS].clone()
+    z[0, 3, 0] = torch.nan
+    z[1, 5] = torch.nan
+    z[2, 4, 1] += 0.3
+    return t._replace(z=z, u=t.u[:STEPS], truth=t.truth[:, :STEPS])
+
+
+@pytest.fixture
+def make(scenario):
+    """Makes a preset with models of its own, so that one that learns does not change another."""
+
+    def build(name, **options):
+        motion, sensor = copy.deepcopy(scenario.motion), copy.deepcopy(scenario.sensor)
+        return getattr(presets, name)(motion, sensor, **options)
+
+    return build

@@ -1,0 +1,221 @@
+"""What every filter promises, whatever it computes."""
+
+import pytest
+import torch
+from conftest import PRESETS, STEPS
+
+import torchfra
+from torchfra import presets
+from torchfra.motion import ConstantAcceleration
+from torchfra.sensors import Bearings
+from torchfra.types import Gaussian
+
+pytestmark = pytest.mark.parametrize("name", PRESETS)
+
+
+def same(a, b, tolerance=1e-10):
+    torch.testing.assert_close(a, b, rtol=tolerance, atol=tolerance * 1e3, equal_nan=True)
+
+
+def one(prior, i):
+    return Gaussian(prior.mean[i], prior.scale_tril)
+
+
+def test_shapes(name, make, tracks):
+    e = make(name)(tracks.z, tracks.prior, u=tracks.u)
+    assert e.mean.shape == (4, STEPS, 6)
+    assert e.scale_tril.shape == (4, STEPS, 6, 6)
+    assert e.nis.shape == e.log_likelihood.shape == (4, STEPS)
+    assert not e.failed.any()
+    for part in e.info:
+        if isinstance(part, torch.Tensor):
+            assert part.shape[:2] == (4, STEPS)
+    same(e.to_distribution().covariance_matrix, e.covariance)
+
+
+def test_a_batch_is_a_loop_over_tracks_and_a_single_track_needs_no_batch(name, make, tracks):
+    f = make(name)
+    batch = f(tracks.z, tracks.prior, u=tracks.u)
+    for i in range(4):
+        alone = f(tracks.z[i], one(tracks.prior, i), u=tracks.u)
+        same(alone.mean, batch.mean[i], 1e-7)
+        same(alone.log_likelihood, batch.log_likelihood[i], 1e-7)
+
+
+def test_streaming_gives_what_whole_sequences_give(name, make, tracks):
+    f = make(name)
+    e = f(tracks.z, tracks.prior, u=tracks.u)
+    state = f.init(tracks.prior)
+    late = hasattr(state, "settled")
+    for k in range(STEPS):
+        state, innovation = f.step(state, tracks.z[:, k], u=tracks.u[k])
+        same(state.belief.mean, (e.info.provisional.mean if late else e.mean)[:, k])
+        if late and k:
+            same(state.settled.mean, e.mean[:, k - 1])
+        same(innovation.nis, e.nis[:, k])
+        same(innovation.log_likelihood, e.log_likelihood[:, k])
+
+
+def test_time_steps_may_differ_per_step_and_per_track(name, make, tracks):
+    f = make(name)
+    dt = 0.5 + torch.rand(4, STEPS, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    both = f(tracks.z, tracks.prior, u=tracks.u, dt=dt)
+    per_track = f(tracks.z, tracks.prior, u=tracks.u, dt=dt[:, :1])
+    per_step = f(tracks.z, tracks.prior, u=tracks.u, dt=dt[0])
+    for i in range(4):
+        same(both.mean[i], f(tracks.z[i], one(tracks.prior, i), u=tracks.u, dt=dt[i]).mean, 1e-7)
+        same(per_track.mean[i], f(tracks.z[i], one(tracks.prior, i), u=tracks.u, dt=float(dt[i, 0])).mean, 1e-7)
+    same(per_step.mean[0], both.mean[0], 1e-7)
+
+
+def test_a_missing_step_is_a_pure_prediction(name, make, tracks):
+    f = make(name)
+    e = f(tracks.z, tracks.prior, u=tracks.u)
+    f_matrix = f.motion.transition(torch.tensor(1.0, dtype=torch.float64))
+    noise = f.motion.noise(torch.tensor(1.0, dtype=torch.float64))
+    same(e.mean[1, 5], f_matrix @ e.mean[1, 4])
+    same(e.covariance[1, 5], f_matrix @ e.covariance[1, 4] @ f_matrix.mT + noise @ noise.mT)
+    assert e.nis[1, 5] == 0
+
+
+def test_a_track_that_loses_its_numbers_is_reported_and_leaves_the_others_alone(name, make, tracks):
+    f = make(name)
+    mean = tracks.prior.mean.clone()
+    mean[1, 0] = torch.nan
+    e = f(tracks.z, Gaussian(mean, tracks.prior.scale_tril), u=tracks.u)
+    assert e.failed.tolist() == [False, True, False, False]
+    same(e.mean[[0, 2, 3]], f(tracks.z, tracks.prior, u=tracks.u).mean[[0, 2, 3]])
+
+
+def test_results_have_the_dtype_of_the_measurements(name, make, tracks):
+    f = make(name)
+    single, double = f(tracks.z.float(), tracks.prior, u=tracks.u), f(tracks.z, tracks.prior, u=tracks.u)
+    assert single.mean.dtype == single.scale_tril.dtype == single.nis.dtype == torch.float32
+    assert (single.mean[..., :2] - double.mean[..., :2]).abs().max() < 1
+
+
+def test_nothing_handed_in_is_changed_and_nothing_is_kept(name, make, tracks):
+    f = make(name)
+    before = [x.clone() for x in (tracks.z, *tracks.prior, tracks.u)]
+    first, second = (f(tracks.z, tracks.prior, u=tracks.u) for _ in range(2))
+    for x, y in zip(before, (tracks.z, *tracks.prior, tracks.u), strict=True):
+        torch.testing.assert_close(x, y, rtol=0, atol=0, equal_nan=True)
+    torch.testing.assert_close(first.mean, second.mean, rtol=0, atol=0)
+
+
+def test_learned_values_load_into_a_fixed_filter(name, make, tracks):
+    learned = make(name, learn=("q", "std"))
+    with torch.no_grad():
+        for p in learned.parameters():
+            p += 0.3
+    fixed = make(name)
+    fixed.load_state_dict(learned.state_dict())
+    assert not list(fixed.parameters())
+    same(fixed(tracks.z, tracks.prior, u=tracks.u).mean, learned(tracks.z, tracks.prior, u=tracks.u).mean.detach())
+
+
+def test_gradients_of_every_learnable_value_are_those_of_finite_differences(name, make, tracks):
+    names = {path.rpartition(".")[2] for path, part in make(name).named_modules() if isinstance(part, torchfra.Hyper)}
+    f = make(name, learn=names - {"gate"})  # a hard decision has no gradient in its gate
+    paths, values = zip(*((p, v.detach().clone().requires_grad_()) for p, v in f.named_parameters()), strict=True)
+    # Benign tracks, a start 60 m off: the robust and the adaptive side both act, and no step sits on an edge.
+    z = tracks.z.clone()
+    z[2, 4, 1] -= 0.25
+    prior = Gaussian(
+        tracks.prior.mean + torch.tensor([60.0, -60, 0, 0, 0, 0], dtype=torch.float64), tracks.prior.scale_tril
+    )
+
+    def loss(*values):
+        call = dict(zip(paths, values, strict=True))
+        e = torch.func.functional_call(f, call, (z[:, :6], prior), {"u": tracks.u[:6]})
+        return e.mean / 100, e.log_likelihood
+
+    assert torch.autograd.gradcheck(loss, values, eps=1e-6, rtol=1e-4, atol=1e-5)
+
+
+def test_gradients_flow_in_from_missing_data_and_out_to_the_prior(name, make, tracks):
+    f = make(name)
+    z, mean = tracks.z.clone().requires_grad_(), tracks.prior.mean.clone().requires_grad_()
+    e = f(z, Gaussian(mean, tracks.prior.scale_tril), u=tracks.u)
+    (e.mean.square().sum() + e.log_likelihood.sum() + e.scale_tril.square().sum()).backward()
+    assert z.grad.isfinite().all()
+    assert mean.grad.isfinite().all()
+    assert (z.grad[tracks.z.isnan()] == 0).all()
+    assert (mean.grad != 0).any()
+
+
+def test_no_initial_uncertainty_has_finite_gradients(name, make, tracks):
+    f = make(name, learn=("q", "std"))
+    prior = Gaussian(tracks.prior.mean, torch.zeros_like(tracks.prior.scale_tril))
+    e = f(tracks.z, prior, u=tracks.u)
+    assert not e.failed.any()
+    e.mean.square().mean().backward()
+    assert all(p.grad.isfinite().all() for p in f.parameters())
+
+
+@pytest.mark.slow
+def test_it_compiles_whole(name, make, tracks):
+    f = make(name)
+    torch._dynamo.reset()
+    compiled = torch.compile(f, fullgraph=True, backend="eager")
+    z, u = tracks.z[:, :3].clone(), tracks.u[:3]
+    z[0, 1] += 0.4
+    same(compiled(z, tracks.prior, u=u).mean, f(z, tracks.prior, u=u).mean)
+
+
+def test_it_maps_over_tracks(name, make, tracks):
+    f = make(name)
+    mapped = torch.func.vmap(lambda z, mean: f(z, Gaussian(mean, tracks.prior.scale_tril), u=tracks.u).mean)
+    same(mapped(tracks.z, tracks.prior.mean), f(tracks.z, tracks.prior, u=tracks.u).mean, 1e-7)
+
+
+def test_it_maps_over_hyperparameters_and_takes_a_batch_of_them(name, make, tracks):
+    q = torch.tensor([0.001, 0.01, 0.3], dtype=torch.float64)
+    sensor = Bearings(torch.tensor([0.01, 0.02, 0.03], dtype=torch.float64).reshape(3, 1, 1).expand(3, 1, 2))
+    preset = getattr(presets, name)
+    batch = preset(ConstantAcceleration(q.unsqueeze(-1)), sensor)(tracks.z, tracks.prior, u=tracks.u)
+    assert batch.mean.shape == (3, 4, STEPS, 6)
+    for i in range(3):
+        alone = preset(ConstantAcceleration(float(q[i])), Bearings(0.01 * (i + 1)))
+        same(batch.mean[i], alone(tracks.z, tracks.prior, u=tracks.u).mean, 1e-6)
+    f = make(name)
+    mapped = torch.func.vmap(
+        lambda raw: torch.func.functional_call(f, {"motion.q.raw": raw}, (tracks.z, tracks.prior), {"u": tracks.u}).mean
+    )
+    same(mapped(q.log())[1], f(tracks.z, tracks.prior, u=tracks.u).mean, 1e-7)
+
+
+def test_noise_may_come_with_the_measurements(name, make, tracks):
+    f, sharp = make(name), getattr(presets, name)(ConstantAcceleration(0.01), Bearings(0.05))
+    std = torch.full_like(tracks.z, 0.05)
+    expected = sharp(tracks.z, tracks.prior, u=tracks.u).mean
+    same(f(tracks.z, tracks.prior, u=tracks.u, std=std).mean, expected, 1e-7)
+    same(f(tracks.z, tracks.prior, u=tracks.u, noise=torch.diag_embed(std)).mean, expected, 1e-7)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"z": torch.zeros(4, STEPS, 3)}, r"z: expected \(\.\.\., T, 2\), received \(4, 12, 3\)"),
+        ({"z": torch.zeros(2)}, "z: expected"),
+        ({"z": torch.zeros(4, STEPS, 2, dtype=torch.int64)}, "floating point"),
+        ({"prior": Gaussian(torch.zeros(4), torch.eye(4))}, r"prior.mean: expected \(\.\.\., 6\), received \(4,\)"),
+        ({"prior": Gaussian(torch.zeros(6), torch.eye(5))}, "prior.scale_tril"),
+        ({"prior": Gaussian(torch.zeros(3, 6), torch.eye(6))}, "broadcast"),
+        ({"u": torch.zeros(5, 4)}, r"u: expected \(\.\.\., 12, k\), received \(5, 4\)"),
+        ({"u": None}, "u: expected the positions of 2 stations"),
+        ({"dt": 0.0}, "dt: expected seconds above 0"),
+        ({"dt": torch.ones(5)}, "dt: expected a number"),
+        ({"std": torch.ones(4, STEPS, 3)}, "std: expected"),
+        ({"noise": torch.ones(4, STEPS, 2)}, "noise: expected"),
+    ],
+)
+def test_what_does_not_fit_is_named(name, make, tracks, change, said):
+    given = {"z": tracks.z, "prior": tracks.prior, "u": tracks.u} | change
+    with pytest.raises(ValueError, match=said):
+        make(name)(given.pop("z"), given.pop("prior"), **given)
+
+
+def test_an_unknown_name_to_learn_is_answered_with_the_known_ones(name, make):
+    with pytest.raises(ValueError, match=r"'q'.*received 'gamma'"):
+        make(name, learn=("gamma",))

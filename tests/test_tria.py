@@ -1,0 +1,119 @@
+"""``tria`` gives the one lower root with a non-negative diagonal, and its exact gradient, also where rank is lost."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from torchfra.linalg import gram_pinv, hstack, tria, whiten
+
+torch.manual_seed(0)
+
+
+def random(*shape, dtype=torch.float64, seed=0):
+    return torch.randn(*shape, dtype=dtype, generator=torch.Generator().manual_seed(seed))
+
+
+def slope(a, direction, h=1e-6):
+    """Directional derivative of a weighted sum of L: by differences, and by the gradient."""
+    weights = random(a.shape[0], a.shape[0], seed=9)
+    numeric = ((tria(a + h * direction) - tria(a - h * direction)) / (2 * h) * weights).sum()
+    a = a.clone().requires_grad_()
+    (gradient,) = torch.autograd.grad((tria(a) * weights).sum(), a)
+    assert gradient.isfinite().all()
+    return numeric.item(), (gradient * direction).sum().item()
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    n=st.integers(1, 7),
+    p=st.integers(1, 12),
+    batch=st.lists(st.integers(1, 3), max_size=2),
+    dtype=st.sampled_from([torch.float32, torch.float64]),
+    seed=st.integers(0, 1000),
+)
+def test_it_is_a_lower_root_with_a_non_negative_diagonal(n, p, batch, dtype, seed):
+    a = random(*batch, n, p, dtype=dtype, seed=seed)
+    root = tria(a)
+    assert root.dtype == dtype
+    assert root.shape == (*batch, n, n)
+    tolerance = 100 * torch.finfo(dtype).eps
+    torch.testing.assert_close(root @ root.mT, a @ a.mT, rtol=tolerance, atol=tolerance * 10)
+    assert (root.triu(1) == 0).all()
+    assert (root.diagonal(dim1=-2, dim2=-1) >= 0).all()
+
+
+def test_at_full_rank_it_is_the_cholesky_factor():
+    a = random(5, 4, 9)
+    torch.testing.assert_close(tria(a), torch.linalg.cholesky(a @ a.mT))
+
+
+def test_a_matrix_that_leads_with_zeros_can_say_so():
+    a = random(3, 4, 6)
+    led = torch.cat([torch.zeros(3, 4, 4, dtype=a.dtype), a], -1)
+    torch.testing.assert_close(tria(led, led=True), tria(a), rtol=0, atol=0)
+
+
+def test_the_eager_shortcut_equals_torch_linalg_qr():
+    a = random(6, 4, 7)
+    torch.testing.assert_close(torch.func.vmap(tria)(a), tria(a), rtol=1e-14, atol=1e-14)
+    torch.testing.assert_close(tria(a.clone().requires_grad_()).detach(), tria(a), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("shape", [(3, 5), (4, 4), (2, 3, 7)])
+def test_gradients_of_both_orders_are_exact(shape):
+    a = random(*shape).requires_grad_()
+    assert torch.autograd.gradcheck(tria, a)
+    assert torch.autograd.gradgradcheck(tria, a)
+
+
+@pytest.mark.parametrize("row", range(5))
+def test_the_gradient_is_exact_beside_a_zero_row_and_a_zero_column(row):
+    a, direction = random(5, 8), random(5, 8, seed=1)
+    a[row], a[:, 3], direction[row] = 0, 0, 0
+    numeric, exact = slope(a, direction)
+    assert exact == pytest.approx(numeric, rel=1e-6)
+
+
+def test_the_gradient_is_exact_without_initial_uncertainty_and_with_noise_of_low_rank():
+    gamma = torch.tensor([0.5, 1.0, 1.0], dtype=torch.float64)
+    a = torch.cat([torch.zeros(6, 6), torch.kron(gamma.unsqueeze(-1), torch.eye(2))], 1).double()
+    assert (tria(a).diagonal() > 0).sum() == 2
+    for seed in range(5):
+        change = torch.zeros(6, 8, dtype=torch.float64)
+        change[0::2, 6], change[1::2, 7] = random(3, seed=seed), random(3, seed=seed + 50)
+        numeric, exact = slope(a, change)
+        assert exact == pytest.approx(numeric, rel=1e-6)
+
+
+def test_a_matrix_of_zeros_has_finite_gradients():
+    a = torch.zeros(2, 3, 4, dtype=torch.float64, requires_grad=True)
+    tria(a).sum().backward()
+    assert a.grad.isfinite().all()
+
+
+def test_one_broken_matrix_leaves_the_others_alone():
+    a = random(3, 4, 6)
+    broken = a.clone()
+    broken[1, 0, 0] = torch.nan
+    torch.testing.assert_close(tria(broken)[[0, 2]], tria(a)[[0, 2]], rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("rcond", [0.0, 0.1, 0.6])
+@pytest.mark.parametrize("shape", [(2, 2), (3, 2), (2, 3), (4, 2, 2)])
+def test_gram_pinv_is_that_of_the_truncated_pseudo_inverse(shape, rcond):
+    h = random(*shape, seed=1).requires_grad_()
+    pinv = np.linalg.pinv(h.detach().numpy(), rcond=rcond or 1e-15)
+    torch.testing.assert_close(gram_pinv(h, rcond).detach(), torch.from_numpy(np.swapaxes(pinv, -1, -2) @ pinv))
+    assert torch.autograd.gradcheck(lambda x: gram_pinv(x, rcond), h)
+
+
+def test_gram_pinv_has_a_gradient_where_singular_values_coincide():
+    assert torch.autograd.gradcheck(lambda x: gram_pinv(x, 0.1), torch.eye(3, dtype=torch.float64, requires_grad=True))
+
+
+def test_small_helpers():
+    assert hstack(torch.ones(3, 2, 1), torch.zeros(2, 4)).shape == (3, 2, 5)
+    root, v = tria(random(4, 3, 5)), random(4, 3)
+    torch.testing.assert_close((root @ whiten(root, v).unsqueeze(-1)).squeeze(-1), v)
