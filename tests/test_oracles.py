@@ -1,0 +1,71 @@
+"""Every filter agrees with plain numpy loops over 100 steps, whatever is missing."""
+
+import numpy as np
+import oracles
+import pytest
+import torch
+
+from torchfra import presets, scenarios
+
+CASES = [
+    ("srckf", "srckf", {}),
+    ("ukf", "ukf", {}),
+    ("ukf", "ukf", {"alpha": 0.5, "beta": 2.0, "kappa": 0.0}),
+    ("ekf", "ekf", {}),
+    ("rsrckf", "rsrckf", {}),
+    ("rsrckf", "rsrckf", {"threshold": 0.7}),
+    ("mr_ckf", "mr_ckf", {}),
+    ("asrckf", "asrckf", {}),
+    ("asrckf", "asrckf", {"trace": "position", "weakening": 1.5, "forgetting": 0.8}),
+    ("rmckf", "rmckf", {}),
+] + [
+    ("fra_srckf", "fra", {"decision": d, "memory": m, "final": f, "rcond": r})
+    for d, m, f, r in (
+        ("normalised", "plain", "robust", 0.1),
+        ("normalised", "weighted", "adaptive", 0.2),
+        ("likelihood", "plain", "plain", 0.1),
+        ("likelihood", "weighted", "robust", 0.2),
+    )
+]
+
+
+@pytest.fixture(scope="module", params=["bearings_outliers", "bearings_manoeuvre"])
+def experiment(request):
+    scenario = getattr(scenarios, request.param)("std", initial="truth")
+    tracks = scenario.simulate(3, 5)
+    z = tracks.z.clone()
+    z[0, 7, 0] = z[1, 0, 1] = torch.nan
+    z[1, 20:23] = z[2, 0] = torch.nan
+    z[2, 99] += 0.2  # an abnormal last step
+    return scenario, tracks._replace(z=z)
+
+
+@pytest.mark.parametrize(("preset", "oracle", "options"), CASES, ids=str)
+def test_a_filter_agrees_with_its_oracle(experiment, preset, oracle, options):
+    scenario, tracks = experiment
+    F, SQ = oracles.ca(1.0, 0.01)
+    places = tracks.u.numpy().reshape(100, 2, 2)
+    std = scenario.sensor.std().item()
+    model = oracles.Model(F, SQ, std * np.eye(2), lambda x, k: oracles.bearings(x, places[k]), np.array([True, True]))
+    e = getattr(presets, preset)(scenario.motion, scenario.sensor, **options)(tracks.z, tracks.prior, u=tracks.u)
+    covariance = (tracks.prior.scale_tril @ tracks.prior.scale_tril.mT).numpy()
+    # The oracle's EKF takes its Jacobian from finite differences.
+    tolerance = 1e-5 if oracle == "ekf" else 1e-9
+    for i in range(3):
+        said = getattr(oracles, oracle)(tracks.z[i].numpy(), tracks.prior.mean[i].numpy(), covariance, model, **options)
+        mean, P = e.mean[i].numpy(), e.covariance[i].numpy()
+        np.testing.assert_allclose(mean, said["mean"], rtol=tolerance, atol=tolerance * np.abs(mean).max())
+        np.testing.assert_allclose(P, said["P"], rtol=tolerance * 10, atol=tolerance * np.abs(P).max())
+        np.testing.assert_allclose(e.nis[i].numpy(), said["nis"], rtol=tolerance * 1e3, atol=tolerance * 1e3)
+        np.testing.assert_allclose(e.log_likelihood[i].numpy(), said["log_likelihood"], rtol=tolerance * 1e3, atol=tolerance * 1e3)
+        info = e.info
+        if oracle == "fra":
+            np.testing.assert_array_equal(info.abnormal[i].numpy(), said["abnormal"])
+            np.testing.assert_array_equal(info.adaptive[i].numpy(), said["adaptive"])
+            np.testing.assert_allclose(info.provisional.mean[i].numpy(), said["provisional"], rtol=1e-7, atol=1e-5)
+            kept = np.where(info.adaptive[i], info.fading[i], 1.0)
+            np.testing.assert_allclose(kept, said["fading"], rtol=1e-6)
+        elif info.fading is not None:
+            np.testing.assert_allclose(info.fading[i].numpy(), said["fading"], rtol=1e-6)
+        if oracle in ("rsrckf", "rmckf", "mr_ckf"):
+            np.testing.assert_allclose(info.weights[i].numpy(), said["weights"], rtol=1e-6)
