@@ -57,7 +57,9 @@ def test_a_filter_agrees_with_its_oracle(experiment, preset, oracle, options):
         np.testing.assert_allclose(mean, said["mean"], rtol=tolerance, atol=tolerance * np.abs(mean).max())
         np.testing.assert_allclose(P, said["P"], rtol=tolerance * 10, atol=tolerance * np.abs(P).max())
         np.testing.assert_allclose(e.nis[i].numpy(), said["nis"], rtol=tolerance * 1e3, atol=tolerance * 1e3)
-        np.testing.assert_allclose(e.log_likelihood[i].numpy(), said["log_likelihood"], rtol=tolerance * 1e3, atol=tolerance * 1e3)
+        np.testing.assert_allclose(
+            e.log_likelihood[i].numpy(), said["log_likelihood"], rtol=tolerance * 1e3, atol=tolerance * 1e3
+        )
         info = e.info
         if oracle == "fra":
             np.testing.assert_array_equal(info.abnormal[i].numpy(), said["abnormal"])

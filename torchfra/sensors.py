@@ -76,7 +76,8 @@ class Sensor(nn.Module):
             if noise.dim() < 2 or noise.shape[-2] != self.size:
                 raise ValueError(f"noise: expected (..., {self.size}, r), received {tuple(noise.shape)}")
             self.root = tria(noise)
-            if not bool((self.root.diagonal(dim1=-2, dim2=-1) > 0).all()):
+            rounding = 10 * torch.finfo(noise.dtype).eps * torch.linalg.vector_norm(noise, dim=-1)
+            if not bool((self.root.diagonal(dim1=-2, dim2=-1) > rounding).all()):
                 raise ValueError("noise: expected a root of a covariance that has an inverse, received a singular one")
         self._some, self._all = any(angles), all(angles)
         self.register_buffer("angles", torch.tensor(angles), persistent=False)

@@ -1,0 +1,282 @@
+"""Rules integrate what they claim to; models follow their closed forms; hyperparameters keep to their range."""
+
+import ast
+import math
+import subprocess
+import sys
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import oracles
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import torchfra
+from torchfra import metrics
+from torchfra.cubature import tangent, third_degree, unscented
+from torchfra.hyper import Hyper, learnable
+from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn
+from torchfra.presets import fra
+from torchfra.sensors import Bearings, Position, RangeBearing, wrap
+from torchfra.types import Estimate, Gaussian
+
+
+def tensor(*values):
+    return torch.tensor(values, dtype=torch.float64)
+
+
+RULES = [third_degree, unscented(), unscented(0.5, 2.0, 0.0), unscented(1.0, 0.0, 2.0)]
+
+
+# ---------------------------------------------------------------- rules
+
+
+@pytest.mark.parametrize("n", range(1, 9))
+@pytest.mark.parametrize("rule", RULES)
+def test_polynomials_of_third_degree_have_their_exact_mean(rule, n):
+    belief = Gaussian(torch.zeros(n).double(), torch.eye(n).double())
+    for powers in product(range(4), repeat=min(n, 3)):
+        if not 0 < sum(powers) <= 3:
+            continue
+        p = tensor(*powers, *[0] * (n - len(powers)))
+        value, _ = rule(n)(lambda x, p=p: (x**p).prod(-1, keepdim=True), belief, torch.sub)
+        exact = 1.0 if sorted(powers)[-1] == 2 and sum(powers) == 2 else 0.0
+        assert value.item() == pytest.approx(exact, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "scaling", [(1.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.5, 2.0, 0.0), (1e-2, 2.0, 0.0), (1.0, 2.0, -1.0)]
+)
+def test_mean_and_covariance_are_the_textbook_sums(scaling):
+    n, (alpha, beta, kappa) = 4, scaling
+    torch.manual_seed(0)
+    root, mean = torch.randn(n, n).double().tril(), torch.randn(n).double()
+
+    def f(x):
+        return torch.stack([x[..., 0] ** 2 + x[..., 1], (x[..., 0] * x[..., 1]).sin(), x[..., 1].exp()], -1)
+
+    scale = alpha**2 * (n + kappa)
+    wm = np.full(2 * n + 1, 0.5 / scale)
+    wm[0] = 1 - n / scale
+    wc = wm.copy()
+    wc[0] += 1 - alpha**2 + beta
+    offsets = scale**0.5 * root.mT
+    values = f(torch.cat([mean[None], mean + offsets, mean - offsets])).numpy()
+    expected = wm @ values
+    covariance = ((values - expected) * wc[:, None]).T @ (values - expected)
+    rule = unscented(*scaling)(n)
+    for r, d in ((rule, n), (rule.marginal(2), 2)):
+        value, spread = r(f, Gaussian(mean[:d], root[:d, :d]), torch.sub)
+        np.testing.assert_allclose(value, expected, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(spread @ spread.mT, covariance, rtol=1e-8, atol=1e-8)
+
+
+def test_the_tangent_is_the_jacobian_times_the_root():
+    root, mean = torch.randn(3, 3).double().tril(), tensor(0.3, -0.2, 1.0)
+    value, spread = tangent(3)(lambda x: x.sin() * x[..., :1], Gaussian(mean, root), torch.sub)
+    torch.testing.assert_close(value, mean.sin() * mean[0])
+    torch.testing.assert_close(spread, torch.func.jacrev(lambda x: x.sin() * x[:1])(mean) @ root)
+
+
+def test_angles_average_across_the_cut():
+    belief = Gaussian(tensor(0.0, -100.0), 20 * torch.eye(2).double())
+    sensor = Bearings(0.01, stations=torch.zeros(1, 2).double())
+    value, spread = third_degree(2)(lambda x: sensor(x), belief, sensor.difference)
+    assert abs(wrap(value - math.pi).item()) < 1e-12
+    assert 0.15 < spread.norm() < 0.25
+
+
+def test_rules_refuse_what_has_no_real_root():
+    with pytest.raises(ValueError, match="alpha"):
+        unscented(0.0)
+    with pytest.raises(ValueError, match="kappa: expected a value above -6"):
+        unscented(1.0, 0.0, -6.0)(6)
+    with pytest.raises(ValueError, match="choose beta"):
+        unscented(1e-3, 0.0, 0.0)(6)
+
+
+# ---------------------------------------------------------------- motion
+
+
+@given(dt=st.floats(0.01, 20), q=st.floats(0, 10), rate=st.floats(-1, 1))
+@settings(deadline=None, max_examples=40)
+def test_motions_are_those_of_the_oracles(dt, q, rate):
+    for motion, (F, SQ) in (
+        (ConstantVelocity(q), oracles.cv(dt, q)),
+        (ConstantAcceleration(q), oracles.ca(dt, q)),
+        (CoordinatedTurn(rate, q), oracles.turn(dt, rate, q) if rate else oracles.cv(dt, q)),
+    ):
+        step = torch.tensor(dt, dtype=torch.float64)
+        np.testing.assert_allclose(motion.transition(step), F, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(motion.noise(step), SQ, rtol=1e-9, atol=1e-9)
+
+
+def test_a_turn_is_the_exponential_of_its_dynamics():
+    w, dt = 0.3, tensor(0.5, 2.0)
+    dynamics = torch.zeros(4, 4).double()
+    dynamics[0, 2] = dynamics[1, 3] = 1
+    dynamics[2, 3], dynamics[3, 2] = -w, w
+    exact = torch.linalg.matrix_exp(dynamics * dt[:, None, None])
+    torch.testing.assert_close(CoordinatedTurn(w, 1.0).transition(dt), exact)
+    space = CoordinatedTurn(w, 1.0, 3).transition(dt)
+    torch.testing.assert_close(space[:, [0, 1, 3, 4]][..., [0, 1, 3, 4]], exact)
+    torch.testing.assert_close(space[:, 2], torch.stack([tensor(0, 0, 1, 0, 0, 0.5), tensor(0, 0, 1, 0, 0, 2.0)]))
+
+
+def test_a_turn_of_rate_zero_is_straight_and_has_a_gradient():
+    motion = learnable(CoordinatedTurn(0.0, 1.0), ("rate",))
+    matrix = motion.transition(torch.tensor(2.0, dtype=torch.float64))
+    torch.testing.assert_close(
+        matrix.detach(), ConstantVelocity(1.0).transition(torch.tensor(2.0, dtype=torch.float64))
+    )
+    matrix[0, 3].backward()
+    assert motion.rate.raw.grad.item() == pytest.approx(-2.0)  # of -(1 - cos(w t)) / w at w = 0
+
+
+def test_motions_of_several_values_and_steps_broadcast():
+    motion = ConstantAcceleration(torch.tensor([[0.1], [0.2], [0.3]], dtype=torch.float64), dims=3)
+    assert motion.noise(torch.ones(5).double()).shape == (3, 5, 9, 3)
+    assert motion.transition(torch.ones(5).double()).shape == (5, 9, 9)
+
+
+def test_motions_refuse_what_makes_no_sense():
+    with pytest.raises(ValueError, match="dims"):
+        ConstantVelocity(1.0, 0)
+    with pytest.raises(ValueError, match="dims"):
+        CoordinatedTurn(0.1, 1.0, 1)
+    with pytest.raises(ValueError, match="q: expected a value of 0 or more"):
+        ConstantVelocity(-1.0)
+
+
+# ---------------------------------------------------------------- sensors
+
+
+def test_bearings_count_from_north_in_all_quadrants():
+    x = tensor([1, 1], [1, -1], [-1, -1], [-1, 1]) * 10
+    expected = tensor([0.25], [0.75], [-0.75], [-0.25]) * math.pi
+    torch.testing.assert_close(Bearings(0.1, stations=torch.zeros(1, 2).double())(x), expected)
+    torch.testing.assert_close(Bearings(0.1, count=1)(x, torch.zeros(4, 2).double()), expected)
+
+
+def test_range_bearing_and_elevation():
+    x = tensor(30.0, 40.0, 120.0)
+    torch.testing.assert_close(RangeBearing(1.0)(x), tensor(50.0, math.atan2(30, 40)))
+    seen = RangeBearing(1.0, dims=3)(x + 7, torch.full((3,), 7.0).double())
+    torch.testing.assert_close(seen, tensor(130.0, math.atan2(30, 40), math.atan2(120, 50)))
+
+
+@given(st.floats(-1e3, 1e3))
+def test_a_wrapped_angle_is_the_same_angle_within_half_a_turn(angle):
+    wrapped = wrap(torch.tensor(angle, dtype=torch.float64)).item()
+    assert abs(wrapped) <= math.pi + 1e-9
+    assert math.cos(wrapped) == pytest.approx(math.cos(angle), abs=1e-9)
+
+
+def test_only_angles_wrap():
+    gap = RangeBearing(1.0).difference(tensor(100.0, 3.0), tensor(0.0, -3.0))
+    torch.testing.assert_close(gap, tensor(100.0, 6 - 2 * math.pi))
+
+
+def test_sensors_refuse_what_does_not_fit():
+    for options, said in (
+        ({}, "exactly one"),
+        ({"std": 1.0, "noise": torch.eye(2)}, "exactly one"),
+        ({"std": torch.ones(3)}, r"std: expected a number or \(\.\.\., 2\)"),
+        ({"std": 0.0}, "std: expected a value above 0"),
+        ({"noise": torch.eye(3)}, "noise: expected"),
+        ({"noise": torch.ones(2, 2)}, "inverse"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            Position(**options)
+
+
+# ---------------------------------------------------------------- hyperparameters
+
+
+def test_a_hyperparameter_is_read_in_natural_units_and_learns_in_its_range():
+    fixed, learned = Hyper(1.345), Hyper(1.345, learn=True)
+    assert fixed().item() == pytest.approx(1.345, rel=1e-15)
+    assert not list(fixed.parameters())
+    optimiser = torch.optim.SGD(learned.parameters(), lr=100.0)
+    learned().backward()
+    optimiser.step()
+    assert 0 <= learned().item() < 1.345
+    fixed.load_state_dict(learned.state_dict())
+    assert fixed().item() == learned().item()
+    assert "1.345" in repr(Hyper(1.345))
+    assert math.isinf(Hyper(math.inf)().item())
+
+
+def test_a_hyperparameter_out_of_range_is_refused_with_its_name():
+    for value in (0.0, -1.0, math.nan):
+        with pytest.raises(ValueError, match="threshold: expected a value above 0"):
+            Hyper(value, name="threshold")
+    with pytest.raises(ValueError, match="not on the edge"):
+        Hyper(math.inf, learn=True)
+    with pytest.raises(ValueError, match="forgetting"):
+        fra(ConstantVelocity(1.0), Position(1.0), forgetting=1.5)
+
+
+# ---------------------------------------------------------------- metrics, malloc, structure
+
+
+def test_metrics_are_what_numpy_says_and_unknown_truth_does_not_count():
+    torch.manual_seed(0)
+    mean, truth = torch.randn(7, 5, 4).double(), torch.randn(7, 5, 4).double()
+    truth[2, 3:] = torch.nan
+    squared = ((mean - truth)[..., :2] ** 2).sum(-1).numpy()
+    np.testing.assert_allclose(metrics.rmse(mean, truth, slice(0, 2)), np.sqrt(np.nanmean(squared, 0)))
+    np.testing.assert_allclose(metrics.track_rmse(mean, truth, slice(0, 2)), np.sqrt(np.nanmean(squared, 1)))
+    root = torch.randn(7, 5, 4, 4).double().tril() + 3 * torch.eye(4).double()
+    estimate = Estimate(mean, root, squared, squared, None)
+    gap = (mean - truth)[..., :2].numpy()
+    inverse = np.linalg.inv(estimate.covariance[..., :2, :2].numpy())
+    np.testing.assert_allclose(
+        metrics.nees(estimate, truth, slice(0, 2)), np.einsum("bti,btij,btj->bt", gap, inverse, gap)
+    )
+    with pytest.raises(ValueError, match="leading"):
+        metrics.nees(estimate, truth, slice(1, 3))
+
+
+def test_an_estimate_that_is_no_number_has_diverged():
+    truth = torch.zeros(3, 5, 2).double()
+    mean = truth.clone()
+    mean[1, 4] = torch.nan
+    mean[2] = 1e4
+    assert metrics.diverged(mean, truth, slice(0, 2)).tolist() == [False, True, True]
+    assert metrics.rmse(mean, truth, slice(0, 2))[4].isinf()
+
+
+def test_keeping_memory_is_said_to_work_or_not():
+    assert torchfra.keep_memory() is sys.platform.startswith("linux") or not torchfra.keep_memory()
+
+
+LEVEL = {
+    "types": 0, "hyper": 0, "linalg": 0, "version": 0, "malloc": 0, "files": 0, "readers": 0,
+    "cubature": 1, "motion": 1, "sensors": 1, "robust": 1, "adaptive": 1, "metrics": 1, "plotting": 1,
+    "filters": 2, "scenarios": 2, "presets": 3, "evaluate": 4, "track": 5, "cli": 6, "__main__": 7, "__init__": 7,
+}  # fmt: skip
+
+
+def test_imports_run_downwards_only():
+    root = Path(torchfra.__file__).parent
+    for path in root.rglob("*.py"):
+        own = path.relative_to(root).parts[0].removesuffix(".py")
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [node.module] if isinstance(node, ast.ImportFrom) else []
+            names += [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            for name in names:
+                parts = (name or "").split(".")
+                assert parts[0] != "train"
+                assert parts[0] != "matplotlib" or own == "plotting"
+                if parts[0] == "torchfra" and len(parts) > 1 and parts[1] != own:
+                    assert LEVEL[parts[1]] <= LEVEL[own], f"{path.name} imports {name}"
+                    assert {own, parts[1]} != {"filters", "scenarios"}
+
+
+def test_importing_the_package_imports_nothing_optional():
+    code = "import sys, torchfra; print({'matplotlib', 'pymap3d', 'scipy', 'traffic'} & set(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"
