@@ -37,7 +37,7 @@ def tria(a: Tensor, *, led: bool = False) -> Tensor:
     # no arbitrary direction enters the column of L that belongs to it.
     a = a if led else pad(a, (a.shape[-2], 0))
     if not (a.requires_grad or is_traced(a)):
-        return _triangularise(a)  # the same numbers, without the bookkeeping of a gradient
+        return _reflect(a)  # the same numbers, without the bookkeeping of a gradient
     result: Tensor = _Tria.apply(a)  # type: ignore[no-untyped-call]  # torch gives it no type
     return result
 
@@ -49,11 +49,15 @@ def is_traced(*tensors: Tensor) -> bool:
 
 
 def _triangularise(a: Tensor) -> Tensor:
+    if not is_traced(a):
+        return _reflect(a)
+    upper: Tensor = torch.linalg.qr(a.mT, mode="r").R
+    return -upper.mT
+
+
+def _reflect(a: Tensor) -> Tensor:
+    """What ``torch.linalg.qr`` does, less a copy and a pass that starts threads even for one small matrix."""
     n = a.shape[-2]
-    if is_traced(a):
-        upper: Tensor = torch.linalg.qr(a.mT, mode="r").R
-        return -upper.mT
-    # What torch.linalg.qr does, less a copy and a pass that starts threads even for one small matrix.
     reflected = torch.geqrf(a.mT)[0][..., :n, :].mT
     lower: Tensor = reflected * _minus_lower(n, a.dtype, a.device)
     return lower
