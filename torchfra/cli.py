@@ -132,11 +132,11 @@ def _compare(options: argparse.Namespace) -> None:
         )
     outliers = options.outliers or "covariance"
     if options.scenario is not None:
-        scenario, runs = named(options.scenario, outliers), options.runs or 100
+        scenario, runs = named(options.scenario, outliers), 100 if options.runs is None else options.runs
     else:
         recordings = [r for file in options.files for r in readers.read(file)]
         scenario = scenarios.recorded(recordings, options.sensor, dt=options.dt, steps=options.steps, outliers=outliers)
-        runs = options.runs or int(str(scenario.settings["windows"]))
+        runs = int(str(scenario.settings["windows"])) if options.runs is None else options.runs
     names = [name for name in options.filters.split(",") if name]
     results = evaluate(scenario, names, runs=runs, seed=options.seed, progress=not options.quiet)
     figure = options.figure or Path(f"compare-{scenario.name}.png")
