@@ -198,6 +198,7 @@ def test_noise_may_come_with_the_measurements(name, make, tracks):
     [
         ({"z": torch.zeros(4, STEPS, 3)}, r"z: expected \(\.\.\., T, 2\), received \(4, 12, 3\)"),
         ({"z": torch.zeros(2)}, "z: expected"),
+        ({"z": torch.zeros(4, 0, 2)}, "z: expected"),
         ({"z": torch.zeros(4, STEPS, 2, dtype=torch.int64)}, "floating point"),
         ({"prior": Gaussian(torch.zeros(4), torch.eye(4))}, r"prior.mean: expected \(\.\.\., 6\), received \(4,\)"),
         ({"prior": Gaussian(torch.zeros(6), torch.eye(5))}, "prior.scale_tril"),

@@ -65,18 +65,20 @@ class Hyper(nn.Module):
         return value
 
     def extra_repr(self) -> str:
-        """Value, range and whether it learns."""
-        kind = "learnable" if self.raw.requires_grad else "fixed"
-        return f"{self().tolist()}, {_said(self.constraint)}, {kind}"
+        """Value (or the shape of many), range and whether it learns."""
+        value = self().detach()
+        said = f"{value.item():.6g}" if value.dim() == 0 else f"values of shape {tuple(value.shape)}"
+        return f"{said}, {_said(self.constraint)}, {'learnable' if self.raw.requires_grad else 'fixed'}"
 
 
 def _said(constraint: constraints.Constraint) -> str:
-    words = {constraints.positive: "a value above 0", constraints.nonnegative: "a value of 0 or more",
-             constraints.unit_interval: "a value in [0, 1]", constraints.real: "a number"}  # fmt: skip
-    if constraint in words:
-        return words[constraint]
-    bound = getattr(constraint, "lower_bound", None)
-    return f"a value of {bound:g} or more" if bound is not None else f"a value in {constraint}"
+    named = {constraints.positive: "a value above 0", constraints.nonnegative: "a value of 0 or more"}
+    if constraint in named:
+        return named[constraint]
+    low, high = getattr(constraint, "lower_bound", None), getattr(constraint, "upper_bound", None)
+    if low is None:
+        return "a number" if constraint is constraints.real else f"a value in {constraint}"
+    return f"a value of {low:g} or more" if high is None else f"a value in [{low:g}, {high:g}]"
 
 
 def learnable(module: M, names: Collection[str]) -> M:

@@ -115,7 +115,7 @@ def check(
     n, m = motion.size, sensor.size
     if not z.is_floating_point():
         raise ValueError(f"z: expected floating point numbers, received {z.dtype}")
-    if z.dim() < 2 or z.shape[-1] != m:
+    if z.dim() < 2 or z.shape[-1] != m or z.shape[-2] < 1:
         raise ValueError(f"z: expected (..., T, {m}), received {tuple(z.shape)}")
     steps = z.shape[-2]
     batch = {"z": z.shape[:-2]}
