@@ -1,7 +1,7 @@
 """Robust, adaptive tracking of manoeuvring targets: batched, differentiable square-root filters for PyTorch."""
 
 from torchfra import adaptive, cubature, linalg, metrics, motion, presets, readers, robust, scenarios, sensors
-from torchfra.hyper import Hyper
+from torchfra.hyper import Hyper, learnable, summary
 from torchfra.malloc import keep_memory
 from torchfra.types import Estimate, Gaussian, Innovation
 from torchfra.version import __version__ as __version__
@@ -14,6 +14,7 @@ __all__ = [
     "adaptive",
     "cubature",
     "keep_memory",
+    "learnable",
     "linalg",
     "metrics",
     "motion",
@@ -22,4 +23,5 @@ __all__ = [
     "robust",
     "scenarios",
     "sensors",
+    "summary",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -26,7 +27,8 @@ class Fading(nn.Module):
     """Multiple fading factors: the innovations of late against what the model expects of them.
 
     One factor per track, 1 or more, multiplies the covariance of the faded states that was carried over from the last
-    step, before process noise is added.
+    step, before process noise is added.  Groups of states may take different shares of it: what is above 1 is then
+    multiplied by the group's share.
 
     Args:
         weakening: beta, share of the measurement noise that is taken off the innovations: above 1 reacts less.
@@ -34,7 +36,8 @@ class Fading(nn.Module):
         fading_max: no factor above this; infinity for the paper's own formula.
         rcond: singular values of the measurement matrix below this share of the largest are left out of its inverse; 0
             for the paper's own formula, which explodes where lines of sight become parallel.
-        states: which state components fade.
+        states: which state components fade: a slice, or several, which are groups.
+        share: of each group, ``(..., groups)``, 0 or more; by default all have the whole factor.
         trace: ``"full"`` compares whole traces, ``"position"`` those of the faded components.
 
     A trace that is zero or not a number gives a factor of 1.
@@ -44,7 +47,7 @@ class Fading(nn.Module):
 
     Source: Wang et al. (2021), eqs. (29)-(34); Zhou, Xi & Zhang (1990) for the strong tracking filter.
     Differs: singular values are compared in units of the measurement noise, so that metres and radians mix; with equal
-    noise on all elements, as in the paper, that changes nothing.  ``fading_max`` and ``rcond`` are ours.
+    noise on all elements, as in the paper, that changes nothing.  ``fading_max``, ``rcond`` and ``share`` are ours.
     """
 
     def __init__(
@@ -54,7 +57,8 @@ class Fading(nn.Module):
         fading_max: Value = 1e3,
         *,
         rcond: float = 0.1,
-        states: slice = slice(0, 2),
+        states: slice | Sequence[slice] = slice(0, 2),
+        share: Value | Sequence[float] | None = None,
         trace: str = "full",
     ) -> None:
         super().__init__()
@@ -65,7 +69,14 @@ class Fading(nn.Module):
         self.weakening = Hyper(weakening, constraints.greater_than_eq(1.0), name="weakening")
         self.forgetting = Hyper(forgetting, constraints.interval(0.0, 1.0), name="forgetting")
         self.fading_max = Hyper(fading_max, constraints.greater_than_eq(1.0), name="fading_max")
-        self.rcond, self.states, self.trace = rcond, states, trace
+        self.states = (states,) if isinstance(states, slice) else tuple(states)
+        self.share: Hyper | None = None
+        if share is not None:
+            share = torch.as_tensor(share, dtype=torch.float64)
+            if share.shape[-1:] != (len(self.states),):
+                raise ValueError(f"share: expected (..., {len(self.states)}), received {tuple(share.shape)}")
+            self.share = Hyper(share, constraints.nonnegative, event=1, name="share")
+        self.rcond, self.trace = rcond, trace
 
     def begin(self, mean: Tensor, m: int) -> Memory:
         """Nothing remembered yet of ``m`` measured elements, for tracks of state ``mean (..., n)``."""
@@ -102,7 +113,9 @@ class Fading(nn.Module):
         excess = memory.moment - noise @ noise.mT
         excess = excess - self.weakening().to(excess)[..., None, None] * torch.diag_embed(1 / weights)
         trace_n = (gram_pinv(h, self.rcond) * excess).sum((-2, -1))  # eq. (32)
-        spread = prediction.spread if self.trace == "full" else prediction.spread[..., self.states, :]
+        spread = prediction.spread
+        if self.trace == "position":
+            spread = torch.cat([spread[..., group, :] for group in self.states], -2)
         trace_j = spread.square().sum((-2, -1))  # eq. (33)
         nothing = certain.any(-1) | (trace_j == 0)
         ratio = trace_n / torch.where(nothing, 1.0, trace_j)
@@ -110,13 +123,20 @@ class Fading(nn.Module):
         return torch.minimum(ratio.clamp_min(1.0), self.fading_max().to(ratio))  # eq. (34)
 
     def inflate(self, prediction: Prediction, factor: Tensor) -> Prediction:
-        """The prediction with ``factor (...)`` on the covariance of the faded states; its mean stays.
+        """The prediction with ``factor (...)``, or each group's share of it, on the covariance of the faded states.
+
+        The mean stays.
 
         Source: Wang et al. (2021), eq. (29).
         """
-        faded = torch.zeros(prediction.spread.shape[-2], dtype=torch.bool, device=factor.device)
-        faded[self.states] = True
-        scale = torch.where(faded, factor.sqrt().unsqueeze(-1), 1.0)
+        excess = factor.unsqueeze(-1) - 1
+        if self.share is not None:
+            excess = self.share().to(factor) * excess
+        # One column per state: the group it belongs to, if any.
+        group = torch.zeros(len(self.states), prediction.spread.shape[-2], dtype=factor.dtype, device=factor.device)
+        for row, states in zip(group, self.states, strict=True):
+            row[states] = 1
+        scale = (1 + (excess.expand((*factor.shape, len(self.states))) @ group)).sqrt()
         spread, noise = scale.unsqueeze(-1) * prediction.spread, prediction.noise
         root = tria(hstack(spread, noise))
         return Prediction(prediction.belief._replace(scale_tril=root), spread, noise)

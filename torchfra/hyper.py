@@ -1,4 +1,4 @@
-"""One constrained value, fixed or learnable."""
+"""Constrained values, fixed or learnable, and how to find them in a filter."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ class Hyper(nn.Module):
             against 1000 tracks give a batch of ``(100, 1000)``.
         constraint: of ``torch.distributions.constraints``; what the value may be.
         learn: whether gradient descent may change it.
+        event: last dimensions of ``value`` that are no batch: 1 for a vector with a value for each element.
         name: what an error calls it.
 
     The state dict holds the unconstrained value under ``raw`` whether it is learnable or not, so that values learned
@@ -38,6 +39,7 @@ class Hyper(nn.Module):
         constraint: constraints.Constraint = constraints.positive,
         *,
         learn: bool = False,
+        event: int = 0,
         name: str = "value",
     ) -> None:
         super().__init__()
@@ -45,14 +47,24 @@ class Hyper(nn.Module):
             value = torch.as_tensor(value, dtype=torch.float64)
         if not bool(constraint.check(value).all()):
             raise ValueError(f"{name}: expected {_said(constraint)}, received {value.tolist()}")
-        self.constraint = constraint
+        self.constraint, self.event = constraint, event
         self.register_buffer("raw", transform_to(constraint).inv(value.detach().clone()))
         if learn:
             self.learn(name)
 
+    @property
+    def inside(self) -> bool:
+        """Whether the value lies inside its range and not on the edge, where gradient descent cannot leave from."""
+        return bool(self.raw.isfinite().all())
+
+    @property
+    def batch_rank(self) -> int:
+        """Batch dimensions that the value brings."""
+        return self.raw.dim() - self.event
+
     def learn(self, name: str = "value") -> None:
         """Make the value a parameter from here on."""
-        if not bool(self.raw.isfinite().all()):
+        if not self.inside:
             raise ValueError(f"{name}: to be learned it must lie inside its range, not on the edge: {self().tolist()}")
         raw = self.raw
         if "raw" in self._buffers:
@@ -64,33 +76,84 @@ class Hyper(nn.Module):
         value: Tensor = transform_to(self.constraint)(self.raw)
         return value
 
-    def extra_repr(self) -> str:
-        """Value (or the shape of many), range and whether it learns."""
+    def elements(self) -> Tensor:
+        """The value with a last dimension for the elements of a vector: one for each, or one for all."""
+        value: Tensor = self()
+        return value if self.event else value.unsqueeze(-1)
+
+    def said(self) -> tuple[str, str, str]:
+        """For people: the value (or the shape of many), its range, and whether it learns."""
         value = self().detach()
-        said = f"{value.item():.6g}" if value.dim() == 0 else f"values of shape {tuple(value.shape)}"
-        return f"{said}, {_said(self.constraint)}, {'learnable' if self.raw.requires_grad else 'fixed'}"
+        few = (
+            ", ".join(f"{v:.6g}" for v in value.flatten().tolist()) if value.numel() <= 6 and value.dim() < 2 else None
+        )
+        shown = f"values of shape {tuple(value.shape)}" if few is None else few
+        return shown, _said(self.constraint), "learnable" if self.raw.requires_grad else "fixed"
+
+    def extra_repr(self) -> str:
+        """Value, range and whether it learns."""
+        return ", ".join(self.said())
 
 
 def _said(constraint: constraints.Constraint) -> str:
-    named = {constraints.positive: "a value above 0", constraints.nonnegative: "a value of 0 or more"}
-    if constraint in named:
-        return named[constraint]
     low, high = getattr(constraint, "lower_bound", None), getattr(constraint, "upper_bound", None)
     if low is None:
-        return "a number" if constraint is constraints.real else f"a value in {constraint}"
-    return f"a value of {low:g} or more" if high is None else f"a value in [{low:g}, {high:g}]"
+        return "a number" if isinstance(constraint, type(constraints.real)) else f"a value in {constraint}"
+    if high is not None:
+        return f"a value in [{low:g}, {high:g}]"
+    strict = isinstance(constraint, type(constraints.greater_than(0.0)))
+    return f"a value above {low:g}" if strict else f"a value of {low:g} or more"
+
+
+def hypers(module: nn.Module) -> dict[str, Hyper]:
+    """All hyperparameters of a module by their path, ``"motion.q"`` say."""
+    return {path: part for path, part in module.named_modules() if isinstance(part, Hyper)}
+
+
+def named(module: nn.Module, names: Collection[str]) -> dict[str, Hyper]:
+    """The hyperparameters of these names by their path.
+
+    Args:
+        module: where to look, at any depth.
+        names: last parts of a path, ``"q"``, or whole paths, ``"motion.q"``; or ``"all"``, which is every value that
+            lies inside its range: those on the edge, such as an infinite threshold, stay as they are.
+
+    Raises:
+        ValueError: a name that the module does not have; says which there are.
+    """
+    known = hypers(module)
+    if names == "all":
+        return {path: hyper for path, hyper in known.items() if hyper.inside}
+    names = (names,) if isinstance(names, str) else names
+    found: dict[str, Hyper] = {}
+    for name in names:
+        matching = {path: hyper for path, hyper in known.items() if name in (path, path.rpartition(".")[2])}
+        if not matching:
+            last = sorted({path.rpartition(".")[2] for path in known})
+            raise ValueError(f"learn: expected 'all' or names out of {last}, received {name!r}")
+        found |= matching
+    return found
 
 
 def learnable(module: M, names: Collection[str]) -> M:
     """Make the hyperparameters of these names learnable, wherever in the module they are.
 
+    Args:
+        module: it is changed and returned.
+        names: see ``named``.
+
     Raises:
-        ValueError: a name that the module does not have; says which there are.
+        ValueError: a name that the module does not have, or a value on the edge of its range.
     """
-    hypers = {path.rpartition(".")[2]: part for path, part in module.named_modules() if isinstance(part, Hyper)}
-    names = (names,) if isinstance(names, str) else names
-    for name in names:
-        if name not in hypers:
-            raise ValueError(f"learn: expected names out of {sorted(hypers)}, received {name!r}")
-        hypers[name].learn(name)
+    for path, hyper in named(module, names).items():
+        hyper.learn(path)
     return module
+
+
+def summary(module: nn.Module) -> None:
+    """Print a table of a filter's hyperparameters: name, value, what it may be, and whether it is learnable."""
+    rows = [("name", "value", "range", "learning")]
+    rows += [(path, *hyper.said()) for path, hyper in hypers(module).items()]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())

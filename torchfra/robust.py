@@ -16,17 +16,27 @@ class Huber(nn.Module):
 
     Args:
         threshold: in standard deviations of the noise; infinity never doubts a measurement.
+        elements: the number of elements of a measurement if each is to have a threshold of its own, in the last
+            dimension of ``threshold``; a single number is then repeated.
+
+    Raises:
+        ValueError: a threshold that is not above 0, or not one for each element.
 
     Source: Huber (1964); Wang et al. (2021), eqs. (25)-(26).
     """
 
-    def __init__(self, threshold: Value = 1.345) -> None:
+    def __init__(self, threshold: Value = 1.345, *, elements: int | None = None) -> None:
         super().__init__()
-        self.threshold = Hyper(threshold, name="threshold")
+        if elements is not None:
+            threshold = torch.as_tensor(threshold, dtype=torch.float64)
+            threshold = threshold.expand(elements) if threshold.dim() == 0 else threshold
+            if threshold.shape[-1] != elements:
+                raise ValueError(f"threshold: expected (..., {elements}), received {tuple(threshold.shape)}")
+        self.threshold = Hyper(threshold, event=int(elements is not None), name="threshold")
 
     def forward(self, residual: Tensor, nis: Tensor) -> Tensor:
         """Weights ``(..., m)`` of a ``residual (..., m)`` in units of the noise; ``nis (...)`` is not looked at."""
-        excess = residual.abs() / self.threshold().to(residual).unsqueeze(-1)
+        excess = residual.abs() / self.threshold.elements().to(residual)
         weights: Tensor = 1 / excess.clamp_min(1.0)
         return weights
 

@@ -71,7 +71,7 @@ class Sensor(nn.Module):
         if std is not None:
             if isinstance(std, Tensor) and std.dim() and std.shape[-1] != self.size:
                 raise ValueError(f"std: expected a number or (..., {self.size}), received {tuple(std.shape)}")
-            self.std = Hyper(std, name="std")
+            self.std = Hyper(std, event=int(isinstance(std, Tensor) and std.dim() > 0), name="std")
         if noise is not None:
             if noise.dim() < 2 or noise.shape[-2] != self.size:
                 raise ValueError(f"noise: expected (..., {self.size}, r), received {tuple(noise.shape)}")
@@ -103,7 +103,7 @@ class Sensor(nn.Module):
         """
         seen = ~z.isnan()
         if std is None and root is None:
-            std, root = (None if self.std is None else self.std()), self.root
+            std, root = (None if self.std is None else self.std.elements()), self.root
         if std is not None:
             std = torch.where(seen, std.to(z), 1.0)
             return Noise(std, seen / std, None, None, _log_norm(std, seen))

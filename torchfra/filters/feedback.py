@@ -7,7 +7,9 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.distributions import constraints
 from torch.nn import Module
+from torch.nn.functional import logsigmoid
 
 from torchfra.adaptive import Fading, Memory
 from torchfra.cubature import Rule, third_degree
@@ -15,8 +17,9 @@ from torchfra.filters.base import Filter, Record
 from torchfra.filters.frames import Frame
 from torchfra.filters.select import select, where_needed
 from torchfra.filters.srckf import compare, correct, innovation, predict, trust
-from torchfra.hyper import Hyper, Value
+from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg import is_traced
+from torchfra.mixture import moment_match
 from torchfra.motion import Motion
 from torchfra.sensors import Sensor
 from torchfra.types import Gaussian, Prediction, Whitened
@@ -27,15 +30,22 @@ class FRAState(NamedTuple):
 
     belief: Gaussian
     """Provisional estimate of this step: the robust branch where it was abnormal."""
+    robust: Gaussian
+    """That branch; equal to ``plain`` where the step was normal (but for a soft decision)."""
     adaptive: Gaussian
-    """The other branch; equal to ``belief`` where the step was normal."""
+    """The other branch, likewise."""
     plain: Gaussian
     """The estimate with neither remedy."""
     settled: Gaussian
     """Final estimate of the step before, now that its branches have met a measurement."""
-    abnormal: Tensor
-    """``(...)`` bool: this step waits for the next measurement."""
+    excess: Tensor
+    """``(...)`` how far the normalised innovation squared is above the gate."""
     memory: Memory
+
+    @property
+    def abnormal(self) -> Tensor:
+        """``(...)`` bool: this step waits for the next measurement."""
+        return self.excess > 0  # eq. (36)
 
 
 class FRAInfo(NamedTuple):
@@ -44,9 +54,9 @@ class FRAInfo(NamedTuple):
     abnormal: Tensor
     """``(..., T)`` bool: the innovation failed the gate and the filter forked."""
     adaptive: Tensor
-    """``(..., T)`` bool: the adaptive branch was kept."""
+    """``(..., T)`` bool: the adaptive branch was kept (with a soft decision: had the larger weight)."""
     fading: Tensor
-    """``(..., T)`` fading factor of the adaptive branch, 1 at normal steps."""
+    """``(..., T)`` fading factor of the adaptive branch, 1 at normal steps (but for a soft decision)."""
     weights: Tensor
     """``(..., T, m)`` Huber weights of the robust branch, 1 at normal steps."""
     provisional: Gaussian
@@ -63,6 +73,11 @@ class FRA(Filter):
     ``step`` hands out the provisional one as ``state.belief`` and the final one of the step before as
     ``state.settled``.
 
+    Both choices are hard and pass no gradient to what they rest on.  With a ``temperature`` they are soft, for training:
+    a step is abnormal by the weight ``sigmoid((nis - gate) / temperature)``, the branches share it by the softmax of
+    their scores over the temperature, and the estimate matches the moments of plain, robust and adaptive together.
+    Towards 0 it becomes the hard decision; ``f.temperature = 0`` makes a trained filter hard.
+
     Args:
         motion: how targets move.
         sensor: what is measured.
@@ -70,8 +85,10 @@ class FRA(Filter):
         adaptive: fading factors of the adaptive branch (``torchfra.adaptive``).
         rule: see ``SRCKF``.
         gate: normalised innovation squared above which a step is abnormal.
+        preference: log odds of the robust branch before the next measurement has spoken; 0 favours none.
         decision: how the branches' predictions are compared: ``"normalised"`` by the normalised innovation (the
             paper's; it favours the branch that expects more error), ``"likelihood"`` by the predictive likelihood.
+        temperature: 0 for hard decisions, above for soft ones; an attribute that may be changed at any time.
         memory: innovations that fading remembers: ``"plain"`` as they are (the paper's), ``"weighted"`` by the robust
             weights from the step after on.
         final: the branch of an abnormal last step, which nothing can decide: ``"robust"``, ``"adaptive"``, ``"plain"``.
@@ -79,7 +96,8 @@ class FRA(Filter):
     Raises:
         ValueError: an argument that is none of those.
 
-    Source: Wang et al. (2021), section 2.2 and fig. 1.
+    Source: Wang et al. (2021), section 2.2 and fig. 1.  ``preference``, ``temperature``, ``"likelihood"`` and
+    ``"weighted"`` are ours.
     """
 
     def __init__(
@@ -91,7 +109,9 @@ class FRA(Filter):
         adaptive: Fading,
         rule: Callable[[int], Rule] = third_degree,
         gate: Value = 5.991,
+        preference: Value = 0.0,
         decision: str = "normalised",
+        temperature: float = 0.0,
         memory: str = "plain",
         final: str = "robust",
     ) -> None:
@@ -103,52 +123,90 @@ class FRA(Filter):
         ):
             if value not in known:
                 raise ValueError(f"{name}: expected one of {known}, received {value!r}")
+        if not temperature >= 0:
+            raise ValueError(f"temperature: expected 0 or more, received {temperature}")
         whole = rule(motion.size)
         self.motion_rule, self.sensor_rule = whole, whole.marginal(sensor.reads)
         self.robust, self.adaptive = robust, adaptive
         self.gate = Hyper(gate, name="gate")
-        self.decision, self.memory, self.final = decision, memory, final
-        self._decisive = [h for part in (robust, adaptive, self.gate) for h in part.modules() if isinstance(h, Hyper)]
+        self.preference = Hyper(preference, constraints.real, name="preference")
+        self.decision, self.temperature, self.memory, self.final = decision, temperature, memory, final
+        parts = (robust, adaptive, self.gate, self.preference)
+        self._decisive = [hyper for part in parts for hyper in hypers(part).values()]
 
     def begin(self, belief: Gaussian) -> FRAState:
         """See ``Filter``."""
-        normal = torch.zeros(belief.mean.shape[:-1], dtype=torch.bool, device=belief.mean.device)
-        return FRAState(belief, belief, belief, belief, normal, self.adaptive.begin(belief.mean, self.sensor.size))
+        normal = torch.full_like(belief.mean[..., 0], -torch.inf)
+        memory = self.adaptive.begin(belief.mean, self.sensor.size)
+        return FRAState(belief, belief, belief, belief, belief, normal, memory)
 
     def advance(self, state: FRAState, frame: Frame) -> tuple[FRAState, Record]:
         """See ``Filter``."""
-        chosen = self._where(state.abnormal, self.prefer, (state.belief, state.adaptive, frame), state.abnormal)
-        settled = select(chosen, state.adaptive, state.belief)
+        settled, kept = self.settle(state, frame)
         prediction, whitened = self.look(settled, frame)
         plain, root, normalised = correct(prediction.belief, whitened)
         residual, nis = whitened.residual, normalised.square().sum(-1)  # eq. (35)
-        abnormal = nis > self.gate().to(nis)  # eq. (36)
+        excess = nis - self.gate().to(nis)
         weights = self.robust(residual, nis)
         memory = self.adaptive.remember(state.memory, residual, frame.seen)
         robust, adaptive, factor = self._where(
-            abnormal, self.fork, (prediction, whitened, weights, memory, frame), (plain, plain, torch.ones_like(nis))
+            excess > 0, self.fork, (prediction, whitened, weights, memory, frame), (plain, plain, torch.ones_like(nis))
         )
+        belief = self.mix(excess, plain, robust)
         if self.memory == "weighted":
             memory = self.adaptive.remember(state.memory, weights * residual, frame.seen)
-        weights = select(abnormal, weights, torch.ones_like(weights))
-        info = _Step(settled, chosen, abnormal, factor, weights)
-        state = FRAState(robust, adaptive, plain, settled, abnormal, memory)
-        return state, Record(robust, residual, root, normalised, info)
+        state = FRAState(belief, robust, adaptive, plain, settled, excess, memory)
+        weights = select(state.abnormal, weights, torch.ones_like(weights))
+        info = _Step(settled, kept, state.abnormal, factor, weights)
+        return state, Record(belief, residual, root, normalised, info)
 
     def look(self, belief: Gaussian, frame: Frame) -> tuple[Prediction, Whitened]:
         """The prediction of a step, and the measurement against it."""
         prediction = predict(self.motion, self.motion_rule, belief, frame)
         return prediction, compare(self.sensor, self.sensor_rule, prediction.belief, frame)
 
+    def settle(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Tensor]:
+        """The step before, decided by this measurement, and ``(...)`` bool: its adaptive branch was kept."""
+        if self.temperature:
+            scores = self.score(state.robust, state.adaptive, frame) / self.temperature
+            shares = torch.log_softmax(scores, 0)
+            settled = self.mix(state.excess, state.plain, state.robust, state.adaptive, shares=shares)
+            return settled, state.abnormal & (scores[1] > scores[0])
+        kept = self._where(state.abnormal, self.prefer, (state.robust, state.adaptive, frame), state.abnormal)
+        return select(kept, state.adaptive, state.belief), kept
+
     def prefer(self, robust: Gaussian, adaptive: Gaussian, frame: Frame) -> Tensor:
         """``(...)`` bool: the adaptive branch predicts this measurement better; a tie goes to the robust one."""
+        scores = self.score(robust, adaptive, frame)
+        return scores[1] > scores[0]
+
+    def score(self, robust: Gaussian, adaptive: Gaussian, frame: Frame) -> Tensor:
+        """``(2, ...)`` how well each branch predicts this measurement, minus infinity for one that lost its numbers."""
         both = Gaussian(*(torch.stack(torch.broadcast_tensors(*pair)) for pair in zip(robust, adaptive, strict=True)))
         _, whitened = self.look(both, frame)
         root, normalised = innovation(whitened)
-        score = -normalised.square().sum(-1)
+        score = -0.5 * normalised.square().sum(-1)
         if self.decision == "likelihood":
-            score = 0.5 * score - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-        return (score[1] > score[0]) | ~score[0].isfinite()
+            score = score - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        preference = self.preference().to(score)
+        score = torch.stack([score[0] + preference, score[1]])
+        return torch.where(score.isfinite(), score, -torch.inf)
+
+    def mix(self, excess: Tensor, plain: Gaussian, *branches: Gaussian, shares: Tensor | None = None) -> Gaussian:
+        """Plain and abnormal together: a choice, or their moments where the decision is soft.
+
+        Args:
+            excess: ``(...)`` of the normalised innovation squared over the gate.
+            plain: for normal steps.
+            branches: for abnormal ones; with a hard decision exactly one, equal to ``plain`` where the step is normal.
+            shares: ``(branches, ...)`` logs of their weights, if there are several.
+        """
+        if not self.temperature:
+            return branches[0]
+        normal, abnormal = (logsigmoid(sign * excess / self.temperature).unsqueeze(0) for sign in (-1, 1))
+        log_weights = torch.cat([normal, abnormal if shares is None else abnormal + shares])
+        beliefs = Gaussian(*(torch.stack(parts) for parts in zip(plain, *branches, strict=True)))
+        return moment_match(beliefs, log_weights)
 
     def fork(
         self, prediction: Prediction, whitened: Whitened, weights: Tensor, memory: Memory, frame: Frame
@@ -162,18 +220,21 @@ class FRA(Filter):
 
     def finish(self, state: FRAState, records: list[Record]) -> tuple[list[Gaussian], list[FRAInfo]]:
         """See ``Filter``: each step's estimate is settled in the next, the last by ``final``."""
-        last = {"robust": state.belief, "adaptive": state.adaptive, "plain": state.plain}[self.final]
+        last = {"robust": state.robust, "adaptive": state.adaptive, "plain": state.plain}[self.final]
+        last = self.mix(state.excess, state.plain, last)
         kept = state.abnormal & torch.full_like(state.abnormal, self.final == "adaptive")
         steps: list[_Step] = [r.info for r in records]
-        beliefs = [s.settled for s in steps[1:]] + [select(state.abnormal, last, state.plain)]
-        chosen = [s.chosen for s in steps[1:]] + [kept]
+        beliefs = [s.settled for s in steps[1:]] + [last]
+        late = [s.kept for s in steps[1:]] + [kept]
         info = [FRAInfo(s.abnormal, c, s.fading, s.weights, r.belief)
-                for s, c, r in zip(steps, chosen, records, strict=True)]  # fmt: skip
+                for s, c, r in zip(steps, late, records, strict=True)]  # fmt: skip
         return beliefs, info
 
     def _where(self, mask: Tensor, function: Callable[..., Any], arguments: tuple[Any, ...], default: Any) -> Any:
         """``function`` for the tracks in ``mask``: alone if that can be told now, else for all and then chosen."""
-        batched = any(h.raw.dim() for h in self._decisive)
+        if self.temperature:
+            return function(*arguments)
+        batched = any(h.batch_rank for h in self._decisive)
         if batched or is_traced(mask):
             return select(mask, function(*arguments), default)
         return where_needed(mask, function, arguments, default)
@@ -183,7 +244,7 @@ class _Step(NamedTuple):
     """What one step knows: about itself, and now for good about the one before."""
 
     settled: Gaussian
-    chosen: Tensor
+    kept: Tensor
     abnormal: Tensor
     fading: Tensor
     weights: Tensor

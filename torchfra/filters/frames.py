@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from torchfra.hyper import Hyper
+from torchfra.hyper import hypers
 from torchfra.linalg import is_traced
 from torchfra.motion import Motion
 from torchfra.sensors import Noise, Sensor
@@ -92,9 +92,8 @@ def _certain(x: Tensor | None) -> Tensor:
 
 
 def batch_rank(module: nn.Module) -> int:
-    """Batch dimensions that the hyperparameters of a filter bring: those of a std are all but its last."""
-    hypers = {name: h for name, h in module.named_modules() if isinstance(h, Hyper)}
-    return max(max(h.raw.dim() - int(name.endswith("sensor.std")), 0) for name, h in hypers.items())
+    """Batch dimensions that the hyperparameters of a filter bring."""
+    return max(hyper.batch_rank for hyper in hypers(module).values())
 
 
 def check(
