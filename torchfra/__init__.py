@@ -1,6 +1,6 @@
 """Robust, adaptive tracking of manoeuvring targets: batched, differentiable square-root filters for PyTorch."""
 
-from torchfra import adaptive, cubature, linalg, metrics, motion, presets, readers, robust, scenarios, sensors
+from torchfra import adaptive, cubature, linalg, losses, metrics, motion, presets, readers, robust, scenarios, sensors
 from torchfra.hyper import Hyper, learnable, summary
 from torchfra.malloc import keep_memory
 from torchfra.types import Estimate, Gaussian, Innovation
@@ -16,6 +16,7 @@ __all__ = [
     "keep_memory",
     "learnable",
     "linalg",
+    "losses",
     "metrics",
     "motion",
     "presets",

@@ -5,14 +5,14 @@ from __future__ import annotations
 import platform
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from torchfra import metrics, presets
+from torchfra import distributed, metrics, presets
 from torchfra.filters.base import Filter
 from torchfra.scenarios import Scenario, Tracks
 from torchfra.types import Estimate
@@ -30,7 +30,7 @@ Result = dict[str, Any]
 
 def evaluate(
     scenario: Scenario,
-    names: Sequence[str],
+    filters: Sequence[str] | Mapping[str, Filter],
     *,
     runs: int,
     seed: int = 0,
@@ -42,7 +42,7 @@ def evaluate(
 
     Args:
         scenario: what is tracked.
-        names: of ``FILTERS``.
+        filters: names of ``FILTERS``, or filters by names of their own.
         runs: how many.
         seed: of the random numbers; every filter sees the same runs.
         limit: a run diverges when its position error, root mean square over time, is above this, m.
@@ -55,32 +55,41 @@ def evaluate(
         root mean square errors, ``divergence_rate``, ``nees_position`` (median; 1.39 if honest, in the plane),
         ``microseconds`` per track and step and ``relative_time`` to the UKF on the same runs.
 
+    Under ``torchrun`` the processes share the runs, and each returns the results of all of them.
+
     Raises:
-        ValueError: an unknown filter, or no runs.
+        ValueError: an unknown filter, or fewer runs than processes.
     """
-    unknown = [name for name in names if name not in FILTERS]
-    if unknown or not names:
-        raise ValueError(
-            f"filters: expected names out of {', '.join(FILTERS)}, received {', '.join(unknown) or 'none'}"
-        )
-    timed = dict.fromkeys(["ukf", *names])
-    filters = {name: FILTERS[name](scenario.motion, scenario.sensor) for name in timed}
+    if not isinstance(filters, Mapping):
+        unknown = [name for name in filters if name not in FILTERS]
+        if unknown or not filters:
+            raise ValueError(
+                f"filters: expected names out of {', '.join(FILTERS)}, received {', '.join(unknown) or 'none'}"
+            )
+        filters = {name: FILTERS[name](scenario.motion, scenario.sensor) for name in filters}
+    names = list(filters)
+    timed = {"ukf": FILTERS["ukf"](scenario.motion, scenario.sensor), **filters}
     errors: dict[str, list[tuple[Tensor, ...]]] = {name: [] for name in timed}
     seconds = dict.fromkeys(timed, 0.0)
-    if runs < 1 or chunk < 1:
-        raise ValueError(f"runs, chunk: expected at least 1, received {runs}, {chunk}")
-    starts = range(0, runs, chunk)
+    if runs < distributed.size() or chunk < 1:
+        raise ValueError(f"runs, chunk: expected at least {distributed.size()} and 1, received {runs}, {chunk}")
+    own = distributed.share(runs)
     with torch.no_grad():
-        run(filters["ukf"], scenario, scenario.simulate(min(runs, chunk), seed))  # the first large pass pays for memory
-        for f in filters.values():
-            run(f, scenario, scenario.simulate(min(runs, 10), seed))
-        for first in progress_bar(starts, "runs", progress):
-            tracks = scenario.simulate(min(chunk, runs - first), seed, first=first)
-            for name, f in filters.items():
+        run(
+            timed["ukf"], scenario, scenario.simulate(min(len(own), chunk), seed)
+        )  # the first large pass pays for memory
+        for f in timed.values():
+            run(f, scenario, scenario.simulate(min(len(own), 10), seed))
+        for first in progress_bar(own[::chunk], "runs", progress):
+            tracks = scenario.simulate(min(chunk, own.stop - first), seed, first=first)
+            for name, f in timed.items():
                 start = time.perf_counter()
                 estimate = run(f, scenario, tracks)
                 seconds[name] += time.perf_counter() - start
                 errors[name].append(_errors(estimate, tracks, scenario))
+    shares = distributed.gathered((errors, seconds))
+    errors = {name: [chunk for theirs, _ in shares for chunk in theirs[name]] for name in timed}
+    seconds = {name: sum(theirs[name] for _, theirs in shares) for name in timed}
     parts = {name: [torch.cat(part) for part in zip(*errors[name], strict=True)] for name in names}
     steps = runs * scenario.steps
     return {
@@ -98,15 +107,19 @@ def run(f: Filter, scenario: Scenario, tracks: Tracks) -> Estimate:
 
 def report(scenario: Scenario, results: dict[str, Result], *, runs: int, seed: int) -> dict[str, Any]:
     """What a results file holds: what was done, with what, and what came out."""
-    versions = {
+    settings = {"dt": scenario.dt, "steps": scenario.steps, "threads": torch.get_num_threads(), **scenario.settings}
+    return {"experiment": scenario.name, "runs": runs, "seed": seed, "settings": settings, "versions": versions(),
+            "filters": results}  # fmt: skip
+
+
+def versions() -> dict[str, str]:
+    """Of what computed the results."""
+    return {
         "torchfra": __version__,
         "torch": torch.__version__,
         "numpy": np.__version__,
         "python": platform.python_version(),
     }
-    settings = {"dt": scenario.dt, "steps": scenario.steps, "threads": torch.get_num_threads(), **scenario.settings}
-    return {"experiment": scenario.name, "runs": runs, "seed": seed, "settings": settings, "versions": versions,
-            "filters": results}  # fmt: skip
 
 
 def table(results: dict[str, Result]) -> str:
@@ -128,15 +141,16 @@ def table(results: dict[str, Result]) -> str:
     return "\n".join(lines)
 
 
-def progress_bar(items: Iterable[Any], unit: str, show: bool) -> Iterator[Any]:
+def progress_bar(items: Iterable[Any], unit: str, show: bool) -> Iterable[Any]:
     """The items, behind a bar if that is wanted, a terminal is there and tqdm is installed."""
     if show and sys.stderr.isatty():
         try:
             from tqdm import tqdm
         except ImportError:
-            return iter(items)
-        return iter(tqdm(items, unit=unit, leave=False))
-    return iter(items)
+            return items
+        bar: Iterable[Any] = tqdm(items, unit=unit, leave=False)
+        return bar
+    return items
 
 
 def _errors(estimate: Estimate, tracks: Tracks, scenario: Scenario) -> tuple[Tensor, ...]:

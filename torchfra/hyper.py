@@ -43,14 +43,27 @@ class Hyper(nn.Module):
         name: str = "value",
     ) -> None:
         super().__init__()
-        if not isinstance(value, Tensor) or not value.is_floating_point():
-            value = torch.as_tensor(value, dtype=torch.float64)
-        if not bool(constraint.check(value).all()):
-            raise ValueError(f"{name}: expected {_said(constraint)}, received {value.tolist()}")
         self.constraint, self.event = constraint, event
-        self.register_buffer("raw", transform_to(constraint).inv(value.detach().clone()))
+        self.register_buffer("raw", self._unconstrained(value, name))
         if learn:
             self.learn(name)
+
+    def set(self, value: Value, name: str = "value") -> None:
+        """Give it another value, of the same shape or a number for all.
+
+        Raises:
+            ValueError: the value is outside the constraint, or not a number.
+        """
+        with torch.no_grad():
+            self.raw.copy_(self._unconstrained(value, name))
+
+    def _unconstrained(self, value: Value, name: str) -> Tensor:
+        if not isinstance(value, Tensor) or not value.is_floating_point():
+            value = torch.as_tensor(value, dtype=torch.float64)
+        if not bool(self.constraint.check(value).all()):
+            raise ValueError(f"{name}: expected {_said(self.constraint)}, received {value.tolist()}")
+        raw: Tensor = transform_to(self.constraint).inv(value.detach().clone())
+        return raw
 
     @property
     def inside(self) -> bool:

@@ -117,6 +117,33 @@ def filtered(time: Any, raw: Any, mean: Any, nis: Any, flags: dict[str, Any], ga
     return figure
 
 
+def learning_curve(rows: list[dict[str, float]], names: list[str], title: str) -> Figure:
+    """How a training went: the losses, and the values that were learned as multiples of their first.
+
+    Args:
+        rows: one for each iteration, with ``"iteration"``, ``"loss"``, the values, and ``"validation"`` in some.
+        names: of the values.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(8, 6), layout="constrained")
+    loss, values = figure.subplots(2, 1, sharex=True)
+    time = [row["iteration"] for row in rows]
+    loss.plot(time, [row["loss"] for row in rows], color=_COLOURS["srckf"], linewidth=0.8, label="training batch")
+    checked = [row for row in rows if "validation" in row]
+    loss.plot(*zip(*((row["iteration"], row["validation"]) for row in checked), strict=True) if checked else ((), ()),
+              "o-", color=_COLOURS["fra"], markersize=4, label="validation, hard decision")  # fmt: skip
+    for name in names:
+        value = np.array([row[name] for row in rows])
+        # A value that began at 0 is a log of odds: those are compared.
+        label, change = (name, value / value[0]) if value[0] else (f"exp({name})", np.exp(value - value[0]))
+        values.plot(time, change, label=label)
+    loss.set(ylabel="loss", title=title)
+    values.set(xlabel="iteration", ylabel="times the first", yscale="log")
+    for axes in (loss, values):
+        _finished(figure, axes)
+    return figure
+
+
 def _style(name: str) -> dict[str, Any]:
     ours = name.startswith("fra")
     return {"color": _COLOURS.get(name), "linewidth": 1.8 if ours else 1.1, "zorder": 3 if ours else 2}

@@ -126,6 +126,7 @@ class Filter(nn.Module):
         u: Tensor | None = None,
         std: Tensor | None = None,
         noise: Tensor | None = None,
+        truncate: int | None = None,
     ) -> Estimate:
         """Whole tracks.
 
@@ -137,15 +138,20 @@ class Filter(nn.Module):
             u: ``(..., T, k)`` or ``(T, k)`` what the models need to know at a step, such as where the stations are.
             std: ``(..., T, m)`` standard deviations of the measurements, instead of the sensor's.
             noise: ``(..., T, m, m)`` roots of their covariances, instead of the sensor's.
+            truncate: steps after which gradients flow no further back (truncated back-propagation); None for all.
 
         Raises:
             ValueError: a shape or a value that does not fit.
         """
+        if truncate is not None and truncate < 1:
+            raise ValueError(f"truncate: expected at least 1 step, received {truncate}")
         frames, log_norm, batch = self._prepare(z, prior, dt, u, std, noise)
         mean, root = (x.to(z) for x in prior)
         rank, n = len(batch), mean.shape[-1:]
         state, records = self.init(Gaussian(mean.expand(batch + n), root.expand(batch + n + n))), []
-        for frame in frames:
+        for k, frame in enumerate(frames):
+            if truncate is not None and k and k % truncate == 0:
+                state = _detached(state)
             state, record = self.advance(state, frame)
             records.append(record)
         beliefs, info = self.finish(state, records)
@@ -175,6 +181,13 @@ def _scores(normalised: Tensor, root: Tensor, log_norm: Tensor) -> tuple[Tensor,
     """Normalised innovation squared and log density."""
     nis = normalised.square().sum(-1)
     return nis, log_norm - 0.5 * nis - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+
+
+def _detached(state: Any) -> Any:
+    """A tensor, or tuples of them, without what gradients would flow back through."""
+    if state is None or isinstance(state, Tensor):
+        return state if state is None else state.detach()
+    return type(state)(*map(_detached, state))
 
 
 def _stack(steps: Sequence[Any], rank: int) -> Any:

@@ -73,10 +73,10 @@ class FRA(Filter):
     ``step`` hands out the provisional one as ``state.belief`` and the final one of the step before as
     ``state.settled``.
 
-    Both choices are hard and pass no gradient to what they rest on.  With a ``temperature`` they are soft, for training:
-    a step is abnormal by the weight ``sigmoid((nis - gate) / temperature)``, the branches share it by the softmax of
-    their scores over the temperature, and the estimate matches the moments of plain, robust and adaptive together.
-    Towards 0 it becomes the hard decision; ``f.temperature = 0`` makes a trained filter hard.
+    Both choices are hard and pass no gradient to what they rest on.  With a ``temperature`` they are soft, to train by:
+    a step is abnormal by the weight ``sigmoid((nis - gate) / temperature)``, the branches share that weight by the
+    softmax of their scores over the temperature, and the estimate has the moments of the mixture of plain, robust and
+    adaptive.  Towards 0 it becomes the hard decision; ``f.temperature = 0`` makes a trained filter hard.
 
     Args:
         motion: how targets move.

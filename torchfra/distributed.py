@@ -1,0 +1,65 @@
+"""Several processes, as ``torchrun`` starts them: who this one is, its share of the work, what all have together."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor, distributed
+
+T = TypeVar("T")
+
+
+@contextmanager
+def team() -> Iterator[None]:
+    """Joins the processes that ``torchrun`` started, if it did; alone, this does nothing.
+
+    Tensors on the CPU go by gloo, those on a GPU by nccl; each process takes the GPU of its local rank.
+    """
+    if int(os.environ.get("WORLD_SIZE", "1")) == 1 or distributed.is_initialized():
+        yield
+        return
+    gpu = torch.cuda.is_available() and distributed.is_nccl_available()
+    if gpu:
+        torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")) % torch.cuda.device_count())
+    distributed.init_process_group("cpu:gloo,cuda:nccl" if gpu else "gloo")
+    try:
+        yield
+    finally:
+        distributed.destroy_process_group()
+
+
+def rank() -> int:
+    """The number of this process, from 0."""
+    return distributed.get_rank() if distributed.is_initialized() else 0
+
+
+def size() -> int:
+    """How many there are."""
+    return distributed.get_world_size() if distributed.is_initialized() else 1
+
+
+def share(count: int) -> range:
+    """Which of ``count`` things this process does; all processes together do each once, in order of their numbers."""
+    return range(count * rank() // size(), count * (rank() + 1) // size())
+
+
+def gathered(thing: T) -> list[T]:
+    """One thing from each process, in order of their numbers."""
+    if size() == 1:
+        return [thing]
+    things: list[Any] = [None] * size()
+    distributed.all_gather_object(things, thing)
+    return things
+
+
+def summed(tensor: Tensor) -> Tensor:
+    """The sum over all processes, the same in each."""
+    if size() == 1:
+        return tensor
+    total = tensor.detach().clone()
+    distributed.all_reduce(total)
+    return total

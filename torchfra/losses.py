@@ -1,0 +1,126 @@
+"""What training makes small.
+
+Each loss is one number per track, ``(...)``, the mean over its steps, so that a track that blew up can be told from the
+others and left out; take ``.mean()`` for a batch.  Only ``calibration`` is a property of many tracks together and gives
+one number.  Steps whose truth is NaN do not count.
+
+``states`` are the components that count, ``scenario.position`` say; ``angles`` are those of the state's components that
+are angles, rad, and are compared within half a turn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+
+import torch
+from torch import Tensor
+
+from torchfra.linalg import tria, whiten
+from torchfra.sensors import wrap
+from torchfra.types import Estimate
+
+
+def mse(mean: Tensor, truth: Tensor, states: slice, *, angles: Collection[int] = ()) -> Tensor:
+    """Mean squared distance, m^2 for positions.
+
+    Args:
+        mean: ``(..., T, n)`` estimates.
+        truth: ``(..., T, n)``; NaN where unknown.
+        states: the components that count.
+        angles: the components of the state that are angles.
+    """
+    gap, known = _gap(mean, truth, states, angles)
+    return _over_time(gap.square().sum(-1), known)
+
+
+def robust_mse(mean: Tensor, truth: Tensor, states: slice, scale: float, *, angles: Collection[int] = ()) -> Tensor:
+    """``log(1 + mse / scale^2)``: the mean squared distance in its sway over the batch bounded.
+
+    A track far beyond ``scale`` counts by the logarithm of its error, so that one that diverged cannot drown the
+    others; one far below counts by its mean squared error.  A small scale makes it the relative error of each track.
+
+    Args:
+        mean: ``(..., T, n)`` estimates.
+        truth: ``(..., T, n)``; NaN where unknown.
+        states: the components that count.
+        scale: the error from which on it flattens, in the unit of the components.
+        angles: the components of the state that are angles.
+
+    Raises:
+        ValueError: ``scale`` not above 0.
+
+    Source: the Cauchy (Lorentzian) loss, Black & Anandan (1996).
+    """
+    if not scale > 0:
+        raise ValueError(f"scale: expected a value above 0, received {scale}")
+    return torch.log1p(mse(mean, truth, states, angles=angles) / scale**2)
+
+
+def nll(estimate: Estimate, truth: Tensor, states: slice | None = None, *, angles: Collection[int] = ()) -> Tensor:
+    """Negative log density of the truth under the estimate: rewards small errors and honest covariances.
+
+    Args:
+        estimate: of tracks ``(..., T, n)``.
+        truth: ``(..., T, n)``; NaN where unknown.
+        states: the components that count, with their marginal covariance; all if None.
+        angles: the components of the state that are angles.
+    """
+    normalised, log_det, known = _normalised(estimate, truth, states, angles)
+    size = normalised.shape[-1]
+    return _over_time(0.5 * normalised.square().sum(-1) + log_det + 0.5 * size * math.log(2 * math.pi), known)
+
+
+def innovation_nll(estimate: Estimate) -> Tensor:
+    """Negative log density of each measurement before it was used.  Needs no truth: it works on recorded tracks.
+
+    Source: the prediction error decomposition, Schweppe (1965).
+    """
+    return -estimate.log_likelihood.mean(-1)
+
+
+def calibration(
+    estimate: Estimate, truth: Tensor, states: slice | None = None, *, angles: Collection[int] = ()
+) -> Tensor:
+    """How far the covariances are from honest: the squared log of the mean NEES over its size; a number.
+
+    0 when the mean over all tracks and known steps is the number of components; the same for covariances that are
+    too large or too small by one factor.
+
+    Args:
+        estimate: of tracks ``(..., T, n)``.
+        truth: ``(..., T, n)``; NaN where unknown.
+        states: the components that count, with their marginal covariance; all if None.
+        angles: the components of the state that are angles.
+
+    Source: Bar-Shalom, Li & Kirubarajan (2001), eq. (5.4.2-1), for the NEES.
+    """
+    normalised, _, known = _normalised(estimate, truth, states, angles)
+    nees = normalised.square().sum(-1).sum() / known.sum()
+    return (nees / normalised.shape[-1]).log().square()
+
+
+def _gap(mean: Tensor, truth: Tensor, states: slice, angles: Collection[int]) -> tuple[Tensor, Tensor]:
+    """Estimate minus truth, 0 at steps ``(..., T)`` that are not known."""
+    turns = torch.zeros(mean.shape[-1], dtype=torch.bool, device=mean.device)
+    turns[list(angles)] = True
+    known = ~truth[..., states].isnan().any(-1)
+    gap = mean[..., states] - torch.where(known.unsqueeze(-1), truth[..., states], mean.detach()[..., states])
+    return torch.where(turns[states], wrap(gap), gap), known
+
+
+def _normalised(
+    estimate: Estimate, truth: Tensor, states: slice | None, angles: Collection[int]
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Errors in units of their covariance's root, half its log determinant (0 where not known), and what is known."""
+    states = slice(None) if states is None else states
+    gap, known = _gap(estimate.mean, truth, states, angles)
+    rows = estimate.scale_tril[..., states, :]
+    root = rows[..., : rows.shape[-2]] if (states.start or 0) == 0 else tria(rows)
+    log_det = root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+    return whiten(root, gap), log_det * known, known
+
+
+def _over_time(values: Tensor, known: Tensor) -> Tensor:
+    """Mean over the known steps, 0 for a track that has none."""
+    return torch.where(known, values, 0.0).sum(-1) / known.sum(-1).clamp_min(1)

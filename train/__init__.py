@@ -1,0 +1,1 @@
+"""Recipes that learn a filter's hyperparameters; nothing in torchfra imports them."""

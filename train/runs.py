@@ -1,0 +1,188 @@
+"""The named runs of ``train.tune``: each is a function that returns a config, numbers with their reasons."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, get_type_hints
+
+
+@dataclass(frozen=True)
+class Task:
+    """Tracks to learn from, and how much they count."""
+
+    scenario: str
+    """``"bearings-outliers"``, ``"bearings-manoeuvre"`` or ``"recorded"``."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """What the scenario takes, such as ``outliers`` and ``truth_noise``."""
+    weight: float = 1.0
+    """Of the mean loss of this task's tracks."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """What a run does.  Any field may be set on the command line, ``lr=0.1``."""
+
+    name: str
+    tasks: tuple[Task, ...]
+    """Each iteration takes tracks of all of them."""
+    learn: tuple[str, ...]
+    """Hyperparameters by name, or ``("all",)``."""
+    filter: str = "fra"
+    """A preset."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """What the preset takes."""
+    start: dict[str, float] = field(default_factory=dict)
+    """Values to start from instead of the preset's and the scenario's, in natural units."""
+    loss: str = "robust"
+    """``"mse"``, ``"robust"``, ``"nll"`` (of the position), ``"innovation"`` or ``"teacher"``."""
+    scale: float = 100.0
+    """Position error, m, from which on the robust loss flattens."""
+    teacher: dict[str, float] = field(default_factory=dict)
+    """Loss ``"teacher"``: values of the filter whose estimates are to be found again."""
+    skip: int = 0
+    """First steps of a track that do not count."""
+    files: tuple[str, ...] = ()
+    """Recorded tracks for the task ``"recorded"``; the sample tracks if none."""
+    batch: int = 64
+    """Tracks of each task and iteration, over all processes."""
+    iterations: int = 100
+    lr: float = 0.05
+    """Of Adam, on the unconstrained values; falls to a tenth along a half cosine."""
+    clip: float = 1.0
+    """Largest norm of one track's gradient."""
+    truncate: int = 0
+    """Steps after which gradients flow no further back; 0 for all of a track."""
+    temperature: float = 1.0
+    """Of FRA's decision at the start; falls geometrically to ``cold`` at the end.  0 trains the hard decision."""
+    cold: float = 0.1
+    validate_every: int = 10
+    """Iterations between validations, with the hard decision, on tracks never trained on."""
+    validation_runs: int = 128
+    patience: int = 5
+    """Validations without a better one after which training stops."""
+    checkpoint_every: int = 10
+    test_runs: int = 500
+    """Unseen tracks of each task for the figures before and after; 0 for none."""
+    seed: int = 0
+    validation_seed: int = 1
+    test_seed: int = 2
+    device: str = "cpu"
+    tensorboard: bool = False
+    """Also write a TensorBoard log."""
+
+
+def _bearings(outliers: str = "std", **options: Any) -> tuple[Task, Task]:
+    options = {"outliers": outliers, "truth_noise": 0.01} | options
+    return Task("bearings-outliers", options), Task("bearings-manoeuvre", options)
+
+
+def fra_bearings() -> Config:
+    """Both bearings scenarios at once, outliers in standard deviations, truth disturbed as the filter assumes."""
+    return Config(
+        name="fra_bearings",
+        tasks=_bearings(),
+        learn=("threshold", "weakening", "forgetting", "fading_max", "gate", "preference", "q", "std"),
+        skip=9,  # the first steps carry the poor start, whatever the filter does
+    )
+
+
+def fra_recorded() -> Config:
+    """The likelihood of the measurements alone: needs no truth.  Every fifth recorded track is kept for the test."""
+    return Config(
+        name="fra_recorded",
+        tasks=(Task("recorded"),),
+        learn=("threshold", "weakening", "forgetting", "gate", "preference", "q", "std"),
+        loss="innovation",
+    )
+
+
+def noise() -> Config:
+    """Process and measurement noise of a plain filter, a factor 3 off, from measurements alone."""
+    return Config(
+        name="noise",
+        tasks=(Task("bearings-outliers", {"outliers": "none", "truth_noise": 0.04, "initial": "truth"}),),
+        learn=("q", "std"),
+        filter="srckf",
+        start={"q": 0.04 / 3, "std": 0.0175 * 3},
+        loss="innovation",
+        temperature=0.0,
+    )
+
+
+def recover() -> Config:
+    """A filter with known values is the teacher; another that starts a factor 3 off finds them from its estimates."""
+    known = {"threshold": 1.0, "weakening": 4.0, "q": 0.03}
+    return Config(
+        name="recover",
+        tasks=_bearings(truth_noise=known["q"]),
+        learn=tuple(known),
+        teacher=known,
+        start={"threshold": 3.0, "weakening": 4.0 / 3, "q": 0.01},
+        loss="teacher",
+        scale=10.0,
+        temperature=1.0,
+        cold=1.0,  # teacher and pupil decide alike; nothing is gained by hardening
+    )
+
+
+RUNS: dict[str, Callable[[], Config]] = {f.__name__: f for f in (fra_bearings, fra_recorded, noise, recover)}
+
+
+def configured(name: str, changes: Sequence[str] = ()) -> Config:
+    """A named run with ``key=value`` changes.
+
+    Raises:
+        ValueError: an unknown run or key, or a value of the wrong kind.
+    """
+    if name not in RUNS:
+        raise ValueError(f"run: expected one of {', '.join(RUNS)}, received {name!r}")
+    hints = get_type_hints(Config)
+    given: dict[str, Any] = {}
+    for change in changes:
+        key, equals, text = change.partition("=")
+        if not equals or key not in hints:
+            raise ValueError(f"config: expected KEY=VALUE with a key out of {', '.join(hints)}, received {change!r}")
+        given[key] = _read(key, text, hints[key])
+    return _checked(dataclasses.replace(RUNS[name](), **given))
+
+
+def _read(key: str, text: str, kind: Any) -> Any:
+    try:
+        if kind is bool:
+            return {"true": True, "false": False, "1": True, "0": False}[text.lower()]
+        if kind in (int, float, str):
+            return kind(text)
+        if kind == tuple[str, ...]:
+            return tuple(part for part in text.split(",") if part)
+        value = json.loads(text)
+        if kind == tuple[Task, ...]:
+            return tuple(Task(**task) for task in value)
+        if not isinstance(value, dict):
+            raise TypeError
+        return value
+    except (ValueError, KeyError, TypeError):
+        said = getattr(kind, "__name__", None) or str(kind)
+        raise ValueError(
+            f"{key}: expected {'JSON' if 'dict' in said or 'Task' in str(kind) else said}, received {text!r}"
+        ) from None
+
+
+def _checked(config: Config) -> Config:
+    for key, low in (("batch", 1), ("iterations", 1), ("validate_every", 1), ("validation_runs", 1), ("patience", 1),
+                     ("checkpoint_every", 1), ("skip", 0), ("truncate", 0), ("test_runs", 0), ("seed", 0),
+                     ("validation_seed", 0), ("test_seed", 0)):  # fmt: skip
+        if getattr(config, key) < low:
+            raise ValueError(f"{key}: expected at least {low}, received {getattr(config, key)}")
+    for key in ("lr", "clip", "scale"):
+        if not getattr(config, key) > 0:
+            raise ValueError(f"{key}: expected a value above 0, received {getattr(config, key)}")
+    if config.temperature and not config.temperature >= config.cold > 0:
+        raise ValueError(f"cold: expected above 0 and at most {config.temperature}, received {config.cold}")
+    if len({config.seed, config.validation_seed, config.test_seed}) < 3:
+        raise ValueError("seed, validation_seed, test_seed: expected three different ones")
+    if not config.tasks or not config.learn:
+        raise ValueError("tasks, learn: expected at least one of each")
+    return config
