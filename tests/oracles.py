@@ -70,6 +70,7 @@ class Fade(NamedTuple):
     rcond: float = 0.1  # singular values up to rcond times the largest are dropped in the pseudo-inverse
     fading_max: float = 1e3
     trace: str = "full"  # or "position"
+    groups: tuple[tuple[int, int, float], ...] = ((0, 2, 1.0),)  # first state, one past the last, share of the excess
 
 
 # ---------------------------------------------------------------------------------------------- small tools and models
@@ -225,9 +226,10 @@ def _prior(mean: Array, P: Array, z: Array, model: Model, k: int, rule: Rule) ->
     return Prior(mean, P, J, Q, seen, SR, at, np.linalg.inv(SR) @ at.e, *_fit(at.e, at.Pzz))
 
 
-def huber(v: Array, threshold: float) -> Array:
-    """Weights min(1, threshold / |v|), eqs. (25)-(26)."""
-    return np.array([1.0 if abs(a) < threshold else threshold / abs(a) for a in v])
+def huber(v: Array, threshold: float | Array) -> Array:
+    """Weights min(1, threshold / |v|), eqs. (25)-(26); one threshold, or one for each of v."""
+    pairs = zip(v, np.broadcast_to(threshold, v.shape), strict=True)
+    return np.array([1.0 if abs(a) < c else c / abs(a) for a, c in pairs])
 
 
 def igg(tau: float, low: float, high: float, variant: str = "distance") -> float:
@@ -263,7 +265,10 @@ def _faded(p: Prior, V: Array, weights: Array, z: Array, model: Model, k: int, r
     """Fade the position covariance, eqs. (29) and (34), measure again and update with SR diag(1 / weights) SR^T."""
     trN, trJ = fading_terms(p, V, weights, fade)
     factor = min(max(1.0, trN / trJ), fade.fading_max) if math.isfinite(trN) else 1.0
-    L = np.diag([math.sqrt(factor)] * 2 + [1.0] * (len(p.mean) - 2))
+    scales = np.ones(len(p.mean))
+    for low, high, share in fade.groups:
+        scales[low:high] = math.sqrt(1 + share * (factor - 1))
+    L = np.diag(scales)
     P = L @ p.J @ L.T + p.Q
     at = measure(p.mean, P, z, model, k, rule)
     return *update(p.mean, P, _inflated(at.Pzz, p.SR, weights), at.Pxz, at.e), weights, factor
@@ -394,13 +399,18 @@ def asrckf(z: Array, mean0: Array, P0: Array, model: Model, **fade: Any) -> Resu
     return rmckf(z, mean0, P0, model, math.inf, **fade)
 
 
-def _adaptive_wins(robust: Prior, adaptive: Prior, decision: str) -> bool:
-    """Feedback decision of section 2.2; a tie and a broken-down adaptive branch select the robust one."""
+def _lead(robust: Prior, adaptive: Prior, decision: str, preference: float) -> float:
+    """Log odds of the adaptive branch: feedback decision of section 2.2."""
+    if decision == "likelihood":
+        return adaptive.log_likelihood - robust.log_likelihood - preference
+    return 0.5 * (robust.nis - adaptive.nis) - preference
+
+
+def _adaptive_wins(robust: Prior, adaptive: Prior, decision: str, preference: float) -> bool:
+    """A tie and a broken-down adaptive branch select the robust one."""
     if not (math.isfinite(robust.nis) and math.isfinite(adaptive.nis)):
         return math.isfinite(adaptive.nis)
-    if decision == "likelihood":
-        return adaptive.log_likelihood > robust.log_likelihood
-    return adaptive.nis < robust.nis
+    return _lead(robust, adaptive, decision, preference) > 0
 
 
 def fra(
@@ -408,8 +418,9 @@ def fra(
     mean0: Array,
     P0: Array,
     model: Model,
-    threshold: float = 1.345,
+    threshold: float | Array = 1.345,
     gate: float = 5.991,
+    preference: float = 0.0,
     decision: str = "normalised",
     memory: str = "plain",
     final: str = "robust",
@@ -426,7 +437,7 @@ def fra(
     steps: list[dict[str, Any]] = []
     p = _prior(np.array(mean0, dtype=float), np.array(P0, dtype=float), z[0], model, 0, rule)
     for k in range(len(z)):
-        psi, ones = huber(p.v, threshold), np.ones(len(p.seen))
+        psi, ones = huber(p.v, np.broadcast_to(threshold, z.shape[1])[p.seen]), np.ones(len(p.seen))
         V_now = remember(V, p.v, p.seen, options.forgetting)
         V = remember(V, psi * p.v, p.seen, options.forgetting) if memory == "weighted" else V_now
         kept = provisional = _weighted(p, ones)
@@ -437,7 +448,7 @@ def fra(
             if k + 1 < len(z):
                 after_robust = _prior(*robust[:2], z[k + 1], model, k + 1, rule)
                 after_faded = _prior(*faded[:2], z[k + 1], model, k + 1, rule)
-                adaptive = _adaptive_wins(after_robust, after_faded, decision)
+                adaptive = _adaptive_wins(after_robust, after_faded, decision, preference)
                 kept, following = (faded, after_faded) if adaptive else (robust, after_robust)
             else:
                 adaptive = final == "adaptive"
@@ -446,4 +457,51 @@ def fra(
         steps.append(_step(p, kept, z.shape[1]) | flags)
         if k + 1 < len(z):
             p = following or _prior(*kept[:2], z[k + 1], model, k + 1, rule)
+    return _result(steps)
+
+
+def _mixed(parts: list[tuple[float, Posterior]]) -> tuple[Array, Array]:
+    """Mean and covariance of a mixture."""
+    mean = sum(w * posterior[0] for w, posterior in parts)
+    P = sum(w * (posterior[1] + np.outer(posterior[0] - mean, posterior[0] - mean)) for w, posterior in parts)
+    return np.asarray(mean), np.asarray(P)
+
+
+def _sigmoid(x: float) -> float:
+    return 1 / (1 + math.exp(-x)) if x > -700 else 0.0
+
+
+def soft_fra(
+    z: Array,
+    mean0: Array,
+    P0: Array,
+    model: Model,
+    temperature: float,
+    threshold: float = 1.345,
+    gate: float = 5.991,
+    preference: float = 0.0,
+    decision: str = "likelihood",
+    memory: str = "weighted",
+    **fade: Any,
+) -> Result:
+    """As `fra`, but every step is a mixture: abnormal by sigmoid((nis - gate) / temperature), and of that the adaptive
+    branch by the sigmoid of its log odds over the temperature. An abnormal last step is robust. mean and P only."""
+    rule, options = third_degree(len(mean0)), Fade(**fade)
+    V = np.full((z.shape[1], z.shape[1]), np.nan)
+    steps: list[dict[str, Any]] = []
+    p = _prior(np.array(mean0, dtype=float), np.array(P0, dtype=float), z[0], model, 0, rule)
+    for k in range(len(z)):
+        psi, ones = huber(p.v, threshold), np.ones(len(p.seen))
+        V_now = remember(V, p.v, p.seen, options.forgetting)
+        V = remember(V, psi * p.v, p.seen, options.forgetting) if memory == "weighted" else V_now
+        robust, faded = _weighted(p, psi), _faded(p, V_now, ones, z[k], model, k, rule, options)
+        abnormal, adaptive = _sigmoid((p.nis - gate) / temperature), 0.0
+        if k + 1 < len(z):
+            ahead = [_prior(*branch[:2], z[k + 1], model, k + 1, rule) for branch in (robust, faded)]
+            adaptive = _sigmoid(_lead(*ahead, decision, preference) / temperature)
+        parts = [(1 - abnormal, _weighted(p, ones)), (abnormal * (1 - adaptive), robust), (abnormal * adaptive, faded)]
+        mean, P = _mixed(parts)
+        steps.append({"mean": mean, "P": P})
+        if k + 1 < len(z):
+            p = _prior(mean, P, z[k + 1], model, k + 1, rule)
     return _result(steps)

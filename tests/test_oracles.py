@@ -26,7 +26,10 @@ CASES = [
         ("likelihood", "plain", "plain", 0.1),
         ("likelihood", "weighted", "robust", 0.2),
     )
-]
+] + [
+    ("fra", "fra", {"preference": 1.5, "gate": 8.0, "threshold": np.array([0.8, 2.0])}),
+    ("fra_srckf", "fra", {"preference": -1.0, "share": (1.0, 0.3), "states": (slice(0, 2), slice(2, 4))}),
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module", params=["bearings_outliers", "bearings_manoeuvre"])
@@ -47,12 +50,20 @@ def test_a_filter_agrees_with_its_oracle(experiment, preset, oracle, options):
     places = tracks.u.numpy().reshape(100, 2, 2)
     std = scenario.sensor.std().item()
     model = oracles.Model(F, SQ, std * np.eye(2), lambda x, k: oracles.bearings(x, places[k]), np.array([True, True]))
-    e = getattr(presets, preset)(scenario.motion, scenario.sensor, **options)(tracks.z, tracks.prior, u=tracks.u)
+    ours, theirs = dict(options), dict(options)
+    if preset == "fra":
+        theirs |= {"decision": "likelihood", "memory": "weighted", "rcond": 0.2}
+    if "threshold" in options and not np.isscalar(options["threshold"]):
+        ours |= {"threshold": torch.from_numpy(options["threshold"]), "per_element": True}
+    if "share" in options:
+        pairs = zip(theirs.pop("states"), theirs.pop("share"), strict=True)
+        theirs["groups"] = tuple((states.start, states.stop, share) for states, share in pairs)
+    e = getattr(presets, preset)(scenario.motion, scenario.sensor, **ours)(tracks.z, tracks.prior, u=tracks.u)
     covariance = (tracks.prior.scale_tril @ tracks.prior.scale_tril.mT).numpy()
     # The oracle's EKF takes its Jacobian from finite differences.
     tolerance = 1e-5 if oracle == "ekf" else 1e-9
     for i in range(3):
-        said = getattr(oracles, oracle)(tracks.z[i].numpy(), tracks.prior.mean[i].numpy(), covariance, model, **options)
+        said = getattr(oracles, oracle)(tracks.z[i].numpy(), tracks.prior.mean[i].numpy(), covariance, model, **theirs)
         mean, P = e.mean[i].numpy(), e.covariance[i].numpy()
         np.testing.assert_allclose(mean, said["mean"], rtol=tolerance, atol=tolerance * np.abs(mean).max())
         np.testing.assert_allclose(P, said["P"], rtol=tolerance * 10, atol=tolerance * np.abs(P).max())
@@ -71,3 +82,26 @@ def test_a_filter_agrees_with_its_oracle(experiment, preset, oracle, options):
             np.testing.assert_allclose(info.fading[i].numpy(), said["fading"], rtol=1e-6)
         if oracle in ("rsrckf", "rmckf", "mr_ckf"):
             np.testing.assert_allclose(info.weights[i].numpy(), said["weights"], rtol=1e-6)
+
+
+@pytest.mark.parametrize("temperature", [0.05, 1.0, 5.0])
+@pytest.mark.parametrize(("preset", "options"), [
+    ("fra", {"decision": "likelihood", "memory": "weighted", "rcond": 0.2, "preference": 0.7}),
+    ("fra_srckf", {"decision": "normalised", "memory": "plain", "rcond": 0.1}),
+])  # fmt: skip
+def test_a_soft_decision_agrees_with_its_oracle(experiment, preset, options, temperature):
+    scenario, tracks = experiment
+    F, SQ = oracles.ca(1.0, 0.01)
+    places = tracks.u.numpy().reshape(100, 2, 2)
+    std = scenario.sensor.std().item()
+    model = oracles.Model(F, SQ, std * np.eye(2), lambda x, k: oracles.bearings(x, places[k]), np.array([True, True]))
+    f = getattr(presets, preset)(scenario.motion, scenario.sensor, temperature=temperature, **options)
+    e = f(tracks.z, tracks.prior, u=tracks.u)
+    covariance = (tracks.prior.scale_tril @ tracks.prior.scale_tril.mT).numpy()
+    for i in range(3):
+        said = oracles.soft_fra(
+            tracks.z[i].numpy(), tracks.prior.mean[i].numpy(), covariance, model, temperature, **options
+        )
+        np.testing.assert_allclose(e.mean[i].numpy(), said["mean"], rtol=1e-8, atol=1e-8 * np.abs(said["mean"]).max())
+        P = e.covariance[i].numpy()
+        np.testing.assert_allclose(P, said["P"], rtol=1e-7, atol=1e-8 * np.abs(P).max())

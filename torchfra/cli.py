@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from torchfra import readers, scenarios
+from torchfra import distributed, readers, scenarios
 from torchfra.evaluate import FILTERS, evaluate, progress_bar, report, table
 from torchfra.files import write_json, write_text
 from torchfra.malloc import keep_memory
@@ -57,7 +57,8 @@ def parser() -> argparse.ArgumentParser:
         description="Run many tracks through several filters: one table and one figure.  The tracks are recorded ones\n"
         f"seen by a simulated sensor (FILES), or those of a paper's scenario.\n\n{_FILES}",
         epilog="examples:\n  torchfra compare flights/*.json.gz --sensor radar --json radar.json\n"
-        "  torchfra compare --scenario bearings-outliers --runs 500 --filters srckf,rmckf,fra",
+        "  torchfra compare --scenario bearings-outliers --runs 500 --filters srckf,rmckf,fra\n"
+        "  torchrun --nproc-per-node 2 -m torchfra compare --scenario bearings-outliers --runs 10000",
     )
     c.add_argument("files", metavar="FILE", type=Path, nargs="*")
     c.add_argument("--scenario", metavar="NAME", help=f"instead of files, one of {', '.join(SCENARIOS)}")
@@ -78,11 +79,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; 0 if it did its work, 2 with one line on standard error if something handed in was wrong."""
     options = parser().parse_args(arguments)
     keep_memory()
-    try:
-        options.run(options)
-    except (ValueError, OSError, ImportError) as error:
-        print(f"torchfra: error: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+    with distributed.team():
+        try:
+            options.run(options)
+        except (ValueError, OSError, ImportError) as error:
+            if distributed.rank() == 0:
+                print(f"torchfra: error: {' '.join(str(error).split())}", file=sys.stderr)
+            return 2
     return 0
 
 
@@ -138,7 +141,10 @@ def _compare(options: argparse.Namespace) -> None:
         scenario = scenarios.recorded(recordings, options.sensor, dt=options.dt, steps=options.steps, outliers=outliers)
         runs = int(str(scenario.settings["windows"])) if options.runs is None else options.runs
     names = [name for name in options.filters.split(",") if name]
-    results = evaluate(scenario, names, runs=runs, seed=options.seed, progress=not options.quiet)
+    first = distributed.rank() == 0
+    results = evaluate(scenario, names, runs=runs, seed=options.seed, progress=first and not options.quiet)
+    if not first:
+        return
     figure = options.figure or Path(f"compare-{scenario.name}.png")
     from torchfra import plotting
 

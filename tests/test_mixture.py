@@ -1,0 +1,68 @@
+"""A mixture's Gaussian has the mixture's moments, and a gradient everywhere."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from torchfra.mixture import moment_match
+from torchfra.types import Gaussian
+
+
+def beliefs(k, n, *batch, seed=0):
+    rng = torch.Generator().manual_seed(seed)
+    root = torch.randn(k, *batch, n, n, dtype=torch.float64, generator=rng).tril()
+    return Gaussian(torch.randn(k, *batch, n, dtype=torch.float64, generator=rng), root)
+
+
+@given(k=st.integers(1, 5), n=st.integers(1, 6), seed=st.integers(0, 1000))
+@settings(deadline=None, max_examples=30)
+def test_mean_and_covariance_are_those_of_the_mixture(k, n, seed):
+    each = beliefs(k, n, 3, seed=seed)
+    log_weights = torch.log_softmax(3 * torch.randn(k, 3, generator=torch.Generator().manual_seed(seed)).double(), 0)
+    mixed = moment_match(each, log_weights)
+    w, means, covariances = log_weights.exp().numpy(), each.mean.numpy(), each.covariance.numpy()
+    mean = np.einsum("kb,kbn->bn", w, means)
+    gap = means - mean
+    covariance = np.einsum("kb,kbij->bij", w, covariances + gap[..., :, None] * gap[..., None, :])
+    np.testing.assert_allclose(mixed.mean, mean, atol=1e-12)
+    np.testing.assert_allclose(mixed.covariance, covariance, atol=1e-11)
+    assert (mixed.scale_tril.diagonal(dim1=-2, dim2=-1) >= 0).all()
+    assert (mixed.scale_tril.triu(1) == 0).all()
+
+
+def test_samples_of_the_mixture_have_its_moments():
+    each, weights = beliefs(3, 2), torch.tensor([0.2, 0.5, 0.3], dtype=torch.float64)
+    rng = np.random.default_rng(0)
+    which = rng.choice(3, 200_000, p=weights.numpy())
+    x = each.mean.numpy()[which] + np.einsum(
+        "sij,sj->si", each.scale_tril.numpy()[which], rng.standard_normal((200_000, 2))
+    )
+    mixed = moment_match(each, weights.log())
+    np.testing.assert_allclose(mixed.mean, x.mean(0), atol=0.02)
+    np.testing.assert_allclose(mixed.covariance, np.cov(x.T), atol=0.05)
+
+
+def test_one_belief_that_has_all_the_weight_is_the_result_whatever_the_others_are():
+    each = beliefs(3, 4)
+    each.mean[1], each.scale_tril[2] = torch.nan, torch.inf
+    weights = torch.tensor([0.0, -torch.inf, -torch.inf], dtype=torch.float64)
+    mixed = moment_match(each, weights)
+    torch.testing.assert_close(mixed.mean, each.mean[0])
+    torch.testing.assert_close(mixed.covariance, each.covariance[0])
+
+
+def test_a_weight_that_is_no_number_shows_in_the_result():
+    assert moment_match(beliefs(2, 3), torch.full((2,), torch.nan).double()).mean.isnan().all()
+
+
+@pytest.mark.parametrize("logits", [[0.3, -1.0, 0.5], [0.0, -800.0, 0.0]])
+def test_its_gradient_is_that_of_finite_differences_down_to_weights_of_nothing(logits):
+    each = beliefs(3, 3)
+    logits = torch.tensor(logits, dtype=torch.float64, requires_grad=True)
+    parts = [x.clone().requires_grad_() for x in each]
+    assert torch.autograd.gradcheck(
+        lambda mean, root, x: tuple(moment_match(Gaussian(mean, root.tril()), torch.log_softmax(x, 0))),
+        (*parts, logits),
+    )
