@@ -62,7 +62,7 @@ def test_a_value_may_be_set_in_natural_units():
     hyper = Hyper(2.0, learn=True)
     hyper.set(5.0)
     assert hyper().item() == pytest.approx(5.0)
-    with pytest.raises(ValueError, match="gate: expected a value above 0, received -1.0"):
+    with pytest.raises(ValueError, match=r"gate: expected a value above 0, received -1\.0"):
         hyper.set(-1.0, "gate")
     assert hyper().item() == pytest.approx(5.0)
 

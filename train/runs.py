@@ -51,8 +51,8 @@ class Config:
     iterations: int = 100
     lr: float = 0.05
     """Of Adam, on the unconstrained values; falls to a tenth along a half cosine."""
-    clip: float = 1.0
-    """Largest norm of one track's gradient."""
+    clip: float = 100.0
+    """Largest norm of one track's gradient.  Large: the tracks with large gradients are those that outliers threaten."""
     truncate: int = 0
     """Steps after which gradients flow no further back; 0 for all of a track."""
     temperature: float = 1.0

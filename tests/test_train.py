@@ -1,0 +1,305 @@
+"""Training learns, survives what goes wrong, and several processes do what one does."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+import torchfra
+from torchfra import presets, scenarios
+from train import tune
+from train.runs import RUNS, Config, Task, configured
+
+ROOT = Path(__file__).parent.parent
+SMALL = (
+    "batch=8",
+    "iterations=6",
+    "validate_every=3",
+    "checkpoint_every=2",
+    "validation_runs=8",
+    "test_runs=8",
+    "skip=0",
+)
+SHORT = 'tasks=[{"scenario":"bearings-outliers","options":{"outliers":"std","initial":"truth"}}]'
+
+
+def train(out, *arguments):
+    return tune.main(["fra_bearings", *SMALL, SHORT, *arguments, "--out", str(out), "--quiet"])
+
+
+def learned(out):
+    return torch.load(out / "state_dict.pt", weights_only=True)
+
+
+def log_of(out):
+    return list(csv.DictReader((out / "log.csv").read_text().splitlines()))
+
+
+def equal(a, b):
+    return a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a)
+
+
+def environment():
+    return os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory):
+    out = tmp_path_factory.mktemp("unbroken")
+    assert train(out) == 0
+    return out
+
+
+# ---------------------------------------------------------------- what a run leaves
+
+
+def test_a_run_writes_its_settings_its_log_its_values_and_a_figure(unbroken):
+    assert {path.name for path in unbroken.iterdir()} >= {
+        "config.json", "log.csv", "state_dict.pt", "checkpoint.pt", "checkpoint-previous.pt", "learning.png",
+        "results.json",
+    }  # fmt: skip
+    rows = log_of(unbroken)
+    assert [int(row["iteration"]) for row in rows] == [1, 2, 3, 4, 5, 6]
+    assert all(float(row["loss"]) > 0 and row["left out"] == "0" for row in rows)
+    assert [bool(row["validation"]) for row in rows] == [False, False, True] * 2
+    assert json.loads((unbroken / "config.json").read_text())["iterations"] == 6
+    result = json.loads((unbroken / "results.json").read_text())
+    assert result["values"]["start"].keys() == result["values"]["learned"].keys()
+    assert result["versions"]["torch"] == torch.__version__
+    assert result["tasks"][0]["before"]["rmse_position"] > 0
+
+
+def test_the_learned_values_load_into_a_fixed_filter(unbroken):
+    scenario = scenarios.bearings_outliers()
+    f = presets.fra(scenario.motion, scenario.sensor)
+    f.load_state_dict(learned(unbroken))
+    said = json.loads((unbroken / "results.json").read_text())["values"]["learned"]
+    assert f.gate().item() == pytest.approx(said["gate"])
+    assert f.motion.q().item() == pytest.approx(said["motion.q"])
+
+
+def test_the_same_settings_learn_the_same_values(unbroken, tmp_path):
+    assert train(tmp_path) == 0
+    assert equal(learned(tmp_path), learned(unbroken))
+
+
+# ---------------------------------------------------------------- interruptions
+
+
+def test_a_run_killed_at_any_moment_resumes_to_the_same_values(unbroken, tmp_path):
+    command = [sys.executable, "-m", "train.tune", "fra_bearings", *SMALL, SHORT, "--quiet", "--out"]
+    whole = tmp_path / "whole"
+    subprocess.run([*command, str(whole)], cwd=ROOT, env=environment(), check=True, timeout=600)
+    broken = tmp_path / "broken"
+    for moment in range(2):
+        process = subprocess.Popen([*command, str(broken), "--resume"], cwd=ROOT, env=environment())
+        until = time.monotonic() + 300
+        count = 2 * (moment + 1)  # some time after the checkpoint of this iteration
+        while time.monotonic() < until and process.poll() is None:
+            log = broken / "log.csv"
+            if log.exists() and len(log.read_text().splitlines()) > count:
+                break
+            time.sleep(0.02)
+        time.sleep(0.1)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    subprocess.run([*command, str(broken), "--resume"], cwd=ROOT, env=environment(), check=True, timeout=600)
+    assert equal(learned(broken), learned(whole))
+    assert len((broken / "log.csv").read_text().splitlines()) == 7
+
+
+def stopped_after_four(out):
+    """A run whose last checkpoints are those of iterations 4 and 2."""
+    config = configured("fra_bearings", [*SMALL, SHORT])
+    tuner = tune.Tuner(config)
+    out.mkdir(exist_ok=True)
+    for _ in range(4):
+        tuner.step()
+        if tuner.iteration % 2 == 0:
+            tuner.save(out)
+
+
+def test_a_checkpoint_cut_in_half_is_refused_and_the_one_before_it_used(unbroken, tmp_path, capsys):
+    stopped_after_four(tmp_path)
+    newest = tmp_path / "checkpoint.pt"
+    newest.write_bytes(newest.read_bytes()[: newest.stat().st_size // 2])
+    assert train(tmp_path, "--resume") == 0
+    assert "checkpoint.pt is damaged and is not used" in capsys.readouterr().err
+    assert equal(learned(tmp_path), learned(unbroken))
+
+
+def test_when_no_checkpoint_can_be_read_the_run_says_so_and_touches_nothing(tmp_path, capsys):
+    for name in ("checkpoint.pt", "checkpoint-previous.pt"):
+        (tmp_path / name).write_bytes(b"PK broken")
+    assert train(tmp_path, "--resume") == 2
+    assert "no checkpoint" in capsys.readouterr().err
+    assert (tmp_path / "checkpoint.pt").read_bytes() == b"PK broken"
+
+
+def test_a_run_is_not_overwritten_nor_gone_on_with_under_other_settings(unbroken, capsys):
+    before = (unbroken / "checkpoint.pt").read_bytes()
+    assert train(unbroken) == 2
+    assert "holds a run already" in capsys.readouterr().err
+    assert train(unbroken, "--resume", "lr=0.2") == 2
+    assert "these differ: lr" in capsys.readouterr().err
+    assert (unbroken / "checkpoint.pt").read_bytes() == before
+
+
+# ---------------------------------------------------------------- what it promises
+
+
+def test_a_track_that_blows_up_is_left_out_and_counted(monkeypatch):
+    config = configured("fra_bearings", [*SMALL, SHORT])
+    tuner, clean = tune.Tuner(config), tune.Tuner(config)
+    batch = tune.simulate(tuner.parts, 0, 8, 0, "cpu")
+    mean = batch.prior.mean.clone()
+    mean[3] = torch.nan
+    lesson = tuner.learn(batch._replace(prior=batch.prior._replace(mean=mean)), 1.0)
+    keep = [0, 1, 2, 4, 5, 6, 7]
+    rest = clean.learn(
+        batch._replace(z=batch.z[keep], truth=batch.truth[keep], u=batch.u[keep], dt=batch.dt[keep],
+                       task=batch.task[keep], prior=type(batch.prior)(*(x[keep] for x in batch.prior))), 1.0
+    )  # fmt: skip
+    assert lesson.left_out == 1
+    assert lesson.gradient.isfinite().all()
+    torch.testing.assert_close(lesson.gradient, rest.gradient, rtol=1e-10, atol=1e-12)
+    torch.testing.assert_close(lesson.loss, rest.loss)
+
+
+def test_the_gradient_of_a_batch_is_that_of_its_mean_loss():
+    tuner = tune.Tuner(configured("fra_bearings", [*SMALL, "clip=1e9"]))
+    batch = tune.simulate(tuner.parts, 0, 4, 0, "cpu")
+    lesson = tuner.learn(batch, 1.0)
+    shared = dict(zip(tuner.names, tuner.parameters, strict=True))
+    expected = torch.autograd.grad(tuner.losses(shared, batch, 1.0).mean(), tuner.parameters)
+    torch.testing.assert_close(tuner.weights @ lesson.gradient, torch.stack(expected), rtol=1e-8, atol=1e-10)
+
+
+def test_one_wild_track_moves_the_step_no_further_than_the_clip():
+    tuner = tune.Tuner(configured("fra_bearings", [*SMALL, SHORT, "clip=1e-3"]))
+    lesson = tuner.learn(tune.simulate(tuner.parts, 0, 8, 0, "cpu"), 1.0)
+    assert 0 < lesson.gradient.norm() <= 1e-3
+
+
+def test_training_stops_when_validation_no_longer_improves(tmp_path, monkeypatch):
+    scores = iter([1.0, 0.9, 0.95, 0.96, 0.5])
+    monkeypatch.setattr(tune.Tuner, "validate", lambda self: next(scores))
+    assert train(tmp_path, "validate_every=1", "patience=2", "iterations=20", "test_runs=0") == 0
+    result = json.loads((tmp_path / "results.json").read_text())
+    assert (result["iterations"], result["best"]) == (4, 2)
+
+
+def test_shorter_tracks_of_another_task_end_in_missing_data():
+    short, long = scenarios.bearings_outliers(), scenarios.bearings_manoeuvre()
+    cut = short.__class__(**{**vars(short), "steps": 60, "block": lambda rng, n: _cut(short.block(rng, n))})
+    batch = tune.simulate([cut, long], 0, 3, 0, "cpu")
+    assert batch.z.shape == (6, 100, 2)
+    assert batch.z[:3, 60:].isnan().all()
+    assert batch.truth[:3, 60:].isnan().all()
+    assert not batch.z[3:].isnan().any()
+    assert batch.task.tolist() == [0, 0, 0, 1, 1, 1]
+
+
+def _cut(tracks):
+    return tracks._replace(truth=tracks.truth[:, :60], z=tracks.z[:, :60], u=tracks.u[:60])
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    ("rate=1", "expected KEY=VALUE with a key out of"),
+    ("lr", "expected KEY=VALUE"),
+    ("lr=fast", "lr: expected float, received 'fast'"),
+    ("lr=-1", "lr: expected a value above 0"),
+    ("batch=0", "batch: expected at least 1"),
+    ("tasks=[1]", "tasks: expected JSON"),
+    ("validation_seed=0", "three different"),
+    ("loss=love", "loss: expected one of"),
+    ("learn=phase", "learn: expected 'all' or names"),
+    ("filter=kalman", "filter: expected a preset"),
+    ("cold=2", "cold: expected above 0 and at most 1.0"),
+])  # fmt: skip
+def test_a_setting_that_makes_no_sense_is_named_before_any_work(change, said, tmp_path, capsys):
+    assert tune.main(["fra_bearings", change, "--out", str(tmp_path / "x")]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
+
+
+def test_an_unknown_run_is_answered_with_the_known_ones(capsys):
+    assert tune.main(["fra_sonar"]) == 2
+    said = capsys.readouterr().err
+    assert all(name in said for name in RUNS)
+
+
+@pytest.mark.parametrize("name", sorted(RUNS))
+def test_every_named_run_takes_a_step(name):
+    pytest.importorskip("traffic") if name == "fra_recorded" else None
+    tuner = tune.Tuner(configured(name, ["batch=4", "validation_runs=4", "test_runs=0"]))
+    before = tuner.learned()
+    row = tuner.step()
+    assert row["left out"] == 0
+    assert all(tuner.learned()[path] != value for path, value in before.items())
+
+
+def test_all_learns_all():
+    tuner = tune.Tuner(configured("fra_bearings", [*SMALL, "learn=all"]))
+    assert len(tuner.names) == 8
+    assert isinstance(tuner.config, Config)
+    assert isinstance(tuner.config.tasks[0], Task)
+
+
+# ---------------------------------------------------------------- several processes
+
+
+def torchrun(*command, processes):
+    own = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
+    subprocess.run(
+        [*own, *map(str, command)], cwd=ROOT, env=environment(), check=True, capture_output=True, timeout=600
+    )
+
+
+@pytest.mark.slow
+def test_two_processes_train_as_one_does(unbroken, tmp_path):
+    torchrun("-m", "train.tune", "fra_bearings", *SMALL, SHORT, "--quiet", "--out", tmp_path, processes=2)
+    one, two = (log_of(out) for out in (unbroken, tmp_path))
+    assert len(one) == len(two)
+    for a, b in zip(one, two, strict=True):
+        for key in a.keys() - {"seconds"}:
+            assert (not a[key] and not b[key]) or float(a[key]) == pytest.approx(float(b[key]), rel=1e-10), key
+
+
+@pytest.mark.slow
+def test_two_processes_compare_as_one_does(tmp_path):
+    arguments = ["-m", "torchfra", "compare", "--scenario", "bearings-outliers", "--outliers", "std", "--runs", "21",
+                 "--filters", "srckf,rmckf,fra", "--quiet"]  # fmt: skip
+    results = []
+    for processes in (1, 2):
+        path = tmp_path / f"{processes}.json"
+        torchrun(*arguments, "--json", path, "--figure", tmp_path / "f.png", processes=processes)
+        results.append(json.loads(path.read_text())["filters"])
+    for name, figures in results[0].items():
+        for key in figures.keys() - {"microseconds", "relative_time"}:
+            assert figures[key] == pytest.approx(results[1][name][key], rel=1e-10), key
+
+
+# ---------------------------------------------------------------- known values
+
+
+@pytest.mark.slow
+def test_noise_levels_a_factor_three_off_are_found_again(tmp_path):
+    result = tune.tune(configured("noise"), tmp_path, quiet=True)
+    assert result["values"]["learned"]["motion.q"] == pytest.approx(0.04, rel=0.15)
+    assert result["values"]["learned"]["sensor.std"] == pytest.approx(0.0175, rel=0.15)
+
+
+@pytest.mark.slow
+def test_threshold_weakening_and_q_a_factor_three_off_are_found_again(tmp_path):
+    result = tune.tune(configured("recover"), tmp_path, quiet=True)
+    for path, known in result["values"]["known"].items():
+        assert result["values"]["learned"][path] == pytest.approx(known, rel=0.15), path
+    assert torchfra.__version__ == result["versions"]["torchfra"]
