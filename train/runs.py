@@ -52,7 +52,7 @@ class Config:
     lr: float = 0.05
     """Of Adam, on the unconstrained values; falls to a tenth along a half cosine."""
     clip: float = 100.0
-    """Largest norm of one track's gradient.  Large: the tracks with large gradients are those that outliers threaten."""
+    """Largest norm of one track's gradient.  Large: it is the tracks in danger that have large gradients."""
     truncate: int = 0
     """Steps after which gradients flow no further back; 0 for all of a track."""
     temperature: float = 1.0
