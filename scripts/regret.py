@@ -14,14 +14,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from torchfra import keep_memory, presets
+from torchfra import keep_memory
 from torchfra.cli import named
-from torchfra.evaluate import FILTERS, evaluate, versions
+from torchfra.evaluate import FILTERS, chosen, evaluate, learned, versions
 from torchfra.files import write_json
-from torchfra.filters import Filter
-from torchfra.scenarios import Scenario
 
 CASES = {
     f"{number}, {start}{outliers}": (name, outliers, initial)
@@ -32,13 +28,6 @@ CASES = {
     for start, initial in starts.items()
     for outliers in ("covariance", "std")
 }
-
-
-def learned(scenario: Scenario, path: Path) -> Filter:
-    """``fra`` with learned values."""
-    f = presets.fra(scenario.motion, scenario.sensor, learn=("q", "std"))  # so that its models are its own
-    f.load_state_dict(torch.load(path, weights_only=True))
-    return f.requires_grad_(False)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -56,8 +45,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         for case, (name, outliers, initial) in CASES.items():
             scenario = named(name, outliers, initial=initial)
-            filters = {key: make(scenario.motion, scenario.sensor) for key, make in FILTERS.items()}
-            filters |= {str(path): learned(scenario, path) for path in options.files}
+            filters = chosen(list(FILTERS), scenario) | {str(path): learned(path, scenario) for path in options.files}
             results = evaluate(scenario, filters, runs=options.runs, seed=options.seed, progress=not options.quiet)
             rows[case] = row(results, [*map(str, options.files)])
             if not options.quiet:
@@ -66,7 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
             write_json(
                 options.json, {"runs": options.runs, "seed": options.seed, "versions": versions(), "cases": rows}
             )
-    except (ValueError, OSError, RuntimeError) as error:
+    except (ValueError, OSError) as error:
         print(f"regret: error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     return 0

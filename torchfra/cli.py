@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from torchfra import distributed, readers, scenarios
-from torchfra.evaluate import FILTERS, evaluate, progress_bar, report, table
+from torchfra.evaluate import FILTERS, chosen, evaluate, learned, progress_bar, report, table
 from torchfra.files import write_json, write_text
+from torchfra.filters import Filter
 from torchfra.malloc import keep_memory
 from torchfra.scenarios import Scenario
 from torchfra.version import __version__
@@ -63,6 +64,11 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("files", metavar="FILE", type=Path, nargs="*")
     c.add_argument("--scenario", metavar="NAME", help=f"instead of files, one of {', '.join(SCENARIOS)}")
     c.add_argument("--filters", default=",".join(FILTERS), metavar="A,B", help="which (default: all)")
+    c.add_argument(
+        "--learned",
+        metavar="[NAME=]FILE",
+        help="also the filter NAME (default: fra) with values that training wrote, as 'learned'",
+    )
     c.add_argument("--runs", type=int, metavar="M", help="tracks (default: 100; of files, each window once)")
     c.add_argument("--seed", type=int, default=0, metavar="S", help="of the random numbers (default: 0)")
     c.add_argument("--outliers", metavar="MODE", help="covariance (default), std, offset (scenarios only) or none")
@@ -95,6 +101,8 @@ def _common(command: argparse.ArgumentParser) -> None:
 
 
 def _track(options: argparse.Namespace) -> None:
+    if distributed.rank():
+        return  # one process is enough for a file
     from torchfra.track import GATE, track
 
     results = track(
@@ -142,7 +150,11 @@ def _compare(options: argparse.Namespace) -> None:
         runs = int(str(scenario.settings["windows"])) if options.runs is None else options.runs
     names = [name for name in options.filters.split(",") if name]
     first = distributed.rank() == 0
-    results = evaluate(scenario, names, runs=runs, seed=options.seed, progress=first and not options.quiet)
+    filters: Sequence[str] | dict[str, Filter] = names
+    if options.learned is not None:
+        name, equals, file = options.learned.rpartition("=")
+        filters = chosen(names, scenario) | {"learned": learned(file, scenario, name if equals else "fra")}
+    results = evaluate(scenario, filters, runs=runs, seed=options.seed, progress=first and not options.quiet)
     if not first:
         return
     figure = options.figure or Path(f"compare-{scenario.name}.png")

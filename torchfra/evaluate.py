@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import platform
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -61,12 +64,7 @@ def evaluate(
         ValueError: an unknown filter, or fewer runs than processes.
     """
     if not isinstance(filters, Mapping):
-        unknown = [name for name in filters if name not in FILTERS]
-        if unknown or not filters:
-            raise ValueError(
-                f"filters: expected names out of {', '.join(FILTERS)}, received {', '.join(unknown) or 'none'}"
-            )
-        filters = {name: FILTERS[name](scenario.motion, scenario.sensor) for name in filters}
+        filters = chosen(filters, scenario)
     names = list(filters)
     timed = {"ukf": FILTERS["ukf"](scenario.motion, scenario.sensor), **filters}
     errors: dict[str, list[tuple[Tensor, ...]]] = {name: [] for name in timed}
@@ -97,6 +95,42 @@ def evaluate(
         | {"microseconds": seconds[name] / steps * 1e6, "relative_time": seconds[name] / seconds["ukf"]}
         for name in names
     }
+
+
+def chosen(names: Sequence[str], scenario: Scenario) -> dict[str, Filter]:
+    """The filters of these names, around the models of a scenario.
+
+    Raises:
+        ValueError: a name that is not in ``FILTERS``, or none at all.
+    """
+    unknown = [name for name in names if name not in FILTERS]
+    if unknown or not names:
+        raise ValueError(
+            f"filters: expected names out of {', '.join(FILTERS)}, received {', '.join(unknown) or 'none'}"
+        )
+    return {name: FILTERS[name](scenario.motion, scenario.sensor) for name in names}
+
+
+def learned(path: str | Path, scenario: Scenario, name: str = "fra") -> Filter:
+    """The filter ``name`` of ``FILTERS`` with values that were learned.
+
+    Args:
+        path: a state dictionary, as ``torch.save(f.state_dict(), path)`` writes it.
+        scenario: whose models the filter gets, with learned values of their own.
+        name: of the filter that learned.
+
+    Raises:
+        ValueError: an unknown filter, or a file that is no state dictionary of it.
+    """
+    if name not in FILTERS:
+        raise ValueError(f"learned: expected a filter out of {', '.join(FILTERS)}, received {name!r}")
+    f = FILTERS[name](*copy.deepcopy((scenario.motion, scenario.sensor)))
+    try:
+        f.load_state_dict(torch.load(path, weights_only=True))
+    except (RuntimeError, pickle.UnpicklingError, AttributeError, TypeError, EOFError) as error:
+        said = str(error).splitlines()[0]
+        raise ValueError(f"learned: expected {path} to hold a state dictionary of {name}: {said}") from None
+    return f
 
 
 def run(f: Filter, scenario: Scenario, tracks: Tracks) -> Estimate:
