@@ -7,8 +7,10 @@ import sys
 
 import numpy as np
 import pytest
+import torch
 
-from torchfra import cli, readers
+from torchfra import cli, presets, readers
+from torchfra.evaluate import evaluate
 from torchfra.track import track
 
 
@@ -132,3 +134,19 @@ def test_a_file_that_cannot_be_finished_leaves_the_old_one_as_it_was(tmp_path):
 def test_python_m_torchfra_is_the_command():
     done = subprocess.run([sys.executable, "-m", "torchfra", "--version"], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("torchfra ")
+
+
+def test_compare_takes_values_that_were_learned(tmp_path, capsys):
+    scenario = cli.named("bearings-outliers")
+    f = presets.rsrckf(scenario.motion, scenario.sensor, threshold=0.5)
+    torch.save(f.state_dict(), tmp_path / "learned.pt")
+    arguments = ["compare", "--scenario", "bearings-outliers", "--runs", "5", "--filters", "rsrckf", "--quiet"]
+    out = ["--json", str(tmp_path / "r.json"), "--figure", str(tmp_path / "f.png")]
+    assert cli.main([*arguments, *out, "--learned", f"rsrckf={tmp_path / 'learned.pt'}"]) == 0
+    filters = json.loads((tmp_path / "r.json").read_text())["filters"]
+    expected = evaluate(scenario, {"f": f}, runs=5)["f"]["mean_rmse_position"]
+    assert filters["learned"]["mean_rmse_position"] == pytest.approx(expected)
+    assert filters["learned"]["mean_rmse_position"] != filters["rsrckf"]["mean_rmse_position"]
+    for wrong in (f"fra={tmp_path / 'learned.pt'}", f"kalman={tmp_path / 'learned.pt'}", str(tmp_path / "none.pt")):
+        assert cli.main([*arguments, *out, "--learned", wrong]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1

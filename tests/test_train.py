@@ -26,6 +26,8 @@ SMALL = (
     "validation_runs=8",
     "test_runs=8",
     "skip=0",
+    "lr=0.05",
+    "scale=100",
 )
 SHORT = 'tasks=[{"scenario":"bearings-outliers","options":{"outliers":"std","initial":"truth"}}]'
 
