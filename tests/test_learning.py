@@ -297,3 +297,8 @@ def test_a_sensor_of_one_std_for_all_may_have_a_batch_of_them(scenario, tracks):
         alone = presets.srckf(ConstantAcceleration(0.01), Bearings(0.01 * (i + 1)))
         prior = Gaussian(tracks.prior.mean[i], tracks.prior.scale_tril)
         torch.testing.assert_close(batch.mean[i], alone(tracks.z[i], prior, u=tracks.u).mean, rtol=1e-7, atol=1e-6)
+
+
+def test_shares_without_states_are_of_position_velocity_and_acceleration(make):
+    assert make("fra", share=(1.0, 0.1, 0.1)).adaptive.states == (slice(0, 2), slice(2, 4), slice(4, 6))
+    assert make("fra").adaptive.states == (slice(0, 2),)

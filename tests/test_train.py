@@ -135,6 +135,7 @@ def test_a_checkpoint_cut_in_half_is_refused_and_the_one_before_it_used(unbroken
     assert train(tmp_path, "--resume") == 0
     assert "checkpoint.pt is damaged and is not used" in capsys.readouterr().err
     assert equal(learned(tmp_path), learned(unbroken))
+    assert torch.load(tmp_path / "checkpoint-previous.pt", weights_only=True)["iteration"] >= 4
 
 
 def test_when_no_checkpoint_can_be_read_the_run_says_so_and_touches_nothing(tmp_path, capsys):
@@ -305,3 +306,9 @@ def test_threshold_weakening_and_q_a_factor_three_off_are_found_again(tmp_path):
     for path, known in result["values"]["known"].items():
         assert result["values"]["learned"][path] == pytest.approx(known, rel=0.15), path
     assert torchfra.__version__ == result["versions"]["torchfra"]
+
+
+def test_a_tensorboard_that_is_not_there_is_asked_for(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    assert train(tmp_path, "tensorboard=true") == 2
+    assert "pip install 'torchfra[tensorboard]'" in capsys.readouterr().err

@@ -4,7 +4,8 @@
 ``low``, ``high``, ``weakening``, ``forgetting``, ``fading_max``, ``share``, ``gate``, ``preference``, and of the models
 ``q``, ``std``, ``rate``; or ``"all"``.  A model that learns is copied first: what is handed in stays as it is.
 
-``per_element=True`` gives each element of a measurement a threshold of its own.  Further keywords go to ``Fading``
+``per_element=True`` gives each element of a measurement a threshold of its own; ``share=(1, 0.1, 0.1)`` fades position,
+velocity and acceleration, each by its share (``states`` makes other groups).  Further keywords go to ``Fading``
 (``weakening``, ``forgetting``, ``fading_max``, ``rcond``, ``states``, ``share``, ``trace``) or, for the FRA filters,
 ``gate``, ``preference``, ``decision``, ``temperature``, ``memory``, ``final`` and ``rule`` to ``FRA``.
 """
@@ -105,7 +106,9 @@ def _huber(sensor: Sensor, threshold: Value, per_element: bool) -> Huber:
 
 
 def _fading(motion: Motion, options: dict[str, Any]) -> Fading:
-    return Fading(**{"states": motion.position} | options)
+    groups = [slice(i * motion.dims, (i + 1) * motion.dims) for i in range(motion.orders)]
+    states = motion.position if options.get("share") is None else groups
+    return Fading(**{"states": states} | options)
 
 
 def _learning(f: F, names: Names) -> F:

@@ -300,6 +300,8 @@ class Tuner:
             self.best, self.rows = state["best"], state["rows"]
             self.f.load_state_dict(state["filter"])
             self.optimiser.load_state_dict(state["optimiser"])
+            if path != found[0] and distributed.rank() == 0:  # out of the way, or it would push out the good one
+                found[0].replace(out / "checkpoint-damaged.pt")
             return True
         if found:
             raise ValueError(f"resume: no checkpoint in {out} can be read")
@@ -403,7 +405,7 @@ def _board(out: Path) -> Any:
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
-        raise ImportError("tensorboard=true needs TensorBoard: pip install tensorboard") from None
+        raise ImportError("tensorboard=true needs TensorBoard: pip install 'torchfra[tensorboard]'") from None
     return SummaryWriter(out)
 
 
