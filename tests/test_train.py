@@ -181,7 +181,8 @@ def test_the_gradient_of_a_batch_is_that_of_its_mean_loss():
     batch = tune.simulate(tuner.parts, 0, 4, 0, "cpu")
     lesson = tuner.learn(batch, 1.0)
     shared = dict(zip(tuner.names, tuner.parameters, strict=True))
-    expected = torch.autograd.grad(tuner.losses(shared, batch, 1.0).mean(), tuner.parameters)
+    each = tuner.losses(shared, batch, 1.0).unflatten(0, (len(tuner.parts), 4))
+    expected = torch.autograd.grad(tuner.weights @ each.mean(1), tuner.parameters)
     torch.testing.assert_close(tuner.weights @ lesson.gradient, torch.stack(expected), rtol=1e-8, atol=1e-10)
 
 
@@ -241,7 +242,6 @@ def test_an_unknown_run_is_answered_with_the_known_ones(capsys):
 
 @pytest.mark.parametrize("name", sorted(RUNS))
 def test_every_named_run_takes_a_step(name):
-    pytest.importorskip("traffic") if name == "fra_recorded" else None
     tuner = tune.Tuner(configured(name, ["batch=4", "validation_runs=4", "test_runs=0"]))
     before = tuner.learned()
     row = tuner.step()

@@ -88,11 +88,11 @@ def fra_bearings() -> Config:
     return Config(
         name="fra_bearings",
         tasks=(
-            _bearings("outliers", 5.0, truth_noise=0.01),  # disturbed as the filter assumes
-            _bearings("manoeuvre", 0.4, truth_noise=0.01),
-            _bearings("outliers", 6.0, initial="truth"),
+            _bearings("outliers", 2.4, truth_noise=0.01),  # disturbed as the filter assumes
+            _bearings("manoeuvre", 0.8, truth_noise=0.01),
+            _bearings("outliers", 5.0, initial="truth"),
             _bearings("outliers", 13.0, initial="truth", outliers="covariance"),
-            _bearings("manoeuvre", 0.7),
+            _bearings("manoeuvre", 1.0),
         ),
         learn=("threshold", "weakening", "forgetting", "fading_max", "gate", "preference", "q", "std"),
         scale=500.0,
