@@ -117,12 +117,12 @@ def filtered(time: Any, raw: Any, mean: Any, nis: Any, flags: dict[str, Any], ga
     return figure
 
 
-def learning_curve(rows: list[dict[str, float]], names: list[str], title: str) -> Figure:
-    """How a training went: the losses, and the values that were learned as multiples of their first.
+def learning_curve(rows: list[dict[str, float]], start: dict[str, float], title: str) -> Figure:
+    """How a training went: the losses, and the values that were learned as multiples of their start.
 
     Args:
         rows: one for each iteration, with ``"iteration"``, ``"loss"``, the values, and ``"validation"`` in some.
-        names: of the values.
+        start: the values before the first.
         title: of the figure.
     """
     figure = Figure(figsize=(8, 6), layout="constrained")
@@ -132,13 +132,13 @@ def learning_curve(rows: list[dict[str, float]], names: list[str], title: str) -
     checked = [row for row in rows if "validation" in row]
     loss.plot(*zip(*((row["iteration"], row["validation"]) for row in checked), strict=True) if checked else ((), ()),
               "o-", color=_COLOURS["fra"], markersize=4, label="validation, hard decision")  # fmt: skip
-    for name in names:
+    for name, first in start.items():
         value = np.array([row[name] for row in rows])
         # A value that began at 0 is a log of odds: those are compared.
-        label, change = (name, value / value[0]) if value[0] else (f"exp({name})", np.exp(value - value[0]))
-        values.plot(time, change, label=label)
+        label, change = (name, value / first) if first else (f"exp({name})", np.exp(value))
+        values.plot([0, *time], [1.0, *change], label=label)
     loss.set(ylabel="loss", title=title)
-    values.set(xlabel="iteration", ylabel="times the first", yscale="log")
+    values.set(xlabel="iteration", ylabel="times the start", yscale="log")
     for axes in (loss, values):
         _finished(figure, axes)
     return figure

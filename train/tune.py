@@ -347,7 +347,7 @@ def tune(config: Config, out: Path, *, resume: bool = False, quiet: bool = False
     if first:
         tuner.save(out)
         plotting.save(
-            plotting.learning_curve(tuner.rows, list(start), f"{config.name}, seed {config.seed}"), out / "learning.png"
+            plotting.learning_curve(tuner.rows, start, f"{config.name}, seed {config.seed}"), out / "learning.png"
         )
     result = report(tuner, start, quiet)
     if first:
