@@ -112,6 +112,9 @@ def fra_recorded() -> Config:
         tasks=(Task("recorded"),),
         learn=("threshold", "weakening", "forgetting", "gate", "preference", "q", "std"),
         loss="innovation",
+        batch=48,
+        iterations=60,
+        test_runs=200,
     )
 
 
