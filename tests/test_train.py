@@ -295,14 +295,16 @@ def test_two_processes_compare_as_one_does(tmp_path):
 
 @pytest.mark.slow
 def test_noise_levels_a_factor_three_off_are_found_again(tmp_path):
-    result = tune.tune(configured("noise"), tmp_path, quiet=True)
+    result = tune.tune(configured("noise", ["iterations=60", "batch=32"]), tmp_path, quiet=True)
     assert result["values"]["learned"]["motion.q"] == pytest.approx(0.04, rel=0.15)
     assert result["values"]["learned"]["sensor.std"] == pytest.approx(0.0175, rel=0.15)
 
 
 @pytest.mark.slow
 def test_threshold_weakening_and_q_a_factor_three_off_are_found_again(tmp_path):
-    result = tune.tune(configured("recover"), tmp_path, quiet=True)
+    one_task = 'tasks=[{"scenario":"bearings-outliers","options":{"outliers":"std","truth_noise":0.03}}]'
+    fewer = ["batch=8", "validation_runs=8", "iterations=50", "lr=0.15", "validate_every=50"]
+    result = tune.tune(configured("recover", [one_task, *fewer]), tmp_path, quiet=True)
     for path, known in result["values"]["known"].items():
         assert result["values"]["learned"][path] == pytest.approx(known, rel=0.15), path
     assert torchfra.__version__ == result["versions"]["torchfra"]
