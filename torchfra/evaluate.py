@@ -73,9 +73,8 @@ def evaluate(
         raise ValueError(f"runs, chunk: expected at least {distributed.size()} and 1, received {runs}, {chunk}")
     own = distributed.share(runs)
     with torch.no_grad():
-        run(
-            timed["ukf"], scenario, scenario.simulate(min(len(own), chunk), seed)
-        )  # the first large pass pays for memory
+        # The first large pass pays for memory.
+        run(timed["ukf"], scenario, scenario.simulate(min(len(own), chunk), seed))
         for f in timed.values():
             run(f, scenario, scenario.simulate(min(len(own), 10), seed))
         for first in progress_bar(own[::chunk], "runs", progress):
