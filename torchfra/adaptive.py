@@ -136,7 +136,8 @@ class Fading(nn.Module):
         group = torch.zeros(len(self.states), prediction.spread.shape[-2], dtype=factor.dtype, device=factor.device)
         for row, states in zip(group, self.states, strict=True):
             row[states] = 1
-        scale = (1 + (excess.expand((*factor.shape, len(self.states))) @ group)).sqrt()
+        excess = excess.expand((*factor.shape, len(self.states))).unsqueeze(-2)
+        scale = (1 + (excess @ group).squeeze(-2)).sqrt()
         spread, noise = scale.unsqueeze(-1) * prediction.spread, prediction.noise
         root = tria(hstack(spread, noise))
         return Prediction(prediction.belief._replace(scale_tril=root), spread, noise)

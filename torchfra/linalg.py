@@ -6,7 +6,11 @@ lower-triangular root with non-negative diagonal, ``L = tria(A)``.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import lru_cache
+from itertools import combinations
 from typing import Any
 
 import torch
@@ -43,16 +47,44 @@ def tria(a: Tensor, *, led: bool = False) -> Tensor:
 
 
 def is_traced(*tensors: Tensor) -> bool:
-    """Whether this runs under ``torch.compile``, ``torch.export`` or a transform of ``torch.func``."""
+    """Whether this runs under ``torch.compile``, ``torch.export``, a transform of ``torch.func`` or ``elementary``."""
     wrapped = torch._C._functorch.is_functorch_wrapped_tensor
-    return bool(torch.compiler.is_compiling()) or any(wrapped(t) for t in tensors)
+    return bool(torch.compiler.is_compiling()) or _elementary.get() or any(wrapped(t) for t in tensors)
+
+
+_elementary: ContextVar[bool] = ContextVar("elementary", default=False)
+
+
+@contextmanager
+def elementary() -> Iterator[None]:
+    """In here decompositions are loops of sums and products, for what turns them into code of its own."""
+    token = _elementary.set(True)
+    try:
+        yield
+    finally:
+        _elementary.reset(token)
 
 
 def _triangularise(a: Tensor) -> Tensor:
+    if a.is_cuda or _elementary.get():
+        return _orthogonalise(a)
     if not is_traced(a):
         return _reflect(a)
     upper: Tensor = torch.linalg.qr(a.mT, mode="r").R
     return -upper.mT
+
+
+def _orthogonalise(a: Tensor) -> Tensor:
+    """Modified Gram-Schmidt: the same numbers as the reflections make behind their leading zeros."""
+    columns, rest = [], a[..., a.shape[-2] :]
+    for j in range(a.shape[-2]):
+        row, rest = rest[..., :1, :], rest[..., 1:, :]
+        norm = row.square().sum(-1, keepdim=True).sqrt()
+        unit = torch.where(norm > 0, row / torch.where(norm > 0, norm, 1.0), 0.0)
+        below = (rest * unit).sum(-1, keepdim=True)
+        rest = rest - below * unit
+        columns.append(pad(torch.cat([norm, below], -2), (0, 0, j, 0)))
+    return torch.cat(columns, -1)
 
 
 def _reflect(a: Tensor) -> Tensor:
@@ -132,11 +164,9 @@ def gram_pinv(h: Tensor, rcond: float) -> Tensor:
     """
     ok = h.isfinite().flatten(-2).all(-1)[..., None, None]
     h = torch.where(ok, h, 0.0)
-    u, sigma, _ = torch.linalg.svd(h.detach(), full_matrices=True)
-    m = h.shape[-2]
+    u, power = _left_singular(h.detach())
     cut = max(rcond, max(h.shape[-2:]) * torch.finfo(h.dtype).eps)
-    power = pad(sigma, (0, max(m - sigma.shape[-1], 0)))[..., :m].square()
-    kept = power > cut**2 * power[..., :1]
+    kept = power > cut**2 * power.amax(-1, keepdim=True)
     inverse = torch.where(kept, 1 / torch.where(kept, power, 1.0), 0.0)
     # Divided differences of x -> 1/x (kept) or 0 (cut): the derivative of a matrix function in its own eigenbasis.
     gap = power.unsqueeze(-1) - power.unsqueeze(-2)
@@ -147,3 +177,25 @@ def gram_pinv(h: Tensor, rcond: float) -> Tensor:
     change = u.mT @ (gram - gram.detach()) @ u  # zero, but carries the gradient
     result: Tensor = u @ (torch.diag_embed(inverse) + slope * change) @ u.mT
     return result
+
+
+def _left_singular(h: Tensor) -> tuple[Tensor, Tensor]:
+    """Left singular vectors ``(..., m, m)`` of ``h (..., m, d)`` and the squares ``(..., m)`` of its singular values."""
+    m = h.shape[-2]
+    if not _elementary.get():
+        u, sigma, _ = torch.linalg.svd(h, full_matrices=True)
+        return u, pad(sigma.square(), (0, max(m - sigma.shape[-1], 0)))[..., :m]
+    # One-sided Jacobi: pairs of rows are turned into each other until all are orthogonal; the turns make up u.
+    rows = list(torch.cat([h, torch.eye(m, dtype=h.dtype).expand((*h.shape[:-1], m))], -1).unbind(-2))
+    d = h.shape[-1]
+    for _ in range(2 if m == 2 else 8):
+        for p, q in combinations(range(m), 2):
+            a, b = rows[p], rows[q]
+            gap = b[..., :d].square().sum(-1, keepdim=True) - a[..., :d].square().sum(-1, keepdim=True)
+            both = 2 * (a[..., :d] * b[..., :d]).sum(-1, keepdim=True)
+            tangent = both / torch.where(both == 0, 1.0, gap.abs() + torch.hypot(gap, both))
+            tangent = torch.where(gap < 0, -tangent, tangent)
+            cosine = (1 + tangent.square()).rsqrt()
+            rows[p], rows[q] = cosine * (a - tangent * b), cosine * (b + tangent * a)
+    turned = torch.stack(rows, -2)
+    return turned[..., d:].mT, turned[..., :d].square().sum(-1)

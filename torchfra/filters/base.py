@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from typing_extensions import Self
+
 import torch
 from torch import Tensor, nn
 
 from torchfra.filters.frames import Frame, Time, batch_rank, check, make_frames
-from torchfra.linalg import tria
+from torchfra.linalg import is_traced, tria
 from torchfra.motion import Motion
 from torchfra.sensors import Sensor
 from torchfra.types import Estimate, Gaussian, Innovation
@@ -46,6 +48,12 @@ class Filter(nn.Module):
         if sensor.reads > motion.size:
             raise ValueError(f"sensor: expected one that reads at most {motion.size} states, this reads {sensor.reads}")
         self.motion, self.sensor = motion, sensor
+        self._compiled: Any = None
+
+    def compile(self, checkpoint: int | None = None) -> Self:  # type: ignore[override]  # what torch has compiles less
+        from torchfra.filters.compiled import Compiled
+        self._compiled = Compiled(self, checkpoint)
+        return self
 
     def init(self, prior: Gaussian) -> Any:
         """The state before the first measurement.
@@ -75,9 +83,12 @@ class Filter(nn.Module):
         """One step on a prepared frame: the next state and what to keep of the step."""
         raise TypeError(f"{type(self).__name__} needs an advance")
 
-    def finish(self, state: Any, records: list[Record]) -> tuple[list[Gaussian], list[Any]]:
-        """Beliefs and info of a sequence that ended in ``state``: a filter that decides late decides the rest here."""
-        return [r.belief for r in records], [r.info for r in records]
+    def finish(self, state: Any, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
+        """Beliefs ``(..., T, ...)`` and info of a sequence that ended in ``state``.
+
+        A filter that decides late puts its last decisions here.
+        """
+        return belief, info
 
     def step(
         self,
@@ -145,6 +156,8 @@ class Filter(nn.Module):
         """
         if truncate is not None and truncate < 1:
             raise ValueError(f"truncate: expected at least 1 step, received {truncate}")
+        if self._compiled is not None and not is_traced(z):
+            return self._compiled.forward(self, z, prior, dt, u, std, noise, truncate)
         frames, log_norm, batch = self._prepare(z, prior, dt, u, std, noise)
         mean, root = (x.to(z) for x in prior)
         rank, n = len(batch), mean.shape[-1:]
@@ -154,12 +167,12 @@ class Filter(nn.Module):
                 state = _detached(state)
             state, record = self.advance(state, frame)
             records.append(record)
-        beliefs, info = self.finish(state, records)
         normalised = _stack([r.normalised for r in records], rank)
         root = _stack([r.root for r in records], rank)
         nis, log_likelihood = _scores(normalised, root, log_norm.movedim(0, -1))
-        mean, root = _stack(beliefs, rank)
-        return Estimate(mean, root, nis, log_likelihood, _stack(info, rank))
+        belief, info = (_stack([getattr(r, name) for r in records], rank) for name in ("belief", "info"))
+        belief, info = self.finish(state, belief, info)
+        return Estimate(*belief, nis, log_likelihood, info)
 
     def _prepare(
         self,

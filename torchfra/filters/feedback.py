@@ -218,17 +218,19 @@ class FRA(Filter):
         adaptive, _, _ = correct(faded, compare(self.sensor, self.sensor_rule, faded, frame))
         return robust, adaptive, factor
 
-    def finish(self, state: FRAState, records: list[Record]) -> tuple[list[Gaussian], list[FRAInfo]]:
+    def finish(self, state: FRAState, belief: Gaussian, info: _Step) -> tuple[Gaussian, FRAInfo]:
         """See ``Filter``: each step's estimate is settled in the next, the last by ``final``."""
         last = {"robust": state.robust, "adaptive": state.adaptive, "plain": state.plain}[self.final]
         last = self.mix(state.excess, state.plain, last)
         kept = state.abnormal & torch.full_like(state.abnormal, self.final == "adaptive")
-        steps: list[_Step] = [r.info for r in records]
-        beliefs = [s.settled for s in steps[1:]] + [last]
-        late = [s.kept for s in steps[1:]] + [kept]
-        info = [FRAInfo(s.abnormal, c, s.fading, s.weights, r.belief)
-                for s, c, r in zip(steps, late, records, strict=True)]  # fmt: skip
-        return beliefs, info
+        rank = kept.dim()
+
+        def late(steps: Tensor, end: Tensor) -> Tensor:
+            """Of each step what the next one says of it."""
+            return torch.cat([steps.narrow(rank, 1, steps.shape[rank] - 1), end.unsqueeze(rank)], rank)
+
+        settled = Gaussian(*(late(*pair) for pair in zip(info.settled, last, strict=True)))
+        return settled, FRAInfo(info.abnormal, late(info.kept, kept), info.fading, info.weights, belief)
 
     def _where(self, mask: Tensor, function: Callable[..., Any], arguments: tuple[Any, ...], default: Any) -> Any:
         """``function`` for the tracks in ``mask``: alone if that can be told now, else for all and then chosen."""

@@ -1,0 +1,156 @@
+"""Arithmetic on single numbers, written down instead of carried out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+
+ZERO = 0
+"""The number of the constant 0, which is also False."""
+
+_BOOL = {"lt", "le", "eq", "and", "or", "not"}
+_FOLD: dict[str, Callable[..., float]] = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "neg": lambda a: -a,
+    "abs": abs,
+    "max": max,
+    "min": min,
+    "lt": lambda a, b: float(a < b),
+    "le": lambda a, b: float(a <= b),
+    "eq": lambda a, b: float(a == b),
+    "and": lambda a, b: float(bool(a and b)),
+    "or": lambda a, b: float(bool(a or b)),
+    "not": lambda a: float(not a),
+}
+
+
+class Expressions:
+    """Expressions by number, each once: ``nodes[i]`` is an operation and the numbers of what it acts on.
+
+    What is known is folded: constants, and what adding or multiplying by 0 and 1 leaves.  (So 0 times a number that is
+    none is 0 here.)
+    """
+
+    def __init__(self) -> None:
+        self.nodes: list[tuple[str, tuple[int, ...]]] = []
+        self.values: dict[int, float] = {}
+        self._known: dict[tuple[object, ...], int] = {}
+        self.constant(0.0)
+
+    def _new(self, op: str, args: tuple[int, ...], *more: object) -> int:
+        key = (op, args, *more)
+        if key not in self._known:
+            self._known[key] = len(self.nodes)
+            self.nodes.append((op, args))
+        return self._known[key]
+
+    def constant(self, value: float) -> int:
+        """A known number; True is 1 and False is 0."""
+        number = self._new("constant", (), repr(float(value)))
+        self.values[number] = float(value)
+        return number
+
+    def input(self) -> int:
+        """A number that is not known yet."""
+        self.nodes.append(("input", ()))
+        return len(self.nodes) - 1
+
+    def is_bool(self, number: int) -> bool:
+        """Whether it is true or false."""
+        op, args = self.nodes[number]
+        return op in _BOOL or (op == "select" and all(self.is_bool(a) for a in args[1:]))
+
+    def apply(self, op: str, *args: int) -> int:
+        """An operation on expressions."""
+        known = [self.values.get(a) for a in args]
+        if op in _FOLD and None not in known:
+            return self.constant(_FOLD[op](*known))
+        if op in ("sqrt", "exp", "log", "sin", "cos") and known[0] is not None and known[0] > 0:
+            return self.constant(getattr(math, op)(known[0]))
+        simple = getattr(self, f"_{op}", None)
+        found = None if simple is None else simple(args, known)
+        if found is not None:
+            return int(found)
+        if op in ("add", "mul", "and", "or", "eq", "max", "min"):
+            args = tuple(sorted(args))
+        return self._new(op, args)
+
+    def sum(self, terms: Iterable[int]) -> int:
+        """All of them together, from the first on."""
+        total = ZERO
+        for term in terms:
+            total = self.apply("add", total, term)
+        return total
+
+    def _argument(self, op: str, number: int) -> int | None:
+        """What ``op`` acts on if that is what the number is."""
+        found, args = self.nodes[number]
+        return args[0] if found == op else None
+
+    def _add(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
+        for (a, b), value in zip((args, args[::-1]), known, strict=True):
+            if value == 0:
+                return b
+            inner = self._argument("neg", a)
+            if inner is not None:
+                return self.apply("sub", b, inner)
+        return None
+
+    def _sub(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
+        a, b = args
+        if known[1] == 0:
+            return a
+        if known[0] == 0:
+            return self.apply("neg", b)
+        inner = self._argument("neg", b)
+        return None if inner is None else self.apply("add", a, inner)
+
+    def _mul(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
+        for (a, b), value in zip((args, args[::-1]), known, strict=True):
+            if value in (0, 1, -1):
+                return ZERO if value == 0 else b if value == 1 else self.apply("neg", b)
+            inner = self._argument("neg", a)
+            if inner is not None:
+                return self.apply("neg", self.apply("mul", inner, b))
+        return None
+
+    def _div(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
+        a, b = args
+        if known[0] == 0:
+            return ZERO
+        if known[1]:
+            return self.apply("mul", a, self.constant(1 / known[1]))
+        return None if known[0] == 1 else self.apply("mul", a, self.apply("div", self.constant(1.0), b))
+
+    def _neg(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
+        return self._argument("neg", args[0])
+
+    def _not(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
+        return self._argument("not", args[0])
+
+    def _select(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
+        mask, yes, no = args
+        if known[0] is not None:
+            return yes if known[0] else no
+        if yes == no:
+            return yes
+        inner = self._argument("not", mask)
+        if inner is not None:
+            return self.apply("select", inner, no, yes)
+        if self.is_bool(yes) or self.is_bool(no):  # truth values are masks, which only logic combines
+            return self.apply("or", self.apply("and", mask, yes), self.apply("and", self.apply("not", mask), no))
+        return None
+
+    def _and(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
+        for (_, b), value in zip((args, args[::-1]), known, strict=True):
+            if value is not None:
+                return b if value else ZERO
+        return args[0] if args[0] == args[1] else None
+
+    def _or(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
+        for (_, b), value in zip((args, args[::-1]), known, strict=True):
+            if value is not None:
+                return self.constant(1.0) if value else b
+        return args[0] if args[0] == args[1] else None
