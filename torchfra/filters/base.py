@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
-
-from typing_extensions import Self
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor, nn
+from torch.utils.checkpoint import checkpoint as once_more
 
 from torchfra.filters.frames import Frame, Time, batch_rank, check, make_frames
-from torchfra.linalg import is_traced, tria
+from torchfra.linalg import tria
 from torchfra.motion import Motion
 from torchfra.sensors import Sensor
 from torchfra.types import Estimate, Gaussian, Innovation
+
+
+F = TypeVar("F", bound="Filter")
 
 
 class Record(NamedTuple):
@@ -27,6 +29,15 @@ class Record(NamedTuple):
     """``(..., m, m)`` lower root of the residual's covariance."""
     normalised: Tensor
     """``(..., m)`` the residual divided by its root."""
+    info: Any
+
+
+class Kept(NamedTuple):
+    """What an estimate holds of a step, before ``finish``."""
+
+    belief: Gaussian
+    nis: Tensor
+    log_likelihood: Tensor
     info: Any
 
 
@@ -50,9 +61,29 @@ class Filter(nn.Module):
         self.motion, self.sensor = motion, sensor
         self._compiled: Any = None
 
-    def compile(self, checkpoint: int | None = None) -> Self:  # type: ignore[override]  # what torch has compiles less
+    def compile(self: F) -> F:  # type: ignore[override]  # torch's own compiles forward, step by step unrolled
+        """From here on run as compiled kernels, on the CPU: same results (to rounding), same gradients.
+
+        The step is traced once for one track, every entry of every matrix a number of its own, and goes with its loop
+        over time through the machine's C++ compiler (``g++``, or what ``CXX`` names): seconds for a form of call that
+        no earlier process has compiled (they are kept in ``~/.cache/torchfra``, or where ``TORCHFRA_CACHE`` says).
+        New values of data and hyperparameters need no new kernel, and neither does another number of tracks or steps;
+        another dtype, other optional arguments, or a changed attribute does.
+
+        On other devices, under ``torch.compile`` and in transforms of ``torch.func`` the filter runs as without.
+        Gradients are of first order.  A step of the filter may do what torch does to a single track with sums,
+        products, elementary functions and triangular solutions, without looking at values from Python.
+
+        Returns:
+            The filter itself.
+
+        Raises:
+            RuntimeError: when a kernel is needed and there is no compiler.
+            NotImplementedError: then too, if the filter does what kernels cannot.
+        """
         from torchfra.filters.compiled import Compiled
-        self._compiled = Compiled(self, checkpoint)
+
+        self._compiled = Compiled()
         return self
 
     def init(self, prior: Gaussian) -> Any:
@@ -116,17 +147,11 @@ class Filter(nn.Module):
         Raises:
             ValueError: a shape or a value that does not fit.
         """
-        if isinstance(dt, Tensor) and dt.dim():
-            dt = dt.unsqueeze(-1)
-        u, std, noise = (x if x is None else x.unsqueeze(e) for x, e in ((u, -2), (std, -2), (noise, -3)))
-        (frame,), _, batch = self._prepare(z.unsqueeze(-2), state.belief, dt, u, std, noise)
-        if batch != state.belief.mean.shape[:-1]:
-            held = tuple(state.belief.mean.shape[:-1])
-            raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, this is of {held}")
-        state, record = self.advance(state, frame)
-        nis, log_likelihood = _scores(record.normalised, record.root, frame.noise.log_norm)
-        residual = frame.noise.colour(record.residual.unsqueeze(-1)).squeeze(-1)
-        return state, Innovation(residual, frame.noise.colour(record.root), nis, log_likelihood)
+        given = (z, dt, u, std, noise)
+        if self._compiled is not None and self._compiled.takes(z):
+            compiled: tuple[Any, Innovation] = self._compiled.step(self, state, given, lambda: self._at_once(state, *given))
+            return compiled
+        return self.observe(state, self._at_once(state, *given))
 
     def forward(
         self,
@@ -138,6 +163,7 @@ class Filter(nn.Module):
         std: Tensor | None = None,
         noise: Tensor | None = None,
         truncate: int | None = None,
+        checkpoint: int | None = None,
     ) -> Estimate:
         """Whole tracks.
 
@@ -150,44 +176,83 @@ class Filter(nn.Module):
             std: ``(..., T, m)`` standard deviations of the measurements, instead of the sensor's.
             noise: ``(..., T, m, m)`` roots of their covariances, instead of the sensor's.
             truncate: steps after which gradients flow no further back (truncated back-propagation); None for all.
+            checkpoint: steps between states that are kept for the way back, which computes the steps between anew:
+                less memory for more time.  None keeps everything, and after ``compile`` a state every sqrt(T) steps.
 
         Raises:
             ValueError: a shape or a value that does not fit.
         """
-        if truncate is not None and truncate < 1:
-            raise ValueError(f"truncate: expected at least 1 step, received {truncate}")
-        if self._compiled is not None and not is_traced(z):
-            return self._compiled.forward(self, z, prior, dt, u, std, noise, truncate)
-        frames, log_norm, batch = self._prepare(z, prior, dt, u, std, noise)
+        for name, length in (("truncate", truncate), ("checkpoint", checkpoint)):
+            if length is not None and length < 1:
+                raise ValueError(f"{name}: expected at least 1 step, received {length}")
+        batch = self._batch(z, prior, dt, u, std, noise)
+        rank, n = len(batch), self.motion.size
         mean, root = (x.to(z) for x in prior)
-        rank, n = len(batch), mean.shape[-1:]
-        state, records = self.init(Gaussian(mean.expand(batch + n), root.expand(batch + n + n))), []
-        for k, frame in enumerate(frames):
-            if truncate is not None and k and k % truncate == 0:
-                state = _detached(state)
-            state, record = self.advance(state, frame)
-            records.append(record)
-        normalised = _stack([r.normalised for r in records], rank)
-        root = _stack([r.root for r in records], rank)
-        nis, log_likelihood = _scores(normalised, root, log_norm.movedim(0, -1))
-        belief, info = (_stack([getattr(r, name) for r in records], rank) for name in ("belief", "info"))
-        belief, info = self.finish(state, belief, info)
-        return Estimate(*belief, nis, log_likelihood, info)
+        state = self.init(Gaussian(mean.expand((*batch, n)), root.expand((*batch, n, n))))
+        if self._compiled is not None and self._compiled.takes(z):
+            given = (z, dt, u, std, noise)
+            state, kept = self._compiled.forward(self, state, given, checkpoint, truncate)
+        else:
+            frames, log_norm = make_frames(self.motion, self.sensor, z, dt, u, std, noise, rank)
+            state, records = self._filter(state, frames, checkpoint, truncate)
+            belief, _, root, normalised, info = _stack(records, rank)
+            kept = Kept(belief, *_scores(normalised, root, log_norm.movedim(0, -1)), info)
+        belief, info = self.finish(state, kept.belief, kept.info)
+        return Estimate(*belief, kept.nis, kept.log_likelihood, info)
 
-    def _prepare(
-        self,
-        z: Tensor,
-        prior: Gaussian,
-        dt: Time,
-        u: Tensor | None,
-        std: Tensor | None,
-        noise: Tensor | None,
-    ) -> tuple[list[Frame], Tensor, torch.Size]:
-        """Frames of ``z (..., T, m)``, the log of their noise, time first, and the batch of all that was handed in."""
+    def keep(self, state: Any, frame: Frame) -> tuple[Any, Kept]:
+        """One step on a prepared frame: the next state, and what the estimate holds of it."""
+        state, record = self.advance(state, frame)
+        return state, Kept(record.belief, *_scores(record.normalised, record.root, frame.noise.log_norm), record.info)
+
+    def observe(self, state: Any, frame: Frame) -> tuple[Any, Innovation]:
+        """One step on a prepared frame: the next state, and what the measurement said."""
+        state, record = self.advance(state, frame)
+        residual = frame.noise.colour(record.residual.unsqueeze(-1)).squeeze(-1)
+        scores = _scores(record.normalised, record.root, frame.noise.log_norm)
+        return state, Innovation(residual, frame.noise.colour(record.root), *scores)
+
+    def _filter(
+        self, state: Any, frames: list[Frame], checkpoint: int | None, truncate: int | None
+    ) -> tuple[Any, list[Record]]:
+        def run(state: Any, first: int, last: int) -> tuple[Any, list[Record]]:
+            records = []
+            for k in range(first, last):
+                if truncate is not None and k and k % truncate == 0:
+                    state = _detached(state)
+                state, record = self.advance(state, frames[k])
+                records.append(record)
+            return state, records
+
+        if checkpoint is None or not torch.is_grad_enabled():
+            return run(state, 0, len(frames))
+        records = []
+        for first in range(0, len(frames), checkpoint):
+            last = min(first + checkpoint, len(frames))
+            state, more = once_more(run, state, first, last, use_reentrant=False)  # type: ignore[misc]
+            records += more
+        return state, records
+
+    def _at_once(
+        self, state: Any, z: Tensor, dt: Time, u: Tensor | None, std: Tensor | None, noise: Tensor | None
+    ) -> Frame:
+        """The frame of a single step, checked."""
+        z = z.unsqueeze(-2)
+        dt = dt.unsqueeze(-1) if isinstance(dt, Tensor) and dt.dim() else dt
+        u, std, noise = (x if x is None else x.unsqueeze(e) for x, e in ((u, -2), (std, -2), (noise, -3)))
+        batch = self._batch(z, state.belief, dt, u, std, noise)
+        if batch != state.belief.mean.shape[:-1]:
+            held = tuple(state.belief.mean.shape[:-1])
+            raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, this is of {held}")
+        (frame,), _ = make_frames(self.motion, self.sensor, z, dt, u, std, noise, len(batch))
+        return frame
+
+    def _batch(
+        self, z: Tensor, prior: Gaussian, dt: Time, u: Tensor | None, std: Tensor | None, noise: Tensor | None
+    ) -> torch.Size:
+        """The batch of all that was handed in, checked, and as many dimensions as the hyperparameters have in front."""
         batch = check(self.motion, self.sensor, z, prior, dt, u, std, noise)
-        rank = max(len(batch), batch_rank(self))
-        frames, log_norm = make_frames(self.motion, self.sensor, z, dt, u, std, noise, rank)
-        return frames, log_norm, torch.Size((1,) * (rank - len(batch))) + batch
+        return torch.Size((1,) * (batch_rank(self) - len(batch))) + batch
 
 
 def _scores(normalised: Tensor, root: Tensor, log_norm: Tensor) -> tuple[Tensor, Tensor]:

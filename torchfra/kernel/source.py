@@ -18,10 +18,12 @@ class Port:
     """A tensor that a kernel reads or writes: its entries for one track (and one step) by number."""
 
     ids: list[int]
+    shape: torch.Size
+    """Of a track's (and step's) entries."""
     timed: bool = False
     """Whether each step has entries of its own."""
     packed: bool = False
-    """Whether entries of neighbouring tracks lie side by side, filled up to whole blocks; what is written always does."""
+    """Whether the same entry of neighbouring tracks lies side by side, as in what kernels write."""
     truth: bool = False
     """Whether it holds truth values."""
 
@@ -152,7 +154,7 @@ template <class T> inline T* at_(const Port& p, int64_t entry, const Block& at) 
   return reinterpret_cast<T*>(p.data) + at.first * p.track + at.step * p.time + entry * p.entry;
 }
 inline V all(Scalar a) { return V{} + a; }
-inline V get(const Port& p, int64_t entry, const Block& at) {
+__attribute__((noinline)) V get(const Port& p, int64_t entry, const Block& at) {
   const Scalar* from = at_<Scalar>(p, entry, at);
   if (p.track == 0) return all(*from);
   V v;
@@ -160,16 +162,17 @@ inline V get(const Port& p, int64_t entry, const Block& at) {
   return v;
 }
 inline V load(const Port& p, int64_t entry, const Block& at) {
+  if (at.lanes < W) return get(p, entry, at);
   V v;
   __builtin_memcpy(&v, at_<Scalar>(p, entry, at), sizeof v);
   return v;
 }
 inline void put(const Port& p, int64_t entry, const V& v, const Block& at) {
-  __builtin_memcpy(at_<Scalar>(p, entry, at), &v, sizeof v);
+  __builtin_memcpy(at_<Scalar>(p, entry, at), &v, at.lanes < W ? at.lanes * sizeof(Scalar) : sizeof v);
 }
 inline void mark(const Port& p, int64_t entry, const M& v, const Block& at) {
   bool* to = at_<bool>(p, entry, at);
-  for (int64_t i = 0; i < W; i++) to[i] = v[i] != 0;
+  for (int64_t i = 0; i < at.lanes; i++) to[i] = v[i] != 0;
 }
 inline Vec vec(const V& a) { return Vec::loadu(&a); }
 inline V raw(const Vec& a) { V r; a.store(&r); return r; }

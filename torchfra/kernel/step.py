@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call
-from torch.utils._pytree import tree_flatten, tree_unflatten
 
 from torchfra.kernel.entries import Entries, entries
 from torchfra.kernel.expressions import ZERO, Expressions
@@ -19,17 +18,19 @@ Advance = Callable[[nn.Module, Any, dict[str, Tensor]], tuple[Any, Any]]
 """From a module, its state and what else it is given to the next state and what is kept of the step."""
 
 
-def flatten(tree: Any) -> tuple[list[Tensor], Any]:
-    """The tensors in a tree, and its form without them; None stays in the form."""
-    leaves, spec = tree_flatten(tree)
-    return [x for x in leaves if x is not None], (spec, tuple(x is None for x in leaves))
+def flatten(tree: Any) -> list[Tensor]:
+    """The tensors in tuples of tuples; None is none."""
+    if isinstance(tree, tuple):
+        return [x for part in tree for x in flatten(part)]
+    return [] if tree is None else [tree]
 
 
-def unflatten(tensors: Sequence[Tensor], form: Any) -> Any:
-    """The tree of this form."""
-    spec, nothing = form
-    rest = iter(tensors)
-    return tree_unflatten([None if x else next(rest) for x in nothing], spec)
+def unflatten(like: Any, tensors: Iterator[Tensor]) -> Any:
+    """Tuples of this form around other tensors."""
+    if isinstance(like, tuple):
+        parts = [None if part is None else unflatten(part, tensors) for part in like]
+        return type(like)(*parts) if hasattr(like, "_fields") else tuple(parts)
+    return next(tensors)
 
 
 class Input(NamedTuple):
@@ -74,17 +75,14 @@ class Step:
     ) -> None:
         self.whole, self.begin, self.advance, self.inputs, self.dtype = _Whole(module), begin, advance, inputs, dtype
         with elementary():
-            leaves, self.state = flatten(begin(module))
-        zero = [entries(Expressions(), x).ids == ZERO for x in leaves]
+            self.state = begin(module)
+        zero = [entries(Expressions(), x).ids == ZERO for x in flatten(self.state)]
         while True:
             self.zero = zero
             self._trace(False)
             zero = [z & (after.ids == ZERO) for z, after in zip(self.zero, self.after, strict=True)]
             if all(map(torch.equal, zero, self.zero)):
                 break
-        self.state_shapes = [z.shape for z in self.zero]
-        self.kept_like = [(x.shape, x.dtype) for x in self.kept]
-        self.state_dtypes = [x.dtype for x in self.after]
 
     def _call(self, function: Callable[..., Any], book: Expressions, given: dict[str, Tensor], *args: Any) -> Any:
         values = {f"module.{name}": x for name, x in given.items() if self.inputs[name].value}
@@ -101,13 +99,11 @@ class Step:
             for x in (*self.before, *self.given.values()):
                 x.requires_grad_()
         with torch.set_grad_enabled(differentiable):
-            after, kept = self._call(self.advance, book, self.given, unflatten(self.before, self.state))
-        leaves, spec = flatten(after)
-        if spec != self.state:
-            raise ValueError(f"state: expected a step to keep its form {self.state}, it became {spec}")
-        self.after = [entries(book, x) for x in leaves]
-        leaves, self.kept_form = flatten(kept)
-        self.kept = [entries(book, x) for x in leaves]
+            after, kept = self._call(self.advance, book, self.given, unflatten(self.state, iter(self.before)))
+        self.after, self.kept = ([entries(book, x) for x in flatten(tree)] for tree in (after, kept))
+        self.form = kept
+        if [x.shape for x in self.after] != [zero.shape for zero in self.zero]:
+            raise ValueError(f"state: expected a step to keep its form {self.state}, received {after}")
 
     def _carried(self, book: Expressions) -> list[Entries]:
         """What goes from step to step, nothing known but its zeros."""
@@ -117,48 +113,49 @@ class Step:
     def forwards(self) -> Scan:
         """Filters: reads the inputs, writes what is kept of each step."""
         self._trace(False)
-        return Scan(self.book, _ports(self.before), _ports(self.after), self._reads(), _written(self.kept), dtype=self.dtype)
+        return self._scan(_ports(self.kept, timed=True))
 
     def trajectory(self) -> Scan:
         """Filters again: writes the state before each step."""
         self._trace(False)
-        written = [Port(_varying(x)) for x in self.before]
-        return Scan(self.book, _ports(self.before), _ports(self.after), self._reads(), written, dtype=self.dtype)
+        return self._scan(_varying(self.before))
+
+    def _scan(self, writes: list[Port]) -> Scan:
+        return Scan(self.book, _ports(self.before), _ports(self.after), self._reads(), writes, dtype=self.dtype)
+
+    def _reads(self) -> list[Port]:
+        return [Port(_ids(self.given[name]), x.shape, x.timed) for name, x in self.inputs.items()]
 
     def backwards(self, graded: Sequence[bool], needed: Sequence[str]) -> Scan:
-        """The adjoint.
+        """The adjoint, from the last step to the first.
 
-        Reads the inputs, the state before each step and the gradients of what was kept, where ``graded``; carries the
-        gradient of the state and of the ``needed`` inputs without time; writes that of those with time.
+        Reads the inputs, the state before each step and the gradients of what was kept, where ``graded``.  Carries the
+        gradients of the state and of the ``needed`` inputs that stay, and writes those of the inputs with time.
         """
         self._trace(True)
-        book = self.book
+        book, states = self.book, len(self.before)
         after = self._carried(book)
-        kept = [Entries.inputs(book, x.shape, self.dtype) for x, g in zip(self.kept, graded, strict=True) if g]
-        outputs = self.after + [x for x, g in zip(self.kept, graded, strict=True) if g]
-        pairs = [(x, g) for x, g in zip(outputs, after + kept, strict=True) if x.requires_grad]
+        kept = [x for x, wanted in zip(self.kept, graded, strict=True) if wanted]
+        grads = [Entries.inputs(book, x.shape, self.dtype) for x in kept]
+        follows = [(x, g) for x, g in zip(self.after + kept, after + grads, strict=True) if x.requires_grad]
+        ends, pulls = zip(*follows, strict=True)
         sources = self.before + [self.given[name] for name in needed]
         with elementary():
-            found = torch.autograd.grad([x for x, _ in pairs], sources, [g for _, g in pairs], allow_unused=True)
-        grads = [entries(book, torch.zeros(x.shape) if g is None else g) for x, g in zip(sources, found, strict=True)]
-        states = len(self.before)
-        fixed = [g for g, name in zip(grads[states:], needed, strict=True) if not self.inputs[name].timed]
-        sums = [Entries.inputs(book, g.shape, self.dtype) for g in fixed]
-        timed = [g for g, name in zip(grads[states:], needed, strict=True) if self.inputs[name].timed]
+            pulled = torch.autograd.grad(ends, sources, pulls, allow_unused=True)
+        found = [entries(book, torch.zeros(x.shape) if g is None else g) for x, g in zip(sources, pulled, strict=True)]
+        stays = [g for g, name in zip(found[states:], needed, strict=True) if not self.inputs[name].timed]
+        timed = [g for g, name in zip(found[states:], needed, strict=True) if self.inputs[name].timed]
+        sums = [Entries.inputs(book, g.shape, self.dtype) for g in stays]
+        totals = [a + b for a, b in zip(sums, stays, strict=True)]
         return Scan(
             book,
             _ports(after + sums),
-            _ports(grads[:states]) + [Port([book.apply("add", a, b) for a, b in zip(_ids(s), _ids(g), strict=True)])
-                                      for s, g in zip(sums, fixed, strict=True)],
-            [*self._reads(), *(Port(_varying(x), timed=True, packed=True) for x in self.before),
-             *(Port(_ids(x), timed=True) for x in kept)],
-            _written(timed),
+            _ports(found[:states] + totals),
+            self._reads() + _varying(self.before) + _ports(grads, timed=True),
+            _ports(timed, timed=True),
             backwards=True,
             dtype=self.dtype,
-        )  # fmt: skip
-
-    def _reads(self) -> list[Port]:
-        return [Port(_ids(self.given[name]), timed=x.timed) for name, x in self.inputs.items()]
+        )
 
 
 def _ids(x: Entries) -> list[int]:
@@ -166,13 +163,11 @@ def _ids(x: Entries) -> list[int]:
     return ids
 
 
-def _varying(x: Entries) -> list[int]:
-    return [i for i in _ids(x) if i != ZERO]
+def _ports(tensors: Sequence[Entries], *, timed: bool = False) -> list[Port]:
+    return [Port(_ids(x), x.shape, timed, truth=x.dtype == torch.bool) for x in tensors]
 
 
-def _ports(tensors: Sequence[Entries]) -> list[Port]:
-    return [Port(_ids(x)) for x in tensors]
-
-
-def _written(tensors: Sequence[Entries]) -> list[Port]:
-    return [Port(_ids(x), truth=x.dtype == torch.bool) for x in tensors]
+def _varying(tensors: Sequence[Entries]) -> list[Port]:
+    """Without the entries that are 0 always."""
+    parts = [[i for i in _ids(x) if i != ZERO] for x in tensors]
+    return [Port(part, torch.Size([len(part)]), timed=True, packed=True) for part in parts]
