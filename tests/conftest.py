@@ -37,3 +37,12 @@ def make(scenario):
         return getattr(presets, name)(motion, sensor, **options)
 
     return build
+
+
+@pytest.fixture(scope="session")
+def kernels(tmp_path_factory):
+    """Kernels of this session alone, compiled in a hurry."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TORCHFRA_CACHE", str(tmp_path_factory.mktemp("kernels")))
+        patch.setenv("CXXFLAGS", "-O0")
+        yield

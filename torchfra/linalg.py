@@ -49,7 +49,7 @@ def tria(a: Tensor, *, led: bool = False) -> Tensor:
 def is_traced(*tensors: Tensor) -> bool:
     """Whether this runs under ``torch.compile``, ``torch.export``, a transform of ``torch.func`` or ``elementary``."""
     wrapped = torch._C._functorch.is_functorch_wrapped_tensor
-    return bool(torch.compiler.is_compiling()) or _elementary.get() or any(wrapped(t) for t in tensors)
+    return bool(torch.compiler.is_compiling()) or is_elementary() or any(wrapped(t) for t in tensors)
 
 
 _elementary: ContextVar[bool] = ContextVar("elementary", default=False)
@@ -65,8 +65,13 @@ def elementary() -> Iterator[None]:
         _elementary.reset(token)
 
 
+def is_elementary() -> bool:
+    """Whether this runs under ``elementary``."""
+    return not torch.compiler.is_compiling() and _elementary.get()
+
+
 def _triangularise(a: Tensor) -> Tensor:
-    if a.is_cuda or _elementary.get():
+    if a.is_cuda or is_elementary():
         return _orthogonalise(a)
     if not is_traced(a):
         return _reflect(a)
@@ -180,9 +185,9 @@ def gram_pinv(h: Tensor, rcond: float) -> Tensor:
 
 
 def _left_singular(h: Tensor) -> tuple[Tensor, Tensor]:
-    """Left singular vectors ``(..., m, m)`` of ``h (..., m, d)`` and the squares ``(..., m)`` of its singular values."""
+    """Of ``h (..., m, d)``: left singular vectors ``(..., m, m)``, and singular values squared ``(..., m)``."""
     m = h.shape[-2]
-    if not _elementary.get():
+    if not is_elementary():
         u, sigma, _ = torch.linalg.svd(h, full_matrices=True)
         return u, pad(sigma.square(), (0, max(m - sigma.shape[-1], 0)))[..., :m]
     # One-sided Jacobi: pairs of rows are turned into each other until all are orthogonal; the turns make up u.

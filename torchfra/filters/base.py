@@ -15,7 +15,6 @@ from torchfra.motion import Motion
 from torchfra.sensors import Sensor
 from torchfra.types import Estimate, Gaussian, Innovation
 
-
 F = TypeVar("F", bound="Filter")
 
 
@@ -149,7 +148,9 @@ class Filter(nn.Module):
         """
         given = (z, dt, u, std, noise)
         if self._compiled is not None and self._compiled.takes(z):
-            compiled: tuple[Any, Innovation] = self._compiled.step(self, state, given, lambda: self._at_once(state, *given))
+            compiled: tuple[Any, Innovation] = self._compiled.step(
+                self, state, given, lambda: self._at_once(state, *given)
+            )
             return compiled
         return self.observe(state, self._at_once(state, *given))
 
@@ -229,7 +230,7 @@ class Filter(nn.Module):
         records = []
         for first in range(0, len(frames), checkpoint):
             last = min(first + checkpoint, len(frames))
-            state, more = once_more(run, state, first, last, use_reentrant=False)  # type: ignore[misc]
+            state, more = once_more(run, state, first, last, use_reentrant=False)
             records += more
         return state, records
 

@@ -56,21 +56,110 @@ class _Plan(NamedTuple):
     """Of what a kernel is given, values last, batches full."""
 
 
+class _Version:
+    """A filter as it is at the moment, and the kernels that take it for granted."""
+
+    def __init__(self, f: nn.Module) -> None:
+        self.kernels: dict[tuple[Any, ...], Kernels] = {}
+        self.steps: dict[tuple[Any, ...], _Plan] = {}
+        self.watched: list[_Watched] = []
+        self.values: list[_Value] = []
+        for path, module in f.named_modules():
+            for owner in (module._parameters, module._buffers):
+                self.values += [_Value(f"{path}.{key}".lstrip("."), module, key, event)
+                                for key, x in owner.items() if (event := _event(module, x)) is not None]  # fmt: skip
+            plain = {key: x for key, x in module.__dict__.items() if key not in _PLUMBING}
+            fixed = {key: x for key, x in module._buffers.items() if _event(module, x) is None}
+            for owner, part in ((module.__dict__, plain), (module._modules, module._modules), (module._buffers, fixed)):
+                self.watched += [
+                    _Watched(owner, key, x, x._version if isinstance(x, Tensor) else None) for key, x in part.items()
+                ]
+
+    def holds(self) -> bool:
+        """Whether nothing has changed since."""
+        for owner, key, found, version in self.watched:
+            x = owner.get(key)
+            if x is not found or (version is not None and x._version != version):
+                return False
+        return True
+
+    def plan(
+        self,
+        f: Any,
+        advance: Callable[..., Any],
+        state: Any,
+        given: Sequence[Tensor | None],
+        timed: Sequence[bool],
+    ) -> _Plan:
+        """What is to be done with what is ``given``, and has its own for each step where ``timed``."""
+        mean, dtype = state.belief.mean, state.belief.mean.dtype
+        own = [(value, value().shape, value().dim() - value.event) for value in self.values]
+        batch = torch.broadcast_shapes(mean.shape[:-1], *(shape[:rank] for _, shape, rank in own))
+        inputs, shapes = {}, []
+        for name, x, event, varies in zip(_NAMES, given, _EVENTS, timed, strict=True):
+            if x is not None:
+                inputs[name] = Input(x.shape[x.dim() - event :], varies, False)
+                shapes.append(batch + x.shape[x.dim() - event - varies :])
+        for value, shape, rank in own:
+            inputs[value.path] = Input(shape[rank:], False, True)
+            shapes.append(batch + shape[rank:])
+        key = (advance, dtype, tuple(inputs.items()))
+        if key not in self.kernels:
+            self.kernels[key] = Kernels(Step(f, _begin, advance, inputs, dtype))
+        return _Plan(self.kernels[key], batch, shapes)
+
+    def run(
+        self, plan: _Plan, steps: int, state: Any, given: Sequence[Tensor | None], *options: int | None
+    ) -> tuple[Any, Any]:
+        """Does it."""
+        mean = state.belief.mean
+        leaves, rank, dtype = flatten(state), mean.dim() - 1, mean.dtype
+        if mean.shape[:-1] != plan.batch:
+            leaves = [x.expand(plan.batch + x.shape[rank:]) for x in leaves]
+        tensors = [x for x in given if x is not None] + [value() for value in self.values]
+        full = [x.to(dtype).expand(shape) for x, shape in zip(tensors, plan.shapes, strict=True)]
+        return plan.kernels.run(plan.batch, steps, leaves, full, *options)
+
+
+def _event(module: nn.Module, x: Tensor | None) -> int | None:
+    """The number of dimensions, without a batch, of what is read when a kernel runs; None for what is part of it.
+
+    Read are hyperparameters, parameters, and buffers that are single numbers.
+    """
+    if isinstance(module, Hyper):
+        return module.event
+    if isinstance(x, nn.Parameter):
+        return x.dim()
+    return 0 if x is not None and x.dim() == 0 and x.is_floating_point() else None
+
+
+_PLUMBING = {*nn.Module().__dict__, "_compiled"}
+_VERSIONS = 4
+"""How many are remembered: a filter may go back and forth, between soft decisions and hard ones say."""
+
+
 class Compiled:
     """Kernels of a filter, one set for each form of call; they are made when first needed.
 
-    Hyperparameters, parameters and data are read when a kernel runs.  All else is part of it: when an attribute, a
-    buffer or a part of the filter has changed, kernels are made anew.
+    Hyperparameters, parameters, single numbers and data are read when a kernel runs.  All else is part of it: when an
+    attribute, a buffer or a part of the filter has changed, there are other kernels.
     """
 
     def __init__(self) -> None:
-        self._kernels: dict[tuple[Any, ...], Kernels] = {}
-        self._steps: dict[tuple[Any, ...], _Plan] = {}
-        self._watched: list[_Watched] = []
-        self._values: list[_Value] = []
+        self._versions: list[_Version] = []
 
     def __reduce__(self) -> tuple[type[Compiled], tuple[()]]:
         return Compiled, ()  # kernels are no part of a copy
+
+    def _now(self, f: nn.Module) -> _Version:
+        """The kernels that hold for the filter as it is; the version used last comes first."""
+        for k, version in enumerate(self._versions):
+            if version.holds():
+                if k:
+                    self._versions.insert(0, self._versions.pop(k))
+                return version
+        self._versions = [_Version(f), *self._versions[: _VERSIONS - 1]]
+        return self._versions[0]
 
     @staticmethod
     def takes(z: Tensor) -> bool:
@@ -88,9 +177,9 @@ class Compiled:
         seconds = torch.as_tensor(dt, dtype=z.dtype)
         stays = seconds.dim() == 0 or seconds.shape[-1] == 1
         seconds = seconds[..., 0] if stays and seconds.dim() else seconds
-        self._watch(f)
-        plan = self._plan(f, _keep, state, (z, seconds, *rest), (True, not stays, True, True, True))
-        return self._run(plan, z.shape[-2], state, (z, seconds, *rest), checkpoint, truncate)
+        now = self._now(f)
+        plan = now.plan(f, _keep, state, (z, seconds, *rest), (True, not stays, True, True, True))
+        return now.run(plan, z.shape[-2], state, (z, seconds, *rest), checkpoint, truncate)
 
     def step(self, f: Any, state: Any, given: Given, check: Callable[[], None]) -> tuple[Any, Innovation]:
         """The state after one measurement, and its innovation.
@@ -99,73 +188,17 @@ class Compiled:
         """
         z, dt, *rest = given
         seconds = torch.as_tensor(dt, dtype=z.dtype)
-        self._watch(f)
+        now = self._now(f)
         mean = state.belief.mean
-        form = (z.dtype, mean.dtype, mean.shape, *(None if x is None else x.shape for x in (z, seconds, *rest)))
-        plan = self._steps.get(form)
+        shapes = [None if x is None else x.shape for x in (z, seconds, *rest, *(value() for value in now.values))]
+        form = (z.dtype, mean.dtype, mean.shape, *shapes)
+        plan = now.steps.get(form)
         if plan is None or not (isinstance(dt, float) and dt > 0):
             check()
         if plan is None:
-            plan = self._steps[form] = self._plan(f, _observe, state, (z, seconds, *rest), (False,) * 5)
-        state, innovation = self._run(plan, 1, state, (z, seconds, *rest))
+            plan = now.steps[form] = now.plan(f, _observe, state, (z, seconds, *rest), (False,) * 5)
+        state, innovation = now.run(plan, 1, state, (z, seconds, *rest))
         return state, Innovation(*(x.select(len(plan.batch), 0) for x in innovation))
-
-    def _plan(
-        self, f: Any, advance: Callable[..., Any], state: Any, given: Sequence[Tensor | None], timed: Sequence[bool]
-    ) -> _Plan:
-        mean = state.belief.mean
-        batch, dtype = mean.shape[:-1], mean.dtype
-        inputs, shapes = {}, []
-        for name, x, event, varies in zip(_NAMES, given, _EVENTS, timed, strict=True):
-            if x is not None:
-                inputs[name] = Input(x.shape[x.dim() - event :], varies, False)
-                shapes.append(batch + x.shape[x.dim() - event - varies :])
-        for value in self._values:
-            own = value().shape[value().dim() - value.event :]
-            inputs[value.path] = Input(own, False, True)
-            shapes.append(batch + own)
-        key = (advance, dtype, tuple(inputs.items()))
-        if key not in self._kernels:
-            self._kernels[key] = Kernels(Step(f, _begin, advance, inputs, dtype))
-        return _Plan(self._kernels[key], batch, shapes)
-
-    def _run(self, plan: _Plan, steps: int, state: Any, given: Sequence[Tensor | None], *options: int | None) -> Any:
-        tensors = [x for x in given if x is not None] + [value() for value in self._values]
-        leaves = flatten(state)
-        dtype = leaves[0].dtype
-        full = [
-            (x if x.dtype == dtype else x.to(dtype)).expand(shape) if x.shape != shape or x.dtype != dtype else x
-            for x, shape in zip(tensors, plan.shapes, strict=True)
-        ]
-        return plan.kernels.run(plan.batch, steps, leaves, full, *options)
-
-    def _watch(self, f: nn.Module) -> None:
-        """Forgets all kernels if something in the filter has changed that they take for granted."""
-        for owner, key, found, version in self._watched:
-            x = owner.get(key)
-            if x is not found or (version is not None and x._version != version):
-                break
-        else:
-            if self._watched:
-                return
-        self._kernels.clear()
-        self._steps.clear()
-        self._watched, self._values = [], []
-        for path, module in f.named_modules():
-            hyper = isinstance(module, Hyper)
-            self._values += [
-                _Value(f"{path}.{key}" if path else key, module, key, module.event if isinstance(module, Hyper) else x.dim())
-                for key, x in ({"raw": module.raw} if isinstance(module, Hyper) else module._parameters).items()
-                if x is not None
-            ]
-            plain = {key for key in module.__dict__ if key not in _PLUMBING}
-            for owner, keys in ((module.__dict__, plain), (module._modules, module._modules), (module._buffers, () if hyper else module._buffers)):
-                for key in keys:
-                    x = owner[key]
-                    self._watched.append(_Watched(owner, key, x, x._version if isinstance(x, Tensor) else None))
-
-
-_PLUMBING = {*nn.Module().__dict__, "_compiled"}
 
 
 def _begin(f: Any) -> Any:

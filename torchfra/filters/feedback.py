@@ -100,6 +100,8 @@ class FRA(Filter):
     ``"weighted"`` are ours.
     """
 
+    _temperature: Tensor
+
     def __init__(
         self,
         motion: Motion,
@@ -123,16 +125,28 @@ class FRA(Filter):
         ):
             if value not in known:
                 raise ValueError(f"{name}: expected one of {known}, received {value!r}")
-        if not temperature >= 0:
-            raise ValueError(f"temperature: expected 0 or more, received {temperature}")
         whole = rule(motion.size)
         self.motion_rule, self.sensor_rule = whole, whole.marginal(sensor.reads)
         self.robust, self.adaptive = robust, adaptive
         self.gate = Hyper(gate, name="gate")
         self.preference = Hyper(preference, constraints.real, name="preference")
-        self.decision, self.temperature, self.memory, self.final = decision, temperature, memory, final
+        self.decision, self.memory, self.final = decision, memory, final
+        self.register_buffer("_temperature", torch.zeros((), dtype=torch.float64), persistent=False)
+        self.temperature = temperature
         parts = (robust, adaptive, self.gate, self.preference)
         self._decisive = [hyper for part in parts for hyper in hypers(part).values()]
+
+    @property
+    def temperature(self) -> float:
+        """0 for hard decisions, above for soft ones."""
+        return self._temperature.item()
+
+    @temperature.setter
+    def temperature(self, value: float) -> None:
+        if not value >= 0:
+            raise ValueError(f"temperature: expected 0 or more, received {value}")
+        self._temperature.fill_(value)
+        self.soft = value > 0
 
     def begin(self, belief: Gaussian) -> FRAState:
         """See ``Filter``."""
@@ -167,8 +181,8 @@ class FRA(Filter):
 
     def settle(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """The step before, decided by this measurement, and ``(...)`` bool: its adaptive branch was kept."""
-        if self.temperature:
-            scores = self.score(state.robust, state.adaptive, frame) / self.temperature
+        if self.soft:
+            scores = self.score(state.robust, state.adaptive, frame) / self._temperature
             shares = torch.log_softmax(scores, 0)
             settled = self.mix(state.excess, state.plain, state.robust, state.adaptive, shares=shares)
             return settled, state.abnormal & (scores[1] > scores[0])
@@ -201,9 +215,9 @@ class FRA(Filter):
             branches: for abnormal ones; with a hard decision exactly one, equal to ``plain`` where the step is normal.
             shares: ``(branches, ...)`` logs of their weights, if there are several.
         """
-        if not self.temperature:
+        if not self.soft:
             return branches[0]
-        normal, abnormal = (logsigmoid(sign * excess / self.temperature).unsqueeze(0) for sign in (-1, 1))
+        normal, abnormal = (logsigmoid(sign * excess / self._temperature).unsqueeze(0) for sign in (-1, 1))
         log_weights = torch.cat([normal, abnormal if shares is None else abnormal + shares])
         beliefs = Gaussian(*(torch.stack(parts) for parts in zip(plain, *branches, strict=True)))
         return moment_match(beliefs, log_weights)
@@ -234,7 +248,7 @@ class FRA(Filter):
 
     def _where(self, mask: Tensor, function: Callable[..., Any], arguments: tuple[Any, ...], default: Any) -> Any:
         """``function`` for the tracks in ``mask``: alone if that can be told now, else for all and then chosen."""
-        if self.temperature:
+        if self.soft:
             return function(*arguments)
         batched = any(h.batch_rank for h in self._decisive)
         if batched or is_traced(mask):

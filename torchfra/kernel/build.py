@@ -23,24 +23,25 @@ compiled = 0
 def load(source: str) -> Any:
     """The function ``run`` of a translation unit.
 
-    It is compiled by ``CXX`` (``g++`` unless set) unless an earlier process has done so already: results are kept in
-    ``TORCHFRA_CACHE``, or ``~/.cache/torchfra``.
+    It is compiled by ``CXX`` (``g++`` unless set), ``CXXFLAGS`` behind flags of its own, unless an earlier process has
+    done so already: results are kept in ``TORCHFRA_CACHE``, or ``~/.cache/torchfra``.
 
     Raises:
         RuntimeError: there is no compiler, or it fails.
     """
     compiler, version = _compiler()
-    said = "\n".join((source, *compiler, version, FLAGS, torch.__version__, _processor()))
+    flags = FLAGS.split() + shlex.split(os.environ.get("CXXFLAGS", ""))
+    said = "\n".join((source, *compiler, version, *flags, torch.__version__, _processor()))
     library = _folder() / f"{hashlib.sha256(said.encode()).hexdigest()[:32]}.so"
     if not library.exists():
-        _compile(compiler, source, library)
+        _compile([*compiler, *flags], source, library)
     function = ctypes.CDLL(str(library)).run
     function.argtypes = [ctypes.c_int64, ctypes.c_int64, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]
     function.restype = None
     return function
 
 
-def _compile(compiler: list[str], source: str, library: Path) -> None:
+def _compile(command: list[str], source: str, library: Path) -> None:
     global compiled
     library.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
@@ -49,10 +50,10 @@ def _compile(compiler: list[str], source: str, library: Path) -> None:
         include = [f"-I{path}" for path in include_paths()]
         libraries = Path(torch.__file__).parent / "lib"
         link = [f"-L{libraries}", f"-Wl,-rpath,{libraries}", "-ltorch_cpu"]  # the vector mathematics that torch brings
-        done = subprocess.run([*compiler, *FLAGS.split(), *include, str(text), "-o", str(made), *link],
+        done = subprocess.run([*command, *include, str(text), "-o", str(made), *link],
                               capture_output=True, text=True, check=False)  # fmt: skip
         if done.returncode:
-            raise RuntimeError(f"compile: {shlex.join(compiler)} failed:\n{done.stderr[-2000:]}")
+            raise RuntimeError(f"compile: {shlex.join(command)} failed:\n{done.stderr[-2000:]}")
         compiled += 1
         os.replace(made, library)
 

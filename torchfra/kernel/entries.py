@@ -33,8 +33,8 @@ class Entries(Tensor):
     ids: Tensor
 
     @staticmethod
-    def __new__(cls, book: Expressions, ids: Tensor, dtype: torch.dtype) -> Entries:
-        made: Entries = Tensor._make_wrapper_subclass(cls, ids.shape, dtype=dtype)  # type: ignore[attr-defined]
+    def __new__(cls, book: Expressions, ids: Tensor, dtype: torch.dtype) -> Entries:  # noqa: D102
+        made: Entries = Tensor._make_wrapper_subclass(cls, ids.shape, dtype=dtype)
         made.book, made.ids = book, ids.contiguous()
         return made
 
@@ -53,15 +53,17 @@ class Entries(Tensor):
         values = [0.0] * tensor.numel() if zeros else tensor.detach().cpu().flatten().tolist()
         return _tensor(book, [book.constant(float(v)) for v in values], tensor.shape, tensor.dtype)
 
-    def __repr__(self, *, tensor_contents: Any = None) -> str:
+    def __repr__(self, *, tensor_contents: Any = None) -> str:  # type: ignore[override]
         return f"Entries({self.ids.tolist()})"
 
     __torch_function__ = torch._C._disabled_torch_function_impl  # type: ignore[assignment]
 
     @classmethod
-    def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:  # type: ignore[override]
         kwargs = kwargs or {}
         book = next(x.book for x in tree_flatten((args, kwargs))[0] if isinstance(x, Entries))
+        if func is aten._local_scalar_dense.default:
+            raise NotImplementedError("the value of an entry is not known yet: choose by torch.where, not by if")
         if func in _SPECIAL:
             return _SPECIAL[func](book, *args, **kwargs)
         if func in _ENTRYWISE:
@@ -80,7 +82,11 @@ class Entries(Tensor):
 
 def entries(book: Expressions, x: Any) -> Entries:
     """The same as entries, if it is not yet."""
-    return x if isinstance(x, Entries) else Entries.constants(book, x if isinstance(x, Tensor) else torch.tensor(x, dtype=torch.float64))
+    return (
+        x
+        if isinstance(x, Entries)
+        else Entries.constants(book, x if isinstance(x, Tensor) else torch.tensor(x, dtype=torch.float64))
+    )
 
 
 def _tensor(book: Expressions, numbers: Sequence[Any], shape: Sequence[int], dtype: torch.dtype) -> Entries:
@@ -161,7 +167,9 @@ def _solved(
         done: list[int] = []
         for i in range(n - 1, -1, -1) if upper else range(n):
             for j in done:
-                x[i] = [book.apply("sub", p, book.apply("mul", matrix[i][j], q)) for p, q in zip(x[i], x[j], strict=True)]
+                x[i] = [
+                    book.apply("sub", p, book.apply("mul", matrix[i][j], q)) for p, q in zip(x[i], x[j], strict=True)
+                ]
             if not unitriangular:
                 x[i] = [book.apply("div", p, matrix[i][i]) for p in x[i]]
             done.append(i)
@@ -232,8 +240,8 @@ def _inverse(book: Expressions, a: int) -> int:
 
 def _power(book: Expressions, base: int, exponent: int) -> int:
     power = book.values.get(exponent)
-    if power is None or power * 2 != round(power * 2):
-        raise NotImplementedError("a power that is not a known multiple of a half has no form for single entries")
+    if power is None or power * 2 != round(power * 2) or abs(power) > 8:
+        return book.apply("pow", base, exponent)
     if power < 0:
         return _inverse(book, _power(book, base, book.constant(-power)))
     factors = [book.constant(1.0)] + [base] * int(power)
@@ -248,6 +256,16 @@ def _sign(book: Expressions, a: int) -> int:
     return book.apply("select", book.apply("lt", zero, a), one, below)
 
 
+def _remainder(book: Expressions, a: int, b: int) -> int:
+    whole = book.apply("floor", book.apply("div", a, b))
+    return book.apply("sub", a, book.apply("mul", whole, b))
+
+
+def _mean(book: Expressions, x: Tensor, dim: Any = None, keepdim: bool = False, **_: Any) -> Tensor:
+    total = torch.sum(x, dim, keepdim)
+    return total * (total.numel() / x.numel())
+
+
 def _sigmoid(book: Expressions, a: int) -> int:
     return _inverse(book, book.apply("add", book.constant(1.0), book.apply("exp", book.apply("neg", a))))
 
@@ -255,11 +273,12 @@ def _sigmoid(book: Expressions, a: int) -> int:
 _LAYOUT = ("dtype", "layout", "device", "pin_memory", "memory_format")
 _ENTRYWISE: dict[Any, Callable[..., int]] = {
     **{getattr(aten, name).default: _op(name) for name in (
-        "neg", "abs", "sqrt", "exp", "log", "log1p", "expm1", "tanh", "sin", "cos", "atan2", "round", "floor", "hypot")},
+        "neg", "abs", "sqrt", "exp", "expm1", "log", "log1p", "erf", "sin", "cos", "tan", "asin", "acos", "atan",
+        "sinh", "cosh", "tanh", "atan2", "hypot", "round", "floor", "ceil", "trunc")},
     **{getattr(getattr(aten, name), kind): function for kind in ("Tensor", "Scalar") for name, function in (
         ("add", _scaled("add")), ("sub", _scaled("sub")), ("rsub", _turn_round(_scaled("sub"))), ("mul", _op("mul")),
         ("div", _op("div")), ("lt", _op("lt")), ("le", _op("le")), ("eq", _op("eq")), ("ne", _unequal),
-        ("gt", _turn_round(_op("lt"))), ("ge", _turn_round(_op("le"))))},
+        ("gt", _turn_round(_op("lt"))), ("ge", _turn_round(_op("le"))), ("remainder", _remainder))},
     **{getattr(torch.ops.prims, name).default: _op(name) for name in ("add", "sub", "mul", "div")},
     aten.reciprocal.default: _inverse,
     aten.rsqrt.default: lambda book, a: _inverse(book, book.apply("sqrt", a)),
@@ -282,11 +301,13 @@ _ENTRYWISE: dict[Any, Callable[..., int]] = {
 _SPECIAL: dict[Any, Callable[..., Any]] = {
     aten.mm.default: _product, aten.bmm.default: _product, aten.linalg_solve_triangular.default: _solved,
     aten.sum.dim_IntList: _folded("add", 0.0), aten.sum.default: _folded("add", 0.0),
-    aten.amax.default: _folded("max"), aten.amin.default: _folded("min"),
+    aten.amax.default: _folded("max"), aten.amin.default: _folded("min"), aten.prod.default: _folded("mul", 1.0),
+    aten.max.default: _folded("max"), aten.min.default: _folded("min"), aten.mean.default: _mean, aten.mean.dim: _mean,
     aten.any.dim: _folded("or", 0.0), aten.any.default: _folded("or", 0.0),
     aten.all.dim: _folded("and", 1.0), aten.all.default: _folded("and", 1.0),
-    aten.linalg_vector_norm.default: _norm, aten._to_copy.default: _cast, aten.to.dtype_layout: _cast,
-    aten.to.dtype: lambda book, x, dtype, *_: _cast(book, x, dtype=dtype), aten.constant_pad_nd.default: _padded, aten.clamp.default: _clamped,
+    aten.linalg_vector_norm.default: _norm, aten.constant_pad_nd.default: _padded, aten.clamp.default: _clamped,
+    aten._to_copy.default: _cast, aten.to.dtype_layout: _cast,
+    aten.to.dtype: lambda book, x, dtype, *_: _cast(book, x, dtype=dtype),
     aten.is_same_size.default: lambda book, a, b: a.shape == b.shape,
     aten._has_same_storage_numel.default: lambda book, a, b: a.numel() == b.numel(),
 }  # fmt: skip
@@ -295,12 +316,13 @@ _SPECIAL: dict[Any, Callable[..., Any]] = {
 _MOVES = {
     getattr(packet, name)
     for packet in (
-        aten.view, aten._unsafe_view, aten._reshape_alias, aten.permute, aten.transpose, aten.t, aten.expand, aten.slice,
-        aten.select, aten.unsqueeze, aten.squeeze, aten.cat, aten.stack, aten.unbind, aten.split, aten.split_with_sizes,
-        aten.flip, aten.roll, aten.index, aten.index_select, aten.gather, aten.clone, aten.alias, aten.detach,
-        aten.diagonal, aten.diag_embed, aten.tril, aten.triu, aten.slice_scatter, aten.select_scatter,
-        aten.diagonal_scatter, aten.slice_backward, aten.select_backward, aten.diagonal_backward, aten.repeat,
-        aten.conj_physical, aten._conj,
+        aten.view, aten._unsafe_view, aten._reshape_alias, aten.permute, aten.transpose, aten.t, aten.expand,
+        aten.slice, aten.select, aten.unsqueeze, aten.squeeze, aten.cat, aten.stack, aten.unbind, aten.split,
+        aten.split_with_sizes, aten.flip, aten.roll, aten.repeat, aten.index, aten.index_select, aten.gather,
+        aten.clone, aten.alias, aten.detach, aten.conj_physical, aten._conj, aten.real,
+        aten.broadcast_tensors, aten.diagonal, aten.diag_embed, aten.tril,
+        aten.triu, aten.slice_scatter, aten.select_scatter, aten.diagonal_scatter, aten.slice_backward,
+        aten.select_backward, aten.diagonal_backward,
     )
     for name in packet.overloads()
 }  # fmt: skip

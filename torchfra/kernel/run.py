@@ -90,8 +90,8 @@ def _stride(sizes: Sequence[int], strides: Sequence[int]) -> int | None:
 class Kernels:
     """All programs of one step.
 
-    A track has ``state``, leaves ``(..., entries)``, and ``inputs``, ``(..., T, entries)`` or ``(..., entries)`` for what
-    stays; their batches are full.
+    A track has ``state``, leaves ``(..., entries)``, and ``inputs``, ``(..., T, entries)`` or ``(..., entries)`` for
+    what stays; their batches are full.
     """
 
     def __init__(self, step: Step) -> None:
@@ -151,10 +151,13 @@ class _Run(torch.autograd.Function):
     ) -> tuple[Tensor, ...]:
         count = len(kernels.step.before)
         state, inputs = tensors[:count], tensors[count:]
-        begun, kept = [], []
+        begun: list[Tensor] = []
+        kept: list[list[Tensor]] = []
         for first in range(0, steps, length):
             begun += state
-            done = kernels.forwards(batch, min(length, steps - first), (*state, *_from(kernels.step, inputs, first, len(batch))))
+            done = kernels.forwards(
+                batch, min(length, steps - first), (*state, *_from(kernels.step, inputs, first, len(batch)))
+            )
             state = tuple(done[:count])
             kept.append(done[count:])
         ctx.save_for_backward(*inputs, *begun)
@@ -165,7 +168,7 @@ class _Run(torch.autograd.Function):
         return (*state, *joined)
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
+    @once_differentiable
     def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         kernels, batch, steps, length = ctx.kernels, ctx.batch, ctx.steps, ctx.length
         step: Step = kernels.step
@@ -206,4 +209,6 @@ def _joined(parts: list[list[Tensor]], rank: int) -> list[Tensor]:
     """Stretches behind each other, time behind ``rank`` batch dimensions, in the memory layout of kernels."""
     if len(parts) == 1:
         return parts[0]
-    return [torch.cat([x.movedim(rank, 0) for x in stretches]).movedim(0, rank) for stretches in zip(*parts, strict=True)]
+    return [
+        torch.cat([x.movedim(rank, 0) for x in stretches]).movedim(0, rank) for stretches in zip(*parts, strict=True)
+    ]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 
@@ -78,11 +77,20 @@ class Scan:
         body = [f"const V v{i} = c{p}_{e};" for p, e, i in held if i in wanted] + step
         for p, port in enumerate(self.writes, first):
             for e, i in enumerate(port.ids):
-                body.append(f"mark(out[{p}], {e}, {self._mask(i)}, at);" if port.truth else f"put(out[{p}], {e}, {self._value(i)}, at);")
+                body.append(
+                    f"mark(out[{p}], {e}, {self._mask(i)}, at);"
+                    if port.truth
+                    else f"put(out[{p}], {e}, {self._value(i)}, at);"
+                )
         body += [f"c{p}_{e} = {self._value(self.after[p].ids[e])};" for p, e, _ in held]
         end = [f"put(out[{p}], {e}, {f'c{p}_{e}' if i != ZERO else 'all(0)'}, at);"
                for p, port in enumerate(self.carry) for e, i in enumerate(port.ids)]  # fmt: skip
-        text = _TEMPLATE.replace("SCALAR", SCALARS[self.dtype]).replace("TIME", "steps - 1 - k" if self.backwards else "k")
+        functions = "".join((_UNARY if count == 1 else _BINARY).format(name) for name, count in _FUNCTIONS.items())
+        text = (
+            _TEMPLATE.replace("FUNCTIONS", functions)
+            .replace("SCALAR", SCALARS[self.dtype])
+            .replace("TIME", "steps - 1 - k" if self.backwards else "k")
+        )
         for name, group in {"FIXED": begin + fixed, "STEP": body, "END": end}.items():
             text = text.replace(f"    // {name}\n", "".join(f"    {line}\n" for line in group if line))
         return text
@@ -99,7 +107,13 @@ class Scan:
     def _value(self, number: int) -> str:
         if number in self.book.values:
             value = self.book.values[number]
-            text = repr(value) if math.isfinite(value) else "NAN" if math.isnan(value) else f"{'-' if value < 0 else ''}INFINITY"
+            text = (
+                repr(value)
+                if math.isfinite(value)
+                else "NAN"
+                if math.isnan(value)
+                else f"{'-' if value < 0 else ''}INFINITY"
+            )
             return f"all({text})"
         return f"v{number}"
 
@@ -128,6 +142,13 @@ class Scan:
 
 _OPERATORS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "eq": "=="}
 
+_FUNCTIONS = {"sqrt": 1, "abs": 1, "exp": 1, "expm1": 1, "log": 1, "log1p": 1, "erf": 1, "sin": 1, "cos": 1, "tan": 1,
+              "asin": 1, "acos": 1, "atan": 1, "sinh": 1, "cosh": 1, "tanh": 1, "round": 1, "floor": 1, "ceil": 1,
+              "trunc": 1, "atan2": 2, "hypot": 2, "pow": 2}  # fmt: skip
+"""What torch's vectors can do, with the number of their arguments."""
+
+_UNARY = "inline V {0}_(const V& a) {{ return raw(vec(a).{0}()); }}\n"
+_BINARY = "inline V {0}_(const V& a, const V& b) {{ return raw(vec(a).{0}(vec(b))); }}\n"
 _TEMPLATE = """\
 #if defined(__AVX512F__) && defined(__AVX512BW__) && defined(__AVX512DQ__) && defined(__AVX512VL__)
 #define CPU_CAPABILITY_AVX512
@@ -176,20 +197,7 @@ inline void mark(const Port& p, int64_t entry, const M& v, const Block& at) {
 }
 inline Vec vec(const V& a) { return Vec::loadu(&a); }
 inline V raw(const Vec& a) { V r; a.store(&r); return r; }
-inline V sqrt_(const V& a) { return raw(vec(a).sqrt()); }
-inline V abs_(const V& a) { return raw(vec(a).abs()); }
-inline V exp_(const V& a) { return raw(vec(a).exp()); }
-inline V expm1_(const V& a) { return raw(vec(a).expm1()); }
-inline V log_(const V& a) { return raw(vec(a).log()); }
-inline V log1p_(const V& a) { return raw(vec(a).log1p()); }
-inline V sin_(const V& a) { return raw(vec(a).sin()); }
-inline V cos_(const V& a) { return raw(vec(a).cos()); }
-inline V tanh_(const V& a) { return raw(vec(a).tanh()); }
-inline V round_(const V& a) { return raw(vec(a).round()); }
-inline V floor_(const V& a) { return raw(vec(a).floor()); }
-inline V atan2_(const V& a, const V& b) { return raw(vec(a).atan2(vec(b))); }
-inline V hypot_(const V& a, const V& b) { return raw(vec(a).hypot(vec(b))); }
-inline V max_(const V& a, const V& b) { return (a > b) | (a != a) ? a : b; }
+FUNCTIONSinline V max_(const V& a, const V& b) { return (a > b) | (a != a) ? a : b; }
 inline V min_(const V& a, const V& b) { return (a < b) | (a != a) ? a : b; }
 
 void block(const Port* in, const Port* out, int64_t steps, Block at) {

@@ -28,7 +28,7 @@ def flatten(tree: Any) -> list[Tensor]:
 def unflatten(like: Any, tensors: Iterator[Tensor]) -> Any:
     """Tuples of this form around other tensors."""
     if isinstance(like, tuple):
-        parts = [None if part is None else unflatten(part, tensors) for part in like]
+        parts: list[Any] = [None if part is None else unflatten(part, tensors) for part in like]
         return type(like)(*parts) if hasattr(like, "_fields") else tuple(parts)
     return next(tensors)
 
@@ -84,7 +84,7 @@ class Step:
             if all(map(torch.equal, zero, self.zero)):
                 break
 
-    def _call(self, function: Callable[..., Any], book: Expressions, given: dict[str, Tensor], *args: Any) -> Any:
+    def _call(self, function: Callable[..., Any], given: Mapping[str, Tensor], *args: Any) -> Any:
         values = {f"module.{name}": x for name, x in given.items() if self.inputs[name].value}
         others = {name: x for name, x in given.items() if not self.inputs[name].value}
         with elementary():
@@ -99,7 +99,7 @@ class Step:
             for x in (*self.before, *self.given.values()):
                 x.requires_grad_()
         with torch.set_grad_enabled(differentiable):
-            after, kept = self._call(self.advance, book, self.given, unflatten(self.state, iter(self.before)))
+            after, kept = self._call(self.advance, self.given, unflatten(self.state, iter(self.before)))
         self.after, self.kept = ([entries(book, x) for x in flatten(tree)] for tree in (after, kept))
         self.form = kept
         if [x.shape for x in self.after] != [zero.shape for zero in self.zero]:
@@ -108,7 +108,9 @@ class Step:
     def _carried(self, book: Expressions) -> list[Entries]:
         """What goes from step to step, nothing known but its zeros."""
         new = [Entries.inputs(book, zero.shape, self.dtype).ids for zero in self.zero]
-        return [Entries(book, torch.where(zero, ZERO, ids), self.dtype) for zero, ids in zip(self.zero, new, strict=True)]
+        return [
+            Entries(book, torch.where(zero, ZERO, ids), self.dtype) for zero, ids in zip(self.zero, new, strict=True)
+        ]
 
     def forwards(self) -> Scan:
         """Filters: reads the inputs, writes what is kept of each step."""
@@ -146,7 +148,7 @@ class Step:
         stays = [g for g, name in zip(found[states:], needed, strict=True) if not self.inputs[name].timed]
         timed = [g for g, name in zip(found[states:], needed, strict=True) if self.inputs[name].timed]
         sums = [Entries.inputs(book, g.shape, self.dtype) for g in stays]
-        totals = [a + b for a, b in zip(sums, stays, strict=True)]
+        totals = [entries(book, a + b) for a, b in zip(sums, stays, strict=True)]
         return Scan(
             book,
             _ports(after + sums),

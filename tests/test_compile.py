@@ -1,0 +1,338 @@
+"""A compiled filter gives what the filter gives: results, gradients, errors."""
+
+import copy
+import pickle
+
+import pytest
+import torch
+from conftest import PRESETS, STEPS
+from torch import nn
+
+from torchfra import presets, scenarios
+from torchfra.filters import SRCKF
+from torchfra.kernel import build
+from torchfra.kernel.entries import Entries, entries
+from torchfra.kernel.expressions import Expressions
+from torchfra.kernel.run import Program
+from torchfra.kernel.source import Port, Scan
+from torchfra.motion import ConstantVelocity
+from torchfra.sensors import Bearings, Position, Sensor
+from torchfra.types import Gaussian
+
+pytestmark = pytest.mark.usefixtures("kernels")
+
+
+def close(a, b, tolerance=1e-10):
+    """All tensors of two trees, relative to the largest entry."""
+    if a is None or isinstance(a, torch.Tensor):
+        assert (a is None) == (b is None)
+        if a is not None:
+            assert (a.shape, a.dtype) == (b.shape, b.dtype)
+            scale = a.double().abs().nan_to_num(posinf=0).max().clamp_min(1e-300) if a.numel() else 1.0
+            torch.testing.assert_close(b.double() / scale, a.double() / scale, rtol=0, atol=tolerance, equal_nan=True)
+        return
+    for x, y in zip(a, b, strict=True):
+        close(x, y, tolerance)
+
+
+def both(f, *args, **kwargs):
+    """What a filter gives, and what it gives compiled."""
+    return f(*args, **kwargs), copy.deepcopy(f).compile()(*args, **kwargs)
+
+
+# ---------------------------------------------------------------- results
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_filter_gives_the_same_with_outliers_and_missing_data(name, make, tracks):
+    with torch.no_grad():
+        close(*both(make(name), tracks.z, tracks.prior, u=tracks.u))
+
+
+@pytest.mark.parametrize("name", ["srckf", "fra"])
+def test_streaming_gives_the_same(name, make, tracks):
+    f = make(name)
+    fast = copy.deepcopy(f).compile()
+    state = here = f.init(tracks.prior)
+    for z, u in zip(tracks.z.unbind(1), tracks.u, strict=True):
+        state, innovation = f.step(state, z, u=u)
+        here, fast_innovation = fast.step(here, z, u=u)
+        close((state, innovation), (here, fast_innovation))
+
+
+def test_time_steps_and_noise_may_come_with_the_measurements(make, tracks):
+    f = make("srckf")
+    dt = torch.linspace(0.5, 1.5, STEPS, dtype=torch.float64)
+    many = torch.linspace(0.9, 1.1, 4, dtype=torch.float64).unsqueeze(-1)
+    std = torch.linspace(0.01, 0.03, 2, dtype=torch.float64).expand(4, STEPS, 2)
+    root = torch.tensor([[0.02, 0.0], [0.01, 0.02]], dtype=torch.float64).expand(STEPS, 2, 2)
+    fast = copy.deepcopy(f).compile()
+    for options in ({"dt": dt}, {"dt": many}, {"dt": dt * many, "std": std}, {"noise": root}):
+        close(f(tracks.z, tracks.prior, u=tracks.u, **options), fast(tracks.z, tracks.prior, u=tracks.u, **options))
+
+
+def test_a_single_track_and_a_grid_of_tracks_and_a_batch_of_hyperparameters(make, tracks):
+    f = make("rsrckf", threshold=torch.tensor([0.5, 1.345, 3.0], dtype=torch.float64).unsqueeze(-1))
+    close(*both(f, tracks.z, tracks.prior, u=tracks.u))  # 3 thresholds, 4 tracks
+    f = make("rsrckf")
+    fast = copy.deepcopy(f).compile()
+    mean, root = tracks.prior
+    close(f(tracks.z[0], Gaussian(mean[0], root), u=tracks.u), fast(tracks.z[0], Gaussian(mean[0], root), u=tracks.u))
+    z, prior = tracks.z.unflatten(0, (2, 2)), Gaussian(mean.unflatten(0, (2, 2)), root)
+    close(f(z, prior, u=tracks.u), fast(z, prior, u=tracks.u))
+    close(f(z.mT.contiguous().mT, prior, u=tracks.u), fast(z.mT.contiguous().mT, prior, u=tracks.u))
+    many = scenarios.bearings_outliers().simulate(37, 5)  # no multiple of any register
+    close(f(many.z, many.prior, u=many.u), fast(many.z, many.prior, u=many.u))
+
+
+def test_single_precision_stays_single(make, tracks):
+    z, u = tracks.z.float(), tracks.u.float()
+    slow, fast = both(make("srckf"), z, tracks.prior, u=u)
+    assert fast.mean.dtype == torch.float32
+    close(slow.mean, fast.mean, 1e-4)
+
+
+def test_a_track_that_loses_its_numbers_is_reported_and_leaves_the_others_alone(make, tracks):
+    z = tracks.z.clone()
+    z[1, 4] = torch.inf
+    slow, fast = both(make("srckf"), z, tracks.prior, u=tracks.u)
+    assert fast.failed.tolist() == slow.failed.tolist() == [False, True, False, False]
+    keep = [0, 2, 3]
+    close(slow.mean[keep], fast.mean[keep])
+
+
+def test_tracks_do_not_depend_on_their_company(make, tracks):
+    fast = make("fra").compile()
+    whole = fast(tracks.z, tracks.prior, u=tracks.u)
+    for i in range(4):
+        one = fast(tracks.z[i], Gaussian(tracks.prior.mean[i], tracks.prior.scale_tril), u=tracks.u)
+        assert torch.equal(one.mean, whole.mean[i])
+
+
+class Curved(Sensor):
+    """A sensor of one's own, with a parameter in it."""
+
+    def __init__(self):
+        super().__init__(2, [False, True], 1.0, None)
+        self.bend = nn.Parameter(torch.tensor([0.3, 0.1], dtype=torch.float64))
+
+    def forward(self, x, u=None):
+        a, b = x[..., 0], x[..., 1]
+        return torch.stack([torch.exp(self.bend[0] * a) + b.tanh(), torch.sin(self.bend[1] * b).abs() + a**2], -1)
+
+
+def test_sensors_of_ones_own_and_their_parameters():
+    f = SRCKF(ConstantVelocity(0.1), Curved())
+    prior = Gaussian(torch.tensor([0.5, 1.0, 0.0, 0.0], dtype=torch.float64), torch.eye(4, dtype=torch.float64))
+    z = torch.rand(5, 3, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    fast = copy.deepcopy(f).compile()
+    slow, quick = f(z, prior), fast(z, prior)
+    close(slow, quick)
+    for e in (slow, quick):
+        e.mean.sum().backward()
+    close(f.sensor.bend.grad, fast.sensor.bend.grad)
+
+
+# ---------------------------------------------------------------- gradients
+
+
+@pytest.mark.parametrize(("name", "options"), [("ekf", {}), ("rmckf", {}), ("fra", {"temperature": 1.0})])
+def test_gradients_are_the_same_for_data_prior_and_every_value(name, options, make, tracks):
+    f = make(name, learn="all", **options)
+    found = []
+    for g in (f, copy.deepcopy(f).compile()):
+        z, mean = tracks.z.clone().requires_grad_(), tracks.prior.mean.clone().requires_grad_()
+        root = tracks.prior.scale_tril.clone().requires_grad_()
+        e = g(z, Gaussian(mean, root), u=tracks.u)
+        truth = tracks.truth
+        loss = (e.mean - truth)[..., :2].square().sum() + 10 * e.log_likelihood.sum() + e.scale_tril.square().sum()
+        loss.backward()
+        values = [p.grad for p in g.parameters() if p.grad is not None and p.grad != 0]
+        found.append((z.grad, mean.grad, root.grad, *values))
+    for slow, fast in zip(*found, strict=True):
+        close(slow, fast, 1e-9)
+
+
+def test_every_track_has_the_gradient_it_has_alone(make, tracks):
+    """What training rests on: hyperparameters of its own for each track."""
+    f = make("srckf", learn="all").compile()
+    own = {k: p.detach().expand(4).clone().requires_grad_() for k, p in f.named_parameters()}
+    estimate = torch.func.functional_call(f, own, (tracks.z, tracks.prior), {"u": tracks.u})
+    together = torch.autograd.grad(estimate.mean.square().sum(), list(own.values()))
+    for i in range(4):
+        alone = f(tracks.z[i], Gaussian(tracks.prior.mean[i], tracks.prior.scale_tril), u=tracks.u)
+        grads = torch.autograd.grad(alone.mean.square().sum(), list(f.parameters()))
+        for whole, single in zip(together, grads, strict=True):
+            torch.testing.assert_close(whole[i], single, rtol=1e-9, atol=0)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_checkpoints_leave_the_gradient_and_truncation_cuts_it(compiled, make, tracks):
+    f = make("srckf", learn=("q",))
+    f = f.compile() if compiled else f
+
+    def gradient(**options):
+        (g,) = torch.autograd.grad(f(tracks.z, tracks.prior, u=tracks.u, **options).mean[:, -1].sum(), f.motion.q.raw)
+        return g.item()
+
+    assert gradient(checkpoint=5) == pytest.approx(gradient(), rel=1e-12)
+    assert gradient(truncate=5) != pytest.approx(gradient(), rel=1e-3)
+    slow = make("srckf", learn=("q",))
+    cut = slow(tracks.z, tracks.prior, u=tracks.u, truncate=5).mean[:, -1].sum()
+    assert gradient(truncate=5) == pytest.approx(torch.autograd.grad(cut, slow.motion.q.raw)[0].item(), rel=1e-9)
+
+
+def test_a_gradient_of_a_gradient_is_refused(make, tracks):
+    f = make("srckf", learn=("q",)).compile()
+    mean = f(tracks.z, tracks.prior, u=tracks.u).mean
+    (g,) = torch.autograd.grad(mean.square().sum(), f.motion.q.raw, create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        g.backward()
+
+
+# ---------------------------------------------------------------- what is made anew, and what is not
+
+
+def test_kernels_are_made_once_for_a_form_of_call(make, tracks, monkeypatch):
+    made = []
+    load = build.load
+    monkeypatch.setattr(build, "load", lambda source: made.append(source) or load(source))
+    f = make("fra", temperature=1.0).compile()
+    with torch.no_grad():
+        f(tracks.z, tracks.prior, u=tracks.u)
+        assert len(made) == 1
+        f.gate.set(7.0)
+        f.motion.q.set(0.5)
+        f.temperature = 0.3  # another number, not another form
+        f(tracks.z * 1.01, tracks.prior, u=tracks.u)
+        f(tracks.z[:2, :5], Gaussian(tracks.prior.mean[:2], tracks.prior.scale_tril), u=tracks.u[:5], dt=0.7)
+        assert len(made) == 1
+        f.temperature = 0.0
+        hard = f(tracks.z, tracks.prior, u=tracks.u)
+        assert len(made) == 2
+        f.temperature = 0.3
+        f(tracks.z, tracks.prior, u=tracks.u)
+        assert len(made) == 2  # both are remembered
+    slow = make("fra")
+    slow.load_state_dict(f.state_dict())
+    close(slow(tracks.z, tracks.prior, u=tracks.u), hard)
+
+
+def test_what_changes_in_the_filter_changes_its_kernels(make, tracks):
+    f = make("rmckf").compile()
+    before = f(tracks.z, tracks.prior, u=tracks.u).mean
+    f.adaptive.rcond = 0.9
+    slow = make("rmckf", rcond=0.9)
+    after = f(tracks.z, tracks.prior, u=tracks.u).mean
+    assert not torch.equal(before, after)
+    close(slow(tracks.z, tracks.prior, u=tracks.u).mean, after)
+    f = presets.srckf(f.motion, Bearings(0.02, stations=torch.tensor([[0.0, 0.0], [2000.0, 0.0]]).double())).compile()
+    f(tracks.z, tracks.prior)
+    f.sensor.stations += 100.0
+    close(presets.srckf(f.motion, f.sensor)(tracks.z, tracks.prior).mean, f(tracks.z, tracks.prior).mean)
+
+
+def test_the_disk_keeps_kernels_and_a_copy_of_a_filter_compiles_by_itself(make, tracks):
+    f = make("srckf").compile()
+    expected = f(tracks.z, tracks.prior, u=tracks.u).mean
+    count = build.compiled
+    for other in (copy.deepcopy(f), pickle.loads(pickle.dumps(f))):
+        assert torch.equal(other(tracks.z, tracks.prior, u=tracks.u).mean, expected)
+    assert build.compiled == count
+    assert f.state_dict().keys() == make("srckf").state_dict().keys()
+
+
+def test_transforms_and_torch_compile_see_the_filter_as_it_is(make, tracks):
+    f = make("srckf").compile()
+    plain = make("srckf")(tracks.z, tracks.prior, u=tracks.u).mean
+    mapped = torch.func.vmap(lambda z, mean: f(z, Gaussian(mean, tracks.prior.scale_tril), u=tracks.u).mean)
+    close(plain, mapped(tracks.z, tracks.prior.mean))
+    graph = torch.compile(lambda z: f(z, tracks.prior, u=tracks.u[:2]).mean, backend="eager", fullgraph=True)
+    close(plain[:, :2], graph(tracks.z[:, :2]))
+
+
+# ---------------------------------------------------------------- errors
+
+
+FUNCTIONS = {
+    "exp": torch.exp, "expm1": torch.expm1, "log": lambda x: x.square().log(), "log1p": lambda x: x.square().log1p(),
+    "erf": torch.erf, "sin": torch.sin, "cos": torch.cos, "tan": torch.tan, "asin": lambda x: torch.asin(x.tanh()),
+    "acos": lambda x: torch.acos(x.tanh()), "atan": torch.atan, "sinh": torch.sinh, "cosh": torch.cosh,
+    "tanh": torch.tanh, "sigmoid": torch.sigmoid, "softplus": torch.nn.functional.softplus, "relu": torch.relu,
+    "sinc": torch.sinc, "sqrt": lambda x: x.abs().sqrt(), "rsqrt": lambda x: x.abs().rsqrt(), "abs": torch.abs,
+    "sign": torch.sign, "round": torch.round, "floor": torch.floor, "ceil": torch.ceil, "trunc": torch.trunc,
+    "remainder": lambda x: torch.remainder(x, 1.3), "atan2": lambda x: torch.atan2(x, x - 1),
+    "hypot": lambda x: torch.hypot(x, x + 1), "powers": lambda x: x**3 + x**-2 + x.abs() ** 1.5 + x.abs() ** 0.3,
+    "norm": torch.linalg.norm, "mean": lambda x: x.mean() + x.prod(), "extremes": lambda x: x.max() - x.amin(0),
+    "softmax": lambda x: torch.softmax(x, 0), "logsumexp": lambda x: torch.logsumexp(x, 0),
+    "clamp": lambda x: x.clamp(-1, 1), "nan": lambda x: torch.where(x.log().isnan(), x, 0.0).nan_to_num(),
+    "moves": lambda x: torch.cat([x.flip(0), x.roll(1)]).reshape(2, 3).mT.tril()[[0, 2]],
+    "logic": lambda x: ((x > 0) & ~(x < 1) | (x == x[0])).to(x), "outer": lambda x: torch.einsum("i,j->ij", x, x) @ x,
+    "cross": lambda x: torch.linalg.cross(x, x + 1), "any": lambda x: (x > 0).any().to(x) + (x > -1).all(),
+}  # fmt: skip
+
+
+def test_what_torch_does_to_numbers_kernels_do_as_well():
+    """All at once, in one kernel: 500 triples through each function."""
+    book = Expressions()
+    x = Entries.inputs(book, (3,), torch.float64)
+    written = [entries(book, function(x)) for function in FUNCTIONS.values()]
+    ports = [Port(y.ids.flatten().tolist(), y.shape, timed=True) for y in written]
+    program = Program(Scan(book, [], [], [Port(x.ids.tolist(), x.shape)], ports))
+    values = 3 * torch.randn(500, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    for (name, function), found in zip(FUNCTIONS.items(), program(torch.Size([500]), 1, [values]), strict=True):
+        expected = torch.stack([function(v) for v in values])
+        torch.testing.assert_close(found[:, 0], expected, rtol=1e-12, atol=1e-12, msg=lambda m, n=name: f"{n}: {m}")
+
+
+def test_what_does_not_fit_is_named_as_without(make, tracks):
+    f = make("srckf").compile()
+    with pytest.raises(ValueError, match="z: expected"):
+        f(tracks.z[..., :1], tracks.prior, u=tracks.u)
+    state = f.init(tracks.prior)
+    f.step(state, tracks.z[:, 0], u=tracks.u[0])
+    for _ in range(2):
+        with pytest.raises(ValueError, match="dt: expected seconds above 0"):
+            f.step(state, tracks.z[:, 0], u=tracks.u[0], dt=0.0)
+        with pytest.raises(ValueError, match="state: expected one from a prior of batch"):
+            f.step(state, tracks.z[:, 0].expand(3, 4, 2), u=tracks.u[0])
+
+
+def test_without_a_compiler_it_says_what_to_install(make, tracks, monkeypatch):
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    build._compiler.cache_clear()
+    try:
+        with pytest.raises(RuntimeError, match=r"no-such-compiler does not run.*install g\+\+"):
+            make("srckf").compile()(tracks.z, tracks.prior, u=tracks.u)
+    finally:
+        build._compiler.cache_clear()
+
+
+def test_a_compiler_that_fails_is_quoted_and_leaves_nothing(make, tracks, monkeypatch, tmp_path):
+    monkeypatch.setenv("TORCHFRA_CACHE", str(tmp_path))
+    monkeypatch.setenv("CXXFLAGS", "-no-such-flag")
+    with pytest.raises(RuntimeError, match="no-such-flag"):
+        make("srckf").compile()(tracks.z, tracks.prior, u=tracks.u)
+    assert list(tmp_path.iterdir()) == []
+
+
+class Looking(Position):
+    """Decides in Python by what it sees."""
+
+    def forward(self, x, u=None):
+        return super().forward(x) if x.sum() > 0 else super().forward(-x)
+
+
+class Exotic(Position):
+    """Uses what kernels do not know."""
+
+    def forward(self, x, u=None):
+        return torch.special.bessel_j0(super().forward(x))
+
+
+@pytest.mark.parametrize(("sensor", "said"), [(Looking(1.0), "torch.where"), (Exotic(1.0), "bessel_j0")])
+def test_what_kernels_cannot_do_is_named(sensor, said):
+    f = SRCKF(ConstantVelocity(0.1), sensor).compile()
+    prior = Gaussian(torch.ones(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64))
+    with pytest.raises(NotImplementedError, match=said):
+        f(torch.ones(3, 2, dtype=torch.float64), prior)
