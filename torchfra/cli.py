@@ -15,6 +15,7 @@ from torchfra import distributed, readers, scenarios
 from torchfra.evaluate import FILTERS, chosen, evaluate, learned, progress_bar, report, table
 from torchfra.files import write_json, write_text
 from torchfra.filters import Filter
+from torchfra.kernel.build import CompileError
 from torchfra.malloc import keep_memory
 from torchfra.scenarios import Scenario
 from torchfra.version import __version__
@@ -59,6 +60,7 @@ def parser() -> argparse.ArgumentParser:
         f"seen by a simulated sensor (FILES), or those of a paper's scenario.\n\n{_FILES}",
         epilog="examples:\n  torchfra compare flights/*.json.gz --sensor radar --json radar.json\n"
         "  torchfra compare --scenario bearings-outliers --runs 500 --filters srckf,rmckf,fra\n"
+        "  torchfra compare --scenario bearings-outliers --runs 1000000 --filters srckf --compile\n"
         "  torchrun --nproc-per-node 2 -m torchfra compare --scenario bearings-outliers --runs 10000",
     )
     c.add_argument("files", metavar="FILE", type=Path, nargs="*")
@@ -75,6 +77,7 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("--sensor", default="bearings", help="for files: bearings (default) or radar")
     c.add_argument("--dt", type=float, default=5.0, metavar="S", help="for files: seconds per step (default: 5)")
     c.add_argument("--steps", type=int, default=120, metavar="T", help="for files: steps per window (default: 120)")
+    c.add_argument("--compile", action="store_true", help="run compiled kernels: many times faster, needs g++")
     c.add_argument("--figure", type=Path, metavar="FILE", help="PNG (default: compare-SCENARIO.png)")
     _common(c)
     c.set_defaults(run=_compare)
@@ -88,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with distributed.team():
         try:
             options.run(options)
-        except (ValueError, OSError, ImportError) as error:
+        except (ValueError, OSError, ImportError, CompileError) as error:
             if distributed.rank() == 0:
                 print(f"torchfra: error: {' '.join(str(error).split())}", file=sys.stderr)
             return 2
@@ -154,7 +157,14 @@ def _compare(options: argparse.Namespace) -> None:
     if options.learned is not None:
         name, equals, file = options.learned.rpartition("=")
         filters = chosen(names, scenario) | {"learned": learned(file, scenario, name if equals else "fra")}
-    results = evaluate(scenario, filters, runs=runs, seed=options.seed, progress=first and not options.quiet)
+    results = evaluate(
+        scenario,
+        filters,
+        runs=runs,
+        seed=options.seed,
+        compile=options.compile,
+        progress=first and not options.quiet,
+    )
     if not first:
         return
     figure = options.figure or Path(f"compare-{scenario.name}.png")

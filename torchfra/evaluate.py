@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from torchfra import distributed, metrics, presets
+from torchfra import distributed, presets
 from torchfra.filters.base import Filter
 from torchfra.scenarios import Scenario, Tracks
+from torchfra.tally import Tally
 from torchfra.types import Estimate
 from torchfra.version import __version__
 
@@ -39,6 +39,7 @@ def evaluate(
     seed: int = 0,
     limit: float = 2000.0,
     chunk: int = 1000,
+    compile: bool = False,
     progress: bool = False,
 ) -> dict[str, Result]:
     """Runs of a scenario through filters.
@@ -49,14 +50,16 @@ def evaluate(
         runs: how many.
         seed: of the random numbers; every filter sees the same runs.
         limit: a run diverges when its position error, root mean square over time, is above this, m.
-        chunk: runs that are filtered at once; bounds the memory.
+        chunk: runs that are filtered at once; bounds the memory, which does not grow with ``runs`` but for one number
+            per run and filter.
+        compile: whether to run compiled (``Filter.compile``); needs a C++ compiler.
         progress: whether to show a bar.
 
     Returns:
         For each filter: ``rmse_position`` and ``rmse_velocity`` over time ``[T]``, their means ``mean_rmse_*``,
-        ``median_error_position`` over all steps and runs, ``median_track_rmse`` and ``worst_track`` of the runs' own
-        root mean square errors, ``divergence_rate``, ``nees_position`` (median; 1.39 if honest, in the plane),
-        ``microseconds`` per track and step and ``relative_time`` to the UKF on the same runs.
+        ``median_error_position`` over all steps and runs (to 0.05 %), ``median_track_rmse`` and ``worst_track`` of the
+        runs' own root mean square errors, ``divergence_rate``, ``nees_position`` (median, to 0.05 %; 1.39 if honest, in
+        the plane), ``microseconds`` per track and step and ``relative_time`` to the UKF on the same runs.
 
     Under ``torchrun`` the processes share the runs, and each returns the results of all of them.
 
@@ -65,34 +68,38 @@ def evaluate(
     """
     if not isinstance(filters, Mapping):
         filters = chosen(filters, scenario)
-    names = list(filters)
     timed = {"ukf": FILTERS["ukf"](scenario.motion, scenario.sensor), **filters}
-    errors: dict[str, list[tuple[Tensor, ...]]] = {name: [] for name in timed}
-    seconds = dict.fromkeys(timed, 0.0)
     if runs < distributed.size() or chunk < 1:
         raise ValueError(f"runs, chunk: expected at least {distributed.size()} and 1, received {runs}, {chunk}")
+    if compile:
+        timed = {name: copy.copy(f).compile() for name, f in timed.items()}
     own = distributed.share(runs)
+    tallies = {name: Tally(scenario.position, scenario.velocity) for name in timed}
     with torch.no_grad():
-        # The first large pass pays for memory.
-        run(timed["ukf"], scenario, scenario.simulate(min(len(own), chunk), seed))
+        # The first passes pay for memory and for kernels.
+        few = scenario.simulate(min(len(own), chunk), seed)
         for f in timed.values():
-            run(f, scenario, scenario.simulate(min(len(own), 10), seed))
-        for first in progress_bar(own[::chunk], "runs", progress):
+            run(f, scenario, few)
+        for first in progress_bar(own[::chunk], f"{chunk} runs", progress):
             tracks = scenario.simulate(min(chunk, own.stop - first), seed, first=first)
             for name, f in timed.items():
                 start = time.perf_counter()
                 estimate = run(f, scenario, tracks)
-                seconds[name] += time.perf_counter() - start
-                errors[name].append(_errors(estimate, tracks, scenario))
-    shares = distributed.gathered((errors, seconds))
-    errors = {name: [chunk for theirs, _ in shares for chunk in theirs[name]] for name in timed}
-    seconds = {name: sum(theirs[name] for _, theirs in shares) for name in timed}
-    parts = {name: [torch.cat(part) for part in zip(*errors[name], strict=True)] for name in names}
+                tallies[name].add(estimate, tracks.truth, time.perf_counter() - start)
+                del estimate  # before the next one is made
+    everyone = distributed.gathered(tallies)
+    for others in everyone[1:]:
+        for name, tally in others.items():
+            everyone[0][name].merge(tally)
+    tallies = everyone[0]
     steps = runs * scenario.steps
     return {
-        name: _summary(parts[name], limit)
-        | {"microseconds": seconds[name] / steps * 1e6, "relative_time": seconds[name] / seconds["ukf"]}
-        for name in names
+        name: tallies[name].summary(limit)
+        | {
+            "microseconds": tallies[name].seconds / steps * 1e6,
+            "relative_time": tallies[name].seconds / tallies["ukf"].seconds,
+        }
+        for name in filters
     }
 
 
@@ -184,24 +191,3 @@ def progress_bar(items: Iterable[Any], unit: str, show: bool) -> Iterable[Any]:
         bar: Iterable[Any] = tqdm(items, unit=unit, leave=False)
         return bar
     return items
-
-
-def _errors(estimate: Estimate, tracks: Tracks, scenario: Scenario) -> tuple[Tensor, ...]:
-    position = metrics.error(estimate.mean, tracks.truth, scenario.position)
-    velocity = metrics.error(estimate.mean, tracks.truth, scenario.velocity)
-    return position, velocity, metrics.nees(estimate, tracks.truth, scenario.position)
-
-
-def _summary(parts: list[Tensor], limit: float) -> Result:
-    position, velocity, nees = parts
-    over_time = {"position": position.square().nanmean(0).sqrt(), "velocity": velocity.square().nanmean(0).sqrt()}
-    own = position.square().nanmean(-1).sqrt()
-    return {
-        **{f"rmse_{name}": values.tolist() for name, values in over_time.items()},
-        **{f"mean_rmse_{name}": values.nanmean().item() for name, values in over_time.items()},
-        "median_error_position": position.nanmedian().item(),
-        "median_track_rmse": own.nanmedian().item(),
-        "worst_track": own.max().item(),
-        "divergence_rate": (own > limit).double().mean().item(),
-        "nees_position": nees.nanmedian().item(),
-    }

@@ -71,12 +71,16 @@ def is_elementary() -> bool:
 
 
 def _triangularise(a: Tensor) -> Tensor:
-    if a.is_cuda or is_elementary():
+    if a.is_cuda or is_elementary() or (torch.compiler.is_compiling() and a.shape[-2] <= _SMALL):
         return _orthogonalise(a)
     if not is_traced(a):
         return _reflect(a)
     upper: Tensor = torch.linalg.qr(a.mT, mode="r").R
     return -upper.mT
+
+
+_SMALL = 16
+"""Rows up to which a loop over rows, which a compiler sees through, beats a call of LAPACK from compiled code."""
 
 
 def _orthogonalise(a: Tensor) -> Tensor:
@@ -144,6 +148,12 @@ def apply(matrix: Tensor, vector: Tensor) -> Tensor:
 
 def whiten(root: Tensor, vector: Tensor) -> Tensor:
     """``root^-1 vector`` for a lower-triangular ``root (..., m, m)`` and ``vector (..., m)``."""
+    if torch.compiler.is_compiling() and root.shape[-1] <= _SMALL:
+        done: list[Tensor] = []
+        for i in range(root.shape[-1]):
+            known = [root[..., i, j] * x for j, x in enumerate(done)]
+            done.append((vector[..., i] - sum(known)) / root[..., i, i])
+        return torch.stack(done, -1)
     solved: Tensor = torch.linalg.solve_triangular(root, vector.unsqueeze(-1), upper=False)
     return solved.squeeze(-1)
 
@@ -187,7 +197,7 @@ def gram_pinv(h: Tensor, rcond: float) -> Tensor:
 def _left_singular(h: Tensor) -> tuple[Tensor, Tensor]:
     """Of ``h (..., m, d)``: left singular vectors ``(..., m, m)``, and singular values squared ``(..., m)``."""
     m = h.shape[-2]
-    if not is_elementary():
+    if not (is_elementary() or (torch.compiler.is_compiling() and m <= 3)):
         u, sigma, _ = torch.linalg.svd(h, full_matrices=True)
         return u, pad(sigma.square(), (0, max(m - sigma.shape[-1], 0)))[..., :m]
     # One-sided Jacobi: pairs of rows are turned into each other until all are orthogonal; the turns make up u.

@@ -70,6 +70,8 @@ class Config:
     validation_seed: int = 1
     test_seed: int = 2
     device: str = "cpu"
+    compile: bool = True
+    """Run compiled kernels on the CPU: many times faster, and needs a C++ compiler."""
     tensorboard: bool = False
     """Also write a TensorBoard log."""
 

@@ -1,6 +1,6 @@
 """Learns a filter's hyperparameters by gradient descent on tracks.
 
-    python -m train.tune fra_bearings                          both bearings scenarios, minutes on two cores
+    python -m train.tune fra_bearings                          both bearings scenarios, a minute on two cores
     python -m train.tune fra_bearings --resume                 goes on after the last checkpoint, to the same bits
     python -m train.tune fra_bearings iterations=50 lr=0.1     any field of train.runs.Config
     python -m train.tune fra_recorded files=a.csv,b.csv        recorded tracks: needs no truth
@@ -37,6 +37,7 @@ from torchfra.evaluate import evaluate, progress_bar, versions
 from torchfra.files import write, write_json, write_text
 from torchfra.filters import FRA, Filter
 from torchfra.hyper import hypers, named
+from torchfra.kernel.build import CompileError
 from torchfra.scenarios import Scenario
 from torchfra.types import Estimate, Gaussian
 from train.runs import RUNS, Config, Task, configured
@@ -106,7 +107,8 @@ def make(config: Config, scenario: Scenario, values: dict[str, float], learn: bo
     for name, value in values.items():
         for hyper in named(f, (name,)).values():
             hyper.set(value)
-    return f.to(config.device)
+    f = f.to(config.device)
+    return f.compile() if config.compile else f
 
 
 def values_of(f: Filter) -> dict[str, float]:
@@ -424,7 +426,7 @@ def main(arguments: list[str] | None = None) -> int:
         try:
             config = configured(options.run, options.changes)
             tune(config, options.out or Path("out/train") / options.run, resume=options.resume, quiet=options.quiet)
-        except (ValueError, OSError, ImportError) as error:
+        except (ValueError, OSError, ImportError, CompileError) as error:
             if distributed.rank() == 0:
                 print(f"train: error: {' '.join(str(error).split())}", file=sys.stderr)
             return 2

@@ -77,7 +77,7 @@ class Filter(nn.Module):
             The filter itself.
 
         Raises:
-            RuntimeError: when a kernel is needed and there is no compiler.
+            CompileError: (a ``RuntimeError``) when a kernel is needed and there is no compiler.
             NotImplementedError: then too, if the filter does what kernels cannot.
         """
         from torchfra.filters.compiled import Compiled

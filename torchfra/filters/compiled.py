@@ -14,9 +14,9 @@ from torchfra.kernel.entries import Entries
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.run import Kernels
 from torchfra.kernel.source import SCALARS
-from torchfra.kernel.step import Input, Step, flatten
+from torchfra.kernel.step import Input, Step
 from torchfra.linalg import is_traced
-from torchfra.types import Gaussian, Innovation
+from torchfra.types import Gaussian, Innovation, flatten
 
 Given = tuple[Tensor, Time, Tensor | None, Tensor | None, Tensor | None]
 """``z``, ``dt``, ``u``, ``std`` and ``noise`` of a call."""

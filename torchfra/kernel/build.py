@@ -20,6 +20,10 @@ compiled = 0
 """How many times the compiler was called by this process."""
 
 
+class CompileError(RuntimeError):
+    """There is no compiler, or it failed."""
+
+
 def load(source: str) -> Any:
     """The function ``run`` of a translation unit.
 
@@ -27,7 +31,7 @@ def load(source: str) -> Any:
     done so already: results are kept in ``TORCHFRA_CACHE``, or ``~/.cache/torchfra``.
 
     Raises:
-        RuntimeError: there is no compiler, or it fails.
+        CompileError: there is no compiler, or it fails.
     """
     compiler, version = _compiler()
     flags = FLAGS.split() + shlex.split(os.environ.get("CXXFLAGS", ""))
@@ -53,7 +57,7 @@ def _compile(command: list[str], source: str, library: Path) -> None:
         done = subprocess.run([*command, *include, str(text), "-o", str(made), *link],
                               capture_output=True, text=True, check=False)  # fmt: skip
         if done.returncode:
-            raise RuntimeError(f"compile: {shlex.join(command)} failed:\n{done.stderr[-2000:]}")
+            raise CompileError(f"compile: {shlex.join(command)} failed:\n{done.stderr[-2000:]}")
         compiled += 1
         os.replace(made, library)
 
@@ -70,7 +74,7 @@ def _compiler() -> tuple[list[str], str]:
     try:
         return command, subprocess.run([*command, "--version"], capture_output=True, text=True, check=True).stdout
     except (OSError, subprocess.CalledProcessError) as error:
-        raise RuntimeError(
+        raise CompileError(
             f"compile: expected a C++ compiler, {shlex.join(command)} does not run ({error}): install g++, or name one "
             "in the environment variable CXX; without compile() the filter needs none"
         ) from None

@@ -14,7 +14,8 @@ from torch.autograd.function import once_differentiable
 
 from torchfra.kernel import build
 from torchfra.kernel.source import Port, Scan
-from torchfra.kernel.step import Step, unflatten
+from torchfra.kernel.step import Step
+from torchfra.types import unflatten
 
 _SHARE = 16
 """Tracks that are worth a thread of their own."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -13,24 +13,10 @@ from torchfra.kernel.entries import Entries, entries
 from torchfra.kernel.expressions import ZERO, Expressions
 from torchfra.kernel.source import Port, Scan
 from torchfra.linalg import elementary
+from torchfra.types import flatten, unflatten
 
 Advance = Callable[[nn.Module, Any, dict[str, Tensor]], tuple[Any, Any]]
 """From a module, its state and what else it is given to the next state and what is kept of the step."""
-
-
-def flatten(tree: Any) -> list[Tensor]:
-    """The tensors in tuples of tuples; None is none."""
-    if isinstance(tree, tuple):
-        return [x for part in tree for x in flatten(part)]
-    return [] if tree is None else [tree]
-
-
-def unflatten(like: Any, tensors: Iterator[Tensor]) -> Any:
-    """Tuples of this form around other tensors."""
-    if isinstance(like, tuple):
-        parts: list[Any] = [None if part is None else unflatten(part, tensors) for part in like]
-        return type(like)(*parts) if hasattr(like, "_fields") else tuple(parts)
-    return next(tensors)
 
 
 class Input(NamedTuple):
