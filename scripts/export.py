@@ -27,13 +27,14 @@ from torchfra.types import Gaussian, flatten, unflatten
 
 
 class Step(nn.Module):
-    """One step, from tensors to tensors: leaves of the state, then ``z`` and ``u``; leaves of the state, then ``nis``."""
+    """One step, from tensors to tensors."""
 
     def __init__(self, f: Filter, state: tuple) -> None:
         super().__init__()
         self.filter, self.like = f, state
 
     def forward(self, leaves: list[Tensor], z: Tensor, u: Tensor) -> tuple[Tensor, ...]:
+        """Leaves of the state, a measurement and where the stations are; leaves of the next state, then ``nis``."""
         state, innovation = self.filter.step(unflatten(self.like, iter(leaves)), z, u=u)
         return (*flatten(state), innovation.nis)
 

@@ -42,6 +42,24 @@ def rmse_curves(results: dict[str, dict[str, Any]], quantity: str, dt: float, ti
     return _finished(figure, axes)
 
 
+def scaling(panels: dict[str, list[tuple[float, float]]], title: str) -> Figure:
+    """Time per track and step over the size of the job.
+
+    Args:
+        panels: one for each size, such as ``"batch"``: pairs of the size and microseconds.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(4 * len(panels), 3.4), layout="constrained")
+    for axes, (size, pairs) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
+        axes.plot(*zip(*pairs, strict=True), marker="o", color=_COLOURS["srckf"])
+        axes.set(xlabel=size, ylabel="microseconds per track and step", yscale="log")
+        if max(pairs)[0] > 100:
+            axes.set_xscale("log")
+        axes.grid(True, which="both", alpha=0.3)
+    figure.suptitle(title)
+    return figure
+
+
 def tracks(truth: Tensor, estimates: dict[str, Tensor], title: str, stations: Tensor | None = None) -> Figure:
     """One target's true path and what filters made of it, in the plane.
 
