@@ -39,7 +39,7 @@ def make(scenario):
     return build
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="session", autouse=True)
 def kernels(tmp_path_factory):
     """Kernels of this session alone, compiled in a hurry."""
     with pytest.MonkeyPatch.context() as patch:

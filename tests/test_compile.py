@@ -19,8 +19,6 @@ from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Bearings, Position, Sensor
 from torchfra.types import Gaussian
 
-pytestmark = pytest.mark.usefixtures("kernels")
-
 
 def close(a, b, tolerance=1e-10):
     """All tensors of two trees, relative to the largest entry."""

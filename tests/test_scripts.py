@@ -4,8 +4,11 @@ import json
 import re
 from pathlib import Path
 
+import benchmark
+import export
 import pytest
 import reproduce
+import torch
 
 ROOT = Path(__file__).parent.parent
 
@@ -37,3 +40,52 @@ def test_reproduce_writes_results_and_the_papers_figures(experiment, tmp_path):
 def test_reproduce_says_what_is_wrong(capsys):
     assert reproduce.main(["bearings-outliers", "--filters", "kalman"]) == 2
     assert "kalman" in capsys.readouterr().err
+
+
+def test_the_benchmark_times_eager_and_compiled_filters(tmp_path, capsys):
+    arguments = ["--what", "tracks,step", "--filters", "srckf", "--batch", "1,8", "--passes", "2", "--json"]
+    assert benchmark.main([*arguments, str(tmp_path / "b.json")]) == 0
+    result = json.loads((tmp_path / "b.json").read_text())
+    said = {(row["system"], row.get("batch")) for row in result["rows"]}
+    assert said == {(f"srckf, {mode}", batch) for mode in ("compiled", "eager") for batch in (1, 8)} | {
+        (f"srckf.step, {mode}", None) for mode in ("compiled", "eager")
+    }
+    assert all(0 < row["q1"] <= row["median"] <= row["q3"] for row in result["rows"])
+    assert result["versions"]["torch"] == torch.__version__
+    assert result["settings"]["threads"] == torch.get_num_threads()
+    assert "first call" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_benchmark_of_training_says_time_and_peak_memory(tmp_path):
+    assert benchmark.main(["--what", "training", "--passes", "2", "--json", str(tmp_path / "b.json")]) == 0
+    rows = {row["system"]: row for row in json.loads((tmp_path / "b.json").read_text())["rows"]}
+    for kind in ("hard", "soft"):
+        plain, fast = rows[f"fra {kind}, torch.linalg.qr"], rows[f"fra {kind}, compiled"]
+        assert fast["median"] < plain["median"] / 4
+        assert fast["peak_mib"] is None or fast["peak_mib"] < plain["peak_mib"]
+
+
+def test_plain_qr_is_the_same_filter(make, tracks):
+    """The baseline of the benchmark computes what it is compared with."""
+    f = make("srckf", learn="all")
+    loss = f(tracks.z, tracks.prior, u=tracks.u).mean.square().sum()
+    with benchmark.plain_qr():
+        other = f(tracks.z, tracks.prior, u=tracks.u).mean.square().sum()
+        theirs = torch.autograd.grad(other, list(f.parameters()))
+    for a, b in zip(torch.autograd.grad(loss, list(f.parameters())), theirs, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-7, atol=0)
+
+
+def test_the_benchmark_says_what_is_wrong(capsys):
+    with pytest.raises(SystemExit):
+        benchmark.main(["--filters", "kalman"])
+    assert "--filters: expected names out of" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning", "ignore::UserWarning")
+def test_an_exported_step_gives_what_the_filter_gives(tmp_path, capsys):
+    assert export.main(["--out", str(tmp_path / "step.pt2")]) == 0
+    said = re.search(r"difference from the filter ([\d.e+-]+)", capsys.readouterr().out)
+    assert float(said[1]) < 1e-12

@@ -197,11 +197,12 @@ def gram_pinv(h: Tensor, rcond: float) -> Tensor:
 def _left_singular(h: Tensor) -> tuple[Tensor, Tensor]:
     """Of ``h (..., m, d)``: left singular vectors ``(..., m, m)``, and singular values squared ``(..., m)``."""
     m = h.shape[-2]
-    if not (is_elementary() or (torch.compiler.is_compiling() and m <= 3)):
+    if not (is_elementary() or ((h.is_cuda or torch.compiler.is_compiling()) and m <= 3)):
         u, sigma, _ = torch.linalg.svd(h, full_matrices=True)
         return u, pad(sigma.square(), (0, max(m - sigma.shape[-1], 0)))[..., :m]
     # One-sided Jacobi: pairs of rows are turned into each other until all are orthogonal; the turns make up u.
-    rows = list(torch.cat([h, torch.eye(m, dtype=h.dtype).expand((*h.shape[:-1], m))], -1).unbind(-2))
+    turns = torch.eye(m, dtype=h.dtype, device=h.device).expand((*h.shape[:-1], m))
+    rows = list(torch.cat([h, turns], -1).unbind(-2))
     d = h.shape[-1]
     for _ in range(2 if m == 2 else 8):
         for p, q in combinations(range(m), 2):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import torch
@@ -105,7 +106,7 @@ class _Version:
             shapes.append(batch + shape[rank:])
         key = (advance, dtype, tuple(inputs.items()))
         if key not in self.kernels:
-            self.kernels[key] = Kernels(Step(f, _begin, advance, inputs, dtype))
+            self.kernels[key] = Kernels(Step(f, _begin, advance, inputs, dtype, timed[0]))
         return _Plan(self.kernels[key], batch, shapes)
 
     def run(
@@ -117,7 +118,10 @@ class _Version:
         if mean.shape[:-1] != plan.batch:
             leaves = [x.expand(plan.batch + x.shape[rank:]) for x in leaves]
         tensors = [x for x in given if x is not None] + [value() for value in self.values]
-        full = [x.to(dtype).expand(shape) for x, shape in zip(tensors, plan.shapes, strict=True)]
+        full = [
+            x if x.shape == shape and x.dtype == dtype else x.to(dtype).expand(shape)
+            for x, shape in zip(tensors, plan.shapes, strict=True)
+        ]
         return plan.kernels.run(plan.batch, steps, leaves, full, *options)
 
 
@@ -187,7 +191,7 @@ class Compiled:
         ``check`` is called unless a call of the same shapes has passed it before.
         """
         z, dt, *rest = given
-        seconds = torch.as_tensor(dt, dtype=z.dtype)
+        seconds = dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype)
         now = self._now(f)
         mean = state.belief.mean
         shapes = [None if x is None else x.shape for x in (z, seconds, *rest, *(value() for value in now.values))]
@@ -197,8 +201,12 @@ class Compiled:
             check()
         if plan is None:
             plan = now.steps[form] = now.plan(f, _observe, state, (z, seconds, *rest), (False,) * 5)
-        state, innovation = now.run(plan, 1, state, (z, seconds, *rest))
-        return state, Innovation(*(x.select(len(plan.batch), 0) for x in innovation))
+        return now.run(plan, 1, state, (z, seconds, *rest))
+
+
+@lru_cache(maxsize=64)
+def _seconds(dt: float, dtype: torch.dtype) -> Tensor:
+    return torch.tensor(dt, dtype=dtype)
 
 
 def _begin(f: Any) -> Any:

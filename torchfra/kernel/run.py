@@ -189,7 +189,7 @@ class _Run(torch.autograd.Function):
             here, stretch = min(length, steps - first), first // length
             reads = _from(step, inputs, first, len(batch))
             path = kernels.trajectory(batch, here, (*begun[stretch * count : (stretch + 1) * count], *reads))[count:]
-            local = [g.narrow(len(batch), first, here) for g in given]
+            local = [g.narrow(len(batch), first, here) for g in given] if step.repeated else given
             done = program(batch, here, (*state, *sums, *reads, *path, *local))
             state, sums = done[:count], done[count : count + len(stay)]
             timed.insert(0, done[count + len(stay) :])

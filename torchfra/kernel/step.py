@@ -49,6 +49,7 @@ class Step:
         advance: one step.
         inputs: what each step is given, by name.
         dtype: of all numbers.
+        repeated: whether it is one of many, and what is kept has time in front; or the only one.
     """
 
     def __init__(
@@ -58,8 +59,10 @@ class Step:
         advance: Advance,
         inputs: Mapping[str, Input],
         dtype: torch.dtype,
+        repeated: bool = True,
     ) -> None:
-        self.whole, self.begin, self.advance, self.inputs, self.dtype = _Whole(module), begin, advance, inputs, dtype
+        self.whole, self.advance, self.inputs = _Whole(module), advance, inputs
+        self.dtype, self.repeated = dtype, repeated
         with elementary():
             self.state = begin(module)
         zero = [entries(Expressions(), x).ids == ZERO for x in flatten(self.state)]
@@ -101,7 +104,7 @@ class Step:
     def forwards(self) -> Scan:
         """Filters: reads the inputs, writes what is kept of each step."""
         self._trace(False)
-        return self._scan(_ports(self.kept, timed=True))
+        return self._scan(_ports(self.kept, timed=self.repeated))
 
     def trajectory(self) -> Scan:
         """Filters again: writes the state before each step."""
@@ -139,7 +142,7 @@ class Step:
             book,
             _ports(after + sums),
             _ports(found[:states] + totals),
-            self._reads() + _varying(self.before) + _ports(grads, timed=True),
+            self._reads() + _varying(self.before) + _ports(grads, timed=self.repeated),
             _ports(timed, timed=True),
             backwards=True,
             dtype=self.dtype,
