@@ -78,7 +78,7 @@ def tracks(options: argparse.Namespace) -> list[Row]:
     """Whole tracks, eager and compiled, and the peers."""
     scenario = named(options.scenario, initial=options.initial)
     rows: list[Row] = []
-    for batch in map(int, options.batch.split(",")):
+    for batch in map(int, (options.batch or "1,1000,10000").split(",")):
         data = moved(scenario.simulate(batch, 0), options.device)
         systems: dict[str, Callable[[], Any]] = {}
         for name in options.filters.split(","):
@@ -170,9 +170,10 @@ def peak(call: Callable[[], Any]) -> float | None:
 
 
 def training(options: argparse.Namespace) -> list[Row]:
-    """Forward and backward of FRA over 64 tracks of 100 steps, all values learning."""
+    """Forward and backward of FRA over 64 tracks (or the first of ``--batch``) of 100 steps, all values learning."""
     scenario = named(options.scenario, "std", initial=options.initial)
-    data, count = scenario.simulate(64, 0), 64 * scenario.steps
+    batch = int((options.batch or "64").split(",")[0])
+    data, count = scenario.simulate(batch, 0), batch * scenario.steps
 
     def lesson(f: Any, **more: Any) -> Callable[[], None]:
         def call() -> None:
@@ -197,7 +198,7 @@ def training(options: argparse.Namespace) -> list[Row]:
             f"fra {kind}, eager, checkpoints": lesson(f, checkpoint=10),
             f"fra {kind}, compiled": lesson(copy.deepcopy(f).compile()),
         }
-        rows += rows_of(timed(systems, max(3, options.passes // 2), count), batch=64)
+        rows += rows_of(timed(systems, options.passes, count), batch=batch)
         for row in rows[-len(systems) :]:
             row["peak_mib"] = peak(systems[row["system"]])
             if row["peak_mib"] is not None:
@@ -247,7 +248,7 @@ def main(arguments: list[str] | None = None) -> int:
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
     parser.add_argument("--what", default="tracks", help=f"out of {', '.join(KINDS)} (default: tracks)")
-    parser.add_argument("--batch", default="1,1000,10000", help="tracks at once (default: 1,1000,10000)")
+    parser.add_argument("--batch", help="tracks at once (default: 1,1000,10000; 64 for training)")
     parser.add_argument("--filters", default="ukf,srckf,fra_srckf,fra", help=f"out of {', '.join(FILTERS)}")
     parser.add_argument("--modes", default="compiled,eager", help="compiled, eager or both (default)")
     parser.add_argument("--device", default="cpu", help="cpu (default) or cuda; compiled kernels run on the cpu only")

@@ -14,6 +14,7 @@ import torch
 
 import torchfra
 from torchfra import presets, scenarios
+from torchfra.kernel import build
 from train import tune
 from train.runs import RUNS, configured
 
@@ -306,6 +307,17 @@ def test_threshold_weakening_and_q_a_factor_three_off_are_found_again(tmp_path):
     for path, known in result["values"]["known"].items():
         assert result["values"]["learned"][path] == pytest.approx(known, rel=0.15), path
     assert torchfra.__version__ == result["versions"]["torchfra"]
+
+
+def test_without_a_compiler_it_says_how_to_train_without(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    build._compiler.cache_clear()
+    try:
+        assert train(tmp_path) == 2
+    finally:
+        build._compiler.cache_clear()
+    assert "compile=false trains without" in capsys.readouterr().err
+    assert train(tmp_path, "compile=false", "iterations=1") == 0
 
 
 def test_a_tensorboard_that_is_not_there_is_asked_for(tmp_path, monkeypatch, capsys):

@@ -50,9 +50,11 @@ def scaling(panels: dict[str, list[tuple[float, float]]], title: str) -> Figure:
         title: of the figure.
     """
     figure = Figure(figsize=(4 * len(panels), 3.4), layout="constrained")
-    for axes, (size, pairs) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
+    grid = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
+    grid[0].set(ylabel="microseconds per track and step", yscale="log")
+    for axes, (size, pairs) in zip(grid, panels.items(), strict=True):
         axes.plot(*zip(*pairs, strict=True), marker="o", color=_COLOURS["srckf"])
-        axes.set(xlabel=size, ylabel="microseconds per track and step", yscale="log")
+        axes.set(xlabel=size)
         if max(pairs)[0] > 100:
             axes.set_xscale("log")
         axes.grid(True, which="both", alpha=0.3)

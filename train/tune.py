@@ -428,7 +428,8 @@ def main(arguments: list[str] | None = None) -> int:
             tune(config, options.out or Path("out/train") / options.run, resume=options.resume, quiet=options.quiet)
         except (ValueError, OSError, ImportError, CompileError) as error:
             if distributed.rank() == 0:
-                print(f"train: error: {' '.join(str(error).split())}", file=sys.stderr)
+                hint = "; compile=false trains without" if isinstance(error, CompileError) else ""
+                print(f"train: error: {' '.join(str(error).split())}{hint}", file=sys.stderr)
             return 2
     return 0
 

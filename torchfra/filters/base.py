@@ -53,6 +53,9 @@ class Filter(nn.Module):
         ValueError: the sensor reads more components than the motion's state has.
     """
 
+    kernel_numbers: tuple[str, ...] = ()
+    """Attributes that are plain numbers and that compiled kernels read when they run."""
+
     def __init__(self, motion: Motion, sensor: Sensor) -> None:
         super().__init__()
         if sensor.reads > motion.size:
@@ -196,7 +199,8 @@ class Filter(nn.Module):
         else:
             frames, log_norm = make_frames(self.motion, self.sensor, z, dt, u, std, noise, rank)
             state, records = self._filter(state, frames, checkpoint, truncate)
-            belief, _, root, normalised, info = _stack(records, rank)
+            names = ("belief", "root", "normalised", "info")
+            belief, root, normalised, info = (_stack([getattr(r, name) for r in records], rank) for name in names)
             kept = Kept(belief, *_scores(normalised, root, log_norm.movedim(0, -1)), info)
         belief, info = self.finish(state, kept.belief, kept.info)
         return Estimate(*belief, kept.nis, kept.log_likelihood, info)

@@ -8,14 +8,15 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.autograd import forward_ad
 
 from torchfra.filters.frames import Frame, Time, make_frames
 from torchfra.hyper import Hyper
 from torchfra.kernel.entries import Entries
 from torchfra.kernel.expressions import Expressions
-from torchfra.kernel.run import Kernels
+from torchfra.kernel.run import BUILDING, Kernels
 from torchfra.kernel.source import SCALARS
-from torchfra.kernel.step import Input, Step
+from torchfra.kernel.step import Input, Step, frozen
 from torchfra.linalg import is_traced
 from torchfra.types import Gaussian, Innovation, flatten
 
@@ -26,17 +27,8 @@ _NAMES = ("z", "dt", "u", "std", "noise")
 _EVENTS = (1, 0, 1, 1, 2)
 
 
-class _Watched(NamedTuple):
-    """Something of the filter that kernels take for granted."""
-
-    owner: dict[str, Any]
-    key: str
-    found: Any
-    version: int | None
-
-
 class _Value(NamedTuple):
-    """A parameter, or the value of a hyperparameter."""
+    """A parameter, a number, or the value of a hyperparameter."""
 
     path: str
     module: nn.Module
@@ -44,8 +36,11 @@ class _Value(NamedTuple):
     event: int
 
     def __call__(self) -> Tensor:
-        x = self.module._parameters.get(self.key)
-        return self.module._buffers[self.key] if x is None else x  # type: ignore[return-value]
+        for part in (self.module._parameters, self.module._buffers):
+            x = part.get(self.key)
+            if x is not None:
+                return x
+        return torch.tensor(getattr(self.module, self.key), dtype=torch.float64)
 
 
 class _Plan(NamedTuple):
@@ -54,7 +49,7 @@ class _Plan(NamedTuple):
     kernels: Kernels
     batch: torch.Size
     shapes: list[torch.Size]
-    """Of what a kernel is given, values last, batches full."""
+    """Of what a kernel is given: leaves of the state, data, values, all with the full batch."""
 
 
 class _Version:
@@ -63,18 +58,21 @@ class _Version:
     def __init__(self, f: nn.Module) -> None:
         self.kernels: dict[tuple[Any, ...], Kernels] = {}
         self.steps: dict[tuple[Any, ...], _Plan] = {}
-        self.watched: list[_Watched] = []
+        self.frozen = frozen(f)
         self.values: list[_Value] = []
+        self.owners: list[tuple[dict[str, Any], int]] = []
+        self.watched: list[tuple[dict[str, Any], str, Any, int | None]] = []
         for path, module in f.named_modules():
-            for owner in (module._parameters, module._buffers):
-                self.values += [_Value(f"{path}.{key}".lstrip("."), module, key, event)
-                                for key, x in owner.items() if (event := _event(module, x)) is not None]  # fmt: skip
-            plain = {key: x for key, x in module.__dict__.items() if key not in _PLUMBING}
-            fixed = {key: x for key, x in module._buffers.items() if _event(module, x) is None}
-            for owner, part in ((module.__dict__, plain), (module._modules, module._modules), (module._buffers, fixed)):
-                self.watched += [
-                    _Watched(owner, key, x, x._version if isinstance(x, Tensor) else None) for key, x in part.items()
-                ]
+            numbers = getattr(module, "kernel_numbers", ())
+            parts = (module.__dict__, module._modules, module._parameters, module._buffers)
+            self.owners += [(part, len(part)) for part in parts if not isinstance(module, Hyper)]
+            for part in parts:
+                for key, x in part.items():
+                    event = 0 if key in numbers else _event(module, part, x)
+                    if event is not None:
+                        self.values.append(_Value(f"{path}.{key}".lstrip("."), module, key, event))
+                    elif part is not module.__dict__ or key not in _PLUMBING:
+                        self.watched.append((part, key, x, x._version if isinstance(x, Tensor) else None))
 
     def holds(self) -> bool:
         """Whether nothing has changed since."""
@@ -82,15 +80,10 @@ class _Version:
             x = owner.get(key)
             if x is not found or (version is not None and x._version != version):
                 return False
-        return True
+        return all(len(owner) == size for owner, size in self.owners)
 
     def plan(
-        self,
-        f: Any,
-        advance: Callable[..., Any],
-        state: Any,
-        given: Sequence[Tensor | None],
-        timed: Sequence[bool],
+        self, advance: Callable[..., Any], state: Any, given: Sequence[Tensor | None], timed: Sequence[bool]
     ) -> _Plan:
         """What is to be done with what is ``given``, and has its own for each step where ``timed``."""
         mean, dtype = state.belief.mean, state.belief.mean.dtype
@@ -106,47 +99,49 @@ class _Version:
             shapes.append(batch + shape[rank:])
         key = (advance, dtype, tuple(inputs.items()))
         if key not in self.kernels:
-            self.kernels[key] = Kernels(Step(f, _begin, advance, inputs, dtype, timed[0]))
-        return _Plan(self.kernels[key], batch, shapes)
+            self.kernels[key] = Kernels(Step(self.frozen, _begin, advance, inputs, dtype, timed[0]))
+        kernels = self.kernels[key]
+        return _Plan(kernels, batch, [batch + zero.shape for zero in kernels.step.zero] + shapes)
 
     def run(
         self, plan: _Plan, steps: int, state: Any, given: Sequence[Tensor | None], *options: int | None
     ) -> tuple[Any, Any]:
         """Does it."""
-        mean = state.belief.mean
-        leaves, rank, dtype = flatten(state), mean.dim() - 1, mean.dtype
-        if mean.shape[:-1] != plan.batch:
-            leaves = [x.expand(plan.batch + x.shape[rank:]) for x in leaves]
-        tensors = [x for x in given if x is not None] + [value() for value in self.values]
+        dtype, leaves = state.belief.mean.dtype, flatten(state)
+        tensors = [*leaves, *(x for x in given if x is not None), *(value() for value in self.values)]
         full = [
-            x if x.shape == shape and x.dtype == dtype else x.to(dtype).expand(shape)
+            x if x.shape == shape and x.dtype == dtype and x.is_cpu else x.to("cpu", dtype).expand(shape)
             for x, shape in zip(tensors, plan.shapes, strict=True)
         ]
-        return plan.kernels.run(plan.batch, steps, leaves, full, *options)
+        return plan.kernels.run(plan.batch, steps, full[: len(leaves)], full[len(leaves) :], *options)
 
 
-def _event(module: nn.Module, x: Tensor | None) -> int | None:
+def _event(module: nn.Module, part: dict[str, Any], x: Any) -> int | None:
     """The number of dimensions, without a batch, of what is read when a kernel runs; None for what is part of it.
 
-    Read are hyperparameters, parameters, and buffers that are single numbers.
+    Read are hyperparameters, parameters, and buffers that have gradients.
     """
-    if isinstance(module, Hyper):
+    if isinstance(module, Hyper) and (part is module._parameters or part is module._buffers):
         return module.event
-    if isinstance(x, nn.Parameter):
-        return x.dim()
-    return 0 if x is not None and x.dim() == 0 and x.is_floating_point() else None
+    read = part is module._parameters or (part is module._buffers and x is not None and x.requires_grad)
+    return x.dim() if read and x is not None else None
 
 
-_PLUMBING = {*nn.Module().__dict__, "_compiled"}
+_PLUMBING = {*nn.Module().__dict__, "_compiled"} - {"training"}
 _VERSIONS = 4
 """How many are remembered: a filter may go back and forth, between soft decisions and hard ones say."""
+
+
+_FORMS = 64
+"""How many forms of a single step are remembered."""
 
 
 class Compiled:
     """Kernels of a filter, one set for each form of call; they are made when first needed.
 
-    Hyperparameters, parameters, single numbers and data are read when a kernel runs.  All else is part of it: when an
-    attribute, a buffer or a part of the filter has changed, there are other kernels.
+    Hyperparameters, parameters, a filter's ``kernel_numbers`` and data are read when a kernel runs.  All else is part of it:
+    when an attribute, a buffer or a part of the filter has been replaced, or a tensor has changed, there are other
+    kernels.  (A list or dictionary that changes inside is not noticed.)
     """
 
     def __init__(self) -> None:
@@ -157,35 +152,42 @@ class Compiled:
 
     def _now(self, f: nn.Module) -> _Version:
         """The kernels that hold for the filter as it is; the version used last comes first."""
-        for k, version in enumerate(self._versions):
-            if version.holds():
-                if k:
-                    self._versions.insert(0, self._versions.pop(k))
-                return version
-        self._versions = [_Version(f), *self._versions[: _VERSIONS - 1]]
-        return self._versions[0]
+        if self._versions and self._versions[0].holds():
+            return self._versions[0]
+        with BUILDING:
+            held = next((version for version in self._versions if version.holds()), None) or _Version(f)
+            others = [version for version in self._versions if version is not held]
+            self._versions = [held, *others[: _VERSIONS - 1]]
+        return held
 
     @staticmethod
     def takes(z: Tensor) -> bool:
         """Whether kernels can work on it: on the CPU, and not inside ``torch.compile`` or a transform."""
-        return z.device.type == "cpu" and z.dtype in SCALARS and not is_traced(z)
+        return (
+            z.is_cpu
+            and z.dtype in SCALARS
+            and not is_traced(z)
+            and torch._C._functorch.peek_interpreter_stack() is None
+            and forward_ad._current_level < 0
+        )
 
     def forward(
         self, f: Any, state: Any, given: Given, checkpoint: int | None, truncate: int | None
     ) -> tuple[Any, Any]:
         """The state after whole tracks, and what ``f.keep`` keeps of each step.
 
-        All has been checked, and the batch of ``state`` is that of all that is given.
+        All has been checked.
         """
         z, dt, *rest = given
         seconds = torch.as_tensor(dt, dtype=z.dtype)
         stays = seconds.dim() == 0 or seconds.shape[-1] == 1
         seconds = seconds[..., 0] if stays and seconds.dim() else seconds
         now = self._now(f)
-        plan = now.plan(f, _keep, state, (z, seconds, *rest), (True, not stays, True, True, True))
+        with BUILDING:
+            plan = now.plan(_keep, state, (z, seconds, *rest), (True, not stays, True, True, True))
         return now.run(plan, z.shape[-2], state, (z, seconds, *rest), checkpoint, truncate)
 
-    def step(self, f: Any, state: Any, given: Given, check: Callable[[], None]) -> tuple[Any, Innovation]:
+    def step(self, f: Any, state: Any, given: Given, check: Callable[[], Frame]) -> tuple[Any, Innovation]:
         """The state after one measurement, and its innovation.
 
         ``check`` is called unless a call of the same shapes has passed it before.
@@ -200,7 +202,10 @@ class Compiled:
         if plan is None or not (isinstance(dt, float) and dt > 0):
             check()
         if plan is None:
-            plan = now.steps[form] = now.plan(f, _observe, state, (z, seconds, *rest), (False,) * 5)
+            with BUILDING:
+                if len(now.steps) == _FORMS:
+                    now.steps.clear()
+                plan = now.steps[form] = now.plan(_observe, state, (z, seconds, *rest), (False,) * 5)
         return now.run(plan, 1, state, (z, seconds, *rest))
 
 

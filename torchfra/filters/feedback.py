@@ -100,7 +100,7 @@ class FRA(Filter):
     ``"weighted"`` are ours.
     """
 
-    _temperature: Tensor
+    kernel_numbers = ("heat",)
 
     def __init__(
         self,
@@ -131,7 +131,6 @@ class FRA(Filter):
         self.gate = Hyper(gate, name="gate")
         self.preference = Hyper(preference, constraints.real, name="preference")
         self.decision, self.memory, self.final = decision, memory, final
-        self.register_buffer("_temperature", torch.zeros((), dtype=torch.float64), persistent=False)
         self.temperature = temperature
         parts = (robust, adaptive, self.gate, self.preference)
         self._decisive = [hyper for part in parts for hyper in hypers(part).values()]
@@ -139,14 +138,13 @@ class FRA(Filter):
     @property
     def temperature(self) -> float:
         """0 for hard decisions, above for soft ones."""
-        return self._temperature.item()
+        return self.heat
 
     @temperature.setter
     def temperature(self, value: float) -> None:
         if not value >= 0:
             raise ValueError(f"temperature: expected 0 or more, received {value}")
-        self._temperature.fill_(value)
-        self.soft = value > 0
+        self.heat, self.soft = float(value), value > 0
 
     def begin(self, belief: Gaussian) -> FRAState:
         """See ``Filter``."""
@@ -182,7 +180,7 @@ class FRA(Filter):
     def settle(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """The step before, decided by this measurement, and ``(...)`` bool: its adaptive branch was kept."""
         if self.soft:
-            scores = self.score(state.robust, state.adaptive, frame) / self._temperature
+            scores = self.score(state.robust, state.adaptive, frame) / self.heat
             shares = torch.log_softmax(scores, 0)
             settled = self.mix(state.excess, state.plain, state.robust, state.adaptive, shares=shares)
             return settled, state.abnormal & (scores[1] > scores[0])
@@ -217,7 +215,7 @@ class FRA(Filter):
         """
         if not self.soft:
             return branches[0]
-        normal, abnormal = (logsigmoid(sign * excess / self._temperature).unsqueeze(0) for sign in (-1, 1))
+        normal, abnormal = (logsigmoid(sign * excess / self.heat).unsqueeze(0) for sign in (-1, 1))
         log_weights = torch.cat([normal, abnormal if shares is None else abnormal + shares])
         beliefs = Gaussian(*(torch.stack(parts) for parts in zip(plain, *branches, strict=True)))
         return moment_match(beliefs, log_weights)

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch.utils.cpp_extension import include_paths
 
 FLAGS = "-O2 -march=native -fno-math-errno -fno-trapping-math -fopenmp -shared -fPIC -std=c++20 -w"
 compiled = 0
@@ -51,10 +50,9 @@ def _compile(command: list[str], source: str, library: Path) -> None:
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         text, made = Path(folder) / "kernel.cpp", Path(folder) / "kernel.so"
         text.write_text(source)
-        include = [f"-I{path}" for path in include_paths()]
-        libraries = Path(torch.__file__).parent / "lib"
-        link = [f"-L{libraries}", f"-Wl,-rpath,{libraries}", "-ltorch_cpu"]  # the vector mathematics that torch brings
-        done = subprocess.run([*command, *include, str(text), "-o", str(made), *link],
+        brought = Path(torch.__file__).parent  # vectors and their mathematics
+        link = [f"-L{brought / 'lib'}", f"-Wl,-rpath,{brought / 'lib'}", "-ltorch_cpu"]
+        done = subprocess.run([*command, f"-I{brought / 'include'}", str(text), "-o", str(made), *link],
                               capture_output=True, text=True, check=False)  # fmt: skip
         if done.returncode:
             raise CompileError(f"compile: {shlex.join(command)} failed:\n{done.stderr[-2000:]}")

@@ -49,6 +49,8 @@ class Entries(Tensor):
     @classmethod
     def constants(cls, book: Expressions, tensor: Tensor) -> Entries:
         """A tensor that is known."""
+        if tensor.requires_grad:
+            raise NotImplementedError("a tensor with a gradient that is no parameter or buffer: make it one")
         zeros = tensor._is_zerotensor() or tensor.is_meta  # what forward-mode differentiation leaves out
         values = [0.0] * tensor.numel() if zeros else tensor.detach().cpu().flatten().tolist()
         return _tensor(book, [book.constant(float(v)) for v in values], tensor.shape, tensor.dtype)
@@ -102,8 +104,13 @@ def _zeros(x: Any) -> Any:
 
 
 def _moved(book: Expressions, func: Any, args: Any, kwargs: Any) -> Any:
-    def moves(x: Any) -> bool:  # known integers say where from
-        return isinstance(x, Entries) or (isinstance(x, Tensor) and x.dtype != torch.int64)
+    picks = func in _PICKS
+    if picks and any(isinstance(x, Entries) for x in tree_flatten(args[1:])[0]):
+        raise NotImplementedError(f"{func} by what is not known yet: choose by torch.where")
+    whole = args[0] if picks else None
+
+    def moves(x: Any) -> bool:  # what is known says where from
+        return isinstance(x, Tensor) and (x is whole or not picks)
 
     def numbers(x: Any) -> Any:
         return entries(book, x).ids if moves(x) else x
@@ -126,6 +133,7 @@ def _entrywise(book: Expressions, func: Any, args: Any, kwargs: Any) -> Entries:
 
 def _folded(op: str, start: float | None = None) -> Callable[..., Entries]:
     """A reduction over some dimensions, or all."""
+    convert = _truth if op in ("and", "or") else _value
 
     def reduction(book: Expressions, x: Entries, dim: Any = None, keepdim: bool = False, **_: Any) -> Entries:
         every = list(range(x.dim()))
@@ -134,9 +142,12 @@ def _folded(op: str, start: float | None = None) -> Callable[..., Entries]:
         kept = [d for d in every if d not in dims]
         first = [] if start is None else [book.constant(start)]
         rows = x.ids.permute(kept + dims).flatten(len(kept)).flatten(0, -2) if kept else x.ids.reshape(1, -1)
-        numbers = [reduce(lambda a, b: book.apply(op, a, b), first + row) for row in rows.tolist()]
+        numbers = [
+            reduce(lambda a, b: book.apply(op, a, b), first + [convert(book, i) for i in row]) for row in rows.tolist()
+        ]
         shape = [1 if d in dims else x.shape[d] for d in every if keepdim or d in kept]
-        return _tensor(book, numbers, shape, x.dtype)
+        counts = torch.int64 if x.dtype == torch.bool and op in ("add", "mul") else x.dtype
+        return _tensor(book, numbers, shape, torch.bool if op in ("and", "or") else counts)
 
     return reduction
 
@@ -184,7 +195,7 @@ def _turned(x: Entries) -> Entries:
 def _cast(book: Expressions, x: Entries, *, dtype: torch.dtype | None = None, **_: Any) -> Entries:
     if dtype is None or dtype == x.dtype or (dtype.is_floating_point and x.dtype.is_floating_point):
         return Entries(book, x.ids, dtype or x.dtype)
-    convert = _truth if dtype == torch.bool else _value
+    convert = _truth if dtype == torch.bool else _value if dtype.is_floating_point else _whole
     return _tensor(book, [convert(book, i) for i in x.ids.flatten().tolist()], x.shape, dtype)
 
 
@@ -228,6 +239,17 @@ def _truth(book: Expressions, a: int) -> int:
 def _value(book: Expressions, a: int) -> int:
     """A number."""
     return book.apply("select", a, book.constant(1.0), book.constant(0.0)) if book.is_bool(a) else a
+
+
+def _whole(book: Expressions, a: int) -> int:
+    """A whole number, towards zero."""
+    return _value(book, a) if book.is_bool(a) else book.apply("trunc", a)
+
+
+def _choose(book: Expressions, mask: int, yes: int, no: int) -> int:
+    if not (book.is_bool(yes) and book.is_bool(no)):
+        yes, no = _value(book, yes), _value(book, no)
+    return book.apply("select", _truth(book, mask), yes, no)
 
 
 def _unequal(book: Expressions, a: int, b: int) -> int:
@@ -287,9 +309,8 @@ _ENTRYWISE: dict[Any, Callable[..., int]] = {
     aten.maximum.default: _op("max"), aten.minimum.default: _op("min"),
     aten.clamp_min.default: _op("max"), aten.clamp_min.Tensor: _op("max"),
     aten.clamp_max.default: _op("min"), aten.clamp_max.Tensor: _op("min"),
-    **{op: lambda book, mask, yes, no: book.apply("select", _truth(book, mask), yes, no) for op in (
-        aten.where.self, aten.where.ScalarSelf, aten.where.ScalarOther, aten.where.Scalar)},
-    **{op: lambda book, a, mask, value: book.apply("select", _truth(book, mask), value, a)
+    **dict.fromkeys((aten.where.self, aten.where.ScalarSelf, aten.where.ScalarOther, aten.where.Scalar), _choose),
+    **{op: lambda book, a, mask, value: _choose(book, mask, value, a)
        for op in (aten.masked_fill.Scalar, aten.masked_fill.Tensor)},
     aten.isnan.default: lambda book, a: _unequal(book, a, a),
     aten.logical_not.default: _logic("not"), aten.bitwise_not.default: _logic("not"),
@@ -327,6 +348,9 @@ _MOVES = {
     for name in packet.overloads()
 }  # fmt: skip
 """What only moves entries, or puts zeros between them."""
+
+_PICKS = {getattr(op, name) for op in (aten.index, aten.index_select, aten.gather) for name in op.overloads()}
+"""What moves entries as other tensors say."""
 
 _SHAPED = {
     getattr(packet, name)

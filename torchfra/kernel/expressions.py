@@ -139,7 +139,7 @@ class Expressions:
         inner = self._argument("not", mask)
         if inner is not None:
             return self.apply("select", inner, no, yes)
-        if self.is_bool(yes) or self.is_bool(no):  # truth values are masks, which only logic combines
+        if self.is_bool(yes) and self.is_bool(no):  # truth values are masks, which only logic combines
             return self.apply("or", self.apply("and", mask, yes), self.apply("and", self.apply("not", mask), no))
         return None
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import threading
 from array import array
 from collections.abc import Sequence
-from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -16,6 +17,9 @@ from torchfra.kernel import build
 from torchfra.kernel.source import Port, Scan
 from torchfra.kernel.step import Step
 from torchfra.types import unflatten
+
+BUILDING = threading.RLock()
+"""Held while programs are made: a step that is traced is nobody else's."""
 
 _SHARE = 16
 """Tracks that are worth a thread of their own."""
@@ -39,27 +43,26 @@ class Program:
                 entries have any shape.
 
         Returns:
-            What it wrote, of the same form.  Tracks lie side by side in memory.
+            What it wrote, with tracks innermost: ``logical`` turns it round.
         """
         tracks = batch.numel()
         held = [_laid_out(x, port, len(batch), tracks) for x, port in zip(given, self._reads, strict=True)]
-        written = [_empty(batch, steps, port, self._dtype, tracks) for port in self._writes]
+        written = []
+        for port in self._writes:
+            shape = ((steps,) if port.timed else ()) + tuple(port.shape) + tuple(batch)
+            written.append(torch.empty(shape, dtype=torch.bool if port.truth else self._dtype))
         held += [(x, 1, len(port.ids) * tracks, tracks) for x, port in zip(written, self._writes, strict=True)]
         table = array("q", [number for x, *strides in held for number in (x.data_ptr(), *strides)])
         address = table.buffer_info()[0]
-        threads = min(torch.get_num_threads(), -(-tracks // _SHARE))
+        threads = max(1, min(torch.get_num_threads(), -(-tracks // _SHARE)))
         self._run(tracks, steps, threads, address, address + 32 * len(given))
         return written
 
 
-def _empty(batch: torch.Size, steps: int, port: Port, dtype: torch.dtype, tracks: int) -> Tensor:
-    """``(..., entries)`` or ``(..., T, entries)``, tracks innermost in memory."""
-    dtype = torch.bool if port.truth else dtype
-    outer = (steps, *port.shape) if port.timed else port.shape
-    if tracks == 1:
-        return torch.empty(batch + outer, dtype=dtype)
-    x = torch.empty((*outer, *batch), dtype=dtype)
-    return x.permute([*range(len(outer), x.dim()), *range(len(outer))])
+def logical(x: Tensor, rank: int) -> Tensor:
+    """What a program wrote with ``rank`` batch dimensions in front, where users have them."""
+    inner = x.dim() - rank
+    return x.permute([*range(inner, x.dim()), *range(inner)]) if rank else x
 
 
 def _laid_out(x: Tensor, port: Port, rank: int, tracks: int) -> tuple[Tensor, int, int, int]:
@@ -97,23 +100,16 @@ class Kernels:
 
     def __init__(self, step: Step) -> None:
         self.step = step
-        self._backwards: dict[tuple[Any, ...], Program] = {}
+        self._programs: dict[tuple[Any, ...], Program] = {}
 
-    @cached_property
-    def forwards(self) -> Program:
-        """See ``Step``."""
-        return Program(self.step.forwards())
-
-    @cached_property
-    def trajectory(self) -> Program:
-        """See ``Step``."""
-        return Program(self.step.trajectory())
-
-    def backwards(self, graded: tuple[bool, ...], needed: tuple[str, ...]) -> Program:
-        """See ``Step``."""
-        if (graded, needed) not in self._backwards:
-            self._backwards[graded, needed] = Program(self.step.backwards(graded, needed))
-        return self._backwards[graded, needed]
+    def program(self, kind: str, *how: Any) -> Program:
+        """``"forwards"``, ``"trajectory"`` or ``"backwards"`` of the step, see there."""
+        key = (kind, *how)
+        if key not in self._programs:
+            with BUILDING:
+                if key not in self._programs:
+                    self._programs[key] = Program(getattr(self.step, kind)(*how))
+        return self._programs[key]
 
     def run(
         self,
@@ -135,81 +131,78 @@ class Kernels:
             truncate: steps after which gradients flow no further back.
         """
         if torch.is_grad_enabled() and any(x.requires_grad for x in (*state, *inputs)):
-            length = truncate or checkpoint or math.isqrt(steps - 1) + 1
-            done = _Run.apply(self, batch, steps, length, truncate is not None, *state, *inputs)  # type: ignore[no-untyped-call]
+            length = checkpoint or math.isqrt((truncate or steps) - 1) + 1
+            starts = sorted({*range(0, steps, length), *range(0, steps, truncate or steps)})
+            done = _Run.apply(self, batch, (*starts, steps), truncate, *state, *inputs)  # type: ignore[no-untyped-call]
         else:
-            done = self.forwards(batch, steps, (*state, *inputs))
-        rest = iter(done)
+            done = self.program("forwards")(batch, steps, (*state, *inputs))
+        rest = iter([logical(x, len(batch)) for x in done])
         return unflatten(self.step.state, rest), unflatten(self.step.form, rest)
 
 
 class _Run(torch.autograd.Function):
-    """Runs stretches of ``length`` steps; on the way back each is computed anew from the state it began with."""
+    """Runs stretches of steps, from each of ``starts`` to the next; on the way back each is computed anew."""
 
     @staticmethod
     def forward(
-        ctx: Any, kernels: Kernels, batch: torch.Size, steps: int, length: int, cut: bool, *tensors: Tensor
+        ctx: Any, kernels: Kernels, batch: torch.Size, starts: Sequence[int], truncate: int | None, *tensors: Tensor
     ) -> tuple[Tensor, ...]:
-        count = len(kernels.step.before)
+        step, rank = kernels.step, len(batch)
+        count = len(step.zero)
         state, inputs = tensors[:count], tensors[count:]
         begun: list[Tensor] = []
         kept: list[list[Tensor]] = []
-        for first in range(0, steps, length):
+        done: list[Tensor] = []
+        for first, last in pairwise(starts):
             begun += state
-            done = kernels.forwards(
-                batch, min(length, steps - first), (*state, *_from(kernels.step, inputs, first, len(batch)))
-            )
-            state = tuple(done[:count])
+            done = kernels.program("forwards")(batch, last - first, (*state, *_part(step, inputs, first, last, rank)))
+            state = tuple(logical(x, rank) for x in done[:count])
             kept.append(done[count:])
         ctx.save_for_backward(*inputs, *begun)
-        ctx.kernels, ctx.batch, ctx.steps, ctx.length, ctx.cut = kernels, batch, steps, length, cut
+        ctx.kernels, ctx.batch, ctx.starts, ctx.truncate = kernels, batch, starts, truncate
         ctx.set_materialize_grads(False)
-        joined = _joined(kept, len(batch))
+        joined = _joined(kept)
         ctx.mark_non_differentiable(*(x for x in joined if not x.is_floating_point()))
-        return (*state, *joined)
+        return (*done[:count], *joined)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
-        kernels, batch, steps, length = ctx.kernels, ctx.batch, ctx.steps, ctx.length
-        step: Step = kernels.step
-        names, count = list(step.inputs), len(step.before)
+        kernels, batch, step = ctx.kernels, ctx.batch, ctx.kernels.step
+        names, count, rank = list(step.inputs), len(step.zero), len(ctx.batch)
         inputs, begun = ctx.saved_tensors[: len(names)], ctx.saved_tensors[len(names) :]
-        needed = tuple(n for n, wanted in zip(names, ctx.needs_input_grad[5 + count :], strict=True) if wanted)
-        given = [g for g in grads[count:] if g is not None]
-        program = kernels.backwards(tuple(g is not None for g in grads[count:]), needed)
-        zero = [begun[0].new_zeros(()).expand(batch + x.shape) for x in step.before]
-        state = [z if g is None else g for z, g in zip(zero, grads, strict=False)]
+        needed = tuple(n for n, wanted in zip(names, ctx.needs_input_grad[4 + count :], strict=True) if wanted)
         stay = [n for n in needed if not step.inputs[n].timed]
+        program = kernels.program("backwards", tuple(g is not None for g in grads[count:]), needed)
+        given = [logical(g, rank) for g in grads[count:] if g is not None]
+        zero = [begun[0].new_zeros(()).expand(batch + x.shape) for x in step.zero]
+        state = [z if g is None else logical(g, rank) for z, g in zip(zero, grads, strict=False)]
         sums = [begun[0].new_zeros(()).expand(batch + step.inputs[n].shape) for n in stay]
         timed: list[list[Tensor]] = []
-        for first in reversed(range(0, steps, length)):
-            if ctx.cut and first + length < steps:
+        for k, (first, last) in reversed(list(enumerate(pairwise(ctx.starts)))):
+            if ctx.truncate and last % ctx.truncate == 0 and last < ctx.starts[-1]:
                 state = zero
-            here, stretch = min(length, steps - first), first // length
-            reads = _from(step, inputs, first, len(batch))
-            path = kernels.trajectory(batch, here, (*begun[stretch * count : (stretch + 1) * count], *reads))[count:]
-            local = [g.narrow(len(batch), first, here) for g in given] if step.repeated else given
-            done = program(batch, here, (*state, *sums, *reads, *path, *local))
-            state, sums = done[:count], done[count : count + len(stay)]
+            reads = _part(step, inputs, first, last, rank)
+            before = (*begun[k * count : (k + 1) * count], *reads)
+            path = [logical(x, rank) for x in kernels.program("trajectory")(batch, last - first, before)[count:]]
+            local = [g.narrow(rank, first, last - first) for g in given] if step.repeated else given
+            done = program(batch, last - first, (*state, *sums, *reads, *path, *local))
+            logicals = [logical(x, rank) for x in done[: count + len(stay)]]
+            state, sums = logicals[:count], logicals[count:]
             timed.insert(0, done[count + len(stay) :])
-        found = dict(zip([n for n in needed if step.inputs[n].timed], _joined(timed, len(batch)), strict=True))
+        whole = [logical(x, rank) for x in _joined(timed)]
+        found = dict(zip([n for n in needed if step.inputs[n].timed], whole, strict=True))
         found |= zip(stay, sums, strict=True)
-        return (*[None] * 5, *state, *(found.get(n) for n in names))
+        return (*[None] * 4, *state, *(found.get(n) for n in names))
 
 
-def _from(step: Step, inputs: Sequence[Tensor], first: int, rank: int) -> list[Tensor]:
-    """Inputs from step ``first`` on."""
+def _part(step: Step, inputs: Sequence[Tensor], first: int, last: int, rank: int) -> list[Tensor]:
+    """Inputs from step ``first`` until before ``last``."""
     return [
-        x.narrow(rank, first, x.shape[rank] - first) if i.timed else x
-        for x, i in zip(inputs, step.inputs.values(), strict=True)
+        x.narrow(rank, first, last - first) if i.timed else x for x, i in zip(inputs, step.inputs.values(), strict=True)
     ]
 
 
-def _joined(parts: list[list[Tensor]], rank: int) -> list[Tensor]:
-    """Stretches behind each other, time behind ``rank`` batch dimensions, in the memory layout of kernels."""
-    if len(parts) == 1:
-        return parts[0]
-    return [
-        torch.cat([x.movedim(rank, 0) for x in stretches]).movedim(0, rank) for stretches in zip(*parts, strict=True)
-    ]
+def _joined(parts: list[list[Tensor]]) -> list[Tensor]:
+    """Stretches behind each other; time is in front."""
+    return parts[0] if len(parts) == 1 else [torch.cat(stretches) for stretches in zip(*parts, strict=True)]

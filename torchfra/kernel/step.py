@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.func import functional_call
 
 from torchfra.kernel.entries import Entries, entries
 from torchfra.kernel.expressions import ZERO, Expressions
@@ -15,7 +15,7 @@ from torchfra.kernel.source import Port, Scan
 from torchfra.linalg import elementary
 from torchfra.types import flatten, unflatten
 
-Advance = Callable[[nn.Module, Any, dict[str, Tensor]], tuple[Any, Any]]
+Advance = Callable[[Any, Any, dict[str, Any]], tuple[Any, Any]]
 """From a module, its state and what else it is given to the next state and what is kept of the step."""
 
 
@@ -26,30 +26,47 @@ class Input(NamedTuple):
     timed: bool
     """Whether each step has its own."""
     value: bool
-    """Whether it is a parameter or buffer of the module, by its path."""
+    """Whether it is a parameter, a buffer or a number of the module, by its path."""
 
 
-class _Whole(nn.Module):
-    """So that ``functional_call`` can run any function of a module."""
+def frozen(module: nn.Module, memo: dict[int, nn.Module] | None = None) -> nn.Module:
+    """A copy that nobody else changes; what is neither a tensor nor a list, dictionary or set is shared."""
+    memo = {} if memo is None else memo
+    if id(module) not in memo:
+        new = memo[id(module)] = module.__new__(type(module))
+        new.__dict__.update({key: _held(x) for key, x in module.__dict__.items()})
+        new.__dict__["_buffers"] = {key: _held(x) for key, x in module._buffers.items()}
+        new.__dict__["_modules"] = {key: x and frozen(x, memo) for key, x in module._modules.items()}
+    return memo[id(module)]
 
-    def __init__(self, module: nn.Module) -> None:
-        super().__init__()
-        self.module = module
 
-    def forward(self, function: Callable[[nn.Module], Any]) -> Any:
-        return function(self.module)
+def _held(x: Any) -> Any:
+    if isinstance(x, Tensor):
+        return x if x.requires_grad else x.detach().clone()
+    return copy.copy(x) if isinstance(x, list | dict | set) else x
+
+
+def _put(module: nn.Module, path: str, x: Tensor) -> None:
+    """In the place of the parameter, buffer or number of this path."""
+    owner, _, key = path.rpartition(".")
+    part = module.get_submodule(owner)
+    part._parameters.pop(key, None)
+    (part.__dict__ if key in part.__dict__ else part._buffers)[key] = x
 
 
 class Step:
     """One step of a filter for one track.
 
     Args:
-        module: the filter.
+        module: the filter, of this step alone (see ``frozen``).
         begin: the state before the first step, of a module.
         advance: one step.
         inputs: what each step is given, by name.
         dtype: of all numbers.
         repeated: whether it is one of many, and what is kept has time in front; or the only one.
+
+    Raises:
+        NotImplementedError: it does what has no form for single entries.
     """
 
     def __init__(
@@ -61,11 +78,14 @@ class Step:
         dtype: torch.dtype,
         repeated: bool = True,
     ) -> None:
-        self.whole, self.advance, self.inputs = _Whole(module), advance, inputs
+        self.module, self.advance, self.inputs = module, advance, inputs
         self.dtype, self.repeated = dtype, repeated
-        with elementary():
+        with elementary(), torch.no_grad():
             self.state = begin(module)
-        zero = [entries(Expressions(), x).ids == ZERO for x in flatten(self.state)]
+        leaves = flatten(self.state)
+        if not all(x.is_floating_point() for x in leaves):
+            raise NotImplementedError(f"state: kernels carry floating point numbers, received {self.state}")
+        zero = [entries(Expressions(), x.detach()).ids == ZERO for x in leaves]
         while True:
             self.zero = zero
             self._trace(False)
@@ -73,22 +93,19 @@ class Step:
             if all(map(torch.equal, zero, self.zero)):
                 break
 
-    def _call(self, function: Callable[..., Any], given: Mapping[str, Tensor], *args: Any) -> Any:
-        values = {f"module.{name}": x for name, x in given.items() if self.inputs[name].value}
-        others = {name: x for name, x in given.items() if not self.inputs[name].value}
-        with elementary():
-            return functional_call(self.whole, values, (lambda module: function(module, *args, others),))
-
     def _trace(self, differentiable: bool) -> None:
-        book = Expressions()
-        self.book = book
+        book = self.book = Expressions()
         self.before = self._carried(book)
         self.given = {name: Entries.inputs(book, x.shape, self.dtype) for name, x in self.inputs.items()}
         if differentiable:
             for x in (*self.before, *self.given.values()):
                 x.requires_grad_()
-        with torch.set_grad_enabled(differentiable):
-            after, kept = self._call(self.advance, self.given, unflatten(self.state, iter(self.before)))
+        for name, given in self.inputs.items():
+            if given.value:
+                _put(self.module, name, self.given[name])
+        data = {name: self.given[name] for name, given in self.inputs.items() if not given.value}
+        with elementary(), torch.set_grad_enabled(differentiable):
+            after, kept = self.advance(self.module, unflatten(self.state, iter(self.before)), data)
         self.after, self.kept = ([entries(book, x) for x in flatten(tree)] for tree in (after, kept))
         self.form = kept
         if [x.shape for x in self.after] != [zero.shape for zero in self.zero]:
