@@ -139,9 +139,9 @@ _FORMS = 64
 class Compiled:
     """Kernels of a filter, one set for each form of call; they are made when first needed.
 
-    Hyperparameters, parameters, ``kernel_numbers`` and data are read when a kernel runs.  All else is part of it: when an
-    attribute, a buffer or a part of the filter has been replaced, or a tensor has changed, there are other
-    kernels.  (A list or dictionary that changes inside is not noticed.)
+    Hyperparameters, parameters, ``kernel_numbers`` and data are read when a kernel runs.  All else is part of it: when
+    an attribute, a buffer or a part of the filter has been replaced, or a tensor has changed, there are other kernels.
+    (A list or dictionary that changes inside is not noticed.)
     """
 
     def __init__(self) -> None:
