@@ -278,6 +278,11 @@ def test_imports_run_downwards_only():
                     assert {own, parts[1]} != {"filters", "scenarios"}
 
 
+def test_every_folder_is_a_package():
+    root = Path(torchfra.__file__).parent
+    assert {path.parent for path in root.rglob("*.py")} == {path.parent for path in root.rglob("__init__.py")}
+
+
 def test_importing_the_package_imports_nothing_optional():
     code = "import sys, torchfra; print({'matplotlib', 'pymap3d', 'scipy', 'traffic'} & set(sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"
