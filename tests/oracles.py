@@ -103,7 +103,8 @@ def turn(dt: float, rate: float, q: float) -> tuple[Array, Array]:
     """Coordinated turn of known rate (rad/s, counter-clockwise positive): F (4,4), SQ (4,2) on [x, y, vx, vy]."""
     (F, SQ), s, c = cv(dt, q), math.sin(rate * dt), math.cos(rate * dt)
     if rate != 0:
-        F[:2, 2:] = np.array([[s, c - 1], [1 - c, s]]) / rate
+        less = 2 * math.sin(rate * dt / 2) ** 2  # 1 - c, without cancellation at small rates
+        F[:2, 2:] = np.array([[s, -less], [less, s]]) / rate
         F[2:, 2:] = np.array([[c, -s], [s, c]])
     return F, SQ
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 from torch.distributions import constraints
+from torch.nn.functional import pad
 
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg import apply
@@ -22,19 +23,21 @@ class Motion(nn.Module):
         dims: dimensions of space; they come first in the state.
         orders: derivatives in the state, position included: 2 up to velocity, 3 up to acceleration.
         q: variance of the noise acceleration, m^2/s^4, constant over a step and independent between steps and axes
-            (so that two short steps are not the same as a long one).  A tensor broadcasts with the batch.
+            (so that two short steps are not the same as a long one).  A tensor broadcasts with the batch.  None for a
+            motion that has its noise from elsewhere.
 
     Raises:
         ValueError: ``dims`` below 1, ``q`` below 0.
     """
 
-    def __init__(self, dims: int, orders: int, q: Value) -> None:
+    def __init__(self, dims: int, orders: int, q: Value | None) -> None:
         super().__init__()
         if dims < 1:
             raise ValueError(f"dims: expected 1 or more dimensions of space, received {dims}")
         self.dims, self.orders, self.size = dims, orders, dims * orders
         self.position, self.velocity = slice(0, dims), slice(dims, 2 * dims)
-        self.q = Hyper(q, constraints.nonnegative, name="q")
+        if q is not None:
+            self.q = Hyper(q, constraints.nonnegative, name="q")
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """The state ``(..., n)`` after ``dt (...)`` seconds, without noise."""
@@ -50,6 +53,17 @@ class Motion(nn.Module):
     def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
         """A known change of the state, ``(..., n)``, on top of a linear transition: control, or a moving frame."""
         return None
+
+    def adapt(self, mean: Tensor, dt: Tensor, shift: Tensor | None, noise: Tensor) -> tuple[Tensor | None, Tensor]:
+        """Shift and noise of a linear motion that looks at the state it starts from, ``mean (..., n)``.
+
+        Args:
+            mean: the estimate before the step.
+            dt: ``(...)``.
+            shift: what ``shift`` has said.
+            noise: what ``noise`` has said.
+        """
+        return shift, noise
 
     def noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, dims)`` for ``dt (...)``: a root of the process noise covariance, ``sqrt(q) [dt^2/2; dt; 1]``.
@@ -81,10 +95,25 @@ class ConstantVelocity(_Polynomial):
     Args:
         q: variance of the noise acceleration, m^2/s^4.
         dims: dimensions of space.
+        orders: 3 for states with an acceleration, which is 0 after each step: the form that interacting models share.
+
+    Raises:
+        ValueError: ``orders`` neither 2 nor 3.
     """
 
-    def __init__(self, q: Value, dims: int = 2) -> None:
-        super().__init__(dims, 2, q)
+    def __init__(self, q: Value, dims: int = 2, *, orders: int = 2) -> None:
+        super().__init__(dims, _two_or_three(orders), q)
+
+    def transition(self, dt: Tensor) -> Tensor:
+        """``F (..., n, n)`` for ``dt (...)``."""
+        matrix = super().transition(dt)
+        return _wider(matrix[..., : 2 * self.dims, : 2 * self.dims], self.size)
+
+    def noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., n, dims)``: ``sqrt(q) [dt^2/2; dt; 0]``."""
+        gain = _taylor(dt, torch.tensor([2, 1], device=dt.device))
+        root = _per_axis((self.q().to(dt).sqrt().unsqueeze(-1) * gain).unsqueeze(-1), self.dims)
+        return pad(root, (0, 0, 0, self.size - 2 * self.dims))
 
 
 class ConstantAcceleration(_Polynomial):
@@ -110,17 +139,18 @@ class CoordinatedTurn(Motion):
         rate: rad/s, counter-clockwise from x to y; a tensor broadcasts with the batch.
         q: variance of the noise acceleration, m^2/s^4.
         dims: dimensions of space, 2 or more.
+        orders: 3 for states with an acceleration, which after each step is that of the turn.
 
     Raises:
-        ValueError: ``dims`` below 2, ``rate`` not a number, ``q`` below 0.
+        ValueError: ``dims`` below 2, ``rate`` not a number, ``q`` below 0, ``orders`` neither 2 nor 3.
 
     Source: Li & Jilkov (2003), "Survey of Maneuvering Target Tracking. Part I", eq. (61).
     """
 
-    def __init__(self, rate: Value, q: Value, dims: int = 2) -> None:
+    def __init__(self, rate: Value, q: Value, dims: int = 2, *, orders: int = 2) -> None:
         if dims < 2:
             raise ValueError(f"dims: expected 2 or more dimensions for a turn, received {dims}")
-        super().__init__(dims, 2, q)
+        super().__init__(dims, _two_or_three(orders), q)
         self.rate = Hyper(rate, constraints.real, name="rate")
 
     def transition(self, dt: Tensor) -> Tensor:
@@ -131,13 +161,45 @@ class CoordinatedTurn(Motion):
         moved, turned = self._plane(along, across), self._plane(angle.cos(), angle.sin())
         still = torch.eye(self.dims, dtype=dt.dtype, device=dt.device).expand_as(turned)
         top, bottom = torch.cat([still, dt[..., None, None] * moved], -1), torch.cat([still * 0, turned], -1)
-        return torch.cat([top, bottom], -2)
+        return self._with_acceleration(torch.cat([top, bottom], -2))
+
+    def noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., n, dims)``: ``sqrt(q) [dt^2/2; dt]``, and what the turn makes of the velocity."""
+        gain = _taylor(dt, torch.tensor([2, 1], device=dt.device))
+        root = _per_axis((self.q().to(dt).sqrt().unsqueeze(-1) * gain).unsqueeze(-1), self.dims)
+        return self._with_acceleration(root, square=False)
+
+    def _with_acceleration(self, matrix: Tensor, square: bool = True) -> Tensor:
+        """The rows of position and velocity, and below them those of the acceleration if the state has it."""
+        if self.orders == 2:
+            return matrix
+        rate = self.rate().to(matrix)
+        zero = torch.zeros_like(rate)
+        across = self._plane(zero, rate)
+        across = across * torch.ones(self.dims, dtype=rate.dtype, device=rate.device).index_fill_(
+            0, torch.arange(2, self.dims, device=rate.device), 0.0
+        )
+        velocity = matrix[..., self.dims :, :]
+        batch = torch.broadcast_shapes(across.shape[:-2], velocity.shape[:-2])
+        rows = torch.cat([matrix.expand(batch + matrix.shape[-2:]), across @ velocity], -2)
+        return _wider(rows, self.size) if square else rows
 
     def _plane(self, c: Tensor, s: Tensor) -> Tensor:
         rows = torch.stack([torch.stack([c, -s], -1), torch.stack([s, c], -1)], -2)
         rest = torch.eye(self.dims, dtype=c.dtype, device=c.device)[2:]
         rows = torch.nn.functional.pad(rows, (0, self.dims - 2))
         return torch.cat([rows, rest.expand(c.shape + rest.shape)], -2)
+
+
+def _two_or_three(orders: int) -> int:
+    if orders not in (2, 3):
+        raise ValueError(f"orders: expected 2 or 3, received {orders}")
+    return orders
+
+
+def _wider(matrix: Tensor, size: int) -> Tensor:
+    """Filled up with zeros to ``(..., size, size)``."""
+    return pad(matrix, (0, size - matrix.shape[-1], 0, size - matrix.shape[-2]))
 
 
 def _taylor(dt: Tensor, power: Tensor) -> Tensor:

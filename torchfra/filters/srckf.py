@@ -99,12 +99,14 @@ def predict(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Predi
     """Time update: eqs. (8)-(13)."""
     mean, root = belief
     if frame.transition is not None:
+        shift, noise = motion.adapt(mean, frame.dt, frame.shift, frame.process)
         mean, spread = apply(frame.transition, mean), frame.transition @ root
-        mean = mean if frame.shift is None else mean + frame.shift
+        mean = mean if shift is None else mean + shift
     else:
+        noise = frame.process
         u = None if frame.u is None else frame.u.unsqueeze(-2)
         mean, spread = rule(lambda x: motion(x, frame.dt.unsqueeze(-1), u), belief, torch.sub)
-    return Prediction(Gaussian(mean, tria(hstack(spread, frame.process))), spread, frame.process)
+    return Prediction(Gaussian(mean, tria(hstack(spread, noise))), spread, noise)
 
 
 def compare(sensor: Sensor, rule: Rule, belief: Gaussian, frame: Frame) -> Whitened:

@@ -1,0 +1,126 @@
+"""Motions whose acceleration forgets, and the common form with an acceleration, are what their papers say."""
+
+import math
+
+import mpmath
+import pytest
+import torch
+
+from torchfra import presets
+from torchfra.hyper import learnable
+from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn
+from torchfra.sensors import Position
+from torchfra.statistical import CurrentStatistical, Singer
+from torchfra.types import Gaussian
+
+T = torch.tensor(2.0, dtype=torch.float64)
+
+
+def tensor(*values):
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def exact_noise(alpha, dt):
+    """Covariance of one axis for an acceleration of variance 1, by integration with 60 digits."""
+    with mpmath.workdps(60):
+        a, end = mpmath.mpf(alpha), mpmath.mpf(dt)
+
+        def response(s):
+            e = mpmath.exp(-a * s)
+            return (a * s - 1 + e) / a**2, (1 - e) / a, e
+
+        parts = [end * k / 4 for k in range(5)]
+        rows = [[float(2 * a * mpmath.quad(lambda s, i=i, j=j: response(s)[i] * response(s)[j], parts))
+                 for j in range(3)] for i in range(3)]  # fmt: skip
+    return torch.tensor(rows, dtype=torch.float64)
+
+
+def test_the_current_statistical_model_has_its_known_values():
+    motion = CurrentStatistical(1 / 20, 1.0, dims=1)
+    torch.testing.assert_close(
+        motion.transition(T),
+        tensor([1, 2, 1.9349672144], [0, 1, 1.9032516393], [0, 0, 0.904837418]), rtol=0, atol=1e-9,
+    )  # fmt: skip
+    root = motion.noise(T)
+    spread = (4 - math.pi) / math.pi * 2 / 20
+    q = tensor([1.5141988817, 1.8720490604, 1.2070532593], [1.8720490604, 2.4756762634, 1.8111834012],
+               [1.2070532593, 1.8111834012, 1.8126924692])  # fmt: skip
+    torch.testing.assert_close(root @ root.mT / spread, q, rtol=0, atol=1e-9)
+    shift, _ = motion.adapt(tensor(0, 0, 1), T, None, root)
+    torch.testing.assert_close(shift, tensor(0.0650327856, 0.0967483607, 0.095162582), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("product", [1e-6, 1e-3, 0.1, 1.0, 4.0, 16.0])
+def test_the_noise_is_exact_however_short_or_long_the_memory(product):
+    alpha = product / 2
+    root = Singer(1.0, alpha, dims=1).noise(T)
+    torch.testing.assert_close(root @ root.mT, exact_noise(alpha, 2.0), rtol=1e-12, atol=0)
+
+
+def test_an_acceleration_that_never_forgets_is_constant():
+    for motion in (Singer(1.0, 0.0), Singer(1.0, 1e-9)):
+        expected = ConstantAcceleration(1.0).transition(T)
+        torch.testing.assert_close(motion.transition(T), expected, rtol=0, atol=1e-8)
+    assert (Singer(1.0, 0.0).noise(T) == 0).all()
+
+
+def test_the_mean_goes_on_as_at_constant_acceleration_and_the_noise_shrinks_towards_the_limit():
+    motion = CurrentStatistical(0.3, 2.0, below=4.0)
+    mean = tensor([1, 2, 3, 4, 1.0, -1.0], [1, 2, 3, 4, 2.5, -5.0], [0, 0, 0, 0, 0, 0])
+    shift, noise = motion.adapt(mean, T, None, motion.noise(T))
+    moved = mean @ motion.transition(T).mT + shift
+    torch.testing.assert_close(moved, mean @ ConstantAcceleration(1.0).transition(T).mT)
+    power = (noise @ noise.mT).diagonal(dim1=-2, dim2=-1)
+    at_rest = power[2, 4]
+    torch.testing.assert_close(
+        power[0, 4:] / at_rest, tensor(0.25, (3 / 2) ** 2)
+    )  # room 1 of 2, and 3 where 2 is scale
+    torch.testing.assert_close(power[1, 4:], tensor(0, 0))
+
+
+def test_the_level_is_the_estimate_and_gradients_reach_every_value():
+    motion = learnable(CurrentStatistical(0.3, 2.0, below=3.0), "all")
+    f = presets.srckf(motion, Position(1.0))
+    prior = Gaussian(tensor(0, 0, 10, 0, 0.5, -0.5), torch.eye(6, dtype=torch.float64))
+    z = torch.randn(4, 6, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    names, values = zip(*f.named_parameters(), strict=True)
+
+    def score(*values):
+        return torch.func.functional_call(f, dict(zip(names, values, strict=True)), (z, prior)).log_likelihood
+
+    assert torch.autograd.gradcheck(score, [v.detach().clone().requires_grad_() for v in values])
+    fast = presets.srckf(motion, Position(1.0)).compile()
+    torch.testing.assert_close(fast(z, prior).mean, f(z, prior).mean, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.3, -0.02])
+@pytest.mark.parametrize("dims", [2, 3])
+def test_a_turn_with_an_acceleration_has_that_of_the_turn(rate, dims):
+    narrow, wide = CoordinatedTurn(rate, 0.5, dims), CoordinatedTurn(rate, 0.5, dims, orders=3)
+    n = 2 * dims
+    x = torch.randn(3 * dims, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    moved = wide.transition(T) @ x
+    torch.testing.assert_close(moved[:n], narrow.transition(T) @ x[:n])
+    velocity = moved[dims:n]
+    expected = torch.zeros(dims, dtype=torch.float64)
+    expected[:2] = rate * torch.stack([-velocity[1], velocity[0]])
+    torch.testing.assert_close(moved[n:], expected)
+    root = wide.noise(T)
+    torch.testing.assert_close(root[:n], narrow.noise(T))
+    torch.testing.assert_close(root[n : n + 2], rate * torch.stack([-root[dims + 1], root[dims]]))
+
+
+def test_constant_velocity_with_an_acceleration_sets_it_to_zero():
+    narrow, wide = ConstantVelocity(0.5), ConstantVelocity(0.5, orders=3)
+    x = tensor(1, 2, 3, 4, 5, 6)
+    torch.testing.assert_close(wide.transition(T) @ x, torch.cat([narrow.transition(T) @ x[:4], tensor(0, 0)]))
+    torch.testing.assert_close(wide.noise(T), torch.cat([narrow.noise(T), torch.zeros(2, 2).double()]))
+
+
+def test_values_out_of_range_are_named():
+    with pytest.raises(ValueError, match="orders: expected 2 or 3, received 4"):
+        ConstantVelocity(1.0, orders=4)
+    with pytest.raises(ValueError, match="alpha: expected a value of 0 or more"):
+        Singer(1.0, -0.1)
+    with pytest.raises(ValueError, match="limit: expected a value above 0"):
+        CurrentStatistical(0.1, 0.0)

@@ -1,0 +1,128 @@
+"""Motions whose acceleration forgets: Singer's, and the current statistical model.
+
+States ``[position, velocity, acceleration]``, ``da/dt = -alpha (a - level) + noise``.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.distributions import constraints
+
+from torchfra.hyper import Hyper, Value
+from torchfra.linalg import tria
+from torchfra.motion import Motion, _per_axis
+
+
+class Singer(Motion):
+    """Acceleration of zero mean, correlated over some ``1 / alpha`` seconds.
+
+    Args:
+        q: variance of the acceleration itself, m^2/s^4.
+        alpha: 1/s; towards 0 it is constant acceleration.
+        dims: dimensions of space.
+
+    The root of the process noise comes from its integral by Gauss' rule, which has no cancellation for small ``alpha
+    dt``; it is exact to rounding for ``alpha dt`` up to 16.
+
+    Raises:
+        ValueError: a value out of its range.
+
+    Source: Singer (1970), "Estimating Optimal Tracking Filter Performance for Manned Maneuvering Targets".
+    """
+
+    def __init__(self, q: Value, alpha: Value, dims: int = 2) -> None:
+        super().__init__(dims, 3, q)
+        self.alpha = Hyper(alpha, constraints.nonnegative, name="alpha")
+
+    def transition(self, dt: Tensor) -> Tensor:
+        """``F (..., n, n)`` for ``dt (...)``."""
+        rows = _response(self.alpha().to(dt), dt)
+        one, zero = torch.ones_like(rows[0]), torch.zeros_like(rows[0])
+        ahead = dt.expand_as(one)
+        block = torch.stack([one, ahead, rows[0], zero, one, rows[1], zero, zero, rows[2]], -1)
+        return _per_axis(block.unflatten(-1, (3, 3)), self.dims)
+
+    def noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., n, n)`` for ``dt (...)``."""
+        return _per_axis(self.q().to(dt).sqrt()[..., None, None] * self._root(dt), self.dims)
+
+    def _root(self, dt: Tensor) -> Tensor:
+        """Of the noise covariance of one axis, ``(..., 3, 3)``, for an acceleration of variance 1."""
+        alpha = self.alpha().to(dt)
+        at, weight = (torch.tensor(x, dtype=dt.dtype, device=dt.device) for x in _gauss())
+        alpha, dt = torch.broadcast_tensors(alpha, dt)
+        columns = torch.stack(_response(alpha.unsqueeze(-1), dt.unsqueeze(-1) * at), -2)
+        return tria(columns * (2 * alpha * dt).sqrt()[..., None, None] * weight.sqrt())
+
+
+class CurrentStatistical(Singer):
+    """Singer's motion around the acceleration of the moment, of which more is the less likely the nearer the limit.
+
+    The level is the estimated acceleration before the step, taken as known; the variance is that of a Rayleigh density
+    between the level and the limit, ``(4 - pi) / pi (limit - |level|)^2`` per axis, and 0 beyond it.
+
+    Args:
+        alpha: 1/s.
+        limit: largest acceleration, m/s^2.
+        below: largest acceleration the other way, m/s^2; ``limit`` if None.
+        dims: dimensions of space.
+
+    Raises:
+        ValueError: a value out of its range.
+
+    Source: Zhou & Kumar (1984), "A 'Current' Statistical Model and Adaptive Algorithm for Estimating Maneuvering
+    Targets".
+    """
+
+    def __init__(self, alpha: Value, limit: Value, below: Value | None = None, dims: int = 2) -> None:
+        Motion.__init__(self, dims, 3, None)
+        self.alpha = Hyper(alpha, constraints.nonnegative, name="alpha")
+        self.limit = Hyper(limit, name="limit")
+        self.below = self.limit if below is None else Hyper(below, name="below")
+
+    def noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., n, n)`` for ``dt (...)`` at no acceleration."""
+        spread = math.sqrt((4 - math.pi) / math.pi) * self.limit().to(dt)
+        return _per_axis(spread[..., None, None] * self._root(dt), self.dims)
+
+    def adapt(self, mean: Tensor, dt: Tensor, shift: Tensor | None, noise: Tensor) -> tuple[Tensor | None, Tensor]:
+        """See ``Motion``: the level moves the state, and scales the noise of each axis."""
+        level = mean[..., 2 * self.dims :]
+        limit, below = self.limit().to(mean).unsqueeze(-1), self.below().to(mean).unsqueeze(-1)
+        room = torch.where(level < 0, below + level, limit - level).clamp_min(0.0)
+        rows = _response(self.alpha().to(mean), dt)
+        moved = [dt**2 / 2 - rows[0], dt - rows[1], 1 - rows[2]]
+        own = torch.cat([x.unsqueeze(-1) * level for x in moved], -1)
+        scale = (room / limit).repeat((1,) * (level.dim() - 1) + (3,))
+        return own if shift is None else shift + own, noise * scale.unsqueeze(-1)
+
+
+def _response(alpha: Tensor, dt: Tensor) -> list[Tensor]:
+    """What an acceleration of 1 becomes after ``dt``: position, velocity and acceleration."""
+    x = -alpha * dt
+    one, two = _phi(x)
+    return [dt**2 * two, dt * one, x.exp()]
+
+
+def _phi(x: Tensor) -> tuple[Tensor, Tensor]:
+    """``(e^x - 1) / x`` and ``(e^x - 1 - x) / x^2``, smooth at 0."""
+    small = x.abs() < 0.5
+    safe = torch.where(small, -1.0, x)
+    one = torch.expm1(safe) / safe
+    series = [torch.zeros_like(x), torch.zeros_like(x)]
+    near = torch.where(small, x, 0.0)
+    for k in range(15, -1, -1):
+        series = [s * near + 1 / math.factorial(k + order) for s, order in zip(series, (1, 2), strict=True)]
+    return torch.where(small, series[0], one), torch.where(small, series[1], (one - 1) / safe)
+
+
+@lru_cache(maxsize=1)
+def _gauss() -> tuple[list[float], list[float]]:
+    """Nodes and weights on [0, 1]."""
+    at, weight = np.polynomial.legendre.leggauss(20)
+    return ((at + 1) / 2).tolist(), (weight / 2).tolist()
