@@ -506,3 +506,49 @@ def soft_fra(
         if k + 1 < len(z):
             p = _prior(mean, P, z[k + 1], model, k + 1, rule)
     return _result(steps)
+
+
+def imm(
+    z: Array,
+    mean0: Array,
+    P0: Array,
+    models: list[Callable[[Array], tuple[Array, Array, Array]]],
+    H: Array,
+    R: Array,
+    transition: Array,
+    initial: Array,
+) -> dict[str, Array]:
+    """Interacting Kalman filters in moment form, one track; Blom & Bar-Shalom (1988), Du & Zhang (2020), (5)-(11).
+
+    models: each gives F, the known change of the state and Q for the mean that a step starts from.
+    """
+    K, m, n = len(models), H.shape[0], len(mean0)
+    means, Ps, mu = [mean0.copy() for _ in models], [P0.copy() for _ in models], initial.copy()
+    out: dict[str, list[Any]] = {"mean": [], "P": [], "weights": [], "log_likelihood": []}
+    for zk in z:
+        c = np.array([sum(transition[i, j] * mu[i] for i in range(K)) for j in range(K)])
+        likelihood, new_means, new_Ps = np.zeros(K), [], []
+        for j in range(K):
+            share = [transition[i, j] * mu[i] / c[j] for i in range(K)]
+            x = sum((share[i] * means[i] for i in range(K)), np.zeros(n))
+            P = np.zeros((n, n))
+            for i in range(K):
+                d = means[i] - x
+                P += share[i] * (Ps[i] + np.outer(d, d))
+            F, change, Q = models[j](x)
+            x, P = F @ x + change, F @ P @ F.T + Q
+            S, e = H @ P @ H.T + R, zk - H @ x
+            G = P @ H.T @ np.linalg.inv(S)
+            new_means.append(x + G @ e)
+            new_Ps.append(P - G @ S @ G.T)
+            likelihood[j] = math.exp(-0.5 * e @ np.linalg.inv(S) @ e) / math.sqrt((2 * math.pi) ** m * np.linalg.det(S))
+        total = float(likelihood @ c)
+        mu, means, Ps = likelihood * c / total, new_means, new_Ps
+        x = sum((mu[j] * means[j] for j in range(K)), np.zeros(n))
+        P = np.zeros((n, n))
+        for j in range(K):
+            d = means[j] - x
+            P += mu[j] * (Ps[j] + np.outer(d, d))
+        for key, value in (("mean", x), ("P", P), ("weights", mu), ("log_likelihood", math.log(total))):
+            out[key].append(value)
+    return {key: np.array(value) for key, value in out.items()}

@@ -263,6 +263,7 @@ FUNCTIONS = {
     "remainder": lambda x: torch.remainder(x, 1.3), "atan2": lambda x: torch.atan2(x, x - 1),
     "hypot": lambda x: torch.hypot(x, x + 1), "powers": lambda x: x**3 + x**-2 + x.abs() ** 1.5 + x.abs() ** 0.3,
     "norm": torch.linalg.norm, "mean": lambda x: x.mean() + x.prod(), "extremes": lambda x: x.max() - x.amin(0),
+    "largest": lambda x: torch.stack([y.to(x) for y in x.max(0)]),
     "softmax": lambda x: torch.softmax(x, 0), "logsumexp": lambda x: torch.logsumexp(x, 0),
     "clamp": lambda x: x.clamp(-1, 1), "nan": lambda x: torch.where(x.log().isnan(), x, 0.0).nan_to_num(),
     "moves": lambda x: torch.cat([x.flip(0), x.roll(1)]).reshape(2, 3).mT.tril()[[0, 2]],

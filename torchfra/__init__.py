@@ -1,6 +1,20 @@
 """Robust, adaptive tracking of manoeuvring targets: batched, differentiable square-root filters for PyTorch."""
 
-from torchfra import adaptive, cubature, linalg, losses, metrics, motion, presets, readers, robust, scenarios, sensors
+from torchfra import (
+    adaptive,
+    bank,
+    cubature,
+    linalg,
+    losses,
+    metrics,
+    motion,
+    presets,
+    readers,
+    robust,
+    scenarios,
+    sensors,
+    statistical,
+)
 from torchfra.hyper import Hyper, learnable, summary
 from torchfra.malloc import keep_memory
 from torchfra.types import Estimate, Gaussian, Innovation
@@ -12,6 +26,7 @@ __all__ = [
     "Hyper",
     "Innovation",
     "adaptive",
+    "bank",
     "cubature",
     "keep_memory",
     "learnable",
@@ -24,5 +39,6 @@ __all__ = [
     "robust",
     "scenarios",
     "sensors",
+    "statistical",
     "summary",
 ]

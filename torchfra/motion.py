@@ -30,6 +30,9 @@ class Motion(nn.Module):
         ValueError: ``dims`` below 1, ``q`` below 0.
     """
 
+    apart = True
+    """Whether a track may be taken out of its batch: not where the place in the batch says which motion it has."""
+
     def __init__(self, dims: int, orders: int, q: Value | None) -> None:
         super().__init__()
         if dims < 1:

@@ -13,13 +13,17 @@ velocity and acceleration, each by its share (``states`` makes other groups).  F
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, TypeVar
 
+import torch
+
 from torchfra.adaptive import Fading
+from torchfra.bank import Bank
 from torchfra.cubature import tangent, unscented
 from torchfra.filters.base import Filter
 from torchfra.filters.feedback import FRA
+from torchfra.filters.imm import IMM
 from torchfra.filters.srckf import SRCKF
 from torchfra.hyper import Value, learnable, named
 from torchfra.motion import Motion
@@ -101,6 +105,37 @@ def fra(motion: Motion, sensor: Sensor, **options: Any) -> FRA:
     return fra_srckf(motion, sensor, **ours | options)
 
 
+def imm(
+    models: Sequence[Motion],
+    sensor: Sensor,
+    *,
+    inner: Callable[..., Filter] = srckf,
+    stay: float = 0.95,
+    transition: Value | None = None,
+    initial: Value | None = None,
+    learn: Names = (),
+    **options: Any,
+) -> IMM:
+    """Interacting multiple models: ``inner`` is any preset of this file, ``options`` go to it.
+
+    ``stay`` is the probability to stay with a model, the others share what is left; ``transition`` (K, K) says it in
+    full.  Source: Blom & Bar-Shalom (1988); Du & Zhang (2020) for the square-root cubature form.
+    """
+    if not 0 < stay < 1:
+        raise ValueError(f"stay: expected a probability above 0 and below 1, received {stay}")
+    count = len(models)
+    if transition is None:
+        eye = torch.eye(count, dtype=torch.float64)
+        transition = stay * eye + (1 - stay) / (count - 1) * (1 - eye) if count > 1 else eye
+    f = IMM(inner(Bank(models), sensor, **options), transition=transition, initial=initial)
+    return _learning(f, learn)
+
+
+def imm_fra(models: Sequence[Motion], sensor: Sensor, **options: Any) -> IMM:
+    """``imm`` with ``fra`` for each model: for targets that turn under sensors that lie."""
+    return imm(models, sensor, inner=fra, **options)
+
+
 def _huber(sensor: Sensor, threshold: Value, per_element: bool) -> Huber:
     return Huber(threshold, elements=sensor.size if per_element else None)
 
@@ -113,9 +148,10 @@ def _fading(motion: Motion, options: dict[str, Any]) -> Fading:
 
 def _learning(f: F, names: Names) -> F:
     """The filter with these hyperparameters learnable, and those of its models in copies of its own."""
+    core = f.inner if isinstance(f, IMM) else f
     for part in ("motion", "sensor"):
-        model = getattr(f, part)
+        model = getattr(core, part)
         chosen = {id(hyper) for hyper in named(f, names).values() if not hyper.raw.requires_grad}
         if any(id(hyper) in chosen for hyper in model.modules()):
-            setattr(f, part, copy.deepcopy(model))
+            setattr(core, part, copy.deepcopy(model))
     return learnable(f, names)

@@ -83,7 +83,7 @@ class CurrentStatistical(Singer):
         Motion.__init__(self, dims, 3, None)
         self.alpha = Hyper(alpha, constraints.nonnegative, name="alpha")
         self.limit = Hyper(limit, name="limit")
-        self.below = self.limit if below is None else Hyper(below, name="below")
+        self.below = None if below is None else Hyper(below, name="below")
 
     def noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, n)`` for ``dt (...)`` at no acceleration."""
@@ -93,7 +93,7 @@ class CurrentStatistical(Singer):
     def adapt(self, mean: Tensor, dt: Tensor, shift: Tensor | None, noise: Tensor) -> tuple[Tensor | None, Tensor]:
         """See ``Motion``: the level moves the state, and scales the noise of each axis."""
         level = mean[..., 2 * self.dims :]
-        limit, below = self.limit().to(mean).unsqueeze(-1), self.below().to(mean).unsqueeze(-1)
+        limit, below = ((x or self.limit)().to(mean).unsqueeze(-1) for x in (self.limit, self.below))
         room = torch.where(level < 0, below + level, limit - level).clamp_min(0.0)
         rows = _response(self.alpha().to(mean), dt)
         moved = [dt**2 / 2 - rows[0], dt - rows[1], 1 - rows[2]]

@@ -2,6 +2,7 @@
 
 from torchfra.filters.base import Filter
 from torchfra.filters.feedback import FRA, FRAInfo, FRAState
+from torchfra.filters.imm import IMM, IMMInfo, IMMState
 from torchfra.filters.srckf import SRCKF, Info, State
 
-__all__ = ["FRA", "SRCKF", "FRAInfo", "FRAState", "Filter", "Info", "State"]
+__all__ = ["FRA", "IMM", "SRCKF", "FRAInfo", "FRAState", "Filter", "IMMInfo", "IMMState", "Info", "State"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import torch
@@ -16,6 +16,7 @@ from torchfra.sensors import Sensor
 from torchfra.types import Estimate, Gaussian, Innovation
 
 F = TypeVar("F", bound="Filter")
+Mix = Callable[[Gaussian], Gaussian]
 
 
 class Record(NamedTuple):
@@ -29,6 +30,10 @@ class Record(NamedTuple):
     normalised: Tensor
     """``(..., m)`` the residual divided by its root."""
     info: Any
+    density: Tensor | None = None
+    """``(...)`` log density of the residual, where it is not that of a Gaussian with this root."""
+    evidence: Tensor | None = None
+    """``(...)`` log density of the residual as the filter trusts it, where that is another."""
 
 
 class Kept(NamedTuple):
@@ -112,8 +117,11 @@ class Filter(nn.Module):
         """The state that a belief of full batch and triangular root makes; it has a ``belief``."""
         raise TypeError(f"{type(self).__name__} needs a begin")
 
-    def advance(self, state: Any, frame: Frame) -> tuple[Any, Record]:
-        """One step on a prepared frame: the next state and what to keep of the step."""
+    def advance(self, state: Any, frame: Frame, mix: Mix | None = None) -> tuple[Any, Record]:
+        """One step on a prepared frame: the next state and what to keep of the step.
+
+        ``mix``, if there is one, makes another belief of the one that the step starts from: interacting models do.
+        """
         raise TypeError(f"{type(self).__name__} needs an advance")
 
     def finish(self, state: Any, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
@@ -199,22 +207,23 @@ class Filter(nn.Module):
         else:
             frames, log_norm = make_frames(self.motion, self.sensor, z, dt, u, std, noise, rank)
             state, records = self._filter(state, frames, checkpoint, truncate)
-            names = ("belief", "root", "normalised", "info")
-            belief, root, normalised, info = (_stack([getattr(r, name) for r in records], rank) for name in names)
-            kept = Kept(belief, *_scores(normalised, root, log_norm.movedim(0, -1)), info)
+            names = ("belief", "root", "normalised", "info", "density")
+            belief, root, normalised, info, own = (_stack([getattr(r, name) for r in records], rank) for name in names)
+            kept = Kept(belief, *_scores(normalised, root, log_norm.movedim(0, -1), own), info)
         belief, info = self.finish(state, kept.belief, kept.info)
         return Estimate(*belief, kept.nis, kept.log_likelihood, info)
 
     def keep(self, state: Any, frame: Frame) -> tuple[Any, Kept]:
         """One step on a prepared frame: the next state, and what the estimate holds of it."""
         state, record = self.advance(state, frame)
-        return state, Kept(record.belief, *_scores(record.normalised, record.root, frame.noise.log_norm), record.info)
+        scores = _scores(record.normalised, record.root, frame.noise.log_norm, record.density)
+        return state, Kept(record.belief, *scores, record.info)
 
     def observe(self, state: Any, frame: Frame) -> tuple[Any, Innovation]:
         """One step on a prepared frame: the next state, and what the measurement said."""
         state, record = self.advance(state, frame)
         residual = frame.noise.colour(record.residual.unsqueeze(-1)).squeeze(-1)
-        scores = _scores(record.normalised, record.root, frame.noise.log_norm)
+        scores = _scores(record.normalised, record.root, frame.noise.log_norm, record.density)
         return state, Innovation(residual, frame.noise.colour(record.root), *scores)
 
     def _filter(
@@ -260,10 +269,15 @@ class Filter(nn.Module):
         return torch.Size((1,) * (batch_rank(self) - len(batch))) + batch
 
 
-def _scores(normalised: Tensor, root: Tensor, log_norm: Tensor) -> tuple[Tensor, Tensor]:
+def density(root: Tensor, normalised: Tensor) -> Tensor:
+    """Log density ``(...)`` of a residual with this root, both in units of the noise, constants left out."""
+    return -0.5 * normalised.square().sum(-1) - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+
+
+def _scores(normalised: Tensor, root: Tensor, log_norm: Tensor, own: Tensor | None) -> tuple[Tensor, Tensor]:
     """Normalised innovation squared and log density."""
     nis = normalised.square().sum(-1)
-    return nis, log_norm - 0.5 * nis - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+    return nis, log_norm + (density(root, normalised) if own is None else own)
 
 
 def _detached(state: Any) -> Any:

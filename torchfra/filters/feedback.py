@@ -13,10 +13,10 @@ from torch.nn.functional import logsigmoid
 
 from torchfra.adaptive import Fading, Memory
 from torchfra.cubature import Rule, third_degree
-from torchfra.filters.base import Filter, Record
+from torchfra.filters.base import Filter, Mix, Record, density
 from torchfra.filters.frames import Frame
 from torchfra.filters.select import select, where_needed
-from torchfra.filters.srckf import compare, correct, innovation, predict, trust
+from torchfra.filters.srckf import compare, correct, innovation, predict, trust, trusted_density
 from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg import is_traced
 from torchfra.mixture import moment_match
@@ -152,17 +152,19 @@ class FRA(Filter):
         memory = self.adaptive.begin(belief.mean, self.sensor.size)
         return FRAState(belief, belief, belief, belief, belief, normal, memory)
 
-    def advance(self, state: FRAState, frame: Frame) -> tuple[FRAState, Record]:
+    def advance(self, state: FRAState, frame: Frame, mix: Mix | None = None) -> tuple[FRAState, Record]:
         """See ``Filter``."""
         settled, kept = self.settle(state, frame)
-        prediction, whitened = self.look(settled, frame)
+        prediction, whitened = self.look(settled if mix is None else mix(settled), frame)
         plain, root, normalised = correct(prediction.belief, whitened)
         residual, nis = whitened.residual, normalised.square().sum(-1)  # eq. (35)
         excess = nis - self.gate().to(nis)
         weights = self.robust(residual, nis)
         memory = self.adaptive.remember(state.memory, residual, frame.seen)
-        robust, adaptive, factor = self._where(
-            excess > 0, self.fork, (prediction, whitened, weights, memory, frame), (plain, plain, torch.ones_like(nis))
+        nominal = nis if mix is None else density(root, normalised)  # nobody else asks
+        default = (plain, plain, torch.ones_like(nis), nominal)
+        robust, adaptive, factor, evidence = self._where(
+            excess > 0, self.fork, (prediction, whitened, weights, memory, frame), default
         )
         belief = self.mix(excess, plain, robust)
         if self.memory == "weighted":
@@ -170,7 +172,7 @@ class FRA(Filter):
         state = FRAState(belief, robust, adaptive, plain, settled, excess, memory)
         weights = select(state.abnormal, weights, torch.ones_like(weights))
         info = _Step(settled, kept, state.abnormal, factor, weights)
-        return state, Record(belief, residual, root, normalised, info)
+        return state, Record(belief, residual, root, normalised, info, evidence=None if mix is None else evidence)
 
     def look(self, belief: Gaussian, frame: Frame) -> tuple[Prediction, Whitened]:
         """The prediction of a step, and the measurement against it."""
@@ -222,13 +224,13 @@ class FRA(Filter):
 
     def fork(
         self, prediction: Prediction, whitened: Whitened, weights: Tensor, memory: Memory, frame: Frame
-    ) -> tuple[Gaussian, Gaussian, Tensor]:
-        """Both branches' beliefs, and the fading factor ``(...)``."""
-        robust, _, _ = correct(prediction.belief, trust(whitened, weights))  # eqs. (25)-(26)
+    ) -> tuple[Gaussian, Gaussian, Tensor, Tensor]:
+        """Both branches' beliefs, the fading factor ``(...)`` and the robust branch's evidence ``(...)``."""
+        robust, root, own = correct(prediction.belief, trust(whitened, weights))  # eqs. (25)-(26)
         factor = self.adaptive(prediction, whitened, memory, torch.ones_like(weights))
         faded = self.adaptive.inflate(prediction, factor).belief  # eqs. (29)-(34)
         adaptive, _, _ = correct(faded, compare(self.sensor, self.sensor_rule, faded, frame))
-        return robust, adaptive, factor
+        return robust, adaptive, factor, trusted_density(root, own, weights)
 
     def finish(self, state: FRAState, belief: Gaussian, info: _Step) -> tuple[Gaussian, FRAInfo]:
         """See ``Filter``: each step's estimate is settled in the next, the last by ``final``."""
@@ -249,7 +251,7 @@ class FRA(Filter):
         if self.soft:
             return function(*arguments)
         batched = any(h.batch_rank for h in self._decisive)
-        if batched or is_traced(mask):
+        if batched or is_traced(mask) or not self.motion.apart:
             return select(mask, function(*arguments), default)
         return where_needed(mask, function, arguments, default)
 

@@ -11,7 +11,7 @@ from torch.nn.functional import pad
 
 from torchfra.adaptive import Fading, Memory
 from torchfra.cubature import Rule, third_degree
-from torchfra.filters.base import Filter, Record
+from torchfra.filters.base import Filter, Mix, Record, density
 from torchfra.filters.frames import Frame
 from torchfra.linalg import apply, hstack, tria, whiten
 from torchfra.motion import Motion
@@ -68,9 +68,10 @@ class SRCKF(Filter):
         """See ``Filter``."""
         return State(belief, None if self.adaptive is None else self.adaptive.begin(belief.mean, self.sensor.size))
 
-    def advance(self, state: State, frame: Frame) -> tuple[State, Record]:
+    def advance(self, state: State, frame: Frame, mix: Mix | None = None) -> tuple[State, Record]:
         """See ``Filter``."""
-        prediction = predict(self.motion, self.motion_rule, state.belief, frame)
+        start = state.belief if mix is None else mix(state.belief)
+        prediction = predict(self.motion, self.motion_rule, start, frame)
         whitened = compare(self.sensor, self.sensor_rule, prediction.belief, frame)
         if self.robust is None and self.adaptive is None:
             belief, root, normalised = correct(prediction.belief, whitened)
@@ -83,9 +84,10 @@ class SRCKF(Filter):
             factor = self.adaptive(prediction, whitened, memory, weights)
             prediction = self.adaptive.inflate(prediction, factor)  # eq. (29)
             whitened = compare(self.sensor, self.sensor_rule, prediction.belief, frame)
-        belief, _, _ = correct(prediction.belief, trust(whitened, weights))
+        belief, trusted, own = correct(prediction.belief, trust(whitened, weights))
         info = Info(None if self.robust is None else weights, factor)
-        return State(belief, memory), Record(belief, residual, root, normalised, info)
+        evidence = None if mix is None else trusted_density(trusted, own, weights)
+        return State(belief, memory), Record(belief, residual, root, normalised, info, evidence=evidence)
 
     def weigh(self, whitened: Whitened, normalised: Tensor) -> Tensor:
         """Robust weights ``(..., m)``; ones if nothing is robust."""
@@ -152,3 +154,9 @@ def trust(whitened: Whitened, weights: Tensor) -> Whitened:
     used = weights > 0
     scale = torch.where(used, torch.where(used, weights, 1.0).sqrt(), 0.0)
     return whitened._replace(residual=scale * whitened.residual, spread=scale.unsqueeze(-1) * whitened.spread)
+
+
+def trusted_density(root: Tensor, normalised: Tensor, weights: Tensor) -> Tensor:
+    """Log density ``(...)`` of a residual after ``trust`` with ``weights (..., m)``."""
+    used = weights > 0
+    return density(root, normalised) + 0.5 * torch.where(used, torch.where(used, weights, 1.0).log(), 0.0).sum(-1)

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch._decomp import decomposition_table
 from torch.utils._pytree import tree_flatten, tree_map
 
-from torchfra.kernel.expressions import Expressions
+from torchfra.kernel.expressions import ZERO, Expressions
 
 aten = torch.ops.aten
 
@@ -150,6 +150,29 @@ def _folded(op: str, start: float | None = None) -> Callable[..., Entries]:
         return _tensor(book, numbers, shape, torch.bool if op in ("and", "or") else counts)
 
     return reduction
+
+
+def _largest(book: Expressions, x: Entries, dim: int, keepdim: bool = False) -> tuple[Entries, Entries]:
+    """The largest along a dimension, and where it is."""
+    rows = x.ids.movedim(dim, -1)
+    found = []
+    for row in rows.reshape(-1, rows.shape[-1]).tolist():
+        best, at = row[0], ZERO
+        for k, entry in enumerate(row[1:], 1):
+            at = book.apply("select", book.apply("lt", best, entry), book.constant(k), at)
+            best = book.apply("max", best, entry)
+        found.append((best, at))
+    shape = [1 if d == dim % x.dim() else x.shape[d] for d in range(x.dim()) if keepdim or d != dim % x.dim()]
+    values, places = zip(*found, strict=True)
+    return _tensor(book, values, shape, x.dtype), _tensor(book, places, shape, torch.int64)
+
+
+def _scattered(book: Expressions, x: Tensor, dim: int, index: Tensor, source: Tensor) -> Tensor:
+    """Entries put where an index says that need not be known."""
+    parts = list(x.unbind(dim))
+    for at, value in zip(index.unbind(dim), source.unbind(dim), strict=True):
+        parts = [torch.where(at == j, value, part) for j, part in enumerate(parts)]
+    return torch.stack(parts, dim)
 
 
 def _product(book: Expressions, a: Any, b: Any) -> Entries:
@@ -322,8 +345,10 @@ _ENTRYWISE: dict[Any, Callable[..., int]] = {
 _SPECIAL: dict[Any, Callable[..., Any]] = {
     aten.mm.default: _product, aten.bmm.default: _product, aten.linalg_solve_triangular.default: _solved,
     aten.sum.dim_IntList: _folded("add", 0.0), aten.sum.default: _folded("add", 0.0),
-    aten.amax.default: _folded("max"), aten.amin.default: _folded("min"), aten.prod.default: _folded("mul", 1.0),
-    aten.max.default: _folded("max"), aten.min.default: _folded("min"), aten.mean.default: _mean, aten.mean.dim: _mean,
+    aten.amax.default: _folded("max"), aten.amin.default: _folded("min"), aten.max.dim: _largest,
+    aten.scatter.src: _scattered,
+    aten.max.default: _folded("max"), aten.min.default: _folded("min"), aten.prod.default: _folded("mul", 1.0),
+    aten.mean.default: _mean, aten.mean.dim: _mean,
     aten.any.dim: _folded("or", 0.0), aten.any.default: _folded("or", 0.0),
     aten.all.dim: _folded("and", 1.0), aten.all.default: _folded("and", 1.0),
     aten.linalg_vector_norm.default: _norm, aten.constant_pad_nd.default: _padded, aten.clamp.default: _clamped,

@@ -1,0 +1,266 @@
+"""Interacting models are what moment-form arithmetic says, keep every model alive, and take any filter inside."""
+
+import copy
+import math
+
+import numpy as np
+import oracles
+import pytest
+import torch
+
+from torchfra import presets, scenarios
+from torchfra.bank import Bank, Embedded
+from torchfra.hyper import hypers
+from torchfra.metrics import rmse
+from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn, Motion
+from torchfra.sensors import Position, RangeBearing
+from torchfra.statistical import CurrentStatistical
+from torchfra.types import Gaussian
+
+DT, SIGMA, STEPS = 2.0, 30.0, 15
+SENSOR = Position(SIGMA)
+PRIOR = Gaussian(
+    torch.tensor([0, 2000, 15, 0, 0, 0], dtype=torch.float64),
+    torch.diag(torch.tensor([30, 30, 15, 15, 0.3, 0.3], dtype=torch.float64)),
+)
+
+
+def bank():
+    return [
+        ConstantVelocity(1e-4, orders=3),
+        ConstantAcceleration(4e-4),
+        CurrentStatistical(1 / 20, 1.0),
+        CoordinatedTurn(math.pi / 400, 4e-4, orders=3),
+        CoordinatedTurn(-math.pi / 100, 4e-4, orders=3),
+    ]
+
+
+def measured(batch, seed=0):
+    """Straight, then turning."""
+    g = torch.Generator().manual_seed(seed)
+    t = DT * torch.arange(1, STEPS + 1, dtype=torch.float64)
+    x = torch.stack([15 * t, 2000 + 0.15 * (t - 10).clamp_min(0) ** 2], -1)
+    return x + SIGMA * torch.randn(batch, STEPS, 2, dtype=torch.float64, generator=g)
+
+
+def of(motion):
+    """A motion for the oracle."""
+    dt = torch.tensor(DT, dtype=torch.float64)
+
+    def model(mean):
+        F, noise = motion.transition(dt), motion.noise(dt)
+        shift, noise = motion.adapt(torch.from_numpy(mean), dt, None, noise)
+        return F.numpy(), np.zeros(6) if shift is None else shift.numpy(), (noise @ noise.mT).numpy()
+
+    return model
+
+
+def same(a, b, tolerance=1e-10):
+    torch.testing.assert_close(a, b, rtol=tolerance, atol=tolerance * b.abs().max().item())
+
+
+# ---------------------------------------------------------------- what it computes
+
+
+def test_it_is_the_moment_form():
+    z, count = measured(1)[0], 5
+    f = presets.imm(bank(), SENSOR, initial=torch.tensor([0.5, 0.2, 0.1, 0.1, 0.1], dtype=torch.float64))
+    e = f(z, PRIOR, dt=DT)
+    H = np.zeros((2, 6))
+    H[0, 0] = H[1, 1] = 1
+    covariance = (PRIOR.scale_tril @ PRIOR.scale_tril.mT).numpy()
+    rows = 0.95 * np.eye(count) + 0.0125 * (1 - np.eye(count))
+    initial = np.array([0.5, 0.2, 0.1, 0.1, 0.1])
+    models = [of(m) for m in bank()]
+    r = oracles.imm(z.numpy(), PRIOR.mean.numpy(), covariance, models, H, SIGMA**2 * np.eye(2), rows, initial)
+    same(e.mean, torch.from_numpy(r["mean"]))
+    same(e.covariance, torch.from_numpy(r["P"]))
+    same(e.info.weights, torch.from_numpy(r["weights"]))
+    same(e.log_likelihood, torch.from_numpy(r["log_likelihood"]))
+
+
+@pytest.mark.parametrize("inner", ["srckf", "ukf", "ekf", "rsrckf", "rmckf"])
+def test_one_model_is_the_filter_itself(inner):
+    z = measured(3)
+    alone = getattr(presets, inner)(ConstantAcceleration(0.01), SENSOR)(z, PRIOR, dt=DT)
+    one = presets.imm([ConstantAcceleration(0.01)], SENSOR, inner=getattr(presets, inner))(z, PRIOR, dt=DT)
+    for a, b in zip(one[:-1], alone[:-1], strict=True):
+        same(a, b)
+    assert (one.info.weights == 1).all()
+
+
+def test_models_that_are_the_same_stay_as_likely_as_they_were():
+    e = presets.imm([ConstantAcceleration(0.01)] * 3, SENSOR)(measured(2), PRIOR, dt=DT)
+    same(e.info.weights, torch.full_like(e.info.weights, 1 / 3))
+    same(e.mean, presets.srckf(ConstantAcceleration(0.01), SENSOR)(measured(2), PRIOR, dt=DT).mean)
+
+
+def test_a_probability_too_small_for_a_number_comes_back():
+    models = [ConstantVelocity(1e-8, orders=3), ConstantVelocity(1e-3, orders=3)]
+    f = presets.imm(models, Position(0.01), stay=0.999)
+    t = torch.arange(-19, 41, dtype=torch.float64).unsqueeze(-1)
+    z = 5 * (t.clamp(0, 10) ** 2 + 20 * (t - 10).clamp_min(0)).expand(-1, 2)  # at rest, speeding up, at constant speed
+    prior = Gaussian(torch.zeros(6, dtype=torch.float64), 0.01 * torch.eye(6, dtype=torch.float64))
+    state, lowest = f.init(prior), 0.0
+    for k in range(60):
+        state, _ = f.step(state, z[k])
+        lowest = min(lowest, state.log_weights[0].item())
+        if k == 19:
+            assert state.log_weights[0] > math.log(0.9)
+    assert lowest < math.log(1e-300)
+    assert state.log_weights[0] > math.log(0.5)
+    assert state.belief.mean.isfinite().all()
+
+
+def test_an_outlier_says_much_less_of_the_model_of_a_robust_filter():
+    z = measured(1)[0]
+    z[4] += 40 * SIGMA
+    models = [
+        ConstantVelocity(1e-4, orders=3),
+        CoordinatedTurn(-math.pi / 100, 4e-4, orders=3),
+        ConstantAcceleration(25.0),
+    ]
+    plain, robust = (presets.imm(models, SENSOR, inner=i)(z, PRIOR, dt=DT).info.weights[4, 2]
+                     for i in (presets.srckf, presets.rsrckf))  # fmt: skip
+    assert 1 - plain < 1e-9
+    assert 1 - robust > 1e-2
+
+
+# ---------------------------------------------------------------- how it behaves
+
+
+@pytest.mark.parametrize("inner", ["srckf", "rsrckf", "fra"])
+def test_a_batch_is_a_loop_and_streaming_is_the_whole(inner):
+    f, z = presets.imm(bank(), SENSOR, inner=getattr(presets, inner)), measured(3)
+    z[1, 4, 0] = torch.nan
+    z[2, 6] = torch.nan
+    whole = f(z, PRIOR, dt=DT)
+    assert whole.info.weights.shape == (3, STEPS, 5)
+    for i in range(3):
+        one = f(z[i], PRIOR, dt=DT)
+        same(one.mean, whole.mean[i])
+        same(one.info.weights, whole.info.weights[i])
+        state = f.init(PRIOR)
+        for k in range(STEPS):
+            state, innovation = f.step(state, z[i, k], dt=DT)
+            same(state.belief.mean, whole.mean[i, k])
+            same(innovation.log_likelihood, whole.log_likelihood[i, k])
+
+
+def test_steps_of_time_may_differ_and_sensors_may_bend():
+    f = presets.imm(bank(), RangeBearing(torch.tensor([10.0, 0.01], dtype=torch.float64)))
+    z = measured(2)
+    z = torch.stack([z.norm(dim=-1), torch.atan2(z[..., 0], z[..., 1])], -1)
+    dt = torch.linspace(1.5, 2.5, STEPS, dtype=torch.float64)
+    station = torch.zeros(STEPS, 2, dtype=torch.float64)
+    many = f(z, PRIOR, dt=torch.stack([dt, dt.flip(0)]), u=station)
+    same(many.mean[1], f(z[1], PRIOR, dt=dt.flip(0), u=station).mean)
+
+
+def test_compiled_it_gives_the_same_and_the_same_gradients():
+    f = presets.imm(bank(), SENSOR, learn=("transition", "q", "rate", "limit", "std"))
+    found = []
+    for g in (f, copy.deepcopy(f).compile()):
+        e = g(measured(4), PRIOR, dt=DT)
+        (e.mean.square().mean() + e.log_likelihood.mean()).backward()
+        found.append((e.mean.detach(), e.info.weights.detach(), *(p.grad for p in g.parameters())))
+    for slow, fast in zip(*found, strict=True):
+        same(fast, slow, 1e-8)
+
+
+def test_transition_rows_learn_on_the_simplex_with_their_exact_gradient():
+    f = presets.imm(bank()[:3], SENSOR, learn=("transition", "initial"))
+    z, names = measured(2)[:, :6], [name for name, _ in f.named_parameters()]
+
+    def score(*values):
+        e = torch.func.functional_call(f, dict(zip(names, values, strict=True)), (z, PRIOR), {"dt": DT})
+        return e.log_likelihood
+
+    assert torch.autograd.gradcheck(score, [p.detach().clone().requires_grad_() for p in f.parameters()])
+    optimiser = torch.optim.Adam(f.parameters(), lr=0.5)
+    before = f(z, PRIOR, dt=DT).log_likelihood.mean()
+    for _ in range(5):
+        optimiser.zero_grad()
+        loss = -f(z, PRIOR, dt=DT).log_likelihood.mean()
+        loss.backward()
+        optimiser.step()
+    assert -loss > before
+    same(f.transition().sum(-1), torch.ones(3, dtype=torch.float64))
+
+
+def test_models_that_learn_are_copies():
+    models = bank()
+    f = presets.imm(models, SENSOR, learn="all")
+    assert not any(h.raw.requires_grad for m in models for h in hypers(m).values())
+    assert f.motion.models[1].q.raw.requires_grad
+    fixed = presets.imm(bank(), SENSOR)
+    fixed.load_state_dict(f.state_dict())
+
+
+def test_a_smaller_state_is_put_into_the_larger_one_by_maps():
+    into = torch.eye(6, 4, dtype=torch.float64)
+    inside = Embedded(ConstantVelocity(0.5), into.mT, into, orders=3)
+    outside = ConstantVelocity(0.5, orders=3)
+    dt = torch.tensor([1.0, 3.0], dtype=torch.float64)
+    same(inside.transition(dt), outside.transition(dt))
+    same(inside.noise(dt), outside.noise(dt))
+    assert inside.shift(dt, None) is None
+
+
+class Curved(Motion):
+    """Not linear."""
+
+    def __init__(self, bend):
+        super().__init__(2, 3, 0.1)
+        self.bend = bend
+
+    def forward(self, x, dt, u=None):
+        p, v, a = x[..., :2], x[..., 2:4], x[..., 4:]
+        dt = dt.unsqueeze(-1) if dt.dim() else dt
+        return torch.cat([p + dt * v, v + dt * a, a - self.bend * v.tanh()], -1)
+
+
+def test_motions_that_are_not_linear_interact_as_well():
+    z = measured(2)
+    one = presets.imm([Curved(0.1), Curved(0.1)], SENSOR)(z, PRIOR, dt=DT)
+    same(one.mean, presets.srckf(Curved(0.1), SENSOR)(z, PRIOR, dt=DT).mean)
+    two = presets.imm([Curved(0.1), Curved(0.01)], SENSOR)(z, PRIOR, dt=DT)
+    assert (two.info.weights - 0.5).abs().max() > 1e-3
+
+
+@pytest.mark.slow
+def test_a_bank_that_knows_the_turn_follows_it_with_a_robust_filter_inside():
+    scenario = scenarios.bearings_manoeuvre("std")
+    tracks = scenario.simulate(100, 7)
+    models = [ConstantAcceleration(0.01), *(CoordinatedTurn(s * math.pi / 10, 0.01, orders=3) for s in (1, -1))]
+
+    def error(f):
+        return rmse(f(tracks.z, tracks.prior, u=tracks.u).mean, tracks.truth, scenario.position).mean()
+
+    alone = error(presets.fra(scenario.motion, scenario.sensor))
+    assert error(presets.imm(models, scenario.sensor, inner=presets.rsrckf, stay=0.99)) < 0.5 * alone
+    assert error(presets.imm_fra(models, scenario.sensor, stay=0.99)) < 0.5 * alone
+
+
+# ---------------------------------------------------------------- errors
+
+
+def test_what_does_not_fit_is_named():
+    with pytest.raises(ValueError, match=r"models: expected motions of one state.*ConstantVelocity of 4"):
+        Bank([ConstantVelocity(1.0), ConstantAcceleration(1.0)])
+    with pytest.raises(ValueError, match=r"models: .*none"):
+        presets.imm([], SENSOR)
+    with pytest.raises(ValueError, match="stay: expected a probability above 0 and below 1"):
+        presets.imm(bank(), SENSOR, stay=1.0)
+    with pytest.raises(ValueError, match=r"transition: expected \(5, 5\) that reaches every model"):
+        presets.imm(bank(), SENSOR, transition=torch.eye(3))
+    with pytest.raises(ValueError, match="transition"):
+        presets.imm(bank()[:2], SENSOR, transition=torch.tensor([[0.5, 0.6], [0.5, 0.5]]))
+    with pytest.raises(ValueError, match=r"initial: expected \(5,\)"):
+        presets.imm(bank(), SENSOR, initial=torch.ones(3) / 3)
+    with pytest.raises(ValueError, match="inner: expected a plain filter around a Bank"):
+        presets.IMM(presets.srckf(ConstantAcceleration(1.0), SENSOR), transition=torch.eye(1))
+    with pytest.raises(ValueError, match="out, into"):
+        Embedded(ConstantVelocity(1.0), torch.eye(4), torch.eye(4), orders=3)
+    with pytest.raises(ValueError, match="motion: expected a linear one"):
+        Embedded(Curved(0.1), torch.eye(6).double(), torch.eye(6).double(), orders=3)

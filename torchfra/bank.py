@@ -1,0 +1,128 @@
+"""Several motions of one state side by side, and motions of a smaller state in a larger one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import pad
+
+from torchfra.motion import Motion
+
+
+class Bank(Motion):
+    """Motions that interacting models share out among them: matrices have an axis for the model, ``(..., K, n, n)``.
+
+    Args:
+        models: motions of the same state, linear all or none.
+
+    Raises:
+        ValueError: none at all, or states that differ.
+    """
+
+    def __init__(self, models: Sequence[Motion]) -> None:
+        sizes = {(m.dims, m.orders) for m in models}
+        if len(sizes) != 1:
+            said = ", ".join(f"{type(m).__name__} of {m.size}" for m in models) or "none"
+            raise ValueError(f"models: expected motions of one state (see orders= and Embedded), received {said}")
+        super().__init__(*sizes.pop(), None)
+        self.models = nn.ModuleList(models)
+
+    apart = False
+
+    def __len__(self) -> int:
+        return len(self.models)
+
+    def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
+        """States ``(..., K, p, n)``, each with the model of its place, after ``dt (..., 1, 1)`` or ``(1,)`` seconds."""
+        dt, u = dt.select(-2, 0) if dt.dim() > 1 else dt, u if u is None else u.select(-3, 0)
+        return torch.stack([model(x.select(-3, k), dt, u) for k, model in enumerate(self._motions)], -3)
+
+    def transition(self, dt: Tensor) -> Tensor | None:
+        """``F (..., K, n, n)`` for ``dt (...)`` if all motions are linear."""
+        parts = [model.transition(dt) for model in self._motions]
+        known = [part for part in parts if part is not None]
+        return _stacked(known, -3) if len(known) == len(parts) else None
+
+    def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
+        """Known changes of the state, ``(..., K, n)``."""
+        parts = [model.shift(dt, u) for model in self._motions]
+        if all(part is None for part in parts):
+            return None
+        return _stacked([dt.new_zeros(self.size) if part is None else part for part in parts], -2)
+
+    def noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., K, n, q)``, filled up with zeros to the widest."""
+        parts = [model.noise(dt) for model in self._motions]
+        wide = max(part.shape[-1] for part in parts)
+        return _stacked([pad(part, (0, wide - part.shape[-1])) for part in parts], -3)
+
+    def adapt(self, mean: Tensor, dt: Tensor, shift: Tensor | None, noise: Tensor) -> tuple[Tensor | None, Tensor]:
+        """See ``Motion``: of states ``(..., K, n)`` and ``dt (..., 1)`` or ``()``."""
+        dt = dt.select(-1, 0) if dt.dim() else dt
+        shifts, noises = [], []
+        for k, model in enumerate(self._motions):
+            known = None if shift is None else shift.select(-2, k)
+            own, spread = model.adapt(mean.select(-2, k), dt, known, noise.select(-3, k))
+            shifts.append(own)
+            noises.append(spread)
+        if all(own is None for own in shifts):
+            return None, _stacked(noises, -3)
+        return _stacked([mean.new_zeros(self.size) if own is None else own for own in shifts], -2), _stacked(noises, -3)
+
+    @property
+    def _motions(self) -> list[Motion]:
+        return list(self.models)  # type: ignore[arg-type]  # a ModuleList does not know what it holds
+
+
+class Embedded(Motion):
+    """A motion of a smaller state as one of a larger: taken out, moved on, and put back.
+
+    Args:
+        motion: linear.
+        out: ``(k, n)`` from the larger state to the motion's own.
+        into: ``(n, k)`` back; what it does not reach is 0 after a step.
+        orders: of the larger state.
+
+    Raises:
+        ValueError: shapes that do not fit, or a motion that is not linear.
+    """
+
+    out: Tensor
+    into: Tensor
+
+    def __init__(self, motion: Motion, out: Tensor, into: Tensor, orders: int) -> None:
+        super().__init__(motion.dims, orders, None)
+        k, n = motion.size, self.size
+        if out.shape != (k, n) or into.shape != (n, k):
+            raise ValueError(
+                f"out, into: expected ({k}, {n}) and ({n}, {k}), received {tuple(out.shape)} and {tuple(into.shape)}"
+            )
+        if motion.transition(torch.ones((), dtype=torch.float64)) is None:
+            raise ValueError(f"motion: expected a linear one, received {type(motion).__name__}")
+        self.inside = motion
+        self.register_buffer("out", out)
+        self.register_buffer("into", into)
+
+    def transition(self, dt: Tensor) -> Tensor:
+        """``F (..., n, n)`` for ``dt (...)``."""
+        matrix = self.inside.transition(dt)
+        assert matrix is not None
+        return self.into.to(dt) @ matrix @ self.out.to(dt)
+
+    def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
+        """See ``Motion``."""
+        own = self.inside.shift(dt, u)
+        return None if own is None else (self.into.to(dt) @ own.unsqueeze(-1)).squeeze(-1)
+
+    def noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., n, q)`` for ``dt (...)``."""
+        return self.into.to(dt) @ self.inside.noise(dt)
+
+
+def _stacked(parts: Sequence[Tensor], place: int) -> Tensor:
+    """Side by side at ``place``, batches broadcast."""
+    event = -place - 1
+    batch = torch.broadcast_shapes(*(part.shape[: part.dim() - event] for part in parts))
+    return torch.stack([part.expand(batch + part.shape[part.dim() - event :]) for part in parts], place)

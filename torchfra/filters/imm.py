@@ -1,0 +1,141 @@
+"""Interacting multiple models: one filter for each, that exchange what they know before every step."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.distributions import constraints
+
+from torchfra.bank import Bank
+from torchfra.filters.base import Filter, Mix, Record, density
+from torchfra.filters.frames import Frame
+from torchfra.hyper import Hyper, Value
+from torchfra.linalg import whiten
+from torchfra.mixture import moment_match
+from torchfra.sensors import Noise
+from torchfra.types import Gaussian
+
+
+class IMMState(NamedTuple):
+    """What the models know after a step."""
+
+    belief: Gaussian
+    """All models together."""
+    inner: Any
+    """Of their filters, whose batch ends in the models: ``(..., K)``."""
+    log_weights: Tensor
+    """``(..., K)`` logs of the models' probabilities."""
+
+
+class IMMInfo(NamedTuple):
+    """Per step and track."""
+
+    weights: Tensor
+    """``(..., T, K)`` probabilities of the models."""
+
+
+class IMM(Filter):
+    """Interacting multiple models over any filter of this package, in the log domain and in square-root form.
+
+    Args:
+        inner: a filter around a ``Bank`` of K motions; all K run in one batched call.
+        transition: ``(K, K)``, ``transition[i, j] = P(now j | was i)``, rows that sum to one; it learns as
+            ``transition``, row by row on the simplex.
+        initial: ``(K,)`` probabilities before the first step; all the same if None.
+
+    The models are the last dimension of the inner filter's batch; a batch of values for one of its hyperparameters
+    (other than of motions and sensor) needs a dimension for them too: ``(B, 1)``.
+
+    A filter that is robust judges its model by the measurement as it trusts it: or one outlier would decide.
+
+    ``Estimate.nis`` and the innovation are those of the Gaussian with the moments of all models' predictions,
+    ``log_likelihood`` is that of their mixture.
+
+    Raises:
+        ValueError: no bank, a matrix that is no transition, or a model that can never be reached.
+
+    Source: Blom & Bar-Shalom (1988); Du & Zhang (2020), eqs. (5)-(11).  Differs: no probability has a floor.
+    """
+
+    def __init__(self, inner: Filter, *, transition: Value, initial: Value | None = None) -> None:
+        nn.Module.__init__(self)  # motion and sensor are the inner filter's own
+        bank = inner.motion
+        if not isinstance(bank, Bank) or isinstance(inner, IMM):
+            raise ValueError(
+                f"inner: expected a plain filter around a Bank, received {type(inner).__name__} around "
+                f"{type(bank).__name__}"
+            )
+        count = len(bank)
+        transition = torch.as_tensor(transition, dtype=torch.float64)
+        initial = torch.full((count,), 1 / count) if initial is None else torch.as_tensor(initial)
+        if transition.shape[-2:] != (count, count) or not bool((transition.sum(-2) > 0).all()):
+            raise ValueError(
+                f"transition: expected ({count}, {count}) that reaches every model, received {transition.tolist()}"
+            )
+        if initial.shape[-1:] != (count,):
+            raise ValueError(f"initial: expected ({count},), received {tuple(initial.shape)}")
+        self._compiled = None
+        self.inner = inner
+        self.transition = Hyper(transition, constraints.simplex, event=2, name="transition")
+        self.initial = Hyper(initial.double(), constraints.simplex, event=1, name="initial")
+
+    @property
+    def motion(self) -> Bank:  # type: ignore[override]
+        """The bank."""
+        return self.inner.motion  # type: ignore[return-value]
+
+    @property
+    def sensor(self) -> Any:  # type: ignore[override]
+        """The sensor."""
+        return self.inner.sensor
+
+    def begin(self, belief: Gaussian) -> IMMState:
+        """See ``Filter``."""
+        count = len(self.motion)
+        mean, root = belief.mean.unsqueeze(-2), belief.scale_tril.unsqueeze(-3)
+        every = Gaussian(mean.expand(*mean.shape[:-2], count, -1), root.expand(*root.shape[:-3], count, -1, -1))
+        initial = self.initial().to(mean).log().expand((*belief.mean.shape[:-1], count))
+        return IMMState(belief, self.inner.begin(every), initial)
+
+    def advance(self, state: IMMState, frame: Frame, mix: Mix | None = None) -> tuple[IMMState, Record]:
+        """See ``Filter``; it mixes, and is not mixed."""
+        joint = self.transition().to(state.log_weights).log() + state.log_weights.unsqueeze(-1)  # [..., was, now]
+        ahead = joint.logsumexp(-2)  # eq. (5): (..., K) before the measurement
+        shares = (joint - ahead.unsqueeze(-2)).movedim(-2, 0)  # eq. (6): [was, ..., now]
+
+        def interact(belief: Gaussian) -> Gaussian:
+            """Eqs. (7), (8)."""
+            mean, root = belief.mean.movedim(-2, 0).unsqueeze(-2), belief.scale_tril.movedim(-3, 0).unsqueeze(-3)
+            count = len(self.motion)
+            every = Gaussian(mean.expand(*mean.shape[:-2], count, -1), root.expand(*root.shape[:-3], count, -1, -1))
+            return moment_match(every, shares)
+
+        inner, record = self.inner.advance(state.inner, _for_each(frame), interact)
+        own = density(record.root, record.normalised)
+        evidence = own if record.evidence is None else record.evidence
+        log_weights = ahead + torch.where(evidence.isnan(), -torch.inf, evidence)
+        log_weights = log_weights - log_weights.logsumexp(-1, keepdim=True)  # eq. (9)
+        belief = _together(record.belief, log_weights)  # eqs. (10), (11)
+        seen = _together(Gaussian(record.residual, record.root), ahead)
+        normalised = whiten(seen.scale_tril, seen.mean)
+        info, whole = IMMInfo(log_weights.exp()), (ahead + own).logsumexp(-1)
+        return IMMState(belief, inner, log_weights), Record(belief, *seen, normalised, info, whole)
+
+
+def _together(belief: Gaussian, log_weights: Tensor) -> Gaussian:
+    """Of ``(..., K)`` beliefs the one with their moments."""
+    first = Gaussian(belief.mean.movedim(-2, 0), belief.scale_tril.movedim(-3, 0))
+    return moment_match(first, log_weights.movedim(-1, 0))
+
+
+def _for_each(frame: Frame) -> Frame:
+    """The same for every model: a batch that ends in the models, which matrices of a ``Bank`` have already."""
+
+    def wide(x: Any, event: int) -> Any:
+        return x if x is None or x.dim() == event else x.unsqueeze(-1 - event)
+
+    noise = Noise(*(wide(x, event) for x, event in zip(frame.noise, (1, 1, 2, 2, 0), strict=True)))
+    z, seen, dt = frame.z.unsqueeze(-2), frame.seen.unsqueeze(-2), wide(frame.dt, 0)
+    return frame._replace(z=z, seen=seen, noise=noise, dt=dt, u=wide(frame.u, 1))
