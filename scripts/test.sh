@@ -4,4 +4,5 @@ source "$(dirname "${BASH_SOURCE[0]}")/setup.sh" dev
 ruff check .
 ruff format --check .
 mypy --strict
-pytest "$@"
+# One worker for each core, and one thread for each worker.
+OMP_NUM_THREADS=1 pytest -n auto --dist loadfile "$@"

@@ -1,6 +1,7 @@
 """What several test files share."""
 
 import copy
+import os
 
 import pytest
 import torch
@@ -43,6 +44,8 @@ def make(scenario):
 def kernels(tmp_path_factory):
     """Kernels of this session alone, compiled in a hurry."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TORCHFRA_CACHE", str(tmp_path_factory.mktemp("kernels")))
+        own = tmp_path_factory.getbasetemp()  # of one worker, where there are several
+        own = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+        patch.setenv("TORCHFRA_CACHE", str(own / "kernels"))
         patch.setenv("CXXFLAGS", "-O0")
         yield

@@ -1,0 +1,87 @@
+"""An aircraft that flies straight, turns slowly, and turns fast, seen by position reports: Du & Zhang (2020)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn, Motion
+from torchfra.scenarios.base import BLOCK, Scenario, Tracks
+from torchfra.sensors import Position
+from torchfra.statistical import CurrentStatistical
+from torchfra.types import Gaussian
+
+DT, SAMPLES, SPEED = 2.0, 450, 15.0
+_LEGS = ((400.0, 0.0), (200.0, 1.0), (10.0, 0.0), (50.0, -1.0), (240.0, 0.0))
+"""Seconds of each leg, and which way it turns the velocity by a quarter."""
+
+
+def adsb_turns(turns: str = "acceleration", *, std: float = 30.0) -> Scenario:
+    """Position reports every 2 s for 900 s: straight, a quarter turn in 200 s, straight, one back in 50 s, straight.
+
+    Filters start from the first two reports: position from the second, velocity from their difference.  What they get
+    and the truth begin with the third.
+
+    Args:
+        turns: ``"acceleration"``: constant acceleration turns the velocity, as in the textbook example; ``"arc"``:
+            circular arcs at constant speed.
+        std: of a reported position, m per axis.
+
+    Raises:
+        ValueError: an argument that is none of those.
+
+    Source: Du & Zhang (2020), section 3.  Differs: noise levels and the truth of the turns are our reading.
+    """
+    if turns not in ("acceleration", "arc"):
+        raise ValueError(f"turns: expected 'acceleration' or 'arc', received {turns!r}")
+    if not std > 0:
+        raise ValueError(f"std: expected metres above 0, received {std}")
+    path, sensor = _path(turns), Position(std)
+    axis = torch.tensor([[std, 0, 0], [std / DT, std / DT, 0], [0, 0, 0.05]], dtype=torch.float64)
+    root = torch.kron(axis, torch.eye(2, dtype=torch.float64))
+
+    def block(rng: np.random.Generator, numbers: Tensor) -> Tracks:
+        z = path[:, :2] + std * torch.from_numpy(rng.standard_normal((BLOCK, SAMPLES, 2)))
+        first, second = z[:, 0], z[:, 1]
+        mean = torch.cat([second, (second - first) / DT, torch.zeros_like(second)], -1)
+        return Tracks(path[2:].expand(BLOCK, -1, -1), z[:, 2:], None, Gaussian(mean, root))
+
+    prior = Gaussian(path[1], root)
+    settings: dict[str, object] = {"turns": turns, "std": std}
+    return Scenario("adsb-turns", ConstantAcceleration(0.02**2), sensor, prior, DT, SAMPLES - 2, block, settings)
+
+
+def adsb_models() -> list[Motion]:
+    """Constant velocity and acceleration, current statistical, slow turn and fast turn, in one state of six.
+
+    Source: Du & Zhang (2020), section 1; the values are ours.
+    """
+    return [
+        ConstantVelocity(0.01**2, orders=3),
+        ConstantAcceleration(0.02**2),
+        CurrentStatistical(1 / 20, 1.0),
+        CoordinatedTurn(math.pi / 400, 0.02**2, orders=3),
+        CoordinatedTurn(-math.pi / 100, 0.02**2, orders=3),
+    ]
+
+
+def _path(turns: str) -> Tensor:
+    """States ``(SAMPLES, 6)`` after 2, 4, ... s."""
+    state, path = torch.tensor([0, 2000, SPEED, 0], dtype=torch.float64), []
+    for seconds, way in _LEGS:
+        rate = way * math.pi / 2 / seconds
+        pull = way * SPEED / seconds * torch.tensor([-1.0, 1.0], dtype=torch.float64)
+        matrix = CoordinatedTurn(rate, 0.0).transition(torch.tensor(DT, dtype=torch.float64))
+        for _ in range(round(seconds / DT)):
+            position, velocity = state[:2], state[2:]
+            if turns == "arc":
+                state = matrix @ state
+                acceleration = rate * torch.stack([-state[3], state[2]])
+            else:
+                state = torch.cat([position + DT * velocity + DT**2 / 2 * pull, velocity + DT * pull])
+                acceleration = pull
+            path.append(torch.cat([state, acceleration]))
+    return torch.stack(path)
