@@ -508,6 +508,44 @@ def soft_fra(
     return _result(steps)
 
 
+def _interacting(
+    zk: Array,
+    was: list[int],
+    now: list[int],
+    means: dict[int, Array],
+    Ps: dict[int, Array],
+    mu: dict[int, float],
+    chance: Callable[[int, int], float],
+    models: list[Callable[[Array], tuple[Array, Array, Array]]],
+    H: Array,
+    R: Array,
+) -> tuple[dict[int, Array], dict[int, Array], dict[int, float], Array, Array, float]:
+    """One cycle of interacting Kalman filters in moment form, models by number; Du & Zhang (2020), (5)-(11)."""
+    m, n = H.shape
+    new_means, new_Ps, scores = {}, {}, {}
+    for j in now:
+        c = sum(chance(i, j) * mu[i] for i in was)
+        share = {i: chance(i, j) * mu[i] / c for i in was}
+        x = sum((share[i] * means[i] for i in was), np.zeros(n))
+        P = np.zeros((n, n))
+        for i in was:
+            P += share[i] * (Ps[i] + np.outer(means[i] - x, means[i] - x))
+        F, change, Q = models[j](x)
+        x, P = F @ x + change, F @ P @ F.T + Q
+        S, e = H @ P @ H.T + R, zk - H @ x
+        G = P @ H.T @ np.linalg.inv(S)
+        new_means[j], new_Ps[j] = x + G @ e, P - G @ S @ G.T
+        density = math.exp(-0.5 * e @ np.linalg.inv(S) @ e) / math.sqrt((2 * math.pi) ** m * np.linalg.det(S))
+        scores[j] = c * density
+    total = sum(scores.values())
+    mu = {j: scores[j] / total for j in now}
+    x = sum((mu[j] * new_means[j] for j in now), np.zeros(n))
+    P = np.zeros((n, n))
+    for j in now:
+        P += mu[j] * (new_Ps[j] + np.outer(new_means[j] - x, new_means[j] - x))
+    return new_means, new_Ps, mu, x, P, math.log(total)
+
+
 def imm(
     z: Array,
     mean0: Array,
@@ -518,37 +556,57 @@ def imm(
     transition: Array,
     initial: Array,
 ) -> dict[str, Array]:
-    """Interacting Kalman filters in moment form, one track; Blom & Bar-Shalom (1988), Du & Zhang (2020), (5)-(11).
+    """Interacting multiple models, one track; Blom & Bar-Shalom (1988).
 
     models: each gives F, the known change of the state and Q for the mean that a step starts from.
     """
-    K, m, n = len(models), H.shape[0], len(mean0)
-    means, Ps, mu = [mean0.copy() for _ in models], [P0.copy() for _ in models], initial.copy()
+    every = list(range(len(models)))
+    means, Ps, mu = dict.fromkeys(every, mean0), dict.fromkeys(every, P0), dict(enumerate(initial))
     out: dict[str, list[Any]] = {"mean": [], "P": [], "weights": [], "log_likelihood": []}
     for zk in z:
-        c = np.array([sum(transition[i, j] * mu[i] for i in range(K)) for j in range(K)])
-        likelihood, new_means, new_Ps = np.zeros(K), [], []
-        for j in range(K):
-            share = [transition[i, j] * mu[i] / c[j] for i in range(K)]
-            x = sum((share[i] * means[i] for i in range(K)), np.zeros(n))
-            P = np.zeros((n, n))
-            for i in range(K):
-                d = means[i] - x
-                P += share[i] * (Ps[i] + np.outer(d, d))
-            F, change, Q = models[j](x)
-            x, P = F @ x + change, F @ P @ F.T + Q
-            S, e = H @ P @ H.T + R, zk - H @ x
-            G = P @ H.T @ np.linalg.inv(S)
-            new_means.append(x + G @ e)
-            new_Ps.append(P - G @ S @ G.T)
-            likelihood[j] = math.exp(-0.5 * e @ np.linalg.inv(S) @ e) / math.sqrt((2 * math.pi) ** m * np.linalg.det(S))
-        total = float(likelihood @ c)
-        mu, means, Ps = likelihood * c / total, new_means, new_Ps
-        x = sum((mu[j] * means[j] for j in range(K)), np.zeros(n))
-        P = np.zeros((n, n))
-        for j in range(K):
-            d = means[j] - x
-            P += mu[j] * (Ps[j] + np.outer(d, d))
-        for key, value in (("mean", x), ("P", P), ("weights", mu), ("log_likelihood", math.log(total))):
+        step = _interacting(zk, every, every, means, Ps, mu, lambda i, j: float(transition[i, j]), models, H, R)
+        means, Ps, mu, x, P, score = step
+        for key, value in (("mean", x), ("P", P), ("weights", [mu[j] for j in every]), ("log_likelihood", score)):
+            out[key].append(value)
+    return {key: np.array(value) for key, value in out.items()}
+
+
+def likely_set(mu: dict[int, float], count: int, low: float, high: float, calls: list[list[int]]) -> list[int]:
+    """The likely-model set at a fixed number of models; Li & Zhang (2000)."""
+    principal = [r for r in mu if mu[r] > high]
+    called = [j for r in principal for j in calls[r] if j not in principal]
+    kept = sorted((r for r in mu if mu[r] >= low and r not in principal and r not in called), key=lambda r: (-mu[r], r))
+    called = sorted(called, key=lambda r: (-mu.get(r, 0.0), r))
+    deleted = sorted((r for r in mu if mu[r] < low and r not in called), key=lambda r: (-mu[r], r))
+    return sorted((principal + called + kept + deleted)[:count])
+
+
+def vsimm(
+    z: Array,
+    mean0: Array,
+    P0: Array,
+    models: list[Callable[[Array], tuple[Array, Array, Array]]],
+    H: Array,
+    R: Array,
+    calls: list[list[int]],
+    first: list[int],
+    stay: float = 0.95,
+    low: float = 0.05,
+    high: float = 0.5,
+) -> dict[str, Array]:
+    """Interacting models with a set that changes, one track; Du & Zhang (2020), (4)-(11)."""
+    active, size = sorted(first), len(first)
+    means, Ps, mu = dict.fromkeys(active, mean0), dict.fromkeys(active, P0), dict.fromkeys(active, 1 / size)
+    out: dict[str, list[Any]] = {"mean": [], "P": [], "weights": [], "log_likelihood": []}
+    for zk in z:
+        now = likely_set(mu, size, low, high, calls)
+
+        def chance(i: int, j: int, now: list[int] = now) -> float:
+            return 1 / size if i not in now else stay if i == j else (1 - stay) / (size - 1)
+
+        means, Ps, mu, x, P, score = _interacting(zk, active, now, means, Ps, mu, chance, models, H, R)
+        active = now
+        weights = [mu.get(j, 0.0) for j in range(len(models))]
+        for key, value in (("mean", x), ("P", P), ("weights", weights), ("log_likelihood", score)):
             out[key].append(value)
     return {key: np.array(value) for key, value in out.items()}

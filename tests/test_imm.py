@@ -49,8 +49,10 @@ def of(motion):
 
     def model(mean):
         F, noise = motion.transition(dt), motion.noise(dt)
-        shift, noise = motion.adapt(torch.from_numpy(mean), dt, None, noise)
-        return F.numpy(), np.zeros(6) if shift is None else shift.numpy(), (noise @ noise.mT).numpy()
+        follows, shift = motion.adaptation(dt), torch.zeros(6, dtype=torch.float64)
+        if follows is not None:
+            shift, noise = follows(torch.from_numpy(mean), None, noise)
+        return F.numpy(), shift.numpy(), (noise @ noise.mT).numpy()
 
     return model
 

@@ -46,7 +46,7 @@ def test_the_current_statistical_model_has_its_known_values():
     q = tensor([1.5141988817, 1.8720490604, 1.2070532593], [1.8720490604, 2.4756762634, 1.8111834012],
                [1.2070532593, 1.8111834012, 1.8126924692])  # fmt: skip
     torch.testing.assert_close(root @ root.mT / spread, q, rtol=0, atol=1e-9)
-    shift, _ = motion.adapt(tensor(0, 0, 1), T, None, root)
+    shift, _ = motion.adaptation(T)(tensor(0, 0, 1), None, root)
     torch.testing.assert_close(shift, tensor(0.0650327856, 0.0967483607, 0.095162582), rtol=0, atol=1e-9)
 
 
@@ -67,7 +67,7 @@ def test_an_acceleration_that_never_forgets_is_constant():
 def test_the_mean_goes_on_as_at_constant_acceleration_and_the_noise_shrinks_towards_the_limit():
     motion = CurrentStatistical(0.3, 2.0, below=4.0)
     mean = tensor([1, 2, 3, 4, 1.0, -1.0], [1, 2, 3, 4, 2.5, -5.0], [0, 0, 0, 0, 0, 0])
-    shift, noise = motion.adapt(mean, T, None, motion.noise(T))
+    shift, noise = motion.adaptation(T)(mean, None, motion.noise(T))
     moved = mean @ motion.transition(T).mT + shift
     torch.testing.assert_close(moved, mean @ ConstantAcceleration(1.0).transition(T).mT)
     power = (noise @ noise.mT).diagonal(dim1=-2, dim2=-1)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
-from torchfra.motion import Motion
+from torchfra.motion import Adaptation, Motion
 
 
 class Bank(Motion):
@@ -28,8 +28,6 @@ class Bank(Motion):
             raise ValueError(f"models: expected motions of one state (see orders= and Embedded), received {said}")
         super().__init__(*sizes.pop(), None)
         self.models = nn.ModuleList(models)
-
-    apart = False
 
     def __len__(self) -> int:
         return len(self.models)
@@ -58,18 +56,15 @@ class Bank(Motion):
         wide = max(part.shape[-1] for part in parts)
         return _stacked([pad(part, (0, wide - part.shape[-1])) for part in parts], -3)
 
-    def adapt(self, mean: Tensor, dt: Tensor, shift: Tensor | None, noise: Tensor) -> tuple[Tensor | None, Tensor]:
-        """See ``Motion``: of states ``(..., K, n)`` and ``dt (..., 1)`` or ``()``."""
-        dt = dt.select(-1, 0) if dt.dim() else dt
-        shifts, noises = [], []
-        for k, model in enumerate(self._motions):
-            known = None if shift is None else shift.select(-2, k)
-            own, spread = model.adapt(mean.select(-2, k), dt, known, noise.select(-3, k))
-            shifts.append(own)
-            noises.append(spread)
-        if all(own is None for own in shifts):
-            return None, _stacked(noises, -3)
-        return _stacked([mean.new_zeros(self.size) if own is None else own for own in shifts], -2), _stacked(noises, -3)
+    def adaptation(self, dt: Tensor) -> Adaptation | None:
+        """See ``Motion``, ``(..., K, ...)``; nothing for those that do not follow."""
+        parts = [model.adaptation(dt) for model in self._motions]
+        if all(part is None for part in parts):
+            return None
+        one = dt.new_ones(2)
+        nothing = Adaptation(dt.new_zeros(self.size, self.dims), one, 0 * one)
+        columns = zip(*(nothing if part is None else part for part in parts), strict=True)
+        return Adaptation(*(_stacked(column, place) for column, place in zip(columns, (-3, -2, -2), strict=True)))
 
     @property
     def _motions(self) -> list[Motion]:

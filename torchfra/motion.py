@@ -5,6 +5,8 @@ States list positions first, then velocities, then accelerations: ``[x, y, vx, v
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor, nn
 from torch.distributions import constraints
@@ -12,6 +14,27 @@ from torch.nn.functional import pad
 
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg import apply
+
+
+class Adaptation(NamedTuple):
+    """How a linear motion follows the acceleration that is estimated before a step, taken as known."""
+
+    lift: Tensor
+    """``(..., n, dims)`` what one unit of it adds to the state."""
+    size: Tensor
+    """``(..., 2)`` factor of the noise for a positive and a negative one."""
+    slope: Tensor
+    """``(..., 2)`` what the size of one takes off that factor, as a share per m/s^2, down to 0."""
+
+    def __call__(self, mean: Tensor, shift: Tensor | None, noise: Tensor) -> tuple[Tensor, Tensor]:
+        """Shift ``(..., n)`` and noise ``(..., n, q)`` of a step from ``mean (..., n)``."""
+        dims = self.lift.shape[-1]
+        level = mean[..., -dims:]
+        size, slope = (torch.where(level < 0, x[..., 1:], x[..., :1]) for x in (self.size, self.slope))
+        scale = size * (1 - slope * level.abs()).clamp_min(0.0)
+        scale = torch.cat([scale] * (mean.shape[-1] // dims), -1)
+        own = apply(self.lift, level)
+        return own if shift is None else shift + own, noise * scale.unsqueeze(-1)
 
 
 class Motion(nn.Module):
@@ -29,9 +52,6 @@ class Motion(nn.Module):
     Raises:
         ValueError: ``dims`` below 1, ``q`` below 0.
     """
-
-    apart = True
-    """Whether a track may be taken out of its batch: not where the place in the batch says which motion it has."""
 
     def __init__(self, dims: int, orders: int, q: Value | None) -> None:
         super().__init__()
@@ -57,16 +77,9 @@ class Motion(nn.Module):
         """A known change of the state, ``(..., n)``, on top of a linear transition: control, or a moving frame."""
         return None
 
-    def adapt(self, mean: Tensor, dt: Tensor, shift: Tensor | None, noise: Tensor) -> tuple[Tensor | None, Tensor]:
-        """Shift and noise of a linear motion that looks at the state it starts from, ``mean (..., n)``.
-
-        Args:
-            mean: the estimate before the step.
-            dt: ``(...)``.
-            shift: what ``shift`` has said.
-            noise: what ``noise`` has said.
-        """
-        return shift, noise
+    def adaptation(self, dt: Tensor) -> Adaptation | None:
+        """How shift and noise follow the state that a step starts from, if they do."""
+        return None
 
     def noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, dims)`` for ``dt (...)``: a root of the process noise covariance, ``sqrt(q) [dt^2/2; dt; 1]``.

@@ -25,6 +25,7 @@ from torchfra.filters.base import Filter
 from torchfra.filters.feedback import FRA
 from torchfra.filters.imm import IMM
 from torchfra.filters.srckf import SRCKF
+from torchfra.filters.vsimm import VSIMM
 from torchfra.hyper import Value, learnable, named
 from torchfra.motion import Motion
 from torchfra.robust import Huber, ThreeSegment
@@ -136,6 +137,37 @@ def imm_fra(models: Sequence[Motion], sensor: Sensor, **options: Any) -> IMM:
     return imm(models, sensor, inner=fra, **options)
 
 
+_CALLED = ((1, 3), (2, 4), (0, 4), (0, 1), (2, 0))
+
+
+def vsimm_srckf(
+    models: Sequence[Motion],
+    sensor: Sensor,
+    *,
+    inner: Callable[..., Filter] = srckf,
+    neighbours: Sequence[Sequence[int]] = _CALLED,
+    first: Sequence[int] = (0, 2, 3),
+    learn: Names = (),
+    stay: Value = 0.95,
+    unlikely: float = 0.05,
+    principal: float = 0.5,
+    **options: Any,
+) -> VSIMM:
+    """Interacting models of which three run at a time.  Source: Du & Zhang (2020).
+
+    The table and the first set are for the five models of ``scenarios.adsb_models``; the paper does not print them.
+    """
+    f = VSIMM(
+        inner(Bank(models), sensor, **options),
+        neighbours=neighbours,
+        first=first,
+        stay=stay,
+        unlikely=unlikely,
+        principal=principal,
+    )
+    return _learning(f, learn)
+
+
 def _huber(sensor: Sensor, threshold: Value, per_element: bool) -> Huber:
     return Huber(threshold, elements=sensor.size if per_element else None)
 
@@ -148,7 +180,7 @@ def _fading(motion: Motion, options: dict[str, Any]) -> Fading:
 
 def _learning(f: F, names: Names) -> F:
     """The filter with these hyperparameters learnable, and those of its models in copies of its own."""
-    core = f.inner if isinstance(f, IMM) else f
+    core = f.inner if isinstance(f, IMM | VSIMM) else f
     for part in ("motion", "sensor"):
         model = getattr(core, part)
         chosen = {id(hyper) for hyper in named(f, names).values() if not hyper.raw.requires_grad}

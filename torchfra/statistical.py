@@ -15,7 +15,7 @@ from torch.distributions import constraints
 
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg import tria
-from torchfra.motion import Motion, _per_axis
+from torchfra.motion import Adaptation, Motion, _per_axis
 
 
 class Singer(Motion):
@@ -90,16 +90,14 @@ class CurrentStatistical(Singer):
         spread = math.sqrt((4 - math.pi) / math.pi) * self.limit().to(dt)
         return _per_axis(spread[..., None, None] * self._root(dt), self.dims)
 
-    def adapt(self, mean: Tensor, dt: Tensor, shift: Tensor | None, noise: Tensor) -> tuple[Tensor | None, Tensor]:
+    def adaptation(self, dt: Tensor) -> Adaptation:
         """See ``Motion``: the level moves the state, and scales the noise of each axis."""
-        level = mean[..., 2 * self.dims :]
-        limit, below = ((x or self.limit)().to(mean).unsqueeze(-1) for x in (self.limit, self.below))
-        room = torch.where(level < 0, below + level, limit - level).clamp_min(0.0)
-        rows = _response(self.alpha().to(mean), dt)
-        moved = [dt**2 / 2 - rows[0], dt - rows[1], 1 - rows[2]]
-        own = torch.cat([x.unsqueeze(-1) * level for x in moved], -1)
-        scale = (room / limit).repeat((1,) * (level.dim() - 1) + (3,))
-        return own if shift is None else shift + own, noise * scale.unsqueeze(-1)
+        rows = _response(self.alpha().to(dt), dt)
+        moved = torch.stack([dt**2 / 2 - rows[0], dt - rows[1], 1 - rows[2]], -1)
+        limit, below = ((x or self.limit)().to(dt) for x in (self.limit, self.below))
+        limit, below, _ = torch.broadcast_tensors(limit, below, dt)
+        size, slope = torch.stack([limit / limit, below / limit], -1), torch.stack([1 / limit, 1 / below], -1)
+        return Adaptation(_per_axis(moved.unsqueeze(-1), self.dims), size, slope)
 
 
 def _response(alpha: Tensor, dt: Tensor) -> list[Tensor]:

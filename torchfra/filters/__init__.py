@@ -4,5 +4,20 @@ from torchfra.filters.base import Filter
 from torchfra.filters.feedback import FRA, FRAInfo, FRAState
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
 from torchfra.filters.srckf import SRCKF, Info, State
+from torchfra.filters.vsimm import VSIMM, VSIMMInfo, VSIMMState
 
-__all__ = ["FRA", "IMM", "SRCKF", "FRAInfo", "FRAState", "Filter", "IMMInfo", "IMMState", "Info", "State"]
+__all__ = [
+    "FRA",
+    "IMM",
+    "SRCKF",
+    "VSIMM",
+    "FRAInfo",
+    "FRAState",
+    "Filter",
+    "IMMInfo",
+    "IMMState",
+    "Info",
+    "State",
+    "VSIMMInfo",
+    "VSIMMState",
+]

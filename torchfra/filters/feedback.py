@@ -251,7 +251,7 @@ class FRA(Filter):
         if self.soft:
             return function(*arguments)
         batched = any(h.batch_rank for h in self._decisive)
-        if batched or is_traced(mask) or not self.motion.apart:
+        if batched or is_traced(mask):
             return select(mask, function(*arguments), default)
         return where_needed(mask, function, arguments, default)
 

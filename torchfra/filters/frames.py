@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from torchfra.hyper import hypers
 from torchfra.linalg import is_traced
-from torchfra.motion import Motion
+from torchfra.motion import Adaptation, Motion
 from torchfra.sensors import Noise, Sensor
 from torchfra.types import Gaussian
 
@@ -32,6 +32,8 @@ class Frame(NamedTuple):
     shift: Tensor | None
     process: Tensor
     """``S_Q (..., n, q)``."""
+    adaptation: Adaptation | None
+    """How shift and process follow the state."""
 
 
 def make_frames(
@@ -82,6 +84,7 @@ def make_frames(
         each(motion.transition(dt), timed),
         each(shift),
         each(motion.noise(dt), timed),
+        each(motion.adaptation(dt), timed),
     )
     return [Frame(*frame) for frame in zip(*columns, strict=True)], scale.log_norm
 

@@ -94,34 +94,56 @@ class IMM(Filter):
     def begin(self, belief: Gaussian) -> IMMState:
         """See ``Filter``."""
         count = len(self.motion)
-        mean, root = belief.mean.unsqueeze(-2), belief.scale_tril.unsqueeze(-3)
-        every = Gaussian(mean.expand(*mean.shape[:-2], count, -1), root.expand(*root.shape[:-3], count, -1, -1))
-        initial = self.initial().to(mean).log().expand((*belief.mean.shape[:-1], count))
-        return IMMState(belief, self.inner.begin(every), initial)
+        initial = self.initial().to(belief.mean).log().expand((*belief.mean.shape[:-1], count))
+        return IMMState(belief, self.inner.begin(repeated(belief, count)), initial)
 
     def advance(self, state: IMMState, frame: Frame, mix: Mix | None = None) -> tuple[IMMState, Record]:
         """See ``Filter``; it mixes, and is not mixed."""
-        joint = self.transition().to(state.log_weights).log() + state.log_weights.unsqueeze(-1)  # [..., was, now]
-        ahead = joint.logsumexp(-2)  # eq. (5): (..., K) before the measurement
-        shares = (joint - ahead.unsqueeze(-2)).movedim(-2, 0)  # eq. (6): [was, ..., now]
+        matrix = self.transition().to(state.log_weights).log()
+        inner, log_weights, record = cycle(self.inner, state.inner, state.log_weights, matrix, for_each(frame))
+        record = record._replace(info=IMMInfo(log_weights.exp()))
+        return IMMState(record.belief, inner, log_weights), record
 
-        def interact(belief: Gaussian) -> Gaussian:
-            """Eqs. (7), (8)."""
-            mean, root = belief.mean.movedim(-2, 0).unsqueeze(-2), belief.scale_tril.movedim(-3, 0).unsqueeze(-3)
-            count = len(self.motion)
-            every = Gaussian(mean.expand(*mean.shape[:-2], count, -1), root.expand(*root.shape[:-3], count, -1, -1))
-            return moment_match(every, shares)
 
-        inner, record = self.inner.advance(state.inner, _for_each(frame), interact)
-        own = density(record.root, record.normalised)
-        evidence = own if record.evidence is None else record.evidence
-        log_weights = ahead + torch.where(evidence.isnan(), -torch.inf, evidence)
-        log_weights = log_weights - log_weights.logsumexp(-1, keepdim=True)  # eq. (9)
-        belief = _together(record.belief, log_weights)  # eqs. (10), (11)
-        seen = _together(Gaussian(record.residual, record.root), ahead)
-        normalised = whiten(seen.scale_tril, seen.mean)
-        info, whole = IMMInfo(log_weights.exp()), (ahead + own).logsumexp(-1)
-        return IMMState(belief, inner, log_weights), Record(belief, *seen, normalised, info, whole)
+def repeated(belief: Gaussian, count: int) -> Gaussian:
+    """The same belief for each of so many models, ``(..., K)``."""
+    mean, root = belief.mean.unsqueeze(-2), belief.scale_tril.unsqueeze(-3)
+    return Gaussian(mean.expand(*mean.shape[:-2], count, -1), root.expand(*root.shape[:-3], count, -1, -1))
+
+
+def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame: Frame) -> tuple[Any, Tensor, Record]:
+    """Interaction, filtering, probabilities and fusion: eqs. (5)-(11).
+
+    Args:
+        inner: the filter of all models.
+        state: its own, whose batch ends in the models.
+        log_weights: ``(..., K)`` before.
+        matrix: ``(..., K, K)`` logs of the transition, ``[was, now]``.
+        frame: for each model.
+
+    Returns:
+        The filter's state, the log weights after, and what all models together keep of the step.
+    """
+    joint = matrix + log_weights.unsqueeze(-1)
+    ahead = joint.logsumexp(-2)  # eq. (5): (..., K) before the measurement
+    shares = (joint - ahead.unsqueeze(-2)).movedim(-2, 0)  # eq. (6): [was, ..., now]
+
+    def interact(belief: Gaussian) -> Gaussian:
+        """Eqs. (7), (8)."""
+        mean, root = belief.mean.movedim(-2, 0).unsqueeze(-2), belief.scale_tril.movedim(-3, 0).unsqueeze(-3)
+        count = len(mean)
+        every = Gaussian(mean.expand(*mean.shape[:-2], count, -1), root.expand(*root.shape[:-3], count, -1, -1))
+        return moment_match(every, shares)
+
+    state, record = inner.advance(state, frame, interact)
+    own = density(record.root, record.normalised)
+    evidence = own if record.evidence is None else record.evidence
+    log_weights = ahead + torch.where(evidence.isnan(), -torch.inf, evidence)
+    log_weights = log_weights - log_weights.logsumexp(-1, keepdim=True)  # eq. (9)
+    belief = _together(record.belief, log_weights)  # eqs. (10), (11)
+    seen = _together(Gaussian(record.residual, record.root), ahead)
+    normalised, whole = whiten(seen.scale_tril, seen.mean), (ahead + own).logsumexp(-1)
+    return state, log_weights, Record(belief, *seen, normalised, None, whole)
 
 
 def _together(belief: Gaussian, log_weights: Tensor) -> Gaussian:
@@ -130,7 +152,7 @@ def _together(belief: Gaussian, log_weights: Tensor) -> Gaussian:
     return moment_match(first, log_weights.movedim(-1, 0))
 
 
-def _for_each(frame: Frame) -> Frame:
+def for_each(frame: Frame) -> Frame:
     """The same for every model: a batch that ends in the models, which matrices of a ``Bank`` have already."""
 
     def wide(x: Any, event: int) -> Any:

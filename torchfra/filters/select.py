@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchfra.adaptive import Memory
 from torchfra.filters.frames import Frame
+from torchfra.motion import Adaptation
 from torchfra.sensors import Noise
 from torchfra.types import Gaussian, Prediction, Whitened
 
@@ -20,7 +21,8 @@ _EVENT: dict[type, tuple[Any, ...]] = {
     Whitened: (1, 2, None),
     Memory: (2, 2),
     Noise: (1, 1, 2, 2, 0),
-    Frame: (1, 1, Noise, 0, 1, 2, 1, 2),
+    Adaptation: (2, 1, 1),
+    Frame: (1, 1, Noise, 0, 1, 2, 1, 2, Adaptation),
 }
 
 
@@ -47,7 +49,7 @@ def where_needed(mask: Tensor, function: Callable[..., Any], arguments: tuple[An
 
 
 def _gather(x: Any, event: Any, mask: Tensor, rows: Tensor) -> Any:
-    if event in _EVENT:
+    if event in _EVENT and x is not None:
         return type(x)(*(_gather(part, e, mask, rows) for part, e in zip(x, _EVENT[event], strict=True)))
     if not isinstance(x, Tensor) or x.dim() == event:
         return x  # shared by all tracks

@@ -101,7 +101,9 @@ def predict(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Predi
     """Time update: eqs. (8)-(13)."""
     mean, root = belief
     if frame.transition is not None:
-        shift, noise = motion.adapt(mean, frame.dt, frame.shift, frame.process)
+        shift, noise = frame.shift, frame.process
+        if frame.adaptation is not None:
+            shift, noise = frame.adaptation(mean, shift, noise)
         mean, spread = apply(frame.transition, mean), frame.transition @ root
         mean = mean if shift is None else mean + shift
     else:

@@ -1,0 +1,178 @@
+"""Interacting models of which only a few run at a time: the likely ones, chosen anew before every step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.distributions import constraints
+
+from torchfra.bank import Bank
+from torchfra.filters.base import Filter, Mix, Record
+from torchfra.filters.frames import Frame
+from torchfra.filters.imm import cycle, for_each, repeated
+from torchfra.hyper import Hyper, Value
+from torchfra.types import Gaussian
+
+
+class VSIMMState(NamedTuple):
+    """What the active models know after a step."""
+
+    belief: Gaussian
+    """All of them together."""
+    inner: Any
+    """Of their filters, whose batch ends in the active models: ``(..., A)``."""
+    log_weights: Tensor
+    """``(..., A)`` logs of their probabilities."""
+    active: Tensor
+    """``(..., A, K)`` one in each row: which model of the bank it is."""
+
+
+class VSIMMInfo(NamedTuple):
+    """Per step and track."""
+
+    weights: Tensor
+    """``(..., T, K)`` probabilities of all models, 0 of those that do not run."""
+    active: Tensor
+    """``(..., T, K)`` bool: the models that run."""
+
+
+class VSIMM(Filter):
+    """Interacting multiple models with a model set that changes: the likely-model set, at a fixed number of models.
+
+    Before every step the set is chosen from the probabilities: a model above ``principal`` calls its neighbours, one
+    below ``unlikely`` makes room.  First come principal models, then their neighbours, then the others that run, then
+    the unlikely; within each by probability.  Every track has its own set.
+
+    Args:
+        inner: a filter around a ``Bank`` of K linear motions.
+        neighbours: for each model those it calls, by number; every model must be reached from every other.
+        first: the models that run first.
+        stay: probability to stay with a model that goes on running; the others share what is left.
+        unlikely: probability below which a model makes room.
+        principal: probability above which a model calls its neighbours.
+
+    Raises:
+        ValueError: no bank of linear motions, thresholds out of order, or a table that does not connect the models.
+
+    Source: Du & Zhang (2020), eqs. (4)-(11); Li & Zhang (2000), "Multiple-Model Estimation with Variable Structure,
+    Part V: Likely-Model Set Algorithm".  Differs: the paper does not say how its set changes; the number is fixed.
+    """
+
+    table: Tensor
+    start: Tensor
+
+    def __init__(
+        self,
+        inner: Filter,
+        *,
+        neighbours: Sequence[Sequence[int]],
+        first: Sequence[int],
+        stay: Value = 0.95,
+        unlikely: float = 0.05,
+        principal: float = 0.5,
+    ) -> None:
+        nn.Module.__init__(self)  # motion and sensor are the inner filter's own
+        bank = inner.motion
+        if not isinstance(bank, Bank) or bank.transition(torch.ones((), dtype=torch.float64)) is None:
+            raise ValueError(f"inner: expected a filter around a Bank of linear motions, received {bank}")
+        count = len(bank)
+        if not 0 <= unlikely < principal < 1:
+            said = f"{unlikely}, {principal}"
+            raise ValueError(f"unlikely, principal: expected 0 <= unlikely < principal < 1, received {said}")
+        if len(set(first)) != len(first) or not 1 < len(first) <= count or not set(first) <= set(range(count)):
+            raise ValueError(f"first: expected 2 to {count} different models, received {list(first)}")
+        table = torch.zeros(count, count, dtype=torch.float64)
+        if len(neighbours) != count:
+            raise ValueError(f"neighbours: expected one list for each of {count} models, received {len(neighbours)}")
+        for model, called in enumerate(neighbours):
+            table[model, list(called)] = 1
+        reached = torch.linalg.matrix_power(table + torch.eye(count, dtype=torch.float64), count) > 0
+        if not bool(reached.all()):
+            raise ValueError(f"neighbours: expected every model to be reached from every other, received {neighbours}")
+        self._compiled = None
+        self.inner = inner
+        self.stay = Hyper(stay, constraints.unit_interval, name="stay")
+        self.unlikely, self.principal = unlikely, principal
+        self.register_buffer("table", table)
+        self.register_buffer("start", torch.eye(count, dtype=torch.float64)[list(first)])
+
+    @property
+    def motion(self) -> Bank:  # type: ignore[override]
+        """The bank."""
+        return self.inner.motion  # type: ignore[return-value]
+
+    @property
+    def sensor(self) -> Any:  # type: ignore[override]
+        """The sensor."""
+        return self.inner.sensor
+
+    def begin(self, belief: Gaussian) -> VSIMMState:
+        """See ``Filter``."""
+        start, batch = self.start.to(belief.mean), belief.mean.shape[:-1]
+        log_weights = belief.mean.new_full((*batch, len(start)), -math.log(len(start)))
+        inner = self.inner.begin(repeated(belief, len(start)))
+        return VSIMMState(belief, inner, log_weights, start.expand(*batch, *start.shape))
+
+    def advance(self, state: VSIMMState, frame: Frame, mix: Mix | None = None) -> tuple[VSIMMState, Record]:
+        """See ``Filter``; it mixes, and is not mixed."""
+        active, goes_on = self.choose(state.active, state.log_weights)
+        matrix, frame = self.matrix(goes_on).log(), _chosen(for_each(frame), active)
+        inner, log_weights, record = cycle(self.inner, state.inner, state.log_weights, matrix, frame)
+        weights = (log_weights.exp().unsqueeze(-2) @ active).squeeze(-2)
+        info = VSIMMInfo(weights, active.sum(-2) > 0)
+        return VSIMMState(record.belief, inner, log_weights, active), record._replace(info=info)
+
+    def choose(self, active: Tensor, log_weights: Tensor) -> tuple[Tensor, Tensor]:
+        """The set for the next step, ``(..., A, K)``, and ``(..., A)`` 1 where a model goes on running.
+
+        A model that goes on keeps its place; new ones take the places of those that went, in the order of the bank.
+        """
+        weight = (log_weights.exp().unsqueeze(-2) @ active).squeeze(-2)  # (..., K), as all that follows
+        runs = active.sum(-2)
+        principal = (weight > self.principal).to(weight)
+        called = ((principal.unsqueeze(-2) @ self.table.to(weight)).squeeze(-2) > 0).to(weight)
+        likely = runs * (weight >= self.unlikely).to(weight)
+        tier = torch.where(principal > 0, 4.0, torch.where(called > 0, 3.0, runs + likely))
+        score = 2 * tier + weight
+        mine, other = score.unsqueeze(-1), score.unsqueeze(-2)
+        before = torch.ones_like(self.table).tril(-1).to(weight)  # of equals the first in the bank comes first
+        rank = ((other > mine).to(weight) + (other == mine).to(weight) * before).sum(-1)
+        chosen = (rank < active.shape[-2]).to(weight)
+        goes_on = (active @ chosen.unsqueeze(-1)).squeeze(-1)
+        new, free = chosen * (1 - runs), 1 - goes_on
+        turn = (_counted(new).unsqueeze(-2) == _counted(free).unsqueeze(-1)).to(weight)
+        return goes_on.unsqueeze(-1) * active + (free.unsqueeze(-1) * new.unsqueeze(-2)) * turn, goes_on
+
+    def matrix(self, goes_on: Tensor) -> Tensor:
+        """``P(now j | was i) (..., A, A)`` between two sets: eq. (4)."""
+        count = goes_on.shape[-1]
+        stay = self.stay().to(goes_on)[..., None, None]
+        eye = torch.eye(count, dtype=goes_on.dtype, device=goes_on.device)
+        within = stay * eye + (1 - stay) / (count - 1) * (1 - eye)
+        return torch.where(goes_on.unsqueeze(-1) > 0, within, 1 / count)
+
+
+def _counted(x: Tensor) -> Tensor:
+    """How many there are up to each place, of ones and zeros."""
+    count = x.shape[-1]
+    return (x.unsqueeze(-2) @ torch.ones(count, count, dtype=x.dtype, device=x.device).triu()).squeeze(-2)
+
+
+def _chosen(frame: Frame, active: Tensor) -> Frame:
+    """Of the matrices of all models those of the active ones."""
+
+    def pick(x: Any, event: int) -> Any:
+        if x is None:
+            return None
+        flat = x.flatten(-event) if event > 1 else x
+        return (active @ flat).unflatten(-1, x.shape[-event:])
+
+    follows = frame.adaptation
+    if follows is not None:
+        follows = type(follows)(*(pick(x, event) for x, event in zip(follows, (2, 1, 1), strict=True)))
+    transition, shift, process = pick(frame.transition, 2), pick(frame.shift, 1), pick(frame.process, 2)
+    return frame._replace(transition=transition, shift=shift, process=process, adaptation=follows)
