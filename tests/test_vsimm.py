@@ -135,3 +135,24 @@ def test_what_does_not_fit_is_named():
         make(unlikely=0.6)
     with pytest.raises(ValueError, match="stay: expected a value in"):
         make(stay=1.5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_a_hundred_thousand_steps_lose_no_track(dtype):
+    """The experiment's track end to end, again and again, in both precisions."""
+    scenario = adsb_turns()
+    leg = scenario.simulate(1, 0).truth[0, :, :2]
+    away = leg[-1] + torch.tensor([30.0, 0.0], dtype=torch.float64) - leg[0]
+    laps = torch.arange(224, dtype=torch.float64)[:, None, None]
+    truth = (leg + laps * away).reshape(-1, 2)[:100_000]
+    z = truth + 30 * torch.randn(2, 100_000, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    prior = scenario.simulate(2, 0).prior
+    f = presets.vsimm_srckf(adsb_models(), scenario.sensor).compile()
+    with torch.no_grad():
+        e = f(z.to(dtype), prior._replace(mean=prior.mean.to(dtype)), dt=scenario.dt)
+    error = (e.mean[..., :2].double() - truth).norm(dim=-1)
+    assert not e.failed.any()
+    assert e.info.weights.isfinite().all()
+    assert error[:, 5:].max() < 150
+    assert error.square().mean().sqrt() < 25

@@ -69,7 +69,7 @@ class IMM(Filter):
             )
         count = len(bank)
         transition = torch.as_tensor(transition, dtype=torch.float64)
-        initial = torch.full((count,), 1 / count) if initial is None else torch.as_tensor(initial)
+        initial = torch.full((count,), 1 / count, dtype=torch.float64) if initial is None else torch.as_tensor(initial)
         if transition.shape[-2:] != (count, count) or not bool((transition.sum(-2) > 0).all()):
             raise ValueError(
                 f"transition: expected ({count}, {count}) that reaches every model, received {transition.tolist()}"
@@ -136,14 +136,18 @@ def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame:
         return moment_match(every, shares)
 
     state, record = inner.advance(state, frame, interact)
-    own = density(record.root, record.normalised)
-    evidence = own if record.evidence is None else record.evidence
-    log_weights = ahead + torch.where(evidence.isnan(), -torch.inf, evidence)
+    own = _or_none(density(record.root, record.normalised))
+    log_weights = ahead + (own if record.evidence is None else _or_none(record.evidence))
     log_weights = log_weights - log_weights.logsumexp(-1, keepdim=True)  # eq. (9)
     belief = _together(record.belief, log_weights)  # eqs. (10), (11)
     seen = _together(Gaussian(record.residual, record.root), ahead)
     normalised, whole = whiten(seen.scale_tril, seen.mean), (ahead + own).logsumexp(-1)
     return state, log_weights, Record(belief, *seen, normalised, None, whole)
+
+
+def _or_none(score: Tensor) -> Tensor:
+    """Nothing speaks for a model that lost its numbers; the others go on."""
+    return torch.where(score.isnan(), -torch.inf, score)
 
 
 def _together(belief: Gaussian, log_weights: Tensor) -> Gaussian:
