@@ -133,8 +133,11 @@ def imm(
 
 
 def imm_fra(models: Sequence[Motion], sensor: Sensor, **options: Any) -> IMM:
-    """``imm`` with ``fra`` for each model: for targets that turn under sensors that lie."""
-    return imm(models, sensor, inner=fra, **options)
+    """``imm`` with ``fra`` for each model: for targets that turn under sensors that lie.
+
+    ``preference`` is 5 unless given: the bank explains manoeuvres, so that an abnormal step is an outlier sooner.
+    """
+    return imm(models, sensor, inner=fra, **{"preference": 5.0} | options)
 
 
 _CALLED = ((1, 3), (2, 4), (0, 4), (0, 1), (2, 0))
