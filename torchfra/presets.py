@@ -23,7 +23,7 @@ from torchfra.bank import Bank
 from torchfra.cubature import tangent, unscented
 from torchfra.filters.base import Filter
 from torchfra.filters.feedback import FRA
-from torchfra.filters.imm import IMM
+from torchfra.filters.imm import IMM, Around
 from torchfra.filters.srckf import SRCKF
 from torchfra.filters.vsimm import VSIMM
 from torchfra.hyper import Value, learnable, named
@@ -183,7 +183,7 @@ def _fading(motion: Motion, options: dict[str, Any]) -> Fading:
 
 def _learning(f: F, names: Names) -> F:
     """The filter with these hyperparameters learnable, and those of its models in copies of its own."""
-    core = f.inner if isinstance(f, IMM | VSIMM) else f
+    core = f.inner if isinstance(f, Around) else f
     for part in ("motion", "sensor"):
         model = getattr(core, part)
         chosen = {id(hyper) for hyper in named(f, names).values() if not hyper.raw.requires_grad}

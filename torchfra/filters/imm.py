@@ -36,7 +36,38 @@ class IMMInfo(NamedTuple):
     """``(..., T, K)`` probabilities of the models."""
 
 
-class IMM(Filter):
+class Around(Filter):
+    """Abstract: a filter around another that runs all models of a ``Bank`` in one batched call.
+
+    Args:
+        inner: that other; motion and sensor are its own.
+
+    Raises:
+        ValueError: it has no bank, or is one of these itself.
+    """
+
+    def __init__(self, inner: Filter) -> None:
+        nn.Module.__init__(self)
+        if not isinstance(inner.motion, Bank) or isinstance(inner, Around):
+            raise ValueError(
+                f"inner: expected a plain filter around a Bank, received {type(inner).__name__} around "
+                f"{type(inner.motion).__name__}"
+            )
+        self._compiled = None
+        self.inner = inner
+
+    @property
+    def motion(self) -> Bank:  # type: ignore[override]
+        """The bank."""
+        return self.inner.motion  # type: ignore[return-value]
+
+    @property
+    def sensor(self) -> Any:  # type: ignore[override]
+        """The sensor."""
+        return self.inner.sensor
+
+
+class IMM(Around):
     """Interacting multiple models over any filter of this package, in the log domain and in square-root form.
 
     Args:
@@ -60,14 +91,8 @@ class IMM(Filter):
     """
 
     def __init__(self, inner: Filter, *, transition: Value, initial: Value | None = None) -> None:
-        nn.Module.__init__(self)  # motion and sensor are the inner filter's own
-        bank = inner.motion
-        if not isinstance(bank, Bank) or isinstance(inner, IMM):
-            raise ValueError(
-                f"inner: expected a plain filter around a Bank, received {type(inner).__name__} around "
-                f"{type(bank).__name__}"
-            )
-        count = len(bank)
+        super().__init__(inner)
+        count = len(self.motion)
         transition = torch.as_tensor(transition, dtype=torch.float64)
         initial = torch.full((count,), 1 / count, dtype=torch.float64) if initial is None else torch.as_tensor(initial)
         if transition.shape[-2:] != (count, count) or not bool((transition.sum(-2) > 0).all()):
@@ -76,20 +101,8 @@ class IMM(Filter):
             )
         if initial.shape[-1:] != (count,):
             raise ValueError(f"initial: expected ({count},), received {tuple(initial.shape)}")
-        self._compiled = None
-        self.inner = inner
         self.transition = Hyper(transition, constraints.simplex, event=2, name="transition")
         self.initial = Hyper(initial.double(), constraints.simplex, event=1, name="initial")
-
-    @property
-    def motion(self) -> Bank:  # type: ignore[override]
-        """The bank."""
-        return self.inner.motion  # type: ignore[return-value]
-
-    @property
-    def sensor(self) -> Any:  # type: ignore[override]
-        """The sensor."""
-        return self.inner.sensor
 
     def begin(self, belief: Gaussian) -> IMMState:
         """See ``Filter``."""

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.distributions import constraints
 
-from torchfra.bank import Bank
 from torchfra.filters.base import Filter, Mix, Record
 from torchfra.filters.frames import Frame
-from torchfra.filters.imm import cycle, for_each, repeated
+from torchfra.filters.imm import Around, cycle, for_each, repeated
 from torchfra.hyper import Hyper, Value
 from torchfra.types import Gaussian
 
@@ -40,7 +39,7 @@ class VSIMMInfo(NamedTuple):
     """``(..., T, K)`` bool: the models that run."""
 
 
-class VSIMM(Filter):
+class VSIMM(Around):
     """Interacting multiple models with a model set that changes: the likely-model set, at a fixed number of models.
 
     Before every step the set is chosen from the probabilities: a model above ``principal`` calls its neighbours, one
@@ -75,11 +74,10 @@ class VSIMM(Filter):
         unlikely: float = 0.05,
         principal: float = 0.5,
     ) -> None:
-        nn.Module.__init__(self)  # motion and sensor are the inner filter's own
-        bank = inner.motion
-        if not isinstance(bank, Bank) or bank.transition(torch.ones((), dtype=torch.float64)) is None:
-            raise ValueError(f"inner: expected a filter around a Bank of linear motions, received {bank}")
-        count = len(bank)
+        super().__init__(inner)
+        if self.motion.transition(torch.ones((), dtype=torch.float64)) is None:
+            raise ValueError(f"inner: expected a filter around a Bank of linear motions, received {self.motion}")
+        count = len(self.motion)
         if not 0 <= unlikely < principal < 1:
             said = f"{unlikely}, {principal}"
             raise ValueError(f"unlikely, principal: expected 0 <= unlikely < principal < 1, received {said}")
@@ -93,22 +91,10 @@ class VSIMM(Filter):
         reached = torch.linalg.matrix_power(table + torch.eye(count, dtype=torch.float64), count) > 0
         if not bool(reached.all()):
             raise ValueError(f"neighbours: expected every model to be reached from every other, received {neighbours}")
-        self._compiled = None
-        self.inner = inner
         self.stay = Hyper(stay, constraints.unit_interval, name="stay")
         self.unlikely, self.principal = unlikely, principal
         self.register_buffer("table", table)
         self.register_buffer("start", torch.eye(count, dtype=torch.float64)[list(first)])
-
-    @property
-    def motion(self) -> Bank:  # type: ignore[override]
-        """The bank."""
-        return self.inner.motion  # type: ignore[return-value]
-
-    @property
-    def sensor(self) -> Any:  # type: ignore[override]
-        """The sensor."""
-        return self.inner.sensor
 
     def begin(self, belief: Gaussian) -> VSIMMState:
         """See ``Filter``."""
