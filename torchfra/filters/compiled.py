@@ -130,8 +130,6 @@ def _event(module: nn.Module, part: dict[str, Any], x: Any) -> int | None:
 _PLUMBING = {*nn.Module().__dict__, "_compiled"} - {"training"}
 _VERSIONS = 4
 """How many are remembered: a filter may go back and forth, between soft decisions and hard ones say."""
-
-
 _FORMS = 64
 """How many forms of a single step are remembered."""
 

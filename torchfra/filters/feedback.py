@@ -13,7 +13,7 @@ from torch.nn.functional import logsigmoid
 
 from torchfra.adaptive import Fading, Memory
 from torchfra.cubature import Rule, third_degree
-from torchfra.filters.base import Filter, Mix, Record, density
+from torchfra.filters.base import Filter, Mix, Record
 from torchfra.filters.frames import Frame
 from torchfra.filters.select import select, where_needed
 from torchfra.filters.srckf import compare, correct, innovation, predict, trust, trusted_density
@@ -161,10 +161,8 @@ class FRA(Filter):
         excess = nis - self.gate().to(nis)
         weights = self.robust(residual, nis)
         memory = self.adaptive.remember(state.memory, residual, frame.seen)
-        nominal = nis if mix is None else density(root, normalised)  # nobody else asks
-        default = (plain, plain, torch.ones_like(nis), nominal)
-        robust, adaptive, factor, evidence = self._where(
-            excess > 0, self.fork, (prediction, whitened, weights, memory, frame), default
+        robust, adaptive, factor = self._where(
+            excess > 0, self.fork, (prediction, whitened, weights, memory, frame), (plain, plain, torch.ones_like(nis))
         )
         belief = self.mix(excess, plain, robust)
         if self.memory == "weighted":
@@ -172,7 +170,8 @@ class FRA(Filter):
         state = FRAState(belief, robust, adaptive, plain, settled, excess, memory)
         weights = select(state.abnormal, weights, torch.ones_like(weights))
         info = _Step(settled, kept, state.abnormal, factor, weights)
-        return state, Record(belief, residual, root, normalised, info, evidence=None if mix is None else evidence)
+        evidence = None if mix is None else trusted_density(*innovation(trust(whitened, weights)), weights)
+        return state, Record(belief, residual, root, normalised, info, evidence=evidence)
 
     def look(self, belief: Gaussian, frame: Frame) -> tuple[Prediction, Whitened]:
         """The prediction of a step, and the measurement against it."""
@@ -224,13 +223,13 @@ class FRA(Filter):
 
     def fork(
         self, prediction: Prediction, whitened: Whitened, weights: Tensor, memory: Memory, frame: Frame
-    ) -> tuple[Gaussian, Gaussian, Tensor, Tensor]:
-        """Both branches' beliefs, the fading factor ``(...)`` and the robust branch's evidence ``(...)``."""
-        robust, root, own = correct(prediction.belief, trust(whitened, weights))  # eqs. (25)-(26)
+    ) -> tuple[Gaussian, Gaussian, Tensor]:
+        """Both branches' beliefs, and the fading factor ``(...)``."""
+        robust, _, _ = correct(prediction.belief, trust(whitened, weights))  # eqs. (25)-(26)
         factor = self.adaptive(prediction, whitened, memory, torch.ones_like(weights))
         faded = self.adaptive.inflate(prediction, factor).belief  # eqs. (29)-(34)
         adaptive, _, _ = correct(faded, compare(self.sensor, self.sensor_rule, faded, frame))
-        return robust, adaptive, factor, trusted_density(root, own, weights)
+        return robust, adaptive, factor
 
     def finish(self, state: FRAState, belief: Gaussian, info: _Step) -> tuple[Gaussian, FRAInfo]:
         """See ``Filter``: each step's estimate is settled in the next, the last by ``final``."""
