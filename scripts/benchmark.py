@@ -28,7 +28,7 @@ import torch
 
 from torchfra import keep_memory, linalg, plotting, presets
 from torchfra.cli import SCENARIOS, named
-from torchfra.evaluate import FILTERS, progress_bar, run, versions
+from torchfra.evaluate import FILTERS, chosen, progress_bar, run, versions
 from torchfra.files import write_json
 from torchfra.motion import ConstantAcceleration, ConstantVelocity
 from torchfra.sensors import Position
@@ -82,7 +82,7 @@ def tracks(options: argparse.Namespace) -> list[Row]:
         data = moved(scenario.simulate(batch, 0), options.device)
         systems: dict[str, Callable[[], Any]] = {}
         for name in options.filters.split(","):
-            f = FILTERS[name](*copy.deepcopy((scenario.motion, scenario.sensor))).to(options.device)
+            f = copy.deepcopy(chosen([name], scenario)[name]).to(options.device)
             if "compiled" in options.modes:
                 fast = copy.deepcopy(f).compile()
                 systems[f"{name}, compiled"] = lambda f=fast, data=data: run(f, scenario, data)
@@ -122,7 +122,7 @@ def step(options: argparse.Namespace) -> list[Row]:
     data = scenario.simulate(1, 0)
     systems: dict[str, Callable[[], Any]] = {}
     for name in options.filters.split(","):
-        f = FILTERS[name](scenario.motion, scenario.sensor)
+        f = chosen([name], scenario)[name]
         for mode in options.modes.split(","):
             g = copy.deepcopy(f).compile() if mode == "compiled" else f
 
@@ -240,6 +240,7 @@ def scaling(options: argparse.Namespace) -> list[Row]:
     return rows
 
 
+BEARINGS = [name for name in SCENARIOS if name.startswith("bearings")]
 KINDS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {f.__name__: f for f in (tracks, step, training, scaling)}
 
 
@@ -252,7 +253,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--filters", default="ukf,srckf,fra_srckf,fra", help=f"out of {', '.join(FILTERS)}")
     parser.add_argument("--modes", default="compiled,eager", help="compiled, eager or both (default)")
     parser.add_argument("--device", default="cpu", help="cpu (default) or cuda; compiled kernels run on the cpu only")
-    parser.add_argument("--scenario", default="bearings-outliers", choices=list(SCENARIOS))
+    parser.add_argument("--scenario", default="bearings-outliers", choices=BEARINGS)
     parser.add_argument("--initial", default="truth", choices=["truth", "paper"], help="initial state (default: truth)")
     parser.add_argument("--passes", type=int, default=7, help="timed passes (default: 7)")
     parser.add_argument("--peers", action="store_true", help="also JAX, dynamax and FilterPy, where installed, and C++")

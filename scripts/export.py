@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 
 from torchfra.cli import SCENARIOS
-from torchfra.evaluate import FILTERS
+from torchfra.evaluate import FILTERS, chosen
 from torchfra.filters import Filter
 from torchfra.scenarios import Scenario
 from torchfra.types import Gaussian, flatten, unflatten
@@ -60,7 +60,7 @@ def main(arguments: list[str] | None = None) -> int:
     if options.filter not in FILTERS:
         parser.error(f"--filter: expected one of {', '.join(FILTERS)}, received {options.filter!r}")
     scenario = SCENARIOS["bearings-outliers"]()
-    f = FILTERS[options.filter](scenario.motion, scenario.sensor)
+    f = chosen([options.filter], scenario)[options.filter]
     path = export(f, scenario, options.out or Path("out") / f"{options.filter}.pt2")
     step = torch._inductor.aoti_load_package(str(path))
     tracks = scenario.simulate(1, 0)

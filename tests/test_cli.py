@@ -47,7 +47,37 @@ def test_track_estimates_between_the_fixes_and_says_that_nothing_was_measured_th
     assert np.isfinite(result.position).all()
 
 
-@pytest.mark.parametrize("name", ["srckf", "asrckf", "fra_srckf"])
+def test_track_says_which_of_the_interacting_models_leads(tmp_path):
+    time = np.arange(120) * 4.0
+    angle = np.radians(3.0) * (time - 240).clip(0)  # straight, then a turn to the left
+    speed = 100 * np.stack([np.cos(angle), np.sin(angle)], 1)
+    xy = 4 * speed.cumsum(0) + 10 * np.random.default_rng(0).standard_normal((120, 2))
+    path = tmp_path / "turn.csv"
+    path.write_text("t,x,y\n" + "".join(f"{t},{x},{y}\n" for t, (x, y) in zip(time, xy, strict=True)))
+    out = ["--out", str(tmp_path), "--json", str(tmp_path / "s.json"), "--quiet"]
+    assert cli.main(["track", str(path), "--filter", "vsimm_srckf", "--sigma", "10", *out]) == 0
+    leads = [row["model"] for row in csv.DictReader((tmp_path / "turn.csv").read_text().splitlines())]
+    assert leads[20:60].count("constant velocity") > 30
+    assert leads[70:].count("turn +3 deg/s") > 40
+    (summary,) = json.loads((tmp_path / "s.json").read_text())["tracks"]
+    assert sum(summary["steps_led"].values()) == 120
+    assert summary["steps_led"]["turn +3 deg/s"] == leads.count("turn +3 deg/s")
+    assert (tmp_path / "turn.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_compare_runs_interacting_models(tmp_path):
+    arguments = ["compare", "--scenario", "adsb-turns", "--filters", "srckf,imm_srckf,imm_ckf,vsimm_srckf", "--runs"]
+    out = ["--json", str(tmp_path / "r.json"), "--figure", str(tmp_path / "f.png"), "--quiet"]
+    assert cli.main([*arguments, "8", "--compile", *out]) == 0
+    found = json.loads((tmp_path / "r.json").read_text())["filters"]
+    assert found["vsimm_srckf"]["mean_rmse_position"] < found["srckf"]["mean_rmse_position"]
+    assert found["imm_ckf"]["rmse_x"] == found["imm_srckf"]["rmse_x"]
+    weights = np.array(found["vsimm_srckf"]["probabilities"])
+    assert weights.shape == (448, 5)
+    np.testing.assert_allclose(weights.sum(1), 1)
+
+
+@pytest.mark.parametrize("name", ["srckf", "asrckf", "fra_srckf", "imm_fra", "vsimm_srckf"])
 def test_several_tracks_at_once_are_filtered_as_if_alone(noisy_track, name):
     (recording,) = readers.read(noisy_track)
     short = readers.Recording("b", recording.time[:30], recording.position[:30] * 2, None, {})
@@ -101,6 +131,7 @@ def test_compare_runs_recorded_tracks_through_filters(noisy_track, tmp_path, sen
         (["compare", "--scenario", "nowhere"], "bearings-outliers"),
         (["compare", "--scenario", "bearings-outliers", "--filters", "kalman"], "received kalman"),
         (["compare", "--scenario", "bearings-outliers", "--outliers", "wild"], "'wild'"),
+        (["compare", "--scenario", "adsb-turns", "--outliers", "std"], "adsb-turns does not take it"),
         (["compare", "--scenario", "bearings-outliers", "--runs", "-1"], "received -1"),
         (["track", "missing.csv"], "missing.csv"),
         (["track", "{file}", "--filter", "kalman"], "kalman"),

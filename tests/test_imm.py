@@ -77,7 +77,7 @@ def test_it_is_the_moment_form():
     r = oracles.imm(z.numpy(), PRIOR.mean.numpy(), covariance, models, H, SIGMA**2 * np.eye(2), rows, initial)
     same(e.mean, torch.from_numpy(r["mean"]))
     same(e.covariance, torch.from_numpy(r["P"]))
-    same(e.info.weights, torch.from_numpy(r["weights"]))
+    same(e.info.probabilities, torch.from_numpy(r["weights"]))
     same(e.log_likelihood, torch.from_numpy(r["log_likelihood"]))
 
 
@@ -88,12 +88,17 @@ def test_one_model_is_the_filter_itself(inner):
     one = presets.imm([ConstantAcceleration(0.01)], SENSOR, inner=getattr(presets, inner))(z, PRIOR, dt=DT)
     for a, b in zip(one[:-1], alone[:-1], strict=True):
         same(a, b)
-    assert (one.info.weights == 1).all()
+    assert (one.info.probabilities == 1).all()
+
+
+def test_ckf_and_srckf_inside_are_the_same_filter():
+    ckf, srckf = (f(bank(), SENSOR)(measured(2), PRIOR, dt=DT) for f in (presets.imm_ckf, presets.imm_srckf))
+    assert torch.equal(ckf.mean, srckf.mean)
 
 
 def test_models_that_are_the_same_stay_as_likely_as_they_were():
     e = presets.imm([ConstantAcceleration(0.01)] * 3, SENSOR)(measured(2), PRIOR, dt=DT)
-    same(e.info.weights, torch.full_like(e.info.weights, 1 / 3))
+    same(e.info.probabilities, torch.full_like(e.info.probabilities, 1 / 3))
     same(e.mean, presets.srckf(ConstantAcceleration(0.01), SENSOR)(measured(2), PRIOR, dt=DT).mean)
 
 
@@ -122,7 +127,7 @@ def test_an_outlier_says_much_less_of_the_model_of_a_robust_filter():
         CoordinatedTurn(-math.pi / 100, 4e-4, orders=3),
         ConstantAcceleration(25.0),
     ]
-    plain, robust = (presets.imm(models, SENSOR, inner=i)(z, PRIOR, dt=DT).info.weights[4, 2]
+    plain, robust = (presets.imm(models, SENSOR, inner=i)(z, PRIOR, dt=DT).info.probabilities[4, 2]
                      for i in (presets.srckf, presets.rsrckf))  # fmt: skip
     assert 1 - plain < 1e-9
     assert 1 - robust > 1e-2
@@ -137,11 +142,11 @@ def test_a_batch_is_a_loop_and_streaming_is_the_whole(inner):
     z[1, 4, 0] = torch.nan
     z[2, 6] = torch.nan
     whole = f(z, PRIOR, dt=DT)
-    assert whole.info.weights.shape == (3, STEPS, 5)
+    assert whole.info.probabilities.shape == (3, STEPS, 5)
     for i in range(3):
         one = f(z[i], PRIOR, dt=DT)
         same(one.mean, whole.mean[i])
-        same(one.info.weights, whole.info.weights[i])
+        same(one.info.probabilities, whole.info.probabilities[i])
         state = f.init(PRIOR)
         for k in range(STEPS):
             state, innovation = f.step(state, z[i, k], dt=DT)
@@ -165,7 +170,7 @@ def test_compiled_it_gives_the_same_and_the_same_gradients():
     for g in (f, copy.deepcopy(f).compile()):
         e = g(measured(4), PRIOR, dt=DT)
         (e.mean.square().mean() + e.log_likelihood.mean()).backward()
-        found.append((e.mean.detach(), e.info.weights.detach(), *(p.grad for p in g.parameters())))
+        found.append((e.mean.detach(), e.info.probabilities.detach(), *(p.grad for p in g.parameters())))
     for slow, fast in zip(*found, strict=True):
         same(fast, slow, 1e-8)
 
@@ -227,7 +232,7 @@ def test_motions_that_are_not_linear_interact_as_well():
     one = presets.imm([Curved(0.1), Curved(0.1)], SENSOR)(z, PRIOR, dt=DT)
     same(one.mean, presets.srckf(Curved(0.1), SENSOR)(z, PRIOR, dt=DT).mean)
     two = presets.imm([Curved(0.1), Curved(0.01)], SENSOR)(z, PRIOR, dt=DT)
-    assert (two.info.weights - 0.5).abs().max() > 1e-3
+    assert (two.info.probabilities - 0.5).abs().max() > 1e-3
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from torchfra import presets
 from torchfra.hyper import learnable
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn
 from torchfra.sensors import Position
-from torchfra.statistical import CurrentStatistical, Singer
+from torchfra.statistical import CurrentStatistical, Singer, WhiteJerk
 from torchfra.types import Gaussian
 
 T = torch.tensor(2.0, dtype=torch.float64)
@@ -115,6 +115,21 @@ def test_constant_velocity_with_an_acceleration_sets_it_to_zero():
     x = tensor(1, 2, 3, 4, 5, 6)
     torch.testing.assert_close(wide.transition(T) @ x, torch.cat([narrow.transition(T) @ x[:4], tensor(0, 0)]))
     torch.testing.assert_close(wide.noise(T), torch.cat([narrow.noise(T), torch.zeros(2, 2).double()]))
+
+
+@pytest.mark.parametrize("dt", [1e-3, 2.0, 60.0])
+def test_white_jerk_has_its_textbook_covariance(dt):
+    root = WhiteJerk(0.7, dims=1).noise(torch.tensor(dt, dtype=torch.float64))
+    q = tensor([dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt])
+    torch.testing.assert_close(root @ root.mT, 0.7 * q, rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize("motion", [WhiteJerk(0.7), Singer(2.0, 0.3)])
+def test_two_short_steps_are_one_long_step(motion):
+    short, long = T / 2, T
+    matrix, root, whole = motion.transition(short), motion.noise(short), motion.noise(long)
+    torch.testing.assert_close(matrix @ matrix, motion.transition(long))
+    torch.testing.assert_close(matrix @ root @ root.mT @ matrix.mT + root @ root.mT, whole @ whole.mT)
 
 
 def test_values_out_of_range_are_named():

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from torchfra import metrics, presets, readers, scenarios
+from torchfra import metrics, readers, scenarios
+from torchfra.evaluate import chosen
 
 
 def circle(steps=200, gap=None, name="a"):
@@ -31,12 +32,11 @@ def test_a_gap_splits_a_track_and_a_short_end_is_missing():
     torch.testing.assert_close(tracks.z.isnan(), tracks.truth[..., :2].isnan())
 
 
-@pytest.mark.parametrize("sensor", ["bearings", "radar"])
+@pytest.mark.parametrize("sensor", ["bearings", "radar", "position"])
 def test_filters_follow_the_recorded_truth(sensor):
     scenario = scenarios.recorded([circle(), circle(300, name="b")], sensor, steps=60, outliers="none")
     tracks = scenario.simulate(20, 0)
-    for preset in (presets.srckf, presets.fra):
-        f = preset(scenario.motion, scenario.sensor)
+    for f in chosen(["srckf", "fra", "imm_srckf", "vsimm_srckf"], scenario).values():
         estimate = f(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt)
         assert metrics.track_rmse(estimate.mean, tracks.truth, scenario.position).max() < 200
 

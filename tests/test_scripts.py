@@ -37,7 +37,29 @@ def test_reproduce_writes_results_and_the_papers_figures(experiment, tmp_path):
     assert len(list(tmp_path.glob("figure-*.png"))) == 4
 
 
+def test_reproduce_writes_what_du_and_zhang_show(tmp_path, capsys):
+    out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path)]
+    assert reproduce.main(["adsb-turns", "--runs", "20", "--compile", *out]) == 0
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert result["filters"].keys() == {"srckf", "imm3", "imm5", "vsimm_srckf"}
+    for name, of in result["filters"].items():
+        assert len(of["mean_error_x"]) == len(of["rmse_y"]) == len(of["mape_x"]) == 448
+        assert of["relative_time"] > 0
+        mean = sum(of["rmse_x"][18:]) / 430
+        assert result["averages"][name]["rmse_x"] == pytest.approx(mean)
+        assert 10 < mean < 17
+    assert len(result["filters"]["imm3"]["probabilities"][0]) == 3
+    assert result["models"][-1] == "turn -1.8 deg/s"
+    names = {"tracks", "mean_error", "rmse", "mape", "probabilities"}
+    assert {path.name for path in tmp_path.glob("*.png")} == {f"adsb-{name}.png" for name in names}
+    assert "averages over time" in capsys.readouterr().out
+
+
 def test_reproduce_says_what_is_wrong(capsys):
+    assert reproduce.main(["adsb-turns", "--outliers", "std"]) == 2
+    assert "adsb-turns does not take it" in capsys.readouterr().err
+    assert reproduce.main(["bearings-outliers", "--filters", "imm5"]) == 2
+    assert "imm5" in capsys.readouterr().err
     assert reproduce.main(["bearings-outliers", "--filters", "kalman"]) == 2
     assert "kalman" in capsys.readouterr().err
 

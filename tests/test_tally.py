@@ -54,6 +54,12 @@ def test_figures_are_what_numpy_says_of_all_tracks():
     error = np.sqrt(((mean - truth)[order, :, :2] ** 2).sum(-1))
     error[np.isnan(error) & ~np.isnan(truth[order, :, 0])] = np.inf
     np.testing.assert_allclose(found["rmse_position"], np.sqrt(np.nanmean(error**2, 0)))
+    gap = np.where(np.isnan(mean) & ~np.isnan(truth), np.inf, mean - truth)
+    for i, axis in enumerate("xy"):
+        np.testing.assert_allclose(found[f"mean_error_{axis}"], np.nanmean(gap[..., i], 0), atol=1e-12)
+        np.testing.assert_allclose(found[f"rmse_{axis}"], np.sqrt(np.nanmean(gap[..., i] ** 2, 0)))
+        share = np.abs(gap[..., i]) / np.maximum(np.abs(truth[..., i]), 100)
+        np.testing.assert_allclose(found[f"mape_{axis}"], 100 * np.nanmean(share, 0))
     own = np.sqrt(np.nanmean(error**2, 1))
     assert found["divergence_rate"] == (own > 2).mean()
     assert found["worst_track"] == np.inf

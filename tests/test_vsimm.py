@@ -34,14 +34,14 @@ def test_it_is_the_moment_form_with_the_same_sets(seed):
     e = presets.vsimm_srckf(adsb_models(), SENSOR)(z, prior, dt=DT)
     assert (e.info.active == torch.from_numpy(r["weights"] > 0)).all()
     assert (e.info.active[1:] != e.info.active[:-1]).any(-1).sum() >= 2
-    same(e.info.weights, torch.from_numpy(r["weights"]), 1e-8)
+    same(e.info.probabilities, torch.from_numpy(r["weights"]), 1e-8)
     same(e.mean, torch.from_numpy(r["mean"]))
     same(e.covariance, torch.from_numpy(r["P"]), 1e-8)
     same(e.log_likelihood, torch.from_numpy(r["log_likelihood"]))
 
 
 def test_sets_are_those_of_the_rule_for_every_set_and_many_probabilities():
-    f = presets.vsimm_srckf(bank(), SENSOR)
+    f = presets.vsimm_srckf(adsb_models(), SENSOR)
     g = np.random.default_rng(0)
     for first in itertools.permutations(range(5), 3):
         mu = g.dirichlet([0.3] * 3, 20)
@@ -56,13 +56,34 @@ def test_sets_are_those_of_the_rule_for_every_set_and_many_probabilities():
 
 
 def test_transitions_are_the_papers_matrix_and_rows_sum_to_one():
-    f = presets.vsimm_srckf(bank(), SENSOR)
+    f = presets.vsimm_srckf(adsb_models(), SENSOR)
     constant = torch.tensor([[0.95, 0.025, 0.025], [0.025, 0.95, 0.025], [0.025, 0.025, 0.95]], dtype=torch.float64)
-    same(f.matrix(torch.ones(3, dtype=torch.float64)), constant)
-    for goes_on in itertools.product((0.0, 1.0), repeat=3):
-        matrix = f.matrix(torch.tensor(goes_on, dtype=torch.float64))
+    same(between(f, (0, 2, 3), (0, 2, 3)), constant)
+    for now in itertools.permutations(range(5), 3):
+        if any(model in (0, 2, 3) and (0, 2, 3)[place] != model for place, model in enumerate(now)):
+            continue  # a model that goes on keeps its place
+        matrix = between(f, (0, 2, 3), now)
         same(matrix.sum(-1), torch.ones(3, dtype=torch.float64))
-        assert all((matrix[i] == 1 / 3).all() for i in range(3) if not goes_on[i])
+        for place, model in enumerate((0, 2, 3)):
+            same(matrix[place], constant[place] if model in now else torch.full((3,), 1 / 3, dtype=torch.float64))
+
+
+def test_a_matrix_of_ones_own_is_shared_out_among_those_that_run():
+    rows = torch.from_numpy(np.random.default_rng(0).dirichlet([1.0] * 5, 5))
+    f = presets.vsimm_srckf(adsb_models(), SENSOR, transition=rows)
+    matrix = between(f, (0, 2, 3), (0, 1, 3))  # the third goes, the second comes in its place
+    for was, place, stays in ((0, 0, True), (2, 1, False), (3, 2, True)):
+        others = [model for model in (0, 1, 3) if model != was]
+        left = 1 - rows[was, was] if stays else 1.0
+        expected = [rows[was, m] * left / rows[was, others].sum() if m != was else rows[was, was] for m in (0, 1, 3)]
+        same(matrix[place], torch.stack(expected))
+
+
+def between(f, was, now):
+    """The transition between two sets, given by models in their places."""
+    eye = torch.eye(5, dtype=torch.float64)
+    goes_on = torch.tensor([float(model in now) for model in was], dtype=torch.float64)
+    return f.matrix(eye[list(was)], eye[list(now)], goes_on)
 
 
 def test_the_whole_bank_as_set_is_an_imm():
@@ -70,7 +91,7 @@ def test_the_whole_bank_as_set_is_an_imm():
     whole = presets.vsimm_srckf(bank()[:3], SENSOR, neighbours=calls, first=(0, 1, 2))(measured(3), PRIOR, dt=DT)
     plain = presets.imm(bank()[:3], SENSOR)(measured(3), PRIOR, dt=DT)
     same(whole.mean, plain.mean)
-    same(whole.info.weights, plain.info.weights)
+    same(whole.info.probabilities, plain.info.probabilities)
 
 
 @pytest.mark.parametrize("inner", ["srckf", "rsrckf"])
@@ -82,7 +103,7 @@ def test_every_track_has_a_set_of_its_own(inner):
     whole = f(z, prior, dt=DT)
     assert len({tuple(sets.flatten().tolist()) for sets in whole.info.active}) > 1
     assert (whole.info.active.sum(-1) == 3).all()
-    same(whole.info.weights.sum(-1), torch.ones(3, 30, dtype=torch.float64))
+    same(whole.info.probabilities.sum(-1), torch.ones(3, 30, dtype=torch.float64))
     for i in range(3):
         own = prior._replace(mean=prior.mean[i])
         one = f(z[i], own, dt=DT)
@@ -94,18 +115,18 @@ def test_every_track_has_a_set_of_its_own(inner):
         same(state.belief.mean, whole.mean[i, -1])
 
 
-def test_compiled_it_gives_the_same_and_gradients_reach_stay_and_noise():
-    f = presets.vsimm_srckf(adsb_models(), SENSOR, learn=("stay", "q", "std"))
+def test_compiled_it_gives_the_same_and_gradients_reach_transition_and_noise():
+    f = presets.vsimm_srckf(adsb_models(), SENSOR, learn=("transition", "q", "std"))
     z = adsb_turns().simulate(3, 1).z[:, 190:215]
     prior = PRIOR._replace(mean=torch.cat([z[:, 0], torch.zeros(3, 4, dtype=torch.float64)], -1))
     found = []
     for g in (f, copy.deepcopy(f).compile()):
         e = g(z, prior, dt=DT)
         (e.log_likelihood.mean() + 1e-6 * e.mean.square().mean()).backward()
-        found.append((e.mean.detach(), e.info.weights.detach(), *(p.grad for p in g.parameters())))
+        found.append((e.mean.detach(), e.info.probabilities.detach(), *(p.grad for p in g.parameters())))
     for slow, fast in zip(*found, strict=True):
         same(fast, slow, 1e-7)
-    assert f.stay.raw.grad != 0
+    assert (f.transition.raw.grad != 0).all()
 
 
 @pytest.mark.slow
@@ -123,18 +144,24 @@ def test_three_filters_err_nearly_as_little_as_five():
 
 def test_what_does_not_fit_is_named():
     def make(**options):
-        return presets.vsimm_srckf(bank(), SENSOR, **options)
+        return presets.vsimm_srckf(adsb_models(), SENSOR, **options)
 
     with pytest.raises(ValueError, match="every model to be reached from every other"):
         make(neighbours=[[1], [0], [0], [0], [0]])
+    with pytest.raises(ValueError, match="neighbours, first: expected both, or a Bank that has them"):
+        presets.vsimm_srckf(bank(), SENSOR)
     with pytest.raises(ValueError, match="neighbours: expected one list for each of 5"):
         make(neighbours=[[1], [0]])
+    with pytest.raises(ValueError, match="neighbours: expected at most 2 for each"):
+        make(neighbours=[[1, 2, 3], [2], [3], [4], [0]])
     with pytest.raises(ValueError, match="first: expected 2 to 5 different models"):
         make(first=(0, 0, 1))
     with pytest.raises(ValueError, match="0 <= unlikely < principal < 1"):
         make(unlikely=0.6)
-    with pytest.raises(ValueError, match="stay: expected a value in"):
+    with pytest.raises(ValueError, match="stay: expected a probability above 0 and below 1"):
         make(stay=1.5)
+    with pytest.raises(ValueError, match=r"transition: expected \(5, 5\) above 0"):
+        make(transition=torch.eye(5))
 
 
 @pytest.mark.slow
@@ -153,6 +180,6 @@ def test_a_hundred_thousand_steps_lose_no_track(dtype):
         e = f(z.to(dtype), prior._replace(mean=prior.mean.to(dtype)), dt=scenario.dt)
     error = (e.mean[..., :2].double() - truth).norm(dim=-1)
     assert not e.failed.any()
-    assert e.info.weights.isfinite().all()
+    assert e.info.probabilities.isfinite().all()
     assert error[:, 5:].max() < 150
     assert error.square().mean().sqrt() < 25

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import overload
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
-from torchfra.motion import Adaptation, Motion
+from torchfra.hyper import Value
+from torchfra.motion import Adaptation, ConstantAcceleration, ConstantVelocity, CoordinatedTurn, Motion
+from torchfra.statistical import CurrentStatistical
 
 
 class Bank(Motion):
@@ -16,21 +20,43 @@ class Bank(Motion):
 
     Args:
         models: motions of the same state, linear all or none.
+        neighbours: for each model those that its success calls, by number, where only a few run at a time
+            (``filters.VSIMM``).
+        first: the models that run first there.
 
     Raises:
         ValueError: none at all, or states that differ.
     """
 
-    def __init__(self, models: Sequence[Motion]) -> None:
+    def __init__(
+        self,
+        models: Sequence[Motion],
+        *,
+        neighbours: Sequence[Sequence[int]] | None = None,
+        first: Sequence[int] | None = None,
+    ) -> None:
         sizes = {(m.dims, m.orders) for m in models}
         if len(sizes) != 1:
             said = ", ".join(f"{type(m).__name__} of {m.size}" for m in models) or "none"
             raise ValueError(f"models: expected motions of one state (see orders= and Embedded), received {said}")
         super().__init__(*sizes.pop(), None)
         self.models = nn.ModuleList(models)
+        self.neighbours, self.first = neighbours, first
 
     def __len__(self) -> int:
         return len(self.models)
+
+    @overload
+    def __getitem__(self, index: int) -> Motion: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Motion]: ...
+    def __getitem__(self, index: int | slice) -> Motion | list[Motion]:
+        return self._motions[index]
+
+    @property
+    def names(self) -> list[str]:
+        """Of the models, for people."""
+        return [model.said() for model in self._motions]
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """States ``(..., K, p, n)``, each with the model of its place, after ``dt (..., 1, 1)`` or ``(1,)`` seconds."""
@@ -114,6 +140,27 @@ class Embedded(Motion):
     def noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, q)`` for ``dt (...)``."""
         return self.into.to(dt) @ self.inside.noise(dt)
+
+
+def aircraft(q: Value = 4.0, dims: int = 2) -> Bank:
+    """Seven motions for aircraft and gliders: straight on, accelerating, turns of 3 and 12 deg/s to both sides.
+
+    The current statistical model, of up to 1 g, stands for all that the others are not.  Four run at a time where only
+    some do (``presets.vsimm_srckf``).
+
+    Args:
+        q: variance of the noise acceleration, m^2/s^4; straight flight has a fortieth.
+        dims: dimensions of space.
+    """
+    turns = [CoordinatedTurn(math.radians(side * rate), q, dims, orders=3) for rate in (3.0, 12.0) for side in (1, -1)]
+    models = [
+        ConstantVelocity(q / 40, dims, orders=3),
+        ConstantAcceleration(q, dims),
+        CurrentStatistical(1 / 20, 9.8, dims=dims),
+        *turns,
+    ]
+    neighbours = ((2, 3, 4), (2, 0), (3, 4, 1), (5, 2, 0), (6, 2, 0), (3, 2), (4, 2))
+    return Bank(models, neighbours=neighbours, first=(0, 2, 3, 4))
 
 
 def _stacked(parts: Sequence[Tensor], place: int) -> Tensor:

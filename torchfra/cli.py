@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,11 @@ from torchfra.malloc import keep_memory
 from torchfra.scenarios import Scenario
 from torchfra.version import __version__
 
-SCENARIOS = {"bearings-outliers": scenarios.bearings_outliers, "bearings-manoeuvre": scenarios.bearings_manoeuvre}
+SCENARIOS: dict[str, Callable[..., Scenario]] = {
+    "bearings-outliers": scenarios.bearings_outliers,
+    "bearings-manoeuvre": scenarios.bearings_manoeuvre,
+    "adsb-turns": scenarios.adsb_turns,
+}
 
 _FILES = """FILE is a recorded track, or several: OpenSky state vectors (CSV: time, icao24, lat, lon), gzip-JSON
 tracks (timestamp, latitude, longitude, altitude, ...), or plain CSV with columns t,x,y[,z] in seconds and metres."""
@@ -38,7 +43,8 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=shape,
         help="filter the positions of a recorded track",
         description=f"Filter recorded positions: writes NAME.csv and NAME.png for each target.\n\n{_FILES}",
-        epilog="example:\n  torchfra track flight.json.gz --sigma 30 --out filtered",
+        epilog="examples:\n  torchfra track flight.json.gz --sigma 30 --out filtered\n"
+        "  torchfra track flight.json.gz --filter vsimm_srckf    # interacting models: the figure shades which leads",
     )
     t.add_argument("file", metavar="FILE", type=Path)
     t.add_argument("--filter", default="fra", metavar="NAME", help=f"one of {', '.join(FILTERS)} (default: fra)")
@@ -65,7 +71,7 @@ def parser() -> argparse.ArgumentParser:
     )
     c.add_argument("files", metavar="FILE", type=Path, nargs="*")
     c.add_argument("--scenario", metavar="NAME", help=f"instead of files, one of {', '.join(SCENARIOS)}")
-    c.add_argument("--filters", default=",".join(FILTERS), metavar="A,B", help="which (default: all)")
+    c.add_argument("--filters", metavar="A,B", help=f"out of {', '.join(FILTERS)} (default: all)")
     c.add_argument(
         "--learned",
         metavar="[NAME=]FILE",
@@ -74,7 +80,11 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("--runs", type=int, metavar="M", help="tracks (default: 100; of files, each window once)")
     c.add_argument("--seed", type=int, default=0, metavar="S", help="of the random numbers (default: 0)")
     c.add_argument("--outliers", metavar="MODE", help="covariance (default), std, offset (scenarios only) or none")
-    c.add_argument("--sensor", default="bearings", help="for files: bearings (default) or radar")
+    c.add_argument("--sensor", default="bearings", help="for files: bearings (default), radar or position")
+    c.add_argument(
+        "--q", type=float, default=0.25, help="for files: variance of the change of acceleration that filters assume "
+        "per step, m^2/s^4 (default: 0.25)"
+    )  # fmt: skip
     c.add_argument("--dt", type=float, default=5.0, metavar="S", help="for files: seconds per step (default: 5)")
     c.add_argument("--steps", type=int, default=120, metavar="T", help="for files: steps per window (default: 120)")
     c.add_argument("--compile", action="store_true", help="run compiled kernels: many times faster, needs g++")
@@ -126,7 +136,7 @@ def _track(options: argparse.Namespace) -> None:
             flags = {name: result.flags[name] for name in ("outlier", "manoeuvre")}
             figure = plotting.filtered(
                 result.time, result.raw, result.position, result.nis, flags, GATE[result.raw.shape[1]],
-                f"{result.recording.name}, {options.filter}",
+                f"{result.recording.name}, {options.filter}", result.models, result.leading,
             )  # fmt: skip
             plotting.save(figure, options.out / f"{name}.png")
         if not options.quiet:
@@ -144,14 +154,16 @@ def _compare(options: argparse.Namespace) -> None:
         raise ValueError(
             "compare: expected either files or --scenario, received " + ("both" if options.files else "neither")
         )
-    outliers = options.outliers or "covariance"
     if options.scenario is not None:
-        scenario, runs = named(options.scenario, outliers), 100 if options.runs is None else options.runs
+        scenario, runs = named(options.scenario, options.outliers), 100 if options.runs is None else options.runs
     else:
         recordings = [r for file in options.files for r in readers.read(file)]
-        scenario = scenarios.recorded(recordings, options.sensor, dt=options.dt, steps=options.steps, outliers=outliers)
+        scenario = scenarios.recorded(
+            recordings, options.sensor, dt=options.dt, steps=options.steps, outliers=options.outliers or "covariance",
+            q=options.q,
+        )  # fmt: skip
         runs = int(str(scenario.settings["windows"])) if options.runs is None else options.runs
-    names = [name for name in options.filters.split(",") if name]
+    names = list(FILTERS) if options.filters is None else [name for name in options.filters.split(",") if name]
     first = distributed.rank() == 0
     filters: Sequence[str] | dict[str, Filter] = names
     if options.learned is not None:
@@ -174,20 +186,27 @@ def _compare(options: argparse.Namespace) -> None:
     if options.json is not None:
         write_json(options.json, report(scenario, results, runs=runs, seed=options.seed))
     if not options.quiet:
-        print(f"{scenario.name}: {runs} runs of {scenario.steps} steps, seed {options.seed}, outliers {outliers}")
+        print(f"{scenario.name}: {runs} runs of {scenario.steps} steps, seed {options.seed}, {_settings(scenario)}")
         print(table(results))
         print(f"figure: {figure}")
 
 
-def named(name: str, outliers: str = "covariance", **options: Any) -> Scenario:
-    """A scenario by the name that commands use.
+def named(name: str, outliers: str | None = None, **options: Any) -> Scenario:
+    """A scenario by the name that commands use; what is None is the scenario's own.
 
     Raises:
-        ValueError: an unknown name.
+        ValueError: an unknown name, or an option that the scenario does not take.
     """
     if name not in SCENARIOS:
         raise ValueError(f"scenario: expected one of {', '.join(SCENARIOS)}, received {name!r}")
-    return SCENARIOS[name](outliers, **options)
+    given = {key: value for key, value in ({"outliers": outliers} | options).items() if value is not None}
+    for key in given.keys() - inspect.signature(SCENARIOS[name]).parameters.keys():
+        raise ValueError(f"{key}: expected none, {name} does not take it; received {given[key]!r}")
+    return SCENARIOS[name](**given)
+
+
+def _settings(scenario: Scenario) -> str:
+    return ", ".join(f"{key} {value}" for key, value in scenario.settings.items() if isinstance(value, str))
 
 
 def _unused(name: str, used: set[str]) -> str:

@@ -15,8 +15,11 @@ import numpy as np
 import torch
 
 from torchfra import distributed, presets
+from torchfra.bank import Bank
 from torchfra.filters.base import Filter
+from torchfra.motion import Motion
 from torchfra.scenarios import Scenario, Tracks
+from torchfra.sensors import Sensor
 from torchfra.tally import Tally
 from torchfra.types import Estimate
 from torchfra.version import __version__
@@ -24,9 +27,11 @@ from torchfra.version import __version__
 FILTERS: dict[str, Callable[..., Filter]] = {
     f.__name__: f
     for f in (presets.ukf, presets.ekf, presets.srckf, presets.rsrckf, presets.mr_ckf, presets.asrckf, presets.rmckf,
-              presets.fra_srckf, presets.fra)
+              presets.fra_srckf, presets.fra, presets.imm_ckf, presets.imm_srckf, presets.vsimm_srckf, presets.imm_fra)
 }  # fmt: skip
 """The filters that commands know by name."""
+BANKED = ("imm_ckf", "imm_srckf", "vsimm_srckf", "imm_fra")
+"""Those of them around a bank of motions."""
 
 Result = dict[str, Any]
 
@@ -59,7 +64,9 @@ def evaluate(
         For each filter: ``rmse_position`` and ``rmse_velocity`` over time ``[T]``, their means ``mean_rmse_*``,
         ``median_error_position`` over all steps and runs (to 0.05 %), ``median_track_rmse`` and ``worst_track`` of the
         runs' own root mean square errors, ``divergence_rate``, ``nees_position`` (median, to 0.05 %; 1.39 if honest, in
-        the plane), ``microseconds`` per track and step and ``relative_time`` to the UKF on the same runs.
+        the plane), by coordinate and over time the signed ``mean_error_x``, ``rmse_x`` and ``mape_x`` (mean relative
+        error, %, of coordinates of 100 m or more), the models' mean ``probabilities`` ``[T][K]`` if there are some,
+        ``microseconds`` per track and step and ``relative_time`` to the UKF on the same runs.
 
     Under ``torchrun`` the processes share the runs, and each returns the results of all of them.
 
@@ -114,7 +121,22 @@ def chosen(names: Sequence[str], scenario: Scenario) -> dict[str, Filter]:
         raise ValueError(
             f"filters: expected names out of {', '.join(FILTERS)}, received {', '.join(unknown) or 'none'}"
         )
-    return {name: FILTERS[name](scenario.motion, scenario.sensor) for name in names}
+    return {name: make(name, scenario.motion, scenario.sensor, scenario.bank) for name in names}
+
+
+def make(name: str, motion: Motion, sensor: Sensor, bank: Bank | None = None, **options: Any) -> Filter:
+    """The filter of this name around a motion, or around a bank of motions if it is one of interacting models.
+
+    Raises:
+        ValueError: an unknown name, or interacting models where there is no bank.
+    """
+    if name not in FILTERS:
+        raise ValueError(f"filter: expected one of {', '.join(FILTERS)}, received {name!r}")
+    if name not in BANKED:
+        return FILTERS[name](motion, sensor, **options)
+    if bank is None:
+        raise ValueError(f"filter: expected one of a single motion, received {name!r}, for which there is no bank")
+    return FILTERS[name](bank, sensor, **options)
 
 
 def learned(path: str | Path, scenario: Scenario, name: str = "fra") -> Filter:
@@ -128,9 +150,7 @@ def learned(path: str | Path, scenario: Scenario, name: str = "fra") -> Filter:
     Raises:
         ValueError: an unknown filter, or a file that is no state dictionary of it.
     """
-    if name not in FILTERS:
-        raise ValueError(f"learned: expected a filter out of {', '.join(FILTERS)}, received {name!r}")
-    f = FILTERS[name](*copy.deepcopy((scenario.motion, scenario.sensor)))
+    f = make(name, *copy.deepcopy((scenario.motion, scenario.sensor, scenario.bank)))
     try:
         f.load_state_dict(torch.load(path, weights_only=True))
     except (RuntimeError, pickle.UnpicklingError, AttributeError, TypeError, EOFError) as error:

@@ -5,6 +5,8 @@ States list positions first, then velocities, then accelerations: ``[x, y, vx, v
 
 from __future__ import annotations
 
+import math
+import re
 from typing import NamedTuple
 
 import torch
@@ -89,6 +91,10 @@ class Motion(nn.Module):
         gain = _taylor(dt, torch.arange(2, 2 - self.orders, -1, device=dt.device))
         return _per_axis((self.q().to(dt).sqrt().unsqueeze(-1) * gain).unsqueeze(-1), self.dims)
 
+    def said(self) -> str:
+        """For people: what it is, in a few words."""
+        return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(self).__name__).lower()
+
     def extra_repr(self) -> str:
         """Dimensions of space and of the state."""
         return f"dims={self.dims}, size={self.size}"
@@ -168,6 +174,11 @@ class CoordinatedTurn(Motion):
             raise ValueError(f"dims: expected 2 or more dimensions for a turn, received {dims}")
         super().__init__(dims, _two_or_three(orders), q)
         self.rate = Hyper(rate, constraints.real, name="rate")
+
+    def said(self) -> str:
+        """See ``Motion``."""
+        rates = self.rate().detach()
+        return f"turn {math.degrees(rates):+.3g} deg/s" if rates.dim() == 0 else "turn"
 
     def transition(self, dt: Tensor) -> Tensor:
         """``F (..., n, n)`` for ``dt (...)``."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +14,12 @@ from torch import Tensor
 
 from torchfra.files import write
 
+_MODELS = ("#bbbbbb", "#4c72b0", "#dd8452", "#55a868", "#c44e52", "#8172b3", "#ccb974", "#64b5cd")
 _COLOURS = {
     "ukf": "#999999", "ekf": "#c7a76c", "srckf": "#4c72b0", "rsrckf": "#8172b3", "mr_ckf": "#937860",
     "asrckf": "#64b5cd", "rmckf": "#dd8452", "fra_srckf": "#55a868", "fra": "#c44e52",
+    "imm_fra": "#da8bc3", "imm_srckf": "#8c564b", "imm_ckf": "#8c564b", "vsimm_srckf": "#17becf",
+    "imm5": "#8c564b", "imm3": "#ccb974",
 }  # fmt: skip
 
 
@@ -104,7 +109,65 @@ def innovations(nis: dict[str, Tensor], gate: float, dt: float, title: str) -> F
     return _finished(figure, axes)
 
 
-def filtered(time: Any, raw: Any, mean: Any, nis: Any, flags: dict[str, Any], gate: float, title: str) -> Figure:
+def by_coordinate(results: dict[str, dict[str, Any]], quantity: str, start: float, dt: float, title: str) -> Figure:
+    """An error of the position over time, one panel for each coordinate.
+
+    Args:
+        results: from ``torchfra.evaluate.evaluate``.
+        quantity: ``"mean_error"``, ``"rmse"`` (m) or ``"mape"`` (%).
+        start: seconds at the first step.
+        dt: seconds per step.
+        title: of the figure.
+    """
+    axes_of = [axis for axis in "xyz" if all(f"{quantity}_{axis}" in of for of in results.values())]
+    figure = Figure(figsize=(5 * len(axes_of), 3.6), layout="constrained")
+    said = {"mean_error": "mean error, m", "rmse": "RMSE, m", "mape": "mean relative error, %"}[quantity]
+    for axis, axes in zip(axes_of, figure.subplots(1, len(axes_of), squeeze=False)[0], strict=True):
+        for name, of in results.items():
+            curve = np.array(of[f"{quantity}_{axis}"], dtype=float)
+            axes.plot(start + dt * np.arange(len(curve)), curve, label=name, **_style(name))
+        axes.set(xlabel="time, s", ylabel=f"{said}, {axis}")
+        _finished(figure, axes)
+    figure.suptitle(title)
+    return figure
+
+
+def probabilities(of: dict[str, Any], models: Sequence[str], start: float, dt: float, title: str) -> Figure:
+    """Probabilities of models over time, on top of each other, one panel for each filter.
+
+    Args:
+        of: by name of the filter ``(T, K)``.
+        models: their names, K or more; a filter of fewer has the first of them.
+        start: seconds at the first step.
+        dt: seconds per step.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(9, 2.2 * len(of) + 0.6), layout="constrained")
+    rows = figure.subplots(len(of), 1, squeeze=False, sharex=True)[:, 0]
+    for (name, values), axes in zip(of.items(), rows, strict=True):
+        values = np.asarray(values, dtype=float)
+        time = start + dt * np.arange(len(values))
+        axes.stackplot(time, values.T, colors=_MODELS, labels=models[: values.shape[1]], linewidth=0)
+        axes.set(ylabel=name, ylim=(0, 1), xlim=(time[0], time[-1]))
+    widest = max(rows, key=lambda axes: len(axes.get_legend_handles_labels()[1]))
+    rows[0].legend(*widest.get_legend_handles_labels(), frameon=False, fontsize=8, ncols=4, loc="lower center",
+                   bbox_to_anchor=(0.5, 1.0))  # fmt: skip
+    rows[-1].set(xlabel="time, s")
+    figure.suptitle(title)
+    return figure
+
+
+def filtered(
+    time: Any,
+    raw: Any,
+    mean: Any,
+    nis: Any,
+    flags: dict[str, Any],
+    gate: float,
+    title: str,
+    models: Sequence[str] = (),
+    leading: Any = None,
+) -> Figure:
     """A recorded track after filtering: the path, how far the fixes lie from it, the innovations, and what was flagged.
 
     Args:
@@ -115,6 +178,8 @@ def filtered(time: Any, raw: Any, mean: Any, nis: Any, flags: dict[str, Any], ga
         flags: by name, ``(T,)`` bool each.
         gate: what is abnormal.
         title: of the figure.
+        models: names of interacting models.
+        leading: ``(T,)`` which of them is the most probable: shades the time.
     """
     figure = Figure(figsize=(11, 6), layout="constrained")
     path, residual, innovation = figure.subplot_mosaic([["path", "residual"], ["path", "innovation"]]).values()
@@ -132,6 +197,10 @@ def filtered(time: Any, raw: Any, mean: Any, nis: Any, flags: dict[str, Any], ga
     residual.set(ylabel="recorded to filtered, m", yscale="symlog")
     innovation.set(xlabel="time, s", ylabel="normalised innovation squared", yscale="log")
     path.legend(frameon=False, fontsize=8)
+    if leading is not None:
+        for axes in (residual, innovation):
+            _shade(axes, time, leading, models)
+        residual.legend(frameon=False, fontsize=7, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     for axes in (path, residual, innovation):
         axes.spines[["top", "right"]].set_visible(False)
     return figure
@@ -162,6 +231,14 @@ def learning_curve(rows: list[dict[str, float]], start: dict[str, float], title:
     for axes in (loss, values):
         _finished(figure, axes)
     return figure
+
+
+def _shade(axes: Axes, time: Any, leading: Any, models: Sequence[str]) -> None:
+    """Colours the time by the model that leads; those that never lead are left out."""
+    for k, (name, colour) in enumerate(zip(models, cycle(_MODELS), strict=False)):
+        if (leading == k).any():
+            axes.fill_between(time, 0, 1, where=leading == k, step="post", color=colour, alpha=0.35, linewidth=0,
+                              transform=axes.get_xaxis_transform(), label=name)  # fmt: skip
 
 
 def _style(name: str) -> dict[str, Any]:

@@ -1,8 +1,9 @@
 """The filters that papers name, ready made: each is a choice of arguments.
 
 ``learn`` names the hyperparameters that gradient descent may change, wherever in the filter they are: ``threshold``,
-``low``, ``high``, ``weakening``, ``forgetting``, ``fading_max``, ``share``, ``gate``, ``preference``, and of the models
-``q``, ``std``, ``rate``; or ``"all"``.  A model that learns is copied first: what is handed in stays as it is.
+``low``, ``high``, ``weakening``, ``forgetting``, ``fading_max``, ``share``, ``gate``, ``preference``, of interacting
+models ``transition`` and ``initial``, and of motions and sensors ``q``, ``std``, ``rate``, ``alpha``, ``limit``; or
+``"all"``.  A model that learns is copied first: what is handed in stays as it is.
 
 ``per_element=True`` gives each element of a measurement a threshold of its own; ``share=(1, 0.1, 0.1)`` fades position,
 velocity and acceleration, each by its share (``states`` makes other groups).  Further keywords go to ``Fading``
@@ -32,6 +33,7 @@ from torchfra.robust import Huber, ThreeSegment
 from torchfra.sensors import Sensor
 
 Names = Collection[str]
+Models = Sequence[Motion] | Bank
 F = TypeVar("F", bound=Filter)
 _FADING = ("weakening", "forgetting", "fading_max", "rcond", "states", "share", "trace")
 
@@ -107,7 +109,7 @@ def fra(motion: Motion, sensor: Sensor, **options: Any) -> FRA:
 
 
 def imm(
-    models: Sequence[Motion],
+    models: Models,
     sensor: Sensor,
     *,
     inner: Callable[..., Filter] = srckf,
@@ -117,22 +119,34 @@ def imm(
     learn: Names = (),
     **options: Any,
 ) -> IMM:
-    """Interacting multiple models: ``inner`` is any preset of this file, ``options`` go to it.
+    """Interacting multiple models: ``inner`` is any preset of this file for one model, ``options`` go to it.
 
-    ``stay`` is the probability to stay with a model, the others share what is left; ``transition`` (K, K) says it in
-    full.  Source: Blom & Bar-Shalom (1988); Du & Zhang (2020) for the square-root cubature form.
+    ``models`` are motions of one state, or a ``Bank`` of them.  ``stay`` is the probability to stay with a model, the
+    others share what is left; ``transition`` (K, K) says it in full.
+
+    Source: Blom & Bar-Shalom (1988); Du & Zhang (2020) for the square-root cubature form.
     """
-    if not 0 < stay < 1:
-        raise ValueError(f"stay: expected a probability above 0 and below 1, received {stay}")
-    count = len(models)
-    if transition is None:
-        eye = torch.eye(count, dtype=torch.float64)
-        transition = stay * eye + (1 - stay) / (count - 1) * (1 - eye) if count > 1 else eye
-    f = IMM(inner(Bank(models), sensor, **options), transition=transition, initial=initial)
+    bank = _bank(models)
+    matrix = _transition(len(bank), stay, transition)
+    f = IMM(inner(bank, sensor, **options), transition=matrix, initial=initial)
     return _learning(f, learn)
 
 
-def imm_fra(models: Sequence[Motion], sensor: Sensor, **options: Any) -> IMM:
+def imm_srckf(models: Models, sensor: Sensor, **options: Any) -> IMM:
+    """``imm`` with ``srckf`` for each model.  Source: Du & Zhang (2020)."""
+    return imm(models, sensor, inner=srckf, **options)
+
+
+def imm_ckf(models: Models, sensor: Sensor, **options: Any) -> IMM:
+    """What Du & Zhang (2020) compare with: the same filter as ``imm_srckf``, under their name.
+
+    A covariance or its root is a matter of rounding alone: the difference in accuracy that they report cannot come from
+    it.  It is computed with roots here too.
+    """
+    return imm_srckf(models, sensor, **options)
+
+
+def imm_fra(models: Models, sensor: Sensor, **options: Any) -> IMM:
     """``imm`` with ``fra`` for each model: for targets that turn under sensors that lie.
 
     ``preference`` is 5 unless given: the bank explains manoeuvres, so that an abnormal step is an outlier sooner.
@@ -140,35 +154,52 @@ def imm_fra(models: Sequence[Motion], sensor: Sensor, **options: Any) -> IMM:
     return imm(models, sensor, inner=fra, **{"preference": 5.0} | options)
 
 
-_CALLED = ((1, 3), (2, 4), (0, 4), (0, 1), (2, 0))
-
-
 def vsimm_srckf(
-    models: Sequence[Motion],
+    models: Models,
     sensor: Sensor,
     *,
     inner: Callable[..., Filter] = srckf,
-    neighbours: Sequence[Sequence[int]] = _CALLED,
-    first: Sequence[int] = (0, 2, 3),
+    neighbours: Sequence[Sequence[int]] | None = None,
+    first: Sequence[int] | None = None,
+    stay: float = 0.95,
+    transition: Value | None = None,
+    unlikely: Value = 0.05,
+    principal: Value = 0.5,
     learn: Names = (),
-    stay: Value = 0.95,
-    unlikely: float = 0.05,
-    principal: float = 0.5,
     **options: Any,
 ) -> VSIMM:
-    """Interacting models of which three run at a time.  Source: Du & Zhang (2020).
+    """Interacting models of which a few run at a time: three of five in the paper.  Source: Du & Zhang (2020).
 
-    The table and the first set are for the five models of ``scenarios.adsb_models``; the paper does not print them.
+    ``stay`` and ``transition`` as in ``imm``; ``neighbours`` and ``first`` are those of the ``Bank`` unless given (the
+    paper prints none; ours are in ``scenarios.adsb_models``); ``options`` go to ``inner``.
     """
+    bank = _bank(models)
+    neighbours, first = neighbours or bank.neighbours, first or bank.first
+    if neighbours is None or first is None:
+        raise ValueError("neighbours, first: expected both, or a Bank that has them, received none")
     f = VSIMM(
-        inner(Bank(models), sensor, **options),
+        inner(bank, sensor, **options),
         neighbours=neighbours,
         first=first,
-        stay=stay,
+        transition=_transition(len(bank), stay, transition),
         unlikely=unlikely,
         principal=principal,
     )
     return _learning(f, learn)
+
+
+def _bank(models: Models) -> Bank:
+    return models if isinstance(models, Bank) else Bank(models)
+
+
+def _transition(count: int, stay: float, transition: Value | None) -> Value:
+    """A matrix that was given, or the one in which all others share what ``stay`` leaves."""
+    if not 0 < stay < 1:
+        raise ValueError(f"stay: expected a probability above 0 and below 1, received {stay}")
+    if transition is not None:
+        return transition
+    eye = torch.eye(count, dtype=torch.float64)
+    return stay * eye + (1 - stay) / (count - 1) * (1 - eye) if count > 1 else eye
 
 
 def _huber(sensor: Sensor, threshold: Value, per_element: bool) -> Huber:

@@ -1,4 +1,4 @@
-"""Motions whose acceleration forgets: Singer's, and the current statistical model.
+"""Motions driven by noise all the time: white jerk, Singer's, and the current statistical model.
 
 States ``[position, velocity, acceleration]``, ``da/dt = -alpha (a - level) + noise``.
 """
@@ -15,7 +15,25 @@ from torch.distributions import constraints
 
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg import tria
-from torchfra.motion import Adaptation, Motion, _per_axis
+from torchfra.motion import Adaptation, ConstantAcceleration, Motion, _per_axis
+
+
+class WhiteJerk(ConstantAcceleration):
+    """Constant acceleration, disturbed all the time by a white jerk: two short steps are the same as a long one.
+
+    Args:
+        q: its power spectral density, m^2/s^5: variance of the acceleration that a second adds.
+        dims: dimensions of space.
+
+    Raises:
+        ValueError: a value out of its range.
+
+    Source: Bar-Shalom, Li & Kirubarajan (2001), section 6.2.3.
+    """
+
+    def noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., n, n)`` for ``dt (...)``."""
+        return _per_axis(self.q().to(dt).sqrt()[..., None, None] * _root(torch.zeros_like(dt), dt), self.dims)
 
 
 class Singer(Motion):
@@ -54,10 +72,8 @@ class Singer(Motion):
     def _root(self, dt: Tensor) -> Tensor:
         """Of the noise covariance of one axis, ``(..., 3, 3)``, for an acceleration of variance 1."""
         alpha = self.alpha().to(dt)
-        at, weight = (torch.tensor(x, dtype=dt.dtype, device=dt.device) for x in _gauss())
-        alpha, dt = torch.broadcast_tensors(alpha, dt)
-        columns = torch.stack(_response(alpha.unsqueeze(-1), dt.unsqueeze(-1) * at), -2)
-        return tria(columns * (2 * alpha * dt).sqrt()[..., None, None] * weight.sqrt())
+        root: Tensor = (2 * alpha).sqrt()[..., None, None] * _root(alpha, dt)
+        return root
 
 
 class CurrentStatistical(Singer):
@@ -98,6 +114,14 @@ class CurrentStatistical(Singer):
         limit, below, _ = torch.broadcast_tensors(limit, below, dt)
         size, slope = torch.stack([limit / limit, below / limit], -1), torch.stack([1 / limit, 1 / below], -1)
         return Adaptation(_per_axis(moved.unsqueeze(-1), self.dims), size, slope)
+
+
+def _root(alpha: Tensor, dt: Tensor) -> Tensor:
+    """Of the noise covariance of one axis, ``(..., 3, 3)``, for white noise of density 1."""
+    at, weight = (torch.tensor(x, dtype=dt.dtype, device=dt.device) for x in _gauss())
+    alpha, dt = torch.broadcast_tensors(alpha, dt)
+    columns = torch.stack(_response(alpha.unsqueeze(-1), dt.unsqueeze(-1) * at), -2)
+    return tria(columns * dt.sqrt()[..., None, None] * weight.sqrt())
 
 
 def _response(alpha: Tensor, dt: Tensor) -> list[Tensor]:

@@ -54,12 +54,14 @@ class Tally:
     Args:
         position: components of the state.
         velocity: components of the state.
+        floor: coordinates below count as this in relative errors, m.
     """
 
-    def __init__(self, position: slice, velocity: slice) -> None:
-        self.states = {"position": position, "velocity": velocity}
+    def __init__(self, position: slice, velocity: slice, floor: float = 100.0) -> None:
+        self.states, self.floor = {"position": position, "velocity": velocity}, floor
         self.squares: dict[str, Tensor] = {}
         self.counts: dict[str, Tensor] = {}
+        self.sums: dict[str, Tensor] = {}
         self.tracks: list[Tensor] = []
         self.error, self.nees = Median(), Median()
         self.seconds = 0.0
@@ -75,13 +77,25 @@ class Tally:
                 self.error.add(error)
                 self.tracks.append(square.nanmean(-1).sqrt())
         self.nees.add(metrics.nees(estimate, truth, self.states["position"]))
+        self._by_axis(estimate, truth[..., self.states["position"]])
         self.seconds += seconds
+
+    def _by_axis(self, estimate: Estimate, truth: Tensor) -> None:
+        """Sums over the tracks, for each coordinate of the position; and of the models' probabilities, ``(T, K)``."""
+        gap = estimate.mean[..., self.states["position"]] - truth
+        gap = torch.where(gap.isnan() & ~truth.isnan(), torch.inf, gap)
+        more = {"error": gap, "square": gap.square(), "share": gap.abs() / truth.abs().clamp_min(self.floor)}
+        if hasattr(estimate.info, "probabilities"):
+            more["probabilities"] = estimate.info.probabilities
+        for name, values in more.items():
+            self.sums[name] = self.sums.get(name, 0.0) + values.nansum(0)
 
     def merge(self, other: Tally) -> None:
         """The tracks that another has seen."""
         for name in self.states:
             self.squares[name] = self.squares[name] + other.squares[name]
             self.counts[name] = self.counts[name] + other.counts[name]
+        self.sums = {name: values + other.sums[name] for name, values in self.sums.items()}
         self.tracks += other.tracks
         self.error.merge(other.error)
         self.nees.merge(other.nees)
@@ -94,9 +108,22 @@ class Tally:
         return {
             **{f"rmse_{name}": values.tolist() for name, values in over_time.items()},
             **{f"mean_rmse_{name}": values.nanmean().item() for name, values in over_time.items()},
+            **self._axes(),
             "median_error_position": self.error(),
             "median_track_rmse": own.nanmedian().item(),
             "worst_track": own.max().item(),
             "divergence_rate": (own > limit).double().mean().item(),
             "nees_position": self.nees(),
         }
+
+    def _axes(self) -> dict[str, Any]:
+        """Over time, for each coordinate: mean error with its sign, root mean square error, mean relative error (%)."""
+        counts, over_time = self.counts["position"].unsqueeze(-1), {}
+        means = {name: values / counts for name, values in self.sums.items()}
+        for i, axis in enumerate("xyz"[: means["error"].shape[-1]]):
+            over_time[f"mean_error_{axis}"] = means["error"][:, i].tolist()
+            over_time[f"rmse_{axis}"] = means["square"][:, i].sqrt().tolist()
+            over_time[f"mape_{axis}"] = (100 * means["share"][:, i]).tolist()
+        if "probabilities" in self.sums:
+            over_time["probabilities"] = (self.sums["probabilities"] / len(torch.cat(self.tracks))).tolist()
+        return over_time

@@ -10,7 +10,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from torchfra.evaluate import FILTERS, progress_bar
+from torchfra.bank import Bank, aircraft
+from torchfra.evaluate import make, progress_bar
+from torchfra.filters import Filter
 from torchfra.motion import ConstantAcceleration
 from torchfra.readers import Recording
 from torchfra.sensors import Position
@@ -41,6 +43,10 @@ class Filtered:
     """``(T,)`` normalised innovation squared."""
     flags: dict[str, NDArray[np.bool_]]
     """``missing``, ``outlier``, ``manoeuvre``: ``(T,)`` each."""
+    models: tuple[str, ...] = ()
+    """Names of the models, where some interact."""
+    leading: NDArray[np.intp] | None = None
+    """``(T,)`` the most probable of them."""
 
     def columns(self) -> dict[str, Any]:
         """The columns of a table, by name; with latitude and longitude where the recording has an origin."""
@@ -50,14 +56,15 @@ class Filtered:
             table |= {prefix + axis: values[:, i] for i, axis in enumerate(axes)}
         if self.recording.origin is not None:
             table |= self._geodetic(self.recording.origin)
-        return table | {"nis": self.nis} | {name: flag.astype(int) for name, flag in self.flags.items()}
+        table |= {"nis": self.nis} | {name: flag.astype(int) for name, flag in self.flags.items()}
+        return table if self.leading is None else table | {"model": np.array(self.models)[self.leading]}
 
     def csv(self) -> str:
         """The table as text; an empty cell is no number."""
         table = self.columns()
         digits = {"time": 3, "latitude": 7, "longitude": 7}
         cells = [
-            [str(v) if v.dtype.kind == "i" else "" if np.isnan(v) else f"{v:.{digits.get(name, 3)}f}" for v in column]
+            [str(v) if v.dtype.kind in "iU" else "" if np.isnan(v) else f"{v:.{digits.get(name, 3)}f}" for v in column]
             for name, column in table.items()
         ]
         return "\n".join([",".join(table), *(",".join(row) for row in zip(*cells, strict=True))]) + "\n"
@@ -75,7 +82,12 @@ class Filtered:
             "largest_correction": float(np.nanmax(off)),
             "failed": bool(~np.isfinite(self.position).all()),
             "repairs": self.recording.repairs,
+            **({} if self.leading is None else {"steps_led": self._steps_led(self.leading)}),
         }
+
+    def _steps_led(self, leading: NDArray[np.intp]) -> dict[str, int]:
+        counts = np.bincount(leading, minlength=len(self.models)).tolist()
+        return dict(zip(self.models, counts, strict=True))
 
     def _geodetic(self, origin: tuple[float, float, float]) -> dict[str, Array]:
         from pymap3d import enu2geodetic  # there, or the recording could not have been read
@@ -94,7 +106,7 @@ def track(
     q: float = 1.0,
     progress: bool = False,
 ) -> list[Filtered]:
-    """Recordings through a filter with a position sensor and constant acceleration.
+    """Recordings through a filter with a position sensor and constant acceleration, or a bank of motions.
 
     Args:
         recordings: from ``torchfra.readers.read``.
@@ -107,8 +119,7 @@ def track(
     Raises:
         ValueError: an unknown filter, or a value out of its range.
     """
-    if name not in FILTERS:
-        raise ValueError(f"filter: expected one of {', '.join(FILTERS)}, received {name!r}")
+    _filter(name, 2, sigma, q)
     if dt is not None and not dt > 0:
         raise ValueError(f"dt: expected seconds above 0, received {dt}")
     order = sorted(range(len(recordings)), key=lambda i: (recordings[i].position.shape[1], len(recordings[i].time)))
@@ -133,14 +144,14 @@ def _together(
     for i, (time, raw) in enumerate(grids):
         z[i, : len(time)] = torch.from_numpy(raw)
         gaps[i, 1 : len(time)] = torch.from_numpy(np.diff(time))
-    options = {"gate": GATE[d]} if name.startswith("fra") else {}
-    f = FILTERS[name](ConstantAcceleration(q, d), Position(sigma, dims=d), **options)
+    f = _filter(name, d, sigma, q)
     start = torch.cat([z[:, 0], torch.zeros(len(z), 2 * d, dtype=torch.float64)], -1)
     first = torch.tensor([10 * sigma, 300.0, 5.0], dtype=torch.float64).repeat_interleave(d).diag()
     with torch.no_grad():
         estimate: Estimate = f(z, Gaussian(start, first), dt=gaps)
     outlier, manoeuvre = _flags(estimate, GATE[d])
     std = estimate.scale_tril.square().sum(-1).sqrt()
+    models = tuple(f.motion.names) if isinstance(f.motion, Bank) else ()
     results = []
     for i, (recording, (time, raw)) in enumerate(zip(recordings, grids, strict=True)):
         k = len(time)
@@ -151,8 +162,15 @@ def _together(
         }
         mean, nis = estimate.mean[i, :k].numpy(), estimate.nis[i, :k].numpy()
         position, velocity, spread = mean[:, :d], mean[:, d : 2 * d], std[i, :k, :d].numpy()
-        results.append(Filtered(recording, time, raw, position, velocity, spread, nis, flags))
+        leading = estimate.info.probabilities[i, :k].argmax(-1).numpy() if models else None
+        results.append(Filtered(recording, time, raw, position, velocity, spread, nis, flags, models, leading))
     return results
+
+
+def _filter(name: str, d: int, sigma: float, q: float) -> Filter:
+    """The filter of this name for positions in ``d`` dimensions."""
+    options = {"gate": GATE[d]} if "fra" in name else {}
+    return make(name, ConstantAcceleration(q, d), Position(sigma, dims=d), aircraft(q, d), **options)
 
 
 def _grid(recording: Recording, dt: float | None) -> tuple[Array, Array]:
@@ -179,6 +197,6 @@ def _flags(estimate: Estimate, gate: float) -> tuple[torch.Tensor, torch.Tensor]
     info = estimate.info
     if hasattr(info, "abnormal"):
         return info.abnormal & ~info.adaptive, info.abnormal & info.adaptive
-    abnormal = estimate.nis > gate
-    adapted = torch.zeros_like(abnormal) if info.fading is None else abnormal & (info.fading > 1)
+    abnormal, fading = estimate.nis > gate, getattr(info, "fading", None)
+    adapted = torch.zeros_like(abnormal) if fading is None else abnormal & (fading > 1)
     return abnormal & ~adapted, adapted

@@ -32,8 +32,8 @@ class IMMState(NamedTuple):
 class IMMInfo(NamedTuple):
     """Per step and track."""
 
-    weights: Tensor
-    """``(..., T, K)`` probabilities of the models."""
+    probabilities: Tensor
+    """``(..., T, K)`` of the models."""
 
 
 class Around(Filter):

@@ -33,8 +33,8 @@ class VSIMMState(NamedTuple):
 class VSIMMInfo(NamedTuple):
     """Per step and track."""
 
-    weights: Tensor
-    """``(..., T, K)`` probabilities of all models, 0 of those that do not run."""
+    probabilities: Tensor
+    """``(..., T, K)`` of all models, 0 of those that do not run."""
     active: Tensor
     """``(..., T, K)`` bool: the models that run."""
 
@@ -48,14 +48,18 @@ class VSIMM(Around):
 
     Args:
         inner: a filter around a ``Bank`` of K linear motions.
-        neighbours: for each model those it calls, by number; every model must be reached from every other.
+        neighbours: for each model those it calls, by number, as many as can run beside it or fewer; every model must be
+            reached from every other.
         first: the models that run first.
-        stay: probability to stay with a model that goes on running; the others share what is left.
+        transition: ``(K, K)`` between all models, ``transition[i, j] = P(now j | was i)``, all above 0.  Those that run
+            share a row out: a model that goes on keeps its probability to stay, and the rest (of one that goes, all) is
+            divided in proportion.  It learns as ``transition``, row by row on the simplex.
         unlikely: probability below which a model makes room.
-        principal: probability above which a model calls its neighbours.
+        principal: probability above which a model calls its neighbours.  A choice passes no gradient to either.
 
     Raises:
-        ValueError: no bank of linear motions, thresholds out of order, or a table that does not connect the models.
+        ValueError: no bank of linear motions, thresholds out of order, a table that does not connect the models, or a
+            matrix that is no transition between all of them.
 
     Source: Du & Zhang (2020), eqs. (4)-(11); Li & Zhang (2000), "Multiple-Model Estimation with Variable Structure,
     Part V: Likely-Model Set Algorithm".  Differs: the paper does not say how its set changes; the number is fixed.
@@ -70,29 +74,37 @@ class VSIMM(Around):
         *,
         neighbours: Sequence[Sequence[int]],
         first: Sequence[int],
-        stay: Value = 0.95,
-        unlikely: float = 0.05,
-        principal: float = 0.5,
+        transition: Value,
+        unlikely: Value = 0.05,
+        principal: Value = 0.5,
     ) -> None:
         super().__init__(inner)
         if self.motion.transition(torch.ones((), dtype=torch.float64)) is None:
             raise ValueError(f"inner: expected a filter around a Bank of linear motions, received {self.motion}")
         count = len(self.motion)
-        if not 0 <= unlikely < principal < 1:
-            said = f"{unlikely}, {principal}"
+        low, high = torch.as_tensor(unlikely), torch.as_tensor(principal)
+        if not bool(((low >= 0) & (low < high) & (high < 1)).all()):
+            said = f"{low.tolist()}, {high.tolist()}"
             raise ValueError(f"unlikely, principal: expected 0 <= unlikely < principal < 1, received {said}")
         if len(set(first)) != len(first) or not 1 < len(first) <= count or not set(first) <= set(range(count)):
             raise ValueError(f"first: expected 2 to {count} different models, received {list(first)}")
         table = torch.zeros(count, count, dtype=torch.float64)
         if len(neighbours) != count:
             raise ValueError(f"neighbours: expected one list for each of {count} models, received {len(neighbours)}")
+        if max(map(len, neighbours)) >= len(first):
+            said = f"at most {len(first) - 1} for each, which can run beside it, received {neighbours}"
+            raise ValueError(f"neighbours: expected {said}")
         for model, called in enumerate(neighbours):
             table[model, list(called)] = 1
         reached = torch.linalg.matrix_power(table + torch.eye(count, dtype=torch.float64), count) > 0
         if not bool(reached.all()):
             raise ValueError(f"neighbours: expected every model to be reached from every other, received {neighbours}")
-        self.stay = Hyper(stay, constraints.unit_interval, name="stay")
-        self.unlikely, self.principal = unlikely, principal
+        transition = torch.as_tensor(transition, dtype=torch.float64)
+        if transition.shape[-2:] != (count, count) or not bool((transition > 0).all()):
+            raise ValueError(f"transition: expected ({count}, {count}) above 0, received {transition.tolist()}")
+        self.transition = Hyper(transition, constraints.simplex, event=2, name="transition")
+        self.unlikely = Hyper(unlikely, constraints.unit_interval, name="unlikely")
+        self.principal = Hyper(principal, constraints.unit_interval, name="principal")
         self.register_buffer("table", table)
         self.register_buffer("start", torch.eye(count, dtype=torch.float64)[list(first)])
 
@@ -106,7 +118,8 @@ class VSIMM(Around):
     def advance(self, state: VSIMMState, frame: Frame, mix: Mix | None = None) -> tuple[VSIMMState, Record]:
         """See ``Filter``; it mixes, and is not mixed."""
         active, goes_on = self.choose(state.active, state.log_weights)
-        matrix, frame = self.matrix(goes_on).log(), _chosen(for_each(frame), active)
+        matrix = self.matrix(state.active, active, goes_on).log()
+        frame = _chosen(for_each(frame), active)
         inner, log_weights, record = cycle(self.inner, state.inner, state.log_weights, matrix, frame)
         weights = (log_weights.exp().unsqueeze(-2) @ active).squeeze(-2)
         info = VSIMMInfo(weights, active.sum(-2) > 0)
@@ -119,9 +132,10 @@ class VSIMM(Around):
         """
         weight = (log_weights.exp().unsqueeze(-2) @ active).squeeze(-2)  # (..., K), as all that follows
         runs = active.sum(-2)
-        principal = (weight > self.principal).to(weight)
+        high, low = (x().to(weight).unsqueeze(-1) for x in (self.principal, self.unlikely))
+        principal = (weight > high).to(weight)
         called = ((principal.unsqueeze(-2) @ self.table.to(weight)).squeeze(-2) > 0).to(weight)
-        likely = runs * (weight >= self.unlikely).to(weight)
+        likely = runs * (weight >= low).to(weight)
         tier = torch.where(principal > 0, 4.0, torch.where(called > 0, 3.0, runs + likely))
         score = 2 * tier + weight
         mine, other = score.unsqueeze(-1), score.unsqueeze(-2)
@@ -133,13 +147,16 @@ class VSIMM(Around):
         turn = (_counted(new).unsqueeze(-2) == _counted(free).unsqueeze(-1)).to(weight)
         return goes_on.unsqueeze(-1) * active + (free.unsqueeze(-1) * new.unsqueeze(-2)) * turn, goes_on
 
-    def matrix(self, goes_on: Tensor) -> Tensor:
-        """``P(now j | was i) (..., A, A)`` between two sets: eq. (4)."""
-        count = goes_on.shape[-1]
-        stay = self.stay().to(goes_on)[..., None, None]
-        eye = torch.eye(count, dtype=goes_on.dtype, device=goes_on.device)
-        within = stay * eye + (1 - stay) / (count - 1) * (1 - eye)
-        return torch.where(goes_on.unsqueeze(-1) > 0, within, 1 / count)
+    def matrix(self, was: Tensor, now: Tensor, goes_on: Tensor) -> Tensor:
+        """``P(now j | was i) (..., A, A)`` between two sets ``(..., A, K)``.
+
+        Eq. (4) when all others share what a row leaves.
+        """
+        whole = self.transition().to(was)
+        stay = goes_on * (was @ whole.diagonal(dim1=-2, dim2=-1).unsqueeze(-1)).squeeze(-1)
+        others = was @ (whole - whole.diagonal(dim1=-2, dim2=-1).diag_embed()) @ now.mT
+        others = others / others.sum(-1, keepdim=True)
+        return torch.where(was @ now.mT > 0, stay.unsqueeze(-1), (1 - stay).unsqueeze(-1) * others)
 
 
 def _counted(x: Tensor) -> Tensor:

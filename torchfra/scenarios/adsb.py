@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchfra.bank import Bank
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn, Motion
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
 from torchfra.sensors import Position
@@ -51,21 +52,23 @@ def adsb_turns(turns: str = "acceleration", *, std: float = 30.0) -> Scenario:
 
     prior = Gaussian(path[1], root)
     settings: dict[str, object] = {"turns": turns, "std": std}
-    return Scenario("adsb-turns", ConstantAcceleration(0.02**2), sensor, prior, DT, SAMPLES - 2, block, settings)
+    motion, bank = ConstantAcceleration(0.02**2), adsb_models()
+    return Scenario("adsb-turns", motion, sensor, prior, DT, SAMPLES - 2, block, settings, bank)
 
 
-def adsb_models() -> list[Motion]:
+def adsb_models() -> Bank:
     """Constant velocity and acceleration, current statistical, slow turn and fast turn, in one state of six.
 
-    Source: Du & Zhang (2020), section 1; the values are ours.
+    Source: Du & Zhang (2020), section 1; the values, and what calls what (``Bank.neighbours``), are ours.
     """
-    return [
+    models: list[Motion] = [
         ConstantVelocity(0.01**2, orders=3),
         ConstantAcceleration(0.02**2),
         CurrentStatistical(1 / 20, 1.0),
         CoordinatedTurn(math.pi / 400, 0.02**2, orders=3),
         CoordinatedTurn(-math.pi / 100, 0.02**2, orders=3),
     ]
+    return Bank(models, neighbours=((1, 3), (2, 4), (0, 4), (0, 1), (2, 0)), first=(0, 2, 3))
 
 
 def _path(turns: str) -> Tensor:

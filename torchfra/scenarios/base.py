@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchfra.bank import Bank
 from torchfra.motion import Motion
 from torchfra.sensors import Sensor
 from torchfra.types import Gaussian
@@ -44,6 +45,7 @@ class Scenario:
         steps: measurements per run.
         block: simulates the ``BLOCK`` runs of these numbers, ``(BLOCK,)``, from a generator.
         settings: what to write beside results.
+        bank: motions for interacting models, which may know more of the targets than ``motion`` does.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Scenario:
     steps: int
     block: Callable[[np.random.Generator, Tensor], Tracks]
     settings: dict[str, object]
+    bank: Bank | None = None
 
     @property
     def position(self) -> slice:

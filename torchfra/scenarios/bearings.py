@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchfra.bank import Bank
 from torchfra.motion import ConstantAcceleration, CoordinatedTurn
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
 from torchfra.sensors import Bearings
@@ -109,7 +110,13 @@ def _scenario(name: str, path: Tensor, sizes: dict[int, float], outliers: str, t
         return Tracks(truth, sensor(truth, u) + noise, u, Gaussian(mean, _ROOT))
 
     settings = {"outliers": outliers, "truth_noise": truth_noise, "initial": initial}
-    return Scenario(name, motion, sensor, Gaussian(centre, _ROOT), DT, STEPS, block, settings)
+    return Scenario(name, motion, sensor, Gaussian(centre, _ROOT), DT, STEPS, block, settings, _bank())
+
+
+def _bank() -> Bank:
+    """Constant acceleration, and turns of the rate of scenario 2 to both sides: it knows what comes."""
+    turns = [CoordinatedTurn(side * math.pi / 10, Q, orders=3) for side in (1, -1)]
+    return Bank([ConstantAcceleration(Q), *turns], neighbours=((1, 2), (0, 2), (0, 1)), first=(0, 1, 2))
 
 
 def _disturbance(jerk: Tensor, variance: float) -> Tensor:

@@ -9,10 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchfra.bank import aircraft
 from torchfra.motion import ConstantAcceleration
 from torchfra.readers import Recording, resample
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
-from torchfra.sensors import Bearings, RangeBearing
+from torchfra.sensors import Bearings, Position, RangeBearing
 from torchfra.types import Gaussian
 
 _ROOT = torch.tensor([100.0, 100.0, 10.0, 10.0, 2.0, 2.0], dtype=torch.float64).diag()
@@ -40,23 +41,26 @@ def recorded(
 
     Args:
         recordings: from ``torchfra.readers.read``.
-        sensor: ``"bearings"`` of two stations south of each window, or a ``"radar"`` there for range and bearing.
+        sensor: ``"bearings"`` of two stations south of each window, a ``"radar"`` there for range and bearing, or the
+            ``"position"`` itself, as an aircraft reports it.
         dt: seconds per step.
         steps: measurements in a window.
         max_gap: seconds without a position that split a track.
-        std: of the sensor: rad for bearings (0.1 degrees unless given), (m, rad) for the radar (50 m, 0.1 degrees).
+        std: of the sensor: rad for bearings (0.1 degrees unless given), (m, rad) for the radar (50 m, 0.1 degrees), m
+            for the position (30 m).
         outliers: what grows in an outlier: ``"covariance"`` or ``"std"``, or ``"none"``.
         share: of the measurements that are outliers.
         size: how many times it grows.
-        q: variance of the change of acceleration per step that filters assume, m^2/s^4.
+        q: variance of the change of acceleration per step that filters assume, m^2/s^4; also of the bank
+            (``torchfra.bank.aircraft``).
 
     Raises:
         ValueError: an argument out of its range, or no track long enough.
     """
     if outliers not in ("covariance", "std", "none"):
         raise ValueError(f"outliers: expected 'covariance', 'std' or 'none', received {outliers!r}")
-    if sensor not in ("bearings", "radar"):
-        raise ValueError(f"sensor: expected 'bearings' or 'radar', received {sensor!r}")
+    if sensor not in ("bearings", "radar", "position"):
+        raise ValueError(f"sensor: expected 'bearings', 'radar' or 'position', received {sensor!r}")
     if steps < _SHORTEST or not 0 <= share <= 1 or not size >= 1:
         raise ValueError(
             f"steps, share, size: expected {_SHORTEST} or more, in [0, 1], 1 or more, received {steps}, {share}, {size}"
@@ -64,12 +68,14 @@ def recorded(
     windows = _windows(recordings, dt, steps, max_gap)
     centre, reach = _frame(windows)
     angle = math.radians(0.1)
-    model: Bearings | RangeBearing
+    model: Bearings | RangeBearing | Position
     south = centre - reach * torch.tensor([0.0, 1.5], dtype=torch.float64)
     if sensor == "bearings":
         model = Bearings(angle if std is None else torch.as_tensor(std, dtype=torch.float64))
         aside = reach * torch.tensor([1.0, 0.0], dtype=torch.float64)
         places = torch.cat([south - aside, south + aside], -1)
+    elif sensor == "position":
+        model, places = Position(30.0 if std is None else torch.as_tensor(std, dtype=torch.float64)), None
     else:
         model = RangeBearing(torch.as_tensor((50.0, angle) if std is None else std, dtype=torch.float64))
         places = south
@@ -80,7 +86,8 @@ def recorded(
         window = numbers % len(windows)
         draw = torch.from_numpy(rng.standard_normal((BLOCK, 6 + steps * model.size)))
         wild = torch.from_numpy(rng.random((BLOCK, steps, 1))) < share
-        truth, u = windows[window], places[window].unsqueeze(1).expand(-1, steps, -1)
+        truth = windows[window]
+        u = None if places is None else places[window].unsqueeze(1).expand(-1, steps, -1)
         noise = draw[:, 6:].unflatten(1, (steps, model.size)) * torch.where(wild, grown, 1.0)
         start = truth[:, 0] * torch.tensor([1.0, 1.0, 1.0, 1.0, 0.0, 0.0], dtype=torch.float64)
         truth = truth[:, 1:]
@@ -92,7 +99,7 @@ def recorded(
     }  # fmt: skip
     motion = ConstantAcceleration(q)
     centre_of_all = Gaussian(windows[0, 0] * torch.tensor([1.0] * 4 + [0.0] * 2, dtype=torch.float64), _ROOT)
-    return Scenario("recorded", motion, model, centre_of_all, dt, steps, block, settings)
+    return Scenario("recorded", motion, model, centre_of_all, dt, steps, block, settings, aircraft(q))
 
 
 def _windows(recordings: Sequence[Recording], dt: float, steps: int, max_gap: float) -> Tensor:
