@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 
 from torchfra import keep_memory, plotting, presets
 from torchfra.cli import SCENARIOS, named
-from torchfra.evaluate import FILTERS, chosen, evaluate, report, run, table
+from torchfra.evaluate import FILTERS, chosen, evaluate, learned, report, run, table
 from torchfra.files import write_json
 from torchfra.filters import Filter
 from torchfra.kernel.build import CompileError
@@ -55,6 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--filters", metavar="A,B", help=f"out of {known}, and of adsb-turns imm3 and imm5 (default: the paper's)"
     )
+    parser.add_argument("--learned", metavar="NAME=FILE", help="also the filter NAME with values that training wrote")
     parser.add_argument("--compile", action="store_true", help="run compiled kernels")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the results for machines to read")
     parser.add_argument("--plots", type=Path, metavar="DIR", help="write the figures there")
@@ -67,6 +68,9 @@ def main(arguments: list[str] | None = None) -> int:
             turns=options.turns,
         )  # fmt: skip
         filters = filters_of(scenario, (options.filters or PAPER[scenario.name]).split(","))
+        if options.learned is not None:
+            name, _, file = options.learned.partition("=")
+            filters["learned"] = learned(file, scenario, name)
         results = evaluate(scenario, filters, runs=options.runs, seed=options.seed, compile=options.compile,
                            progress=not options.quiet)  # fmt: skip
         whole = report(scenario, results, runs=options.runs, seed=options.seed)

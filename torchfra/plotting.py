@@ -14,6 +14,8 @@ from torch import Tensor
 
 from torchfra.files import write
 
+_BESIDE = 12
+"""Lines of a legend that fit into a figure; more stand beside it."""
 _MODELS = ("#bbbbbb", "#4c72b0", "#dd8452", "#55a868", "#c44e52", "#8172b3", "#ccb974", "#64b5cd")
 _COLOURS = {
     "ukf": "#999999", "ekf": "#c7a76c", "srckf": "#4c72b0", "rsrckf": "#8172b3", "mr_ckf": "#937860",
@@ -230,6 +232,9 @@ def learning_curve(rows: list[dict[str, float]], start: dict[str, float], title:
     values.set(xlabel="iteration", ylabel="times the start", yscale="log")
     for axes in (loss, values):
         _finished(figure, axes)
+    if len(start) > _BESIDE:
+        figure.set_size_inches(12, 6)
+        values.legend(frameon=False, fontsize=7, ncols=2, loc="upper left", bbox_to_anchor=(1.0, 2.1))
     return figure
 
 

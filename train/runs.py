@@ -14,7 +14,7 @@ class Task:
     """Tracks to learn from, and how much they count."""
 
     scenario: str
-    """``"bearings-outliers"``, ``"bearings-manoeuvre"`` or ``"recorded"``."""
+    """``"bearings-outliers"``, ``"bearings-manoeuvre"``, ``"adsb-turns"`` or ``"recorded"``."""
     options: dict[str, Any] = field(default_factory=dict)
     """What the scenario takes, such as ``outliers`` and ``truth_noise``."""
     weight: float = 1.0
@@ -36,6 +36,9 @@ class Config:
     """What the preset takes."""
     start: dict[str, float] = field(default_factory=dict)
     """Values to start from instead of the preset's and the scenario's, in natural units."""
+    search: dict[str, list[float]] = field(default_factory=dict)
+    """Values to try, by hyperparameter, for what no gradient reaches: after the last iteration, on the validation
+    tracks, one hyperparameter after the other."""
     loss: str = "robust"
     """``"mse"``, ``"robust"``, ``"nll"`` (of the position), ``"innovation"`` or ``"teacher"``."""
     scale: float = 100.0
@@ -154,7 +157,29 @@ def recover() -> Config:
     )
 
 
-RUNS: dict[str, Callable[[], Config]] = {f.__name__: f for f in (fra_bearings, fra_recorded, noise, recover)}
+def switching() -> Config:
+    """Three of five models at a time on the ADS-B tracks: which follows which, how noisy each is, and when sets change.
+
+    Both forms of the turns, so that it is not one path that is learned.  The scale is near the error of a track: each
+    counts by its relative error.  Rates of turns stay: at one learning rate with the others they jump.
+    """
+    return Config(
+        name="switching",
+        tasks=(Task("adsb-turns"), Task("adsb-turns", {"turns": "arc"})),
+        learn=("transition", "q", "alpha", "limit", "std"),
+        filter="vsimm_srckf",
+        search={"unlikely": [0.0, 0.01, 0.02, 0.05, 0.1, 0.15], "principal": [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9]},
+        scale=20.0,
+        skip=18,  # figures count from sample 21 on, and filters start with the third
+        batch=48,
+        iterations=150,
+        lr=0.1,
+        temperature=0.0,
+        validation_runs=256,
+    )
+
+
+RUNS: dict[str, Callable[[], Config]] = {f.__name__: f for f in (fra_bearings, fra_recorded, switching, noise, recover)}
 
 
 def configured(name: str, changes: Sequence[str] = ()) -> Config:

@@ -6,9 +6,9 @@
     python -m train.tune fra_recorded files=a.csv,b.csv        recorded tracks: needs no truth
     torchrun --nproc-per-node 2 -m train.tune fra_bearings     two processes share each batch
 
-Runs (train/runs.py): fra_bearings, fra_recorded, noise, recover.  Written to out/train/RUN: config.json, log.csv,
-checkpoint.pt, the learned state_dict.pt (of the best validation), learning.png and results.json with what unseen tracks
-say before and after.  To use what was learned:
+Runs (train/runs.py): fra_bearings, fra_recorded, switching (interacting models), noise, recover.  Written to
+out/train/RUN: config.json, log.csv, checkpoint.pt, the learned state_dict.pt (of the best validation), learning.png and
+results.json with what unseen tracks say before and after.  To use what was learned:
 
     fra = torchfra.presets.fra(scenario.motion, scenario.sensor)
     fra.load_state_dict(torch.load("out/train/fra_bearings/state_dict.pt", weights_only=True))
@@ -28,12 +28,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from torchfra import distributed, keep_memory, losses, plotting, presets, readers, scenarios
 from torchfra.cli import named as scenario_named
-from torchfra.evaluate import evaluate, progress_bar, versions
+from torchfra.evaluate import BANKED, evaluate, progress_bar, versions
 from torchfra.files import write, write_json, write_text
 from torchfra.filters import FRA, Filter
 from torchfra.hyper import hypers, named
@@ -98,7 +99,8 @@ def simulate(parts: list[Scenario], first: int, runs: int, seed: int, device: st
 
 def make(config: Config, scenario: Scenario, values: dict[str, float], learn: bool) -> Filter:
     """The filter of a run with these values in natural units."""
-    models = copy.deepcopy((scenario.motion, scenario.sensor))
+    motion = scenario.bank if config.filter in BANKED else scenario.motion
+    models = copy.deepcopy((motion, scenario.sensor))
     names = ("all" if config.learn == ("all",) else config.learn) if learn else ()
     preset = getattr(presets, config.filter, None)
     if preset is None:
@@ -116,7 +118,8 @@ def values_of(f: Filter) -> dict[str, float]:
     values: dict[str, float] = {}
     for path, hyper in hypers(f).items():
         numbers = hyper().detach().flatten().tolist()
-        values |= {f"{path}[{i}]": v for i, v in enumerate(numbers)} if hyper.raw.dim() else {path: numbers[0]}
+        places = [",".join(map(str, place)) for place in np.ndindex(*hyper.raw.shape)]
+        values |= {f"{path}[{i}]" if i else path: v for i, v in zip(places, numbers, strict=True)}
     return values
 
 
@@ -241,8 +244,8 @@ class Tuner:
         return row
 
     def learned(self) -> dict[str, float]:
-        """The values that learn."""
-        moving = {name.removesuffix(".raw") for name in self.names}
+        """The values that learn, or are searched."""
+        moving = {name.removesuffix(".raw") for name in self.names} | set(named(self.f, list(self.config.search)))
         return {path: value for path, value in values_of(self.f).items() if path.partition("[")[0] in moving}
 
     @torch.no_grad()
@@ -253,6 +256,18 @@ class Tuner:
         each = self.losses({}, batch, c.temperature if c.loss == "teacher" else 0.0).nan_to_num(nan=math.inf)
         sums = each.new_zeros(len(self.parts)).index_add(0, batch.task, each)
         return float(self.weights @ distributed.summed(sums) / c.validation_runs)
+
+    def search(self) -> None:
+        """Of what no gradient reaches the best of the values to try, beside the best that gradients found."""
+        self.f.load_state_dict(self.best["filter"])
+        for name, values in self.config.search.items():
+            for hyper in named(self.f, (name,)).values():
+                for value in values:
+                    hyper.set(value, name)
+                    score = self.validate()
+                    if score < self.best["score"]:
+                        self.best |= {"score": score, "filter": copy.deepcopy(self.f.state_dict())}
+                self.f.load_state_dict(self.best["filter"])
 
     # ------------------------------------------------------------ checkpoints
 
@@ -346,6 +361,7 @@ def tune(config: Config, out: Path, *, resume: bool = False, quiet: bool = False
                 board.add_scalar(key, value, tuner.iteration)
         if first and tuner.iteration % config.checkpoint_every == 0:
             tuner.save(out)
+    tuner.search()
     if first:
         tuner.save(out)
         plotting.save(
@@ -375,8 +391,8 @@ def report(tuner: Tuner, start: dict[str, float], quiet: bool) -> dict[str, Any]
         results = evaluate(scenario, filters, runs=config.test_runs, seed=config.test_seed, progress=not quiet)
         figures: dict[str, Any] = {"scenario": task.scenario, **task.options}
         for name, of in results.items():
-            counted = torch.tensor(of["rmse_position"][config.skip :], dtype=torch.float64)
-            figures[name] = {"rmse_position": counted.nanmean().item(), "divergence_rate": of["divergence_rate"]}
+            counted = {key: np.nanmean(of[key][config.skip :]).item() for key in ("rmse_position", "rmse_x", "rmse_y")}
+            figures[name] = counted | {"divergence_rate": of["divergence_rate"]}
         tasks.append(figures)
     values: dict[str, dict[str, float]] = {"start": start, "learned": tuner.learned()}
     if tuner.teacher is not None:
