@@ -27,10 +27,10 @@ from torchfra.version import __version__
 FILTERS: dict[str, Callable[..., Filter]] = {
     f.__name__: f
     for f in (presets.ukf, presets.ekf, presets.srckf, presets.rsrckf, presets.mr_ckf, presets.asrckf, presets.rmckf,
-              presets.fra_srckf, presets.fra, presets.imm_ckf, presets.imm_srckf, presets.vsimm_srckf, presets.imm_fra)
+              presets.fra_srckf, presets.fra, presets.imm_srckf, presets.vsimm_srckf, presets.imm_fra)
 }  # fmt: skip
 """The filters that commands know by name."""
-BANKED = ("imm_ckf", "imm_srckf", "vsimm_srckf", "imm_fra")
+BANKED = ("imm_srckf", "vsimm_srckf", "imm_fra")
 """Those of them around a bank of motions."""
 
 Result = dict[str, Any]

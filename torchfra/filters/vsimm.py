@@ -153,10 +153,12 @@ class VSIMM(Around):
         Eq. (4) when all others share what a row leaves.
         """
         whole = self.transition().to(was)
-        stay = goes_on * (was @ whole.diagonal(dim1=-2, dim2=-1).unsqueeze(-1)).squeeze(-1)
-        others = was @ (whole - whole.diagonal(dim1=-2, dim2=-1).diag_embed()) @ now.mT
-        others = others / others.sum(-1, keepdim=True)
-        return torch.where(was @ now.mT > 0, stay.unsqueeze(-1), (1 - stay).unsqueeze(-1) * others)
+        own = whole.diagonal(dim1=-2, dim2=-1)
+        others = was @ (whole - own.diag_embed()) @ now.mT
+        stay = goes_on * (was @ own.unsqueeze(-1)).squeeze(-1)
+        left = (1 - stay) / others.sum(-1)
+        matrix: Tensor = stay.diag_embed() + left.unsqueeze(-1) * others
+        return matrix
 
 
 def _counted(x: Tensor) -> Tensor:
