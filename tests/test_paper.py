@@ -8,9 +8,10 @@ import torch
 from torchfra import metrics, presets, scenarios
 from torchfra.adaptive import Fading
 from torchfra.filters.frames import make_frames
-from torchfra.filters.srckf import compare, correct, innovation, predict, trust
+from torchfra.filters.srckf import compare, predict
 from torchfra.robust import Huber, ThreeSegment
 from torchfra.types import Gaussian
+from torchfra.update import correct, innovation, trust
 
 
 def close(value, expected, digits):

@@ -27,6 +27,7 @@ from torchfra.version import __version__
 FILTERS: dict[str, Callable[..., Filter]] = {
     f.__name__: f
     for f in (presets.ukf, presets.ekf, presets.srckf, presets.rsrckf, presets.mr_ckf, presets.asrckf, presets.rmckf,
+              presets.ghckf, presets.hghckf1, presets.hghckf2,
               presets.fra_srckf, presets.fra, presets.imm_srckf, presets.vsimm_srckf, presets.imm_fra)
 }  # fmt: skip
 """The filters that commands know by name."""

@@ -1,4 +1,4 @@
-"""Square-root algebra: triangularisation with an exact, rank-safe gradient, and a truncated pseudo-inverse.
+"""Square-root algebra: triangularisation with an exact, rank-safe gradient, downdates, functions of Gram matrices.
 
 A covariance is never formed here.  Everything works on a square root ``A`` of it, ``P = A A^T``, and on the one
 lower-triangular root with non-negative diagonal, ``L = tria(A)``.
@@ -183,14 +183,60 @@ def gram_pinv(h: Tensor, rcond: float) -> Tensor:
     cut = max(rcond, max(h.shape[-2:]) * torch.finfo(h.dtype).eps)
     kept = power > cut**2 * power.amax(-1, keepdim=True)
     inverse = torch.where(kept, 1 / torch.where(kept, power, 1.0), 0.0)
-    # Divided differences of x -> 1/x (kept) or 0 (cut): the derivative of a matrix function in its own eigenbasis.
+    return _of_gram(h, u, power, inverse, kept, -inverse.unsqueeze(-1) * inverse.unsqueeze(-2))
+
+
+def gram_sqrt(h: Tensor) -> Tensor:
+    """``(H H^T)^(1/2)``, symmetric, for ``h (..., m, d)`` of full row rank; its gradient is exact."""
+    u, power = _left_singular(h.detach())
+    sigma = power.sqrt()
+    ok = power > 0
+    together = sigma.unsqueeze(-1) + sigma.unsqueeze(-2)
+    return _of_gram(h, u, power, sigma, ok, 1 / torch.where(together > 0, together, 1.0))
+
+
+def downdate(root: Tensor, lost: Tensor, floor: float = 1e-12) -> tuple[Tensor, Tensor]:
+    """Lower-triangular root of ``root root^T - lost lost^T``, and where that had to be repaired.
+
+    In units of ``root`` the difference is the identity less a covariance.  Directions in which less than ``floor`` of
+    the identity remains keep ``floor``: there the result is repaired, and passes no gradient.
+
+    Args:
+        root: ``(..., n, n)`` lower; a direction without uncertainty (a zero on the diagonal) loses nothing.
+        lost: ``(..., n, r)``.
+        floor: the share of a variance that remains at least.
+
+    Returns:
+        The root ``(..., n, n)``, and ``(...)`` bool: it was repaired.  The gradient is exact elsewhere.
+    """
+    certain = root.diagonal(dim1=-2, dim2=-1) == 0
+    whole = root + torch.diag_embed(certain.to(root))
+    h = torch.linalg.solve_triangular(whole, torch.where(certain.unsqueeze(-1), 0.0, lost), upper=False)
+    u, power = _left_singular(torch.where(h.isfinite().flatten(-2).all(-1)[..., None, None], h, 0.0).detach())
+    kept = 1 - power > floor
+    left = torch.where(kept, 1 - power, floor).sqrt()
+    slope = -kept.to(left).unsqueeze(-1) / (left.unsqueeze(-1) + left.unsqueeze(-2))
+    return tria(root @ _of_gram(h, u, power, left, kept, slope)), ~kept.all(-1)
+
+
+def _of_gram(h: Tensor, u: Tensor, power: Tensor, value: Tensor, kept: Tensor, slope: Tensor) -> Tensor:
+    """A function of ``H H^T = u diag(power) u^T`` whose values are ``value (..., m)``, with its gradient.
+
+    Args:
+        h: ``(..., m, d)``, which carries the gradient.
+        u: ``(..., m, m)`` eigenvectors, constant.
+        power: ``(..., m)`` eigenvalues, constant.
+        value: ``(..., m)`` of the function there.
+        kept: ``(..., m)`` where the function is smooth; it is constant elsewhere.
+        slope: ``(..., m, m)`` divided differences between values that are both kept (or both not): the derivative of a
+            matrix function in its own eigenbasis.
+    """
     gap = power.unsqueeze(-1) - power.unsqueeze(-2)
     mixed = kept.unsqueeze(-1) != kept.unsqueeze(-2)
-    jump = (inverse.unsqueeze(-1) - inverse.unsqueeze(-2)) / torch.where(mixed, gap, 1.0)
-    slope = torch.where(mixed, jump, -inverse.unsqueeze(-1) * inverse.unsqueeze(-2))
+    jump = (value.unsqueeze(-1) - value.unsqueeze(-2)) / torch.where(mixed & (gap != 0), gap, 1.0)
     gram = h @ h.mT
     change = u.mT @ (gram - gram.detach()) @ u  # zero, but carries the gradient
-    result: Tensor = u @ (torch.diag_embed(inverse) + slope * change) @ u.mT
+    result: Tensor = u @ (torch.diag_embed(value) + torch.where(mixed, jump, slope) * change) @ u.mT
     return result
 
 

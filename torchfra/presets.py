@@ -21,7 +21,7 @@ import torch
 
 from torchfra.adaptive import Fading
 from torchfra.bank import Bank
-from torchfra.cubature import tangent, unscented
+from torchfra.cubature import Rule, fifth_degree, tangent, unscented
 from torchfra.filters.base import Filter
 from torchfra.filters.feedback import FRA
 from torchfra.filters.imm import IMM, Around
@@ -29,7 +29,7 @@ from torchfra.filters.srckf import SRCKF
 from torchfra.filters.vsimm import VSIMM
 from torchfra.hyper import Value, learnable, named
 from torchfra.motion import Motion
-from torchfra.robust import Huber, ThreeSegment
+from torchfra.robust import Huber, HuberRegression, HuberScore, ThreeSegment
 from torchfra.sensors import Sensor
 
 Names = Collection[str]
@@ -82,6 +82,41 @@ def rmckf(
     """Robust and adaptive at every step.  Source: Qiu, Qian & Wang (2018), as Wang et al. (2021) describe it."""
     robust = _huber(sensor, threshold, per_element)
     return _learning(SRCKF(motion, sensor, robust=robust, adaptive=_fading(motion, fading)), learn)
+
+
+def ghckf(motion: Motion, sensor: Sensor, *, learn: Names = ()) -> SRCKF:
+    """Fifth-degree cubature Kalman filter.  Source: Zhang (2014); Qin et al. (2018), eqs. (48)-(52)."""
+    return _learning(SRCKF(motion, sensor, rule=fifth_degree), learn)
+
+
+def hghckf1(
+    motion: Motion,
+    sensor: Sensor,
+    *,
+    rule: Callable[[int], Rule] = fifth_degree,
+    learn: Names = (),
+    **regression: Any,
+) -> SRCKF:
+    """Robust by regression: ``gamma, max_iter, tol, start, compensate`` as in ``HuberRegression``.
+
+    Source: Zhang et al. (2016), what Qin et al. (2018) compare with.
+    """
+    return _learning(SRCKF(motion, sensor, rule=rule, robust=HuberRegression(**regression)), learn)
+
+
+def hghckf2(
+    motion: Motion,
+    sensor: Sensor,
+    *,
+    rule: Callable[[int], Rule] = fifth_degree,
+    learn: Names = (),
+    **score: Any,
+) -> SRCKF:
+    """Robust by the score: ``gamma, eps, cov_mode, whitening, zeta_scale`` as in ``HuberScore``.
+
+    Source: Qin et al. (2018), eqs. (53)-(59).
+    """
+    return _learning(SRCKF(motion, sensor, rule=rule, robust=HuberScore(**score)), learn)
 
 
 def fra_srckf(

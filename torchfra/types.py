@@ -34,6 +34,8 @@ class Prediction(NamedTuple):
     """``(..., n, r)`` root of the part that came from the belief before, F P F^T."""
     noise: Tensor
     """``(..., n, q)`` root of the process noise."""
+    repaired: Tensor | None = None
+    """``(...)`` bool, of a rule with negative weights: the covariance was not positive and had to be mended."""
 
 
 class Whitened(NamedTuple):
@@ -48,11 +50,18 @@ class Whitened(NamedTuple):
     """``(..., m, r + d)`` root of the covariance of what was predicted: ``[rest, H S]``."""
     reads: int
     """``d``, the last columns of ``spread``: how the measurement follows the root of the belief."""
+    lost: Tensor | None = None
+    """``(..., m, k)`` root of what a rule with negative weights takes off that covariance."""
 
     @property
     def slope(self) -> Tensor:
         """``H S (..., m, d)``."""
         return self.spread[..., self.spread.shape[-1] - self.reads :]
+
+    @property
+    def rest(self) -> Tensor:
+        """``(..., m, r)``: what does not follow the belief."""
+        return self.spread[..., : self.spread.shape[-1] - self.reads]
 
 
 class Innovation(NamedTuple):

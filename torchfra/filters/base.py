@@ -14,6 +14,7 @@ from torchfra.linalg import tria
 from torchfra.motion import Motion
 from torchfra.sensors import Sensor
 from torchfra.types import Estimate, Gaussian, Innovation
+from torchfra.update import density
 
 F = TypeVar("F", bound="Filter")
 Mix = Callable[[Gaussian], Gaussian]
@@ -267,11 +268,6 @@ class Filter(nn.Module):
         """The batch of all that was handed in, checked, and as many dimensions as the hyperparameters have in front."""
         batch = check(self.motion, self.sensor, z, prior, dt, u, std, noise)
         return torch.Size((1,) * (batch_rank(self) - len(batch))) + batch
-
-
-def density(root: Tensor, normalised: Tensor) -> Tensor:
-    """Log density ``(...)`` of a residual with this root, both in units of the noise, constants left out."""
-    return -0.5 * normalised.square().sum(-1) - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
 
 def _scores(normalised: Tensor, root: Tensor, log_norm: Tensor, own: Tensor | None) -> tuple[Tensor, Tensor]:

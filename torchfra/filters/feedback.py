@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 from torch.distributions import constraints
-from torch.nn import Module
 from torch.nn.functional import logsigmoid
 
 from torchfra.adaptive import Fading, Memory
@@ -16,13 +15,15 @@ from torchfra.cubature import Rule, third_degree
 from torchfra.filters.base import Filter, Mix, Record
 from torchfra.filters.frames import Frame
 from torchfra.filters.select import select, where_needed
-from torchfra.filters.srckf import compare, correct, innovation, predict, trust, trusted_density
+from torchfra.filters.srckf import compare, predict
 from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg import is_traced
 from torchfra.mixture import moment_match
 from torchfra.motion import Motion
+from torchfra.robust import Weights
 from torchfra.sensors import Sensor
 from torchfra.types import Gaussian, Prediction, Whitened
+from torchfra.update import correct, innovation, trust, trusted_density
 
 
 class FRAState(NamedTuple):
@@ -94,7 +95,7 @@ class FRA(Filter):
         final: the branch of an abnormal last step, which nothing can decide: ``"robust"``, ``"adaptive"``, ``"plain"``.
 
     Raises:
-        ValueError: an argument that is none of those.
+        ValueError: an argument that is none of those, or a rule with negative weights.
 
     Source: Wang et al. (2021), section 2.2 and fig. 1.  ``preference``, ``temperature``, ``"likelihood"`` and
     ``"weighted"`` are ours.
@@ -107,7 +108,7 @@ class FRA(Filter):
         motion: Motion,
         sensor: Sensor,
         *,
-        robust: Module,
+        robust: Weights,
         adaptive: Fading,
         rule: Callable[[int], Rule] = third_degree,
         gate: Value = 5.991,
@@ -127,6 +128,8 @@ class FRA(Filter):
                 raise ValueError(f"{name}: expected one of {known}, received {value!r}")
         whole = rule(motion.size)
         self.motion_rule, self.sensor_rule = whole, whole.marginal(sensor.reads)
+        if self.motion_rule.signed or self.sensor_rule.signed or not isinstance(robust, Weights):
+            raise ValueError("rule, robust: expected one without negative weights, and one that weighs measurements")
         self.robust, self.adaptive = robust, adaptive
         self.gate = Hyper(gate, name="gate")
         self.preference = Hyper(preference, constraints.real, name="preference")

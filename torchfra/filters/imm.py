@@ -9,13 +9,14 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 
 from torchfra.bank import Bank
-from torchfra.filters.base import Filter, Mix, Record, density
+from torchfra.filters.base import Filter, Mix, Record
 from torchfra.filters.frames import Frame
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg import whiten
 from torchfra.mixture import moment_match
 from torchfra.sensors import Noise
 from torchfra.types import Gaussian
+from torchfra.update import density
 
 
 class IMMState(NamedTuple):

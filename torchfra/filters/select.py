@@ -17,8 +17,8 @@ from torchfra.types import Gaussian, Prediction, Whitened
 # Dimensions of one track's entry in each field; what is more are batch dimensions.  None: not a tensor.
 _EVENT: dict[type, tuple[Any, ...]] = {
     Gaussian: (1, 2),
-    Prediction: (Gaussian, 2, 2),
-    Whitened: (1, 2, None),
+    Prediction: (Gaussian, 2, 2, 0),
+    Whitened: (1, 2, None, 2),
     Memory: (2, 2),
     Noise: (1, 1, 2, 2, 0),
     Adaptation: (2, 1, 1),
