@@ -610,3 +610,46 @@ def vsimm(
         for key, value in (("mean", x), ("P", P), ("weights", weights), ("log_likelihood", score)):
             out[key].append(value)
     return {key: np.array(value) for key, value in out.items()}
+
+
+# --------------------------------------------------------------------------------------------------- Huber, Qin et al.
+
+
+def huber_score(
+    P: Array, H: Array, R: Array, s: Array, gamma: float, eps: float, whitening: str, cov_mode: str
+) -> tuple[Array, Array]:
+    """Mean and covariance after an innovation s (m,), Qin et al. (2018), eqs. (53)-(59), from mean 0."""
+    Pzz, Pxz = H @ P @ H.T + R, P @ H.T
+    if whitening == "symmetric":
+        power, V = np.linalg.eigh(Pzz)
+        L = V @ np.diag(np.sqrt(power)) @ V.T
+    else:
+        L = np.linalg.cholesky(Pzz)
+    eta = np.linalg.inv(L) @ s
+    theta = np.diag([1.0 if abs(e) < gamma else gamma / abs(e) for e in eta])
+    W = Pxz @ np.linalg.inv(L).T
+    if cov_mode == "indicator":
+        lost = np.diag([1.0 if abs(e) < gamma else 0.0 for e in eta])
+    else:
+        lost = (1 - eps) * math.erf(gamma / math.sqrt(2)) * np.eye(len(s))
+    return W @ theta @ eta, P - W @ lost @ W.T
+
+
+def huber_regression(
+    P: Array, H: Array, R: Array, s: Array, gamma: float, iterations: int, start: str
+) -> tuple[Array, Array]:
+    """Mean and covariance by iteratively reweighted regression on measurement and prediction, from mean 0."""
+    m, n = H.shape
+    T = np.zeros((m + n, m + n))
+    T[:m, :m], T[m:, m:] = np.linalg.cholesky(R), np.linalg.cholesky(P)
+    y = np.linalg.inv(T) @ np.concatenate([s, np.zeros(n)])
+    M = np.linalg.inv(T) @ np.concatenate([H, np.eye(n)])
+    delta = P @ H.T @ np.linalg.inv(H @ P @ H.T + R) @ s if start == "posterior" else np.zeros(n)
+
+    def weights(delta: Array) -> Array:
+        return np.diag([1.0 if abs(r) < gamma else gamma / abs(r) for r in M @ delta - y])
+
+    for _ in range(iterations):
+        psi = weights(delta)
+        delta = np.linalg.inv(M.T @ psi @ M) @ M.T @ psi @ y
+    return delta, np.linalg.inv(M.T @ weights(delta) @ M)

@@ -132,7 +132,7 @@ def test_a_sensor_of_the_position_alone_has_no_slope_in_the_other_states(scenari
          estimate(presets.asrckf(scenario.motion, part), tracks).mean, 1e-7)  # fmt: skip
     root = torch.randn(6, 6, dtype=torch.float64).tril()
     belief = Gaussian(tracks.prior.mean[0], root)
-    _, spread = third_degree(6)(lambda x: whole(x, tracks.u[0]), belief, whole.difference)
+    _, spread, _ = third_degree(6)(lambda x: whole(x, tracks.u[0]), belief, whole.difference)
     assert spread[:, -4:].abs().max() < 1e-15
     assert spread[:, -6:-4].abs().min() > 1e-6
 

@@ -131,7 +131,7 @@ def test_compare_runs_recorded_tracks_through_filters(noisy_track, tmp_path, sen
         (["compare", "--scenario", "nowhere"], "bearings-outliers"),
         (["compare", "--scenario", "bearings-outliers", "--filters", "kalman"], "received kalman"),
         (["compare", "--scenario", "bearings-outliers", "--outliers", "wild"], "'wild'"),
-        (["compare", "--scenario", "adsb-turns", "--outliers", "std"], "adsb-turns does not take it"),
+        (["compare", "--scenario", "adsb-turns", "--outliers", "std"], "adsb-turns takes no such option"),
         (["compare", "--scenario", "bearings-outliers", "--runs", "-1"], "received -1"),
         (["track", "missing.csv"], "missing.csv"),
         (["track", "{file}", "--filter", "kalman"], "kalman"),

@@ -235,6 +235,52 @@ def test_motions_that_are_not_linear_interact_as_well():
     assert (two.info.probabilities - 0.5).abs().max() > 1e-3
 
 
+class Pushed(ConstantAcceleration):
+    """With a known push, its own in each track where ``u`` says so."""
+
+    def shift(self, dt, u):
+        push = torch.tensor([1.0, -2, 0, 0, 0, 0], dtype=torch.float64)
+        return push if u is None else push * u
+
+
+@pytest.mark.parametrize("batch", [1, 2, 15])
+@pytest.mark.parametrize("given", ["nothing", "dt of tracks", "dt of steps", "u of tracks", "u of steps"])
+def test_a_known_push_pushes_every_model(batch, given):
+    z = measured(batch)
+    z = z[0] if batch == 1 else z
+    if given.startswith("u"):
+        call = {"u": torch.linspace(0.5, 2, STEPS, dtype=torch.float64)[:, None], "dt": DT}
+        if given == "u of tracks" and batch > 1:
+            call["u"] = call["u"] * torch.linspace(1, 2, batch, dtype=torch.float64)[:, None, None]
+    else:
+        steps = {
+            "nothing": torch.tensor(DT),
+            "dt of tracks": torch.full((batch, 1), DT),
+            "dt of steps": torch.full((STEPS,), DT),
+        }
+        call = {"dt": (steps[given][0] if given == "dt of tracks" and batch == 1 else steps[given]).double()}
+    one = presets.srckf(Pushed(0.01), SENSOR)(z, PRIOR, **call)
+    same(presets.imm([Pushed(0.01)] * 2, SENSOR)(z, PRIOR, **call).mean, one.mean)
+
+
+@pytest.mark.parametrize("inner", ["rsrckf", "fra"])
+@pytest.mark.parametrize("batch", [2, 3])
+def test_a_value_for_each_track_is_that_of_all_its_models(inner, batch):
+    z, values = measured(batch), torch.linspace(0.3, 2.0, batch, dtype=torch.float64)
+    make = getattr(presets, inner)
+    whole = presets.imm(bank()[:3], SENSOR, inner=make, threshold=values)(z, PRIOR, dt=DT)
+    assert whole.mean.shape == (batch, STEPS, 6)
+    for i in range(batch):
+        f = presets.imm(bank()[:3], SENSOR, inner=make, threshold=values[i].item())
+        same(whole.mean[i], f(z[i], PRIOR, dt=DT).mean)
+
+
+def test_motions_that_are_not_linear_take_what_they_need_to_know():
+    z, u = measured(1)[0], torch.zeros(STEPS, 2, dtype=torch.float64)
+    one = presets.srckf(Curved(0.1), SENSOR)(z, PRIOR, dt=DT, u=u)
+    same(presets.imm([Curved(0.1)] * 2, SENSOR)(z, PRIOR, dt=DT, u=u).mean, one.mean)
+
+
 @pytest.mark.slow
 def test_a_bank_that_knows_the_turn_follows_it_with_a_robust_filter_inside():
     scenario = scenarios.bearings_manoeuvre("std")
@@ -255,6 +301,8 @@ def test_a_bank_that_knows_the_turn_follows_it_with_a_robust_filter_inside():
 def test_what_does_not_fit_is_named():
     with pytest.raises(ValueError, match=r"models: expected motions of one state.*ConstantVelocity of 4"):
         Bank([ConstantVelocity(1.0), ConstantAcceleration(1.0)])
+    with pytest.raises(ValueError, match="models: expected several motions or a Bank"):
+        presets.imm(ConstantAcceleration(1.0), SENSOR)
     with pytest.raises(ValueError, match=r"models: .*none"):
         presets.imm([], SENSOR)
     with pytest.raises(ValueError, match="stay: expected a probability above 0 and below 1"):

@@ -57,7 +57,7 @@ def test_reproduce_writes_what_du_and_zhang_show(tmp_path, capsys):
 
 def test_reproduce_says_what_is_wrong(capsys):
     assert reproduce.main(["adsb-turns", "--outliers", "std"]) == 2
-    assert "adsb-turns does not take it" in capsys.readouterr().err
+    assert "adsb-turns takes no such option" in capsys.readouterr().err
     assert reproduce.main(["bearings-outliers", "--filters", "imm5"]) == 2
     assert "imm5" in capsys.readouterr().err
     assert reproduce.main(["bearings-outliers", "--filters", "kalman"]) == 2

@@ -44,7 +44,7 @@ def random_tracks(runs, seed):
 
 def test_figures_are_what_numpy_says_of_all_tracks():
     parts = [random_tracks(runs, seed) for seed, runs in enumerate((3, 50, 7))]
-    one, two = Tally(slice(0, 2), slice(2, 4)), Tally(slice(0, 2), slice(2, 4))
+    one, two = (Tally({"position": slice(0, 2), "velocity": slice(2, 4)}) for _ in range(2))
     for tally, (estimate, truth) in zip((one, two, one), parts, strict=True):
         tally.add(estimate, truth, 1.0)
     one.merge(two)
@@ -69,7 +69,7 @@ def test_figures_are_what_numpy_says_of_all_tracks():
 
 
 def test_memory_is_one_number_for_each_track_however_many_steps():
-    tally = Tally(slice(0, 2), slice(2, 4))
+    tally = Tally({"position": slice(0, 2), "velocity": slice(2, 4)})
     for seed in range(3):
         tally.add(*random_tracks(20, seed), 0.0)
     held = [*tally.squares.values(), *tally.counts.values(), *tally.tracks]

@@ -227,6 +227,8 @@ def _cut(tracks):
     ("loss=love", "loss: expected one of"),
     ("learn=phase", "learn: expected 'all' or names"),
     ("filter=kalman", "filter: expected a preset"),
+    ('search={"gate":0.6}', "search: expected values that fra takes"),
+    ('search={"unlikely":[0.6]}', "search: expected values that fra takes"),
     ("cold=2", "cold: expected above 0 and at most 1.0"),
 ])  # fmt: skip
 def test_a_setting_that_makes_no_sense_is_named_before_any_work(change, said, tmp_path, capsys):

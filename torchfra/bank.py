@@ -28,6 +28,8 @@ class Bank(Motion):
         ValueError: none at all, or states that differ.
     """
 
+    stacked = 1
+
     def __init__(
         self,
         models: Sequence[Motion],
@@ -60,7 +62,8 @@ class Bank(Motion):
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """States ``(..., K, p, n)``, each with the model of its place, after ``dt (..., 1, 1)`` or ``(1,)`` seconds."""
-        dt, u = dt.select(-2, 0) if dt.dim() > 1 else dt, u if u is None else u.select(-3, 0)
+        dt = dt.select(-2, 0) if dt.dim() > 1 else dt
+        u = u if u is None or u.dim() < 3 else u.select(-3, 0)
         return torch.stack([model(x.select(-3, k), dt, u) for k, model in enumerate(self._motions)], -3)
 
     def transition(self, dt: Tensor) -> Tensor | None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from torchfra import distributed, readers, scenarios
-from torchfra.evaluate import FILTERS, chosen, evaluate, learned, progress_bar, report, table
+from torchfra.evaluate import FILTERS, chosen, evaluate, fitting, learned, progress_bar, report, table
 from torchfra.files import write_json, write_text
 from torchfra.filters import Filter
 from torchfra.kernel.build import CompileError
@@ -25,6 +25,8 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
     "bearings-outliers": scenarios.bearings_outliers,
     "bearings-manoeuvre": scenarios.bearings_manoeuvre,
     "adsb-turns": scenarios.adsb_turns,
+    "growth": scenarios.growth,
+    "reentry": scenarios.reentry,
 }
 
 _FILES = """FILE is a recorded track, or several: OpenSky state vectors (CSV: time, icao24, lat, lon), gzip-JSON
@@ -163,7 +165,7 @@ def _compare(options: argparse.Namespace) -> None:
             q=options.q,
         )  # fmt: skip
         runs = int(str(scenario.settings["windows"])) if options.runs is None else options.runs
-    names = list(FILTERS) if options.filters is None else [name for name in options.filters.split(",") if name]
+    names = fitting(scenario) if options.filters is None else [name for name in options.filters.split(",") if name]
     first = distributed.rank() == 0
     filters: Sequence[str] | dict[str, Filter] = names
     if options.learned is not None:
@@ -201,7 +203,7 @@ def named(name: str, outliers: str | None = None, **options: Any) -> Scenario:
         raise ValueError(f"scenario: expected one of {', '.join(SCENARIOS)}, received {name!r}")
     given = {key: value for key, value in ({"outliers": outliers} | options).items() if value is not None}
     for key in given.keys() - inspect.signature(SCENARIOS[name]).parameters.keys():
-        raise ValueError(f"{key}: expected none, {name} does not take it; received {given[key]!r}")
+        raise ValueError(f"{key}: {name} takes no such option, received {given[key]!r}")
     return SCENARIOS[name](**given)
 
 

@@ -62,12 +62,13 @@ def evaluate(
         progress: whether to show a bar.
 
     Returns:
-        For each filter: ``rmse_position`` and ``rmse_velocity`` over time ``[T]``, their means ``mean_rmse_*``,
-        ``median_error_position`` over all steps and runs (to 0.05 %), ``median_track_rmse`` and ``worst_track`` of the
-        runs' own root mean square errors, ``divergence_rate``, ``nees_position`` (median, to 0.05 %; 1.39 if honest, in
-        the plane), by coordinate and over time the signed ``mean_error_x``, ``rmse_x`` and ``mape_x`` (mean relative
-        error, %, of coordinates of 100 m or more), the models' mean ``probabilities`` ``[T][K]`` if there are some,
-        ``microseconds`` per track and step and ``relative_time`` to the UKF on the same runs.
+        For each filter: ``rmse_position``, ``rmse_velocity`` and those of ``Scenario.others`` over time ``[T]``, their
+        means ``mean_rmse_*``, ``median_error_position`` over all steps and runs (to 0.05 %), ``median_track_rmse`` and
+        ``worst_track`` of the runs' own root mean square errors, ``divergence_rate``, ``nees_position`` (median, to
+        0.05 %; 1.39 if honest, in the plane), by coordinate and over time the signed ``mean_error_x``, ``rmse_x`` and
+        ``mape_x`` (mean relative error, %, of coordinates of 100 m or more), the models' mean ``probabilities``
+        ``[T][K]`` if there are some, ``microseconds`` per track and step and ``relative_time`` to the UKF on the same
+        runs.
 
     Under ``torchrun`` the processes share the runs, and each returns the results of all of them.
 
@@ -82,7 +83,7 @@ def evaluate(
     if compile:
         timed = {name: copy.copy(f).compile() for name, f in timed.items()}
     own = distributed.share(runs)
-    tallies = {name: Tally(scenario.position, scenario.velocity) for name in timed}
+    tallies = {name: Tally(scenario.quantities) for name in timed}
     with torch.no_grad():
         # The first passes pay for memory and for kernels.
         few = scenario.simulate(min(len(own), chunk), seed)
@@ -125,6 +126,11 @@ def chosen(names: Sequence[str], scenario: Scenario) -> dict[str, Filter]:
     return {name: make(name, scenario.motion, scenario.sensor, scenario.bank) for name in names}
 
 
+def fitting(scenario: Scenario) -> list[str]:
+    """The filters for a scenario: all, or those of a single motion if it has no bank of motions."""
+    return [name for name in FILTERS if scenario.bank is not None or name not in BANKED]
+
+
 def make(name: str, motion: Motion, sensor: Sensor, bank: Bank | None = None, **options: Any) -> Filter:
     """The filter of this name around a motion, or around a bank of motions if it is one of interacting models.
 
@@ -154,8 +160,16 @@ def learned(path: str | Path, scenario: Scenario, name: str = "fra") -> Filter:
     f = make(name, *copy.deepcopy((scenario.motion, scenario.sensor, scenario.bank)))
     try:
         f.load_state_dict(torch.load(path, weights_only=True))
-    except (RuntimeError, pickle.UnpicklingError, AttributeError, TypeError, EOFError) as error:
-        said = str(error).splitlines()[0]
+    except (
+        RuntimeError,
+        pickle.UnpicklingError,
+        AttributeError,
+        TypeError,
+        EOFError,
+        LookupError,
+        ValueError,
+    ) as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0]
         raise ValueError(f"learned: expected {path} to hold a state dictionary of {name}: {said}") from None
     return f
 

@@ -32,6 +32,8 @@ class Hyper(nn.Module):
     """
 
     raw: Tensor
+    shared = False
+    """Whether the last dimension of a batch has models in it, which share the values of their track."""
 
     def __init__(
         self,
@@ -87,7 +89,7 @@ class Hyper(nn.Module):
     def forward(self) -> Tensor:
         """The value, in natural units."""
         value: Tensor = transform_to(self.constraint)(self.raw)
-        return value
+        return value.unsqueeze(-1 - self.event) if self.shared and self.batch_rank else value
 
     def elements(self) -> Tensor:
         """The value with a last dimension for the elements of a vector: one for each, or one for all."""

@@ -55,6 +55,9 @@ class Motion(nn.Module):
         ValueError: ``dims`` below 1, ``q`` below 0.
     """
 
+    stacked = 0
+    """Dimensions between batch and state in what it gives: 1 for several motions side by side."""
+
     def __init__(self, dims: int, orders: int, q: Value | None) -> None:
         super().__init__()
         if dims < 1:

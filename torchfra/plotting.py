@@ -21,7 +21,7 @@ _COLOURS = {
     "ukf": "#999999", "ekf": "#c7a76c", "srckf": "#4c72b0", "rsrckf": "#8172b3", "mr_ckf": "#937860",
     "asrckf": "#64b5cd", "rmckf": "#dd8452", "fra_srckf": "#55a868", "fra": "#c44e52",
     "imm_fra": "#da8bc3", "imm_srckf": "#8c564b", "imm_ckf": "#8c564b", "vsimm_srckf": "#17becf",
-    "imm5": "#8c564b", "imm3": "#ccb974",
+    "ghckf": "#4c72b0", "hghckf1": "#dd8452", "hghckf2": "#55a868", "imm5": "#8c564b", "imm3": "#ccb974",
 }  # fmt: skip
 
 
@@ -35,7 +35,7 @@ def rmse_curves(results: dict[str, dict[str, Any]], quantity: str, dt: float, ti
 
     Args:
         results: from ``torchfra.evaluate.evaluate``.
-        quantity: ``"position"`` (m) or ``"velocity"`` (m/s).
+        quantity: ``"position"`` (m), ``"velocity"`` (m/s) or another of ``Scenario.quantities``.
         dt: seconds per step.
         title: of the figure.
     """
@@ -44,8 +44,26 @@ def rmse_curves(results: dict[str, dict[str, Any]], quantity: str, dt: float, ti
     for name, result in results.items():
         curve = np.array(result[f"rmse_{quantity}"], dtype=float)
         axes.plot(dt * np.arange(1, len(curve) + 1), curve, label=name, **_style(name))
-    unit = {"position": "m", "velocity": "m/s"}[quantity]
-    axes.set(xlabel="time, s", ylabel=f"RMSE of {quantity}, {unit}", yscale="log", title=title)
+    unit = {"position": ", m", "velocity": ", m/s"}.get(quantity, "")
+    axes.set(xlabel="time, s", ylabel=f"RMSE of {quantity}{unit}", yscale="log", title=title)
+    return _finished(figure, axes)
+
+
+def against(x: Sequence[float], curves: dict[str, list[float]], xlabel: str, ylabel: str, title: str) -> Figure:
+    """One number of every filter over a setting.
+
+    Args:
+        x: the settings.
+        curves: by name of the filter, one number for each.
+        xlabel: what is set.
+        ylabel: what came out.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axes = figure.subplots()
+    for name, values in curves.items():
+        axes.plot(x, values, marker="o", markersize=3, label=name, **_style(name))
+    axes.set(xlabel=xlabel, ylabel=ylabel, title=title)
     return _finished(figure, axes)
 
 

@@ -184,9 +184,10 @@ def imm_ckf(models: Models, sensor: Sensor, **options: Any) -> IMM:
 def imm_fra(models: Models, sensor: Sensor, **options: Any) -> IMM:
     """``imm`` with ``fra`` for each model: for targets that turn under sensors that lie.
 
-    ``preference`` is 5 unless given: the bank explains manoeuvres, so that an abnormal step is an outlier sooner.
+    ``preference`` is 5 unless given: the bank explains manoeuvres, so that an abnormal step is an outlier sooner; and
+    ``stay`` is 0.99, so that one outlier does not change the model.
     """
-    return imm(models, sensor, inner=fra, **{"preference": 5.0} | options)
+    return imm(models, sensor, inner=fra, **{"preference": 5.0, "stay": 0.99} | options)
 
 
 def vsimm_srckf(
@@ -209,7 +210,8 @@ def vsimm_srckf(
     paper prints none; ours are in ``scenarios.adsb_models``); ``options`` go to ``inner``.
     """
     bank = _bank(models)
-    neighbours, first = neighbours or bank.neighbours, first or bank.first
+    neighbours = bank.neighbours if neighbours is None else neighbours
+    first = bank.first if first is None else first
     if neighbours is None or first is None:
         raise ValueError("neighbours, first: expected both, or a Bank that has them, received none")
     f = VSIMM(
@@ -224,6 +226,8 @@ def vsimm_srckf(
 
 
 def _bank(models: Models) -> Bank:
+    if isinstance(models, Motion) and not isinstance(models, Bank):
+        raise ValueError(f"models: expected several motions or a Bank, received {type(models).__name__}")
     return models if isinstance(models, Bank) else Bank(models)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -52,13 +53,12 @@ class Tally:
     """Errors of one filter.
 
     Args:
-        position: components of the state.
-        velocity: components of the state.
+        states: components of the state by name, ``"position"`` among them.
         floor: coordinates below count as this in relative errors, m.
     """
 
-    def __init__(self, position: slice, velocity: slice, floor: float = 100.0) -> None:
-        self.states, self.floor = {"position": position, "velocity": velocity}, floor
+    def __init__(self, states: Mapping[str, slice], floor: float = 100.0) -> None:
+        self.states, self.floor = states, floor
         self.squares: dict[str, Tensor] = {}
         self.counts: dict[str, Tensor] = {}
         self.sums: dict[str, Tensor] = {}

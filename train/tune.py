@@ -6,9 +6,9 @@
     python -m train.tune fra_recorded files=a.csv,b.csv        recorded tracks: needs no truth
     torchrun --nproc-per-node 2 -m train.tune fra_bearings     two processes share each batch
 
-Runs (train/runs.py): fra_bearings, fra_recorded, switching (interacting models), noise, recover.  Written to
-out/train/RUN: config.json, log.csv, checkpoint.pt, the learned state_dict.pt (of the best validation), learning.png and
-results.json with what unseen tracks say before and after.  To use what was learned:
+Runs (train/runs.py): fra_bearings, fra_recorded, switching (interacting models), contaminated (the Huber score), noise,
+recover.  Written to out/train/RUN: config.json, log.csv, checkpoint.pt, the learned state_dict.pt (of the best
+validation), learning.png and results.json with what unseen tracks say before and after.  To use what was learned:
 
     fra = torchfra.presets.fra(scenario.motion, scenario.sensor)
     fra.load_state_dict(torch.load("out/train/fra_bearings/state_dict.pt", weights_only=True))
@@ -20,6 +20,7 @@ import argparse
 import copy
 import csv
 import dataclasses
+import inspect
 import io
 import math
 import sys
@@ -34,9 +35,10 @@ from torch import Tensor
 
 from torchfra import distributed, keep_memory, losses, plotting, presets, readers, scenarios
 from torchfra.cli import named as scenario_named
-from torchfra.evaluate import BANKED, evaluate, progress_bar, versions
+from torchfra.evaluate import evaluate, progress_bar, versions
 from torchfra.files import write, write_json, write_text
 from torchfra.filters import FRA, Filter
+from torchfra.filters.imm import Around
 from torchfra.hyper import hypers, named
 from torchfra.kernel.build import CompileError
 from torchfra.scenarios import Scenario
@@ -99,12 +101,14 @@ def simulate(parts: list[Scenario], first: int, runs: int, seed: int, device: st
 
 def make(config: Config, scenario: Scenario, values: dict[str, float], learn: bool) -> Filter:
     """The filter of a run with these values in natural units."""
-    motion = scenario.bank if config.filter in BANKED else scenario.motion
-    models = copy.deepcopy((motion, scenario.sensor))
-    names = ("all" if config.learn == ("all",) else config.learn) if learn else ()
     preset = getattr(presets, config.filter, None)
     if preset is None:
         raise ValueError(f"filter: expected a preset, received {config.filter!r}")
+    banked = "models" in inspect.signature(preset).parameters
+    if banked and scenario.bank is None:
+        raise ValueError(f"filter: expected one of a single motion, {scenario.name} has no bank for {config.filter}")
+    models = copy.deepcopy((scenario.bank if banked else scenario.motion, scenario.sensor))
+    names = ("all" if config.learn == ("all",) else config.learn) if learn else ()
     f: Filter = preset(*models, learn=names, **config.options)
     for name, value in values.items():
         for hyper in named(f, (name,)).values():
@@ -139,8 +143,9 @@ def loss_of(config: Config) -> Loss:
 
 def decide(f: Filter, temperature: float) -> None:
     """Soft or hard, where the filter decides anything."""
-    if isinstance(f, FRA):
-        f.temperature = temperature
+    core = f.inner if isinstance(f, Around) else f
+    if isinstance(core, FRA):
+        core.temperature = temperature
 
 
 class Lesson(NamedTuple):
@@ -166,6 +171,7 @@ class Tuner:
         if min(config.batch, config.validation_runs) < distributed.size():
             raise ValueError(f"batch, validation_runs: expected at least {distributed.size()}, one for each process")
         self.f = make(config, self.parts[0], config.start, learn=True)
+        self._check_search()
         self.teacher = make(config, self.parts[0], config.teacher, learn=False) if config.loss == "teacher" else None
         self.names, self.parameters = zip(*self.f.named_parameters(), strict=True)
         self.optimiser = torch.optim.Adam(self.parameters, lr=config.lr)
@@ -256,6 +262,17 @@ class Tuner:
         each = self.losses({}, batch, c.temperature if c.loss == "teacher" else 0.0).nan_to_num(nan=math.inf)
         sums = each.new_zeros(len(self.parts)).index_add(0, batch.task, each)
         return float(self.weights @ distributed.summed(sums) / c.validation_runs)
+
+    def _check_search(self) -> None:
+        for name, values in self.config.search.items():
+            try:
+                found = copy.deepcopy(list(named(self.f, (name,)).values()))
+                for hyper in found:
+                    for value in values:
+                        hyper.set(float(value), name)
+            except (ValueError, TypeError) as error:
+                said = f"values that {self.config.filter} takes, received {name}: {values}"
+                raise ValueError(f"search: expected {said} ({error})") from None
 
     def search(self) -> None:
         """Of what no gradient reaches the best of the values to try, beside the best that gradients found."""
@@ -391,7 +408,8 @@ def report(tuner: Tuner, start: dict[str, float], quiet: bool) -> dict[str, Any]
         results = evaluate(scenario, filters, runs=config.test_runs, seed=config.test_seed, progress=not quiet)
         figures: dict[str, Any] = {"scenario": task.scenario, **task.options}
         for name, of in results.items():
-            counted = {key: np.nanmean(of[key][config.skip :]).item() for key in ("rmse_position", "rmse_x", "rmse_y")}
+            keys = [key for key in ("rmse_position", "rmse_x", "rmse_y", "rmse_z") if key in of]
+            counted = {key: np.nanmean(of[key][config.skip :]).item() for key in keys}
             figures[name] = counted | {"divergence_rate": of["divergence_rate"]}
         tasks.append(figures)
     values: dict[str, dict[str, float]] = {"start": start, "learned": tuner.learned()}

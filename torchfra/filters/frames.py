@@ -73,8 +73,7 @@ def make_frames(
     missing = z.isnan()
     scale = sensor.noise(z, lead(std, 1), lead(noise, 2))
     shift = motion.shift(dt, u)
-    if shift is not None:
-        shift = shift.expand(torch.broadcast_shapes(shift.shape, (steps,) + (1,) * (rank + 1)))
+    moving = shift is not None and shift.dim() > rank + 1 + motion.stacked
     columns = (
         each(torch.where(missing, 0.0, z)),
         each(1.0 - missing.to(z)),
@@ -82,7 +81,7 @@ def make_frames(
         each(dt, timed),
         each(u),
         each(motion.transition(dt), timed),
-        each(shift),
+        each(shift, moving),
         each(motion.noise(dt), timed),
         each(motion.adaptation(dt), timed),
     )

@@ -56,6 +56,10 @@ class Around(Filter):
             )
         self._compiled = None
         self.inner = inner
+        for part in inner.children():
+            if part is not inner.motion and part is not inner.sensor:
+                for hyper in (h for h in part.modules() if isinstance(h, Hyper)):
+                    hyper.shared = True
 
     @property
     def motion(self) -> Bank:  # type: ignore[override]
@@ -77,8 +81,7 @@ class IMM(Around):
             ``transition``, row by row on the simplex.
         initial: ``(K,)`` probabilities before the first step; all the same if None.
 
-    The models are the last dimension of the inner filter's batch; a batch of values for one of its hyperparameters
-    (other than of motions and sensor) needs a dimension for them too: ``(B, 1)``.
+    The models are the last dimension of the inner filter's batch; its hyperparameters are those of a track, or of all.
 
     A filter that is robust judges its model by the measurement as it trusts it: or one outlier would decide.
 

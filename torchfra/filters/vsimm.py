@@ -94,6 +94,8 @@ class VSIMM(Around):
         if max(map(len, neighbours)) >= len(first):
             said = f"at most {len(first) - 1} for each, which can run beside it, received {neighbours}"
             raise ValueError(f"neighbours: expected {said}")
+        if not all(0 <= called < count for row in neighbours for called in row):
+            raise ValueError(f"neighbours: expected numbers from 0 to {count - 1}, received {neighbours}")
         for model, called in enumerate(neighbours):
             table[model, list(called)] = 1
         reached = torch.linalg.matrix_power(table + torch.eye(count, dtype=torch.float64), count) > 0

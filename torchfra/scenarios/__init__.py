@@ -3,6 +3,18 @@
 from torchfra.scenarios.adsb import adsb_models, adsb_turns
 from torchfra.scenarios.base import Scenario, Tracks
 from torchfra.scenarios.bearings import bearings_manoeuvre, bearings_outliers
+from torchfra.scenarios.growth import growth
 from torchfra.scenarios.recorded import recorded
+from torchfra.scenarios.reentry import reentry
 
-__all__ = ["Scenario", "Tracks", "adsb_models", "adsb_turns", "bearings_manoeuvre", "bearings_outliers", "recorded"]
+__all__ = [
+    "Scenario",
+    "Tracks",
+    "adsb_models",
+    "adsb_turns",
+    "bearings_manoeuvre",
+    "bearings_outliers",
+    "growth",
+    "recorded",
+    "reentry",
+]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -46,6 +46,7 @@ class Scenario:
         block: simulates the ``BLOCK`` runs of these numbers, ``(BLOCK,)``, from a generator.
         settings: what to write beside results.
         bank: motions for interacting models, which may know more of the targets than ``motion`` does.
+        others: components of the state besides position and velocity whose error is of interest, by name.
     """
 
     name: str
@@ -57,11 +58,17 @@ class Scenario:
     block: Callable[[np.random.Generator, Tensor], Tracks]
     settings: dict[str, object]
     bank: Bank | None = None
+    others: Mapping[str, slice] = field(default_factory=dict)
 
     @property
     def position(self) -> slice:
         """The state's position components."""
         return self.motion.position
+
+    @property
+    def quantities(self) -> dict[str, slice]:
+        """Components of the state whose errors are of interest, by name."""
+        return {"position": self.position, "velocity": self.velocity, **self.others}
 
     @property
     def velocity(self) -> slice:
@@ -96,3 +103,28 @@ class Scenario:
         if u is not None:
             u = u.to(dtype) if u.dim() == 2 else joined([b.u for b in blocks if b.u is not None])
         return Tracks(joined([b.truth for b in blocks]), joined([b.z for b in blocks]), u, prior)
+
+
+def contaminated(outliers: str, size: float | None, share: float) -> Callable[[np.random.Generator, Any], Tensor]:
+    """Draws by how much the standard deviation of each measurement grows: 1 for most.
+
+    Args:
+        outliers: what grows: ``"covariance"`` or ``"std"``, or ``"none"``.
+        size: how many times it grows; None for an integer from 1 to 20, drawn each time.
+        share: of the measurements that it happens to.
+
+    Raises:
+        ValueError: an argument that is none of those.
+    """
+    if outliers not in ("covariance", "std", "none"):
+        raise ValueError(f"outliers: expected 'covariance', 'std' or 'none', received {outliers!r}")
+    if not (size is None or size >= 1) or not 0 <= share <= 1:
+        raise ValueError(f"size, share: expected 1 or more and a share in [0, 1], received {size}, {share}")
+
+    def grown(rng: np.random.Generator, shape: Any) -> Tensor:
+        wild, drawn = torch.from_numpy(rng.random(shape)) < share, torch.from_numpy(rng.integers(1, 21, shape))
+        times = drawn.double() if size is None else torch.full(tuple(shape), float(size), dtype=torch.float64)
+        times = {"covariance": times.sqrt(), "std": times, "none": torch.ones_like(times)}[outliers]
+        return torch.where(wild, times, 1.0)
+
+    return grown

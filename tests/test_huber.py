@@ -1,0 +1,299 @@
+"""The Huber score and the Huber regression are what their papers say, and train."""
+
+import math
+
+import numpy as np
+import oracles
+import pytest
+import torch
+from scipy.integrate import quad
+
+from torchfra import presets
+from torchfra.cubature import third_degree
+from torchfra.filters import SRCKF
+from torchfra.motion import ConstantAcceleration, Motion
+from torchfra.robust import HuberRegression, HuberScore
+from torchfra.scenarios import growth, reentry
+from torchfra.sensors import Position
+from torchfra.types import Gaussian
+
+
+class Still(Motion):
+    """Nothing happens."""
+
+    def __init__(self):
+        super().__init__(1, 1, None)
+
+    def transition(self, dt):
+        return torch.ones_like(dt)[..., None, None]
+
+    def noise(self, dt):
+        return torch.zeros_like(dt)[..., None, None]
+
+
+def scalar(preset, P, s, **options):
+    prior = Gaussian(torch.zeros(1).double(), torch.tensor([[P**0.5]], dtype=torch.float64))
+    e = preset(Still(), Position(1.0, dims=1), **options)(torch.tensor([[s]]).double(), prior)
+    return e.mean.item(), e.covariance.item()
+
+
+def test_scalars_have_their_known_values():
+    assert scalar(presets.hghckf2, 1, 3.0) == pytest.approx((0.951059, 0.613098), abs=1e-6)
+    assert scalar(presets.hghckf2, 4, 6.0)[0] == pytest.approx(4 / 5**0.5 * 1.345)
+    assert scalar(presets.hghckf1, 4, 6.0) == pytest.approx((5.3275, 0.88792), abs=1e-5)
+    assert scalar(presets.ghckf, 4, 6.0) == pytest.approx((4.8, 0.8))
+
+
+@pytest.mark.parametrize("preset", [presets.hghckf1, presets.hghckf2])
+def test_a_threshold_without_end_leaves_the_plain_filter(preset):
+    scenario = growth("std")
+    tracks = scenario.simulate(4, 0)
+    plain = presets.ghckf(scenario.motion, scenario.sensor)(tracks.z[:, :50], tracks.prior, u=tracks.u[:50])
+    robust = preset(scenario.motion, scenario.sensor, gamma=math.inf)(tracks.z[:, :50], tracks.prior, u=tracks.u[:50])
+    torch.testing.assert_close(robust.log_likelihood[:, 0], plain.log_likelihood[:, 0])
+    if preset is presets.hghckf2:
+        torch.testing.assert_close(robust.mean, plain.mean)
+        torch.testing.assert_close(robust.covariance, plain.covariance)
+
+
+KNOWN = [
+    (1.0, 0.14283, 0.58518, 1.4982), (1.345, 0.0579148930, 0.7738049338, 1.2150181374), (1.5, 0.03761, 0.83380, 1.1463),
+    (2.0, 0.00842, 0.94646, 1.0394), (3.0, 0.00025, 0.99705, 1.0018),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("gamma", "eps", "factor", "zeta"), KNOWN)
+def test_the_factors_are_those_of_the_table_and_of_quadrature(gamma, eps, factor, zeta):
+    score, scaled = HuberScore(gamma), HuberScore(gamma, zeta_scale=True)
+    digits = 1e-9 if gamma == 1.345 else 1e-4
+    assert score.factor().item() == pytest.approx(factor, abs=digits)
+    assert scaled.zeta().item() == pytest.approx(zeta, abs=digits)
+
+    def rho(t):
+        return t * t / 2 if abs(t) < gamma else gamma * abs(t) - gamma**2 / 2
+
+    # twice the half line, in pieces on which the integrand is smooth
+    def integral(f):
+        return 2 * (quad(f, 0, gamma, epsabs=0, epsrel=1e-13)[0] + quad(f, gamma, np.inf, epsabs=0, epsrel=1e-13)[0])
+
+    mass = integral(lambda t: math.exp(-rho(t)))
+    inner = 2 * quad(lambda t: math.exp(-rho(t)), 0, gamma, epsabs=0, epsrel=1e-13)[0]
+    assert score.factor().item() == pytest.approx(inner / mass, rel=1e-12)
+    assert 1 - math.sqrt(2 * math.pi) / mass == pytest.approx(eps, abs=digits)
+    second = integral(lambda t: t * t * math.exp(-rho(t)))
+    assert scaled.zeta().item() == pytest.approx(math.sqrt(second / mass), rel=1e-10)
+
+
+def plain(n=4, m=2, seed=0):
+    """Prior root, measurement matrix, noise root and innovation of one linear update."""
+    g = np.random.default_rng(seed)
+    S = np.tril(g.standard_normal((n, n))) + 2 * np.eye(n)
+    H = np.concatenate([g.standard_normal((m, m)), np.zeros((m, n - m))], 1)
+    R = np.tril(g.standard_normal((m, m))) + 2 * np.eye(m)
+    return S, H, R, np.array([9.0, -0.4])[:m]
+
+
+class Linear(Position):
+    """Two sums of the position."""
+
+    def __init__(self, H, root):
+        super().__init__(None, noise=torch.from_numpy(root))
+        self.register_buffer("H", torch.from_numpy(H[:, :2]))
+
+    def forward(self, x, u=None):
+        return x[..., :2] @ self.H.mT
+
+
+class Rest(Motion):
+    """Four states stay."""
+
+    def __init__(self):
+        super().__init__(2, 2, None)
+
+    def transition(self, dt):
+        return torch.eye(4, dtype=dt.dtype)
+
+    def noise(self, dt):
+        return torch.zeros(4, 1, dtype=dt.dtype)
+
+
+def update(robust):
+    S, H, R, s = plain()
+    f = SRCKF(Rest(), Linear(H, R), rule=third_degree, robust=robust)
+    prior = Gaussian(torch.zeros(4).double(), torch.from_numpy(S))
+    e = f(torch.from_numpy(s)[None], prior)
+    return e.mean[0].numpy(), e.covariance[0].numpy(), (S @ S.T, H, R @ R.T, s)
+
+
+@pytest.mark.parametrize("whitening", ["cholesky", "symmetric"])
+@pytest.mark.parametrize("cov_mode", ["constant", "indicator"])
+def test_the_score_is_its_covariance_form(whitening, cov_mode):
+    mean, P, (P0, H, R, s) = update(HuberScore(1.1, eps=0.2, whitening=whitening, cov_mode=cov_mode))
+    x, cov = oracles.huber_score(P0, H, R, s, 1.1, 0.2, whitening, cov_mode)
+    np.testing.assert_allclose(mean, x, rtol=1e-10)
+    np.testing.assert_allclose(P, cov, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("start", ["prior", "posterior"])
+@pytest.mark.parametrize("iterations", [1, 3, 40])
+def test_the_regression_is_its_covariance_form(start, iterations):
+    mean, P, (P0, H, R, s) = update(HuberRegression(0.9, max_iter=iterations, start=start, tol=0.0))
+    x, cov = oracles.huber_regression(P0, H, R, s, 0.9, iterations, start)
+    np.testing.assert_allclose(mean, x, rtol=1e-9)
+    np.testing.assert_allclose(P, cov, rtol=1e-9, atol=1e-12)
+
+
+def test_tracks_settle_each_at_its_own_iteration():
+    scenario = growth("std")
+    tracks = scenario.simulate(6, 0)
+    f = presets.hghckf1(scenario.motion, scenario.sensor, max_iter=50, tol=1e-9)
+    e = f(tracks.z[:, :20], tracks.prior, u=tracks.u[:20])
+    assert len(e.info.iterations.unique()) > 3
+    assert (e.info.iterations < 50).any()
+    for i in range(6):
+        one = f(tracks.z[i, :20], Gaussian(tracks.prior.mean[i], tracks.prior.scale_tril), u=tracks.u[:20])
+        torch.testing.assert_close(one.mean, e.mean[i])
+        assert torch.equal(one.info.iterations, e.info.iterations[i])
+
+
+def test_the_error_of_the_linearisation_can_be_added():
+    scenario = growth()
+    tracks = scenario.simulate(200, 3)
+    with torch.no_grad():
+        error = [
+            (presets.hghckf1(scenario.motion, scenario.sensor, compensate=c).compile()(
+                tracks.z, tracks.prior, u=tracks.u).mean - tracks.truth).square().mean() for c in (False, True)
+        ]  # fmt: skip
+    assert error[1] < 0.6 * error[0]
+
+
+def test_a_scaled_score_may_take_off_too_much_and_says_so():
+    prior = Gaussian(torch.zeros(1).double(), torch.tensor([[1000.0]]).double())
+    f = presets.hghckf2(Still(), Position(1.0, dims=1), zeta_scale=True)
+    e = f(torch.zeros(1, 1).double(), prior)
+    assert e.info.repaired.tolist() == [1]
+    assert 0 < e.covariance.item() < 1
+    near = Gaussian(torch.zeros(1).double(), torch.tensor([[0.5]]).double())
+    assert f(torch.zeros(1, 1).double(), near).info.repaired.tolist() == [0]
+
+
+@pytest.mark.parametrize("preset", ["hghckf1", "hghckf2"])
+def test_compiled_it_gives_the_same_and_the_same_gradients(preset):
+    scenario = growth("std")
+    tracks = scenario.simulate(3, 1)
+    found = []
+    for compiled in (False, True):
+        f = getattr(presets, preset)(scenario.motion, scenario.sensor, learn=("gamma", "std"))
+        f = f.compile() if compiled else f
+        e = f(tracks.z[:, :12], tracks.prior, u=tracks.u[:12])
+        e.mean.square().mean().backward()
+        found.append((e.mean.detach(), e.scale_tril.detach(), *(p.grad for p in f.parameters())))
+    for slow, fast in zip(*found, strict=True):
+        torch.testing.assert_close(fast, slow, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"eps": 0.2}, {"cov_mode": "indicator"}, {"whitening": "symmetric"}, {"zeta_scale": True}]
+)
+def test_gradients_of_the_score_are_exact(options):
+    names = ("gamma", "eps", "std") if "eps" in options else ("gamma", "std")
+    f = presets.hghckf2(ConstantAcceleration(1.0), Position(2.0), rule=third_degree, learn=names, **options)
+    z = torch.tensor([[1.0, 2.0], [30.0, -1.0], [3.0, 2.5]]).double()
+    prior = Gaussian(torch.zeros(6).double(), 3 * torch.eye(6).double())
+    parameters = dict(f.named_parameters())
+
+    def out(*values):
+        e = torch.func.functional_call(f, dict(zip(parameters, values, strict=True)), (z, prior))
+        return e.mean, e.scale_tril
+
+    assert torch.autograd.gradcheck(out, [p.detach().clone().requires_grad_() for p in parameters.values()])
+
+
+@pytest.mark.parametrize("robust", [HuberScore(), HuberRegression()])
+def test_any_rule_and_any_bank_takes_them(robust):
+    models = [ConstantAcceleration(0.1), ConstantAcceleration(3.0)]
+    z = torch.randn(2, 6, 2, generator=torch.Generator().manual_seed(0)).double()
+    z[0, 2, 0] = torch.nan
+    prior = Gaussian(torch.zeros(6).double(), torch.eye(6).double())
+
+    def inner(motion, sensor):
+        return SRCKF(motion, sensor, robust=robust)
+
+    e = presets.imm(models, Position(1.0), inner=inner)(z, prior)
+    assert not e.failed.any()
+    torch.testing.assert_close(e.info.probabilities.sum(-1), torch.ones(2, 6).double())
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: HuberScore(cov_mode="mean"), "cov_mode"),
+        (lambda: HuberScore(whitening="svd"), "whitening"),
+        (lambda: HuberScore(eps="max"), "eps: expected a share"),
+        (lambda: HuberScore(eps=1.0), "eps"),
+        (lambda: HuberScore(0.0), "gamma: expected a value above 0"),
+        (lambda: HuberRegression(max_iter=0), "max_iter"),
+        (lambda: HuberRegression(start="zero"), "start"),
+        (lambda: growth("offset"), "outliers"),
+        (lambda: growth(size=0.5), "size, share"),
+        (lambda: reentry(radar="laser"), "radar"),
+        (lambda: reentry(method="heun"), "method"),
+    ],
+)
+def test_what_does_not_fit_is_named(make, said):
+    with pytest.raises(ValueError, match=said):
+        make()
+
+
+# ---------------------------------------------------------------- the experiments
+
+UNGM = {
+    "covariance": {"ghckf": (51.1, 62.3, 65.1), "hghckf1": (113.7, 119.7, 120.6), "hghckf2": (61.8, 64.6, 65.3)},
+    "std": {"ghckf": (51.1, 106.5, 131.9), "hghckf1": (113.7, 196.8, 257.7), "hghckf2": (61.8, 75.3, 77.4)},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("outliers", ["covariance", "std"])
+def test_mean_square_errors_of_the_growth_model_are_known(outliers):
+    found = {name: [] for name in UNGM[outliers]}
+    for size in (1.0, 15.0, 20.0):
+        scenario = growth(outliers, size=size)
+        tracks = scenario.simulate(600, 0)
+        for name, errors in found.items():
+            f = getattr(presets, name)(scenario.motion, scenario.sensor).compile()
+            with torch.no_grad():
+                mean = f(tracks.z, tracks.prior, u=tracks.u).mean
+            errors.append((mean - tracks.truth).square().mean().item())
+    for name, errors in found.items():
+        assert errors == pytest.approx(UNGM[outliers][name], rel=0.05), name
+    assert found["ghckf"][0] < found["hghckf2"][0] < found["hghckf1"][0]
+    assert found["hghckf2"][2] < 1.3 * found["hghckf2"][0]
+
+
+REENTRY = {
+    "paper": {"ghckf": (595, 52.7, 0.155), "hghckf1": (452, 50.8, 0.164), "hghckf2": (442, 46.4, 0.130)},
+    "precise": {"ghckf": (30.0, 23.2, 0.125), "hghckf1": (32.5, 24.7, 0.125), "hghckf2": (28.6, 22.2, 0.113)},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("radar", ["paper", "precise"])
+def test_errors_of_the_reentry_are_known(radar):
+    """Of 60 runs there; the parameter's error hangs on a few runs, and differs by 10 % between sets of as many."""
+    scenario = reentry(radar=radar)
+    tracks = scenario.simulate(180, 0)
+    found = {}
+    for name, known in REENTRY[radar].items():
+        f = getattr(presets, name)(scenario.motion, scenario.sensor)
+        with torch.no_grad():
+            e = f(tracks.z, tracks.prior, u=tracks.u)
+        error = (e.mean - tracks.truth).square()
+        parts = [error[..., states].sum(-1).mean(-1) for states in scenario.quantities.values()]
+        sets = [part.unflatten(0, (3, 60)).mean(1).sqrt().median().item() for part in parts]
+        assert sets[:2] == pytest.approx(known[:2], rel=0.1), name
+        assert sets[2] == pytest.approx(known[2], rel=0.2), name
+        assert e.info.repaired.sum() == 0
+        found[name] = sets
+    assert found["hghckf2"][1] < found["hghckf1"][1]
+    assert found["hghckf2"][2] < found["ghckf"][2]

@@ -1,0 +1,90 @@
+"""The univariate non-stationary growth model under contaminated noise: Qin et al. (2018), experiment 1."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.distributions import constraints
+
+from torchfra.hyper import Hyper
+from torchfra.motion import Motion
+from torchfra.scenarios.base import BLOCK, Scenario, Tracks, contaminated
+from torchfra.sensors import Sensor
+from torchfra.types import Gaussian
+
+STEPS, START = 500, 0.1
+
+
+class Growth(Motion):
+    """``x' = x / 2 + 25 x / (1 + x^2) + 8 cos(1.2 (k - 1))``; the number ``k`` of the step is ``u (..., 1)``.
+
+    Args:
+        q: variance of what a step adds.
+
+    Source: Kitagawa (1987), in the form of Gordon, Salmond & Smith (1993).
+    """
+
+    def __init__(self, q: float = 1.0) -> None:
+        super().__init__(1, 1, None)
+        self.q = Hyper(q, constraints.nonnegative, name="q")
+
+    def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
+        """See ``Motion``; ``dt`` is not looked at."""
+        if u is None:
+            raise ValueError("u: expected the number of the step, (..., 1), received None")
+        moved: Tensor = x / 2 + 25 * x / (1 + x.square()) + 8 * (1.2 * (u - 1)).cos()
+        return moved
+
+    def noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., 1, 1)``."""
+        root: Tensor = (self.q().to(dt).sqrt() * torch.ones_like(dt))[..., None, None]
+        return root
+
+
+class Square(Sensor):
+    """``x^2 / 20``: it does not tell the sign.
+
+    Args:
+        std: of the noise.
+    """
+
+    def __init__(self, std: float = 1.0) -> None:
+        super().__init__(1, [False], std, None)
+
+    def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
+        """See ``Sensor``."""
+        return x[..., :1].square() / 20
+
+
+def growth(outliers: str = "covariance", *, size: float = 15.0, share: float = 0.3) -> Scenario:
+    """A strongly nonlinear scalar state over 500 steps, its square measured with contaminated noise.
+
+    Args:
+        outliers: what grows in a contaminated measurement: ``"covariance"``, ``"std"``, or ``"none"``.
+        size: how many times it grows.
+        share: of the measurements that are contaminated.
+
+    Raises:
+        ValueError: an argument that is none of those.
+
+    Source: Qin et al. (2018), section 4.1.  The filters' initial belief is ours; it does not matter over 500 steps.
+    """
+    motion, sensor = Growth(), Square()
+    numbers = torch.arange(1, STEPS + 1, dtype=torch.float64).unsqueeze(-1)
+    prior = Gaussian(torch.zeros(1, dtype=torch.float64), torch.eye(1, dtype=torch.float64))
+    grown = contaminated(outliers, size, share)
+
+    def block(rng: np.random.Generator, runs: Tensor) -> Tracks:
+        # One draw holds all that any setting may need, so that settings can be compared on the same noise.
+        process, noise = torch.from_numpy(rng.standard_normal((2, BLOCK, STEPS, 1)))
+        state, states = torch.full((BLOCK, 1), START, dtype=torch.float64), []
+        for k, step in enumerate(process.unbind(1)):
+            state = motion(state, torch.ones(1), numbers[k]) + step
+            states.append(state)
+        truth = torch.stack(states, 1)
+        z = sensor(truth) + noise * grown(rng, (BLOCK, STEPS, 1))
+        return Tracks(truth, z, numbers, Gaussian(prior.mean.expand(BLOCK, 1), prior.scale_tril))
+
+    settings: dict[str, object] = {"outliers": outliers, "size": size, "share": share}
+    return Scenario("growth", motion, sensor, prior, 1.0, STEPS, block, settings)

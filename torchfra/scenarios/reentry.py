@@ -1,0 +1,136 @@
+"""A vehicle that falls into the atmosphere, seen by a radar: Qin et al. (2018), experiment 2."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.distributions import constraints
+
+from torchfra.hyper import Hyper, Value
+from torchfra.motion import Motion
+from torchfra.scenarios.base import BLOCK, Scenario, Tracks, contaminated
+from torchfra.sensors import RangeBearing
+from torchfra.types import Gaussian
+
+STEPS, DT, SUBSTEPS = 200, 1.0, 10
+_EARTH, _SCALE, _PULL, _DRAG = 6374e3, 13.406e3, 3.986e14, -0.59783e-3  # m, m, m^3/s^2, 1/m
+_START = torch.tensor([6500.4e3, 349.14e3, -1809.3, -6796.7, 0.6932], dtype=torch.float64)
+_RADARS = {"paper": (1e-3**0.5 * 1e3, 0.17e-3**0.5), "precise": (1.0, 0.17e-3)}
+"""Standard deviations of range, m, and bearing, rad."""
+
+
+class Reentry(Motion):
+    """Gravity and drag: ``[x, y, vx, vy, parameter]`` from the centre of the earth, m, m/s.
+
+    Args:
+        q: spectral density of the acceleration's noise, m^2/s^3.
+        q_parameter: variance that a second adds to the logarithm of the ballistic parameter.
+        method: how a step is integrated: ``"euler"`` or ``"rk4"``.
+        substeps: in how many parts.
+
+    Raises:
+        ValueError: an unknown method, or no substep.
+
+    Source: Austin & Leondes (1981); Julier & Uhlmann (2004); Sarkka (2007) for the noise.
+    """
+
+    def __init__(
+        self, q: Value = 240.64, q_parameter: Value = 0.0, *, method: str = "euler", substeps: int = SUBSTEPS
+    ) -> None:
+        if method not in ("euler", "rk4") or substeps < 1:
+            raise ValueError(
+                f"method, substeps: expected 'euler' or 'rk4' and 1 or more, received {method!r}, {substeps}"
+            )
+        super().__init__(2, 2, q)
+        self.size = 5
+        self.q_parameter = Hyper(q_parameter, constraints.nonnegative, name="q_parameter")
+        self.method, self.substeps = method, substeps
+
+    def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
+        """See ``Motion``."""
+        h = dt.unsqueeze(-1) / self.substeps
+        for _ in range(self.substeps):
+            slope = self.slope(x)
+            if self.method == "rk4":
+                second = self.slope(x + h / 2 * slope)
+                third = self.slope(x + h / 2 * second)
+                slope = (slope + 2 * second + 2 * third + self.slope(x + h * third)) / 6
+            x = x + h * slope
+        return x
+
+    @staticmethod
+    def slope(x: Tensor) -> Tensor:
+        """Time derivative ``(..., 5)`` of a state, without noise."""
+        position, velocity, parameter = x[..., :2], x[..., 2:4], x[..., 4:]
+        radius = position.square().sum(-1, keepdim=True).sqrt()
+        speed = velocity.square().sum(-1, keepdim=True).sqrt()
+        drag = _DRAG * (parameter + (_EARTH - radius) / _SCALE).exp() * speed
+        return torch.cat([velocity, drag * velocity - _PULL / radius**3 * position, 0 * parameter], -1)
+
+    def noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., 5, 5)``: white acceleration over a step, and what the parameter drifts."""
+        q, drift, zero = self.q().to(dt), self.q_parameter().to(dt), torch.zeros_like(dt)
+        far, near, fast = (q * dt**3 / 3).sqrt(), (3 * q * dt / 4).sqrt(), (q * dt / 4).sqrt()
+        zero = zero + 0 * far
+        rows = [
+            [far, zero, zero, zero, zero],
+            [zero, far, zero, zero, zero],
+            [near, zero, fast, zero, zero],
+            [zero, near, zero, fast, zero],
+            [zero, zero, zero, zero, (drift * dt).sqrt() + zero],
+        ]
+        return torch.stack([torch.stack(row, -1) for row in rows], -2)
+
+
+def reentry(
+    outliers: str = "covariance",
+    *,
+    radar: str = "paper",
+    size: float | None = None,
+    share: float = 0.3,
+    q_parameter: float = 0.0,
+    method: str = "euler",
+) -> Scenario:
+    """200 s of a re-entry, range and bearing every second with contaminated noise.
+
+    Args:
+        outliers: what grows in a contaminated measurement: ``"covariance"``, ``"std"``, or ``"none"``.
+        radar: ``"paper"`` (32 m and 13 mrad, what it prints read as variances) or ``"precise"`` (1 m and 0.17 mrad,
+            those of the literature).
+        size: how many times it grows; None for an integer from 1 to 20, drawn each time.
+        share: of the measurements that are contaminated.
+        q_parameter: see ``Reentry``; the filters', the truth keeps its parameter.
+        method: of the filters' integration, see ``Reentry``.
+
+    Raises:
+        ValueError: an argument that is none of those.
+
+    Source: Qin et al. (2018), section 4.2.  The duration and the integration are ours.
+    """
+    if radar not in _RADARS:
+        raise ValueError(f"radar: expected one of {tuple(_RADARS)}, received {radar!r}")
+    motion, std = Reentry(q_parameter=q_parameter, method=method), torch.tensor(_RADARS[radar], dtype=torch.float64)
+    sensor = RangeBearing(std)
+    station = torch.tensor([_EARTH, 0.0], dtype=torch.float64).expand(STEPS, 2)
+    prior, grown = Gaussian(_START, torch.eye(5, dtype=torch.float64)), contaminated(outliers, size, share)
+    jolt = (motion.q() * DT / SUBSTEPS).sqrt()
+
+    def block(rng: np.random.Generator, runs: Tensor) -> Tracks:
+        start = torch.from_numpy(rng.standard_normal((BLOCK, 4)))
+        noise = torch.from_numpy(rng.standard_normal((BLOCK, STEPS, 2)))
+        process = torch.from_numpy(rng.standard_normal((STEPS, SUBSTEPS, BLOCK, 2)))
+        state, states = _START + torch.nn.functional.pad(start, (0, 1)), []
+        for second in process:
+            for shock in second:  # Euler-Maruyama
+                state = state + DT / SUBSTEPS * Reentry.slope(state) + torch.nn.functional.pad(jolt * shock, (2, 1))
+            states.append(state)
+        truth = torch.stack(states, 1)
+        z = sensor(truth, station) + std * noise * grown(rng, (BLOCK, STEPS, 1))
+        return Tracks(truth, z, station, Gaussian(prior.mean.expand(BLOCK, 5), prior.scale_tril))
+
+    settings: dict[str, object] = {
+        "outliers": outliers, "radar": radar, "size": "1 to 20" if size is None else size, "share": share,
+        "q_parameter": q_parameter, "method": method,
+    }  # fmt: skip
+    return Scenario("reentry", motion, sensor, prior, DT, STEPS, block, settings, others={"parameter": slice(4, 5)})
