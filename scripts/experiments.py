@@ -139,7 +139,7 @@ def contaminated(
     if sizes:
         curves = {f: [of[f]["mmse"] for of in sizes.values()] for f in filters}
         x = [float(size) for size in sizes]
-        axes = "times the noise grows", "mean square error of position, m^2"
+        axes = "times the noise grows", "mean square error of the position"
         figures[f"{scenario.name}-mmse"] = plotting.against(x, curves, *axes, title)
     return figures
 

@@ -443,3 +443,10 @@ def test_truncation_and_checkpoints_go_together(make, tracks):
         mean = f(tracks.z, tracks.prior, u=tracks.u, truncate=5, checkpoint=2).mean
         grads.append(torch.autograd.grad(mean.square().sum(), f.motion.q.raw)[0])
     close(*grads, 1e-9)
+
+
+def test_what_is_too_large_to_compile_is_refused_at_once(make, tracks, monkeypatch):
+    monkeypatch.setattr(build, "LARGEST", 100)
+    f = make("srckf").compile()
+    with pytest.raises(build.CompileError, match="operations would take many minutes"):
+        f(tracks.z, tracks.prior, u=tracks.u)

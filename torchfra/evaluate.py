@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import pickle
 import platform
 import sys
 import time
@@ -160,15 +159,9 @@ def learned(path: str | Path, scenario: Scenario, name: str = "fra") -> Filter:
     f = make(name, *copy.deepcopy((scenario.motion, scenario.sensor, scenario.bank)))
     try:
         f.load_state_dict(torch.load(path, weights_only=True))
-    except (
-        RuntimeError,
-        pickle.UnpicklingError,
-        AttributeError,
-        TypeError,
-        EOFError,
-        LookupError,
-        ValueError,
-    ) as error:
+    except OSError:
+        raise
+    except Exception as error:  # torch raises whatever its reader came upon
         said = (str(error).splitlines() or [type(error).__name__])[0]
         raise ValueError(f"learned: expected {path} to hold a state dictionary of {name}: {said}") from None
     return f

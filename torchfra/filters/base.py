@@ -86,7 +86,8 @@ class Filter(nn.Module):
             The filter itself.
 
         Raises:
-            CompileError: (a ``RuntimeError``) when a kernel is needed and there is no compiler.
+            CompileError: (a ``RuntimeError``) when a kernel is needed and there is no compiler, or the step is too
+                large for one: seven models in space with ``fra`` for each, say.
             NotImplementedError: then too, if the filter does what kernels cannot.
         """
         from torchfra.filters.compiled import Compiled

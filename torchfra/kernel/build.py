@@ -20,7 +20,22 @@ compiled = 0
 
 
 class CompileError(RuntimeError):
-    """There is no compiler, or it failed."""
+    """There is no compiler, it failed, or there is too much to compile."""
+
+
+LARGEST = 120_000
+"""Operations in a step; more would take the compiler many minutes and gigabytes."""
+
+
+def check(operations: int) -> None:
+    """Whether a step of so many operations can be compiled.
+
+    Raises:
+        CompileError: it has too many.
+    """
+    if operations > LARGEST:
+        said = f"{operations} operations would take many minutes and gigabytes (at most {LARGEST})"
+        raise CompileError(f"compile: a step of {said}: run it without, or with fewer models")
 
 
 def load(source: str) -> Any:

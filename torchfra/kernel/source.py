@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
+from torchfra.kernel.build import check
 from torchfra.kernel.expressions import ZERO, Expressions
 
 SCALARS = {torch.float64: "double", torch.float32: "float"}
@@ -65,6 +66,7 @@ class Scan:
     def source(self) -> str:
         """The whole translation unit."""
         live = self.live()
+        check(len(live))
         varies = {i for port in [*self.carry, *(r for r in self.reads if r.timed)] for i in port.ids if i != ZERO}
         for number in live:
             if varies.intersection(self.book.nodes[number][1]):
