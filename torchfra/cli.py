@@ -6,6 +6,7 @@ import argparse
 import inspect
 import re
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
     "bearings-outliers": scenarios.bearings_outliers,
     "bearings-manoeuvre": scenarios.bearings_manoeuvre,
     "adsb-turns": scenarios.adsb_turns,
+    "alpha-beta": scenarios.level_then_weave,
     "growth": scenarios.growth,
     "reentry": scenarios.reentry,
 }
@@ -46,7 +48,8 @@ def parser() -> argparse.ArgumentParser:
         help="filter the positions of a recorded track",
         description=f"Filter recorded positions: writes NAME.csv and NAME.png for each target.\n\n{_FILES}",
         epilog="examples:\n  torchfra track flight.json.gz --sigma 30 --out filtered\n"
-        "  torchfra track flight.json.gz --filter vsimm_srckf    # interacting models: the figure shades which leads",
+        "  torchfra track flight.json.gz --filter vsimm_srckf    # interacting models: the figure shades which leads\n"
+        "  torchfra track long.csv --filter alphabeta --compile --no-plots    # the fastest way through a large file",
     )
     t.add_argument("file", metavar="FILE", type=Path)
     t.add_argument("--filter", default="fra", metavar="NAME", help=f"one of {', '.join(FILTERS)} (default: fra)")
@@ -55,6 +58,7 @@ def parser() -> argparse.ArgumentParser:
     t.add_argument(
         "--q", type=float, default=1.0, help="variance of the change of acceleration per step, m^2/s^4 (default: 1)"
     )
+    t.add_argument("--compile", action="store_true", help="run compiled kernels: for long files, needs g++")
     t.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="where to write (default: out)")
     t.add_argument("--no-plots", action="store_true", help="write the tables only")
     _common(t)
@@ -120,14 +124,18 @@ def _track(options: argparse.Namespace) -> None:
         return  # one process is enough for a file
     from torchfra.track import GATE, track
 
+    recordings = readers.read(options.file)
+    begun = time.perf_counter()
     results = track(
-        readers.read(options.file),
+        recordings,
         options.filter,
         dt=options.dt,
         sigma=options.sigma,
         q=options.q,
+        compile=options.compile,
         progress=not options.quiet,
     )
+    seconds = time.perf_counter() - begun
     used: set[str] = set()
     for result in progress_bar(results, "file", not options.quiet):
         name = _unused(re.sub(r"[^\w.-]+", "_", result.recording.name).strip("_.") or "track", used)
@@ -146,9 +154,12 @@ def _track(options: argparse.Namespace) -> None:
     if options.json is not None:
         settings = {"filter": options.filter, "dt": options.dt, "sigma": options.sigma, "q": options.q}
         tracks = [result.summary() for result in results]
+        rate = sum(len(result.time) for result in results) / seconds
         write_json(
-            options.json, {"file": options.file.name, "version": __version__, "settings": settings, "tracks": tracks}
-        )
+            options.json,
+            {"file": options.file.name, "version": __version__, "settings": settings, "steps_per_second": rate,
+             "tracks": tracks},
+        )  # fmt: skip
 
 
 def _compare(options: argparse.Namespace) -> None:

@@ -18,7 +18,7 @@ from torchfra.bank import Bank
 from torchfra.filters.base import Filter
 from torchfra.motion import Motion
 from torchfra.scenarios import Scenario, Tracks
-from torchfra.sensors import Sensor
+from torchfra.sensors import Position, Sensor
 from torchfra.tally import Tally
 from torchfra.types import Estimate
 from torchfra.version import __version__
@@ -27,7 +27,8 @@ FILTERS: dict[str, Callable[..., Filter]] = {
     f.__name__: f
     for f in (presets.ukf, presets.ekf, presets.srckf, presets.rsrckf, presets.mr_ckf, presets.asrckf, presets.rmckf,
               presets.ghckf, presets.hghckf1, presets.hghckf2,
-              presets.fra_srckf, presets.fra, presets.imm_srckf, presets.vsimm_srckf, presets.imm_fra)
+              presets.fra_srckf, presets.fra, presets.imm_srckf, presets.vsimm_srckf, presets.imm_fra,
+              presets.alphabeta)
 }  # fmt: skip
 """The filters that commands know by name."""
 BANKED = ("imm_srckf", "vsimm_srckf", "imm_fra")
@@ -126,8 +127,11 @@ def chosen(names: Sequence[str], scenario: Scenario) -> dict[str, Filter]:
 
 
 def fitting(scenario: Scenario) -> list[str]:
-    """The filters for a scenario: all, or those of a single motion if it has no bank of motions."""
-    return [name for name in FILTERS if scenario.bank is not None or name not in BANKED]
+    """The filters for a scenario: those of banks if it has one, and of positions if that is what is measured."""
+    skipped = set(BANKED) if scenario.bank is None else set()
+    if not isinstance(scenario.sensor, Position) or scenario.sensor.std is None:
+        skipped.add("alphabeta")
+    return [name for name in FILTERS if name not in skipped]
 
 
 def make(name: str, motion: Motion, sensor: Sensor, bank: Bank | None = None, **options: Any) -> Filter:

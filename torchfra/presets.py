@@ -22,6 +22,7 @@ import torch
 from torchfra.adaptive import Fading
 from torchfra.bank import Bank
 from torchfra.cubature import Rule, fifth_degree, tangent, unscented
+from torchfra.filters.alphabeta import AlphaBetaBank
 from torchfra.filters.base import Filter
 from torchfra.filters.feedback import FRA
 from torchfra.filters.imm import IMM, Around
@@ -239,6 +240,23 @@ def _transition(count: int, stay: float, transition: Value | None) -> Value:
         return transition
     eye = torch.eye(count, dtype=torch.float64)
     return stay * eye + (1 - stay) / (count - 1) * (1 - eye) if count > 1 else eye
+
+
+_BANK: dict[str, Any] = {
+    "manoeuvre": 3.5, "outlier": 18.0, "margin": 6.0, "hysteresis": 0.7, "dwell": 20.0, "degrees": [0.25],
+    "onset": "fastest",
+}  # fmt: skip
+
+
+def alphabeta(motion: Motion, sensor: Sensor, *, learn: Names = (), **options: Any) -> AlphaBetaBank:
+    """Alpha-beta filters that switch with the manoeuvre: the cheapest.  Source: Xu et al.; Kalata (1984) for the gains.
+
+    With a motion of constant velocity it is the paper's; with constant acceleration the fast levels have three gains,
+    which extrapolate a manoeuvre over outliers, and thresholds that were tuned on ``scenarios.level_then_weave``.
+    ``options`` go to ``AlphaBetaBank``.
+    """
+    ours = _BANK if motion.orders == 3 and options.get("gains") is None else {}
+    return _learning(AlphaBetaBank(motion, sensor, **ours | options), learn)
 
 
 def _huber(sensor: Sensor, threshold: Value, per_element: bool) -> Huber:

@@ -104,6 +104,7 @@ def track(
     dt: float | None = None,
     sigma: float = 25.0,
     q: float = 1.0,
+    compile: bool = False,
     progress: bool = False,
 ) -> list[Filtered]:
     """Recordings through a filter with a position sensor and constant acceleration, or a bank of motions.
@@ -114,6 +115,7 @@ def track(
         dt: seconds; also estimates at every multiple of it after the first fix, beside those at the fixes.
         sigma: standard deviation of a recorded position per axis, m.
         q: variance of the change of acceleration per step, m^2/s^4.
+        compile: whether to run compiled (``Filter.compile``); needs a C++ compiler.
         progress: whether to show a bar.
 
     Raises:
@@ -129,12 +131,12 @@ def track(
         for d in (2, 3):
             part = [i for i in group if recordings[i].position.shape[1] == d]
             if part:
-                done |= zip(part, _together([recordings[i] for i in part], name, d, dt, sigma, q), strict=True)
+                done |= zip(part, _together([recordings[i] for i in part], name, d, dt, sigma, q, compile), strict=True)
     return [done[i] for i in range(len(recordings))]
 
 
 def _together(
-    recordings: list[Recording], name: str, d: int, dt: float | None, sigma: float, q: float
+    recordings: list[Recording], name: str, d: int, dt: float | None, sigma: float, q: float, compile: bool
 ) -> list[Filtered]:
     """Recordings of ``d`` dimensions as one batch; the shorter ones are missing data at their end."""
     grids = [_grid(r, dt) for r in recordings]
@@ -145,6 +147,7 @@ def _together(
         z[i, : len(time)] = torch.from_numpy(raw)
         gaps[i, 1 : len(time)] = torch.from_numpy(np.diff(time))
     f = _filter(name, d, sigma, q)
+    f = f.compile() if compile else f
     start = torch.cat([z[:, 0], torch.zeros(len(z), 2 * d, dtype=torch.float64)], -1)
     first = torch.tensor([10 * sigma, 300.0, 5.0], dtype=torch.float64).repeat_interleave(d).diag()
     with torch.no_grad():
@@ -195,6 +198,8 @@ def _nearest(time: Array, at: Array) -> NDArray[np.intp]:
 def _flags(estimate: Estimate, gate: float) -> tuple[torch.Tensor, torch.Tensor]:
     """Outliers and manoeuvres ``(..., T)``: as FRA decided, or by the gate and the fading factors of another filter."""
     info = estimate.info
+    if hasattr(info, "rejected"):
+        return info.rejected.any(-1), (info.manoeuvre & ~info.rejected).any(-1)
     if hasattr(info, "abnormal"):
         return info.abnormal & ~info.adaptive, info.abnormal & info.adaptive
     abnormal, fading = estimate.nis > gate, getattr(info, "fading", None)

@@ -38,6 +38,7 @@ from torchfra.cli import named as scenario_named
 from torchfra.evaluate import evaluate, progress_bar, versions
 from torchfra.files import write, write_json, write_text
 from torchfra.filters import FRA, Filter
+from torchfra.filters.alphabeta import AlphaBetaBank
 from torchfra.filters.imm import Around
 from torchfra.hyper import hypers, named
 from torchfra.kernel.build import CompileError
@@ -144,7 +145,7 @@ def loss_of(config: Config) -> Loss:
 def decide(f: Filter, temperature: float) -> None:
     """Soft or hard, where the filter decides anything."""
     core = f.inner if isinstance(f, Around) else f
-    if isinstance(core, FRA):
+    if isinstance(core, FRA | AlphaBetaBank):
         core.temperature = temperature
 
 

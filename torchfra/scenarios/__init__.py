@@ -6,6 +6,7 @@ from torchfra.scenarios.bearings import bearings_manoeuvre, bearings_outliers
 from torchfra.scenarios.growth import growth
 from torchfra.scenarios.recorded import recorded
 from torchfra.scenarios.reentry import reentry
+from torchfra.scenarios.weave import level_then_weave
 
 __all__ = [
     "Scenario",
@@ -15,6 +16,7 @@ __all__ = [
     "bearings_manoeuvre",
     "bearings_outliers",
     "growth",
+    "level_then_weave",
     "recorded",
     "reentry",
 ]

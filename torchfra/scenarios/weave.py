@@ -1,0 +1,81 @@
+"""An aircraft that flies level and then manoeuvres hard, two outliers planted: the alpha-beta bank's experiment."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchfra.bank import aircraft
+from torchfra.motion import ConstantAcceleration
+from torchfra.scenarios.base import BLOCK, Scenario, Tracks
+from torchfra.sensors import Position
+from torchfra.types import Gaussian
+
+STEPS, BEGIN, LENGTH, PEAK, STD = 120, 73.0, 47.0, 30.0, 20.0
+PLANTED, OFFSET = (100, 101), 2000.0
+_ROOT = torch.tensor([100.0] * 3 + [20.0] * 3 + [2.0] * 3, dtype=torch.float64).diag()
+
+
+def level_then_weave(outliers: str = "planted", *, noise: str = "cartesian") -> Scenario:
+    """Level for 73 s, then an acceleration along x that rises to 30 m/s^2 and falls again; a position each second.
+
+    Args:
+        outliers: ``"planted"``: 2 km on x at 100 and 101 s; ``"none"``.
+        noise: ``"cartesian"``: 20 m per axis; ``"spherical"``: 20 m in range, 0.05 degrees in azimuth and elevation
+            from the origin (filters assume 20 m per axis in any case).
+
+    Raises:
+        ValueError: an argument that is none of those.
+
+    Source: Xu et al., section 4.  The track's numbers are ours where the paper's are lost.
+    """
+    for argument, value, known in (
+        ("outliers", outliers, ("planted", "none")),
+        ("noise", noise, ("cartesian", "spherical")),
+    ):
+        if value not in known:
+            raise ValueError(f"{argument}: expected one of {known}, received {value!r}")
+    truth = _path()
+    planted = torch.zeros(STEPS, 3, dtype=torch.float64)
+    if outliers == "planted":
+        planted[[k - 1 for k in PLANTED], 0] = OFFSET
+
+    def block(rng: np.random.Generator, runs: Tensor) -> Tracks:
+        draw = torch.from_numpy(rng.standard_normal((BLOCK, STEPS, 3)))
+        start = torch.from_numpy(rng.standard_normal((BLOCK, 9)))
+        z = truth[1:, :3] + STD * draw if noise == "cartesian" else _seen(truth[1:, :3], draw)
+        return Tracks(truth[1:].expand(BLOCK, -1, -1), z + planted, None, Gaussian(truth[0] + start @ _ROOT, _ROOT))
+
+    settings: dict[str, object] = {"outliers": outliers, "noise": noise}
+    motion = ConstantAcceleration(4.0, 3)
+    prior = Gaussian(truth[0], _ROOT)
+    return Scenario("alpha-beta", motion, Position(STD, dims=3), prior, 1.0, STEPS, block, settings, aircraft(4.0, 3))
+
+
+def _path() -> Tensor:
+    """States ``(STEPS + 1, 9)`` at 0, 1, ... s."""
+    time = torch.arange(STEPS + 1, dtype=torch.float64)
+    into, rate = (time - BEGIN).clamp_min(0.0), math.pi / LENGTH
+    push = PEAK / rate  # of sin(rate t), integrated
+    start = torch.tensor([-20000.0, 15000.0, 8000.0], dtype=torch.float64)
+    velocity = torch.tensor([250.0, 30.0, 0.0], dtype=torch.float64).repeat(STEPS + 1, 1)
+    position = start + time.unsqueeze(-1) * velocity
+    position[:, 0] += push * (into - (rate * into).sin() / rate)
+    velocity[:, 0] += push * (1 - (rate * into).cos())
+    acceleration = torch.zeros_like(velocity)
+    acceleration[:, 0] = PEAK * (rate * into).sin()
+    return torch.cat([position, velocity, acceleration], -1)
+
+
+def _seen(position: Tensor, draw: Tensor) -> Tensor:
+    """Positions from range, azimuth and elevation with noise."""
+    ground = torch.hypot(position[..., 0], position[..., 1])
+    angle = math.radians(0.05)
+    reach = position.norm(dim=-1) + STD * draw[..., 0]
+    azimuth = torch.atan2(position[..., 1], position[..., 0]) + angle * draw[..., 1]
+    elevation = torch.atan2(position[..., 2], ground) + angle * draw[..., 2]
+    flat = reach * elevation.cos()
+    return torch.stack([flat * azimuth.cos(), flat * azimuth.sin(), reach * elevation.sin()], -1)
