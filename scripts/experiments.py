@@ -9,10 +9,11 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 
-from torchfra import plotting, presets
+from torchfra import gains, plotting, presets
 from torchfra.cli import named
 from torchfra.evaluate import chosen, evaluate, run
 from torchfra.filters import Filter
+from torchfra.filters.alphabeta import AlphaBeta, AlphaBetaBank
 from torchfra.scenarios import Scenario
 
 _BEARINGS, _HUBER = "ukf,srckf,mr_ckf,rsrckf,rmckf,fra_srckf,fra", "ghckf,hghckf1,hghckf2"
@@ -20,6 +21,7 @@ PAPER = {
     "bearings-outliers": _BEARINGS,
     "bearings-manoeuvre": _BEARINGS,
     "adsb-turns": "srckf,imm3,imm5,vsimm_srckf",
+    "alpha-beta": "f1,f2,f3,paper,alphabeta",
     "growth": _HUBER,
     "reentry": _HUBER,
 }
@@ -35,6 +37,8 @@ Figures = dict[str, Figure]
 
 def filters_of(scenario: Scenario, names: list[str]) -> Filters:
     """The filters of these names; ``imm3`` and ``imm5`` run the first three and all five models of a bank."""
+    if scenario.name == "alpha-beta":
+        return weave_filters(scenario, names)
     bank = scenario.bank
     sizes = {"imm3": 3, "imm5": 5} if scenario.name == "adsb-turns" and bank is not None else {}
     own: dict[str, Callable[[], Filter]] = {
@@ -159,4 +163,71 @@ def sizes_table(sizes: dict[str, Results]) -> str:
     names = list(next(iter(sizes.values())))
     lines = [f"{'grows':<8}" + "".join(f"{name:>12}" for name in names)]
     lines += [f"{size:<8}" + "".join(f"{of[name]['mmse']:>12.4g}" for name in names) for size, of in sizes.items()]
+    return "\n".join(lines)
+
+
+def weave_filters(scenario: Scenario, names: Sequence[str]) -> Filters:
+    """The filters of these names; ``f1``, ``f2`` and ``f3`` are the paper's single ones, ``paper`` its bank."""
+    motion, sensor = scenario.motion, scenario.sensor
+    found: Filters = {}
+    for name in names:
+        if name in ("f1", "f2", "f3"):
+            found[name] = AlphaBeta(motion, sensor, gains.kalata((1.5, 0.5, 0.1)[int(name[1]) - 1]))
+        elif name == "paper":
+            thresholds = {"manoeuvre": 3.5, "outlier": 10.0, "degrees": [6 / 7], "margin": 3.6}
+            found[name] = presets.alphabeta(motion, sensor, gains=gains.levels(), **thresholds)
+        else:
+            found |= chosen([name], scenario)
+    return found
+
+
+def weave_figures(scenario: Scenario, filters: Filters, results: Results, runs: int, seed: int) -> Figures:
+    """Errors by coordinate over time, and how often each level is in use along x."""
+    title = f"{scenario.name}, {runs} runs"
+    figures = {
+        f"alpha-beta-{q}": plotting.by_coordinate(results, q, 1.0, scenario.dt, title) for q in ("mean_error", "rmse")
+    }
+    tracks, shares = scenario.simulate(min(runs, 1000), seed), {}
+    for name, f in filters.items():
+        if isinstance(f, AlphaBetaBank):
+            with torch.no_grad():
+                level = run(f, scenario, tracks).info.level[..., 0].round().long()
+            shares[name] = torch.nn.functional.one_hot(level, len(_LEVELS)).double().mean(0)
+    if shares:
+        figures["alpha-beta-levels"] = plotting.probabilities(shares, _LEVELS, 1.0, scenario.dt, title)
+    return figures
+
+
+_LEVELS = ("level 1, fastest", "level 2", "level 3, slowest")
+
+
+def weave_decisions(scenario: Scenario, filters: Filters, runs: int, seed: int) -> dict[str, dict[str, Any]]:
+    """RMSE along each axis in 20-73 s and 74-120 s, and what the banks decided along x at 97 to 104 s."""
+    tracks, found = scenario.simulate(runs, seed), {}
+    for name, f in filters.items():
+        with torch.no_grad():
+            e = run(f, scenario, tracks)
+        square = (e.mean[..., :3] - tracks.truth[..., :3]).square()
+        of: dict[str, Any] = {}
+        for part, steps in (("level", slice(19, 73)), ("manoeuvre", slice(73, 120))):
+            each = square[:, steps].mean(1).sqrt()
+            of |= {f"{part}_{axis}": each[:, i].mean().item() for i, axis in enumerate("xyz")}
+        if hasattr(e.info, "rejected"):
+            for key in ("manoeuvre", "rejected"):
+                at = getattr(e.info, key)[..., 0].double().mean(0)
+                of[key] = {str(k): at[k - 1].item() for k in range(97, 105)}
+            of["restarts_per_run"] = e.info.restarted[..., 0].double().sum(1).mean().item()
+        found[name] = of
+    return found
+
+
+def weave_table(of: dict[str, dict[str, Any]]) -> str:
+    """As text."""
+    lines = [f"{'filter':<12}{'level x, m':>12}{'manoeuvre x':>13}{'restarts':>10}   rejected at 97 ... 104 s, %"]
+    for name, values in of.items():
+        line = f"{name:<12}{values['level_x']:>12.1f}{values['manoeuvre_x']:>13.1f}"
+        if "rejected" in values:
+            rejected = " ".join(f"{100 * v:.0f}" for v in values["rejected"].values())
+            line += f"{values['restarts_per_run']:>10.3f}   {rejected}"
+        lines.append(line)
     return "\n".join(lines)

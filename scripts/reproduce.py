@@ -5,6 +5,7 @@
     python scripts/reproduce.py adsb-turns              Du & Zhang (2020): errors by coordinate, model probabilities
     python scripts/reproduce.py growth                  Qin et al. (2018): mean square errors over the contamination
     python scripts/reproduce.py reentry                 position, velocity and parameter over time
+    python scripts/reproduce.py alpha-beta              Xu et al.: errors by axis, levels, decisions around two outliers
     python scripts/reproduce.py bearings-outliers --outliers std --runs 500 --json out/std.json
 
 Every run of an experiment is fixed by the seed.  Run times are relative to the UKF on the same runs.
@@ -27,6 +28,9 @@ from experiments import (
     filters_of,
     rms_table,
     sizes_table,
+    weave_decisions,
+    weave_figures,
+    weave_table,
 )
 
 from torchfra import keep_memory, plotting
@@ -52,7 +56,9 @@ def parser() -> argparse.ArgumentParser:
                    "the figure over it (default of growth: 1 to 20; of reentry: none)")  # fmt: skip
     known = ", ".join(FILTERS)
     p.add_argument(
-        "--filters", metavar="A,B", help=f"out of {known}, and of adsb-turns imm3 and imm5 (default: the paper's)"
+        "--filters",
+        metavar="A,B",
+        help=f"out of {known}, of adsb-turns imm3 and imm5, of alpha-beta f1, f2, f3 and paper (default: the paper's)",
     )
     p.add_argument("--learned", metavar="NAME=FILE", help="also the filter NAME with values that training wrote")
     p.add_argument("--compile", action="store_true", help="run compiled kernels")
@@ -96,6 +102,9 @@ def experiment(options: argparse.Namespace) -> str:
         whole["averages"] = averages(results)
         whole["models"] = scenario.bank.names if scenario.bank is not None else []
         shown = averages_table(whole["averages"], results)
+    elif scenario.name == "alpha-beta":
+        whole["decisions"] = weave_decisions(scenario, filters, options.runs, options.seed)
+        shown = weave_table(whole["decisions"])
     elif scenario.name in ("growth", "reentry"):
         whole["by_size"] = by_size(scenario.name, sizes, names, given, **how)
         shown = rms_table(results, scenario) + ("\n" + sizes_table(whole["by_size"]) if sizes else "")
@@ -107,7 +116,7 @@ def experiment(options: argparse.Namespace) -> str:
         if "by_size" in whole:
             figures = contaminated(scenario, filters, results, whole["by_size"], title)
         else:
-            draw = adsb if scenario.name == "adsb-turns" else bearings
+            draw = {"adsb-turns": adsb, "alpha-beta": weave_figures}.get(scenario.name, bearings)
             figures = draw(scenario, filters, results, options.runs, options.seed)
         for name, figure in figures.items():
             plotting.save(figure, options.plots / f"{name}.png")

@@ -55,6 +55,41 @@ def test_reproduce_writes_what_du_and_zhang_show(tmp_path, capsys):
     assert "averages over time" in capsys.readouterr().out
 
 
+def test_reproduce_writes_the_decisions_of_the_alpha_beta_bank(tmp_path):
+    out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
+    assert reproduce.main(["alpha-beta", "--runs", "40", *out]) == 0
+    found = json.loads((tmp_path / "r.json").read_text())
+    decisions = found["decisions"]
+    assert decisions.keys() == found["filters"].keys() == {"f1", "f2", "f3", "paper", "alphabeta"}
+    assert list(decisions["alphabeta"]["rejected"]) == [str(k) for k in range(97, 105)]
+    assert decisions["alphabeta"]["rejected"]["100"] == decisions["alphabeta"]["rejected"]["101"] == 1
+    assert decisions["alphabeta"]["manoeuvre_x"] < decisions["f1"]["manoeuvre_x"]  # which follows the outliers
+    assert {p.name for p in tmp_path.glob("*.png")} == {f"alpha-beta-{n}.png" for n in ("mean_error", "rmse", "levels")}
+
+
+def test_reproduce_writes_mean_square_errors_over_the_contamination(tmp_path):
+    out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
+    assert reproduce.main(["growth", "--runs", "6", "--sizes", "1,20", "--compile", *out]) == 0
+    found = json.loads((tmp_path / "r.json").read_text())
+    assert list(found["by_size"]) == ["1", "20"]
+    for of in found["by_size"].values():
+        assert of.keys() == {"ghckf", "hghckf1", "hghckf2"}
+        assert len(of["ghckf"]["mse"]) == 500
+        assert of["ghckf"]["mmse"] == pytest.approx(sum(of["ghckf"]["mse"]) / 500)
+    assert found["by_size"]["1"]["ghckf"]["mmse"] < found["by_size"]["20"]["ghckf"]["mmse"]
+    assert {p.name for p in tmp_path.glob("*.png")} == {"growth-position.png", "growth-mmse.png"}
+
+
+def test_reproduce_writes_the_errors_of_the_reentry(tmp_path):
+    out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
+    assert reproduce.main(["reentry", "--runs", "2", "--filters", "ghckf", "--sizes", "1", *out]) == 0
+    found = json.loads((tmp_path / "r.json").read_text())
+    assert len(found["filters"]["ghckf"]["rmse_parameter"]) == 200
+    assert found["by_size"]["1"]["ghckf"].keys() == {"mmse", "mse", "mmse_velocity", "mmse_parameter"}
+    names = {f"reentry-{name}.png" for name in ("position", "velocity", "parameter", "mmse")}
+    assert {p.name for p in tmp_path.glob("*.png")} == names
+
+
 def test_reproduce_says_what_is_wrong(capsys):
     assert reproduce.main(["adsb-turns", "--outliers", "std"]) == 2
     assert "adsb-turns takes no such option" in capsys.readouterr().err

@@ -172,7 +172,7 @@ def _together(
 
 def _filter(name: str, d: int, sigma: float, q: float) -> Filter:
     """The filter of this name for positions in ``d`` dimensions."""
-    options = {"gate": GATE[d]} if "fra" in name else {}
+    options = {"gate": GATE[d]} if "fra" in name else {"longest": 60.0} if name == "alphabeta" else {}
     return make(name, ConstantAcceleration(q, d), Position(sigma, dims=d), aircraft(q, d), **options)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import reduce
 from itertools import pairwise
@@ -16,6 +17,7 @@ from torchfra.filters.base import Filter, Mix, Record
 from torchfra.filters.frames import Frame
 from torchfra.gains import Gains
 from torchfra.hyper import Hyper, Value
+from torchfra.linalg import is_traced
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, Motion
 from torchfra.sensors import Position, Sensor
 from torchfra.types import Gaussian
@@ -177,7 +179,7 @@ class AlphaBetaInfo(NamedTuple):
     rejected: Tensor
     """bool: an outlier, not used."""
     restarted: Tensor
-    """bool: begun anew after too many of them."""
+    """bool: begun anew after too many of them, or too long without one that was used."""
 
 
 class AlphaBetaBank(_Gained):
@@ -209,6 +211,7 @@ class AlphaBetaBank(_Gained):
         dwell: steps without a vote after which a manoeuvre ends.
         votes: flags before the newest one, even.
         patience: rejections in a row after which the filter restarts with the next.
+        longest: seconds without a measurement that was used after which the filter starts anew with the next one.
         converged: measurements after which it decides; before, the fastest level is used.
         flag_on_reject: which flag a rejected measurement leaves: ``"raw"`` its own, or ``"hold"`` the vote.
         detect: ``"cartesian"``: each axis for itself; ``"polar"``: range and horizontal azimuth from the origin vote,
@@ -223,7 +226,8 @@ class AlphaBetaBank(_Gained):
     Raises:
         ValueError: gains that are not stable or whose levels do not slow down, or an argument out of its range.
 
-    Source: Xu et al., "multilevel combined alpha-beta filter"; our reading where its formulas are lost.  ``onset``,
+    Source: Xu et al., "multilevel combined alpha-beta filter"; our reading where its formulas are lost.  Differs: after
+    rejections the gain of the velocity is divided by all of the time that has passed.  ``onset``,
     ``expect`` and the soft choices are ours.
     """
 
@@ -244,6 +248,7 @@ class AlphaBetaBank(_Gained):
         dwell: Value = 3.0,
         votes: int = 2,
         patience: int = 5,
+        longest: float = math.inf,
         converged: int = 5,
         flag_on_reject: str = "raw",
         detect: str = "cartesian",
@@ -270,6 +275,8 @@ class AlphaBetaBank(_Gained):
         if votes < 2 or votes % 2 or patience < 1 or converged < 3:
             said = f"an even number of 2 or more, 1 or more, 3 or more, received {votes}, {patience}, {converged}"
             raise ValueError(f"votes, patience, converged: expected {said}")
+        if not longest > 0:
+            raise ValueError(f"longest: expected seconds above 0, received {longest}")
         if detect == "polar" and motion.dims < 2:
             raise ValueError("detect: expected 'cartesian' on a line, received 'polar'")
         slowest = _pair(gains.alpha[..., -1], gains.beta[..., -1])[1]
@@ -289,7 +296,7 @@ class AlphaBetaBank(_Gained):
         self.limit, self.margin = Hyper(limit, name="limit"), Hyper(margin, constraints.nonnegative, name="margin")
         self.hysteresis = Hyper(hysteresis, constraints.interval(0.0, 1.0), name="hysteresis")
         self.dwell = Hyper(dwell, constraints.greater_than_eq(1.0), name="dwell")
-        self.votes, self.patience, self.converged = votes, patience, converged
+        self.votes, self.patience, self.longest, self.converged = votes, patience, longest, converged
         self.flag_on_reject, self.detect, self.onset, self.expect = flag_on_reject, detect, onset, expect
         self.temperature = temperature
 
@@ -340,7 +347,7 @@ class AlphaBetaBank(_Gained):
         channels = size if self.detect == "cartesian" else self._polar(frame.z, ahead, std)
         raw = self._above(channels / high, 1.0)
         enough = converged * self._above(state.known, self.votes - 0.5)
-        votes = self._above(raw + state.flags.sum(-2), (self.votes + 1) / 2)
+        votes = self._above(reduce(torch.add, state.flags.unbind(-2), raw), (self.votes + 1) / 2)
         vote = enough * self._any(votes) * seen
         quiet = (1 - vote) * (state.quiet + seen)
         lasting = self._above(self.dwell().to(size).unsqueeze(-1) - quiet, 0.5)
@@ -356,16 +363,19 @@ class AlphaBetaBank(_Gained):
         reached = 0.5 * limit * reach.square() / std + margin
         out = self._above(size / (manoeuvre * reached + (1 - manoeuvre) * self.outlier().to(size).unsqueeze(-1)), 1.0)
         out = self._any(out) * seen * (state.used > 1.5)  # two points start a track, whatever they are
+        expired = (since > self.longest).to(size) * seen * (state.used > 0.5)
+        out = out * (1 - expired)
         rejected = state.rejected + out
-        restarted = (rejected > self.patience).to(size) * (out > 0.5)
+        restarted = torch.maximum((rejected > self.patience).to(size) * (out > 0.5), expired)
 
         # The level, and the update.
         degree = self._largest(channels) / self.manoeuvre().to(size).unsqueeze(-1)
         level = self._level(converged, manoeuvre, degree)
-        level = level + (out + (1 - seen) * (1 - out)).unsqueeze(-1) * (state.level - level)
+        accepted = (1 - out) * seen
+        level = torch.lerp(state.level, level, accepted.unsqueeze(-1))
         used, gone = (1 - out) * frame.seen, state.behind + dt
         moved = self._updated(level, state.used, predicted, used * residual, since)
-        anew = [frame.z, (frame.z - state.last) / gone, *(0 * frame.z for _ in moved[2:])]
+        anew = [frame.z, (1 - expired) * (frame.z - state.last) / gone, *(0 * frame.z for _ in moved[2:])]
         beside = state.beside
         if beside is not None:
             fast = _ahead(beside.unflatten(-1, (self.motion.orders, d)).unbind(-2), dt)
@@ -379,15 +389,14 @@ class AlphaBetaBank(_Gained):
         flag = raw if self.flag_on_reject == "raw" else raw + out * (vote - raw)
         pushed = torch.cat([flag.unsqueeze(-2), state.flags[..., :-1, :]], -2)
         there = seen.unsqueeze(-2)
-        kept = keep.unsqueeze(-1)
-        level = kept * level + (1 - kept) * _only(0, level)
+        level = torch.where(restarted.unsqueeze(-1) > 0, _only(0, level), level)
         table, expected = self._table(size)
         after = AlphaBetaBankState(
             torch.cat(moved, -1),
-            _scaled((level @ table).unbind(-1), dt, std),
-            keep * (state.used + (1 - out) * seen) + 2 * restarted,
-            keep * since * (1 - (1 - out) * seen),
-            keep * rejected * (1 - (1 - out) * seen),
+            _scaled([_chosen(level, entry) for entry in table], dt, std),
+            keep * (state.used + accepted) + restarted * (2 - expired),
+            keep * since * (1 - accepted),
+            keep * rejected * (1 - accepted),
             keep.unsqueeze(-2) * (state.flags + there * (pushed - state.flags)),
             keep * (state.known + seen),
             keep * (state.manoeuvre + seen * (manoeuvre - state.manoeuvre)),
@@ -399,7 +408,7 @@ class AlphaBetaBank(_Gained):
         )
         spread = _chosen(state.level, expected).sqrt()
         info = AlphaBetaInfo(
-            level @ torch.arange(level.shape[-1], dtype=level.dtype, device=level.device),
+            reduce(torch.add, (i * level[..., i] for i in range(level.shape[-1]))),
             vote > 0.5, manoeuvre > 0.5, out > 0.5, restarted > 0,
         )  # fmt: skip
         return after, _record(after, residual, frame, spread, info)
@@ -415,17 +424,17 @@ class AlphaBetaBank(_Gained):
             column[2], ahead = column[2] / 2, [*ahead[:2], _chosen(level, has) * ahead[2]]
         return _moved(ahead, _started(column, used), since, residual)
 
-    def _table(self, like: Tensor) -> tuple[Tensor, Tensor]:
-        """Entries ``(..., N, p)`` of each level's root, and the variance ``(..., N)`` of its residuals."""
+    def _table(self, like: Tensor) -> tuple[list[Tensor], Tensor]:
+        """Entries of each level's root, ``(..., N)`` each, and the variance ``(..., N)`` of its residuals."""
         alpha, beta = self.alpha().to(like), self.beta().to(like)
         entries, variance = _pair(alpha, beta)
         if self.gamma is None:
-            return torch.stack(entries, -1), variance
+            return entries, variance
         gamma = self.gamma().to(like)
         has = gamma > 0
         three, wider = _triple(alpha, beta, torch.where(has, gamma, 0.1 * beta))
         both = zip([*entries, *[torch.zeros_like(alpha)] * 3], three, strict=True)
-        return torch.stack([torch.where(has, b, a) for a, b in both], -1), torch.where(has, wider, variance)
+        return [torch.where(has, b, a) for a, b in both], torch.where(has, wider, variance)
 
     def _above(self, x: Tensor, threshold: float) -> Tensor:
         """1 where ``x`` is larger, else 0; between the two where choices are soft."""
@@ -435,8 +444,8 @@ class AlphaBetaBank(_Gained):
         """Of channels, those that decide: each for itself, or one for all."""
         if self.detect == "cartesian":
             return flags
-        none = 1 - flags
-        return 1 - reduce(torch.mul, none.split(1, -1))
+        none: Tensor = reduce(torch.mul, (1 - flags).split(1, -1))
+        return 1 - none
 
     def _largest(self, channels: Tensor) -> Tensor:
         return channels if self.detect == "cartesian" else channels.amax(-1, keepdim=True)
@@ -510,7 +519,8 @@ def _only(place: int, level: Tensor) -> Tensor:
 
 def _chosen(level: Tensor, values: Tensor) -> Tensor:
     """Of values ``(..., N)`` that of the level ``(..., g, N)``."""
-    return (level * values.unsqueeze(-2)).sum(-1)
+    parts = [level[..., i] * values[..., i].unsqueeze(-1) for i in range(level.shape[-1])]
+    return reduce(torch.add, parts)  # many times faster than a sum over so few
 
 
 def _pair(alpha: Tensor, beta: Tensor) -> tuple[list[Tensor], Tensor]:
@@ -540,13 +550,21 @@ def _scaled(entries: Sequence[Tensor], dt: Tensor, std: Tensor) -> Tensor:
 def _whole(entries: Tensor, n: int) -> Tensor:
     """``(..., n, n)`` root from its entries ``(..., p, d)``; states without any are certain."""
     p, d = entries.shape[-2:]
-    k = {1: 1, 3: 2, 6: 3}[p]
+    places = [(row, column) for row in range(3) for column in range(row + 1)][:p]
+    if not is_traced(entries) and entries.dim() > 3 and entries.stride(0) == 1:
+        # From kernels tracks lie side by side: so they stay.
+        batch = entries.shape[:-2]
+        whole = entries.new_zeros((*batch[1:], n, n, batch[0])).movedim(-1, 0)
+        for i, (row, column) in enumerate(places):
+            block = whole[..., row * d : (row + 1) * d, column * d : (column + 1) * d]
+            block.diagonal(dim1=-2, dim2=-1).copy_(entries[..., i, :])
+        return whole
     place = torch.zeros(p * d, n * n, dtype=entries.dtype, device=entries.device)
-    for i, (row, column) in enumerate((r, c) for r in range(k) for c in range(r + 1)):
+    for i, (row, column) in enumerate(places):
         for axis in range(d):
             place[i * d + axis, (row * d + axis) * n + column * d + axis] = 1
-    whole: Tensor = (entries.flatten(-2) @ place).unflatten(-1, (n, n))
-    return whole
+    spread: Tensor = (entries.flatten(-2) @ place).unflatten(-1, (n, n))
+    return spread
 
 
 def _record(state: Any, residual: Tensor, frame: Frame, spread: Tensor, info: Any) -> Record:
