@@ -4,6 +4,7 @@
     python scripts/benchmark.py --peers --filters srckf,fra        and JAX, dynamax, FilterPy, C++ in the same run
     python scripts/benchmark.py --what step,training               one measurement at a time; forward and backward
     python scripts/benchmark.py --what scaling --figure scaling.png
+    python scripts/benchmark.py --what positions                   the alpha-beta bank on 100,000 tracks in space
 
 Prints microseconds per track and step: median and quartiles of several passes, all systems in turn within a pass, so
 that a machine whose speed drifts treats them alike.  Compile time is apart.  Ours returns whole estimates (means,
@@ -26,7 +27,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchfra import keep_memory, linalg, plotting, presets
+from torchfra import keep_memory, linalg, plotting, presets, scenarios
 from torchfra.cli import SCENARIOS, named
 from torchfra.evaluate import FILTERS, chosen, progress_bar, run, versions
 from torchfra.files import write_json
@@ -240,8 +241,29 @@ def scaling(options: argparse.Namespace) -> list[Row]:
     return rows
 
 
+def positions(options: argparse.Namespace) -> list[Row]:
+    """The alpha-beta bank on positions in space, with two and with three gains."""
+    batch, steps = int(options.batch or 100_000), 20
+    tracks = scenarios.level_then_weave().simulate(256, 0).z[:, 60 : 60 + steps]
+    rows: list[Row] = []
+    for dtype in (torch.float64, torch.float32):
+        z = tracks.repeat(-(-batch // 256), 1, 1)[:batch].to(options.device, dtype)
+        systems: dict[str, Callable[[], Any]] = {}
+        for label, motion in (("two gains", ConstantVelocity(1.0, 3)), ("three gains", ConstantAcceleration(4.0, 3))):
+            prior = Gaussian(*(x.to(z) for x in (torch.zeros(motion.size), torch.eye(motion.size))))
+            f = presets.alphabeta(motion, Position(20.0, dims=3)).to(options.device)
+            for mode in options.modes.split(","):
+                g = copy.deepcopy(f).compile() if mode == "compiled" else f
+                systems[f"alphabeta, {label}, {mode}"] = lambda g=g, z=z, prior=prior: g(z, prior)
+        found = timed(systems, options.passes, batch * steps, options.device)
+        rows += rows_of(found, batch=batch, dtype=str(dtype).removeprefix("torch."))
+    return rows
+
+
 BEARINGS = [name for name in SCENARIOS if name.startswith("bearings")]
-KINDS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {f.__name__: f for f in (tracks, step, training, scaling)}
+KINDS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
+    f.__name__: f for f in (tracks, step, training, scaling, positions)
+}
 
 
 def main(arguments: list[str] | None = None) -> int:

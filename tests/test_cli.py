@@ -77,7 +77,21 @@ def test_compare_runs_interacting_models(tmp_path):
     np.testing.assert_allclose(weights.sum(1), 1)
 
 
-@pytest.mark.parametrize("name", ["srckf", "asrckf", "fra_srckf", "imm_fra", "vsimm_srckf"])
+def test_track_runs_compiled_and_says_how_fast(noisy_track, tmp_path):
+    found = []
+    for options in ([], ["--compile"]):
+        arguments = ["track", str(noisy_track), "--filter", "alphabeta", "--no-plots", "--quiet", *options]
+        assert cli.main([*arguments, "--out", str(tmp_path / "out"), "--json", str(tmp_path / "s.json")]) == 0
+        found.append((tmp_path / "out/flight.csv").read_text())
+        said = json.loads((tmp_path / "s.json").read_text())
+        assert said["steps_per_second"] > 0
+        assert said["tracks"][0]["outlier"] == 1
+    assert found[0] == found[1]
+    rows = list(csv.DictReader(found[0].splitlines()))
+    assert rows[40]["outlier"] == "1"
+
+
+@pytest.mark.parametrize("name", ["srckf", "asrckf", "fra_srckf", "imm_fra", "vsimm_srckf", "alphabeta"])
 def test_several_tracks_at_once_are_filtered_as_if_alone(noisy_track, name):
     (recording,) = readers.read(noisy_track)
     short = readers.Recording("b", recording.time[:30], recording.position[:30] * 2, None, {})

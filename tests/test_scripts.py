@@ -111,6 +111,8 @@ def test_the_benchmark_times_eager_and_compiled_filters(tmp_path, capsys):
     assert result["versions"]["torch"] == torch.__version__
     assert result["settings"]["threads"] == torch.get_num_threads()
     assert "first call" in capsys.readouterr().out
+    assert benchmark.main(["--what", "positions", "--batch", "300", "--passes", "1", "--modes", "eager"]) == 0
+    assert "alphabeta, three gains, eager" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -363,10 +363,14 @@ class AlphaBetaBank(_Gained):
         reached = 0.5 * limit * reach.square() / std + margin
         out = self._above(size / (manoeuvre * reached + (1 - manoeuvre) * self.outlier().to(size).unsqueeze(-1)), 1.0)
         out = self._any(out) * seen * (state.used > 1.5)  # two points start a track, whatever they are
-        expired = (since > self.longest).to(size) * seen * (state.used > 0.5)
-        out = out * (1 - expired)
+        expired = None
+        if math.isfinite(self.longest):
+            expired = (since > self.longest).to(size) * seen * (state.used > 0.5)
+            out = out * (1 - expired)
         rejected = state.rejected + out
-        restarted = torch.maximum((rejected > self.patience).to(size) * (out > 0.5), expired)
+        restarted = (rejected > self.patience).to(size) * (out > 0.5)
+        restarted = restarted if expired is None else torch.maximum(restarted, expired)
+        points = 2 if expired is None else 2 - expired  # that it starts from
 
         # The level, and the update.
         degree = self._largest(channels) / self.manoeuvre().to(size).unsqueeze(-1)
@@ -375,7 +379,7 @@ class AlphaBetaBank(_Gained):
         level = torch.lerp(state.level, level, accepted.unsqueeze(-1))
         used, gone = (1 - out) * frame.seen, state.behind + dt
         moved = self._updated(level, state.used, predicted, used * residual, since)
-        anew = [frame.z, (1 - expired) * (frame.z - state.last) / gone, *(0 * frame.z for _ in moved[2:])]
+        anew = [frame.z, (points - 1) * (frame.z - state.last) / gone, *(0 * frame.z for _ in moved[2:])]
         beside = state.beside
         if beside is not None:
             fast = _ahead(beside.unflatten(-1, (self.motion.orders, d)).unbind(-2), dt)
@@ -394,7 +398,7 @@ class AlphaBetaBank(_Gained):
         after = AlphaBetaBankState(
             torch.cat(moved, -1),
             _scaled([_chosen(level, entry) for entry in table], dt, std),
-            keep * (state.used + accepted) + restarted * (2 - expired),
+            keep * (state.used + accepted) + restarted * points,
             keep * since * (1 - accepted),
             keep * rejected * (1 - accepted),
             keep.unsqueeze(-2) * (state.flags + there * (pushed - state.flags)),
