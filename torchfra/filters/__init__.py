@@ -1,5 +1,6 @@
 """The filters themselves; ``torchfra.presets`` has them ready made."""
 
+from torchfra.filters.alphabeta import AlphaBeta, AlphaBetaBank, AlphaBetaInfo
 from torchfra.filters.base import Filter
 from torchfra.filters.feedback import FRA, FRAInfo, FRAState
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
@@ -11,6 +12,9 @@ __all__ = [
     "IMM",
     "SRCKF",
     "VSIMM",
+    "AlphaBeta",
+    "AlphaBetaBank",
+    "AlphaBetaInfo",
     "FRAInfo",
     "FRAState",
     "Filter",
