@@ -109,7 +109,7 @@ def averages_table(of: dict[str, dict[str, float]], results: Results) -> str:
 
 
 def by_size(
-    name: str, sizes: Sequence[float], names: Sequence[str], options: dict[str, Any], **how: Any
+    name: str, sizes: Sequence[float], filters: Filters, options: dict[str, Any], **how: Any
 ) -> dict[str, Results]:
     """Mean square errors of every filter for each size of the contamination.
 
@@ -120,7 +120,7 @@ def by_size(
     found: dict[str, Results] = {}
     for size in sizes:
         scenario = named(name, **options, size=float(size))
-        results = evaluate(scenario, filters_of(scenario, list(names)), **how)
+        results = evaluate(scenario, filters, **how)  # whose models are those of every size
         found[f"{size:g}"] = {f: _squares(of, scenario) for f, of in results.items()}
     return found
 

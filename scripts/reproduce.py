@@ -106,7 +106,7 @@ def experiment(options: argparse.Namespace) -> str:
         whole["decisions"] = weave_decisions(scenario, filters, options.runs, options.seed)
         shown = weave_table(whole["decisions"])
     elif scenario.name in ("growth", "reentry"):
-        whole["by_size"] = by_size(scenario.name, sizes, names, given, **how)
+        whole["by_size"] = by_size(scenario.name, sizes, filters, given, **how)
         shown = rms_table(results, scenario) + ("\n" + sizes_table(whole["by_size"]) if sizes else "")
     else:
         shown = table(results)

@@ -131,7 +131,9 @@ def wild(seed, steps=80, outliers=6):
 
 
 @pytest.mark.parametrize("seed", range(12))
-@pytest.mark.parametrize("options", [{}, {"hysteresis": 1.0, "dwell": 1.0}, {"flag_on_reject": "hold"}, {"votes": 4}])
+@pytest.mark.parametrize(
+    "options", [{}, {"hysteresis": 1.0, "dwell": 1.0}, {"flag_on_reject": "hold"}, {"votes": 4}, {"converged": 3}]
+)
 def test_it_decides_as_the_paper_describes(seed, options):
     z = wild(seed)
     f = presets.alphabeta(LINE, SENSOR, **OPTIONS, **options)
@@ -223,6 +225,56 @@ def test_gradients_of_the_soft_bank_are_exact():
     assert torch.autograd.gradcheck(out, [p.detach().clone().requires_grad_() for p in parameters.values()])
 
 
+def test_steps_of_time_may_differ_where_the_gains_know_their_period():
+    g = torch.Generator().manual_seed(0)
+    dt = torch.tensor([0.5, 8.0] * 60, dtype=torch.float64)
+    truth = 200 * dt.cumsum(0)[:, None].expand(120, 3)
+    z = truth + 20 * torch.randn(50, 120, 3, generator=g).double()
+    motion, sensor = ConstantVelocity(1.0, 3), Position(20.0, dims=3)
+    prior = Gaussian(torch.zeros(6).double(), torch.eye(6).double())
+    for f in (AlphaBeta(motion, sensor, gains.kalata(1.5), period=8.0), presets.alphabeta(motion, sensor, period=8.0)):
+        e = f(z, prior, dt=dt)
+        assert (e.mean[..., :3] - truth)[:, 40:].square().mean().sqrt() < 20
+    assert not e.info.rejected[:, 10:].any()
+
+
+def test_two_gains_leave_an_acceleration_at_zero_compiled_or_not():
+    z = torch.cumsum(800 * torch.ones(2, 20, 2), 1).double()
+    narrow = AlphaBeta(ConstantVelocity(1.0), Position(20.0), gains.kalata(0.5))
+    slow, fast = (AlphaBeta(ConstantAcceleration(1.0), Position(20.0), gains.kalata(0.5)) for _ in range(2))
+    e = narrow(z, Gaussian(torch.zeros(4).double(), torch.eye(4).double()))
+    for f in (slow, fast.compile()):
+        wide = f(z, Gaussian(torch.zeros(6).double(), torch.eye(6).double()))
+        torch.testing.assert_close(wide.mean[..., :4], e.mean)
+        torch.testing.assert_close(wide.scale_tril[..., :4, :4], e.scale_tril)
+        assert (wide.mean[..., 4:] == 0).all()
+
+
+def test_missing_steps_are_a_longer_step():
+    z = torch.cumsum(800 * torch.ones(20, 3), 0).double() + 20 * torch.randn(20, 3).double()
+    gaps = torch.full((20, 4, 3), torch.nan, dtype=torch.float64)
+    gaps[:, 3] = z
+    prior = Gaussian(torch.zeros(6).double(), torch.eye(6).double())
+    for f in (presets.alphabeta(ConstantVelocity(1.0, 3), Position(20.0, dims=3)),
+              AlphaBeta(ConstantVelocity(1.0, 3), Position(20.0, dims=3), gains.kalata(0.5))):  # fmt: skip
+        once, often = f(z, prior, dt=4.0), f(gaps.flatten(0, 1), prior, dt=1.0)
+        torch.testing.assert_close(often.mean[3::4], once.mean)
+        torch.testing.assert_close(often.scale_tril[3::4], once.scale_tril)
+
+
+def test_values_may_bring_a_batch_of_their_own():
+    z = level_then_weave().simulate(2, 0).z[:, 60:]
+    motion, sensor = ConstantVelocity(1.0, 3), Position(20.0, dims=3)
+    prior = Gaussian(torch.zeros(2, 6).double(), torch.eye(6).double())
+    values = torch.linspace(2.5, 4, 3)[:, None].double()
+    e = presets.alphabeta(motion, sensor, manoeuvre=values, outlier=20.0)(z, prior)
+    assert e.mean.shape == (3, 2, 60, 6)
+    for i in range(3):
+        own = presets.alphabeta(motion, sensor, manoeuvre=values[i, 0].item(), outlier=20.0)(z, prior)
+        torch.testing.assert_close(e.mean[i], own.mean)
+        torch.testing.assert_close(e.scale_tril[i], own.scale_tril)
+
+
 def test_after_a_long_gap_it_starts_anew():
     z = torch.cat([torch.arange(20.0) * 100, 5000 - torch.arange(20.0) * 100]).double()[:, None]
     dt = torch.ones(40).double()
@@ -248,6 +300,7 @@ def test_after_a_long_gap_it_starts_anew():
         (lambda: AlphaBetaBank(LINE, SENSOR, detect="polar"), "detect"),
         (lambda: AlphaBetaBank(LINE, SENSOR, onset="late"), "onset"),
         (lambda: AlphaBetaBank(LINE, SENSOR, longest=0.0), "longest"),
+        (lambda: AlphaBetaBank(LINE, SENSOR, period=0.0), "period"),
         (lambda: AlphaBetaBank(LINE, SENSOR, temperature=-1.0), "temperature"),
         (lambda: gains.kalata(0.0), "index"),
         (lambda: gains.critically_damped(1.5), "theta"),

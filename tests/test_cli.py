@@ -94,7 +94,7 @@ def test_track_runs_compiled_and_says_how_fast(noisy_track, tmp_path):
 @pytest.mark.parametrize("name", ["srckf", "asrckf", "fra_srckf", "imm_fra", "vsimm_srckf", "alphabeta"])
 def test_several_tracks_at_once_are_filtered_as_if_alone(noisy_track, name):
     (recording,) = readers.read(noisy_track)
-    short = readers.Recording("b", recording.time[:30], recording.position[:30] * 2, None, {})
+    short = readers.Recording("b", recording.time[:30] * 1.5, recording.position[:30] * 2, None, {})
     high = np.concatenate([recording.position, np.full((80, 1), 7.0)], 1)
     space = readers.Recording("c", recording.time, high, None, {})
     together = track([recording, short, space], name)
@@ -192,6 +192,9 @@ def test_compare_takes_values_that_were_learned(tmp_path, capsys):
     expected = evaluate(scenario, {"f": f}, runs=5)["f"]["mean_rmse_position"]
     assert filters["learned"]["mean_rmse_position"] == pytest.approx(expected)
     assert filters["learned"]["mean_rmse_position"] != filters["rsrckf"]["mean_rmse_position"]
+    torch.save(presets.rsrckf(scenario.motion, scenario.sensor, per_element=True).state_dict(), tmp_path / "two.pt")
+    (tmp_path / "config.json").write_text(json.dumps({"filter": "rsrckf", "options": {"per_element": True}}))
+    assert cli.main([*arguments, *out, "--learned", f"rsrckf={tmp_path / 'two.pt'}"]) == 0
     for wrong in (f"fra={tmp_path / 'learned.pt'}", f"kalman={tmp_path / 'learned.pt'}", str(tmp_path / "none.pt")):
         assert cli.main([*arguments, *out, "--learned", wrong]) == 2
         assert len(capsys.readouterr().err.splitlines()) == 1

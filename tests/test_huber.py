@@ -224,6 +224,13 @@ def test_any_rule_and_any_bank_takes_them(robust):
     torch.testing.assert_close(e.info.probabilities.sum(-1), torch.ones(2, 6).double())
 
 
+def test_a_threshold_without_end_has_gradients_in_a_bank():
+    models = [ConstantAcceleration(0.1), ConstantAcceleration(3.0)]
+    f = presets.imm(models, Position(1.0), inner=presets.hghckf2, gamma=math.inf, learn=("q",))
+    f(torch.randn(5, 2).double(), Gaussian(torch.zeros(6).double(), torch.eye(6).double())).mean.sum().backward()
+    assert all(p.grad.isfinite().all() for p in f.parameters())
+
+
 @pytest.mark.parametrize(
     ("make", "said"),
     [

@@ -10,6 +10,8 @@ import pytest
 import reproduce
 import torch
 
+from torchfra import presets, scenarios
+
 ROOT = Path(__file__).parent.parent
 
 
@@ -69,11 +71,14 @@ def test_reproduce_writes_the_decisions_of_the_alpha_beta_bank(tmp_path):
 
 def test_reproduce_writes_mean_square_errors_over_the_contamination(tmp_path):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
-    assert reproduce.main(["growth", "--runs", "6", "--sizes", "1,20", "--compile", *out]) == 0
+    own = scenarios.growth()
+    torch.save(presets.hghckf2(own.motion, own.sensor, gamma=1.0).state_dict(), tmp_path / "own.pt")
+    learned = ["--learned", f"hghckf2={tmp_path / 'own.pt'}"]
+    assert reproduce.main(["growth", "--runs", "6", "--sizes", "1,20", "--compile", *learned, *out]) == 0
     found = json.loads((tmp_path / "r.json").read_text())
     assert list(found["by_size"]) == ["1", "20"]
     for of in found["by_size"].values():
-        assert of.keys() == {"ghckf", "hghckf1", "hghckf2"}
+        assert of.keys() == {"ghckf", "hghckf1", "hghckf2", "learned"}
         assert len(of["ghckf"]["mse"]) == 500
         assert of["ghckf"]["mmse"] == pytest.approx(sum(of["ghckf"]["mse"]) / 500)
     assert found["by_size"]["1"]["ghckf"]["mmse"] < found["by_size"]["20"]["ghckf"]["mmse"]

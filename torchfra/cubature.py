@@ -208,7 +208,7 @@ def gauss_hermite(order: int) -> Callable[[int], SigmaPoints]:
     """Product of Gauss-Hermite rules: ``order^n`` points, exact up to degree ``2 order - 1`` in each component.
 
     Raises:
-        ValueError: ``order`` below 2, or (when the rule is made for ``n``) more than 100,000 points.
+        ValueError: ``order`` below 2, or (when the rule is made for ``n``) more than 3000 points.
 
     Source: Ito & Xiong (2000), "Gaussian Filters for Nonlinear Filtering Problems".
     """
@@ -216,8 +216,8 @@ def gauss_hermite(order: int) -> Callable[[int], SigmaPoints]:
         raise ValueError(f"order: expected 2 or more points, received {order}")
 
     def rule(n: int) -> SigmaPoints:
-        if order**n > 100_000:
-            raise ValueError(f"order: expected at most 100000 points in all, received {order}^{n}")
+        if order**n > 3000:
+            raise ValueError(f"order: expected at most 3000 points in all, received {order}^{n}")
         at, weight = (torch.from_numpy(x) for x in np.polynomial.hermite_e.hermegauss(order))
         at = torch.where(at.abs() < 1e-12, 0.0, at)
         points = torch.cartesian_prod(*[at] * n).reshape(-1, n).mT

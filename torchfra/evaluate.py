@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import platform
 import sys
 import time
@@ -153,14 +154,18 @@ def learned(path: str | Path, scenario: Scenario, name: str = "fra") -> Filter:
     """The filter ``name`` of ``FILTERS`` with values that were learned.
 
     Args:
-        path: a state dictionary, as ``torch.save(f.state_dict(), path)`` writes it.
+        path: a state dictionary, as ``torch.save(f.state_dict(), path)`` writes it; a ``config.json`` beside it, of a
+            training run with this filter, says what the filter was made with.
         scenario: whose models the filter gets, with learned values of their own.
         name: of the filter that learned.
 
     Raises:
         ValueError: an unknown filter, or a file that is no state dictionary of it.
     """
-    f = make(name, *copy.deepcopy((scenario.motion, scenario.sensor, scenario.bank)))
+    config = Path(path).with_name("config.json")  # what train.tune writes beside it
+    said = json.loads(config.read_text()) if config.exists() else {}
+    options = said.get("options", {}) if said.get("filter") == name else {}
+    f = make(name, *copy.deepcopy((scenario.motion, scenario.sensor, scenario.bank)), **options)
     try:
         f.load_state_dict(torch.load(path, weights_only=True))
     except OSError:

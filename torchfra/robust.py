@@ -196,7 +196,8 @@ class HuberScore(Robust):
         after, repaired = tria(hstack(left, cross * _root(kept).unsqueeze(-2))), None
         if self.zeta_scale:
             after, repaired = downdate(after, cross * _root(-kept).unsqueeze(-2))
-        inside = torch.where(size < gamma, size.square() / 2, gamma * (size - gamma / 2))  # eq. (34)
+        cut = torch.minimum(size, gamma)
+        inside = cut * (size - cut / 2)  # eq. (34)
         evidence = -inside.sum(-1) - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         return Corrected(Gaussian(mean, after), score, evidence, repaired=repaired)
 

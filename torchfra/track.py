@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torchfra.bank import Bank, aircraft
 from torchfra.evaluate import make, progress_bar
 from torchfra.filters import Filter
+from torchfra.hyper import Value
 from torchfra.motion import ConstantAcceleration
 from torchfra.readers import Recording
 from torchfra.sensors import Position
@@ -146,7 +147,9 @@ def _together(
     for i, (time, raw) in enumerate(grids):
         z[i, : len(time)] = torch.from_numpy(raw)
         gaps[i, 1 : len(time)] = torch.from_numpy(np.diff(time))
-    f = _filter(name, d, sigma, q)
+    gaps_of = [np.diff(r.time) if len(r.time) > 1 else [1.0] for r in recordings]
+    period = torch.tensor([np.quantile(g, 0.9) for g in gaps_of], dtype=torch.float64)
+    f = _filter(name, d, sigma, q, period)
     f = f.compile() if compile else f
     start = torch.cat([z[:, 0], torch.zeros(len(z), 2 * d, dtype=torch.float64)], -1)
     first = torch.tensor([10 * sigma, 300.0, 5.0], dtype=torch.float64).repeat_interleave(d).diag()
@@ -170,9 +173,9 @@ def _together(
     return results
 
 
-def _filter(name: str, d: int, sigma: float, q: float) -> Filter:
-    """The filter of this name for positions in ``d`` dimensions."""
-    options = {"gate": GATE[d]} if "fra" in name else {"longest": 60.0} if name == "alphabeta" else {}
+def _filter(name: str, d: int, sigma: float, q: float, period: Value = 1.0) -> Filter:
+    """The filter of this name for positions in ``d`` dimensions, where nearly all fixes come within ``period``."""
+    options = {"gate": GATE[d]} if "fra" in name else {"longest": 60.0, "period": period} if name == "alphabeta" else {}
     return make(name, ConstantAcceleration(q, d), Position(sigma, dims=d), aircraft(q, d), **options)
 
 

@@ -21,6 +21,7 @@ from torchfra.filters.steady import (
     kept,
     predicted_parts,
     scaled,
+    shortened,
     started,
     three_gains,
     two_gains,
@@ -58,6 +59,8 @@ class AlphaBetaBankState(NamedTuple):
     """``(..., g)`` steps since the last vote for one."""
     level: Tensor
     """``(..., g, N)`` the filter that was used last."""
+    interval: Tensor
+    """``(..., g)`` seconds between the last two that were used."""
     last: Tensor
     """``(..., d)`` the last measurement, used or not."""
     behind: Tensor
@@ -159,6 +162,7 @@ class AlphaBetaBank(Gained):
             with what the level in use expects of its residuals.
         temperature: 0 for hard choices, above for soft ones; an attribute that may be changed at any time.
         start: see ``AlphaBeta``.
+        period: see ``AlphaBeta``.
 
     Raises:
         ValueError: gains that are not stable or whose levels do not slow down, or an argument out of its range.
@@ -193,8 +197,9 @@ class AlphaBetaBank(Gained):
         expect: str = "paper",
         temperature: float = 0.0,
         start: str = "points",
+        period: Value | None = None,
     ) -> None:
-        super().__init__(motion, sensor, start)
+        super().__init__(motion, sensor, start, period)
         gains = design.levels(motion.orders) if gains is None else gains
         count = gains.alpha.shape[-1] if gains.alpha.dim() else 0
         if count < 2 or not _stable(gains) or not bool((gains.beta.diff() < 0).all()):
@@ -260,7 +265,20 @@ class AlphaBetaBank(Gained):
         flags = channels.unsqueeze(-2).expand(*channels.shape[:-1], self.votes, -1)
         beside = mean if self.onset == "fastest" else None
         return AlphaBetaBankState(
-            mean, entries, count, nothing, nothing, flags, nothing, nothing, nothing, fastest, each, each, beside
+            mean,
+            entries,
+            count,
+            nothing,
+            nothing,
+            flags,
+            nothing,
+            nothing,
+            nothing,
+            fastest,
+            nothing + 1,
+            each,
+            each,
+            beside,
         )
 
     def advance(
@@ -281,8 +299,8 @@ class AlphaBetaBank(Gained):
         mean, beside = self._move(state, frame, look, vote, test, level)
         level = torch.where(test.restarted.unsqueeze(-1) > 0, one_level(0, level), level)
         table, expected = self._table(residual)
-        root = scaled([of_level(level, entry) for entry in table], dt, frame.noise.std)
         after = self._remember(state, frame, look, vote, test, accepted)
+        root = scaled([of_level(level, entry) for entry in table], after.interval, frame.noise.std)
         after = after._replace(mean=mean, root=root, level=level, beside=beside)
         info = AlphaBetaInfo(
             reduce(torch.add, (i * level[..., i] for i in range(level.shape[-1]))),
@@ -347,15 +365,21 @@ class AlphaBetaBank(Gained):
         """Counters, flags and the last measurement after the step; nothing of them survives a restart."""
         keep, seen = 1 - test.restarted, look.seen
         flag = vote.raw if self.flag_on_reject == "raw" else vote.raw + test.out * (vote.vote - vote.raw)
-        pushed = torch.cat([flag.unsqueeze(-2), state.flags[..., :-1, :]], -2)
+        newest, older = torch.broadcast_tensors(flag.unsqueeze(-2), state.flags[..., :-1, :])[0], state.flags
+        older = older[..., :-1, :].expand(*newest.shape[:-2], -1, -1)
+        pushed = torch.cat([newest[..., :1, :], older], -2)
+        begun = seen * (state.used > 1.5)  # the two points that start a track vote for nothing
         return state._replace(
             used=keep * (state.used + accepted) + test.restarted * test.points,
             since=keep * look.since * (1 - accepted),
             rejected=keep * test.rejected * (1 - accepted),
-            flags=keep.unsqueeze(-2) * (state.flags + seen.unsqueeze(-2) * (pushed - state.flags)),
-            known=keep * (state.known + seen),
+            flags=keep.unsqueeze(-2) * (state.flags + begun.unsqueeze(-2) * (pushed - state.flags)),
+            known=keep * (state.known + begun),
             manoeuvre=keep * (state.manoeuvre + seen * (vote.manoeuvre - state.manoeuvre)),
             quiet=keep * vote.quiet,
+            interval=torch.where(
+                test.restarted > 0, look.dt, state.interval + accepted * (look.since - state.interval)
+            ),
             last=state.last + frame.seen * (frame.z - state.last),
             behind=(state.behind + look.dt) * (1 - frame.seen),
         )
@@ -369,7 +393,8 @@ class AlphaBetaBank(Gained):
         if self.gamma is not None:
             has = (self.gamma().to(residual) > 0).to(residual)
             column[2], ahead = column[2] / 2, [*ahead[:2], of_level(level, has) * ahead[2]]
-        return updated_parts(ahead, started(column, used), since, residual)
+        column = started(shortened(column, since, self.period), used)
+        return updated_parts(ahead, column, since, residual)
 
     def _table(self, like: Tensor) -> tuple[list[Tensor], Tensor]:
         """Entries of each level's root, ``(..., N)`` each, and the variance ``(..., N)`` of its residuals."""
@@ -419,8 +444,8 @@ class AlphaBetaBank(Gained):
         over = [self._above(degree / q, 1.0) for q in self.degrees().to(degree).unsqueeze(-2).unbind(-1)]
         within = [b - a for a, b in pairwise([nothing, *over, nothing + 1])]
         busy = converged * manoeuvre
-        return torch.stack([busy * w + (1 - converged) * (i == 0) for i, w in enumerate(within)]
-                           + [converged * (1 - manoeuvre)], -1)  # fmt: skip
+        shares = [busy * w + (1 - converged) * (i == 0) for i, w in enumerate(within)]
+        return torch.stack(torch.broadcast_tensors(*shares, converged * (1 - manoeuvre)), -1)
 
 
 def one_level(place: int, level: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from torchfra import gains as design
 from torchfra.filters.base import Filter, Mix, Record
 from torchfra.filters.frames import Frame
 from torchfra.gains import Gains
-from torchfra.hyper import Hyper
+from torchfra.hyper import Hyper, Value
 from torchfra.linalg import is_traced
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, Motion
 from torchfra.sensors import Position, Sensor
@@ -31,6 +31,8 @@ class AlphaBetaState(NamedTuple):
     """``(..., d)`` measurements that were used."""
     since: Tensor
     """``(..., d)`` seconds since the last of them."""
+    interval: Tensor
+    """``(..., d)`` seconds between the last two."""
 
     @property
     def belief(self) -> Gaussian:
@@ -41,7 +43,7 @@ class AlphaBetaState(NamedTuple):
 class Gained(Filter):
     """Abstract: a filter of positions, axis by axis."""
 
-    def __init__(self, motion: Motion, sensor: Sensor, start: str) -> None:
+    def __init__(self, motion: Motion, sensor: Sensor, start: str, period: Value | None) -> None:
         if not isinstance(sensor, Position) or sensor.std is None:
             raise ValueError(f"sensor: expected a Position with a std, received {type(sensor).__name__}")
         if not isinstance(motion, ConstantVelocity | ConstantAcceleration) or motion.dims != sensor.size:
@@ -52,6 +54,7 @@ class Gained(Filter):
             raise ValueError(f"start: expected 'points' or 'prior', received {start!r}")
         super().__init__(motion, sensor)
         self.start = start
+        self.period = None if period is None else Hyper(period, name="period")
 
     def _first(self, belief: Gaussian) -> tuple[Tensor, Tensor, Tensor]:
         """Mean to start from, zeros ``(..., d)``, and the measurements it counts for."""
@@ -80,6 +83,9 @@ class AlphaBeta(Gained):
         gains: ``torchfra.gains``.
         expanding: use the gains of a least-squares line until they have fallen to ``gains`` (two gains only).
         start: ``"points"`` from the first two measurements, or ``"prior"``.
+        period: seconds between measurements that the gains are meant for: those of shorter steps are smaller.  Where
+            steps differ much constant gains are not stable, and it should be near the longest; None for steps that
+            hardly differ.
 
     Raises:
         ValueError: gains that are not stable, or a motion or a sensor of another kind.
@@ -88,9 +94,16 @@ class AlphaBeta(Gained):
     """
 
     def __init__(
-        self, motion: Motion, sensor: Sensor, gains: Gains, *, expanding: bool = False, start: str = "points"
+        self,
+        motion: Motion,
+        sensor: Sensor,
+        gains: Gains,
+        *,
+        expanding: bool = False,
+        start: str = "points",
+        period: Value | None = None,
     ) -> None:
-        super().__init__(motion, sensor, start)
+        super().__init__(motion, sensor, start, period)
         if (gains.gamma is not None and motion.orders == 2) or not design.stable(gains):
             raise ValueError(f"gains: expected stable ones, at most {motion.orders}, received {gains}")
         if expanding and gains.gamma is not None:
@@ -103,10 +116,8 @@ class AlphaBeta(Gained):
     def begin(self, belief: Gaussian) -> AlphaBetaState:
         """See ``Filter``."""
         mean, nothing, count = self._first(belief)
-        k = self.motion.orders
-        return AlphaBetaState(
-            mean, nothing.unsqueeze(-2).expand(*nothing.shape[:-1], k * (k + 1) // 2, -1), count, nothing
-        )
+        entries = nothing.unsqueeze(-2).expand(*nothing.shape[:-1], 3 if self.gamma is None else 6, -1)
+        return AlphaBetaState(mean, entries, count, nothing, nothing + 1)
 
     def advance(self, state: AlphaBetaState, frame: Frame, mix: Mix | None = None) -> tuple[AlphaBetaState, Record]:
         """See ``Filter``."""
@@ -118,14 +129,17 @@ class AlphaBeta(Gained):
         alpha, beta = (h().to(residual).unsqueeze(-1) for h in (self.alpha, self.beta))
         column = [alpha, beta] + ([] if self.gamma is None else [self.gamma().to(residual).unsqueeze(-1) / 2])
         entries, variance = two_gains(alpha, beta) if self.gamma is None else three_gains(alpha, beta, 2 * column[2])
-        root, spread = scaled(entries, dt, frame.noise.std), variance.sqrt()
+        interval = torch.where(frame.seen > 0, since, state.interval)
+        root, spread = scaled(entries, interval, frame.noise.std), variance.sqrt()
         if self.expanding:
             line = design.expanding_memory(state.used + 1)
             column = [torch.maximum(*pair) for pair in zip(column, line[:2], strict=True)]
-        column = started(column, state.used)
+        column = started(shortened(column, since, self.period), state.used)
         moved = updated_parts(ahead, column, since, residual)
         used, since = state.used + frame.seen, since * (1 - frame.seen)
-        state = AlphaBetaState(torch.cat(moved, -1), root, used, since)
+        mean = torch.cat(moved, -1)
+        root = root.expand(*mean.shape[:-1], *root.shape[-2:])
+        state = AlphaBetaState(mean, root, used, since, interval)
         return state, kept(state, residual, frame, spread, None)
 
 
@@ -141,6 +155,14 @@ def updated_parts(ahead: list[Tensor], column: list[Tensor], since: Tensor, resi
     """What was predicted after a residual; what has no gain is 0."""
     moved = [x + g / since**i * residual for i, (x, g) in enumerate(zip(ahead, column, strict=False))]
     return moved + [torch.zeros_like(residual) for _ in ahead[len(column) :]]
+
+
+def shortened(column: list[Tensor], since: Tensor, period: Hyper | None) -> list[Tensor]:
+    """Gains for a step shorter than they are meant for, as those of a tracking index that falls with its square."""
+    if period is None:
+        return column
+    share = (since / period().to(since).unsqueeze(-1)).clamp_max(1.0)
+    return [gain * share ** (i + 1) for i, gain in enumerate(column)]
 
 
 def started(column: list[Tensor], count: Tensor) -> list[Tensor]:

@@ -118,7 +118,7 @@ def contaminated(outliers: str, size: float | None, share: float) -> Callable[[n
     """
     if outliers not in ("covariance", "std", "none"):
         raise ValueError(f"outliers: expected 'covariance', 'std' or 'none', received {outliers!r}")
-    if not (size is None or size >= 1) or not 0 <= share <= 1:
+    if not (size is None or 1 <= size < float("inf")) or not 0 <= share <= 1:
         raise ValueError(f"size, share: expected 1 or more and a share in [0, 1], received {size}, {share}")
 
     def grown(rng: np.random.Generator, shape: Any) -> Tensor:

@@ -71,14 +71,15 @@ class Reentry(Motion):
     def noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., 5, 5)``: white acceleration over a step, and what the parameter drifts."""
         q, drift, zero = self.q().to(dt), self.q_parameter().to(dt), torch.zeros_like(dt)
+        slow = (drift * dt).sqrt()
         far, near, fast = (q * dt**3 / 3).sqrt(), (3 * q * dt / 4).sqrt(), (q * dt / 4).sqrt()
-        zero = zero + 0 * far
+        zero, slow, far, near, fast = torch.broadcast_tensors(zero, slow, far, near, fast)
         rows = [
             [far, zero, zero, zero, zero],
             [zero, far, zero, zero, zero],
             [near, zero, fast, zero, zero],
             [zero, near, zero, fast, zero],
-            [zero, zero, zero, zero, (drift * dt).sqrt() + zero],
+            [zero, zero, zero, zero, slow],
         ]
         return torch.stack([torch.stack(row, -1) for row in rows], -2)
 
