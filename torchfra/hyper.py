@@ -13,6 +13,17 @@ Value = float | Tensor
 M = TypeVar("M", bound=nn.Module)
 
 
+def one_of(**choices: tuple[str, Collection[str]]) -> None:
+    """Checks arguments against what they may be: ``one_of(rule=(rule, ("this", "that")))``.
+
+    Raises:
+        ValueError: names the first that is none of its own.
+    """
+    for name, (value, known) in choices.items():
+        if value not in known:
+            raise ValueError(f"{name}: expected one of {tuple(known)}, received {value!r}")
+
+
 class Hyper(nn.Module):
     """A hyperparameter in natural units: call it to read it.
 

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 from torch.nn.functional import pad
 
-from torchfra.hyper import Hyper, Value
+from torchfra.hyper import Hyper, Value, one_of
 from torchfra.linalg import apply, downdate, gram_sqrt, hstack, tria, whiten
 from torchfra.sensors import Noise
 from torchfra.types import Gaussian, Whitened
@@ -167,12 +167,10 @@ class HuberScore(Robust):
         zeta_scale: bool = False,
     ) -> None:
         super().__init__()
-        for name, value, some in (
-            ("cov_mode", cov_mode, ("constant", "indicator")),
-            ("whitening", whitening, ("cholesky", "symmetric")),
-        ):
-            if value not in some:
-                raise ValueError(f"{name}: expected one of {some}, received {value!r}")
+        one_of(
+            cov_mode=(cov_mode, ("constant", "indicator")),
+            whitening=(whitening, ("cholesky", "symmetric")),
+        )
         if isinstance(eps, str) and eps != "minimax":
             raise ValueError(f"eps: expected a share in [0, 1) or 'minimax', received {eps!r}")
         self.gamma = Hyper(gamma, name="gamma")

@@ -37,9 +37,9 @@ from torchfra import distributed, keep_memory, losses, plotting, presets, reader
 from torchfra.cli import named as scenario_named
 from torchfra.evaluate import evaluate, progress_bar, versions
 from torchfra.files import write, write_json, write_text
-from torchfra.filters import FRA, Filter
-from torchfra.filters.alphabeta import AlphaBetaBank
+from torchfra.filters import Filter
 from torchfra.filters.imm import Around
+from torchfra.filters.soft import Soft
 from torchfra.hyper import hypers, named
 from torchfra.kernel.build import CompileError
 from torchfra.scenarios import Scenario
@@ -145,7 +145,7 @@ def loss_of(config: Config) -> Loss:
 def decide(f: Filter, temperature: float) -> None:
     """Soft or hard, where the filter decides anything."""
     core = f.inner if isinstance(f, Around) else f
-    if isinstance(core, FRA | AlphaBetaBank):
+    if isinstance(core, Soft):
         core.temperature = temperature
 
 

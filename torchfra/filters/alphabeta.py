@@ -14,6 +14,7 @@ from torch.distributions import constraints
 from torchfra import gains as design
 from torchfra.filters.base import Mix, Record
 from torchfra.filters.frames import Frame
+from torchfra.filters.soft import Soft
 from torchfra.filters.steady import (
     AlphaBeta,
     AlphaBetaState,
@@ -29,7 +30,7 @@ from torchfra.filters.steady import (
     updated_parts,
 )
 from torchfra.gains import Gains
-from torchfra.hyper import Hyper, Value
+from torchfra.hyper import Hyper, Value, one_of
 from torchfra.motion import Motion
 from torchfra.sensors import Sensor
 from torchfra.types import Gaussian
@@ -122,7 +123,7 @@ class _Test(NamedTuple):
     """Measurements a restart begins with."""
 
 
-class AlphaBetaBank(Gained):
+class AlphaBetaBank(Soft, Gained):
     """Alpha-beta filters that share one state, of which the data choose the gains: the slow ones for straight flight.
 
     A residual above ``manoeuvre`` raises a flag, a majority of the last flags votes for a manoeuvre.  Without one, a
@@ -172,8 +173,6 @@ class AlphaBetaBank(Gained):
     ``expect`` and the soft choices are ours.
     """
 
-    kernel_numbers = ("heat",)
-
     def __init__(
         self,
         motion: Motion,
@@ -206,14 +205,12 @@ class AlphaBetaBank(Gained):
             raise ValueError(f"gains: expected two or more that are stable, the fastest first, received {gains}")
         if gains.gamma is not None and motion.orders == 2:
             raise ValueError(f"gains: expected two for constant velocity, received {gains}")
-        for name, value, known in (
-            ("flag_on_reject", flag_on_reject, ("raw", "hold")),
-            ("detect", detect, ("cartesian", "polar")),
-            ("onset", onset, ("shared", "fastest")),
-            ("expect", expect, ("paper", "level")),
-        ):
-            if value not in known:
-                raise ValueError(f"{name}: expected one of {known}, received {value!r}")
+        one_of(
+            flag_on_reject=(flag_on_reject, ("raw", "hold")),
+            detect=(detect, ("cartesian", "polar")),
+            onset=(onset, ("shared", "fastest")),
+            expect=(expect, ("paper", "level")),
+        )
         if votes < 2 or votes % 2 or patience < 1 or converged < 3:
             said = f"an even number of 2 or more, 1 or more, 3 or more, received {votes}, {patience}, {converged}"
             raise ValueError(f"votes, patience, converged: expected {said}")
@@ -241,17 +238,6 @@ class AlphaBetaBank(Gained):
         self.votes, self.patience, self.longest, self.converged = votes, patience, longest, converged
         self.flag_on_reject, self.detect, self.onset, self.expect = flag_on_reject, detect, onset, expect
         self.temperature = temperature
-
-    @property
-    def temperature(self) -> float:
-        """0 for hard choices, above for soft ones."""
-        return self.heat
-
-    @temperature.setter
-    def temperature(self, value: float) -> None:
-        if not value >= 0:
-            raise ValueError(f"temperature: expected 0 or more, received {value}")
-        self.heat, self.soft = float(value), value > 0
 
     def begin(self, belief: Gaussian) -> AlphaBetaBankState:
         """See ``Filter``."""

@@ -15,8 +15,9 @@ from torchfra.cubature import Rule, third_degree
 from torchfra.filters.base import Filter, Mix, Record
 from torchfra.filters.frames import Frame
 from torchfra.filters.select import select, where_needed
+from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import compare, predict
-from torchfra.hyper import Hyper, Value, hypers
+from torchfra.hyper import Hyper, Value, hypers, one_of
 from torchfra.linalg import is_traced
 from torchfra.mixture import moment_match
 from torchfra.motion import Motion
@@ -64,7 +65,7 @@ class FRAInfo(NamedTuple):
     """``mean (..., T, n)`` and ``scale_tril``: what was known at the step itself."""
 
 
-class FRA(Filter):
+class FRA(Soft, Filter):
     """Feedback-decision robust adaptive filter.
 
     A step whose normalised innovation squared is above the gate is abnormal, be it an outlier or a manoeuvre.  There
@@ -101,8 +102,6 @@ class FRA(Filter):
     ``"weighted"`` are ours.
     """
 
-    kernel_numbers = ("heat",)
-
     def __init__(
         self,
         motion: Motion,
@@ -119,13 +118,11 @@ class FRA(Filter):
         final: str = "robust",
     ) -> None:
         super().__init__(motion, sensor)
-        for name, value, known in (
-            ("decision", decision, ("normalised", "likelihood")),
-            ("memory", memory, ("plain", "weighted")),
-            ("final", final, ("robust", "adaptive", "plain")),
-        ):
-            if value not in known:
-                raise ValueError(f"{name}: expected one of {known}, received {value!r}")
+        one_of(
+            decision=(decision, ("normalised", "likelihood")),
+            memory=(memory, ("plain", "weighted")),
+            final=(final, ("robust", "adaptive", "plain")),
+        )
         whole = rule(motion.size)
         self.motion_rule, self.sensor_rule = whole, whole.marginal(sensor.reads)
         if self.motion_rule.signed or self.sensor_rule.signed or not isinstance(robust, Weights):
@@ -137,17 +134,6 @@ class FRA(Filter):
         self.temperature = temperature
         parts = (robust, adaptive, self.gate, self.preference)
         self._decisive = [hyper for part in parts for hyper in hypers(part).values()]
-
-    @property
-    def temperature(self) -> float:
-        """0 for hard decisions, above for soft ones."""
-        return self.heat
-
-    @temperature.setter
-    def temperature(self, value: float) -> None:
-        if not value >= 0:
-            raise ValueError(f"temperature: expected 0 or more, received {value}")
-        self.heat, self.soft = float(value), value > 0
 
     def begin(self, belief: Gaussian) -> FRAState:
         """See ``Filter``."""

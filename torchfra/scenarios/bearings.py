@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchfra.bank import Bank
+from torchfra.hyper import one_of
 from torchfra.motion import ConstantAcceleration, CoordinatedTurn
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
 from torchfra.sensors import Bearings
@@ -84,12 +85,10 @@ def _constant_acceleration(state: Tensor, steps: int) -> Tensor:
 
 def _scenario(name: str, path: Tensor, sizes: dict[int, float], outliers: str, truth_noise: float,
               initial: str) -> Scenario:  # fmt: skip
-    for argument, value, known in (
-        ("outliers", outliers, ("covariance", "std", "offset", "none")),
-        ("initial", initial, ("paper", "truth")),
-    ):
-        if value not in known:
-            raise ValueError(f"{argument}: expected one of {known}, received {value!r}")
+    one_of(
+        outliers=(outliers, ("covariance", "std", "offset", "none")),
+        initial=(initial, ("paper", "truth")),
+    )
     if not truth_noise >= 0:
         raise ValueError(f"truth_noise: expected a variance of 0 or more, received {truth_noise}")
     motion, sensor, u = ConstantAcceleration(Q), Bearings(STD), stations()

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchfra.bank import aircraft
+from torchfra.hyper import one_of
 from torchfra.motion import ConstantAcceleration
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
 from torchfra.sensors import Position
@@ -32,12 +33,10 @@ def level_then_weave(outliers: str = "planted", *, noise: str = "cartesian") -> 
 
     Source: Xu et al., section 4.  The track's numbers are ours where the paper's are lost.
     """
-    for argument, value, known in (
-        ("outliers", outliers, ("planted", "none")),
-        ("noise", noise, ("cartesian", "spherical")),
-    ):
-        if value not in known:
-            raise ValueError(f"{argument}: expected one of {known}, received {value!r}")
+    one_of(
+        outliers=(outliers, ("planted", "none")),
+        noise=(noise, ("cartesian", "spherical")),
+    )
     truth = _path()
     planted = torch.zeros(STEPS, 3, dtype=torch.float64)
     if outliers == "planted":

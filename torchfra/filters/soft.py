@@ -1,0 +1,22 @@
+"""Choices that may be soft: what filters that decide share."""
+
+from __future__ import annotations
+
+
+class Soft:
+    """Mixed into a filter: a ``temperature``, 0 for hard choices and above for soft ones, to train by."""
+
+    kernel_numbers: tuple[str, ...] = ("heat",)
+    heat: float
+    soft: bool
+
+    @property
+    def temperature(self) -> float:
+        """0 for hard choices, above for soft ones."""
+        return self.heat
+
+    @temperature.setter
+    def temperature(self, value: float) -> None:
+        if not value >= 0:
+            raise ValueError(f"temperature: expected 0 or more, received {value}")
+        self.heat, self.soft = float(value), value > 0
