@@ -25,7 +25,7 @@ class Bank(Motion):
         first: the models that run first there.
 
     Raises:
-        ValueError: none at all, or states that differ.
+        ValueError: none at all, states that differ, or states with angles.
     """
 
     stacked = 1
@@ -41,6 +41,8 @@ class Bank(Motion):
         if len(sizes) != 1:
             said = ", ".join(f"{type(m).__name__} of {m.size}" for m in models) or "none"
             raise ValueError(f"models: expected motions of one state (see orders= and Embedded), received {said}")
+        if any(m.angles for m in models):
+            raise ValueError("models: expected motions whose states mix, received one whose state has angles")
         super().__init__(*sizes.pop(), None)
         self.models = nn.ModuleList(models)
         self.neighbours, self.first = neighbours, first

@@ -43,8 +43,8 @@ class Hyper(nn.Module):
     """
 
     raw: Tensor
-    shared = False
-    """Whether the last dimension of a batch has models in it, which share the values of their track."""
+    shared = 0
+    """Last dimensions of a batch that share the values of their track: those of models, say."""
 
     def __init__(
         self,
@@ -100,7 +100,9 @@ class Hyper(nn.Module):
     def forward(self) -> Tensor:
         """The value, in natural units."""
         value: Tensor = transform_to(self.constraint)(self.raw)
-        return value.unsqueeze(-1 - self.event) if self.shared and self.batch_rank else value
+        for _ in range(self.shared if self.batch_rank else 0):
+            value = value.unsqueeze(-1 - self.event)
+        return value
 
     def elements(self) -> Tensor:
         """The value with a last dimension for the elements of a vector: one for each, or one for all."""

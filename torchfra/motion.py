@@ -16,6 +16,7 @@ from torch.nn.functional import pad
 
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg import apply
+from torchfra.sensors import wrap
 
 
 class Adaptation(NamedTuple):
@@ -57,6 +58,8 @@ class Motion(nn.Module):
 
     stacked = 0
     """Dimensions between batch and state in what it gives: 1 for several motions side by side."""
+    angles: tuple[int, ...] = ()
+    """Components of the state that are angles, rad."""
 
     def __init__(self, dims: int, orders: int, q: Value | None) -> None:
         super().__init__()
@@ -93,6 +96,22 @@ class Motion(nn.Module):
         """
         gain = _taylor(dt, torch.arange(2, 2 - self.orders, -1, device=dt.device))
         return _per_axis((self.q().to(dt).sqrt().unsqueeze(-1) * gain).unsqueeze(-1), self.dims)
+
+    def local(self, noise: Tensor, mean: Tensor) -> Tensor:
+        """The root of the process noise ``(..., n, q)`` at a predicted mean ``(..., n)``, if it depends on that."""
+        return noise
+
+    def difference(self, a: Tensor, b: Tensor) -> Tensor:
+        """``a - b`` of states ``(..., n)``, angles within half a turn."""
+        gap = a - b
+        if not self.angles:
+            return gap
+        turns = torch.tensor([i in self.angles for i in range(self.size)], device=gap.device)
+        return torch.where(turns, wrap(gap), gap)
+
+    def canonical(self, mean: Tensor) -> Tensor:
+        """The same state ``(..., n)`` with its angles as this motion writes them."""
+        return mean
 
     def said(self) -> str:
         """For people: what it is, in a few words."""

@@ -19,13 +19,15 @@ from typing import Any, TypeVar
 
 import torch
 
-from torchfra.adaptive import Fading
+from torchfra.adaptive import Fading, SageHusa
 from torchfra.bank import Bank
+from torchfra.clutter import ChiSquare, Clutter, Euclidean, Gate
 from torchfra.cubature import Rule, fifth_degree, tangent, unscented
 from torchfra.filters.alphabeta import AlphaBetaBank
 from torchfra.filters.base import Filter
 from torchfra.filters.feedback import FRA
 from torchfra.filters.imm import IMM, Around
+from torchfra.filters.jpda import JPDA
 from torchfra.filters.srckf import SRCKF
 from torchfra.filters.vsimm import VSIMM
 from torchfra.hyper import Value, learnable, named
@@ -118,6 +120,24 @@ def hghckf2(
     Source: Qin et al. (2018), eqs. (53)-(59).
     """
     return _learning(SRCKF(motion, sensor, rule=rule, robust=HuberScore(**score)), learn)
+
+
+def iaukf(
+    motion: Motion,
+    sensor: Sensor,
+    *,
+    learn: Names = (),
+    **noise: Any,
+) -> SRCKF:
+    """Unscented filter that estimates the variance of the measurement noise, sensor by sensor.
+
+    ``noise``: ``forgetting, confidence, confidence_in, lowest, highest, warmup, adapt`` as in ``SageHusa``.
+
+    Source: Chen, Zou & Wu, eqs. (10)-(24), with ``alpha=1, kappa=0`` and their psi of 2.  Differs: the points of the
+    measurement are drawn anew from the prediction, process noise included.
+    """
+    side = SageHusa(sensor.blocks, **noise)
+    return _learning(SRCKF(motion, sensor, rule=unscented(1.0, 2.0, 0.0), adaptive=side), learn)
 
 
 def fra_srckf(
@@ -242,6 +262,53 @@ def _transition(count: int, stay: float, transition: Value | None) -> Value:
     return stay * eye + (1 - stay) / (count - 1) * (1 - eye) if count > 1 else eye
 
 
+def jpda(
+    motion: Motion,
+    sensor: Sensor,
+    *,
+    clutter: Clutter,
+    inner: Callable[..., SRCKF] = srckf,
+    gate: Gate | None = None,
+    detection: Value = 0.95,
+    share_noise: bool = False,
+    exact: tuple[int, int] = (4, 10),
+    temperature: float = 0.0,
+    learn: Names = (),
+    **options: Any,
+) -> JPDA:
+    """Several targets in scans with false measurements: ``inner`` is a preset of this file, ``options`` go to it.
+
+    The gate holds 99.9 % of the targets' measurements unless given.  ``gate``, ``clutter``, ``detection`` and the others as
+    in ``filters.JPDA``.
+
+    Source: Fortmann, Bar-Shalom & Scheffe (1983).
+    """
+    f = JPDA(
+        inner(motion, sensor, **options),
+        gate=ChiSquare() if gate is None else gate,
+        clutter=clutter,
+        detection=detection,
+        share_noise=share_noise,
+        exact=exact,
+        temperature=temperature,
+    )
+    return _learning(f, learn)
+
+
+def ukf_jpda(motion: Motion, sensor: Sensor, *, clutter: Clutter, **options: Any) -> JPDA:
+    """``jpda`` with the unscented filter of ``iaukf`` under constant noise, in a gate of 100 m.
+
+    Source: what Chen, Zou & Wu compare with.
+    """
+    ours: dict[str, Any] = {"gate": Euclidean(100.0), "alpha": 1.0, "beta": 2.0, "kappa": 0.0}
+    return jpda(motion, sensor, clutter=clutter, inner=ukf, **ours | options)
+
+
+def iaukf_jpda(motion: Motion, sensor: Sensor, *, clutter: Clutter, **options: Any) -> JPDA:
+    """``jpda`` with ``iaukf`` for each target, in a gate of 100 m.  Source: Chen, Zou & Wu."""
+    return jpda(motion, sensor, clutter=clutter, inner=iaukf, **{"gate": Euclidean(100.0)} | options)
+
+
 _BANK: dict[str, Any] = {
     "manoeuvre": 3.5, "outlier": 18.0, "margin": 6.0, "hysteresis": 0.7, "dwell": 20.0, "degrees": [0.25],
     "onset": "fastest",
@@ -271,7 +338,7 @@ def _fading(motion: Motion, options: dict[str, Any]) -> Fading:
 
 def _learning(f: F, names: Names) -> F:
     """The filter with these hyperparameters learnable, and those of its models in copies of its own."""
-    core = f.inner if isinstance(f, Around) else f
+    core = f.inner if isinstance(f, Around | JPDA) else f
     for part in ("motion", "sensor"):
         model = getattr(core, part)
         chosen = {id(hyper) for hyper in named(f, names).values() if not hyper.raw.requires_grad}

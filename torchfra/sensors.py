@@ -60,10 +60,13 @@ class Sensor(nn.Module):
 
     angles: Tensor
     root: Tensor | None
+    blocks: tuple[tuple[int, ...], ...]
+    """Elements of a measurement that share a device and so a trust in its noise; one block unless the sensor says more."""
 
     def __init__(self, reads: int, angles: Sequence[bool], std: Value | None, noise: Tensor | None) -> None:
         super().__init__()
         self.reads, self.size = reads, len(angles)
+        self.blocks = (tuple(range(self.size)),)
         self.std: Hyper | None = None
         self.register_buffer("root", None)
         if (std is None) == (noise is None):
@@ -92,6 +95,22 @@ class Sensor(nn.Module):
         if self._all:
             return wrap(gap)
         return torch.where(self.angles, wrap(gap), gap) if self._some else gap
+
+    def locate(self, z: Tensor) -> Tensor:
+        """Where in space ``(..., dims)`` a measurement ``(..., m)`` lies, m.
+
+        Raises:
+            ValueError: it does not say where.
+        """
+        raise ValueError(f"sensor: expected one whose measurement says where the target is, received {type(self).__name__}")
+
+    def metre(self, z: Tensor) -> Tensor:
+        """What a metre of space is in each element of a measurement ``(..., m)``, if each is a direction of space.
+
+        Raises:
+            ValueError: they are not.
+        """
+        raise ValueError(f"sensor: expected one that measures each direction of space, received {type(self).__name__}")
 
     def noise(self, z: Tensor, std: Tensor | None = None, root: Tensor | None = None) -> Noise:
         """The noise of measurements ``z (..., m)``, of which NaN are missing.
@@ -191,6 +210,20 @@ class RangeBearing(Sensor):
         up = offset[..., 2]
         return torch.stack([torch.hypot(ground, up), bearing, torch.atan2(up, ground)], -1)
 
+    def locate(self, z: Tensor) -> Tensor:
+        """See ``Sensor``; from where the sensor stands."""
+        level = z[..., 0] if self.size == 2 else z[..., 0] * z[..., 2].cos()
+        plane = [level * z[..., 1].sin(), level * z[..., 1].cos()]
+        return torch.stack(plane if self.size == 2 else [*plane, z[..., 0] * z[..., 2].sin()], -1)
+
+    def metre(self, z: Tensor) -> Tensor:
+        """See ``Sensor``."""
+        away = z[..., 0]
+        one = torch.ones_like(away)
+        if self.size == 2:
+            return torch.stack([one, 1 / away], -1)
+        return torch.stack([one, 1 / (away * z[..., 2].cos()), 1 / away], -1)
+
 
 class Position(Sensor):
     """The position itself, m.
@@ -207,3 +240,11 @@ class Position(Sensor):
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """See ``Sensor``."""
         return x[..., : self.size]
+
+    def locate(self, z: Tensor) -> Tensor:
+        """See ``Sensor``."""
+        return z
+
+    def metre(self, z: Tensor) -> Tensor:
+        """See ``Sensor``."""
+        return torch.ones_like(z)

@@ -112,7 +112,7 @@ class Filter(nn.Module):
                 f"prior: expected (..., {n}) and (..., {n}, {n}), received {tuple(mean.shape)} and {tuple(root.shape)}"
             )
         batch = torch.broadcast_shapes(mean.shape[:-1], root.shape[:-2])
-        batch = (1,) * (batch_rank(self) - len(batch)) + batch
+        batch = (1,) * (self._rank() - len(batch)) + batch
         return self.begin(Gaussian(mean.expand((*batch, n)), tria(root).expand((*batch, n, n))))  # eq. (7)
 
     def begin(self, belief: Gaussian) -> Any:
@@ -196,9 +196,7 @@ class Filter(nn.Module):
         Raises:
             ValueError: a shape or a value that does not fit.
         """
-        for name, length in (("truncate", truncate), ("checkpoint", checkpoint)):
-            if length is not None and length < 1:
-                raise ValueError(f"{name}: expected at least 1 step, received {length}")
+        check_lengths(truncate=truncate, checkpoint=checkpoint)
         batch = self._batch(z, prior, dt, u, std, noise)
         rank, n = len(batch), self.motion.size
         mean, root = (x.to(z) for x in prior)
@@ -210,7 +208,7 @@ class Filter(nn.Module):
             frames, log_norm = make_frames(self.motion, self.sensor, z, dt, u, std, noise, rank)
             state, records = self._filter(state, frames, checkpoint, truncate)
             names = ("belief", "root", "normalised", "info", "density")
-            belief, root, normalised, info, own = (_stack([getattr(r, name) for r in records], rank) for name in names)
+            belief, root, normalised, info, own = (stack([getattr(r, name) for r in records], rank) for name in names)
             kept = Kept(belief, *_scores(normalised, root, log_norm.movedim(0, -1), own), info)
         belief, info = self.finish(state, kept.belief, kept.info)
         return Estimate(*belief, kept.nis, kept.log_likelihood, info)
@@ -263,12 +261,16 @@ class Filter(nn.Module):
         (frame,), _ = make_frames(self.motion, self.sensor, z, dt, u, std, noise, len(batch))
         return frame
 
+    def _rank(self) -> int:
+        """Batch dimensions there are at least."""
+        return batch_rank(self)
+
     def _batch(
         self, z: Tensor, prior: Gaussian, dt: Time, u: Tensor | None, std: Tensor | None, noise: Tensor | None
     ) -> torch.Size:
         """The batch of all that was handed in, checked, and as many dimensions as the hyperparameters have in front."""
         batch = check(self.motion, self.sensor, z, prior, dt, u, std, noise)
-        return torch.Size((1,) * (batch_rank(self) - len(batch))) + batch
+        return torch.Size((1,) * (self._rank() - len(batch))) + batch
 
 
 def _scores(normalised: Tensor, root: Tensor, log_norm: Tensor, own: Tensor | None) -> tuple[Tensor, Tensor]:
@@ -284,11 +286,22 @@ def _detached(state: Any) -> Any:
     return type(state)(*map(_detached, state))
 
 
-def _stack(steps: Sequence[Any], rank: int) -> Any:
+def check_lengths(**lengths: int | None) -> None:
+    """Whether these are numbers of steps, or None.
+
+    Raises:
+        ValueError: names the first that is not.
+    """
+    for name, length in lengths.items():
+        if length is not None and length < 1:
+            raise ValueError(f"{name}: expected at least 1 step, received {length}")
+
+
+def stack(steps: Sequence[Any], rank: int) -> Any:
     """Tensors, or tuples of them, stacked over time behind ``rank`` batch dimensions; None stays None."""
     first = steps[0]
     if first is None:
         return None
     if isinstance(first, Tensor):
         return torch.stack(torch.broadcast_tensors(*steps), rank)
-    return type(first)(*(_stack(parts, rank) for parts in zip(*steps, strict=True)))
+    return type(first)(*(stack(parts, rank) for parts in zip(*steps, strict=True)))

@@ -107,8 +107,12 @@ def check(
     u: Tensor | None,
     std: Tensor | None,
     noise: Tensor | None,
+    *,
+    scans: bool = False,
 ) -> torch.Size:
     """The batch of what a user hands in, once shapes and values are known to fit; time is in front of the vector.
+
+    With ``scans`` measurements are ``(..., T, J, m)`` and priors ``(..., N, n)``; targets are no part of the batch.
 
     Raises:
         ValueError: names the argument, what was expected and what came.
@@ -116,16 +120,19 @@ def check(
     n, m = motion.size, sensor.size
     if not z.is_floating_point():
         raise ValueError(f"z: expected floating point numbers, received {z.dtype}")
-    if z.dim() < 2 or z.shape[-1] != m or z.shape[-2] < 1:
-        raise ValueError(f"z: expected (..., T, {m}), received {tuple(z.shape)}")
-    steps = z.shape[-2]
-    batch = {"z": z.shape[:-2]}
+    event = 2 + scans
+    if z.dim() < event or z.shape[-1] != m or z.numel() == 0:
+        raise ValueError(f"z: expected (..., T, {'J, ' if scans else ''}{m}), received {tuple(z.shape)}")
+    steps, each = z.shape[-event], tuple(z.shape[-2:-1]) if scans else ()
+    batch = {"z": z.shape[:-event]}
+    targets = (None,) if scans else ()
+    root = (*targets, n, n) if prior.scale_tril.dim() > 2 else (n, n)
     for name, x, shape in (
-        ("prior.mean", prior.mean, (n,)),
-        ("prior.scale_tril", prior.scale_tril, (n, n)),
+        ("prior.mean", prior.mean, (*targets, n)),
+        ("prior.scale_tril", prior.scale_tril, root),
         ("u", u, (steps, None)),
-        ("std", std, (steps, m)),
-        ("noise", noise, (steps, m, m)),
+        ("std", std, (steps, *each, m)),
+        ("noise", noise, (steps, *each, m, m)),
     ):
         if x is None:
             continue
@@ -133,7 +140,8 @@ def check(
             b is None or a == b for a, b in zip(x.shape[-len(shape) :], shape, strict=True)
         )
         if not fits:
-            wanted = ", ".join("k" if s is None else str(s) for s in shape)
+            unknown = "N" if name.startswith("prior") else "k"
+            wanted = ", ".join(unknown if s is None else str(s) for s in shape)
             raise ValueError(f"{name}: expected (..., {wanted}), received {tuple(x.shape)}")
         batch[name] = x.shape[: x.dim() - len(shape)]
     if isinstance(dt, Tensor):

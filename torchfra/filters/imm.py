@@ -59,7 +59,7 @@ class Around(Filter):
         for part in inner.children():
             if part is not inner.motion and part is not inner.sensor:
                 for hyper in (h for h in part.modules() if isinstance(h, Hyper)):
-                    hyper.shared = True
+                    hyper.shared = 1
 
     @property
     def motion(self) -> Bank:  # type: ignore[override]

@@ -1,4 +1,4 @@
-"""The square-root cubature Kalman filter and its two seams: a robust and an adaptive side."""
+"""The square-root cubature Kalman filter and its three seams: a robust, an adaptive and a noise side."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.adaptive import Fading, Memory
+from torchfra.adaptive import Fading, Memory, NoiseMemory, SageHusa
 from torchfra.cubature import Rule, third_degree
 from torchfra.filters.base import Filter, Mix, Record
 from torchfra.filters.frames import Frame
@@ -24,7 +24,7 @@ class State(NamedTuple):
     """A belief, and the memory of the innovations if the filter adapts."""
 
     belief: Gaussian
-    memory: Memory | None
+    memory: Memory | NoiseMemory | None
 
 
 class Info(NamedTuple):
@@ -39,6 +39,8 @@ class Info(NamedTuple):
     repaired: Tensor | None = None
     """``(..., T)`` covariances that were not positive and had to be mended; of rules with negative weights, or a robust
     side that may take off more than there is."""
+    noise: Tensor | None = None
+    """``(..., T, m)`` of a noise side: the estimated variances, as multiples of the nominal ones."""
 
 
 class SRCKF(Filter):
@@ -49,12 +51,15 @@ class SRCKF(Filter):
         sensor: what is measured.
         rule: from a number of states to the rule that carries a Gaussian through a function (``torchfra.cubature``).
         robust: what trusts a wild innovation less (``torchfra.robust``), at every step.
-        adaptive: fading factors for the prediction (``torchfra.adaptive``), applied at every step.
+        adaptive: fading factors for the prediction, or an estimate of the measurement noise (``torchfra.adaptive``), at
+            every step.
 
-    ``Estimate.nis`` and ``log_likelihood`` judge the measurement before either side has acted.
+    ``Estimate.nis`` and ``log_likelihood`` judge the measurement before either side has acted, under the nominal noise,
+    or under the noise as it was estimated before the step.
 
     Raises:
-        ValueError: an adaptive side and a rule with negative weights, or see ``Filter``.
+        ValueError: fading factors and a rule with negative weights; an estimate of the noise and a robust side, as one
+            would explain away what the other looks at; or see ``Filter``.
 
     Source: Arasaratnam & Haykin (2009), "Cubature Kalman Filters"; Wang et al. (2021), sections 1-2, whose equation
     numbers stand in the code.  Differs: measurements count in units of their noise from (17) on, and (17), (20) and
@@ -68,31 +73,51 @@ class SRCKF(Filter):
         *,
         rule: Callable[[int], Rule] = third_degree,
         robust: Robust | None = None,
-        adaptive: Fading | None = None,
+        adaptive: Fading | SageHusa | None = None,
     ) -> None:
         super().__init__(motion, sensor)
         whole = rule(motion.size)
         self.motion_rule, self.sensor_rule = whole, whole.marginal(sensor.reads)
-        if adaptive is not None and (self.motion_rule.signed or self.sensor_rule.signed):
+        self.robust = robust
+        self.adaptive = None if isinstance(adaptive, SageHusa) else adaptive
+        self.noise = adaptive if isinstance(adaptive, SageHusa) else None
+        if self.adaptive is not None and (self.motion_rule.signed or self.sensor_rule.signed):
             raise ValueError("rule: expected one without negative weights for an adaptive filter")
-        self.robust, self.adaptive = robust, adaptive
+        if self.noise is not None and robust is not None:
+            raise ValueError("robust: expected none beside an estimate of the noise, received both")
+        if self.noise is not None and len(self.noise.element) != sensor.size:
+            raise ValueError(
+                f"blocks: expected those of a sensor of {sensor.size} elements, received {len(self.noise.element)} elements"
+            )
 
     def begin(self, belief: Gaussian) -> State:
         """See ``Filter``."""
+        if self.noise is not None:
+            return State(belief, self.noise.begin(belief.mean))
         return State(belief, None if self.adaptive is None else self.adaptive.begin(belief.mean, self.sensor.size))
 
     def advance(self, state: State, frame: Frame, mix: Mix | None = None) -> tuple[State, Record]:
         """See ``Filter``."""
+        state, record = self._advance(state, frame, mix)
+        if not self.motion.angles:
+            return state, record
+        belief = record.belief._replace(mean=self.motion.canonical(record.belief.mean))
+        return state._replace(belief=belief), record._replace(belief=belief)
+
+    def _advance(self, state: State, frame: Frame, mix: Mix | None) -> tuple[State, Record]:
         start = state.belief if mix is None else mix(state.belief)
         prediction = predict(self.motion, self.motion_rule, start, frame)
         whitened = compare(self.sensor, self.sensor_rule, prediction.belief, frame)
         repaired = _count(prediction.repaired, None if whitened.lost is None else mended(whitened)[1])
+        memory = state.memory
+        if self.noise is not None and isinstance(memory, NoiseMemory):
+            return self._estimating(self.noise, memory, prediction.belief, whitened, frame, repaired)
         if self.robust is None and self.adaptive is None:
             belief, root, normalised = correct(prediction.belief, whitened)
             info = Info(repaired=repaired)
             return State(belief, None), Record(belief, whitened.residual, root, normalised, info)
         root, normalised = innovation(whitened)
-        residual, memory, factor = whitened.residual, state.memory, None
+        residual, factor = whitened.residual, None
         weights = (
             torch.ones_like(residual) if self.robust is None else self.robust(residual, normalised.square().sum(-1))
         )
@@ -108,6 +133,23 @@ class SRCKF(Filter):
         info = Info(done.weights, factor, done.iterations, _count(repaired, done.repaired))
         evidence = None if mix is None else done.evidence
         return State(done.belief, memory), Record(done.belief, residual, root, normalised, info, evidence=evidence)
+
+    def _estimating(
+        self, noise: SageHusa, memory: NoiseMemory, predicted: Gaussian, whitened: Whitened, frame: Frame,
+        repaired: Tensor | None,
+    ) -> tuple[State, Record]:  # fmt: skip
+        """The update with a noise side: Chen, Zou & Wu, eqs. (19)-(24)."""
+        known, size = noise.known(whitened, memory, frame.seen)
+        root, normalised = innovation(known)
+        if noise.adapt == "innovation":
+            memory = noise(memory, noise.excess(whitened), frame.seen)  # eq. (19)
+            known, _ = noise.known(whitened, memory, frame.seen)
+        belief, _, _ = correct(predicted, known)
+        if noise.adapt == "residual":
+            left = compare(self.sensor, self.sensor_rule, belief, frame)
+            memory = noise(memory, noise.excess(left), frame.seen)
+        info = Info(noise=memory.scale, repaired=repaired)
+        return State(belief, memory), Record(belief, whitened.residual, size * root, normalised, info)
 
 
 def _count(*repaired: Tensor | None) -> Tensor | None:
@@ -126,9 +168,9 @@ def predict(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Predi
         mean, spread = apply(frame.transition, mean), frame.transition @ root
         mean = mean if shift is None else mean + shift
     else:
-        noise = frame.process
         u = None if frame.u is None else frame.u.unsqueeze(-2)
-        mean, spread, lost = rule(lambda x: motion(x, frame.dt.unsqueeze(-1), u), belief, torch.sub)
+        mean, spread, lost = rule(lambda x: motion(x, frame.dt.unsqueeze(-1), u), belief, motion.difference)
+        noise = motion.local(frame.process, mean)
         if lost is not None:
             root, repaired = downdate(tria(hstack(spread, noise)), lost)
             return Prediction(Gaussian(mean, root), spread, noise, repaired)

@@ -3,6 +3,7 @@
 from torchfra.scenarios.adsb import adsb_models, adsb_turns
 from torchfra.scenarios.base import Scenario, Tracks
 from torchfra.scenarios.bearings import bearings_manoeuvre, bearings_outliers
+from torchfra.scenarios.clutter import clutter_crossing, clutter_straight, noise_change
 from torchfra.scenarios.growth import growth
 from torchfra.scenarios.recorded import recorded
 from torchfra.scenarios.reentry import reentry
@@ -15,8 +16,11 @@ __all__ = [
     "adsb_turns",
     "bearings_manoeuvre",
     "bearings_outliers",
+    "clutter_crossing",
+    "clutter_straight",
     "growth",
     "level_then_weave",
+    "noise_change",
     "recorded",
     "reentry",
 ]

@@ -11,9 +11,10 @@ import torch
 from torch import Tensor
 
 from torchfra.bank import Bank
+from torchfra.clutter import Clutter
 from torchfra.motion import Motion
 from torchfra.sensors import Sensor
-from torchfra.types import Gaussian
+from torchfra.types import Estimate, Gaussian
 
 BLOCK = 256
 """Runs that are always simulated together, so that a run never depends on how many others are asked for."""
@@ -23,13 +24,14 @@ class Tracks(NamedTuple):
     """A batch of tracks: what was, what was measured, and what a filter may know."""
 
     truth: Tensor
-    """``(B, T, n)`` states; NaN where unknown."""
+    """``(B, T, n)`` states, of several targets ``(B, N, T, n)``; NaN where unknown."""
     z: Tensor
-    """``(B, T, m)`` measurements; NaN is missing."""
+    """``(B, T, m)`` measurements, or scans ``(B, T, J, m)`` in which they are in any order; NaN is missing."""
     u: Tensor | None
     """``(T, k)`` or ``(B, T, k)`` what the models need to know at each step."""
     prior: Gaussian
-    """``mean (B, n)`` and ``scale_tril (n, n)``: each run's belief one step before the first measurement."""
+    """``mean (B, n)`` and ``scale_tril (n, n)`` or ``(B, n, n)``: each run's belief one step before the first measurement;
+    of several targets ``(B, N, n)`` and ``(B, N, n, n)``."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,9 @@ class Scenario:
         settings: what to write beside results.
         bank: motions for interacting models, which may know more of the targets than ``motion`` does.
         others: components of the state besides position and velocity whose error is of interest, by name.
+        clutter: how dense false measurements are, of scans of several targets.
+        detection: probability that a target is measured, of scans.
+        shown: makes the truth's coordinates of an estimate in the motion's, if those are others.
     """
 
     name: str
@@ -59,6 +64,9 @@ class Scenario:
     settings: dict[str, object]
     bank: Bank | None = None
     others: Mapping[str, slice] = field(default_factory=dict)
+    clutter: Clutter | None = None
+    detection: float = 1.0
+    shown: Callable[[Estimate], Estimate] = lambda estimate: estimate
 
     @property
     def position(self) -> slice:
@@ -98,7 +106,9 @@ class Scenario:
         def joined(parts: list[Tensor]) -> Tensor:
             return torch.cat(parts)[cut].to(dtype)
 
-        prior = Gaussian(joined([b.prior.mean for b in blocks]), blocks[0].prior.scale_tril.to(dtype))
+        roots = [b.prior.scale_tril for b in blocks]
+        root = roots[0].to(dtype) if roots[0].dim() == 2 else joined(roots)
+        prior = Gaussian(joined([b.prior.mean for b in blocks]), root)
         u = blocks[0].u
         if u is not None:
             u = u.to(dtype) if u.dim() == 2 else joined([b.u for b in blocks if b.u is not None])

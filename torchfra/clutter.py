@@ -1,0 +1,154 @@
+"""Measurements among false ones: which may be a target's at all (gates), and how dense the false ones are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.distributions import constraints
+from torch.nn.functional import logsigmoid
+
+from torchfra.hyper import Hyper, Value
+from torchfra.sensors import Sensor
+
+
+class Candidates(NamedTuple):
+    """All measurements of a scan against the prediction of each target."""
+
+    z: Tensor
+    """``(..., N, J, m)`` measured; where an element is missing, what was predicted."""
+    predicted: Tensor
+    """``(..., N, J, m)``."""
+    seen: Tensor
+    """``(..., 1, J, m)`` 1 where measured, 0 where missing."""
+    nis: Tensor
+    """``(..., N, J)`` normalised innovation squared."""
+
+
+class Gate(nn.Module):
+    """Abstract: a subclass gives ``beyond``, and ``inside`` if a target's measurement may lie outside."""
+
+    def forward(self, candidates: Candidates, sensor: Sensor, temperature: float) -> Tensor:
+        """Log ``(..., N, J)`` of how far each measurement counts: 0 inside, minus infinity outside.
+
+        With a temperature the edge is soft, that wide as a share of the gate: gradients then reach its size.
+        """
+        beyond = self.beyond(candidates, sensor)
+        if temperature > 0:
+            return logsigmoid(-beyond / temperature)
+        return torch.where(beyond > 0, -torch.inf, 0.0)
+
+    def beyond(self, candidates: Candidates, sensor: Sensor) -> Tensor:
+        """``(..., N, J)`` how far outside the edge a measurement lies, as a share of the gate; negative inside."""
+        raise TypeError(f"{type(self).__name__} needs a beyond")
+
+    def inside(self) -> Tensor | None:
+        """Probability that a target's own measurement lies inside; None for 1."""
+        return None
+
+
+class Euclidean(Gate):
+    """Within so many metres of the predicted measurement.
+
+    Args:
+        size: m.
+
+    The sensor must tell where in space a measurement lies (``Sensor.locate``).  Targets are taken to be inside always.
+
+    Source: Chen, Zou & Wu, section 4, who print gates of 100 and 150; unit and form are our reading.
+    """
+
+    def __init__(self, size: Value = 100.0) -> None:
+        super().__init__()
+        self.size = Hyper(size, name="size")
+
+    def beyond(self, candidates: Candidates, sensor: Sensor) -> Tensor:
+        """See ``Gate``."""
+        gap = sensor.locate(candidates.z) - sensor.locate(candidates.predicted)
+        squared, size = gap.square().sum(-1), self.size().to(gap)
+        distance = torch.where(squared > 0, torch.where(squared > 0, squared, 1.0).sqrt(), 0.0)
+        return distance / size - 1
+
+
+class ChiSquare(Gate):
+    """Within the ellipsoid of the innovation's covariance that has a probability, whatever elements were seen.
+
+    Args:
+        probability: that the target's own measurement lies inside, below 1.
+
+    Softness counts in the log of the probability to lie still farther out.
+
+    Source: Bar-Shalom & Fortmann (1988), section 5.
+    """
+
+    def __init__(self, probability: Value = 0.999) -> None:
+        super().__init__()
+        self.probability = Hyper(probability, constraints.interval(0.0, 1.0), name="probability")
+        if not bool(((self.probability() > 0) & (self.probability() < 1)).all()):
+            raise ValueError(f"probability: expected a value above 0 and below 1, received {probability}")
+
+    def beyond(self, candidates: Candidates, sensor: Sensor) -> Tensor:
+        """See ``Gate``."""
+        nis, seen = candidates.nis, candidates.seen.sum(-1).expand(candidates.nis.shape)
+        tail = torch.special.gammaincc(seen.clamp_min(1.0) / 2, nis.clamp_min(1e-12) / 2)
+        edge = torch.log1p(-self.probability().to(nis))
+        some = tail > 0
+        return torch.where(some, torch.where(some, tail, 1.0).log() / edge - 1, torch.inf)
+
+    def inside(self) -> Tensor | None:
+        """See ``Gate``."""
+        return self.probability()
+
+
+class Clutter(nn.Module):
+    """How dense false measurements are, where one was measured.
+
+    Args:
+        volume: of the space that false measurements fall in evenly, m^3 (m^2 in the plane); the sensor must measure each
+            direction of space (``Sensor.metre``).
+        extent: instead, of the measurements that false ones fall in evenly: ``(m,)`` from the lowest to the highest of each
+            element, in its own unit.
+        rate: expected false measurements per scan, Poisson; None if any number of them is alike beforehand
+            (non-parametric).
+
+    Raises:
+        ValueError: both or neither of ``volume`` and ``extent``, or values that are not above 0.
+
+    Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eq. (25).  Differs: the density of false measurements that
+    fall evenly in space is mapped to the measurement's own units, by ``r^2 cos(elevation)`` for angles and range.
+    """
+
+    def __init__(
+        self, volume: Value | None = None, *, extent: Tensor | Sequence[float] | None = None, rate: Value | None = None
+    ) -> None:
+        super().__init__()
+        if (volume is None) == (extent is None):
+            raise ValueError("volume, extent: expected exactly one of the two")
+        self.volume = None if volume is None else Hyper(volume, name="volume")
+        extent = None if extent is None else torch.as_tensor(extent, dtype=torch.float64)
+        self.extent = None if extent is None else Hyper(extent, event=1, name="extent")
+        self.rate = None if rate is None else Hyper(rate, name="rate")
+
+    def check(self, sensor: Sensor) -> None:
+        """Whether this goes with a sensor.
+
+        Raises:
+            ValueError: it does not.
+        """
+        if self.extent is None:
+            sensor.metre(torch.ones(sensor.size))
+        elif self.extent().shape[-1:] != (sensor.size,):
+            raise ValueError(f"extent: expected ({sensor.size},), received {tuple(self.extent().shape)}")
+
+    def forward(self, candidates: Candidates, sensor: Sensor) -> Tensor:
+        """Log density ``(..., N, J)``; of what was seen, where some elements are missing."""
+        z = candidates.z
+        if self.extent is not None:
+            spans = self.extent().to(z)
+        else:
+            assert self.volume is not None
+            spans = self.volume().to(z).unsqueeze(-1) ** (1 / sensor.size) * sensor.metre(z)
+        found = -(candidates.seen * spans.log()).sum(-1)
+        return found if self.rate is None else found + self.rate().to(z).log()

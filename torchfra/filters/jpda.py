@@ -1,0 +1,308 @@
+"""Joint probabilistic data association: several targets, scans of measurements that do not say whose they are."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.distributions import constraints
+
+from torchfra.adaptive import NoiseMemory
+from torchfra.association import Association, associate
+from torchfra.clutter import Candidates, Clutter, Gate
+from torchfra.filters.base import Filter, Mix, Record, check_lengths, stack
+from torchfra.filters.frames import Frame, Time, batch_rank, check, make_frames
+from torchfra.filters.soft import Soft
+from torchfra.filters.srckf import SRCKF, State, compare, predict
+from torchfra.hyper import Hyper, Value
+from torchfra.kernel.build import CompileError
+from torchfra.mixture import moment_match
+from torchfra.types import Estimate, Gaussian, Innovation, Whitened
+from torchfra.update import correct, density, innovation
+
+
+class JPDAInfo(NamedTuple):
+    """Per step and target."""
+
+    association: Tensor
+    """``(..., N, T, J + 1)`` probabilities: that the target was missed, and that each measurement is its own."""
+    noise: Tensor | None
+    """``(..., N, T, m)`` variances of the measurement noise as estimated, as multiples of the nominal ones, if they are."""
+
+
+class JPDA(Soft, Filter):
+    """Joint probabilistic data association around a Gaussian filter.
+
+    Each target's update is the Gaussian with the moments of all that may have happened: that it was missed, or that any
+    one of the measurements in its gate is its own.
+
+    Measurements come as scans: ``z (..., T, J, m)`` of J measurements at most, in any order; a row of NaN is none.  Targets
+    are the last dimension of the batch: priors are ``(..., N, n)``, estimates ``(..., N, T, n)``.  A measurement of which
+    only some elements are NaN is one of the others.
+
+    Args:
+        inner: an ``SRCKF``, plain, robust or with an estimate of the noise; a copy of it runs here.  Hyperparameters may
+            differ between targets, ``(N,)``, and between scenes, ``(B, 1)`` or ``(B, N)``.
+        gate: which measurements may be a target's (``torchfra.clutter``).
+        clutter: how dense false ones are.
+        detection: probability that a target is measured, up to 1.
+        share_noise: whether all targets share their estimates of the noise, averaged by how probably each was measured.
+        exact: targets and measurements of a cluster up to which all joint events are summed; see ``association``.
+        temperature: 0 for gates with a hard edge; above, the width of the edge as a share of the gate, through which
+            gradients reach its size.
+
+    ``Estimate.log_likelihood`` is the log density of a scan against one of false measurements alone, shared out among the
+    targets of a cluster: its sum over targets is what ``losses.innovation_nll`` makes large.  ``nis`` is that of the
+    combined innovation, as ``step`` gives it.
+
+    Raises:
+        ValueError: another filter than that, a sensor that gate or clutter cannot work with, a value out of its range.
+
+    Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eqs. (25)-(30), and (19) with the innovations weighted by
+    their probabilities, which is our reading.
+    """
+
+    def __init__(
+        self,
+        inner: Filter,
+        *,
+        gate: Gate,
+        clutter: Clutter,
+        detection: Value = 0.95,
+        share_noise: bool = False,
+        exact: tuple[int, int] = (4, 10),
+        temperature: float = 0.0,
+    ) -> None:
+        nn.Module.__init__(self)
+        if not isinstance(inner, SRCKF) or inner.adaptive is not None or inner.motion.stacked:
+            said = "an SRCKF with fading factors" if isinstance(inner, SRCKF) else type(inner).__name__
+            raise ValueError(f"inner: expected an SRCKF of one motion without fading factors, received {said}")
+        if share_noise and inner.noise is None:
+            raise ValueError("share_noise: expected an inner filter that estimates the noise, received one that does not")
+        self._compiled = None
+        self.inner = copy.deepcopy(inner)
+        self.gate, self.clutter = gate, clutter
+        self.detection = Hyper(detection, constraints.interval(0.0, 1.0), name="detection")
+        if not bool((self.detection() > 0).all()):
+            raise ValueError(f"detection: expected a probability above 0, received {detection}")
+        clutter.check(inner.sensor)
+        whole = torch.ones(1, 1, inner.sensor.size)
+        gate.beyond(Candidates(whole, whole, whole, whole[..., 0]), inner.sensor)
+        self.share_noise, self.exact = share_noise, exact
+        self.temperature = temperature
+        for hyper in self.modules():
+            if isinstance(hyper, Hyper):
+                hyper.shared = 1  # all measurements share the values of their target
+
+    @property
+    def motion(self) -> Any:  # type: ignore[override]
+        """Of the inner filter."""
+        return self.inner.motion
+
+    @property
+    def sensor(self) -> Any:  # type: ignore[override]
+        """Of the inner filter."""
+        return self.inner.sensor
+
+    def compile(self) -> Any:
+        """There are no kernels for this.
+
+        Raises:
+            CompileError: always; see ``Filter``.
+        """
+        raise CompileError("JPDA: a scan has too many joint events for a kernel; it runs eagerly, in batches")
+
+    def begin(self, belief: Gaussian) -> State:
+        """See ``Filter``."""
+        return self.inner.begin(belief)
+
+    def advance(self, state: State, frame: Frame, mix: Mix | None = None) -> tuple[State, Record]:
+        """See ``Filter``; frames are of measurements ``(..., 1, J)``, innovations in the measurement's own units."""
+        f, memory = self.inner, state.memory if isinstance(state.memory, NoiseMemory) else None
+        predicted = predict(f.motion, f.motion_rule, _column(state.belief), frame).belief
+        whitened = compare(f.sensor, f.sensor_rule, predicted, frame)
+        known, size = self._known(whitened, memory, frame)
+        root, normalised = innovation(known)
+        fit = density(size * root, normalised) + frame.noise.log_norm
+        found = self.decide(self._candidates(predicted, whitened, normalised, frame), fit)  # eqs. (25)-(27)
+        share = found.log_weights[..., 1:].exp()
+        if f.noise is not None and f.noise.adapt == "innovation":
+            memory = self._adapted(memory, whitened, share, frame)  # eq. (19)
+            known, _ = self._known(whitened, memory, frame)
+        weights = None if f.robust is None else f.robust(known.residual, normalised.square().sum(-1))
+        each = (
+            correct(predicted, known)[0]
+            if f.robust is None or weights is None
+            else f.robust.correct(predicted, known, weights, frame.noise).belief
+        )
+        belief = moment_match(_first(predicted, each), found.log_weights.movedim(-1, 0))  # eqs. (28)-(30)
+        belief = belief._replace(mean=f.motion.canonical(belief.mean))
+        if f.noise is not None and f.noise.adapt == "residual":
+            left = compare(f.sensor, f.sensor_rule, _column(belief), frame)
+            memory = self._adapted(memory, left, share, frame)
+        info = JPDAInfo(found.log_weights.exp(), None if memory is None else memory.scale)
+        coloured = frame.noise.colour(whitened.residual.unsqueeze(-1)).squeeze(-1), frame.noise.colour(size * root)
+        combined = _combined(share, *coloured, normalised)
+        return State(belief, memory), Record(belief, *combined, info, found.evidence)
+
+    def decide(self, candidates: Candidates, fit: Tensor) -> Association:
+        """Which measurement is whose, by log densities ``fit (..., N, J)``: eqs. (25)-(27)."""
+        detection, inside = self.detection().to(fit), self.gate.inside()
+        miss = torch.log1p(-detection if inside is None else -detection * inside.to(fit))
+        odds = detection.log() - self.clutter(candidates, self.sensor)
+        ratio = fit + odds + self.gate(candidates, self.sensor, self.temperature)
+        ratio = torch.where(candidates.seen.sum(-1) > 0, ratio, -torch.inf)
+        miss = miss.squeeze(-1) if miss.dim() else miss
+        return associate(ratio, miss, diffuse=self.clutter.rate is None, exact=self.exact)
+
+    def step(
+        self,
+        state: State,
+        z: Tensor,
+        *,
+        dt: Time = 1.0,
+        u: Tensor | None = None,
+        std: Tensor | None = None,
+        noise: Tensor | None = None,
+    ) -> tuple[State, Innovation]:
+        """One scan, for streaming.
+
+        Args:
+            state: from ``init`` or the step before; it is not changed.
+            z: ``(..., J, m)``; NaN is missing, and a row of NaN is no measurement.
+            dt: seconds since the last step, a number or ``(...)``.
+            u: ``(..., k)`` what the models need to know.
+            std: ``(..., J, m)`` standard deviations of these measurements, instead of the sensor's.
+            noise: ``(..., J, m, m)`` roots of their covariances, instead of the sensor's.
+
+        Returns:
+            The next state, and the combined innovation of each target, ``(..., N, m)``: weighted by the probabilities of
+            association, with the covariance of a single one.
+
+        Raises:
+            ValueError: a shape or a value that does not fit.
+        """
+        dt = dt.unsqueeze(-1) if isinstance(dt, Tensor) and dt.dim() else dt
+        u, std, noise = (x if x is None else x.unsqueeze(e) for x, e in ((u, -2), (std, -3), (noise, -4)))
+        batch, (frame,) = self._frames(z.unsqueeze(-3), state.belief, dt, u, std, noise)
+        held = tuple(state.belief.mean.shape[:-2])
+        if batch != held:
+            raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, this is of {held}")
+        state, record = self.advance(state, frame)
+        nis = record.normalised.square().sum(-1)
+        assert record.density is not None
+        return state, Innovation(record.residual, record.root, nis, record.density)
+
+    def forward(
+        self,
+        z: Tensor,
+        prior: Gaussian,
+        *,
+        dt: Time = 1.0,
+        u: Tensor | None = None,
+        std: Tensor | None = None,
+        noise: Tensor | None = None,
+        truncate: int | None = None,
+        checkpoint: int | None = None,
+    ) -> Estimate:
+        """Whole sequences of scans.
+
+        Args:
+            z: ``(..., T, J, m)`` measurements; NaN is missing, and a row of NaN is no measurement.
+            prior: beliefs one ``dt`` before the first scan: ``mean (..., N, n)`` and any root ``(..., N, n, n)``.
+            dt: see ``Filter``.
+            u: ``(..., T, k)`` or ``(T, k)``.
+            std: ``(..., T, J, m)`` standard deviations of the measurements, instead of the sensor's.
+            noise: ``(..., T, J, m, m)`` roots of their covariances, instead of the sensor's.
+            truncate: see ``Filter``.
+            checkpoint: see ``Filter``.
+
+        Returns:
+            Estimates of the targets, ``(..., N, T, ...)``.
+
+        Raises:
+            ValueError: a shape or a value that does not fit.
+        """
+        check_lengths(truncate=truncate, checkpoint=checkpoint)
+        batch, frames = self._frames(z, prior, dt, u, std, noise)
+        (targets, n), rank = prior.mean.shape[-2:], len(batch) + 1
+        mean, root = (x.to(z) for x in prior)
+        start = Gaussian(mean.expand(*batch, targets, n), root.expand(*batch, targets, n, n))
+        _, records = self._filter(self.init(start), frames, checkpoint, truncate)
+        names = ("belief", "normalised", "info", "density")
+        belief, normalised, info, evidence = (stack([getattr(r, name) for r in records], rank) for name in names)
+        return Estimate(*belief, normalised.square().sum(-1), evidence, info)
+
+    def _rank(self) -> int:
+        return max(batch_rank(self), 1)
+
+    def _frames(
+        self, z: Tensor, prior: Gaussian, dt: Time, u: Tensor | None, std: Tensor | None, noise: Tensor | None
+    ) -> tuple[torch.Size, list[Frame]]:
+        """The batch of scenes, and frames of measurements ``(..., 1, J)``; all is checked."""
+        batch = check(self.motion, self.sensor, z, prior, dt, u, std, noise, scans=True)
+        batch = torch.Size((1,) * (self._rank() - 1 - len(batch))) + batch
+        z, std = (x if x is None else x.transpose(-3, -2).unsqueeze(-4) for x in (z, std))
+        noise = noise if noise is None else noise.transpose(-4, -3).unsqueeze(-5)
+        dt = dt.unsqueeze(-2).unsqueeze(-2) if isinstance(dt, Tensor) and dt.dim() > 1 else dt
+        u = u.unsqueeze(-3).unsqueeze(-3) if u is not None and u.dim() > 2 else u
+        frames, _ = make_frames(self.motion, self.sensor, z, dt, u, std, noise, len(batch) + 2)
+        return batch, frames
+
+    def _known(self, whitened: Whitened, memory: NoiseMemory | None, frame: Frame) -> tuple[Whitened, Tensor]:
+        """The measurements in units of the noise as each target knows it, and those units."""
+        if self.inner.noise is None or memory is None:
+            return whitened, whitened.residual.new_ones(())
+        return self.inner.noise.known(whitened, _column(memory), frame.seen)
+
+    def _adapted(self, memory: NoiseMemory | None, whitened: Whitened, share: Tensor, frame: Frame) -> NoiseMemory:
+        """The memory of the noise after innovations that are the target's with probabilities ``share (..., N, J)``."""
+        side = self.inner.noise
+        assert side is not None and memory is not None
+        weight = share.unsqueeze(-1) * frame.seen
+        whole = weight.sum(-2)
+        excess = (weight * side.excess(whitened)).sum(-2) / torch.where(whole > 0, whole, 1.0)
+        after: NoiseMemory = _flat(side(_column(memory), excess.unsqueeze(-2), whole.unsqueeze(-2)))
+        if not self.share_noise:
+            return after
+        whole = share.sum(-1, keepdim=True)
+        known = whole.sum(-2, keepdim=True)
+        pooled = (whole * after.scale).sum(-2, keepdim=True) / torch.where(known > 0, known, 1.0)
+        return after._replace(scale=torch.where(known > 0, pooled, after.scale))
+
+    def _candidates(self, belief: Gaussian, whitened: Whitened, normalised: Tensor, frame: Frame) -> Candidates:
+        seen = frame.seen > 0
+        gap = frame.noise.colour(whitened.residual.unsqueeze(-1)).squeeze(-1)
+        there = self.sensor(belief.mean, frame.u)
+        predicted = torch.where(seen, frame.z - gap, there)
+        z = torch.where(seen, frame.z, there)
+        return Candidates(z, predicted, frame.seen, normalised.square().sum(-1))
+
+
+def _column(x: Any) -> Any:
+    """Targets ``(..., N)`` against measurements: ``(..., N, 1)``."""
+    if isinstance(x, Gaussian):
+        return Gaussian(x.mean.unsqueeze(-2), x.scale_tril.unsqueeze(-3))
+    return type(x)(*(part.unsqueeze(-2) for part in x))
+
+
+def _flat(x: NoiseMemory) -> NoiseMemory:
+    """And back."""
+    return NoiseMemory(*(part.squeeze(-2) for part in x))
+
+
+def _first(predicted: Gaussian, each: Gaussian) -> Gaussian:
+    """All that may have happened, ``(J + 1, ..., N)``: missed, or any one of the measurements ``(..., N, J)``."""
+    mean = torch.cat([predicted.mean.expand_as(each.mean[..., :1, :]), each.mean], -2)
+    root = torch.cat([predicted.scale_tril.expand_as(each.scale_tril[..., :1, :, :]), each.scale_tril], -3)
+    return Gaussian(mean.movedim(-2, 0), root.movedim(-3, 0))
+
+
+def _combined(share: Tensor, residual: Tensor, root: Tensor, normalised: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Innovation and normalised innovation weighted by ``share (..., N, J)``; the root of the nearest to being its own."""
+    weight, likely = share.unsqueeze(-1), share.argmax(-1)[..., None, None, None]
+    root = root.expand(*share.shape, *root.shape[-2:])
+    own = root.gather(-3, likely.expand(*share.shape[:-1], 1, *root.shape[-2:])).squeeze(-3)
+    return (weight * residual).sum(-2), own, (weight * normalised).sum(-2)
