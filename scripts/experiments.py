@@ -9,6 +9,8 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 
+from scans import scan_filters
+
 from torchfra import gains, plotting, presets
 from torchfra.cli import named
 from torchfra.evaluate import chosen, evaluate, run
@@ -22,6 +24,9 @@ PAPER = {
     "bearings-manoeuvre": _BEARINGS,
     "adsb-turns": "srckf,imm3,imm5,vsimm_srckf",
     "alpha-beta": "f1,f2,f3,paper,alphabeta",
+    "clutter-straight": "ukf_jpda,iaukf_jpda_paper,ukf_jpda_safe,iaukf_jpda",
+    "clutter-crossing": "ukf_jpda,iaukf_jpda_paper,ukf_jpda_safe,iaukf_jpda",
+    "noise-change": "ukf,iaukf",
     "growth": _HUBER,
     "reentry": _HUBER,
 }
@@ -39,6 +44,8 @@ def filters_of(scenario: Scenario, names: list[str]) -> Filters:
     """The filters of these names; ``imm3`` and ``imm5`` run the first three and all five models of a bank."""
     if scenario.name == "alpha-beta":
         return weave_filters(scenario, names)
+    if scenario.clutter is not None:
+        return scan_filters(scenario, names)
     bank = scenario.bank
     sizes = {"imm3": 3, "imm5": 5} if scenario.name == "adsb-turns" and bank is not None else {}
     own: dict[str, Callable[[], Filter]] = {

@@ -6,6 +6,9 @@
     python scripts/reproduce.py growth                  Qin et al. (2018): mean square errors over the contamination
     python scripts/reproduce.py reentry                 position, velocity and parameter over time
     python scripts/reproduce.py alpha-beta              Xu et al.: errors by axis, levels, decisions around two outliers
+    python scripts/reproduce.py clutter-straight        Chen, Zou & Wu: errors by target, association, gates of 100 and 150 m
+    python scripts/reproduce.py clutter-crossing --noise-scale 4      the noise four times what filters assume, from step 21
+    python scripts/reproduce.py noise-change            one of its targets alone: range, azimuth, elevation
     python scripts/reproduce.py bearings-outliers --outliers std --runs 500 --json out/std.json
 
 Every run of an experiment is fixed by the seed.  Run times are relative to the UKF on the same runs.
@@ -33,6 +36,8 @@ from experiments import (
     weave_table,
 )
 
+from scans import association_table, associations, draw_scans, scan_figures, scan_filters, scan_table
+
 from torchfra import keep_memory, plotting
 from torchfra.cli import SCENARIOS, named
 from torchfra.evaluate import FILTERS, evaluate, learned, report, table
@@ -52,13 +57,18 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--initial", choices=["paper", "truth"], help="of bearings: state to start from")
     p.add_argument("--turns", choices=["acceleration", "arc"], help="of adsb-turns (default: acceleration)")
     p.add_argument("--radar", choices=["paper", "precise"], help="of reentry (default: paper)")
+    p.add_argument("--noise-scale", type=float, metavar="K", help="of clutter-* (default: 1) and noise-change (5): how many "
+                   "times larger than assumed the noise becomes")  # fmt: skip
+    p.add_argument("--clutter", type=int, metavar="N", help="of clutter-*: false measurements per scan (default: 6)")
     p.add_argument("--sizes", metavar="A,B", help="of growth and reentry: how many times contaminated noise grows, for "
                    "the figure over it (default of growth: 1 to 20; of reentry: none)")  # fmt: skip
     known = ", ".join(FILTERS)
     p.add_argument(
         "--filters",
         metavar="A,B",
-        help=f"out of {known}, of adsb-turns imm3 and imm5, of alpha-beta f1, f2, f3 and paper (default: the paper's)",
+        help=f"out of {known}, of adsb-turns imm3 and imm5, of alpha-beta f1, f2, f3 and paper; of "
+        "clutter-* ukf_jpda and iaukf_jpda, with _paper behind for the paper's own, _safe for our safeguards (default: the "
+        "paper's)",
     )
     p.add_argument("--learned", metavar="NAME=FILE", help="also the filter NAME with values that training wrote")
     p.add_argument("--compile", action="store_true", help="run compiled kernels")
@@ -84,7 +94,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def experiment(options: argparse.Namespace) -> str:
     """Runs it, writes results and figures, and returns what to print."""
-    given = {key: getattr(options, key) for key in ("outliers", "truth_noise", "initial", "turns", "radar")}
+    given = {key: getattr(options, key) for key in ("outliers", "truth_noise", "initial", "turns", "radar",
+                                                       "noise_scale", "clutter")}  # fmt: skip
     scenario = named(options.experiment, **given)
     names = (options.filters or PAPER[scenario.name]).split(",")
     filters = filters_of(scenario, names)
@@ -105,6 +116,10 @@ def experiment(options: argparse.Namespace) -> str:
     elif scenario.name == "alpha-beta":
         whole["decisions"] = weave_decisions(scenario, filters, options.runs, options.seed)
         shown = weave_table(whole["decisions"])
+    elif scenario.clutter is not None:
+        whole["scans"] = scan_figures(scenario, filters, options.runs, options.seed, not options.quiet)
+        whole["associations"] = associations(scenario, filters, options.seed)
+        shown = scan_table(whole["scans"]) + "\n" + association_table(whole["associations"])
     elif scenario.name in ("growth", "reentry"):
         whole["by_size"] = by_size(scenario.name, sizes, filters, given, **how)
         shown = rms_table(results, scenario) + ("\n" + sizes_table(whole["by_size"]) if sizes else "")
@@ -113,7 +128,9 @@ def experiment(options: argparse.Namespace) -> str:
     if options.json is not None:
         write_json(options.json, whole)
     if options.plots is not None:
-        if "by_size" in whole:
+        if "scans" in whole:
+            figures = draw_scans(scenario, filters, whole["scans"], options.runs, options.seed)
+        elif "by_size" in whole:
             figures = contaminated(scenario, filters, results, whole["by_size"], title)
         else:
             draw = {"adsb-turns": adsb, "alpha-beta": weave_figures}.get(scenario.name, bearings)

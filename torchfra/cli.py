@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from torchfra import distributed, readers, scenarios
-from torchfra.evaluate import FILTERS, chosen, evaluate, fitting, learned, progress_bar, report, table
+from torchfra.evaluate import FILTERS, SCANS, chosen, evaluate, fitting, learned, progress_bar, report, table
 from torchfra.files import write_json, write_text
 from torchfra.filters import Filter
 from torchfra.kernel.build import CompileError
@@ -27,6 +27,9 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
     "bearings-manoeuvre": scenarios.bearings_manoeuvre,
     "adsb-turns": scenarios.adsb_turns,
     "alpha-beta": scenarios.level_then_weave,
+    "clutter-straight": scenarios.clutter_straight,
+    "clutter-crossing": scenarios.clutter_crossing,
+    "noise-change": scenarios.noise_change,
     "growth": scenarios.growth,
     "reentry": scenarios.reentry,
 }
@@ -77,7 +80,8 @@ def parser() -> argparse.ArgumentParser:
     )
     c.add_argument("files", metavar="FILE", type=Path, nargs="*")
     c.add_argument("--scenario", metavar="NAME", help=f"instead of files, one of {', '.join(SCENARIOS)}")
-    c.add_argument("--filters", metavar="A,B", help=f"out of {', '.join(FILTERS)} (default: all)")
+    c.add_argument("--filters", metavar="A,B", help=f"out of {', '.join(FILTERS)}, of clutter-* {', '.join(SCANS)} "
+                   "(default: all)")  # fmt: skip
     c.add_argument(
         "--learned",
         metavar="[NAME=]FILE",

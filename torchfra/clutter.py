@@ -54,22 +54,32 @@ class Euclidean(Gate):
 
     Args:
         size: m.
+        least: the gate holds at least the ellipsoid of the innovation's covariance that has this probability: a prediction
+            may be less certain than the gate is wide, that of a poor start say.  0 for metres alone.
 
     The sensor must tell where in space a measurement lies (``Sensor.locate``).  Targets are taken to be inside always.
 
-    Source: Chen, Zou & Wu, section 4, who print gates of 100 and 150; unit and form are our reading.
+    Raises:
+        ValueError: ``size`` not above 0, ``least`` not in [0, 1).
+
+    Source: Chen, Zou & Wu, section 4, who print gates of 100 and 150; unit and form are our reading.  Differs: ``least`` is
+    ours.
     """
 
-    def __init__(self, size: Value = 100.0) -> None:
+    def __init__(self, size: Value = 100.0, least: float = 0.0) -> None:
         super().__init__()
+        if not 0 <= least < 1:
+            raise ValueError(f"least: expected a probability of 0 or more and below 1, received {least}")
         self.size = Hyper(size, name="size")
+        self.least = ChiSquare(least) if least else None
 
     def beyond(self, candidates: Candidates, sensor: Sensor) -> Tensor:
         """See ``Gate``."""
         gap = sensor.locate(candidates.z) - sensor.locate(candidates.predicted)
         squared, size = gap.square().sum(-1), self.size().to(gap)
         distance = torch.where(squared > 0, torch.where(squared > 0, squared, 1.0).sqrt(), 0.0)
-        return distance / size - 1
+        beyond = distance / size - 1
+        return beyond if self.least is None else torch.minimum(beyond, self.least.beyond(candidates, sensor))
 
 
 class ChiSquare(Gate):

@@ -27,13 +27,15 @@ from torchfra.version import __version__
 FILTERS: dict[str, Callable[..., Filter]] = {
     f.__name__: f
     for f in (presets.ukf, presets.ekf, presets.srckf, presets.rsrckf, presets.mr_ckf, presets.asrckf, presets.rmckf,
-              presets.ghckf, presets.hghckf1, presets.hghckf2,
+              presets.ghckf, presets.hghckf1, presets.hghckf2, presets.iaukf,
               presets.fra_srckf, presets.fra, presets.imm_srckf, presets.vsimm_srckf, presets.imm_fra,
               presets.alphabeta)
 }  # fmt: skip
 """The filters that commands know by name."""
 BANKED = ("imm_srckf", "vsimm_srckf", "imm_fra")
 """Those of them around a bank of motions."""
+SCANS: dict[str, Callable[..., Filter]] = {f.__name__: f for f in (presets.ukf_jpda, presets.iaukf_jpda)}
+"""The filters for scans of several targets."""
 
 Result = dict[str, Any]
 
@@ -53,7 +55,7 @@ def evaluate(
 
     Args:
         scenario: what is tracked.
-        filters: names of ``FILTERS``, or filters by names of their own.
+        filters: names of ``FILTERS`` (of ``SCANS`` for scans), or filters by names of their own.
         runs: how many.
         seed: of the random numbers; every filter sees the same runs.
         limit: a run diverges when its position error, root mean square over time, is above this, m.
@@ -68,8 +70,8 @@ def evaluate(
         ``worst_track`` of the runs' own root mean square errors, ``divergence_rate``, ``nees_position`` (median, to
         0.05 %; 1.39 if honest, in the plane), by coordinate and over time the signed ``mean_error_x``, ``rmse_x`` and
         ``mape_x`` (mean relative error, %, of coordinates of 100 m or more), the models' mean ``probabilities``
-        ``[T][K]`` if there are some, ``microseconds`` per track and step and ``relative_time`` to the UKF on the same
-        runs.
+        ``[T][K]`` if there are some, ``microseconds`` per run and step and ``relative_time`` to the UKF (``ukf_jpda`` on
+        scans) on the same runs.  Each target of a run of several counts as a track.
 
     Under ``torchrun`` the processes share the runs, and each returns the results of all of them.
 
@@ -78,7 +80,8 @@ def evaluate(
     """
     if not isinstance(filters, Mapping):
         filters = chosen(filters, scenario)
-    timed = {"ukf": FILTERS["ukf"](scenario.motion, scenario.sensor), **filters}
+    reference = "ukf" if scenario.clutter is None else "ukf_jpda"
+    timed = chosen([reference], scenario) | dict(filters)
     if runs < distributed.size() or chunk < 1:
         raise ValueError(f"runs, chunk: expected at least {distributed.size()} and 1, received {runs}, {chunk}")
     if compile:
@@ -107,7 +110,7 @@ def evaluate(
         name: tallies[name].summary(limit)
         | {
             "microseconds": tallies[name].seconds / steps * 1e6,
-            "relative_time": tallies[name].seconds / tallies["ukf"].seconds,
+            "relative_time": tallies[name].seconds / tallies[reference].seconds,
         }
         for name in filters
     }
@@ -117,18 +120,27 @@ def chosen(names: Sequence[str], scenario: Scenario) -> dict[str, Filter]:
     """The filters of these names, around the models of a scenario.
 
     Raises:
-        ValueError: a name that is not in ``FILTERS``, or none at all.
+        ValueError: a name that is not in ``FILTERS`` (``SCANS`` for scans), or none at all.
     """
-    unknown = [name for name in names if name not in FILTERS]
+    known = FILTERS if scenario.clutter is None else SCANS
+    unknown = [name for name in names if name not in known]
     if unknown or not names:
-        raise ValueError(
-            f"filters: expected names out of {', '.join(FILTERS)}, received {', '.join(unknown) or 'none'}"
-        )
-    return {name: make(name, scenario.motion, scenario.sensor, scenario.bank) for name in names}
+        raise ValueError(f"filters: expected names out of {', '.join(known)}, received {', '.join(unknown) or 'none'}")
+    return {name: _around(name, scenario) for name in names}
+
+
+def _around(name: str, scenario: Scenario, **options: Any) -> Filter:
+    """The filter of this name around the models of a scenario."""
+    if scenario.clutter is None:
+        return make(name, scenario.motion, scenario.sensor, scenario.bank, **options)
+    given = {"clutter": scenario.clutter, "detection": scenario.detection}
+    return SCANS[name](scenario.motion, scenario.sensor, **given | options)
 
 
 def fitting(scenario: Scenario) -> list[str]:
     """The filters for a scenario: those of banks if it has one, and of positions if that is what is measured."""
+    if scenario.clutter is not None:
+        return list(SCANS)
     skipped = set(BANKED) if scenario.bank is None else set()
     if not isinstance(scenario.sensor, Position) or scenario.sensor.std is None:
         skipped.add("alphabeta")
@@ -157,7 +169,7 @@ def learned(path: str | Path, scenario: Scenario, name: str = "fra") -> Filter:
         path: a state dictionary, as ``torch.save(f.state_dict(), path)`` writes it; a ``config.json`` beside it, of a
             training run with this filter, says what the filter was made with.
         scenario: whose models the filter gets, with learned values of their own.
-        name: of the filter that learned.
+        name: of the filter that learned, one of ``SCANS`` for scans.
 
     Raises:
         ValueError: an unknown filter, or a file that is no state dictionary of it.
@@ -165,7 +177,8 @@ def learned(path: str | Path, scenario: Scenario, name: str = "fra") -> Filter:
     config = Path(path).with_name("config.json")  # what train.tune writes beside it
     said = json.loads(config.read_text()) if config.exists() else {}
     options = said.get("options", {}) if said.get("filter") == name else {}
-    f = make(name, *copy.deepcopy((scenario.motion, scenario.sensor, scenario.bank)), **options)
+    chosen([name], scenario)  # is there one?
+    f = _around(name, copy.deepcopy(scenario), **options)
     try:
         f.load_state_dict(torch.load(path, weights_only=True))
     except OSError:
@@ -177,9 +190,9 @@ def learned(path: str | Path, scenario: Scenario, name: str = "fra") -> Filter:
 
 
 def run(f: Filter, scenario: Scenario, tracks: Tracks) -> Estimate:
-    """The tracks of a scenario through one filter."""
+    """The tracks of a scenario through one filter, in the truth's coordinates."""
     estimate: Estimate = f(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt)
-    return estimate
+    return scenario.shown(estimate)
 
 
 def report(scenario: Scenario, results: dict[str, Result], *, runs: int, seed: int) -> dict[str, Any]:

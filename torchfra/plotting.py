@@ -226,6 +226,75 @@ def filtered(
     return figure
 
 
+def by_target(of: dict[str, dict[str, Any]], dt: float, title: str) -> Figure:
+    """Root mean square errors of range, azimuth and elevation over time, one row for each target.
+
+    Args:
+        of: by name of the filter, in pairs that share a colour, ``"rmse_range"`` (m), ``"rmse_azimuth"`` and ``"rmse_elevation"`` (rad), ``[N][T]``.
+        dt: seconds per step.
+        title: of the figure.
+    """
+    targets = len(next(iter(of.values()))["rmse_range"])
+    figure = Figure(figsize=(12, 3 * targets), layout="constrained")
+    for row, i in zip(figure.subplots(targets, 3, squeeze=False, sharex=True), range(targets), strict=True):
+        for axes, (key, unit, scale) in zip(
+            row, (("range", "m", 1.0), ("azimuth", "mrad", 1e3), ("elevation", "mrad", 1e3)), strict=True
+        ):
+            for number, (name, values) in enumerate(of.items()):
+                curve = scale * np.array(values[f"rmse_{key}"][i], dtype=float)
+                colour, dash = _MODELS[1 + number // 2 % 7], ("-", ":")[number % 2]
+                axes.plot(dt * np.arange(1, len(curve) + 1), curve, color=colour, linestyle=dash, label=name, linewidth=1.3)
+            axes.set(ylabel=f"target {i + 1}: {key}, {unit}", yscale="log")
+            axes.grid(alpha=0.25)
+            axes.spines[["top", "right"]].set_visible(False)
+            if i == targets - 1:
+                axes.set(xlabel="time, s")
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False, fontsize=8)
+    figure.suptitle(f"root mean square error, {title}")
+    return figure
+
+
+def raw_and_filtered(ranges: dict[str, tuple[Tensor, Tensor]], dt: float, title: str) -> Figure:
+    """Range errors of measurements and of estimates, one panel for each target.
+
+    Args:
+        ranges: by name of the target, measured and filtered errors ``(T,)``, m; NaN where missed.
+        dt: seconds per step.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(8, 2.6 * len(ranges)), layout="constrained")
+    for axes, (name, (raw, filtered)) in zip(
+        figure.subplots(len(ranges), 1, squeeze=False, sharex=True)[:, 0], ranges.items(), strict=True
+    ):
+        time = dt * np.arange(1, len(raw) + 1)
+        axes.plot(time, raw, ".", color="black", markersize=4, label="measured")
+        axes.plot(time, filtered, color=_COLOURS["fra"], linewidth=1.4, label="filtered")
+        axes.set(xlabel="time, s", ylabel=f"{name}: range error, m")
+        _finished(figure, axes)
+    figure.suptitle(title)
+    return figure
+
+
+def in_space(truth: Tensor, estimates: Tensor, measured: Tensor, title: str) -> Figure:
+    """Targets, what was measured and what a filter made of it, in space.
+
+    Args:
+        truth: ``(N, T, 3 or more)``, m.
+        estimates: ``(N, T, 3 or more)``, m.
+        measured: ``(M, 3)`` of all scans, m; NaN for none.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(8, 7), layout="constrained")
+    axes: Any = figure.add_subplot(projection="3d")
+    axes.scatter(*(measured.mT / 1000).numpy(), s=2, color="#999999", alpha=0.5, label="measured")
+    for i, (path, mean, colour) in enumerate(zip(truth, estimates, cycle(_MODELS[1:]), strict=False)):
+        axes.plot(*(path[:, :3].mT / 1000).numpy(), color="black", linewidth=2.5, label="truth" if i == 0 else None)
+        axes.plot(*(mean[:, :3].mT / 1000).numpy(), color=colour, linewidth=1.4, label=f"target {i + 1}, filtered")
+    axes.set(xlabel="east, km", ylabel="north, km", zlabel="up, km", title=title)
+    axes.legend(frameon=False, fontsize=8)
+    return figure
+
+
 def learning_curve(rows: list[dict[str, float]], start: dict[str, float], title: str) -> Figure:
     """How a training went: the losses, and the values that were learned as multiples of their start.
 

@@ -270,6 +270,7 @@ def jpda(
     inner: Callable[..., SRCKF] = srckf,
     gate: Gate | None = None,
     detection: Value = 0.95,
+    lost: float = 0.0,
     share_noise: bool = False,
     exact: tuple[int, int] = (4, 10),
     temperature: float = 0.0,
@@ -288,6 +289,7 @@ def jpda(
         gate=ChiSquare() if gate is None else gate,
         clutter=clutter,
         detection=detection,
+        lost=lost,
         share_noise=share_noise,
         exact=exact,
         temperature=temperature,
@@ -298,6 +300,8 @@ def jpda(
 def ukf_jpda(motion: Motion, sensor: Sensor, *, clutter: Clutter, **options: Any) -> JPDA:
     """``jpda`` with the unscented filter of ``iaukf`` under constant noise, in a gate of 100 m.
 
+    ``gate=Euclidean(100.0, least=0.9999), lost=1e-3`` are the safeguards of ``iaukf_jpda``.
+
     Source: what Chen, Zou & Wu compare with.
     """
     ours: dict[str, Any] = {"gate": Euclidean(100.0), "alpha": 1.0, "beta": 2.0, "kappa": 0.0}
@@ -305,8 +309,14 @@ def ukf_jpda(motion: Motion, sensor: Sensor, *, clutter: Clutter, **options: Any
 
 
 def iaukf_jpda(motion: Motion, sensor: Sensor, *, clutter: Clutter, **options: Any) -> JPDA:
-    """``jpda`` with ``iaukf`` for each target, in a gate of 100 m.  Source: Chen, Zou & Wu."""
-    return jpda(motion, sensor, clutter=clutter, inner=iaukf, **{"gate": Euclidean(100.0)} | options)
+    """``jpda`` with ``iaukf`` for each target, in a gate of 100 m.
+
+    Source: Chen, Zou & Wu.  Differs: the gate is never smaller than what a target's own measurement needs, and a track that
+    is missed again and again searches.  ``gate=Euclidean(100.0), lost=0.0`` leave both out: then a start more than a gate
+    off, or a false measurement in the place of a missed target, loses the track for good in 2 to 4 % of the runs.
+    """
+    ours: dict[str, Any] = {"gate": Euclidean(100.0, least=0.9999), "lost": 1e-3}
+    return jpda(motion, sensor, clutter=clutter, inner=iaukf, **ours | options)
 
 
 _BANK: dict[str, Any] = {

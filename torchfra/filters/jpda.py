@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from typing import Any, NamedTuple
 
 import torch
@@ -21,6 +22,24 @@ from torchfra.kernel.build import CompileError
 from torchfra.mixture import moment_match
 from torchfra.types import Estimate, Gaussian, Innovation, Whitened
 from torchfra.update import correct, density, innovation
+
+
+_SEARCH = 5.0
+"""Times that the covariance of a track that seems lost quadruples."""
+
+
+class JPDAState(NamedTuple):
+    """What is known of the targets after a scan."""
+
+    inner: State
+    """Of the filters, ``(..., N)``."""
+    missed: Tensor
+    """``(..., N)`` expected number of scans since each was measured last."""
+
+    @property
+    def belief(self) -> Gaussian:
+        """``(..., N)``."""
+        return self.inner.belief
 
 
 class JPDAInfo(NamedTuple):
@@ -48,6 +67,9 @@ class JPDA(Soft, Filter):
         gate: which measurements may be a target's (``torchfra.clutter``).
         clutter: how dense false ones are.
         detection: probability that a target is measured, up to 1.
+        lost: a track that has been missed so often in a row that chance has at most this probability has followed something
+            false: its covariance then quadruples with every further miss, five times at most, until it is measured again.
+            0 for tracks that are never taken for lost.
         share_noise: whether all targets share their estimates of the noise, averaged by how probably each was measured.
         exact: targets and measurements of a cluster up to which all joint events are summed; see ``association``.
         temperature: 0 for gates with a hard edge; above, the width of the edge as a share of the gate, through which
@@ -71,6 +93,7 @@ class JPDA(Soft, Filter):
         gate: Gate,
         clutter: Clutter,
         detection: Value = 0.95,
+        lost: float = 0.0,
         share_noise: bool = False,
         exact: tuple[int, int] = (4, 10),
         temperature: float = 0.0,
@@ -90,7 +113,9 @@ class JPDA(Soft, Filter):
         clutter.check(inner.sensor)
         whole = torch.ones(1, 1, inner.sensor.size)
         gate.beyond(Candidates(whole, whole, whole, whole[..., 0]), inner.sensor)
-        self.share_noise, self.exact = share_noise, exact
+        if not 0 <= lost < 1:
+            raise ValueError(f"lost: expected a probability of 0 or more and below 1, received {lost}")
+        self.share_noise, self.exact, self.lost = share_noise, exact, lost
         self.temperature = temperature
         for hyper in self.modules():
             if isinstance(hyper, Hyper):
@@ -114,14 +139,15 @@ class JPDA(Soft, Filter):
         """
         raise CompileError("JPDA: a scan has too many joint events for a kernel; it runs eagerly, in batches")
 
-    def begin(self, belief: Gaussian) -> State:
+    def begin(self, belief: Gaussian) -> JPDAState:
         """See ``Filter``."""
-        return self.inner.begin(belief)
+        return JPDAState(self.inner.begin(belief), torch.zeros_like(belief.mean[..., 0]))
 
-    def advance(self, state: State, frame: Frame, mix: Mix | None = None) -> tuple[State, Record]:
+    def advance(self, state: JPDAState, frame: Frame, mix: Mix | None = None) -> tuple[JPDAState, Record]:
         """See ``Filter``; frames are of measurements ``(..., 1, J)``, innovations in the measurement's own units."""
-        f, memory = self.inner, state.memory if isinstance(state.memory, NoiseMemory) else None
+        f, memory = self.inner, state.inner.memory if isinstance(state.inner.memory, NoiseMemory) else None
         predicted = predict(f.motion, f.motion_rule, _column(state.belief), frame).belief
+        predicted = self._searching(predicted, state.missed)
         whitened = compare(f.sensor, f.sensor_rule, predicted, frame)
         known, size = self._known(whitened, memory, frame)
         root, normalised = innovation(known)
@@ -145,7 +171,8 @@ class JPDA(Soft, Filter):
         info = JPDAInfo(found.log_weights.exp(), None if memory is None else memory.scale)
         coloured = frame.noise.colour(whitened.residual.unsqueeze(-1)).squeeze(-1), frame.noise.colour(size * root)
         combined = _combined(share, *coloured, normalised)
-        return State(belief, memory), Record(belief, *combined, info, found.evidence)
+        missed = self._missed(state.missed, found, frame)
+        return JPDAState(State(belief, memory), missed), Record(belief, *combined, info, found.evidence)
 
     def decide(self, candidates: Candidates, fit: Tensor) -> Association:
         """Which measurement is whose, by log densities ``fit (..., N, J)``: eqs. (25)-(27)."""
@@ -159,14 +186,14 @@ class JPDA(Soft, Filter):
 
     def step(
         self,
-        state: State,
+        state: JPDAState,
         z: Tensor,
         *,
         dt: Time = 1.0,
         u: Tensor | None = None,
         std: Tensor | None = None,
         noise: Tensor | None = None,
-    ) -> tuple[State, Innovation]:
+    ) -> tuple[JPDAState, Innovation]:
         """One scan, for streaming.
 
         Args:
@@ -271,6 +298,23 @@ class JPDA(Soft, Filter):
         known = whole.sum(-2, keepdim=True)
         pooled = (whole * after.scale).sum(-2, keepdim=True) / torch.where(known > 0, known, 1.0)
         return after._replace(scale=torch.where(known > 0, pooled, after.scale))
+
+    def _missed(self, before: Tensor, found: Association, frame: Frame) -> Tensor:
+        """Scans since the last measurement; a scan without any says nothing."""
+        some = (frame.seen.sum((-2, -1)) > 0).expand(before.shape)
+        return torch.where(some, found.log_weights[..., 0].exp() * (before + 1), before)
+
+    def _searching(self, belief: Gaussian, missed: Tensor) -> Gaussian:
+        """A prediction as wide as it must be where the track seems lost."""
+        if self.lost == 0:
+            return belief
+        detection, inside = self.detection().to(missed), self.gate.inside()
+        here = detection if inside is None else detection * inside.to(missed)
+        patience = math.log(self.lost) / torch.log1p(-here)
+        # The covariance of a track that has been missed since grows by 4 per miss: the root by 2, of which the steps before
+        # have done their part.
+        steps = (missed - patience).clamp(0.0, _SEARCH) - (missed - 1 - patience).clamp(0.0, _SEARCH)
+        return belief._replace(scale_tril=belief.scale_tril * (2.0**steps)[..., None, None, None])
 
     def _candidates(self, belief: Gaussian, whitened: Whitened, normalised: Tensor, frame: Frame) -> Candidates:
         seen = frame.seen > 0
