@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import torch
 from matplotlib.figure import Figure
-
 from scans import scan_filters
 
 from torchfra import gains, plotting, presets

@@ -6,9 +6,9 @@
     python scripts/reproduce.py growth                  Qin et al. (2018): mean square errors over the contamination
     python scripts/reproduce.py reentry                 position, velocity and parameter over time
     python scripts/reproduce.py alpha-beta              Xu et al.: errors by axis, levels, decisions around two outliers
-    python scripts/reproduce.py clutter-straight        Chen, Zou & Wu: errors by target, association, gates of 100 and 150 m
-    python scripts/reproduce.py clutter-crossing --noise-scale 4      the noise four times what filters assume, from step 21
-    python scripts/reproduce.py noise-change            one of its targets alone: range, azimuth, elevation
+    python scripts/reproduce.py clutter-straight        Chen, Zou & Wu: errors by target, association, gates of 100 and
+    150 m python scripts/reproduce.py clutter-crossing --noise-scale 4      the noise four times what filters assume,
+    from step 21 python scripts/reproduce.py noise-change            one of its targets alone: range, azimuth, elevation
     python scripts/reproduce.py bearings-outliers --outliers std --runs 500 --json out/std.json
 
 Every run of an experiment is fixed by the seed.  Run times are relative to the UKF on the same runs.
@@ -35,8 +35,7 @@ from experiments import (
     weave_figures,
     weave_table,
 )
-
-from scans import association_table, associations, draw_scans, scan_figures, scan_filters, scan_table
+from scans import association_table, associations, draw_scans, scan_figures, scan_table
 
 from torchfra import keep_memory, plotting
 from torchfra.cli import SCENARIOS, named
@@ -57,8 +56,8 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--initial", choices=["paper", "truth"], help="of bearings: state to start from")
     p.add_argument("--turns", choices=["acceleration", "arc"], help="of adsb-turns (default: acceleration)")
     p.add_argument("--radar", choices=["paper", "precise"], help="of reentry (default: paper)")
-    p.add_argument("--noise-scale", type=float, metavar="K", help="of clutter-* (default: 1) and noise-change (5): how many "
-                   "times larger than assumed the noise becomes")  # fmt: skip
+    p.add_argument("--noise-scale", type=float, metavar="K", help="of clutter-* (default: 1) and noise-change (5): "
+                   "how many times larger than assumed the noise becomes")  # fmt: skip
     p.add_argument("--clutter", type=int, metavar="N", help="of clutter-*: false measurements per scan (default: 6)")
     p.add_argument("--sizes", metavar="A,B", help="of growth and reentry: how many times contaminated noise grows, for "
                    "the figure over it (default of growth: 1 to 20; of reentry: none)")  # fmt: skip
@@ -67,8 +66,8 @@ def parser() -> argparse.ArgumentParser:
         "--filters",
         metavar="A,B",
         help=f"out of {known}, of adsb-turns imm3 and imm5, of alpha-beta f1, f2, f3 and paper; of "
-        "clutter-* ukf_jpda and iaukf_jpda, with _paper behind for the paper's own, _safe for our safeguards (default: the "
-        "paper's)",
+        "clutter-* ukf_jpda and iaukf_jpda, with _paper behind for the paper's own, _safe for our safeguards "
+        "(default: the paper's)",
     )
     p.add_argument("--learned", metavar="NAME=FILE", help="also the filter NAME with values that training wrote")
     p.add_argument("--compile", action="store_true", help="run compiled kernels")

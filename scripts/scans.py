@@ -27,7 +27,7 @@ _PAPER = {"least": 0.0, "lost": 0.0}
 
 
 def scan_filters(scenario: Scenario, names: list[str]) -> dict[str, Filter]:
-    """Filters of these names at both gates; ``_paper`` behind a name leaves our safeguards out, ``_safe`` puts them in."""
+    """Filters of these names at both gates; ``_paper`` behind a name leaves our safeguards out, ``_safe`` has them."""
     found: dict[str, Filter] = {}
     for name in names:
         base = name.removesuffix("_paper").removesuffix("_safe")
@@ -48,8 +48,8 @@ def scan_figures(
 
     Returns:
         ``rmse_range``, ``rmse_azimuth``, ``rmse_elevation`` and ``rmse_position`` over time of each target ``[N][T]``;
-        ``rmse`` of the position, ``median_run``, ``lost`` runs and ``swaps`` from step 11 on; ``ospa`` over time; ``raw``
-        and ``filtered`` range error, root mean square over both targets and time.
+        ``rmse`` of the position, ``median_run``, ``lost`` runs and ``swaps`` from step 11 on; ``ospa`` over time;
+        ``raw`` and ``filtered`` range error, root mean square over both targets and time.
     """
     sums: dict[str, dict[str, Any]] = {name: {} for name in filters}
     for first in progress_bar(range(0, runs, _CHUNK), f"{_CHUNK} runs", progress):
@@ -112,7 +112,7 @@ def _averages(of: dict[str, Tensor]) -> dict[str, Any]:
 
 
 def associations(scenario: Scenario, filters: dict[str, Filter], seed: int) -> dict[str, dict[str, Any]]:
-    """Of the first run, at some scans: for each target the probabilities that it was missed, and of each measurement."""
+    """Of the first run, at some scans, for each target: probabilities that it was missed, and of each measurement."""
     tracks, found = scenario.simulate(1, seed), {}
     for name, f in filters.items():
         with torch.no_grad():
@@ -163,6 +163,10 @@ def draw_scans(
     paths = scenario.shown(estimate).mean[0]
     return {
         f"{scenario.name}-errors": plotting.by_target(of, scenario.dt, title),
-        f"{scenario.name}-ranges": plotting.raw_and_filtered(ranges, scenario.dt, f"{scenario.name}, first run, {last}"),
-        f"{scenario.name}-space": plotting.in_space(tracks.truth[0], paths, scans, f"{scenario.name}, first run, {last}"),
+        f"{scenario.name}-ranges": plotting.raw_and_filtered(
+            ranges, scenario.dt, f"{scenario.name}, first run, {last}"
+        ),
+        f"{scenario.name}-space": plotting.in_space(
+            tracks.truth[0], paths, scans, f"{scenario.name}, first run, {last}"
+        ),
     }

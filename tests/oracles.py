@@ -722,3 +722,250 @@ def alphabeta_bank(
         for key, value in zip(said, (x, v, last, vote, state, outside, restart), strict=True):
             said[key].append(value)
     return said
+
+
+# ------------------------------------------------------- modified spherical coordinates, noise estimate, joint
+# association
+
+
+def msc_axes(azimuth: float, elevation: float) -> tuple[Array, Array, Array]:
+    """Unit vectors out, across and up of a line of sight, azimuth from north clockwise."""
+    sb, cb, se, ce = math.sin(azimuth), math.cos(azimuth), math.sin(elevation), math.cos(elevation)
+    return np.array([ce * sb, ce * cb, se]), np.array([cb, -sb, 0.0]), np.array([-se * sb, -se * cb, ce])
+
+
+def msc_to_cartesian(xi: Array) -> Array:
+    """Chen, Zou & Wu, eq. (1): [omega, elevation rate, d ln r / dt, azimuth, elevation, 1 / r] to Cartesian."""
+    out, across, up = msc_axes(xi[3], xi[4])
+    r = 1 / xi[5]
+    return np.concatenate([r * out, r * (xi[2] * out + xi[0] * across + xi[1] * up)])
+
+
+def msc_from_cartesian(X: Array) -> Array:
+    """Eq. (2), by projections on the line of sight."""
+    x, y, z = X[:3]
+    azimuth, elevation, r = math.atan2(x, y) % (2 * math.pi), math.atan2(z, math.hypot(x, y)), math.sqrt(X[:3] @ X[:3])
+    out, across, up = msc_axes(azimuth, elevation)
+    v = X[3:]
+    return np.array([v @ across / r, v @ up / r, v @ out / r, azimuth, elevation, 1 / r])
+
+
+def msc_jacobian(xi: Array) -> Array:
+    """Derivatives of eq. (2) by the Cartesian state, row by row from the product rule."""
+    omega, climb, opening, azimuth, elevation, s = xi
+    out, across, up = msc_axes(azimuth, elevation)
+    tangent, nothing = math.tan(elevation), np.zeros(3)
+    return np.array([
+        np.concatenate([s * (-(opening - climb * tangent) * across - omega * out), s * across]),
+        np.concatenate([s * (-opening * up - omega * tangent * across - climb * out), s * up]),
+        np.concatenate([s * (omega * across + climb * up - opening * out), s * out]),
+        np.concatenate([s / math.cos(elevation) * across, nothing]),
+        np.concatenate([s * up, nothing]),
+        np.concatenate([-(s**2) * out, nothing]),
+    ])  # fmt: skip
+
+
+class Tuned(NamedTuple):
+    """Options of the noise estimate, eq. (19)."""
+
+    b: float = 0.96
+    confidence: tuple[float, float] = (0.5, 0.5)  # of infrared (elements 0, 1) and laser (2)
+    measured: bool = False  # confidence in what is measured, not in what is known
+    lowest: float = 0.25
+    highest: float = 1e4
+    warmup: int = 5
+    residual: bool = False
+
+
+class Unscented(NamedTuple):
+    """A prediction and its measurement, R left out."""
+
+    mean: Array
+    P: Array
+    zhat: Array
+    Pzz: Array
+    Pxz: Array
+
+
+def _msc_moments(points: Array, wm: Array, wc: Array) -> tuple[Array, Array]:
+    """Mean and deviations (k,n) of states whose azimuth is component 3, unwrapped around the first point."""
+    gap = points - points[0]
+    gap[:, 3] = wrap(gap[:, 3])
+    mean = points[0] + wm @ gap
+    return mean, gap - wm @ gap
+
+
+def _msc_measured(mean: Array, points: Array, wm: Array, wc: Array) -> tuple[Array, Array]:
+    h = np.array([[x[3], x[4], 1 / x[5]] for x in points])
+    gap = h - h[0]
+    gap[:, 0] = wrap(gap[:, 0])
+    return h[0] + wm @ gap, gap - wm @ gap
+
+
+def msc_predict(mean: Array, P: Array, F: Array, QC: Array, redraw: bool = True) -> Unscented:
+    """Eqs. (11)-(18) with alpha 1, kappa 0, psi 2; ``redraw=False`` measures the propagated points, as printed."""
+    base, wm, wc = unscented(6, 1.0, 2.0, 0.0)
+    start = mean[:, None] + np.linalg.cholesky(P) @ base
+    moved = np.array([msc_from_cartesian(F @ msc_to_cartesian(x)) for x in start.T])
+    ahead, gap = _msc_moments(moved, wm, wc)
+    J = msc_jacobian(ahead)
+    P = gap.T @ np.diag(wc) @ gap + J @ QC @ J.T
+    if redraw:
+        gap = (np.linalg.cholesky(P) @ base).T
+        moved = ahead + gap
+    zhat, off = _msc_measured(ahead, moved, wm, wc)
+    return Unscented(ahead, P, zhat, off.T @ np.diag(wc) @ off, gap.T @ np.diag(wc) @ off)
+
+
+class Noise(NamedTuple):
+    """Estimated variances (3,), and updates so far (3,)."""
+
+    R: Array
+    count: Array
+
+
+def sage_husa(noise: Noise, R0: Array, target: Array, weight: Array, how: Tuned) -> Noise:
+    """Eq. (19), element by element; ``target`` (3,) is what the innovation says, ``weight`` (3,) how surely."""
+    R, count = noise.R.copy(), noise.count.copy()
+    for i in range(3):
+        if weight[i] < 0.5:
+            continue
+        d = (1 - how.b) / (1 - how.b ** (count[i] + 2)) if how.b < 1 else 1 / (count[i] + 2)
+        W = how.confidence[0 if i < 2 else 1]
+        g = (W if how.measured else 1 - W) * weight[i]
+        if count[i] >= how.warmup:
+            R[i] = np.clip((1 - g * d) * R[i] + g * d * target[i], how.lowest * R0[i], how.highest * R0[i])
+        count[i] += 1
+    return Noise(R, count)
+
+
+def iaukf(
+    z: Array, mean0: Array, P0: Array, F: Array, QC: Array, R0: Array, how: Tuned | None = None, redraw: bool = True
+) -> dict[str, Array]:
+    """One target without clutter, z (T,3), NaN missing; ``how=None`` leaves the noise as it is."""
+    mean, P, noise, steps = mean0, P0, Noise(R0, np.zeros(3)), []
+    for row in z:
+        u = msc_predict(mean, P, F, QC, redraw)
+        seen = _seen(row)
+        e = row - u.zhat
+        e[0] = wrap(e[0])
+        weight = np.array([float(i in seen) for i in range(3)])
+        if how is not None and not how.residual:
+            noise = sage_husa(noise, R0, e**2 - np.diag(u.Pzz), weight, how)
+        mean, P = u.mean, u.P
+        if seen:
+            S = u.Pzz[np.ix_(seen, seen)] + np.diag(noise.R[seen])
+            K = u.Pxz[:, seen] @ np.linalg.inv(S)
+            mean, P = mean + K @ e[seen], P - K @ S @ K.T
+        if how is not None and how.residual:
+            zhat, Pzz = _msc_after(mean, P)
+            r = row - zhat
+            r[0] = wrap(r[0])
+            noise = sage_husa(noise, R0, r**2 + np.diag(Pzz), weight, how)
+        mean = mean.copy()
+        mean[3] %= 2 * math.pi
+        steps.append((mean, P, noise.R))
+    return {key: np.array([step[i] for step in steps]) for i, key in enumerate(("mean", "P", "R"))}
+
+
+def _msc_after(mean: Array, P: Array) -> tuple[Array, Array]:
+    """What an updated belief predicts of the measurement, R left out."""
+    base, wm, wc = unscented(6, 1.0, 2.0, 0.0)
+    points = (mean[:, None] + np.linalg.cholesky(P) @ base).T
+    zhat, off = _msc_measured(mean, points, wm, wc)
+    return zhat, off.T @ np.diag(wc) @ off
+
+
+def joint_events(L: Array, PD: float, c: Array, diffuse: bool, PG: float = 1.0) -> tuple[Array, Array]:
+    """Marginals (J,N) and (N,) by going through every event of every cluster: eqs. (25)-(27).
+
+    L (J,N) likelihoods, 0 where not gated; c (J,) density of false measurements at each.
+    """
+    J, N = L.shape
+    beta, missed = np.zeros((J, N)), np.zeros(N)
+    left = set(range(N))
+    while left:
+        cluster, edge = set(), {min(left)}
+        while edge:
+            cluster |= edge
+            touched = {j for j in range(J) for t in edge if L[j, t] > 0}
+            edge = {t for t in range(N) for j in touched if L[j, t] > 0} - cluster
+        left -= cluster
+        targets = sorted(cluster)
+        gated = [j for j in range(J) if any(L[j, t] > 0 for t in targets)]
+        total = 0.0
+        for weight, chosen in _every(targets, gated, L, PD, c, PG):
+            false = len(gated) - sum(j is not None for j in chosen.values())
+            weight *= math.factorial(false) if diffuse else 1.0
+            total += weight
+            for t, j in chosen.items():
+                if j is None:
+                    missed[t] += weight
+                else:
+                    beta[j, t] += weight
+        for t in targets:
+            beta[:, t] /= total
+            missed[t] /= total
+    return beta, missed
+
+
+def _every(
+    targets: list[int], free: list[int], L: Array, PD: float, c: Array, PG: float
+) -> list[tuple[float, dict[int, int | None]]]:
+    """All events: their weight against one of false measurements alone, and the measurement of each target."""
+    if not targets:
+        return [(1.0, {})]
+    t, others = targets[0], targets[1:]
+    found = [(w * (1 - PD * PG), {t: None} | rest) for w, rest in _every(others, free, L, PD, c, PG)]
+    for j in free:
+        if L[j, t] > 0:
+            left = [i for i in free if i != j]
+            found += [(w * PD * L[j, t] / c[j], {t: j} | rest) for w, rest in _every(others, left, L, PD, c, PG)]
+    return found
+
+
+def jpda(
+    z: Array, mean0: Array, P0: Array, F: Array, QC: Array, R0: Array, *, PD: float, gate: float, volume: float,
+    how: Tuned | None = None, rate: float | None = None,
+) -> dict[str, Array]:  # fmt: skip
+    """IAUKF-JPDA, eqs. (10)-(30), on scans z (T,J,3); mean0 (N,6), P0 (N,6,6), F (N,6,6); a gate in metres."""
+    N = len(mean0)
+    means, Ps, noises = list(mean0), list(P0), [Noise(R0, np.zeros(3)) for _ in range(N)]
+    steps = []
+    for scan in z:
+        there = [j for j in range(len(scan)) if not np.isnan(scan[j]).any()]
+        us = [msc_predict(means[t], Ps[t], F[t], QC) for t in range(N)]
+        nu, L = np.zeros((N, len(scan), 3)), np.zeros((len(scan), N))
+        c = np.ones(len(scan))
+        for j in there:
+            c[j] = (1.0 if rate is None else rate) * scan[j, 2] ** 2 * math.cos(scan[j, 1]) / volume
+            for t in range(N):
+                nu[t, j] = scan[j] - us[t].zhat
+                nu[t, j, 0] = wrap(nu[t, j, 0])
+                apart = _spot(scan[j]) - _spot(us[t].zhat)
+                if np.linalg.norm(apart) <= gate:
+                    S = us[t].Pzz + np.diag(noises[t].R)
+                    L[j, t] = math.exp(-0.5 * nu[t, j] @ np.linalg.solve(S, nu[t, j])) / math.sqrt(
+                        np.linalg.det(2 * math.pi * S)
+                    )
+        beta, missed = joint_events(L, PD, c, rate is None)
+        for t in range(N):
+            u, b = us[t], beta[:, t]
+            whole = 1 - missed[t]
+            if how is not None and whole >= 0.5:
+                target = (b[:, None] * nu[t] ** 2).sum(0) / b.sum() - np.diag(u.Pzz)
+                noises[t] = sage_husa(noises[t], R0, target, np.full(3, b.sum()), how)
+            S = u.Pzz + np.diag(noises[t].R)
+            K = u.Pxz @ np.linalg.inv(S)
+            bar = b @ nu[t]
+            scatter = sum((b[j] * np.outer(nu[t, j], nu[t, j]) for j in there), np.zeros((3, 3))) - np.outer(bar, bar)
+            means[t] = u.mean + K @ bar
+            means[t][3] %= 2 * math.pi
+            Ps[t] = u.P - b.sum() * K @ S @ K.T + K @ scatter @ K.T
+        steps.append((np.array(means), np.array(Ps), np.vstack([missed, beta]).T, np.array([n.R for n in noises])))
+    return {key: np.array([s[i] for s in steps]) for i, key in enumerate(("mean", "P", "association", "R"))}
+
+
+def _spot(z: Array) -> Array:
+    """Where a measurement of azimuth, elevation and range lies."""
+    return z[2] * msc_axes(z[0], z[1])[0]

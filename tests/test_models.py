@@ -257,7 +257,8 @@ def test_keeping_memory_is_said_to_work_or_not():
 LEVEL = {
     "types": 0, "hyper": 0, "linalg": 0, "version": 0, "malloc": 0, "distributed": 0, "files": 0, "readers": 0,
     "cubature": 1, "motion": 1, "sensors": 1, "robust": 1, "adaptive": 1, "mixture": 1, "update": 1, "kernel": 1,
-    "gains": 1, "metrics": 1, "plotting": 1, "association": 1, "clutter": 2, "spherical": 2, "statistical": 2, "bank": 2, "losses": 2, "filters": 2, "scenarios": 2,
+    "gains": 1, "metrics": 1, "plotting": 1, "association": 1, "clutter": 2, "spherical": 2,
+    "statistical": 2, "bank": 2, "losses": 2, "filters": 2, "scenarios": 2,
     "tally": 2, "presets": 3, "evaluate": 4, "track": 5, "cli": 6, "__main__": 7, "__init__": 7,
 }  # fmt: skip
 

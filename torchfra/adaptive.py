@@ -154,7 +154,7 @@ class NoiseMemory(NamedTuple):
     """``(..., m)`` estimated variance, as a multiple of the nominal one."""
     total: Tensor
     """``(..., m)`` sum of the weights of all innovations so far: ``1 / d``."""
-    count: Tensor
+    updates: Tensor
     """``(..., m)`` of them."""
 
 
@@ -171,13 +171,13 @@ class SageHusa(nn.Module):
         blocks: elements of a measurement that belong to one sensor, ``Sensor.blocks``.
         forgetting: b; 1 / (1 - b) innovations are remembered.
         confidence: one for each block, ``(..., blocks)``, or one for all.
-        confidence_in: ``"nominal"``: in the noise as it is known, so that a high one changes it slowly; ``"measured"``: in
-            the noise as it is newly measured.  At 0.5 they are the same.
+        confidence_in: ``"nominal"``: in the noise as it is known, so that a high one changes it slowly; ``"measured"``:
+            in the noise as it is newly measured.  At 0.5 they are the same.
         lowest: share of the nominal variance that the estimate does not fall below.
         highest: multiple of it that the estimate does not rise above.
         warmup: first innovations that change nothing: those of a poor start say little about the noise.
-        adapt: ``"innovation"``, before the update, as above; ``"residual"``: after it, by ``r r^T + H P H^T`` of what is
-            left, which is always positive.
+        adapt: ``"innovation"``, before the update, as above; ``"residual"``: after it, by ``r r^T + H P H^T`` of what
+            is left, which is always positive.
 
     Raises:
         ValueError: a value out of its range, or not one confidence for each block.
@@ -207,7 +207,8 @@ class SageHusa(nn.Module):
         )
         if not 0 < lowest <= 1 <= highest or warmup < 0:
             raise ValueError(
-                f"lowest, highest, warmup: expected shares around 1 and 0 or more, received {lowest}, {highest}, {warmup}"
+                "lowest, highest, warmup: expected shares up to 1, from 1 on, and 0 or more, received "
+                f"{lowest}, {highest}, {warmup}"
             )
         confidence = torch.as_tensor(confidence, dtype=torch.float64)
         confidence = confidence.expand(len(blocks)) if confidence.dim() == 0 else confidence
@@ -226,7 +227,7 @@ class SageHusa(nn.Module):
         return NoiseMemory(one, one, 0 * one)
 
     def excess(self, whitened: Whitened) -> Tensor:
-        """``(..., m)`` what one measurement against its prediction says of the variances: ``e^2 - H P H^T`` or its like.
+        """``(..., m)`` what one measurement against its prediction says of the variances, ``e^2 - H P H^T`` say.
 
         For ``"residual"`` it is what was measured against the belief after the update.
         """
@@ -245,11 +246,11 @@ class SageHusa(nn.Module):
         gain = own if self.confidence_in == "measured" else 1 - own
         rate = gain * weight / total
         scale = (memory.scale + rate * (excess - memory.scale)).clamp(self.lowest, self.highest)
-        changed = used * (memory.count >= self.warmup)
+        changed = used * (memory.updates >= self.warmup)
         return NoiseMemory(
             torch.where(changed > 0, scale, memory.scale),
             torch.where(used > 0, total, memory.total),
-            memory.count + used,
+            memory.updates + used,
         )
 
     def known(self, whitened: Whitened, memory: NoiseMemory, seen: Tensor) -> tuple[Whitened, Tensor]:

@@ -1,8 +1,8 @@
 """Which measurement is whose: probabilities of joint association, exact for small clusters, by messages beyond.
 
 Everything is in the log domain.  A target is missed or has one measurement; a measurement is of one target or false.
-Targets that share measurements in their gates, directly or through others, are a cluster; clusters do not matter to each
-other.
+Targets that share measurements in their gates, directly or through others, are a cluster; clusters do not matter to
+each other.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class Association(NamedTuple):
     log_weights: Tensor
     """``(..., N, J + 1)`` logs of the probabilities: missed, then of each measurement; minus infinity for none."""
     evidence: Tensor
-    """``(..., N)`` log density of the scan against one of false measurements alone; each target of a cluster has an equal
-    share, so that their sum is that of the scan."""
+    """``(..., N)`` log density of the scan against one of false measurements alone; each target of a cluster has an
+    equal     share, so that their sum is that of the scan."""
 
 
 def associate(
@@ -42,14 +42,14 @@ def associate(
     """Probabilities of association, summed over all joint events.
 
     Args:
-        log_ratio: ``(..., N, J)`` log of ``P_D L / c`` for target and measurement: likelihood against the density of false
-            measurements there; minus infinity outside the gate.
-        log_miss: ``(..., N)``, or what broadcasts with it: log of the probability to have no measurement in the gate.  Minus
-            infinity for targets that are always measured: then as few as can be are missed.
+        log_ratio: ``(..., N, J)`` log of ``P_D L / c`` for target and measurement: likelihood against the density of
+            false measurements there; minus infinity outside the gate.
+        log_miss: ``(..., N)``, or what broadcasts with it: log of the probability to have no measurement in the gate.
+            Minus infinity for targets that are always measured: then as few as can be are missed.
         diffuse: any number of false measurements is equally likely beforehand (non-parametric), counted in the gates of
             each cluster; else they are Poisson, and ``c`` is their expected density.
-        exact: targets and gated measurements up to which the events of a cluster are enumerated; larger clusters run belief
-            propagation, as do single targets, for which it is exact.
+        exact: targets and gated measurements up to which the events of a cluster are enumerated; larger clusters run
+            belief propagation, as do single targets, for which it is exact.
         iterations: of belief propagation.
 
     Raises:
@@ -106,7 +106,9 @@ def events(targets: int, count: int) -> Tensor:
         ValueError: too many of them.
     """
     if (count + 1) ** targets > 300_000:
-        raise ValueError(f"exact: expected at most 4 targets with 10 measurements or the like, received {targets}, {count}")
+        raise ValueError(
+            f"exact: expected at most 4 targets with 10 measurements or the like, received {targets}, {count}"
+        )
     every = [e for e in product(range(count + 1), repeat=targets) if len(set(e) - {0}) == sum(a > 0 for a in e)]
     return torch.tensor(every, dtype=torch.int64)
 
@@ -151,7 +153,7 @@ def _enumerated(
     traced: bool,
 ) -> Association:
     """Clusters of several targets by their events, in the place of what was ``found``."""
-    runs, targets, count = ratio.shape
+    runs, targets, _ = ratio.shape
     first = within.together.to(torch.int64).argmax(-1)  # of each target's cluster
     if traced:
         heads = torch.ones_like(wanted)
@@ -196,7 +198,8 @@ def propagate(log_ratio: Tensor, log_miss: Tensor, within: Clusters, *, diffuse:
         diffuse: counted as Poisson with the rate that gives the same odds to as many detections as there are targets.
         iterations: of messages both ways.
 
-    Source: Williams & Lau (2014), "Approximate evaluation of marginal association probabilities with belief propagation".
+    Source: Williams & Lau (2014), "Approximate evaluation of marginal association probabilities with belief
+    propagation".
     """
     gated = log_ratio > -torch.inf
     if diffuse:

@@ -54,16 +54,16 @@ class Euclidean(Gate):
 
     Args:
         size: m.
-        least: the gate holds at least the ellipsoid of the innovation's covariance that has this probability: a prediction
-            may be less certain than the gate is wide, that of a poor start say.  0 for metres alone.
+        least: the gate holds at least the ellipsoid of the innovation's covariance that has this probability: a
+            prediction may be less certain than the gate is wide, that of a poor start say.  0 for metres alone.
 
     The sensor must tell where in space a measurement lies (``Sensor.locate``).  Targets are taken to be inside always.
 
     Raises:
         ValueError: ``size`` not above 0, ``least`` not in [0, 1).
 
-    Source: Chen, Zou & Wu, section 4, who print gates of 100 and 150; unit and form are our reading.  Differs: ``least`` is
-    ours.
+    Source: Chen, Zou & Wu, section 4, who print gates of 100 and 150; unit and form are our reading.  Differs:
+    ``least`` is ours.
     """
 
     def __init__(self, size: Value = 100.0, least: float = 0.0) -> None:
@@ -109,25 +109,26 @@ class ChiSquare(Gate):
 
     def inside(self) -> Tensor | None:
         """See ``Gate``."""
-        return self.probability()
+        probability: Tensor = self.probability()
+        return probability
 
 
 class Clutter(nn.Module):
     """How dense false measurements are, where one was measured.
 
     Args:
-        volume: of the space that false measurements fall in evenly, m^3 (m^2 in the plane); the sensor must measure each
-            direction of space (``Sensor.metre``).
-        extent: instead, of the measurements that false ones fall in evenly: ``(m,)`` from the lowest to the highest of each
-            element, in its own unit.
+        volume: of the space that false measurements fall in evenly, m^3 (m^2 in the plane); the sensor must measure
+            each direction of space (``Sensor.metre``).
+        extent: instead, of the measurements that false ones fall in evenly: ``(m,)`` from the lowest to the highest of
+            each element, in its own unit.
         rate: expected false measurements per scan, Poisson; None if any number of them is alike beforehand
             (non-parametric).
 
     Raises:
         ValueError: both or neither of ``volume`` and ``extent``, or values that are not above 0.
 
-    Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eq. (25).  Differs: the density of false measurements that
-    fall evenly in space is mapped to the measurement's own units, by ``r^2 cos(elevation)`` for angles and range.
+    Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eq. (25).  Differs: the density of false measurements
+    that fall evenly in space is mapped to the measurement's own units, by ``r^2 cos(elevation)`` for angles and range.
     """
 
     def __init__(
@@ -161,4 +162,5 @@ class Clutter(nn.Module):
             assert self.volume is not None
             spans = self.volume().to(z).unsqueeze(-1) ** (1 / sensor.size) * sensor.metre(z)
         found = -(candidates.seen * spans.log()).sum(-1)
-        return found if self.rate is None else found + self.rate().to(z).log()
+        density: Tensor = found if self.rate is None else found + self.rate().to(z).log()
+        return density

@@ -70,8 +70,8 @@ def evaluate(
         ``worst_track`` of the runs' own root mean square errors, ``divergence_rate``, ``nees_position`` (median, to
         0.05 %; 1.39 if honest, in the plane), by coordinate and over time the signed ``mean_error_x``, ``rmse_x`` and
         ``mape_x`` (mean relative error, %, of coordinates of 100 m or more), the models' mean ``probabilities``
-        ``[T][K]`` if there are some, ``microseconds`` per run and step and ``relative_time`` to the UKF (``ukf_jpda`` on
-        scans) on the same runs.  Each target of a run of several counts as a track.
+        ``[T][K]`` if there are some, ``microseconds`` per run and step and ``relative_time`` to the UKF (``ukf_jpda``
+        on scans) on the same runs.  Each target of a run of several counts as a track.
 
     Under ``torchrun`` the processes share the runs, and each returns the results of all of them.
 

@@ -133,8 +133,8 @@ def gospa(mean: Tensor, truth: Tensor, states: slice, *, cutoff: float = 100.0, 
 def swaps(mean: Tensor, truth: Tensor, states: slice, cutoff: float = 100.0) -> Tensor:
     """``(..., N)`` how often each estimate has gone over to another target.
 
-    An estimate is with its own target within ``cutoff``; beyond, it is with the nearest other within it, if there is one;
-    else it stays with whom it was.
+    An estimate is with its own target within ``cutoff``; beyond, it is with the nearest other within it, if there is
+    one; else it stays with whom it was.
 
     Args:
         mean: ``(..., N, T, n)`` estimates.
@@ -154,10 +154,8 @@ def swaps(mean: Tensor, truth: Tensor, states: slice, cutoff: float = 100.0) -> 
     return count
 
 
-def _pairs(
-    mean: Tensor, truth: Tensor, states: slice, cutoff: float, order: float
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Distances ``(..., T, N, M)`` to the power of ``order``, infinite where one is not there, and how many there are."""
+def _pairs(mean: Tensor, truth: Tensor, states: slice, cutoff: float, order: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Distances ``(..., T, N, M)`` to the power of ``order``, infinite where one is missing, and how many there are."""
     if not cutoff > 0 or not order >= 1:
         raise ValueError(f"cutoff, order: expected metres above 0 and 1 or more, received {cutoff}, {order}")
     ours, theirs = (x[..., states].movedim(-2, -3) for x in (mean, truth))  # (..., T, N, d)

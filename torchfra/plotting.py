@@ -230,7 +230,8 @@ def by_target(of: dict[str, dict[str, Any]], dt: float, title: str) -> Figure:
     """Root mean square errors of range, azimuth and elevation over time, one row for each target.
 
     Args:
-        of: by name of the filter, in pairs that share a colour, ``"rmse_range"`` (m), ``"rmse_azimuth"`` and ``"rmse_elevation"`` (rad), ``[N][T]``.
+        of: by name of the filter, in pairs that share a colour, ``"rmse_range"`` (m), ``"rmse_azimuth"`` and
+            ``"rmse_elevation"`` (rad), ``[N][T]``.
         dt: seconds per step.
         title: of the figure.
     """
@@ -243,13 +244,17 @@ def by_target(of: dict[str, dict[str, Any]], dt: float, title: str) -> Figure:
             for number, (name, values) in enumerate(of.items()):
                 curve = scale * np.array(values[f"rmse_{key}"][i], dtype=float)
                 colour, dash = _MODELS[1 + number // 2 % 7], ("-", ":")[number % 2]
-                axes.plot(dt * np.arange(1, len(curve) + 1), curve, color=colour, linestyle=dash, label=name, linewidth=1.3)
+                axes.plot(
+                    dt * np.arange(1, len(curve) + 1), curve, color=colour, linestyle=dash, label=name, linewidth=1.3
+                )
             axes.set(ylabel=f"target {i + 1}: {key}, {unit}", yscale="log")
             axes.grid(alpha=0.25)
             axes.spines[["top", "right"]].set_visible(False)
             if i == targets - 1:
                 axes.set(xlabel="time, s")
-    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False, fontsize=8)
+    figure.legend(
+        *figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False, fontsize=8
+    )
     figure.suptitle(f"root mean square error, {title}")
     return figure
 

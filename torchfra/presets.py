@@ -279,8 +279,8 @@ def jpda(
 ) -> JPDA:
     """Several targets in scans with false measurements: ``inner`` is a preset of this file, ``options`` go to it.
 
-    The gate holds 99.9 % of the targets' measurements unless given.  ``gate``, ``clutter``, ``detection`` and the others as
-    in ``filters.JPDA``.
+    The gate holds 99.9 % of the targets' measurements unless given.  ``gate``, ``clutter``, ``detection`` and the
+    others as in ``filters.JPDA``.
 
     Source: Fortmann, Bar-Shalom & Scheffe (1983).
     """
@@ -311,9 +311,10 @@ def ukf_jpda(motion: Motion, sensor: Sensor, *, clutter: Clutter, **options: Any
 def iaukf_jpda(motion: Motion, sensor: Sensor, *, clutter: Clutter, **options: Any) -> JPDA:
     """``jpda`` with ``iaukf`` for each target, in a gate of 100 m.
 
-    Source: Chen, Zou & Wu.  Differs: the gate is never smaller than what a target's own measurement needs, and a track that
-    is missed again and again searches.  ``gate=Euclidean(100.0), lost=0.0`` leave both out: then a start more than a gate
-    off, or a false measurement in the place of a missed target, loses the track for good in 2 to 4 % of the runs.
+    Source: Chen, Zou & Wu.  Differs: the gate is never smaller than what a target's own measurement needs, and a track
+    that is missed again and again searches.  ``gate=Euclidean(100.0), lost=0.0`` leave both out: then a start more than
+    a gate off, or a false measurement in the place of a missed target, loses the track for good in 2 to 4 % of the
+    runs.
     """
     ours: dict[str, Any] = {"gate": Euclidean(100.0, least=0.9999), "lost": 1e-3}
     return jpda(motion, sensor, clutter=clutter, inner=iaukf, **ours | options)

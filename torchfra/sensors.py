@@ -61,7 +61,7 @@ class Sensor(nn.Module):
     angles: Tensor
     root: Tensor | None
     blocks: tuple[tuple[int, ...], ...]
-    """Elements of a measurement that share a device and so a trust in its noise; one block unless the sensor says more."""
+    """Elements of a measurement that share a device and so a trust in its noise; one unless a sensor says more."""
 
     def __init__(self, reads: int, angles: Sequence[bool], std: Value | None, noise: Tensor | None) -> None:
         super().__init__()
@@ -102,7 +102,9 @@ class Sensor(nn.Module):
         Raises:
             ValueError: it does not say where.
         """
-        raise ValueError(f"sensor: expected one whose measurement says where the target is, received {type(self).__name__}")
+        raise ValueError(
+            f"sensor: expected one whose measurement says where the target is, received {type(self).__name__}"
+        )
 
     def metre(self, z: Tensor) -> Tensor:
         """What a metre of space is in each element of a measurement ``(..., m)``, if each is a direction of space.

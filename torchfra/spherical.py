@@ -1,12 +1,12 @@
 """Modified spherical coordinates: what a sensor at the origin sees, and how fast that changes relative to the range.
 
-A state is ``[omega, elevation rate, d ln(range)/dt, azimuth, elevation, 1 / range]`` in rad/s, rad/s, 1/s, rad, rad, 1/m
-with ``omega = azimuth rate * cos(elevation)``; its Cartesian counterpart is ``[x, y, z, vx, vy, vz]``: east, north, up.
-Azimuth counts from north (+y) clockwise, in [0, 2 pi), or from east (+x) counter-clockwise; elevation from the horizontal
-plane up.  Straight above and below the sensor the coordinates do not exist: numbers there are NaN.
+A state is ``[omega, elevation rate, d ln(range)/dt, azimuth, elevation, 1 / range]`` in rad/s, rad/s, 1/s, rad, rad,
+1/m with ``omega = azimuth rate * cos(elevation)``; its Cartesian counterpart is ``[x, y, z, vx, vy, vz]``: east, north,
+up. Azimuth counts from north (+y) clockwise, in [0, 2 pi), or from east (+x) counter-clockwise; elevation from the
+horizontal plane up.  Straight above and below the sensor the coordinates do not exist: numbers there are NaN.
 
-Source: Stallard (1991), "Angle-only tracking filter in modified spherical coordinates"; Mallick et al. (2012), whose order
-this is; Chen, Zou & Wu, eqs. (1)-(2).  Jacobians are ours, in the axes of the line of sight.
+Source: Stallard (1991), "Angle-only tracking filter in modified spherical coordinates"; Mallick et al. (2012), whose
+order this is; Chen, Zou & Wu, eqs. (1)-(2).  Jacobians are ours, in the axes of the line of sight.
 """
 
 from __future__ import annotations
@@ -65,7 +65,9 @@ def from_cartesian(x: Tensor, azimuth_from: str = "north") -> Tensor:
 
 def turned(azimuth: Tensor) -> Tensor:
     """The same azimuth in [0, 2 pi)."""
-    return azimuth - 2 * math.pi * torch.floor(azimuth / (2 * math.pi))
+    whole = 2 * math.pi
+    positive = azimuth - whole * torch.floor(azimuth / whole)
+    return torch.where(positive >= whole, positive - whole, positive)  # what rounding makes of next to nothing below 0
 
 
 def jacobian(x: Tensor, azimuth_from: str = "north") -> Tensor:
@@ -106,7 +108,7 @@ def cartesian_jacobian(x: Tensor, azimuth_from: str = "north") -> Tensor:
 
 
 def belief_from_cartesian(belief: Gaussian, azimuth_from: str = "north") -> Gaussian:
-    """The belief in modified spherical coordinates, to first order: ``P = J P J^T``.  Source: Chen, Zou & Wu, eq. (10)."""
+    """The belief in modified spherical coordinates, to first order, ``J P J^T``.  Source: Chen, Zou & Wu, eq. (10)."""
     mean = from_cartesian(belief.mean, azimuth_from)
     return Gaussian(mean, tria(jacobian(mean, azimuth_from) @ belief.scale_tril))
 
@@ -196,8 +198,8 @@ class Spherical(Motion):
 class InfraredLaser(Sensor):
     """Infrared sensor and laser: azimuth and elevation, rad, and range, m, of modified spherical states.
 
-    Two blocks of noise: ``[azimuth, elevation]`` of the infrared sensor and what the laser measures.  A block that did not
-    measure is NaN.
+    Two blocks of noise: ``[azimuth, elevation]`` of the infrared sensor and what the laser measures.  A block that did
+    not measure is NaN.
 
     Args:
         std: of the noise, rad, rad[, rad, rad], m, one for each element.

@@ -67,7 +67,7 @@ class Tally:
         self.seconds = 0.0
 
     def add(self, estimate: Estimate, truth: Tensor, seconds: float) -> None:
-        """More tracks: estimates and truth ``(B, T, n)``, or ``(B, N, T, n)`` of several targets, and the time it took."""
+        """More tracks: estimates and truth ``(B, T, n)`` or ``(B, N, T, n)``, and the time it took."""
         if truth.dim() > 3:
             mean, root = estimate.mean.flatten(0, -3), estimate.scale_tril.flatten(0, -4)
             estimate, truth = estimate._replace(mean=mean, scale_tril=root), truth.flatten(0, -3)

@@ -19,10 +19,10 @@ from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import SRCKF, State, compare, predict
 from torchfra.hyper import Hyper, Value
 from torchfra.kernel.build import CompileError
+from torchfra.linalg import is_traced
 from torchfra.mixture import moment_match
 from torchfra.types import Estimate, Gaussian, Innovation, Whitened
 from torchfra.update import correct, density, innovation
-
 
 _SEARCH = 5.0
 """Times that the covariance of a track that seems lost quadruples."""
@@ -48,7 +48,7 @@ class JPDAInfo(NamedTuple):
     association: Tensor
     """``(..., N, T, J + 1)`` probabilities: that the target was missed, and that each measurement is its own."""
     noise: Tensor | None
-    """``(..., N, T, m)`` variances of the measurement noise as estimated, as multiples of the nominal ones, if they are."""
+    """``(..., N, T, m)`` estimated variances of the measurement noise, as multiples of the nominal ones; or None."""
 
 
 class JPDA(Soft, Filter):
@@ -57,33 +57,35 @@ class JPDA(Soft, Filter):
     Each target's update is the Gaussian with the moments of all that may have happened: that it was missed, or that any
     one of the measurements in its gate is its own.
 
-    Measurements come as scans: ``z (..., T, J, m)`` of J measurements at most, in any order; a row of NaN is none.  Targets
-    are the last dimension of the batch: priors are ``(..., N, n)``, estimates ``(..., N, T, n)``.  A measurement of which
-    only some elements are NaN is one of the others.
+    Measurements come as scans: ``z (..., T, J, m)`` of J measurements at most, in any order; a row of NaN is none.
+    Targets are the last dimension of the batch: priors are ``(..., N, n)``, estimates ``(..., N, T, n)``.  A
+    measurement of which only some elements are NaN is one of the others.
 
     Args:
-        inner: an ``SRCKF``, plain, robust or with an estimate of the noise; a copy of it runs here.  Hyperparameters may
-            differ between targets, ``(N,)``, and between scenes, ``(B, 1)`` or ``(B, N)``.
+        inner: an ``SRCKF``, plain, robust or with an estimate of the noise; a copy of it runs here.  Hyperparameters
+            may differ between targets, ``(N,)``, and between scenes, ``(B, 1)`` or ``(B, N)``.
         gate: which measurements may be a target's (``torchfra.clutter``).
         clutter: how dense false ones are.
         detection: probability that a target is measured, up to 1.
-        lost: a track that has been missed so often in a row that chance has at most this probability has followed something
-            false: its covariance then quadruples with every further miss, five times at most, until it is measured again.
+        lost: a track that has been missed so often in a row that chance has at most this probability has followed
+            something
+            false: its covariance then quadruples with every further miss, five times at most, until it is measured
+                again.
             0 for tracks that are never taken for lost.
         share_noise: whether all targets share their estimates of the noise, averaged by how probably each was measured.
         exact: targets and measurements of a cluster up to which all joint events are summed; see ``association``.
         temperature: 0 for gates with a hard edge; above, the width of the edge as a share of the gate, through which
             gradients reach its size.
 
-    ``Estimate.log_likelihood`` is the log density of a scan against one of false measurements alone, shared out among the
-    targets of a cluster: its sum over targets is what ``losses.innovation_nll`` makes large.  ``nis`` is that of the
-    combined innovation, as ``step`` gives it.
+    ``Estimate.log_likelihood`` is the log density of a scan against one of false measurements alone, shared out among
+    the targets of a cluster: its sum over targets is what ``losses.innovation_nll`` makes large.  ``nis`` is that of
+    the combined innovation, as ``step`` gives it.
 
     Raises:
         ValueError: another filter than that, a sensor that gate or clutter cannot work with, a value out of its range.
 
-    Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eqs. (25)-(30), and (19) with the innovations weighted by
-    their probabilities, which is our reading.
+    Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eqs. (25)-(30), and (19) with the innovations
+    weighted by their probabilities, which is our reading.
     """
 
     def __init__(
@@ -103,7 +105,9 @@ class JPDA(Soft, Filter):
             said = "an SRCKF with fading factors" if isinstance(inner, SRCKF) else type(inner).__name__
             raise ValueError(f"inner: expected an SRCKF of one motion without fading factors, received {said}")
         if share_noise and inner.noise is None:
-            raise ValueError("share_noise: expected an inner filter that estimates the noise, received one that does not")
+            raise ValueError(
+                "share_noise: expected an inner filter that estimates the noise, received one that does not"
+            )
         self._compiled = None
         self.inner = copy.deepcopy(inner)
         self.gate, self.clutter = gate, clutter
@@ -157,13 +161,14 @@ class JPDA(Soft, Filter):
         if f.noise is not None and f.noise.adapt == "innovation":
             memory = self._adapted(memory, whitened, share, frame)  # eq. (19)
             known, _ = self._known(whitened, memory, frame)
-        weights = None if f.robust is None else f.robust(known.residual, normalised.square().sum(-1))
-        each = (
-            correct(predicted, known)[0]
-            if f.robust is None or weights is None
-            else f.robust.correct(predicted, known, weights, frame.noise).belief
-        )
-        belief = moment_match(_first(predicted, each), found.log_weights.movedim(-1, 0))  # eqs. (28)-(30)
+        log_weights = found.log_weights
+        if f.robust is None:
+            log_weights, known = _gated(log_weights, known)
+            each = correct(predicted, known)[0]
+        else:
+            weights = f.robust(known.residual, normalised.square().sum(-1))
+            each = f.robust.correct(predicted, known, weights, frame.noise).belief
+        belief = moment_match(_first(predicted, each), log_weights.movedim(-1, 0))  # eqs. (28)-(30)
         belief = belief._replace(mean=f.motion.canonical(belief.mean))
         if f.noise is not None and f.noise.adapt == "residual":
             left = compare(f.sensor, f.sensor_rule, _column(belief), frame)
@@ -176,13 +181,10 @@ class JPDA(Soft, Filter):
 
     def decide(self, candidates: Candidates, fit: Tensor) -> Association:
         """Which measurement is whose, by log densities ``fit (..., N, J)``: eqs. (25)-(27)."""
-        detection, inside = self.detection().to(fit), self.gate.inside()
-        miss = torch.log1p(-detection if inside is None else -detection * inside.to(fit))
-        odds = detection.log() - self.clutter(candidates, self.sensor)
+        odds = self.detection().to(fit).log() - self.clutter(candidates, self.sensor)
         ratio = fit + odds + self.gate(candidates, self.sensor, self.temperature)
         ratio = torch.where(candidates.seen.sum(-1) > 0, ratio, -torch.inf)
-        miss = miss.squeeze(-1) if miss.dim() else miss
-        return associate(ratio, miss, diffuse=self.clutter.rate is None, exact=self.exact)
+        return associate(ratio, self._log_miss(fit), diffuse=self.clutter.rate is None, exact=self.exact)
 
     def step(
         self,
@@ -205,8 +207,8 @@ class JPDA(Soft, Filter):
             noise: ``(..., J, m, m)`` roots of their covariances, instead of the sensor's.
 
         Returns:
-            The next state, and the combined innovation of each target, ``(..., N, m)``: weighted by the probabilities of
-            association, with the covariance of a single one.
+            The next state, and the combined innovation of each target, ``(..., N, m)``: weighted by the probabilities
+            of association, with the covariance of a single one.
 
         Raises:
             ValueError: a shape or a value that does not fit.
@@ -260,7 +262,7 @@ class JPDA(Soft, Filter):
         _, records = self._filter(self.init(start), frames, checkpoint, truncate)
         names = ("belief", "normalised", "info", "density")
         belief, normalised, info, evidence = (stack([getattr(r, name) for r in records], rank) for name in names)
-        return Estimate(*belief, normalised.square().sum(-1), evidence, info)
+        return Estimate(belief.mean, belief.scale_tril, normalised.square().sum(-1), evidence, info)
 
     def _rank(self) -> int:
         return max(batch_rank(self), 1)
@@ -271,7 +273,8 @@ class JPDA(Soft, Filter):
         """The batch of scenes, and frames of measurements ``(..., 1, J)``; all is checked."""
         batch = check(self.motion, self.sensor, z, prior, dt, u, std, noise, scans=True)
         batch = torch.Size((1,) * (self._rank() - 1 - len(batch))) + batch
-        z, std = (x if x is None else x.transpose(-3, -2).unsqueeze(-4) for x in (z, std))
+        z = z.transpose(-3, -2).unsqueeze(-4)
+        std = std if std is None else std.transpose(-3, -2).unsqueeze(-4)
         noise = noise if noise is None else noise.transpose(-4, -3).unsqueeze(-5)
         dt = dt.unsqueeze(-2).unsqueeze(-2) if isinstance(dt, Tensor) and dt.dim() > 1 else dt
         u = u.unsqueeze(-3).unsqueeze(-3) if u is not None and u.dim() > 2 else u
@@ -287,7 +290,8 @@ class JPDA(Soft, Filter):
     def _adapted(self, memory: NoiseMemory | None, whitened: Whitened, share: Tensor, frame: Frame) -> NoiseMemory:
         """The memory of the noise after innovations that are the target's with probabilities ``share (..., N, J)``."""
         side = self.inner.noise
-        assert side is not None and memory is not None
+        assert side is not None
+        assert memory is not None
         weight = share.unsqueeze(-1) * frame.seen
         whole = weight.sum(-2)
         excess = (weight * side.excess(whitened)).sum(-2) / torch.where(whole > 0, whole, 1.0)
@@ -299,6 +303,12 @@ class JPDA(Soft, Filter):
         pooled = (whole * after.scale).sum(-2, keepdim=True) / torch.where(known > 0, known, 1.0)
         return after._replace(scale=torch.where(known > 0, pooled, after.scale))
 
+    def _log_miss(self, like: Tensor) -> Tensor:
+        """Log of the probability that a target has no measurement in its gate: a number or ``(..., N)``."""
+        detection, inside = self.detection().to(like), self.gate.inside()
+        miss = torch.log1p(-detection if inside is None else -detection * inside.to(like))
+        return miss.squeeze(-1) if miss.dim() else miss
+
     def _missed(self, before: Tensor, found: Association, frame: Frame) -> Tensor:
         """Scans since the last measurement; a scan without any says nothing."""
         some = (frame.seen.sum((-2, -1)) > 0).expand(before.shape)
@@ -308,10 +318,9 @@ class JPDA(Soft, Filter):
         """A prediction as wide as it must be where the track seems lost."""
         if self.lost == 0:
             return belief
-        detection, inside = self.detection().to(missed), self.gate.inside()
-        here = detection if inside is None else detection * inside.to(missed)
-        patience = math.log(self.lost) / torch.log1p(-here)
-        # The covariance of a track that has been missed since grows by 4 per miss: the root by 2, of which the steps before
+        patience = math.log(self.lost) / self._log_miss(missed)
+        # The covariance of a track that has been missed since grows by 4 per miss: the root by 2, of which the steps
+        # before
         # have done their part.
         steps = (missed - patience).clamp(0.0, _SEARCH) - (missed - 1 - patience).clamp(0.0, _SEARCH)
         return belief._replace(scale_tril=belief.scale_tril * (2.0**steps)[..., None, None, None])
@@ -344,8 +353,29 @@ def _first(predicted: Gaussian, each: Gaussian) -> Gaussian:
     return Gaussian(mean.movedim(-2, 0), root.movedim(-3, 0))
 
 
+def _gated(log_weights: Tensor, whitened: Whitened) -> tuple[Tensor, Whitened]:
+    """Only as many of the measurements ``(..., N, J)`` as the fullest gate holds; all of them where code is traced."""
+    inside = log_weights[..., 1:] > -torch.inf
+    if is_traced(log_weights):
+        return log_weights, whitened
+    most = max(int(inside.sum(-1).amax()), 1)
+    if most == inside.shape[-1]:
+        return log_weights, whitened
+    order = inside.to(torch.int8).argsort(dim=-1, descending=True, stable=True)[..., :most]
+
+    def taken(x: Tensor | None, event: int) -> Any:
+        if x is None:
+            return None
+        shape = x.shape[x.dim() - event :]
+        rows = order[(..., *[None] * event)].expand(*order.shape, *shape)
+        return x.expand(*inside.shape, *shape).gather(x.dim() - event - 1, rows)
+
+    few = Whitened(taken(whitened.residual, 1), taken(whitened.spread, 2), whitened.reads, taken(whitened.lost, 2))
+    return torch.cat([log_weights[..., :1], taken(log_weights[..., 1:], 0)], -1), few
+
+
 def _combined(share: Tensor, residual: Tensor, root: Tensor, normalised: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Innovation and normalised innovation weighted by ``share (..., N, J)``; the root of the nearest to being its own."""
+    """Innovation and normalised innovation weighted by ``share (..., N, J)``; the root of the likeliest measurement."""
     weight, likely = share.unsqueeze(-1), share.argmax(-1)[..., None, None, None]
     root = root.expand(*share.shape, *root.shape[-2:])
     own = root.gather(-3, likely.expand(*share.shape[:-1], 1, *root.shape[-2:])).squeeze(-3)

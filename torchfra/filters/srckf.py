@@ -87,7 +87,7 @@ class SRCKF(Filter):
             raise ValueError("robust: expected none beside an estimate of the noise, received both")
         if self.noise is not None and len(self.noise.element) != sensor.size:
             raise ValueError(
-                f"blocks: expected those of a sensor of {sensor.size} elements, received {len(self.noise.element)} elements"
+                f"blocks: expected those of a sensor of {sensor.size} elements, received {len(self.noise.element)}"
             )
 
     def begin(self, belief: Gaussian) -> State:
@@ -121,7 +121,7 @@ class SRCKF(Filter):
         weights = (
             torch.ones_like(residual) if self.robust is None else self.robust(residual, normalised.square().sum(-1))
         )
-        if self.adaptive is not None and memory is not None:
+        if self.adaptive is not None and isinstance(memory, Memory):
             memory = self.adaptive.remember(memory, residual, frame.seen)
             factor = self.adaptive(prediction, whitened, memory, weights)
             prediction = self.adaptive.inflate(prediction, factor)  # eq. (29)

@@ -30,7 +30,7 @@ class Tracks(NamedTuple):
     u: Tensor | None
     """``(T, k)`` or ``(B, T, k)`` what the models need to know at each step."""
     prior: Gaussian
-    """``mean (B, n)`` and ``scale_tril (n, n)`` or ``(B, n, n)``: each run's belief one step before the first measurement;
+    """``mean (B, n)`` and ``scale_tril (n, n)`` or ``(B, n, n)``: each run's belief one step before the first;
     of several targets ``(B, N, n)`` and ``(B, N, n, n)``."""
 
 

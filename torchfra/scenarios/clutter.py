@@ -49,8 +49,8 @@ def clutter_straight(
     Raises:
         ValueError: an argument out of its range.
 
-    Source: Chen, Zou & Wu, scenario 1.  Differs: the initial states are those of their scenario 2; noise, clutter region,
-    detection and what changes are ours, theirs are lost.
+    Source: Chen, Zou & Wu, scenario 1.  Differs: the initial states are those of their scenario 2; noise, clutter
+    region, detection and what changes are ours, theirs are lost.
     """
     motion = ConstantVelocity(Q, 3)
     given = _Given(noise_scale, change, clutter, region, detection, tuple(std), truth_noise)
@@ -79,8 +79,8 @@ def clutter_crossing(
         detection: see there.
         std: see there.
         truth_noise: see there.
-        rate: of the turns, to opposite sides, rad/s.  The paper prints 0.5 rad/s: circles of 100 m, which never come within
-            a kilometre of each other; with those take ``dt`` of 0.1 or less.
+        rate: of the turns, to opposite sides, rad/s.  The paper prints 0.5 rad/s: circles of 100 m, which never come
+            within a kilometre of each other; with those take ``dt`` of 0.1 or less.
         dt: seconds between scans.
 
     Raises:
@@ -166,7 +166,9 @@ def _scans(name: str, motion: Motion, dt: float, given: _Given, settings: dict[s
         order = torch.from_numpy(rng.random((BLOCK, STEPS, targets + given.clutter))).argsort(-1)
         return Tracks(truth, scans.gather(2, order.unsqueeze(-1).expand_as(scans)), None, prior)
 
-    settings = {key: getattr(given, key) for key in ("noise_scale", "change", "clutter", "region", "detection")} | settings
+    settings = {
+        key: getattr(given, key) for key in ("noise_scale", "change", "clutter", "region", "detection")
+    } | settings
     clutter = Clutter(volume=targets * (2 * given.region) ** 3)
     prior = belief_from_cartesian(Gaussian(_STARTS, _ROOT))
     return Scenario(name, Spherical(motion), sensor, prior, dt, STEPS, block, settings, clutter=clutter,
