@@ -115,10 +115,12 @@ def experiment(options: argparse.Namespace) -> str:
     elif scenario.name == "alpha-beta":
         whole["decisions"] = weave_decisions(scenario, filters, options.runs, options.seed)
         shown = weave_table(whole["decisions"])
-    elif scenario.clutter is not None:
+    elif scenario.clutter is not None or scenario.name == "noise-change":
         whole["scans"] = scan_figures(scenario, filters, options.runs, options.seed, not options.quiet)
-        whole["associations"] = associations(scenario, filters, options.seed)
-        shown = scan_table(whole["scans"]) + "\n" + association_table(whole["associations"])
+        shown = scan_table(whole["scans"])
+        if scenario.clutter is not None:
+            whole["associations"] = associations(scenario, filters, options.seed)
+            shown += "\n" + association_table(whole["associations"])
     elif scenario.name in ("growth", "reentry"):
         whole["by_size"] = by_size(scenario.name, sizes, filters, given, **how)
         shown = rms_table(results, scenario) + ("\n" + sizes_table(whole["by_size"]) if sizes else "")

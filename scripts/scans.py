@@ -58,32 +58,39 @@ def scan_figures(
         for name, f in filters.items():
             with torch.no_grad():
                 estimate = f(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt)
-            for key, value in _errors(scenario, tracks, estimate, raw).items():
+            for key, value in _errors(scenario, *_several(scenario, estimate, tracks), raw).items():
                 sums[name].setdefault(key, []).append(value)
     return {name: _averages({key: torch.cat(parts) for key, parts in of.items()}) for name, of in sums.items()}
 
 
-def _errors(scenario: Scenario, tracks: Tracks, estimate: Any, raw: Tensor) -> dict[str, Tensor]:
+def _several(scenario: Scenario, estimate: Any, tracks: Tracks) -> tuple[Tensor, Tensor, Tensor]:
+    """Estimates ``(B, N, T, 6)`` in both coordinates, and the truth; of a single target too."""
+    all_of = (estimate.mean, scenario.shown(estimate).mean, tracks.truth)
+    mean, shown, truth = (x if x.dim() == 4 else x.unsqueeze(1) for x in all_of)
+    return mean, shown, truth
+
+
+def _errors(scenario: Scenario, mean: Tensor, shown: Tensor, cartesian: Tensor, raw: Tensor) -> dict[str, Tensor]:
     """Per run."""
-    truth, mean = from_cartesian(tracks.truth), estimate.mean
-    shown = scenario.shown(estimate).mean
+    truth = from_cartesian(cartesian)
     gone = 1 / mean[..., 5] - 1 / truth[..., 5]
-    position = metrics.error(shown, tracks.truth, scenario.position)
+    position = metrics.error(shown, cartesian, scenario.position)
     return {
         "range": gone,
         "azimuth": wrap(mean[..., 3] - truth[..., 3]),
         "elevation": mean[..., 4] - truth[..., 4],
         "position": position,
         "raw": raw,
-        "swaps": metrics.swaps(shown, tracks.truth, scenario.position, LOST),
-        "ospa": metrics.ospa(shown, tracks.truth, scenario.position, cutoff=LOST).distance,
+        "swaps": metrics.swaps(shown, cartesian, scenario.position, LOST),
+        "ospa": metrics.ospa(shown, cartesian, scenario.position, cutoff=LOST).distance,
     }
 
 
 def _raw(scenario: Scenario, tracks: Tracks) -> Tensor:
     """Range errors ``(B, N, T)`` of the measurements nearest to each target; NaN where it was missed."""
-    there = scenario.sensor(from_cartesian(tracks.truth)).movedim(1, 2).unsqueeze(-2)  # (B, T, N, 1, m)
-    gap = scenario.sensor.difference(tracks.z.unsqueeze(-3), there)
+    truth, z = (tracks.truth, tracks.z) if tracks.z.dim() == 4 else (tracks.truth.unsqueeze(1), tracks.z.unsqueeze(-2))
+    there = scenario.sensor(from_cartesian(truth)).movedim(1, 2).unsqueeze(-2)  # (B, T, N, 1, m)
+    gap = scenario.sensor.difference(z.unsqueeze(-3), there)
     scale = scenario.sensor.std() * float(str(scenario.settings["noise_scale"]))
     far = (gap / scale).square().sum(-1).nan_to_num(torch.inf)
     least, nearest = far.min(-1)
@@ -151,6 +158,9 @@ def draw_scans(
 ) -> dict[str, Figure]:
     """Errors of each target over time; raw and filtered range errors and a picture in space of the first run."""
     title = f"{scenario.name}, {runs} runs"
+    errors = {f"{scenario.name}-errors": plotting.by_target(of, scenario.dt, title)}
+    if scenario.clutter is None:
+        return errors
     last = list(filters)[-1]
     tracks = scenario.simulate(1, seed)
     with torch.no_grad():
@@ -161,8 +171,7 @@ def draw_scans(
     }
     scans = scenario.sensor.locate(tracks.z[0]).flatten(0, 1)
     paths = scenario.shown(estimate).mean[0]
-    return {
-        f"{scenario.name}-errors": plotting.by_target(of, scenario.dt, title),
+    return errors | {
         f"{scenario.name}-ranges": plotting.raw_and_filtered(
             ranges, scenario.dt, f"{scenario.name}, first run, {last}"
         ),

@@ -945,9 +945,8 @@ def jpda(
                 apart = _spot(scan[j]) - _spot(us[t].zhat)
                 if np.linalg.norm(apart) <= gate:
                     S = us[t].Pzz + np.diag(noises[t].R)
-                    L[j, t] = math.exp(-0.5 * nu[t, j] @ np.linalg.solve(S, nu[t, j])) / math.sqrt(
-                        np.linalg.det(2 * math.pi * S)
-                    )
+                    far = min(0.5 * nu[t, j] @ np.linalg.solve(S, nu[t, j]), 600.0)  # in the gate, if barely possible
+                    L[j, t] = math.exp(-far) / math.sqrt(np.linalg.det(2 * math.pi * S))
         beta, missed = joint_events(L, PD, c, rate is None)
         for t in range(N):
             u, b = us[t], beta[:, t]

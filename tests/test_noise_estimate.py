@@ -192,7 +192,9 @@ def test_gradients_reach_forgetting_confidence_and_nominal_noise(scenario, track
 def test_kernels_do_the_same(scenario, tracks):
     eager = presets.iaukf(scenario.motion, scenario.sensor)
     fast = presets.iaukf(scenario.motion, scenario.sensor).compile()
-    torch.testing.assert_close(fast(tracks.z, tracks.prior).mean, eager(tracks.z, tracks.prior).mean, rtol=1e-9, atol=1e-12)
+    torch.testing.assert_close(
+        fast(tracks.z, tracks.prior).mean, eager(tracks.z, tracks.prior).mean, rtol=1e-9, atol=1e-12
+    )
 
 
 def test_what_does_not_fit_is_named(scenario):

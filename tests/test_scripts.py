@@ -95,6 +95,38 @@ def test_reproduce_writes_the_errors_of_the_reentry(tmp_path):
     assert {p.name for p in tmp_path.glob("*.png")} == names
 
 
+def test_reproduce_writes_errors_by_target_and_association_probabilities(tmp_path, capsys):
+    out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path)]
+    names = ["--filters", "ukf_jpda,iaukf_jpda_paper,iaukf_jpda"]
+    assert (
+        reproduce.main(["clutter-crossing", "--runs", "4", "--noise-scale", "4", "--clutter", "4", *names, *out]) == 0
+    )
+    found = json.loads((tmp_path / "r.json").read_text())
+    assert found["settings"]["noise_scale"] == 4
+    wanted = {f"{name} {gate} m" for name in ("ukf_jpda", "iaukf_jpda_paper", "iaukf_jpda") for gate in (100, 150)}
+    assert found["scans"].keys() == found["associations"].keys() == wanted
+    of = found["scans"]["iaukf_jpda 100 m"]
+    assert len(of["rmse_range"]) == 2
+    assert len(of["rmse_azimuth"][0]) == len(of["ospa"]) == 100
+    assert of["filtered_range"] < of["raw_range"] == pytest.approx(19.0, rel=0.15)
+    assert of["lost"] == 0
+    for rows in found["associations"]["iaukf_jpda 100 m"].values():
+        assert [sum(row) for row in rows] == pytest.approx([1.0, 1.0])
+        assert len(rows[0]) == 7
+    assert {p.name for p in tmp_path.glob("*.png")} == {
+        f"clutter-crossing-{n}.png" for n in ("errors", "ranges", "space")
+    }
+    assert "association probabilities of the first run" in capsys.readouterr().out
+
+
+def test_reproduce_writes_the_errors_of_a_single_target_whose_noise_grows(tmp_path):
+    out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
+    assert reproduce.main(["noise-change", "--runs", "40", *out]) == 0
+    found = json.loads((tmp_path / "r.json").read_text())["scans"]
+    assert found["iaukf"]["filtered_range"] < 0.85 * found["ukf"]["filtered_range"]
+    assert [p.name for p in tmp_path.glob("*.png")] == ["noise-change-errors.png"]
+
+
 def test_reproduce_says_what_is_wrong(capsys):
     assert reproduce.main(["adsb-turns", "--outliers", "std"]) == 2
     assert "adsb-turns takes no such option" in capsys.readouterr().err

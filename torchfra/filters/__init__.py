@@ -4,12 +4,14 @@ from torchfra.filters.alphabeta import AlphaBeta, AlphaBetaBank, AlphaBetaInfo
 from torchfra.filters.base import Filter
 from torchfra.filters.feedback import FRA, FRAInfo, FRAState
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
+from torchfra.filters.jpda import JPDA, JPDAInfo, JPDAState
 from torchfra.filters.srckf import SRCKF, Info, State
 from torchfra.filters.vsimm import VSIMM, VSIMMInfo, VSIMMState
 
 __all__ = [
     "FRA",
     "IMM",
+    "JPDA",
     "SRCKF",
     "VSIMM",
     "AlphaBeta",
@@ -21,6 +23,8 @@ __all__ = [
     "IMMInfo",
     "IMMState",
     "Info",
+    "JPDAInfo",
+    "JPDAState",
     "State",
     "VSIMMInfo",
     "VSIMMState",

@@ -62,8 +62,8 @@ class JPDA(Soft, Filter):
     measurement of which only some elements are NaN is one of the others.
 
     Args:
-        inner: an ``SRCKF``, plain, robust or with an estimate of the noise; a copy of it runs here.  Hyperparameters
-            may differ between targets, ``(N,)``, and between scenes, ``(B, 1)`` or ``(B, N)``.
+        inner: an ``SRCKF``, plain, robust or with an estimate of the noise; copies of it, gate and clutter run here.
+            Hyperparameters may differ between targets, ``(N,)``, and between scenes, ``(B, 1)`` or ``(B, N)``.
         gate: which measurements may be a target's (``torchfra.clutter``).
         clutter: how dense false ones are.
         detection: probability that a target is measured, up to 1.
@@ -109,10 +109,9 @@ class JPDA(Soft, Filter):
                 "share_noise: expected an inner filter that estimates the noise, received one that does not"
             )
         self._compiled = None
-        self.inner = copy.deepcopy(inner)
-        self.gate, self.clutter = gate, clutter
+        self.inner, self.gate, self.clutter = copy.deepcopy((inner, gate, clutter))
         self.detection = Hyper(detection, constraints.interval(0.0, 1.0), name="detection")
-        if not bool((self.detection() > 0).all()):
+        if not bool((torch.as_tensor(detection) > 0).all()):
             raise ValueError(f"detection: expected a probability above 0, received {detection}")
         clutter.check(inner.sensor)
         whole = torch.ones(1, 1, inner.sensor.size)
@@ -182,9 +181,11 @@ class JPDA(Soft, Filter):
     def decide(self, candidates: Candidates, fit: Tensor) -> Association:
         """Which measurement is whose, by log densities ``fit (..., N, J)``: eqs. (25)-(27)."""
         odds = self.detection().to(fit).log() - self.clutter(candidates, self.sensor)
-        ratio = fit + odds + self.gate(candidates, self.sensor, self.temperature)
-        ratio = torch.where(candidates.seen.sum(-1) > 0, ratio, -torch.inf)
-        return associate(ratio, self._log_miss(fit), diffuse=self.clutter.rate is None, exact=self.exact)
+        inside = torch.where(
+            candidates.seen.sum(-1) > 0, self.gate(candidates, self.sensor, self.temperature), -torch.inf
+        )
+        diffuse = self.clutter.rate is None
+        return associate(fit + odds + inside, self._log_miss(fit), diffuse=diffuse, inside=inside, exact=self.exact)
 
     def step(
         self,
@@ -305,8 +306,10 @@ class JPDA(Soft, Filter):
 
     def _log_miss(self, like: Tensor) -> Tensor:
         """Log of the probability that a target has no measurement in its gate: a number or ``(..., N)``."""
-        detection, inside = self.detection().to(like), self.gate.inside()
-        miss = torch.log1p(-detection if inside is None else -detection * inside.to(like))
+        chance, inside = self.detection().to(like), self.gate.inside()
+        chance = chance if inside is None else chance * inside.to(like)
+        some = chance < 1 - 4 * torch.finfo(chance.dtype).eps
+        miss = torch.where(some, torch.log1p(-torch.where(some, chance, 0.0)), -torch.inf)
         return miss.squeeze(-1) if miss.dim() else miss
 
     def _missed(self, before: Tensor, found: Association, frame: Frame) -> Tensor:
