@@ -14,8 +14,7 @@ class Task:
     """Tracks to learn from, and how much they count."""
 
     scenario: str
-    """``"bearings-outliers"``, ``"bearings-manoeuvre"``, ``"adsb-turns"``, ``"growth"``, ``"reentry"`` or
-    ``"recorded"``."""
+    """A name of ``torchfra.cli.SCENARIOS``, ``"bearings-outliers"`` say, or ``"recorded"``."""
     options: dict[str, Any] = field(default_factory=dict)
     """What the scenario takes, such as ``outliers`` and ``truth_noise``."""
     weight: float = 1.0
@@ -204,8 +203,38 @@ def contaminated() -> Config:
     )
 
 
+def association() -> Config:
+    """How often targets are measured, the gate, and how fast to follow the noise: from the likelihood of scans alone.
+
+    Two targets among Poisson false measurements (the likelihood of a non-parametric number of them would reward small
+    gates, as it counts them in the gates alone); the noise becomes four times what the filter assumes.  Detection starts at 0.7
+    (truth: 0.95), the gate at 60 m, the memory at five innovations.  The gate is soft while it learns.
+    """
+    return Config(
+        name="association",
+        tasks=(
+            Task("clutter-straight", {"noise_scale": 4.0, "counts": "poisson"}),
+            Task("clutter-straight", {"noise_scale": 1.0, "counts": "poisson"}),
+        ),
+        learn=("detection", "gate.size", "forgetting", "confidence"),
+        filter="iaukf_jpda",
+        start={"detection": 0.7, "gate.size": 60.0, "forgetting": 0.8},
+        loss="innovation",
+        skip=5,
+        batch=16,
+        iterations=60,
+        lr=0.1,
+        clip=10.0,
+        temperature=0.3,
+        cold=0.05,
+        validation_runs=64,
+        test_runs=200,
+        compile=False,  # there are no kernels for scans
+    )
+
+
 RUNS: dict[str, Callable[[], Config]] = {
-    f.__name__: f for f in (fra_bearings, fra_recorded, switching, contaminated, noise, recover)
+    f.__name__: f for f in (fra_bearings, fra_recorded, switching, contaminated, association, noise, recover)
 }
 
 

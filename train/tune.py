@@ -6,8 +6,8 @@
     python -m train.tune fra_recorded files=a.csv,b.csv        recorded tracks: needs no truth
     torchrun --nproc-per-node 2 -m train.tune fra_bearings     two processes share each batch
 
-Runs (train/runs.py): fra_bearings, fra_recorded, switching (interacting models), contaminated (the Huber score), noise,
-recover.  Written to out/train/RUN: config.json, log.csv, checkpoint.pt, the learned state_dict.pt (of the best
+Runs (train/runs.py): fra_bearings, fra_recorded, switching (interacting models), contaminated (the Huber score),
+association (scans of several targets in clutter), noise, recover.  Written to out/train/RUN: config.json, log.csv, checkpoint.pt, the learned state_dict.pt (of the best
 validation), learning.png and results.json with what unseen tracks say before and after.  To use what was learned:
 
     fra = torchfra.presets.fra(scenario.motion, scenario.sensor)
@@ -39,6 +39,7 @@ from torchfra.evaluate import evaluate, progress_bar, versions
 from torchfra.files import write, write_json, write_text
 from torchfra.filters import Filter
 from torchfra.filters.imm import Around
+from torchfra.filters.jpda import JPDA
 from torchfra.filters.soft import Soft
 from torchfra.hyper import hypers, named
 from torchfra.kernel.build import CompileError
@@ -71,7 +72,7 @@ class Batch(NamedTuple):
     prior: Gaussian
     dt: Tensor
     task: Tensor
-    """``(B,)`` the number of each track's task."""
+    """``(B,)`` the number of each track's task; of several targets, each scene's."""
 
 
 def simulate(parts: list[Scenario], first: int, runs: int, seed: int, device: str) -> Batch:
@@ -80,15 +81,16 @@ def simulate(parts: list[Scenario], first: int, runs: int, seed: int, device: st
     steps = max(s.steps for s in parts)
     several = [s.simulate(len(own), seed, first=first + own.start) for s in parts]
 
-    def late(x: Tensor, fill: float) -> Tensor:
-        x = x.expand(len(own), *x.shape[-2:])
-        return torch.cat([x, torch.full((len(own), steps - x.shape[-2], x.shape[-1]), fill, dtype=x.dtype)], -2)
+    def late(x: Tensor, fill: float, time: int = -2) -> Tensor:
+        x = x if x.dim() > 2 else x.expand(len(own), *x.shape)
+        more = [*x.shape]
+        more[time] = steps - x.shape[time]
+        return torch.cat([x, torch.full(more, fill, dtype=x.dtype)], time)
 
     us = [late(t.u, 0.0) for t in several if t.u is not None]
-    n = several[0].prior.mean.shape[-1]
-    roots = [t.prior.scale_tril.expand(len(own), n, n) for t in several]
+    roots = [t.prior.scale_tril.expand(*t.prior.mean.shape, t.prior.mean.shape[-1]) for t in several]
     return Batch(
-        z=torch.cat([late(t.z, math.nan) for t in several]).to(device),
+        z=torch.cat([late(t.z, math.nan, 1) for t in several]).to(device),
         truth=torch.cat([late(t.truth, math.nan) for t in several]).to(device),
         u=torch.cat(us).to(device) if us else None,
         prior=Gaussian(torch.cat([t.prior.mean for t in several]).to(device), torch.cat(roots).to(device)),
@@ -109,8 +111,11 @@ def make(config: Config, scenario: Scenario, values: dict[str, float], learn: bo
     if banked and scenario.bank is None:
         raise ValueError(f"filter: expected one of a single motion, {scenario.name} has no bank for {config.filter}")
     models = copy.deepcopy((scenario.bank if banked else scenario.motion, scenario.sensor))
+    scans = {} if scenario.clutter is None else {"clutter": scenario.clutter, "detection": scenario.detection}
+    if (scenario.clutter is None) == ("clutter" in inspect.signature(preset).parameters):
+        raise ValueError(f"filter: {config.filter} does not go with the measurements of {scenario.name}")
     names = ("all" if config.learn == ("all",) else config.learn) if learn else ()
-    f: Filter = preset(*models, learn=names, **config.options)
+    f: Filter = preset(*models, learn=names, **scans | config.options)
     for name, value in values.items():
         for hyper in named(f, (name,)).values():
             hyper.set(value)
@@ -174,7 +179,8 @@ class Tuner:
         self.f = make(config, self.parts[0], config.start, learn=True)
         self._check_search()
         self.teacher = make(config, self.parts[0], config.teacher, learn=False) if config.loss == "teacher" else None
-        self.names, self.parameters = zip(*self.f.named_parameters(), strict=True)
+        self._named = list(self.f.named_parameters())
+        self.names, self.parameters = zip(*self._named, strict=True)
         self.optimiser = torch.optim.Adam(self.parameters, lr=config.lr)
         self.weights = torch.tensor([task.weight for task in config.tasks], dtype=torch.float64, device=config.device)
         self.weights /= self.weights.sum()
@@ -192,9 +198,14 @@ class Tuner:
             decide(self.teacher, temperature)
             with torch.no_grad():
                 truth = self.teacher(batch.z, batch.prior, **call).mean
-        mean, root, nis, log_likelihood = (x[:, self.config.skip :] for x in estimate[:-1])
-        counted = Estimate(mean, root, nis, log_likelihood, None)
-        return self.loss(counted, truth[:, self.config.skip :], self.parts[0].position)
+        skip = self.config.skip
+        mean, root, nis, log_likelihood, _ = estimate
+        late = Estimate(
+            mean[..., skip:, :], root[..., skip:, :, :], nis[..., skip:], log_likelihood[..., skip:], None
+        )
+        counted = late if self.teacher is not None else self.parts[0].shown(late)
+        each = self.loss(counted, truth[..., skip:, :], self.parts[0].position)
+        return each.flatten(1).mean(-1) if each.dim() > 1 else each  # of all targets of a scene
 
     def learn(self, batch: Batch, temperature: float) -> Lesson:
         """Losses and gradients of a batch.
@@ -203,7 +214,7 @@ class Tuner:
         that blew up poisons no other, and each can be clipped alone.
         """
         count = len(batch.task)
-        own = [p.detach().expand(count, *p.shape).clone().requires_grad_() for p in self.parameters]
+        own = [self._for_each(name, p.detach(), count).requires_grad_() for name, p in self._named]
         each = self.losses(dict(zip(self.names, own, strict=True)), batch, temperature)
         pulled = torch.autograd.grad(each.sum(), own, allow_unused=True)
         gradient = torch.cat(
@@ -219,6 +230,12 @@ class Tuner:
         sums = distributed.summed(sums)
         mean = sums[:, :-1] / sums[:, -1:].clamp_min(1)
         return Lesson(mean[:, -1], mean[:, :-1], int(len(self.parts) * self.config.batch - sums[:, -1].sum()))
+
+    def _for_each(self, name: str, value: Tensor, count: int) -> Tensor:
+        """A copy for each track; of scans for each scene, whose targets share it unless they have one each."""
+        targets = isinstance(self.f, JPDA) and hypers(self.f)[name.removesuffix(".raw")].batch_rank == 0
+        shape = (count, 1) if targets else (count,)
+        return value.expand(*shape, *value.shape).clone()
 
     def step(self) -> dict[str, float]:
         """One iteration: fresh tracks, one step of Adam; what the log says about it."""

@@ -295,14 +295,15 @@ class JPDA(Soft, Filter):
         assert memory is not None
         weight = share.unsqueeze(-1) * frame.seen
         whole = weight.sum(-2)
-        excess = (weight * side.excess(whitened)).sum(-2) / torch.where(whole > 0, whole, 1.0)
+        likely = whole >= 0.5  # else nothing is learned from it
+        excess = (weight * side.excess(whitened)).sum(-2) / torch.where(likely, whole, 1.0)
         after: NoiseMemory = _flat(side(_column(memory), excess.unsqueeze(-2), whole.unsqueeze(-2)))
         if not self.share_noise:
             return after
         whole = share.sum(-1, keepdim=True)
         known = whole.sum(-2, keepdim=True)
-        pooled = (whole * after.scale).sum(-2, keepdim=True) / torch.where(known > 0, known, 1.0)
-        return after._replace(scale=torch.where(known > 0, pooled, after.scale))
+        pooled = (whole * after.scale).sum(-2, keepdim=True) / torch.where(known >= 0.5, known, 1.0)
+        return after._replace(scale=torch.where(known >= 0.5, pooled, after.scale))
 
     def _log_miss(self, like: Tensor) -> Tensor:
         """Log of the probability that a target has no measurement in its gate: a number or ``(..., N)``."""

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from torchfra.clutter import Clutter
+from torchfra.hyper import one_of
 from torchfra.motion import ConstantVelocity, CoordinatedTurn, Motion
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
 from torchfra.spherical import InfraredLaser, Spherical, belief_from_cartesian, belief_to_cartesian, from_cartesian
@@ -34,6 +35,7 @@ def clutter_straight(
     detection: float = 0.95,
     std: Sequence[float] = (1e-3, 1e-3, 5.0),
     truth_noise: float = 0.0,
+    counts: str = "diffuse",
 ) -> Scenario:
     """Scenario 1: two aircraft on straight lines that cross at 100 s, in clutter; 100 scans, 1 s apart.
 
@@ -45,6 +47,8 @@ def clutter_straight(
         detection: probability that a target is measured.
         std: of azimuth, elevation (rad) and range (m), as the filters assume.
         truth_noise: variance of a noise acceleration of the targets, m^2/s^4.
+        counts: what filters assume of the number of false measurements: ``"diffuse"``, any is alike, or ``"poisson"`` with
+            ``clutter`` expected.
 
     Raises:
         ValueError: an argument out of its range.
@@ -54,7 +58,7 @@ def clutter_straight(
     """
     motion = ConstantVelocity(Q, 3)
     given = _Given(noise_scale, change, clutter, region, detection, tuple(std), truth_noise)
-    return _scans("clutter-straight", motion, DT, given, {})
+    return _scans("clutter-straight", motion, DT, given, counts, {})
 
 
 def clutter_crossing(
@@ -66,6 +70,7 @@ def clutter_crossing(
     detection: float = 0.95,
     std: Sequence[float] = (1e-3, 1e-3, 5.0),
     truth_noise: float = 0.0,
+    counts: str = "diffuse",
     rate: float = math.radians(0.5),
     dt: float = DT,
 ) -> Scenario:
@@ -79,6 +84,7 @@ def clutter_crossing(
         detection: see there.
         std: see there.
         truth_noise: see there.
+        counts: see there.
         rate: of the turns, to opposite sides, rad/s.  The paper prints 0.5 rad/s: circles of 100 m, which never come
             within a kilometre of each other; with those take ``dt`` of 0.1 or less.
         dt: seconds between scans.
@@ -92,7 +98,7 @@ def clutter_crossing(
         raise ValueError(f"dt: expected seconds above 0, received {dt}")
     motion = CoordinatedTurn(rate * torch.tensor([1.0, -1.0], dtype=torch.float64), Q, 3)
     given = _Given(noise_scale, change, clutter, region, detection, tuple(std), truth_noise)
-    return _scans("clutter-crossing", motion, dt, given, {"rate": rate, "dt": dt})
+    return _scans("clutter-crossing", motion, dt, given, counts, {"rate": rate, "dt": dt})
 
 
 def noise_change(
@@ -152,7 +158,12 @@ def _shown(estimate: Estimate) -> Estimate:
     return estimate._replace(**belief_to_cartesian(Gaussian(estimate.mean, estimate.scale_tril))._asdict())
 
 
-def _scans(name: str, motion: Motion, dt: float, given: _Given, settings: dict[str, object]) -> Scenario:
+def _scans(
+    name: str, motion: Motion, dt: float, given: _Given, counts: str, settings: dict[str, object]
+) -> Scenario:
+    one_of(counts=(counts, ("diffuse", "poisson")))
+    if counts == "poisson" and given.clutter == 0:
+        raise ValueError("counts: expected 'diffuse' where there are no false measurements, received 'poisson'")
     sensor, targets = given.sensor(), len(_STARTS)
 
     def block(rng: np.random.Generator, numbers: Tensor) -> Tracks:
@@ -169,7 +180,9 @@ def _scans(name: str, motion: Motion, dt: float, given: _Given, settings: dict[s
     settings = {
         key: getattr(given, key) for key in ("noise_scale", "change", "clutter", "region", "detection")
     } | settings
-    clutter = Clutter(volume=targets * (2 * given.region) ** 3)
+    settings = {"counts": counts} | settings
+    rate = float(given.clutter) if counts == "poisson" else None
+    clutter = Clutter(volume=targets * (2 * given.region) ** 3, rate=rate)
     prior = belief_from_cartesian(Gaussian(_STARTS, _ROOT))
     return Scenario(name, Spherical(motion), sensor, prior, dt, STEPS, block, settings, clutter=clutter,
                     detection=given.detection, shown=_shown)  # fmt: skip
