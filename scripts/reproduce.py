@@ -66,7 +66,7 @@ def parser() -> argparse.ArgumentParser:
         "--filters",
         metavar="A,B",
         help=f"out of {known}, of adsb-turns imm3 and imm5, of alpha-beta f1, f2, f3 and paper; of "
-        "clutter-* ukf_jpda and iaukf_jpda, with _paper behind for the paper's own, _safe for our safeguards "
+        "clutter-* ukf_jpda_paper, ukf_jpda_safe (with our safeguards), iaukf_jpda_paper and iaukf_jpda_safe "
         "(default: the paper's)",
     )
     p.add_argument("--learned", metavar="NAME=FILE", help="also the filter NAME with values that training wrote")

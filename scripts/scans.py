@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchfra import metrics, plotting, presets
 from torchfra.clutter import Euclidean
-from torchfra.evaluate import chosen, progress_bar
+from torchfra.evaluate import check_names, progress_bar
 from torchfra.filters import Filter
 from torchfra.scenarios import Scenario, Tracks
 from torchfra.sensors import wrap
@@ -22,21 +22,23 @@ SETTLED, LOST = 10, 100.0
 SHOWN = (10, 44, 90)
 """Scans of the first run whose association probabilities are told."""
 _CHUNK = 500
-_SAFE = {"ukf_jpda": {"least": 0.9999, "lost": 1e-3}, "iaukf_jpda": {"least": 0.9999, "lost": 1e-3}}
-_PAPER = {"least": 0.0, "lost": 0.0}
+_SAFEGUARDS = {"paper": (0.0, 0.0), "safe": (0.9999, 1e-3)}
+"""Least probability of the gate, and when a track counts as lost."""
 
 
 def scan_filters(scenario: Scenario, names: list[str]) -> dict[str, Filter]:
-    """Filters of these names at both gates; ``_paper`` behind a name leaves our safeguards out, ``_safe`` has them."""
+    """Filters of these names at both gates: ``ukf_jpda_paper`` without our safeguards, ``ukf_jpda_safe`` with them."""
     found: dict[str, Filter] = {}
     for name in names:
-        base = name.removesuffix("_paper").removesuffix("_safe")
-        chosen([base], scenario)  # is there one?
-        own = _PAPER if name.endswith("_paper") or name == "ukf_jpda" else _SAFE[base]
+        base, _, kind = name.rpartition("_")
+        if kind not in _SAFEGUARDS:
+            raise ValueError(f"filters: expected names that end in _paper or _safe, received {name!r}")
+        check_names([base], scenario)
+        least, lost = _SAFEGUARDS[kind]
         for gate in GATES:
             found[f"{name} {gate:g} m"] = getattr(presets, base)(
                 scenario.motion, scenario.sensor, clutter=scenario.clutter, detection=scenario.detection,
-                gate=Euclidean(gate, own["least"]), lost=own["lost"],
+                gate=Euclidean(gate, least), lost=lost,
             )  # fmt: skip
     return found
 

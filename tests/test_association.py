@@ -136,6 +136,19 @@ def test_messages_are_close_to_the_sum_over_events(diffuse):
     assert (exact.evidence - close.evidence).abs().max() < 0.3
 
 
+def test_messages_of_targets_that_are_always_measured_are_probabilities_too():
+    """More targets than measurements, whose odds are far from even: each measurement still belongs to one target."""
+    rng = np.random.default_rng(0)
+    for targets, count, scale in ((5, 3, 1.0), (3, 2, 1.0), (2, 1, 10.0), (3, 2, 100.0)):
+        ratio = torch.from_numpy(scale * rng.standard_normal((targets, count)))
+        close = associate(ratio, -math.inf, exact=(1, 1))
+        assert close.log_weights[:, 1:].exp().sum(0).max() < 1.01
+        if targets <= 3:
+            sure = associate(ratio, -math.inf)
+            assert (close.log_weights.exp() - sure.log_weights.exp()).abs().max() < 0.3
+            assert (close.evidence - sure.evidence).abs().max() < 1
+
+
 def test_messages_are_exact_where_nothing_is_shared():
     L, c = random_scan(np.random.default_rng(7), 5, 15, share=1.0)
     L *= np.kron(np.eye(5), np.ones((3, 1)))
@@ -184,5 +197,5 @@ def test_events_are_all_of_them_once():
         number = sum(math.comb(targets, k) * math.perm(count, k) for k in range(min(targets, count) + 1))
         every = events(targets, count)
         assert len(every) == len({tuple(e) for e in every.tolist()}) == number
-    with pytest.raises(ValueError, match="exact: expected at most"):
+    with pytest.raises(ValueError, match="exact: expected targets"):
         events(8, 12)

@@ -119,6 +119,17 @@ def test_without_false_measurements_and_always_detected_it_is_the_filter_itself(
     torch.testing.assert_close(joint.nis[:, 0], plain.nis, rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.parametrize("far", [30.0, 300.0, 3000.0])
+def test_a_target_that_is_always_measured_follows_however_far_its_measurement_is(far):
+    f = plane(detection=1.0, gate=Euclidean(1e9), clutter=Clutter(1e9))
+    z = torch.tensor([[[far, 0.0]]], dtype=torch.float64)
+    plain = presets.srckf(ConstantVelocity(0.5, 2), Position(2.0))(z[0], flat_prior((0.0, 0.0))._replace(
+        mean=flat_prior((0.0, 0.0)).mean[0], scale_tril=flat_prior((0.0, 0.0)).scale_tril[0]))  # fmt: skip
+    estimate = f(z, flat_prior((0.0, 0.0)))
+    torch.testing.assert_close(estimate.mean[0], plain.mean)
+    assert estimate.info.association[0, 0].tolist() == [0.0, 1.0]
+
+
 def test_targets_far_apart_are_filtered_alone():
     near, far = (0.0, 0.0), (1e4, 0.0)
     z = torch.randn(10, 3, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) * 4
@@ -380,6 +391,58 @@ def test_a_measurement_of_the_infrared_sensor_alone_is_associated_too(scenario, 
     ).all()
 
 
+def test_a_track_that_searches_does_not_widen_further_while_nothing_is_measured_at_all():
+    f = plane(lost=1e-2, gate=ChiSquare(0.99))
+    z = torch.full((30, 1, 2), math.nan).double()
+    z[:5] = 1e4
+    searching, patient = (g(z, flat_prior((0.0, 0.0))) for g in (f, plane(gate=ChiSquare(0.99))))
+    ratio = (searching.scale_tril[0, :, 0, 0] / patient.scale_tril[0, :, 0, 0]).log2()
+    assert ratio[4] > 1
+    assert ratio.max() < 5.5
+
+
+def test_values_of_scenes_work_with_scans_of_one():
+    z = torch.randn(6, 3, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    prior, values = flat_prior((0.0, 0.0), (3.0, 1.0)), torch.tensor([[0.9], [0.8], [0.7]], dtype=torch.float64)
+    for options, alone in (
+        ({"detection": values}, {"detection": 0.8}),
+        ({"clutter": Clutter(1e4, rate=10 * values)}, {"clutter": Clutter(1e4, rate=8.0)}),
+        ({"clutter": Clutter(1e4 * values)}, {"clutter": Clutter(8e3)}),
+        ({"gate": ChiSquare(values)}, {"gate": ChiSquare(0.8)}),
+    ):
+        together, one = plane(**options)(z, prior), plane(**alone)(z, prior)
+        torch.testing.assert_close(together.mean[1], one.mean)
+        state, _ = plane(**options).step(plane(**options).init(prior), z[0])
+        torch.testing.assert_close(state.belief.mean[1], one.mean[:, 0])
+
+
+def test_an_empty_batch_is_a_batch(scenario):
+    f = make("iaukf_jpda", scenario)
+    prior = Gaussian(torch.zeros(0, 2, 6).double(), torch.zeros(0, 2, 6, 6).double())
+    assert f(torch.zeros(0, 5, 8, 3).double(), prior).mean.shape == (0, 2, 5, 6)
+    single = scenarios.noise_change()
+    plain = presets.iaukf(single.motion, single.sensor)
+    prior = Gaussian(torch.zeros(0, 6).double(), torch.zeros(0, 6, 6).double())
+    assert plain(torch.zeros(0, 5, 3).double(), prior).mean.shape == (0, 5, 6)
+
+
+def test_what_had_to_be_mended_and_how_far_robust_filters_trust_is_told(scenario, tracks):
+    robust = presets.jpda(scenario.motion, scenario.sensor, clutter=scenario.clutter, inner=presets.rsrckf)
+    info = robust(tracks.z, tracks.prior).info
+    assert info.weights.shape == (3, 2, STEPS, 8, 3)
+    assert info.repaired is None
+    high = presets.jpda(scenario.motion, scenario.sensor, clutter=scenario.clutter, inner=presets.ghckf)
+    assert high(tracks.z, tracks.prior).info.repaired.shape == (3, 2, STEPS)
+
+
+@pytest.mark.slow
+def test_torch_compile_sees_a_step_as_it_is(scenario, tracks):
+    f = make("iaukf_jpda", scenario)
+    state = f.init(tracks.prior)
+    fast = torch.compile(f.step, backend="eager", fullgraph=True)
+    torch.testing.assert_close(fast(state, tracks.z[:, 0])[0].belief.mean, f.step(state, tracks.z[:, 0])[0].belief.mean)
+
+
 def test_shared_noise_is_one_for_all_targets(scenario, tracks):
     apart = make("iaukf_jpda", scenario)(tracks.z, tracks.prior).info.noise
     shared = make("iaukf_jpda", scenario, share_noise=True)(tracks.z, tracks.prior).info.noise
@@ -453,6 +516,7 @@ def test_what_does_not_fit_is_named(scenario):
         (lambda: presets.ukf_jpda(motion, sensor, clutter=clutter, detection=0.0), "detection: expected a prob"),
         (lambda: presets.ukf_jpda(motion, sensor, clutter=clutter, lost=1.0), "lost"),
         (lambda: presets.ukf_jpda(motion, sensor, clutter=clutter, share_noise=True), "share_noise"),
+        (lambda: presets.ukf_jpda(motion, sensor, clutter=clutter, exact=(8, 12)), "exact"),
         (lambda: presets.ukf_jpda(motion, sensor, clutter=clutter, temperature=-1.0), "temperature"),
         (lambda: scenarios.clutter_straight(detection=0.0), "detection"),
         (lambda: scenarios.clutter_crossing(dt=0.0), "dt"),
@@ -475,6 +539,18 @@ def test_what_does_not_fit_is_named(scenario):
         (torch.zeros(5, 2, 3).double(), good, {"dt": 0.0}, "dt: expected"),
         (torch.zeros(4, 5, 2, 3).double(), Gaussian(good.mean.expand(3, 2, 6), good.scale_tril), {}, "batch: expected"),
         (torch.zeros(5, 2, 3).double(), good, {"truncate": 0}, "truncate"),
+        (
+            torch.zeros(5, 2, 3).double(),
+            Gaussian(good.mean, good.scale_tril[:1]),
+            {},
+            "prior.scale_tril: expected one for",
+        ),
+        (
+            torch.zeros(5, 2, 3).double(),
+            Gaussian(good.mean[:1], good.scale_tril[:1]),
+            {},
+            "rate: expected a value for each",
+        ),
     ):
         with pytest.raises(ValueError, match=said):
             f(z, prior, **options)

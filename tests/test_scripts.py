@@ -97,20 +97,22 @@ def test_reproduce_writes_the_errors_of_the_reentry(tmp_path):
 
 def test_reproduce_writes_errors_by_target_and_association_probabilities(tmp_path, capsys):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path)]
-    names = ["--filters", "ukf_jpda,iaukf_jpda_paper,iaukf_jpda"]
+    names = ["--filters", "ukf_jpda_paper,iaukf_jpda_paper,iaukf_jpda_safe"]
     assert (
         reproduce.main(["clutter-crossing", "--runs", "4", "--noise-scale", "4", "--clutter", "4", *names, *out]) == 0
     )
     found = json.loads((tmp_path / "r.json").read_text())
     assert found["settings"]["noise_scale"] == 4
-    wanted = {f"{name} {gate} m" for name in ("ukf_jpda", "iaukf_jpda_paper", "iaukf_jpda") for gate in (100, 150)}
+    wanted = {
+        f"{name} {gate} m" for name in ("ukf_jpda_paper", "iaukf_jpda_paper", "iaukf_jpda_safe") for gate in (100, 150)
+    }
     assert found["scans"].keys() == found["associations"].keys() == wanted
-    of = found["scans"]["iaukf_jpda 100 m"]
+    of = found["scans"]["iaukf_jpda_safe 100 m"]
     assert len(of["rmse_range"]) == 2
     assert len(of["rmse_azimuth"][0]) == len(of["ospa"]) == 100
     assert of["filtered_range"] < of["raw_range"] == pytest.approx(19.0, rel=0.15)
     assert of["lost"] == 0
-    for rows in found["associations"]["iaukf_jpda 100 m"].values():
+    for rows in found["associations"]["iaukf_jpda_safe 100 m"].values():
         assert [sum(row) for row in rows] == pytest.approx([1.0, 1.0])
         assert len(rows[0]) == 7
     assert {p.name for p in tmp_path.glob("*.png")} == {
@@ -132,6 +134,8 @@ def test_reproduce_says_what_is_wrong(capsys):
     assert "adsb-turns takes no such option" in capsys.readouterr().err
     assert reproduce.main(["bearings-outliers", "--filters", "imm5"]) == 2
     assert "imm5" in capsys.readouterr().err
+    assert reproduce.main(["clutter-straight", "--filters", "ukf_jpda"]) == 2
+    assert "_paper or _safe" in capsys.readouterr().err
     assert reproduce.main(["bearings-outliers", "--filters", "kalman"]) == 2
     assert "kalman" in capsys.readouterr().err
 

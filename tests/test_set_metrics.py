@@ -119,6 +119,11 @@ def test_without_scipy_it_is_said_what_to_install(monkeypatch):
 
 
 def test_what_does_not_fit_is_named():
-    for options in ({"cutoff": 0.0}, {"order": 0.5}):
+    x, y = sets(2, 3, 0)
+    with pytest.raises(ValueError, match="truth: expected"):
+        swaps(x, y, WHERE)
+    with pytest.raises(ValueError, match="mean, truth: expected"):
+        ospa(x[0], y[0], WHERE)
+    for options in ({"cutoff": 0.0}, {"order": 0.5}, {"order": math.inf}, {"cutoff": math.inf}):
         with pytest.raises(ValueError, match="cutoff, order: expected"):
             gospa(*sets(1, 1, 0), WHERE, **options)

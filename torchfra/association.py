@@ -17,8 +17,10 @@ from torch.nn.functional import pad
 
 from torchfra.linalg import is_traced
 
-_NOTHING = -1e5
-"""Log weight of what cannot be, in messages: finite, so that differences stay numbers."""
+_SURE, _NOTHING = -30.0, -1e3
+"""In messages, log weights against the largest of a target: to miss one that is always measured, and what cannot be."""
+_CHOICES = 300_000
+"""Largest table of events to go through."""
 
 
 class Association(NamedTuple):
@@ -28,7 +30,7 @@ class Association(NamedTuple):
     """``(..., N, J + 1)`` logs of the probabilities: missed, then of each measurement; minus infinity for none."""
     evidence: Tensor
     """``(..., N)`` log density of the scan against one of false measurements alone; each target of a cluster has an
-    equal     share, so that their sum is that of the scan."""
+    equal share, so that their sum is that of the scan."""
 
 
 def associate(
@@ -38,7 +40,7 @@ def associate(
     diffuse: bool = False,
     inside: Tensor | None = None,
     exact: tuple[int, int] = (4, 10),
-    iterations: int = 100,
+    iterations: int = 50,
 ) -> Association:
     """Probabilities of association, summed over all joint events.
 
@@ -56,18 +58,20 @@ def associate(
         iterations: of belief propagation.
 
     Raises:
-        ValueError: more than 6 targets or 100,000 events to be enumerated.
+        ValueError: ``exact`` asks for more than 300,000 choices, ``(measurements + 1)^targets``.
+
+    Under ``torch.compile`` the rounds of belief propagation are unrolled, where clusters may be too large for events.
 
     Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eqs. (25)-(27).
     """
     targets, count = log_ratio.shape[-2:]
-    batch = log_ratio.shape[:-2]
     log_miss = torch.as_tensor(log_miss, dtype=log_ratio.dtype, device=log_ratio.device)
-    ratio = log_ratio.reshape(-1, targets, count)
+    batch = torch.broadcast_shapes(log_ratio.shape[:-2], log_miss.shape[:-1])
+    ratio = log_ratio.expand(*batch, targets, count).reshape(-1, targets, count)
     miss = log_miss.expand(*batch, targets).reshape(-1, targets)
     gated = ratio > -torch.inf
     together = clusters(gated)
-    member = gated.to(ratio) if inside is None else inside.reshape(ratio.shape).exp()
+    member = gated.to(ratio) if inside is None else inside.expand(*batch, targets, count).reshape(ratio.shape).exp()
     shared = torch.where(together.unsqueeze(-1), member.unsqueeze(-3), 0.0).amax(
         -2
     )  # (R, N, J) in a gate of the cluster
@@ -76,7 +80,8 @@ def associate(
     by_events = (within.size > 1) & (within.size <= exact[0]) & (within.gated <= exact[1])
     beyond = (within.size > 1) & ~by_events
     traced = is_traced(log_ratio)
-    rounds = iterations if traced or bool(beyond.any()) else 1  # single targets are done in one
+    # Single targets are done without, and where all clusters are small nothing else is left.
+    rounds = iterations if (traced and (targets, count) != table) or (not traced and bool(beyond.any())) else 0
     found = propagate(ratio, miss, within, diffuse=diffuse, iterations=rounds)
     if targets > 1 and min(table) >= 1 and (traced or bool(by_events.any())):
         found = _enumerated(ratio, miss, gated, within, by_events, table, diffuse, found, traced)
@@ -106,17 +111,33 @@ def clusters(gated: Tensor) -> Tensor:
     return linked
 
 
-@lru_cache(maxsize=64)
+def check_exact(exact: tuple[int, int]) -> None:
+    """Whether all events of so many targets and measurements may be gone through.
+
+    Raises:
+        ValueError: they are too many.
+    """
+    targets, count = exact
+    if min(exact) < 0 or (count + 1) ** targets > _CHOICES:
+        raise ValueError(
+            f"exact: expected targets and measurements with (measurements + 1)^targets up to {_CHOICES}, such as 4 and "
+            f"10, received {targets} and {count}"
+        )
+
+
+@torch.compiler.assume_constant_result  # type: ignore[untyped-decorator]  # or its loop would be traced
 def events(targets: int, count: int) -> Tensor:
     """``(E, targets)`` all joint events: for each target 0, missed, or 1 to ``count``, each of those once at most.
 
     Raises:
-        ValueError: too many of them.
+        ValueError: more than 300,000 choices, ``(count + 1)^targets``.
     """
-    if (count + 1) ** targets > 300_000:
-        raise ValueError(
-            f"exact: expected at most 4 targets with 10 measurements or the like, received {targets}, {count}"
-        )
+    return _events(targets, count)
+
+
+@lru_cache(maxsize=64)
+def _events(targets: int, count: int) -> Tensor:
+    check_exact((targets, count))
     every = [e for e in product(range(count + 1), repeat=targets) if len(set(e) - {0}) == sum(a > 0 for a in e)]
     return torch.tensor(every, dtype=torch.int64)
 
@@ -218,31 +239,42 @@ def propagate(log_ratio: Tensor, log_miss: Tensor, within: Clusters, *, diffuse:
         some = found > 0
         rate = torch.lgamma(within.counted + 1) - torch.lgamma(within.counted - found + 1)
         log_ratio = log_ratio - torch.where(some, rate / torch.where(some, found, 1.0), 0.0).unsqueeze(-1)
-    weight = torch.where(gated, log_ratio, _NOTHING)
-    miss = torch.where(log_miss > -torch.inf, log_miss, _NOTHING / 10).unsqueeze(-1)
+    certain, alone = log_miss == -torch.inf, within.size == 1
+    every = torch.cat([torch.where(certain, torch.where(gated.any(-1), -torch.inf, 0.0), log_miss).unsqueeze(-1),
+                       log_ratio], -1)  # fmt: skip
+    # The least that those always measured may be missed with, the same for a cluster so that it decides nothing else.
+    likeliest = torch.where(gated, log_ratio, -torch.inf).detach().amax(-1)
+    least = torch.where(within.together & gated.any(-1).unsqueeze(-2), likeliest.unsqueeze(-2), torch.inf).amin(-1)
+    forced = torch.where(least.isfinite(), least + _SURE, 0.0)
+    miss = torch.where(certain, forced, log_miss).unsqueeze(-1)
+    weight = torch.where(gated, log_ratio, torch.maximum(miss, likeliest.unsqueeze(-1)).detach() + _NOTHING)
     back = torch.zeros_like(weight)  # log of nu, from measurement to target
     for _ in range(iterations):
         ahead = weight - torch.logaddexp(miss, _others(weight + back))
         back = -torch.nn.functional.softplus(_others(ahead.mT).mT)
-    every = torch.cat([miss, weight + back], -1)
-    whole = every.logsumexp(-1)
-    log_weights = every - whole.unsqueeze(-1)
-    log_weights = torch.where(pad(gated, (1, 0), value=True), log_weights, -torch.inf)
+    told = torch.cat([miss, weight + back], -1)
+    whole = told.logsumexp(-1)
+    log_weights = torch.where(pad(gated, (1, 0), value=True), told - whole.unsqueeze(-1), -torch.inf)
     # The Bethe approximation of the sum over all events, each measurement's part shared by the targets that gate it.
     ahead = weight - torch.logaddexp(miss, _others(weight + back))
     of_measurement = torch.nn.functional.softplus(ahead.logsumexp(-2)) / gated.sum(-2).clamp_min(1)
     own = whole + (gated * of_measurement.unsqueeze(-2) - torch.nn.functional.softplus(ahead + back)).sum(-1)
+    own = own - torch.where(certain, forced * log_weights[..., 0].exp(), 0.0)  # which counts as 0 among events
     evidence = (within.together.to(own) @ own.unsqueeze(-1)).squeeze(-1) / within.size
-    return Association(log_weights, evidence)
+    single = every.logsumexp(-1)  # of a target alone there is nothing to tell others
+    return Association(
+        torch.where(alone.unsqueeze(-1), every - single.unsqueeze(-1), log_weights),
+        torch.where(alone, single, evidence),
+    )
 
 
 def _others(x: Tensor) -> Tensor:
     """Log of the sum over all other entries of the last dimension, for each of ``x (..., n)``."""
     n = x.shape[-1]
     if n == 1:
-        return torch.full_like(x, 10 * _NOTHING)
+        return torch.full_like(x, -torch.inf)
     own = torch.eye(n, dtype=torch.bool, device=x.device)
-    return torch.where(own, 10 * _NOTHING, x.unsqueeze(-2)).logsumexp(-1)
+    return torch.where(own, -torch.inf, x.unsqueeze(-2)).logsumexp(-1)
 
 
 def _log(probability: Tensor) -> Tensor:

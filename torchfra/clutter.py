@@ -75,7 +75,7 @@ class Euclidean(Gate):
         if not 0 <= least < 1:
             raise ValueError(f"least: expected a probability of 0 or more and below 1, received {least}")
         self.size = Hyper(size, name="size")
-        self.least = ChiSquare(least) if least else None
+        self.least = least
 
     def beyond(self, candidates: Candidates, sensor: Sensor) -> Tensor:
         """See ``Gate``."""
@@ -83,7 +83,9 @@ class Euclidean(Gate):
         squared, size = gap.square().sum(-1), self.size().to(gap)
         distance = torch.where(squared > 0, torch.where(squared > 0, squared, 1.0).sqrt(), 0.0)
         beyond = distance / size - 1
-        return beyond if self.least is None else torch.minimum(beyond, self.least.beyond(candidates, sensor))
+        if not self.least:
+            return beyond
+        return torch.minimum(beyond, _tail(candidates, torch.tensor(self.least).to(beyond)))
 
 
 class ChiSquare(Gate):
@@ -106,16 +108,23 @@ class ChiSquare(Gate):
 
     def beyond(self, candidates: Candidates, sensor: Sensor) -> Tensor:
         """See ``Gate``."""
-        nis, seen = candidates.nis, candidates.seen.sum(-1).expand(candidates.nis.shape)
-        tail = torch.special.gammaincc(seen.clamp_min(1.0) / 2, nis.clamp_min(1e-12) / 2)
-        edge = torch.log1p(-self.probability().to(nis))
-        some = tail > 0
-        return torch.where(some, torch.where(some, tail, 1.0).log() / edge - 1, torch.inf)
+        probability: Tensor = self.probability().to(candidates.nis)
+        return _tail(candidates, probability)
 
     def inside(self) -> Tensor | None:
         """See ``Gate``."""
         probability: Tensor = self.probability()
         return probability
+
+
+def _tail(candidates: Candidates, probability: Tensor) -> Tensor:
+    """How far ``(..., N, J)`` beyond the ellipsoid of a probability, in the log of the one to lie still farther out."""
+    nis, seen = candidates.nis, candidates.seen.sum(-1).expand(candidates.nis.shape)
+    tail = torch.special.gammaincc(seen.clamp_min(1.0) / 2, nis.clamp_min(1e-12) / 2)
+    some = tail > 0
+    beyond = torch.where(some, tail, 1.0).log() / torch.log1p(-probability) - 1
+    outside: Tensor = torch.where(some, beyond, torch.inf)
+    return outside
 
 
 class Clutter(nn.Module):

@@ -122,11 +122,20 @@ def chosen(names: Sequence[str], scenario: Scenario) -> dict[str, Filter]:
     Raises:
         ValueError: a name that is not in ``FILTERS`` (``SCANS`` for scans), or none at all.
     """
+    check_names(names, scenario)
+    return {name: _around(name, scenario) for name in names}
+
+
+def check_names(names: Sequence[str], scenario: Scenario) -> None:
+    """Whether there are filters of these names for a scenario.
+
+    Raises:
+        ValueError: a name that is not in ``FILTERS`` (``SCANS`` for scans), or none at all.
+    """
     known = FILTERS if scenario.clutter is None else SCANS
     unknown = [name for name in names if name not in known]
     if unknown or not names:
         raise ValueError(f"filters: expected names out of {', '.join(known)}, received {', '.join(unknown) or 'none'}")
-    return {name: _around(name, scenario) for name in names}
 
 
 def _around(name: str, scenario: Scenario, **options: Any) -> Filter:
@@ -177,7 +186,7 @@ def learned(path: str | Path, scenario: Scenario, name: str = "fra") -> Filter:
     config = Path(path).with_name("config.json")  # what train.tune writes beside it
     said = json.loads(config.read_text()) if config.exists() else {}
     options = said.get("options", {}) if said.get("filter") == name else {}
-    chosen([name], scenario)  # is there one?
+    check_names([name], scenario)
     f = _around(name, copy.deepcopy(scenario), **options)
     try:
         f.load_state_dict(torch.load(path, weights_only=True))

@@ -97,7 +97,7 @@ def ospa(mean: Tensor, truth: Tensor, states: slice, *, cutoff: float = 100.0, o
 
     Raises:
         ImportError: scipy is not there.
-        ValueError: a cutoff that is not above 0, or an order below 1.
+        ValueError: a cutoff that is not above 0, an order below 1, infinite ones, or shapes that do not fit.
 
     Source: Schuhmacher, Vo & Vo (2008), "A Consistent Metric for Performance Evaluation of Multi-Object Filters".
     """
@@ -120,7 +120,7 @@ def gospa(mean: Tensor, truth: Tensor, states: slice, *, cutoff: float = 100.0, 
 
     Raises:
         ImportError: scipy is not there.
-        ValueError: a cutoff that is not above 0, or an order below 1.
+        ValueError: a cutoff that is not above 0, an order below 1, infinite ones, or shapes that do not fit.
 
     Source: Rahmathullah, Garcia-Fernandez & Svensson (2017), "Generalized optimal sub-pattern assignment metric".
     """
@@ -141,7 +141,14 @@ def swaps(mean: Tensor, truth: Tensor, states: slice, cutoff: float = 100.0) -> 
         truth: ``(..., N, T, n)``, estimate i begins as that of target i.
         states: the components that count.
         cutoff: m.
+
+    Raises:
+        ValueError: not one truth for each estimate.
     """
+    if mean.dim() < 3 or mean.shape[-3:-1] != truth.shape[-3:-1]:
+        raise ValueError(
+            f"truth: expected (..., N, T, n) as the estimates {tuple(mean.shape)}, received {tuple(truth.shape)}"
+        )
     gap = (mean[..., states].unsqueeze(-3) - truth[..., states].unsqueeze(-4)).square().sum(-1).sqrt()  # (..., N, M, T)
     own = torch.arange(gap.shape[-3], device=gap.device)
     mine = gap.diagonal(dim1=-3, dim2=-2).movedim(-1, -2) <= cutoff  # (..., N, T)
@@ -156,8 +163,15 @@ def swaps(mean: Tensor, truth: Tensor, states: slice, cutoff: float = 100.0) -> 
 
 def _pairs(mean: Tensor, truth: Tensor, states: slice, cutoff: float, order: float) -> tuple[Tensor, Tensor, Tensor]:
     """Distances ``(..., T, N, M)`` to the power of ``order``, infinite where one is missing, and how many there are."""
-    if not cutoff > 0 or not order >= 1:
-        raise ValueError(f"cutoff, order: expected metres above 0 and 1 or more, received {cutoff}, {order}")
+    if not 0 < cutoff < torch.inf or not 1 <= order < torch.inf:
+        raise ValueError(
+            f"cutoff, order: expected metres above 0 and 1 or more, both finite, received {cutoff}, {order}"
+        )
+    if min(mean.dim(), truth.dim()) < 3 or mean.shape[-2] != truth.shape[-2]:
+        raise ValueError(
+            f"mean, truth: expected (..., N, T, n) and (..., M, T, n), received {tuple(mean.shape)} and "
+            f"{tuple(truth.shape)}"
+        )
     ours, theirs = (x[..., states].movedim(-2, -3) for x in (mean, truth))  # (..., T, N, d)
     distance = (ours.unsqueeze(-2) - theirs.unsqueeze(-3)).square().sum(-1) ** (order / 2)
     there, wanted = ((~x.isnan().any(-1)).sum(-1).to(distance) for x in (ours, theirs))

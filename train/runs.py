@@ -207,8 +207,8 @@ def association() -> Config:
     """How often targets are measured, the gate, and how fast to follow the noise: from the likelihood of scans alone.
 
     Two targets among Poisson false measurements (the likelihood of a non-parametric number of them would reward small
-    gates, as it counts them in the gates alone); the noise becomes four times what the filter assumes.  Detection starts at 0.7
-    (truth: 0.95), the gate at 60 m, the memory at five innovations.  The gate is soft while it learns.
+    gates, as it counts them in the gates alone); the noise becomes four times what the filter assumes.  Detection
+    starts at 0.7 (truth: 0.95), the gate at 60 m, the memory at five innovations.  The gate is soft while it learns.
     """
     return Config(
         name="association",

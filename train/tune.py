@@ -7,8 +7,9 @@
     torchrun --nproc-per-node 2 -m train.tune fra_bearings     two processes share each batch
 
 Runs (train/runs.py): fra_bearings, fra_recorded, switching (interacting models), contaminated (the Huber score),
-association (scans of several targets in clutter), noise, recover.  Written to out/train/RUN: config.json, log.csv, checkpoint.pt, the learned state_dict.pt (of the best
-validation), learning.png and results.json with what unseen tracks say before and after.  To use what was learned:
+association (scans of several targets in clutter), noise, recover.  Written to out/train/RUN: config.json, log.csv,
+checkpoint.pt, the learned state_dict.pt (of the best validation), learning.png and results.json with what unseen tracks
+say before and after.  To use what was learned:
 
     fra = torchfra.presets.fra(scenario.motion, scenario.sensor)
     fra.load_state_dict(torch.load("out/train/fra_bearings/state_dict.pt", weights_only=True))
@@ -200,9 +201,7 @@ class Tuner:
                 truth = self.teacher(batch.z, batch.prior, **call).mean
         skip = self.config.skip
         mean, root, nis, log_likelihood, _ = estimate
-        late = Estimate(
-            mean[..., skip:, :], root[..., skip:, :, :], nis[..., skip:], log_likelihood[..., skip:], None
-        )
+        late = Estimate(mean[..., skip:, :], root[..., skip:, :, :], nis[..., skip:], log_likelihood[..., skip:], None)
         counted = late if self.teacher is not None else self.parts[0].shown(late)
         each = self.loss(counted, truth[..., skip:, :], self.parts[0].position)
         return each.flatten(1).mean(-1) if each.dim() > 1 else each  # of all targets of a scene

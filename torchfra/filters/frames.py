@@ -121,7 +121,7 @@ def check(
     if not z.is_floating_point():
         raise ValueError(f"z: expected floating point numbers, received {z.dtype}")
     event = 2 + scans
-    if z.dim() < event or z.shape[-1] != m or z.numel() == 0:
+    if z.dim() < event or z.shape[-1] != m or 0 in z.shape[-event:]:
         raise ValueError(f"z: expected (..., T, {'J, ' if scans else ''}{m}), received {tuple(z.shape)}")
     steps, each = z.shape[-event], tuple(z.shape[-2:-1]) if scans else ()
     batch = {"z": z.shape[:-event]}
@@ -144,6 +144,11 @@ def check(
             wanted = ", ".join(unknown if s is None else str(s) for s in shape)
             raise ValueError(f"{name}: expected (..., {wanted}), received {tuple(x.shape)}")
         batch[name] = x.shape[: x.dim() - len(shape)]
+    if scans and prior.scale_tril.dim() > 2 and prior.scale_tril.shape[-3] != prior.mean.shape[-2]:
+        count = prior.mean.shape[-2]
+        raise ValueError(
+            f"prior.scale_tril: expected one for each of {count} targets, received {tuple(prior.scale_tril.shape)}"
+        )
     if isinstance(dt, Tensor):
         if dt.dim() and dt.shape[-1] not in (1, steps):
             raise ValueError(f"dt: expected a number or (..., {steps}) or (..., 1), received {tuple(dt.shape)}")

@@ -11,18 +11,18 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 
 from torchfra.adaptive import NoiseMemory
-from torchfra.association import Association, associate
+from torchfra.association import Association, associate, check_exact
 from torchfra.clutter import Candidates, Clutter, Gate
 from torchfra.filters.base import Filter, Mix, Record, check_lengths, stack
 from torchfra.filters.frames import Frame, Time, batch_rank, check, make_frames
 from torchfra.filters.soft import Soft
-from torchfra.filters.srckf import SRCKF, State, compare, predict
-from torchfra.hyper import Hyper, Value
+from torchfra.filters.srckf import SRCKF, State, compare, count_repaired, predict
+from torchfra.hyper import Hyper, Value, hypers
 from torchfra.kernel.build import CompileError
 from torchfra.linalg import is_traced
 from torchfra.mixture import moment_match
-from torchfra.types import Estimate, Gaussian, Innovation, Whitened
-from torchfra.update import correct, density, innovation
+from torchfra.types import Estimate, Gaussian, Innovation, Prediction, Whitened
+from torchfra.update import correct, density, innovation, mended
 
 _SEARCH = 5.0
 """Times that the covariance of a track that seems lost quadruples."""
@@ -35,6 +35,8 @@ class JPDAState(NamedTuple):
     """Of the filters, ``(..., N)``."""
     missed: Tensor
     """``(..., N)`` expected number of scans since each was measured last."""
+    searched: Tensor
+    """``(..., N)`` how often the covariance of each has been quadrupled for that."""
 
     @property
     def belief(self) -> Gaussian:
@@ -49,6 +51,10 @@ class JPDAInfo(NamedTuple):
     """``(..., N, T, J + 1)`` probabilities: that the target was missed, and that each measurement is its own."""
     noise: Tensor | None
     """``(..., N, T, m)`` estimated variances of the measurement noise, as multiples of the nominal ones; or None."""
+    weights: Tensor | None
+    """``(..., N, T, J, m)`` of a robust inner filter: how far it would trust each measurement."""
+    repaired: Tensor | None
+    """``(..., N, T)`` covariances that were not positive and had to be mended; of rules with negative weights."""
 
 
 class JPDA(Soft, Filter):
@@ -113,6 +119,7 @@ class JPDA(Soft, Filter):
         self.detection = Hyper(detection, constraints.interval(0.0, 1.0), name="detection")
         if not bool((torch.as_tensor(detection) > 0).all()):
             raise ValueError(f"detection: expected a probability above 0, received {detection}")
+        check_exact(exact)
         clutter.check(inner.sensor)
         whole = torch.ones(1, 1, inner.sensor.size)
         gate.beyond(Candidates(whole, whole, whole, whole[..., 0]), inner.sensor)
@@ -144,13 +151,14 @@ class JPDA(Soft, Filter):
 
     def begin(self, belief: Gaussian) -> JPDAState:
         """See ``Filter``."""
-        return JPDAState(self.inner.begin(belief), torch.zeros_like(belief.mean[..., 0]))
+        nothing = torch.zeros_like(belief.mean[..., 0])
+        return JPDAState(self.inner.begin(belief), nothing, nothing)
 
     def advance(self, state: JPDAState, frame: Frame, mix: Mix | None = None) -> tuple[JPDAState, Record]:
         """See ``Filter``; frames are of measurements ``(..., 1, J)``, innovations in the measurement's own units."""
         f, memory = self.inner, state.inner.memory if isinstance(state.inner.memory, NoiseMemory) else None
-        predicted = predict(f.motion, f.motion_rule, _column(state.belief), frame).belief
-        predicted = self._searching(predicted, state.missed)
+        prediction = predict(f.motion, f.motion_rule, _column(state.belief), frame)
+        predicted, searched = self._searching(prediction.belief, state)
         whitened = compare(f.sensor, f.sensor_rule, predicted, frame)
         known, size = self._known(whitened, memory, frame)
         root, normalised = innovation(known)
@@ -160,7 +168,7 @@ class JPDA(Soft, Filter):
         if f.noise is not None and f.noise.adapt == "innovation":
             memory = self._adapted(memory, whitened, share, frame)  # eq. (19)
             known, _ = self._known(whitened, memory, frame)
-        log_weights = found.log_weights
+        log_weights, weights = found.log_weights, None
         if f.robust is None:
             log_weights, known = _gated(log_weights, known)
             each = correct(predicted, known)[0]
@@ -172,11 +180,12 @@ class JPDA(Soft, Filter):
         if f.noise is not None and f.noise.adapt == "residual":
             left = compare(f.sensor, f.sensor_rule, _column(belief), frame)
             memory = self._adapted(memory, left, share, frame)
-        info = JPDAInfo(found.log_weights.exp(), None if memory is None else memory.scale)
+        scale, repaired = None if memory is None else memory.scale, _repaired(prediction, whitened)
+        info = JPDAInfo(found.log_weights.exp(), scale, weights, repaired)
         coloured = frame.noise.colour(whitened.residual.unsqueeze(-1)).squeeze(-1), frame.noise.colour(size * root)
         combined = _combined(share, *coloured, normalised)
         missed = self._missed(state.missed, found, frame)
-        return JPDAState(State(belief, memory), missed), Record(belief, *combined, info, found.evidence)
+        return JPDAState(State(belief, memory), missed, searched), Record(belief, *combined, info, found.evidence)
 
     def decide(self, candidates: Candidates, fit: Tensor) -> Association:
         """Which measurement is whose, by log densities ``fit (..., N, J)``: eqs. (25)-(27)."""
@@ -273,6 +282,7 @@ class JPDA(Soft, Filter):
     ) -> tuple[torch.Size, list[Frame]]:
         """The batch of scenes, and frames of measurements ``(..., 1, J)``; all is checked."""
         batch = check(self.motion, self.sensor, z, prior, dt, u, std, noise, scans=True)
+        self._check_targets(prior.mean.shape[-2])
         batch = torch.Size((1,) * (self._rank() - 1 - len(batch))) + batch
         z = z.transpose(-3, -2).unsqueeze(-4)
         std = std if std is None else std.transpose(-3, -2).unsqueeze(-4)
@@ -281,6 +291,14 @@ class JPDA(Soft, Filter):
         u = u.unsqueeze(-3).unsqueeze(-3) if u is not None and u.dim() > 2 else u
         frames, _ = make_frames(self.motion, self.sensor, z, dt, u, std, noise, len(batch) + 2)
         return batch, frames
+
+    def _check_targets(self, count: int) -> None:
+        for path, hyper in hypers(self).items():
+            if hyper.batch_rank and hyper.raw.shape[-1 - hyper.event] not in (1, count):
+                shape = tuple(hyper.raw.shape)
+                raise ValueError(
+                    f"{path}: expected a value for each of {count} targets or one for all, received {shape}"
+                )
 
     def _known(self, whitened: Whitened, memory: NoiseMemory | None, frame: Frame) -> tuple[Whitened, Tensor]:
         """The measurements in units of the noise as each target knows it, and those units."""
@@ -318,16 +336,14 @@ class JPDA(Soft, Filter):
         some = (frame.seen.sum((-2, -1)) > 0).expand(before.shape)
         return torch.where(some, found.log_weights[..., 0].exp() * (before + 1), before)
 
-    def _searching(self, belief: Gaussian, missed: Tensor) -> Gaussian:
-        """A prediction as wide as it must be where the track seems lost."""
+    def _searching(self, belief: Gaussian, state: JPDAState) -> tuple[Gaussian, Tensor]:
+        """A prediction as wide as it must be where the track seems lost, and how often it has been widened."""
         if self.lost == 0:
-            return belief
-        patience = math.log(self.lost) / self._log_miss(missed)
-        # The covariance of a track that has been missed since grows by 4 per miss: the root by 2, of which the steps
-        # before
-        # have done their part.
-        steps = (missed - patience).clamp(0.0, _SEARCH) - (missed - 1 - patience).clamp(0.0, _SEARCH)
-        return belief._replace(scale_tril=belief.scale_tril * (2.0**steps)[..., None, None, None])
+            return belief, state.searched
+        patience = math.log(self.lost) / self._log_miss(state.missed)
+        wanted = (state.missed - patience).clamp(0.0, _SEARCH)
+        times = 2.0 ** (wanted - state.searched).clamp_min(0.0)  # of the root
+        return belief._replace(scale_tril=belief.scale_tril * times[..., None, None, None]), wanted
 
     def _candidates(self, belief: Gaussian, whitened: Whitened, normalised: Tensor, frame: Frame) -> Candidates:
         seen = frame.seen > 0
@@ -360,7 +376,7 @@ def _first(predicted: Gaussian, each: Gaussian) -> Gaussian:
 def _gated(log_weights: Tensor, whitened: Whitened) -> tuple[Tensor, Whitened]:
     """Only as many of the measurements ``(..., N, J)`` as the fullest gate holds; all of them where code is traced."""
     inside = log_weights[..., 1:] > -torch.inf
-    if is_traced(log_weights):
+    if is_traced(log_weights) or inside.numel() == 0:
         return log_weights, whitened
     most = max(int(inside.sum(-1).amax()), 1)
     if most == inside.shape[-1]:
@@ -376,6 +392,13 @@ def _gated(log_weights: Tensor, whitened: Whitened) -> tuple[Tensor, Whitened]:
 
     few = Whitened(taken(whitened.residual, 1), taken(whitened.spread, 2), whitened.reads, taken(whitened.lost, 2))
     return torch.cat([log_weights[..., :1], taken(log_weights[..., 1:], 0)], -1), few
+
+
+def _repaired(prediction: Prediction, whitened: Whitened) -> Tensor | None:
+    """How many covariances of a target had to be mended; None for rules that never need it."""
+    measured = None if whitened.lost is None else mended(whitened)[1].any(-1)
+    found = None if prediction.repaired is None else prediction.repaired.squeeze(-1)
+    return count_repaired(found, measured)
 
 
 def _combined(share: Tensor, residual: Tensor, root: Tensor, normalised: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -108,7 +108,7 @@ class SRCKF(Filter):
         start = state.belief if mix is None else mix(state.belief)
         prediction = predict(self.motion, self.motion_rule, start, frame)
         whitened = compare(self.sensor, self.sensor_rule, prediction.belief, frame)
-        repaired = _count(prediction.repaired, None if whitened.lost is None else mended(whitened)[1])
+        repaired = count_repaired(prediction.repaired, None if whitened.lost is None else mended(whitened)[1])
         memory = state.memory
         if self.noise is not None and isinstance(memory, NoiseMemory):
             return self._estimating(self.noise, memory, prediction.belief, whitened, frame, repaired)
@@ -130,7 +130,7 @@ class SRCKF(Filter):
             belief, _, _ = correct(prediction.belief, whitened)
             return State(belief, memory), Record(belief, residual, root, normalised, Info(fading=factor))
         done = self.robust.correct(prediction.belief, whitened, weights, frame.noise)
-        info = Info(done.weights, factor, done.iterations, _count(repaired, done.repaired))
+        info = Info(done.weights, factor, done.iterations, count_repaired(repaired, done.repaired))
         evidence = None if mix is None else done.evidence
         return State(done.belief, memory), Record(done.belief, residual, root, normalised, info, evidence=evidence)
 
@@ -152,7 +152,7 @@ class SRCKF(Filter):
         return State(belief, memory), Record(belief, whitened.residual, size * root, normalised, info)
 
 
-def _count(*repaired: Tensor | None) -> Tensor | None:
+def count_repaired(*repaired: Tensor | None) -> Tensor | None:
     """How many of them, None of none."""
     there = [x.to(torch.int64) if x.dtype == torch.bool else x for x in repaired if x is not None]
     return sum(there[1:], there[0]) if there else None

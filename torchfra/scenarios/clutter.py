@@ -47,8 +47,8 @@ def clutter_straight(
         detection: probability that a target is measured.
         std: of azimuth, elevation (rad) and range (m), as the filters assume.
         truth_noise: variance of a noise acceleration of the targets, m^2/s^4.
-        counts: what filters assume of the number of false measurements: ``"diffuse"``, any is alike, or ``"poisson"`` with
-            ``clutter`` expected.
+        counts: what filters assume of the number of false measurements: ``"diffuse"``, any is alike, or ``"poisson"``
+            with ``clutter`` expected.
 
     Raises:
         ValueError: an argument out of its range.
@@ -158,9 +158,7 @@ def _shown(estimate: Estimate) -> Estimate:
     return estimate._replace(**belief_to_cartesian(Gaussian(estimate.mean, estimate.scale_tril))._asdict())
 
 
-def _scans(
-    name: str, motion: Motion, dt: float, given: _Given, counts: str, settings: dict[str, object]
-) -> Scenario:
+def _scans(name: str, motion: Motion, dt: float, given: _Given, counts: str, settings: dict[str, object]) -> Scenario:
     one_of(counts=(counts, ("diffuse", "poisson")))
     if counts == "poisson" and given.clutter == 0:
         raise ValueError("counts: expected 'diffuse' where there are no false measurements, received 'poisson'")
