@@ -6,9 +6,9 @@
     python scripts/reproduce.py growth                  Qin et al. (2018): mean square errors over the contamination
     python scripts/reproduce.py reentry                 position, velocity and parameter over time
     python scripts/reproduce.py alpha-beta              Xu et al.: errors by axis, levels, decisions around two outliers
-    python scripts/reproduce.py clutter-straight        Chen, Zou & Wu: errors by target, association, gates of 100 and
-    150 m python scripts/reproduce.py clutter-crossing --noise-scale 4      the noise four times what filters assume,
-    from step 21 python scripts/reproduce.py noise-change            one of its targets alone: range, azimuth, elevation
+    python scripts/reproduce.py clutter-straight        Chen, Zou & Wu: errors by target, association, lost tracks
+    python scripts/reproduce.py clutter-crossing        targets that turn and meet (--noise-scale 4: under more noise)
+    python scripts/reproduce.py noise-change            one of them alone: range, azimuth, elevation
     python scripts/reproduce.py bearings-outliers --outliers std --runs 500 --json out/std.json
 
 Every run of an experiment is fixed by the seed.  Run times are relative to the UKF on the same runs.

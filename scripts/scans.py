@@ -19,8 +19,8 @@ from torchfra.spherical import from_cartesian
 GATES = (100.0, 150.0)
 SETTLED, LOST = 10, 100.0
 """Steps that do not count in averages, and the RMSE of a run, m, from which on a track of it is lost."""
-SHOWN = (10, 44, 90)
-"""Scans of the first run whose association probabilities are told."""
+SHOWN = 3
+"""Scans of the first run whose association probabilities are told: those that leave the last filter most in doubt."""
 _CHUNK = 500
 _SAFEGUARDS = {"paper": (0.0, 0.0), "safe": (0.9999, 1e-3)}
 """Least probability of the gate, and when a track counts as lost."""
@@ -122,12 +122,12 @@ def _averages(of: dict[str, Tensor]) -> dict[str, Any]:
 
 def associations(scenario: Scenario, filters: dict[str, Filter], seed: int) -> dict[str, dict[str, Any]]:
     """Of the first run, at some scans, for each target: probabilities that it was missed, and of each measurement."""
-    tracks, found = scenario.simulate(1, seed), {}
-    for name, f in filters.items():
-        with torch.no_grad():
-            of = f(tracks.z, tracks.prior, dt=scenario.dt).info.association[0]
-        found[name] = {str(k): of[:, k - 1].tolist() for k in SHOWN if k <= scenario.steps}
-    return found
+    tracks = scenario.simulate(1, seed)
+    with torch.no_grad():
+        of = {name: f(tracks.z, tracks.prior, dt=scenario.dt).info.association[0] for name, f in filters.items()}
+    doubt = torch.special.entr(list(of.values())[-1]).sum((0, -1))
+    shown = sorted(doubt.argsort(descending=True)[:SHOWN].tolist())
+    return {name: {str(k + 1): each[:, k].tolist() for k in shown} for name, each in of.items()}
 
 
 def scan_table(of: dict[str, dict[str, Any]]) -> str:

@@ -281,6 +281,27 @@ def test_learned_switching_errs_less_than_all_five_models_with_fixed_values(tmp_
     f.load_state_dict(learned(tmp_path))
 
 
+@pytest.mark.slow
+def test_scans_alone_tell_how_often_targets_are_measured_and_how_wide_a_gate_must_be(tmp_path):
+    """Detection from 0.7 towards 0.95, the gate from 60 m to what the larger noise needs; no track is left out."""
+    small = ["iterations=14", "batch=4", "validate_every=14", "validation_runs=4", "test_runs=4", "lr=0.3"]
+    result = tune.tune(configured("association", small), tmp_path, quiet=True)
+    assert result["left_out"] == 0
+    assert result["values"]["learned"]["detection"] > 0.85
+    assert result["values"]["learned"]["gate.size"] > 100
+    poisson = scenarios.clutter_straight(counts="poisson")
+    f = presets.iaukf_jpda(poisson.motion, poisson.sensor, clutter=poisson.clutter)
+    f.load_state_dict(learned(tmp_path))
+    assert f.detection().item() > 0.85
+
+
+def test_a_run_of_another_kind_of_measurement_is_refused():
+    with pytest.raises(ValueError, match="filter: fra does not go with"):
+        tune.Tuner(configured("association", ["filter=fra"]))
+    with pytest.raises(ValueError, match="filter: iaukf_jpda does not go with"):
+        tune.Tuner(configured("noise", ["filter=iaukf_jpda"]))
+
+
 def test_all_learns_all():
     tuner = tune.Tuner(configured("fra_bearings", [*SMALL, "learn=all"]))
     assert len(tuner.names) == 8

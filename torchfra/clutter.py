@@ -82,10 +82,10 @@ class Euclidean(Gate):
         gap = sensor.locate(candidates.z) - sensor.locate(candidates.predicted)
         squared, size = gap.square().sum(-1), self.size().to(gap)
         distance = torch.where(squared > 0, torch.where(squared > 0, squared, 1.0).sqrt(), 0.0)
-        beyond = distance / size - 1
+        beyond: Tensor = distance / size - 1
         if not self.least:
             return beyond
-        return torch.minimum(beyond, _tail(candidates, torch.tensor(self.least).to(beyond)))
+        return torch.minimum(beyond, _tail(candidates, beyond.new_tensor(self.least)))
 
 
 class ChiSquare(Gate):

@@ -2,8 +2,9 @@
 
 ``learn`` names the hyperparameters that gradient descent may change, wherever in the filter they are: ``threshold``,
 ``low``, ``high``, ``weakening``, ``forgetting``, ``fading_max``, ``share``, ``gate``, ``preference``, of interacting
-models ``transition`` and ``initial``, and of motions and sensors ``q``, ``std``, ``rate``, ``alpha``, ``limit``; or
-``"all"``.  A model that learns is copied first: what is handed in stays as it is.
+models ``transition`` and ``initial``, of an estimate of the noise ``forgetting`` and ``confidence``, of scans
+``detection``, ``gate.size``, ``probability``, ``volume`` and ``rate``, and of motions and sensors ``q``, ``std``,
+``rate``, ``alpha``, ``limit``; or ``"all"``.  A model that learns is copied first: what is handed in stays as it is.
 
 ``per_element=True`` gives each element of a measurement a threshold of its own; ``share=(1, 0.1, 0.1)`` fades position,
 velocity and acceleration, each by its share (``states`` makes other groups).  Further keywords go to ``Fading``

@@ -15,11 +15,11 @@ from torchfra.association import Association, associate, check_exact
 from torchfra.clutter import Candidates, Clutter, Gate
 from torchfra.filters.base import Filter, Mix, Record, check_lengths, stack
 from torchfra.filters.frames import Frame, Time, batch_rank, check, make_frames
+from torchfra.filters.scans import column, combined, first, flat, gated
 from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import SRCKF, State, compare, count_repaired, predict
 from torchfra.hyper import Hyper, Value, hypers
 from torchfra.kernel.build import CompileError
-from torchfra.linalg import is_traced
 from torchfra.mixture import moment_match
 from torchfra.types import Estimate, Gaussian, Innovation, Prediction, Whitened
 from torchfra.update import correct, density, innovation, mended
@@ -73,11 +73,9 @@ class JPDA(Soft, Filter):
         gate: which measurements may be a target's (``torchfra.clutter``).
         clutter: how dense false ones are.
         detection: probability that a target is measured, up to 1.
-        lost: a track that has been missed so often in a row that chance has at most this probability has followed
-            something
-            false: its covariance then quadruples with every further miss, five times at most, until it is measured
-                again.
-            0 for tracks that are never taken for lost.
+        lost: a track that has been missed so often in a row that chance has at most this probability must have followed
+            something false: its covariance then quadruples with every further miss, five times at most, until it is
+            measured again.  0 for tracks that are never taken for lost.
         share_noise: whether all targets share their estimates of the noise, averaged by how probably each was measured.
         exact: targets and measurements of a cluster up to which all joint events are summed; see ``association``.
         temperature: 0 for gates with a hard edge; above, the width of the edge as a share of the gate, through which
@@ -156,45 +154,46 @@ class JPDA(Soft, Filter):
 
     def advance(self, state: JPDAState, frame: Frame, mix: Mix | None = None) -> tuple[JPDAState, Record]:
         """See ``Filter``; frames are of measurements ``(..., 1, J)``, innovations in the measurement's own units."""
-        f, memory = self.inner, state.inner.memory if isinstance(state.inner.memory, NoiseMemory) else None
-        prediction = predict(f.motion, f.motion_rule, _column(state.belief), frame)
+        f, noise = self.inner, _noise(state.inner)
+        prediction = predict(f.motion, f.motion_rule, column(state.belief), frame)
         predicted, searched = self._searching(prediction.belief, state)
         whitened = compare(f.sensor, f.sensor_rule, predicted, frame)
-        known, size = self._known(whitened, memory, frame)
+        known, size = self._known(whitened, noise, frame)
         root, normalised = innovation(known)
-        fit = density(size * root, normalised) + frame.noise.log_norm
-        found = self.decide(self._candidates(predicted, whitened, normalised, frame), fit)  # eqs. (25)-(27)
-        share = found.log_weights[..., 1:].exp()
-        if f.noise is not None and f.noise.adapt == "innovation":
-            memory = self._adapted(memory, whitened, share, frame)  # eq. (19)
-            known, _ = self._known(whitened, memory, frame)
-        log_weights, weights = found.log_weights, None
-        if f.robust is None:
-            log_weights, known = _gated(log_weights, known)
-            each = correct(predicted, known)[0]
-        else:
-            weights = f.robust(known.residual, normalised.square().sum(-1))
-            each = f.robust.correct(predicted, known, weights, frame.noise).belief
-        belief = moment_match(_first(predicted, each), log_weights.movedim(-1, 0))  # eqs. (28)-(30)
-        belief = belief._replace(mean=f.motion.canonical(belief.mean))
-        if f.noise is not None and f.noise.adapt == "residual":
-            left = compare(f.sensor, f.sensor_rule, _column(belief), frame)
-            memory = self._adapted(memory, left, share, frame)
-        scale, repaired = None if memory is None else memory.scale, _repaired(prediction, whitened)
-        info = JPDAInfo(found.log_weights.exp(), scale, weights, repaired)
-        coloured = frame.noise.colour(whitened.residual.unsqueeze(-1)).squeeze(-1), frame.noise.colour(size * root)
-        combined = _combined(share, *coloured, normalised)
+        candidates = self._candidates(predicted, whitened, normalised, frame)
+        found = self.decide(candidates, density(size * root, normalised) + frame.noise.log_norm)  # eqs. (25)-(27)
+        noise = self._adapted("innovation", noise, whitened, found, frame)  # eq. (19)
+        known, _ = self._known(whitened, noise, frame)
+        belief, weights = self._updated(predicted, known, normalised, found, frame)  # eqs. (28)-(30)
+        left = compare(f.sensor, f.sensor_rule, column(belief), frame) if self._by_residual else whitened
+        noise = self._adapted("residual", noise, left, found, frame)
+        repaired = _repaired(prediction, whitened)
+        info = JPDAInfo(found.log_weights.exp(), None if noise is None else noise.scale, weights, repaired)
+        seen = combined(found.log_weights[..., 1:].exp(), whitened.residual, size * root, normalised, frame.noise)
         missed = self._missed(state.missed, found, frame)
-        return JPDAState(State(belief, memory), missed, searched), Record(belief, *combined, info, found.evidence)
+        return JPDAState(State(belief, noise), missed, searched), Record(belief, *seen, info, found.evidence)
 
     def decide(self, candidates: Candidates, fit: Tensor) -> Association:
         """Which measurement is whose, by log densities ``fit (..., N, J)``: eqs. (25)-(27)."""
         odds = self.detection().to(fit).log() - self.clutter(candidates, self.sensor)
-        inside = torch.where(
-            candidates.seen.sum(-1) > 0, self.gate(candidates, self.sensor, self.temperature), -torch.inf
-        )
+        measured = candidates.seen.sum(-1) > 0
+        inside = torch.where(measured, self.gate(candidates, self.sensor, self.temperature), -torch.inf)
         diffuse = self.clutter.rate is None
         return associate(fit + odds + inside, self._log_miss(fit), diffuse=diffuse, inside=inside, exact=self.exact)
+
+    def _updated(
+        self, predicted: Gaussian, known: Whitened, normalised: Tensor, found: Association, frame: Frame
+    ) -> tuple[Gaussian, Tensor | None]:
+        """The Gaussian with the moments of all that may have happened, and the weights of a robust filter."""
+        robust, log_weights, weights = self.inner.robust, found.log_weights, None
+        if robust is None:
+            log_weights, known = gated(log_weights, known)
+            each, _, _ = correct(predicted, known)
+        else:
+            weights = robust(known.residual, normalised.square().sum(-1))
+            each = robust.correct(predicted, known, weights, frame.noise).belief
+        belief = moment_match(first(predicted, each), log_weights.movedim(-1, 0))
+        return belief._replace(mean=self.motion.canonical(belief.mean)), weights
 
     def step(
         self,
@@ -300,28 +299,30 @@ class JPDA(Soft, Filter):
                     f"{path}: expected a value for each of {count} targets or one for all, received {shape}"
                 )
 
-    def _known(self, whitened: Whitened, memory: NoiseMemory | None, frame: Frame) -> tuple[Whitened, Tensor]:
+    def _known(self, whitened: Whitened, noise: NoiseMemory | None, frame: Frame) -> tuple[Whitened, Tensor]:
         """The measurements in units of the noise as each target knows it, and those units."""
-        if self.inner.noise is None or memory is None:
+        if self.inner.noise is None or noise is None:
             return whitened, whitened.residual.new_ones(())
-        return self.inner.noise.known(whitened, _column(memory), frame.seen)
+        return self.inner.noise.known(whitened, column(noise), frame.seen)
 
-    def _adapted(self, memory: NoiseMemory | None, whitened: Whitened, share: Tensor, frame: Frame) -> NoiseMemory:
-        """The memory of the noise after innovations that are the target's with probabilities ``share (..., N, J)``."""
+    @property
+    def _by_residual(self) -> bool:
+        return self.inner.noise is not None and self.inner.noise.adapt == "residual"
+
+    def _adapted(
+        self, when: str, noise: NoiseMemory | None, whitened: Whitened, found: Association, frame: Frame
+    ) -> NoiseMemory | None:
+        """The noise after innovations that are the target's with their probabilities, if this is ``when`` it adapts."""
         side = self.inner.noise
-        assert side is not None
-        assert memory is not None
+        if side is None or noise is None or side.adapt != when:
+            return noise
+        share = found.log_weights[..., 1:].exp()
         weight = share.unsqueeze(-1) * frame.seen
         whole = weight.sum(-2)
         likely = whole >= 0.5  # else nothing is learned from it
         excess = (weight * side.excess(whitened)).sum(-2) / torch.where(likely, whole, 1.0)
-        after: NoiseMemory = _flat(side(_column(memory), excess.unsqueeze(-2), whole.unsqueeze(-2)))
-        if not self.share_noise:
-            return after
-        whole = share.sum(-1, keepdim=True)
-        known = whole.sum(-2, keepdim=True)
-        pooled = (whole * after.scale).sum(-2, keepdim=True) / torch.where(known >= 0.5, known, 1.0)
-        return after._replace(scale=torch.where(known >= 0.5, pooled, after.scale))
+        after = flat(side(column(noise), excess.unsqueeze(-2), whole.unsqueeze(-2)))
+        return _pooled(after, share.sum(-1, keepdim=True)) if self.share_noise else after
 
     def _log_miss(self, like: Tensor) -> Tensor:
         """Log of the probability that a target has no measurement in its gate: a number or ``(..., N)``."""
@@ -354,44 +355,16 @@ class JPDA(Soft, Filter):
         return Candidates(z, predicted, frame.seen, normalised.square().sum(-1))
 
 
-def _column(x: Any) -> Any:
-    """Targets ``(..., N)`` against measurements: ``(..., N, 1)``."""
-    if isinstance(x, Gaussian):
-        return Gaussian(x.mean.unsqueeze(-2), x.scale_tril.unsqueeze(-3))
-    return type(x)(*(part.unsqueeze(-2) for part in x))
+def _noise(state: State) -> NoiseMemory | None:
+    return state.memory if isinstance(state.memory, NoiseMemory) else None
 
 
-def _flat(x: NoiseMemory) -> NoiseMemory:
-    """And back."""
-    return NoiseMemory(*(part.squeeze(-2) for part in x))
-
-
-def _first(predicted: Gaussian, each: Gaussian) -> Gaussian:
-    """All that may have happened, ``(J + 1, ..., N)``: missed, or any one of the measurements ``(..., N, J)``."""
-    mean = torch.cat([predicted.mean.expand_as(each.mean[..., :1, :]), each.mean], -2)
-    root = torch.cat([predicted.scale_tril.expand_as(each.scale_tril[..., :1, :, :]), each.scale_tril], -3)
-    return Gaussian(mean.movedim(-2, 0), root.movedim(-3, 0))
-
-
-def _gated(log_weights: Tensor, whitened: Whitened) -> tuple[Tensor, Whitened]:
-    """Only as many of the measurements ``(..., N, J)`` as the fullest gate holds; all of them where code is traced."""
-    inside = log_weights[..., 1:] > -torch.inf
-    if is_traced(log_weights) or inside.numel() == 0:
-        return log_weights, whitened
-    most = max(int(inside.sum(-1).amax()), 1)
-    if most == inside.shape[-1]:
-        return log_weights, whitened
-    order = inside.to(torch.int8).argsort(dim=-1, descending=True, stable=True)[..., :most]
-
-    def taken(x: Tensor | None, event: int) -> Any:
-        if x is None:
-            return None
-        shape = x.shape[x.dim() - event :]
-        rows = order[(..., *[None] * event)].expand(*order.shape, *shape)
-        return x.expand(*inside.shape, *shape).gather(x.dim() - event - 1, rows)
-
-    few = Whitened(taken(whitened.residual, 1), taken(whitened.spread, 2), whitened.reads, taken(whitened.lost, 2))
-    return torch.cat([log_weights[..., :1], taken(log_weights[..., 1:], 0)], -1), few
+def _pooled(noise: NoiseMemory, measured: Tensor) -> NoiseMemory:
+    """One estimate for all targets: the mean, weighted by how probably each was ``measured (..., N, 1)``."""
+    known = measured.sum(-2, keepdim=True)
+    enough = known >= 0.5
+    mean = (measured * noise.scale).sum(-2, keepdim=True) / torch.where(enough, known, 1.0)
+    return noise._replace(scale=torch.where(enough, mean, noise.scale))
 
 
 def _repaired(prediction: Prediction, whitened: Whitened) -> Tensor | None:
@@ -399,11 +372,3 @@ def _repaired(prediction: Prediction, whitened: Whitened) -> Tensor | None:
     measured = None if whitened.lost is None else mended(whitened)[1].any(-1)
     found = None if prediction.repaired is None else prediction.repaired.squeeze(-1)
     return count_repaired(found, measured)
-
-
-def _combined(share: Tensor, residual: Tensor, root: Tensor, normalised: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Innovation and normalised innovation weighted by ``share (..., N, J)``; the root of the likeliest measurement."""
-    weight, likely = share.unsqueeze(-1), share.argmax(-1)[..., None, None, None]
-    root = root.expand(*share.shape, *root.shape[-2:])
-    own = root.gather(-3, likely.expand(*share.shape[:-1], 1, *root.shape[-2:])).squeeze(-3)
-    return (weight * residual).sum(-2), own, (weight * normalised).sum(-2)
