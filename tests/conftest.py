@@ -8,7 +8,7 @@ import torch
 
 from torchfra import presets, scenarios
 
-PRESETS = ["ekf", "ukf", "srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "fra_srckf", "fra"]
+PRESETS = ["ekf", "ukf", "srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "iaukf", "fra_srckf", "fra"]
 STEPS = 12
 
 
