@@ -119,6 +119,26 @@ def test_without_false_measurements_and_always_detected_it_is_the_filter_itself(
     torch.testing.assert_close(joint.nis[:, 0], plain.nis, rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.parametrize("inner", [presets.asrckf, presets.rmckf, presets.mr_ckf])
+def test_fading_factors_are_those_of_the_filter_itself_too(inner):
+    """A target that turns away from its model, with missing elements."""
+    t = torch.arange(1, 31, dtype=torch.float64)
+    z = torch.stack([t, 0.2 * (t - 12).clamp_min(0) ** 2], -1)
+    z = z + 2 * torch.randn(30, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    z[7, 0], z[9], prior = math.nan, math.nan, flat_prior((0.0, 0.0))
+    plain = inner(ConstantVelocity(0.01, 2), Position(2.0))(z, Gaussian(prior.mean[0], prior.scale_tril[0]))
+    around = presets.jpda(ConstantVelocity(0.01, 2), Position(2.0), inner=inner, detection=1.0, clutter=Clutter(1e9),
+                          gate=Euclidean(1e4))  # fmt: skip
+    joint = around(z.unsqueeze(1), prior)
+    torch.testing.assert_close(joint.mean[0], plain.mean, rtol=1e-9, atol=1e-10)
+    torch.testing.assert_close(joint.scale_tril[0], plain.scale_tril, rtol=1e-8, atol=1e-10)
+    if inner is not presets.mr_ckf:
+        assert plain.info.fading.max() > 2
+        torch.testing.assert_close(joint.info.fading[0], plain.info.fading, rtol=1e-8, atol=1e-8)
+        both = around(z.unsqueeze(1), flat_prior((0.0, 0.0), (1e5, 1e5)))
+        torch.testing.assert_close(both.mean[0], joint.mean[0])
+
+
 @pytest.mark.parametrize("far", [30.0, 300.0, 3000.0])
 def test_a_target_that_is_always_measured_follows_however_far_its_measurement_is(far):
     f = plane(detection=1.0, gate=Euclidean(1e9), clutter=Clutter(1e9))
@@ -501,7 +521,6 @@ def test_what_does_not_fit_is_named(scenario):
             lambda: JPDA(presets.fra(flat, Position(1.0)), gate=ChiSquare(), clutter=Clutter(1.0)),
             "inner: expected an SRCKF",
         ),
-        (lambda: JPDA(presets.asrckf(flat, Position(1.0)), gate=ChiSquare(), clutter=Clutter(1.0)), "fading"),
         (lambda: JPDA(SRCKF(Bank([flat, flat]), Position(1.0)), gate=ChiSquare(), clutter=Clutter(1.0)), "inner"),
         (lambda: presets.jpda(flat, Bearings(0.1), clutter=Clutter(1.0)), "sensor: expected one that measures each"),
         (

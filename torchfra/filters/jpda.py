@@ -15,7 +15,7 @@ from torchfra.association import Association, associate, check_exact
 from torchfra.clutter import Candidates, Clutter, Gate
 from torchfra.filters.base import Filter, Mix, Record, check_lengths, stack
 from torchfra.filters.frames import Frame, Time, batch_rank, check, make_frames
-from torchfra.filters.scans import column, combined, first, flat, gated
+from torchfra.filters.scans import column, combined, first, flat, gated, likeliest
 from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import SRCKF, State, compare, count_repaired, predict
 from torchfra.hyper import Hyper, Value, hypers
@@ -49,6 +49,8 @@ class JPDAInfo(NamedTuple):
 
     association: Tensor
     """``(..., N, T, J + 1)`` probabilities: that the target was missed, and that each measurement is its own."""
+    fading: Tensor | None
+    """``(..., N, T)`` fading factors, if the inner filter has them."""
     noise: Tensor | None
     """``(..., N, T, m)`` estimated variances of the measurement noise, as multiples of the nominal ones; or None."""
     weights: Tensor | None
@@ -68,7 +70,8 @@ class JPDA(Soft, Filter):
     measurement of which only some elements are NaN is one of the others.
 
     Args:
-        inner: an ``SRCKF``, plain, robust or with an estimate of the noise; copies of it, gate and clutter run here.
+        inner: an ``SRCKF``, plain, robust, with fading factors or an estimate of the noise, which learn from the
+            combined innovation; copies of it, gate and clutter run here.
             Hyperparameters may differ between targets, ``(N,)``, and between scenes, ``(B, 1)`` or ``(B, N)``.
         gate: which measurements may be a target's (``torchfra.clutter``).
         clutter: how dense false ones are.
@@ -105,9 +108,9 @@ class JPDA(Soft, Filter):
         temperature: float = 0.0,
     ) -> None:
         nn.Module.__init__(self)
-        if not isinstance(inner, SRCKF) or inner.adaptive is not None or inner.motion.stacked:
-            said = "an SRCKF with fading factors" if isinstance(inner, SRCKF) else type(inner).__name__
-            raise ValueError(f"inner: expected an SRCKF of one motion without fading factors, received {said}")
+        if not isinstance(inner, SRCKF) or inner.motion.stacked:
+            said = f"{type(inner).__name__} of {inner.motion.said()}"
+            raise ValueError(f"inner: expected an SRCKF of one motion, received {said}")
         if share_noise and inner.noise is None:
             raise ValueError(
                 "share_noise: expected an inner filter that estimates the noise, received one that does not"
@@ -154,24 +157,26 @@ class JPDA(Soft, Filter):
 
     def advance(self, state: JPDAState, frame: Frame, mix: Mix | None = None) -> tuple[JPDAState, Record]:
         """See ``Filter``; frames are of measurements ``(..., 1, J)``, innovations in the measurement's own units."""
-        f, noise = self.inner, _noise(state.inner)
+        f, memory = self.inner, state.inner.memory
         prediction = predict(f.motion, f.motion_rule, column(state.belief), frame)
-        predicted, searched = self._searching(prediction.belief, state)
-        whitened = compare(f.sensor, f.sensor_rule, predicted, frame)
-        known, size = self._known(whitened, noise, frame)
+        prediction, searched = self._searching(prediction, state)
+        whitened = compare(f.sensor, f.sensor_rule, prediction.belief, frame)
+        known, size = self._known(whitened, memory, frame)
         root, normalised = innovation(known)
-        candidates = self._candidates(predicted, whitened, normalised, frame)
+        candidates = self._candidates(prediction.belief, whitened, normalised, frame)
         found = self.decide(candidates, density(size * root, normalised) + frame.noise.log_norm)  # eqs. (25)-(27)
-        noise = self._adapted("innovation", noise, whitened, found, frame)  # eq. (19)
-        known, _ = self._known(whitened, noise, frame)
-        belief, weights = self._updated(predicted, known, normalised, found, frame)  # eqs. (28)-(30)
-        left = compare(f.sensor, f.sensor_rule, column(belief), frame) if self._by_residual else whitened
-        noise = self._adapted("residual", noise, left, found, frame)
         repaired = _repaired(prediction, whitened)
-        info = JPDAInfo(found.log_weights.exp(), None if noise is None else noise.scale, weights, repaired)
+        memory = self._adapted("innovation", memory, whitened, found, frame)  # eq. (19)
+        known, _ = self._known(whitened, memory, frame)
+        prediction, known, memory, factor = self._faded(prediction, known, memory, candidates, found, frame)
+        belief, weights = self._updated(prediction.belief, known, candidates, found, frame)  # eqs. (28)-(30)
+        left = compare(f.sensor, f.sensor_rule, column(belief), frame) if self._by_residual else whitened
+        memory = self._adapted("residual", memory, left, found, frame)
+        noise = memory.scale if isinstance(memory, NoiseMemory) else None
+        info = JPDAInfo(found.log_weights.exp(), factor, noise, weights, repaired)
         seen = combined(found.log_weights[..., 1:].exp(), whitened.residual, size * root, normalised, frame.noise)
         missed = self._missed(state.missed, found, frame)
-        return JPDAState(State(belief, noise), missed, searched), Record(belief, *seen, info, found.evidence)
+        return JPDAState(State(belief, memory), missed, searched), Record(belief, *seen, info, found.evidence)
 
     def decide(self, candidates: Candidates, fit: Tensor) -> Association:
         """Which measurement is whose, by log densities ``fit (..., N, J)``: eqs. (25)-(27)."""
@@ -182,7 +187,7 @@ class JPDA(Soft, Filter):
         return associate(fit + odds + inside, self._log_miss(fit), diffuse=diffuse, inside=inside, exact=self.exact)
 
     def _updated(
-        self, predicted: Gaussian, known: Whitened, normalised: Tensor, found: Association, frame: Frame
+        self, predicted: Gaussian, known: Whitened, candidates: Candidates, found: Association, frame: Frame
     ) -> tuple[Gaussian, Tensor | None]:
         """The Gaussian with the moments of all that may have happened, and the weights of a robust filter."""
         robust, log_weights, weights = self.inner.robust, found.log_weights, None
@@ -190,7 +195,7 @@ class JPDA(Soft, Filter):
             log_weights, known = gated(log_weights, known)
             each, _, _ = correct(predicted, known)
         else:
-            weights = robust(known.residual, normalised.square().sum(-1))
+            weights = robust(known.residual, candidates.nis)
             each = robust.correct(predicted, known, weights, frame.noise).belief
         belief = moment_match(first(predicted, each), log_weights.movedim(-1, 0))
         return belief._replace(mean=self.motion.canonical(belief.mean)), weights
@@ -299,30 +304,44 @@ class JPDA(Soft, Filter):
                     f"{path}: expected a value for each of {count} targets or one for all, received {shape}"
                 )
 
-    def _known(self, whitened: Whitened, noise: NoiseMemory | None, frame: Frame) -> tuple[Whitened, Tensor]:
+    def _known(self, whitened: Whitened, memory: Any, frame: Frame) -> tuple[Whitened, Tensor]:
         """The measurements in units of the noise as each target knows it, and those units."""
-        if self.inner.noise is None or noise is None:
+        if self.inner.noise is None:
             return whitened, whitened.residual.new_ones(())
-        return self.inner.noise.known(whitened, column(noise), frame.seen)
+        return self.inner.noise.known(whitened, column(memory), frame.seen)
 
     @property
     def _by_residual(self) -> bool:
         return self.inner.noise is not None and self.inner.noise.adapt == "residual"
 
-    def _adapted(
-        self, when: str, noise: NoiseMemory | None, whitened: Whitened, found: Association, frame: Frame
-    ) -> NoiseMemory | None:
-        """The noise after innovations that are the target's with their probabilities, if this is ``when`` it adapts."""
+    def _adapted(self, when: str, memory: Any, whitened: Whitened, found: Association, frame: Frame) -> Any:
+        """What is known of the noise after innovations, if this is ``when`` it adapts."""
         side = self.inner.noise
-        if side is None or noise is None or side.adapt != when:
-            return noise
+        if side is None or side.adapt != when:
+            return memory
+        excess, whole = _mean(side.excess(whitened), found, frame)
+        after = flat(side(column(memory), excess, whole))
+        measured = found.log_weights[..., 1:].exp().sum(-1, keepdim=True)
+        return _pooled(after, measured) if self.share_noise else after
+
+    def _faded(
+        self, prediction: Prediction, whitened: Whitened, memory: Any, candidates: Candidates, found: Association,
+        frame: Frame,
+    ) -> tuple[Prediction, Whitened, Any, Tensor | None]:  # fmt: skip
+        """Prediction and measurements with fading factors, the innovations remembered, and the factors."""
+        f, fading, robust = self.inner, self.inner.adaptive, self.inner.robust
+        if fading is None:
+            return prediction, whitened, memory, None
         share = found.log_weights[..., 1:].exp()
-        weight = share.unsqueeze(-1) * frame.seen
-        whole = weight.sum(-2)
-        likely = whole >= 0.5  # else nothing is learned from it
-        excess = (weight * side.excess(whitened)).sum(-2) / torch.where(likely, whole, 1.0)
-        after = flat(side(column(noise), excess.unsqueeze(-2), whole.unsqueeze(-2)))
-        return _pooled(after, share.sum(-1, keepdim=True)) if self.share_noise else after
+        residual, whole = _mean(whitened.residual, found, frame)
+        memory = fading.remember(column(memory), residual, (whole >= 0.5).to(residual))
+        own = likeliest(share, whitened)
+        nis = candidates.nis.gather(-1, share.argmax(-1, keepdim=True))
+        weights = torch.ones_like(own.residual) if robust is None else robust(own.residual, nis)
+        factor = fading(prediction, own, memory, weights)
+        prediction = fading.inflate(prediction, factor)
+        whitened = compare(f.sensor, f.sensor_rule, prediction.belief, frame)
+        return prediction, whitened, flat(memory), factor.squeeze(-1)
 
     def _log_miss(self, like: Tensor) -> Tensor:
         """Log of the probability that a target has no measurement in its gate: a number or ``(..., N)``."""
@@ -337,14 +356,15 @@ class JPDA(Soft, Filter):
         some = (frame.seen.sum((-2, -1)) > 0).expand(before.shape)
         return torch.where(some, found.log_weights[..., 0].exp() * (before + 1), before)
 
-    def _searching(self, belief: Gaussian, state: JPDAState) -> tuple[Gaussian, Tensor]:
+    def _searching(self, prediction: Prediction, state: JPDAState) -> tuple[Prediction, Tensor]:
         """A prediction as wide as it must be where the track seems lost, and how often it has been widened."""
         if self.lost == 0:
-            return belief, state.searched
+            return prediction, state.searched
         patience = math.log(self.lost) / self._log_miss(state.missed)
         wanted = (state.missed - patience).clamp(0.0, _SEARCH)
-        times = 2.0 ** (wanted - state.searched).clamp_min(0.0)  # of the root
-        return belief._replace(scale_tril=belief.scale_tril * times[..., None, None, None]), wanted
+        times = (2.0 ** (wanted - state.searched).clamp_min(0.0))[..., None, None, None]  # of the root
+        (mean, root), spread, noise, repaired = prediction
+        return Prediction(Gaussian(mean, times * root), times * spread, times * noise, repaired), wanted
 
     def _candidates(self, belief: Gaussian, whitened: Whitened, normalised: Tensor, frame: Frame) -> Candidates:
         seen = frame.seen > 0
@@ -355,8 +375,16 @@ class JPDA(Soft, Filter):
         return Candidates(z, predicted, frame.seen, normalised.square().sum(-1))
 
 
-def _noise(state: State) -> NoiseMemory | None:
-    return state.memory if isinstance(state.memory, NoiseMemory) else None
+def _mean(of: Tensor, found: Association, frame: Frame) -> tuple[Tensor, Tensor]:
+    """Mean ``(..., N, 1, m)`` of each measurement's ``(..., N, J, m)`` by its probability, and the sum of those.
+
+    0 where it was hardly anything: nothing is learned from it then.
+    """
+    weight = found.log_weights[..., 1:].exp().unsqueeze(-1) * frame.seen
+    whole = weight.sum(-2, keepdim=True)
+    likely = whole >= 0.5
+    mean = torch.where(likely, (weight * of).sum(-2, keepdim=True), 0.0) / torch.where(likely, whole, 1.0)
+    return mean, whole
 
 
 def _pooled(noise: NoiseMemory, measured: Tensor) -> NoiseMemory:

@@ -7,22 +7,22 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchfra.adaptive import NoiseMemory
+from torchfra.adaptive import Memory
 from torchfra.linalg import is_traced
 from torchfra.sensors import Noise
 from torchfra.types import Gaussian, Whitened
 
 
 def column(x: Any) -> Any:
-    """Targets ``(..., N)`` against measurements, ``(..., N, 1)``: a belief, or a memory of the noise."""
+    """Targets ``(..., N)`` against measurements, ``(..., N, 1)``: a belief, or what an adaptive side remembers."""
     if isinstance(x, Gaussian):
         return Gaussian(x.mean.unsqueeze(-2), x.scale_tril.unsqueeze(-3))
-    return type(x)(*(part.unsqueeze(-2) for part in x))
+    return type(x)(*(part.unsqueeze(-3 if isinstance(x, Memory) else -2) for part in x))
 
 
-def flat(x: NoiseMemory) -> NoiseMemory:
-    """And back."""
-    return NoiseMemory(*(part.squeeze(-2) for part in x))
+def flat(x: Any) -> Any:
+    """And back, of what an adaptive side remembers."""
+    return type(x)(*(part.squeeze(-3 if isinstance(x, Memory) else -2) for part in x))
 
 
 def first(predicted: Gaussian, each: Gaussian) -> Gaussian:
@@ -46,16 +46,26 @@ def gated(log_weights: Tensor, whitened: Whitened) -> tuple[Tensor, Whitened]:
     if most == inside.shape[-1]:
         return log_weights, whitened
     order = inside.to(torch.int8).argsort(dim=-1, descending=True, stable=True)[..., :most]
+    chances = _taken(log_weights[..., 1:], 0, order, inside.shape)
+    return torch.cat([log_weights[..., :1], chances], -1), _chosen(whitened, order, inside.shape)
 
-    def taken(x: Tensor | None, event: int) -> Any:
-        if x is None:
-            return None
-        shape = x.shape[x.dim() - event :]
-        rows = order[(..., *[None] * event)].expand(*order.shape, *shape)
-        return x.expand(*inside.shape, *shape).gather(-event - 1, rows)
 
-    few = Whitened(taken(whitened.residual, 1), taken(whitened.spread, 2), whitened.reads, taken(whitened.lost, 2))
-    return torch.cat([log_weights[..., :1], taken(log_weights[..., 1:], 0)], -1), few
+def likeliest(share: Tensor, whitened: Whitened) -> Whitened:
+    """Of the measurements ``(..., N, J)`` the one with the largest ``share (..., N, J)``, ``(..., N, 1)``."""
+    return _chosen(whitened, share.argmax(-1, keepdim=True), share.shape)
+
+
+def _chosen(whitened: Whitened, order: Tensor, shape: torch.Size) -> Whitened:
+    """Of measurements ``shape = (..., N, J)`` those whose numbers are in ``order (..., N, K)``."""
+    residual, spread = (_taken(x, event, order, shape) for x, event in ((whitened.residual, 1), (whitened.spread, 2)))
+    lost = None if whitened.lost is None else _taken(whitened.lost, 2, order, shape)
+    return Whitened(residual, spread, whitened.reads, lost)
+
+
+def _taken(x: Tensor, event: int, order: Tensor, shape: torch.Size) -> Tensor:
+    own = x.shape[x.dim() - event :]
+    rows = order[(..., *[None] * event)].expand(*order.shape, *own)
+    return x.expand(*shape, *own).gather(-event - 1, rows)
 
 
 def combined(
