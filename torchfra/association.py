@@ -72,9 +72,8 @@ def associate(
     gated = ratio > -torch.inf
     together = clusters(gated)
     member = gated.to(ratio) if inside is None else inside.expand(*batch, targets, count).reshape(ratio.shape).exp()
-    shared = torch.where(together.unsqueeze(-1), member.unsqueeze(-3), 0.0).amax(
-        -2
-    )  # (R, N, J) in a gate of the cluster
+    # How far each measurement is in a gate of each target's cluster: (R, N, J).
+    shared = torch.where(together.unsqueeze(-1), member.unsqueeze(-3), 0.0).amax(-2)
     within = Clusters(together, together.sum(-1), (shared > 0).sum(-1), shared.sum(-1))
     table = min(exact[0], targets), min(exact[1], count)
     by_events = (within.size > 1) & (within.size <= exact[0]) & (within.gated <= exact[1])
