@@ -52,8 +52,8 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--runs", type=int, default=100, metavar="M", help="Monte-Carlo runs (default: 100)")
     p.add_argument("--seed", type=int, default=0, metavar="S", help="of the random numbers (default: 0)")
     p.add_argument("--outliers", help="not of adsb-turns: covariance (default), std, none, of bearings also offset")
-    p.add_argument("--truth-noise", type=float, help="of bearings, clutter-* and noise-change: variance of noise on the truth, "
-                   "m^2/s^4")  # fmt: skip
+    p.add_argument("--truth-noise", type=float, help="of bearings, clutter-* and noise-change: variance of "
+                   "noise on the truth, m^2/s^4")  # fmt: skip
     p.add_argument("--initial", choices=["paper", "truth"], help="of bearings: state to start from")
     p.add_argument("--turns", choices=["acceleration", "arc"], help="of adsb-turns (default: acceleration)")
     p.add_argument("--radar", choices=["paper", "precise"], help="of reentry (default: paper)")

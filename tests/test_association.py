@@ -139,6 +139,8 @@ def test_messages_are_close_to_the_sum_over_events(diffuse):
 def test_messages_of_targets_that_are_always_measured_are_probabilities_too():
     """More targets than measurements, whose odds are far from even: each measurement still belongs to one target."""
     rng = np.random.default_rng(0)
+    both = torch.tensor([[0.0, -40.0], [0.0, -40.0]], dtype=torch.float64)  # two for two: none is missed
+    assert associate(both, -math.inf, exact=(1, 1)).log_weights[:, 0].exp().max() < 1e-3
     for targets, count, scale in ((5, 3, 1.0), (3, 2, 1.0), (2, 1, 10.0), (3, 2, 100.0)):
         ratio = torch.from_numpy(scale * rng.standard_normal((targets, count)))
         close = associate(ratio, -math.inf, exact=(1, 1))
@@ -190,6 +192,11 @@ def test_it_runs_under_vmap_and_compile():
     mapped = torch.func.vmap(lambda r: associate(r, math.log(0.1), diffuse=True))(ratios)
     torch.testing.assert_close(mapped.log_weights.exp(), eager.log_weights.exp())
     torch.testing.assert_close(mapped.evidence, eager.evidence)
+
+
+def test_a_scan_of_nothing_is_refused():
+    with pytest.raises(ValueError, match="log_ratio: expected"):
+        associate(torch.zeros(2, 0), math.log(0.1))
 
 
 def test_events_are_all_of_them_once():

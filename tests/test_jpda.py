@@ -139,6 +139,31 @@ def test_fading_factors_are_those_of_the_filter_itself_too(inner):
         torch.testing.assert_close(both.mean[0], joint.mean[0])
 
 
+def test_a_missed_target_does_not_fade_whatever_else_was_measured():
+    rng = torch.Generator().manual_seed(0)
+    own = 60 * torch.randn(16, 1, 2, dtype=torch.float64, generator=rng)
+    own[10:12] = math.nan
+    far = torch.full((16, 1, 2), 5e4).double()
+    f = presets.jpda(ConstantVelocity(0.1, 2), Position(10.0), inner=presets.asrckf, weakening=1.0,
+                     clutter=Clutter(1e8), gate=Euclidean(1000.0))  # fmt: skip
+    one, other = (f(torch.cat(scan, 1), flat_prior((0.0, 0.0))) for scan in ((own, far), (far, own)))
+    assert one.info.fading.max() > 2
+    assert (one.info.fading[0, 10:12] == 1).all()
+    torch.testing.assert_close(one.mean, other.mean)
+
+
+def test_a_measurement_that_cannot_be_lets_all_others_count(scenario, tracks):
+    """An elevation beyond the vertical, a range below 0 and one of 0."""
+    f, z = make("iaukf_jpda", scenario, learn=("detection",)), tracks.z.clone()
+    plain = f(torch.cat([z, torch.full((3, STEPS, 1, 3), math.nan).double()], 2), tracks.prior).mean
+    for wild in ([1.0, 1.7, 2000.0], [1.0, 0.5, -3.0], [1.0, 0.5, 0.0]):
+        more = torch.tensor(wild).double().expand(3, STEPS, 1, 3)
+        estimate = f(torch.cat([z, more], 2), tracks.prior)
+        torch.testing.assert_close(estimate.mean, plain)
+        (gradient,) = torch.autograd.grad(estimate.log_likelihood.sum(), list(f.parameters()))
+        assert gradient.isfinite()
+
+
 @pytest.mark.parametrize("far", [30.0, 300.0, 3000.0])
 def test_a_target_that_is_always_measured_follows_however_far_its_measurement_is(far):
     f = plane(detection=1.0, gate=Euclidean(1e9), clutter=Clutter(1e9))

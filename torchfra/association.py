@@ -19,6 +19,10 @@ from torchfra.linalg import is_traced
 
 _SURE, _NOTHING = -30.0, -1e3
 """In messages, log weights against the largest of a target: to miss one that is always measured, and what cannot be."""
+_SETTLED = 1e-10
+"""Change of a message, in logs, that is none."""
+_UNROLLED = 50
+"""Rounds of messages at most where they are traced one by one."""
 _CHOICES = 300_000
 """Largest table of events to go through."""
 
@@ -40,7 +44,7 @@ def associate(
     diffuse: bool = False,
     inside: Tensor | None = None,
     exact: tuple[int, int] = (4, 10),
-    iterations: int = 50,
+    iterations: int = 200,
 ) -> Association:
     """Probabilities of association, summed over all joint events.
 
@@ -55,16 +59,22 @@ def associate(
             counted so far.
         exact: targets and gated measurements up to which the events of a cluster are enumerated; larger clusters run
             belief propagation, as do single targets, for which it is exact.
-        iterations: of belief propagation.
+        iterations: of belief propagation at most; it stops when all messages have settled.
 
     Raises:
-        ValueError: ``exact`` asks for more than 300,000 choices, ``(measurements + 1)^targets``.
+        ValueError: no target or no measurement at all, or ``exact`` asks for more than 300,000 choices, ``(measurements
+            + 1)^targets``.
 
-    Under ``torch.compile`` the rounds of belief propagation are unrolled, where clusters may be too large for events.
+    Under ``torch.compile`` all rounds of belief propagation are unrolled, where clusters may be too large for events:
+    take fewer there.
 
     Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eqs. (25)-(27).
     """
     targets, count = log_ratio.shape[-2:]
+    if min(targets, count) < 1:
+        raise ValueError(
+            f"log_ratio: expected (..., N, J) of one target and measurement or more, received {targets, count}"
+        )
     log_miss = torch.as_tensor(log_miss, dtype=log_ratio.dtype, device=log_ratio.device)
     batch = torch.broadcast_shapes(log_ratio.shape[:-2], log_miss.shape[:-1])
     ratio = log_ratio.expand(*batch, targets, count).reshape(-1, targets, count)
@@ -80,7 +90,8 @@ def associate(
     beyond = (within.size > 1) & ~by_events
     traced = is_traced(log_ratio)
     # Single targets are done without, and where all clusters are small nothing else is left.
-    rounds = iterations if (traced and (targets, count) != table) or (not traced and bool(beyond.any())) else 0
+    crowded = (targets, count) != table if traced else bool(beyond.any())
+    rounds = (min(iterations, _UNROLLED) if traced else iterations) if crowded else 0
     found = propagate(ratio, miss, within, diffuse=diffuse, iterations=rounds)
     if targets > 1 and min(table) >= 1 and (traced or bool(by_events.any())):
         found = _enumerated(ratio, miss, gated, within, by_events, table, diffuse, found, traced)
@@ -224,10 +235,11 @@ def propagate(log_ratio: Tensor, log_miss: Tensor, within: Clusters, *, diffuse:
         log_miss: ``(R, N)``.
         within: clusters of the targets.
         diffuse: counted as Poisson with the rate that gives the same odds to as many detections as there are targets.
-        iterations: of messages both ways.
+        iterations: of messages both ways, at most.
 
     Against the sum over all events, 4 targets with up to 10 measurements in shared gates (drawn at random),
-    probabilities are off by 0.001 to 0.003 on average and by less than 0.04 in 99 of 100; the worst of 22,000 by 0.2.
+    probabilities are off by 0.001 to 0.003 on average and by less than 0.04 in 99 of 100; the worst of 22,000 by 0.2;
+    evidence is off by less than 0.1.  Targets that are always measured and alike converge worst.
 
     Source: Williams & Lau (2014), "Approximate evaluation of marginal association probabilities with belief
     propagation".
@@ -241,16 +253,19 @@ def propagate(log_ratio: Tensor, log_miss: Tensor, within: Clusters, *, diffuse:
     certain, alone = log_miss == -torch.inf, within.size == 1
     every = torch.cat([torch.where(certain, torch.where(gated.any(-1), -torch.inf, 0.0), log_miss).unsqueeze(-1),
                        log_ratio], -1)  # fmt: skip
-    # The least that those always measured may be missed with, the same for a cluster so that it decides nothing else.
-    likeliest = torch.where(gated, log_ratio, -torch.inf).detach().amax(-1)
-    least = torch.where(within.together & gated.any(-1).unsqueeze(-2), likeliest.unsqueeze(-2), torch.inf).amin(-1)
-    forced = torch.where(least.isfinite(), least + _SURE, 0.0)
+    # Those always measured are missed with a weight that is below all else that may happen in their cluster, and the
+    # same for all of it, so that it decides nothing but that.
+    low = _lowest(within.together, gated, log_ratio.detach())
+    forced = torch.where(low.isfinite(), low + _SURE, 0.0)
     miss = torch.where(certain, forced, log_miss).unsqueeze(-1)
-    weight = torch.where(gated, log_ratio, torch.maximum(miss, likeliest.unsqueeze(-1)).detach() + _NOTHING)
+    least = torch.minimum(miss.detach(), torch.where(low.isfinite(), low, 0.0).unsqueeze(-1))
+    weight = torch.where(gated, log_ratio, least + _NOTHING)
     back = torch.zeros_like(weight)  # log of nu, from measurement to target
-    for _ in range(iterations):
+    for k in range(iterations):
         ahead = weight - torch.logaddexp(miss, _others(weight + back))
-        back = -torch.nn.functional.softplus(_others(ahead.mT).mT)
+        before, back = back, -torch.nn.functional.softplus(_others(ahead.mT).mT)
+        if k % 10 == 9 and not is_traced(back) and bool((back - before).abs().amax() < _SETTLED):
+            break
     told = torch.cat([miss, weight + back], -1)
     whole = told.logsumexp(-1)
     log_weights = torch.where(pad(gated, (1, 0), value=True), told - whole.unsqueeze(-1), -torch.inf)
@@ -265,6 +280,12 @@ def propagate(log_ratio: Tensor, log_miss: Tensor, within: Clusters, *, diffuse:
         torch.where(alone.unsqueeze(-1), every - single.unsqueeze(-1), log_weights),
         torch.where(alone, single, evidence),
     )
+
+
+def _lowest(together: Tensor, gated: Tensor, log_ratio: Tensor) -> Tensor:
+    """Of every target ``(R, N)`` the smallest log ratio in its cluster, infinite if there is none."""
+    own = torch.where(gated, log_ratio, torch.inf).amin(-1)
+    return torch.where(together, own.unsqueeze(-2), torch.inf).amin(-1)
 
 
 def _others(x: Tensor) -> Tensor:

@@ -175,6 +175,8 @@ class Clutter(nn.Module):
         else:
             assert self.volume is not None
             spans = self.volume().to(z).unsqueeze(-1) ** (1 / sensor.size) * sensor.metre(z)
-        found = -(candidates.seen * spans.log()).sum(-1)
+        spans = spans.abs()  # a measured elevation may be beyond the vertical
+        sound = (spans > 0) & spans.isfinite()
+        found = -(candidates.seen * torch.where(sound, spans, 1.0).log()).sum(-1)
         density: Tensor = found if self.rate is None else found + self.rate().to(z).log()
         return density

@@ -184,7 +184,8 @@ class JPDA(Soft, Filter):
         measured = candidates.seen.sum(-1) > 0
         inside = torch.where(measured, self.gate(candidates, self.sensor, self.temperature), -torch.inf)
         diffuse = self.clutter.rate is None
-        return associate(fit + odds + inside, self._log_miss(fit), diffuse=diffuse, inside=inside, exact=self.exact)
+        ratio = torch.where(inside > -torch.inf, fit + odds + inside, -torch.inf)
+        return associate(ratio, self._log_miss(fit), diffuse=diffuse, inside=inside, exact=self.exact)
 
     def _updated(
         self, predicted: Gaussian, known: Whitened, candidates: Candidates, found: Association, frame: Frame
@@ -339,6 +340,7 @@ class JPDA(Soft, Filter):
         nis = candidates.nis.gather(-1, share.argmax(-1, keepdim=True))
         weights = torch.ones_like(own.residual) if robust is None else robust(own.residual, nis)
         factor = fading(prediction, own, memory, weights)
+        factor = torch.where(whole.amax(-1) >= 0.5, factor, 1.0)  # nothing was measured that could ask for it
         prediction = fading.inflate(prediction, factor)
         whitened = compare(f.sensor, f.sensor_rule, prediction.belief, frame)
         return prediction, whitened, flat(memory), factor.squeeze(-1)
