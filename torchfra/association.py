@@ -65,8 +65,8 @@ def associate(
         ValueError: no target or no measurement at all, or ``exact`` asks for more than 300,000 choices, ``(measurements
             + 1)^targets``.
 
-    Under ``torch.compile`` and transforms, where clusters may be too large for events, belief propagation has 50 rounds at
-    most.
+    Under ``torch.compile`` and transforms, where clusters may be too large for events, belief propagation has 50 rounds
+    at most.
 
     Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eqs. (25)-(27).
     """
