@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchfra import metrics, presets, scenarios
-from torchfra.adaptive import Fading, NoiseMemory, SageHusa
+from torchfra.adaptive import Fading, SageHusa
 from torchfra.filters import SRCKF
 from torchfra.robust import Huber
 from torchfra.types import Gaussian, Whitened
@@ -220,4 +220,3 @@ def test_the_excess_is_what_scatters_beyond_the_prediction():
     whitened = Whitened(torch.tensor([3.0, 0.0]).double(), torch.tensor([[2.0, 0.0], [0.0, 1.0]]).double(), 2)
     assert SageHusa([(0, 1)]).excess(whitened).tolist() == [5.0, -1.0]
     assert SageHusa([(0, 1)], adapt="residual").excess(whitened).tolist() == [13.0, 1.0]
-    assert NoiseMemory._fields == ("scale", "total", "updates")

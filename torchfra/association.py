@@ -36,6 +36,11 @@ class Association(NamedTuple):
     """``(..., N)`` log density of the scan against one of false measurements alone; each target of a cluster has an
     equal share, so that their sum is that of the scan."""
 
+    @property
+    def share(self) -> Tensor:
+        """``(..., N, J)`` probability that each measurement is the target's own."""
+        return self.log_weights[..., 1:].exp()
+
 
 def associate(
     log_ratio: Tensor,

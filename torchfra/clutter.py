@@ -174,9 +174,10 @@ class Clutter(nn.Module):
             spans = self.extent().to(z)
         else:
             assert self.volume is not None
-            spans = self.volume().to(z).unsqueeze(-1) ** (1 / sensor.size) * sensor.metre(z)
-        spans = spans.abs()  # a measured elevation may be beyond the vertical
-        sound = (spans > 0) & spans.isfinite()
-        found = -(candidates.seen * torch.where(sound, spans, 1.0).log()).sum(-1)
+            # A measured elevation may be beyond the vertical; a range of 0, which no gate holds, has no density.
+            metre = sensor.metre(z).abs()
+            metre = torch.where((metre > 0) & metre.isfinite(), metre, 1.0)
+            spans = self.volume().to(z).unsqueeze(-1) ** (1 / sensor.size) * metre
+        found = -(candidates.seen * spans.log()).sum(-1)
         density: Tensor = found if self.rate is None else found + self.rate().to(z).log()
         return density

@@ -174,7 +174,7 @@ class JPDA(Soft, Filter):
         memory = self._adapted("residual", memory, left, found, frame)
         noise = memory.scale if isinstance(memory, NoiseMemory) else None
         info = JPDAInfo(found.log_weights.exp(), factor, noise, weights, repaired)
-        seen = combined(found.log_weights[..., 1:].exp(), whitened.residual, size * root, normalised, frame.noise)
+        seen = combined(found.share, whitened.residual, size * root, normalised, frame.noise)
         missed = self._missed(state.missed, found, frame)
         return JPDAState(State(belief, memory), missed, searched), Record(belief, *seen, info, found.evidence)
 
@@ -322,8 +322,7 @@ class JPDA(Soft, Filter):
             return memory
         excess, whole = _mean(side.excess(whitened), found, frame)
         after = flat(side(column(memory), excess, whole))
-        measured = found.log_weights[..., 1:].exp().sum(-1, keepdim=True)
-        return _pooled(after, measured) if self.share_noise else after
+        return _pooled(after, found.share.sum(-1, keepdim=True)) if self.share_noise else after
 
     def _faded(
         self, prediction: Prediction, whitened: Whitened, memory: Any, candidates: Candidates, found: Association,
@@ -333,11 +332,10 @@ class JPDA(Soft, Filter):
         f, fading, robust = self.inner, self.inner.adaptive, self.inner.robust
         if fading is None:
             return prediction, whitened, memory, None
-        share = found.log_weights[..., 1:].exp()
         residual, whole = _mean(whitened.residual, found, frame)
         memory = fading.remember(column(memory), residual, (whole >= 0.5).to(residual))
-        own = likeliest(share, whitened)
-        nis = candidates.nis.gather(-1, share.argmax(-1, keepdim=True))
+        own = likeliest(found.share, whitened)
+        nis = candidates.nis.gather(-1, found.share.argmax(-1, keepdim=True))
         weights = torch.ones_like(own.residual) if robust is None else robust(own.residual, nis)
         factor = fading(prediction, own, memory, weights)
         factor = torch.where(whole.amax(-1) >= 0.5, factor, 1.0)  # nothing was measured that could ask for it
@@ -382,7 +380,7 @@ def _mean(of: Tensor, found: Association, frame: Frame) -> tuple[Tensor, Tensor]
 
     0 where it was hardly anything: nothing is learned from it then.
     """
-    weight = found.log_weights[..., 1:].exp().unsqueeze(-1) * frame.seen
+    weight = found.share.unsqueeze(-1) * frame.seen
     whole = weight.sum(-2, keepdim=True)
     likely = whole >= 0.5
     mean = torch.where(likely, (weight * of).sum(-2, keepdim=True), 0.0) / torch.where(likely, whole, 1.0)
