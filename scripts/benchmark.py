@@ -27,10 +27,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchfra import keep_memory, linalg, plotting, presets, scenarios
-from torchfra.cli import SCENARIOS, named
-from torchfra.evaluate import FILTERS, chosen, progress_bar, run, versions
-from torchfra.files import write_json
+from torchfra import keep_memory, presets, scenarios
+from torchfra.app import plotting
+from torchfra.app.atomic_write import write_json
+from torchfra.app.evaluate import progress_bar, run, versions
+from torchfra.catalogue import SCENARIOS, make_scenario, scenario_filters, track_filters
+from torchfra.linalg import triangular
 from torchfra.motion import ConstantAcceleration, ConstantVelocity
 from torchfra.sensors import Position
 from torchfra.types import Gaussian
@@ -77,13 +79,13 @@ def moved(x: Any, device: str) -> Any:
 
 def tracks(options: argparse.Namespace) -> list[Row]:
     """Whole tracks, eager and compiled, and the peers."""
-    scenario = named(options.scenario, initial=options.initial)
+    scenario = make_scenario(options.scenario, initial=options.initial)
     rows: list[Row] = []
     for batch in map(int, (options.batch or "1,1000,10000").split(",")):
         data = moved(scenario.simulate(batch, 0), options.device)
         systems: dict[str, Callable[[], Any]] = {}
         for name in options.filters.split(","):
-            f = copy.deepcopy(chosen([name], scenario)[name]).to(options.device)
+            f = copy.deepcopy(scenario_filters([name], scenario)[name]).to(options.device)
             if "compiled" in options.modes:
                 fast = copy.deepcopy(f).compile()
                 systems[f"{name}, compiled"] = lambda f=fast, data=data: run(f, scenario, data)
@@ -119,11 +121,11 @@ def tracks(options: argparse.Namespace) -> list[Row]:
 
 def step(options: argparse.Namespace) -> list[Row]:
     """One track, one measurement at a time."""
-    scenario = named(options.scenario, initial=options.initial)
+    scenario = make_scenario(options.scenario, initial=options.initial)
     data = scenario.simulate(1, 0)
     systems: dict[str, Callable[[], Any]] = {}
     for name in options.filters.split(","):
-        f = chosen([name], scenario)[name]
+        f = scenario_filters([name], scenario)[name]
         for mode in options.modes.split(","):
             g = copy.deepcopy(f).compile() if mode == "compiled" else f
 
@@ -146,11 +148,11 @@ def plain_qr():
             lower = torch.linalg.qr(a.mT).R.mT
             return lower * lower.diagonal(dim1=-2, dim2=-1).sign().unsqueeze(-2)
 
-    own, linalg._Tria = linalg._Tria, Plain
+    own, triangular._Tria = triangular._Tria, Plain
     try:
         yield
     finally:
-        linalg._Tria = own
+        triangular._Tria = own
 
 
 def peak(call: Callable[[], Any]) -> float | None:
@@ -172,7 +174,7 @@ def peak(call: Callable[[], Any]) -> float | None:
 
 def training(options: argparse.Namespace) -> list[Row]:
     """Forward and backward of FRA over 64 tracks (or the first of ``--batch``) of 100 steps, all values learning."""
-    scenario = named(options.scenario, "std", initial=options.initial)
+    scenario = make_scenario(options.scenario, outliers="std", initial=options.initial)
     batch = int((options.batch or "64").split(",")[0])
     data, count = scenario.simulate(batch, 0), batch * scenario.steps
 
@@ -209,7 +211,7 @@ def training(options: argparse.Namespace) -> list[Row]:
 
 def scaling(options: argparse.Namespace) -> list[Row]:
     """Compiled SRCKF over the number of tracks, of states and of steps."""
-    scenario = named(options.scenario, initial=options.initial)
+    scenario = make_scenario(options.scenario, initial=options.initial)
     rows: list[Row] = []
 
     def measure(f: Any, z: torch.Tensor, prior: Gaussian, u: Any, **more: Any) -> None:
@@ -272,7 +274,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
     parser.add_argument("--what", default="tracks", help=f"out of {', '.join(KINDS)} (default: tracks)")
     parser.add_argument("--batch", help="tracks at once (default: 1,1000,10000; 64 for training)")
-    parser.add_argument("--filters", default="ukf,srckf,fra_srckf,fra", help=f"out of {', '.join(FILTERS)}")
+    parser.add_argument("--filters", default="ukf,srckf,fra_srckf,fra", help=f"out of {', '.join(track_filters())}")
     parser.add_argument("--modes", default="compiled,eager", help="compiled, eager or both (default)")
     parser.add_argument("--device", default="cpu", help="cpu (default) or cuda; compiled kernels run on the cpu only")
     parser.add_argument("--scenario", default="bearings-outliers", choices=BEARINGS)
@@ -282,7 +284,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--figure", type=Path, metavar="FILE", help="PNG of what 'scaling' finds")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the results for machines to read")
     options = parser.parse_args(arguments)
-    for name, given, known in (("what", options.what, tuple(KINDS)), ("filters", options.filters, tuple(FILTERS)),
+    for name, given, known in (("what", options.what, tuple(KINDS)),
+                               ("filters", options.filters, track_filters()),
                                ("modes", options.modes, ("compiled", "eager"))):  # fmt: skip
         wrong = [part for part in given.split(",") if part not in known]
         if wrong:

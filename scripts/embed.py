@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from torchfra import Gaussian, losses, presets
-from torchfra.evaluate import progress_bar
+from torchfra.app.evaluate import progress_bar
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import RangeBearing
 
@@ -61,7 +61,7 @@ def simulate(tracks: int, steps: int, seed: int) -> Data:
         return torch.randn(*shape, dtype=torch.float64, generator=rng)
 
     step = torch.tensor(1.0, dtype=torch.float64)
-    matrix, root = MOTION.transition(step), MOTION.noise(step)
+    matrix, root = MOTION.transition(step), MOTION.process_noise(step)
     spread = torch.tensor([100.0, 100.0, 10.0, 10.0], dtype=torch.float64)
     mean = torch.tensor([6e3, 8e3, 50.0, -50.0], dtype=torch.float64) + 500 * normal(tracks, 4) / 10
     state, states = mean + spread * normal(tracks, 4), []

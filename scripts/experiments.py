@@ -10,11 +10,12 @@ import torch
 from matplotlib.figure import Figure
 from scans import scan_filters
 
-from torchfra import gains, plotting, presets
-from torchfra.cli import named
-from torchfra.evaluate import chosen, evaluate, run
+from torchfra import presets
+from torchfra.app import plotting
+from torchfra.app.evaluate import evaluate, run
+from torchfra.catalogue import make_scenario, scenario_filters
 from torchfra.filters import Filter
-from torchfra.filters.alphabeta import AlphaBeta, AlphaBetaBank
+from torchfra.filters.alphabeta import AlphaBeta, AlphaBetaBank, gains
 from torchfra.scenarios import Scenario
 
 _BEARINGS, _HUBER = "ukf,srckf,mr_ckf,rsrckf,rmckf,fra_srckf,fra", "ghckf,hghckf1,hghckf2"
@@ -50,7 +51,7 @@ def filters_of(scenario: Scenario, names: list[str]) -> Filters:
     own: dict[str, Callable[[], Filter]] = {
         name: lambda count=count: presets.imm_srckf(bank[:count], scenario.sensor) for name, count in sizes.items()
     }
-    return {name: own[name]() if name in own else chosen([name], scenario)[name] for name in names}
+    return {name: own[name]() if name in own else scenario_filters([name], scenario)[name] for name in names}
 
 
 def bearings(
@@ -125,7 +126,7 @@ def by_size(
     """
     found: dict[str, Results] = {}
     for size in sizes:
-        scenario = named(name, **options, size=float(size))
+        scenario = make_scenario(name, **options, size=float(size))
         results = evaluate(scenario, filters, **how)  # whose models are those of every size
         found[f"{size:g}"] = {f: _squares(of, scenario) for f, of in results.items()}
     return found
@@ -183,7 +184,7 @@ def weave_filters(scenario: Scenario, names: Sequence[str]) -> Filters:
             thresholds = {"manoeuvre": 3.5, "outlier": 10.0, "degrees": [6 / 7], "margin": 3.6}
             found[name] = presets.alphabeta(motion, sensor, gains=gains.levels(), **thresholds)
         else:
-            found |= chosen([name], scenario)
+            found |= scenario_filters([name], scenario)
     return found
 
 

@@ -19,11 +19,11 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from torchfra.cli import SCENARIOS
-from torchfra.evaluate import FILTERS, chosen
+from torchfra.catalogue import SCENARIOS, scenario_filters, track_filters
 from torchfra.filters import Filter
 from torchfra.scenarios import Scenario
-from torchfra.types import Gaussian, flatten, unflatten
+from torchfra.tree import flatten, unflatten
+from torchfra.types import Gaussian
 
 
 class Step(nn.Module):
@@ -54,13 +54,13 @@ def main(arguments: list[str] | None = None) -> int:
     """Runs the example."""
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
-    parser.add_argument("--filter", default="srckf", help=f"one of {', '.join(FILTERS)} (default: srckf)")
+    parser.add_argument("--filter", default="srckf", help=f"one of {', '.join(track_filters())} (default: srckf)")
     parser.add_argument("--out", type=Path, metavar="FILE", help="the package (default: out/FILTER.pt2)")
     options = parser.parse_args(arguments)
-    if options.filter not in FILTERS:
-        parser.error(f"--filter: expected one of {', '.join(FILTERS)}, received {options.filter!r}")
+    if options.filter not in track_filters():
+        parser.error(f"--filter: expected one of {', '.join(track_filters())}, received {options.filter!r}")
     scenario = SCENARIOS["bearings-outliers"]()
-    f = chosen([options.filter], scenario)[options.filter]
+    f = scenario_filters([options.filter], scenario)[options.filter]
     path = export(f, scenario, options.out or Path("out") / f"{options.filter}.pt2")
     step = torch._inductor.aoti_load_package(str(path))
     tracks = scenario.simulate(1, 0)

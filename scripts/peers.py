@@ -27,7 +27,7 @@ def _arrays(scenario: Scenario, tracks: Tracks) -> tuple[np.ndarray, ...]:
     import torch
 
     dt = torch.tensor(scenario.dt, dtype=torch.float64)
-    matrix, noise = scenario.motion.transition(dt), scenario.motion.noise(dt)
+    matrix, noise = scenario.motion.transition(dt), scenario.motion.process_noise(dt)
     std = scenario.sensor.std()
     return tuple(x.detach().numpy() for x in (matrix, noise, std, *tracks.prior, tracks.z, tracks.u))
 

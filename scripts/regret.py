@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from torchfra import keep_memory
-from torchfra.cli import named
-from torchfra.evaluate import BANKED, FILTERS, chosen, evaluate, learned, versions
-from torchfra.files import write_json
+from torchfra.app.atomic_write import write_json
+from torchfra.app.evaluate import evaluate, versions
+from torchfra.catalogue import FILTERS, filters_for, learned_filter, make_scenario, scenario_filters
 
 CASES = {
     f"{number}, {start}{outliers}": (name, outliers, initial)
@@ -44,9 +44,11 @@ def main(arguments: list[str] | None = None) -> int:
     rows: dict[str, Any] = {}
     try:
         for case, (name, outliers, initial) in CASES.items():
-            scenario = named(name, outliers, initial=initial)
-            single = [name for name in FILTERS if name not in BANKED]
-            filters = chosen(single, scenario) | {str(path): learned(path, scenario) for path in options.files}
+            scenario = make_scenario(name, outliers=outliers, initial=initial)
+            single = [name for name in filters_for(scenario) if not FILTERS[name].bank]
+            filters = scenario_filters(single, scenario) | {
+                str(path): learned_filter(path, scenario) for path in options.files
+            }
             results = evaluate(scenario, filters, runs=options.runs, seed=options.seed, progress=not options.quiet)
             rows[case] = row(results, [*map(str, options.files)])
             if not options.quiet:

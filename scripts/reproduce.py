@@ -37,10 +37,11 @@ from experiments import (
 )
 from scans import association_table, associations, draw_scans, scan_figures, scan_table
 
-from torchfra import keep_memory, plotting
-from torchfra.cli import SCENARIOS, named
-from torchfra.evaluate import FILTERS, evaluate, learned, report, table
-from torchfra.files import write_json
+from torchfra import keep_memory
+from torchfra.app import plotting
+from torchfra.app.atomic_write import write_json
+from torchfra.app.evaluate import evaluate, report, table
+from torchfra.catalogue import SCENARIOS, learned_filter, make_scenario, track_filters
 from torchfra.kernel.build import CompileError
 
 
@@ -62,7 +63,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--clutter", type=int, metavar="N", help="of clutter-*: false measurements per scan (default: 6)")
     p.add_argument("--sizes", metavar="A,B", help="of growth and reentry: how many times contaminated noise grows, for "
                    "the figure over it (default of growth: 1 to 20; of reentry: none)")  # fmt: skip
-    known = ", ".join(FILTERS)
+    known = ", ".join(track_filters())
     p.add_argument(
         "--filters",
         metavar="A,B",
@@ -96,14 +97,14 @@ def experiment(options: argparse.Namespace) -> str:
     """Runs it, writes results and figures, and returns what to print."""
     given = {key: getattr(options, key) for key in ("outliers", "truth_noise", "initial", "turns", "radar",
                                                        "noise_scale", "clutter")}  # fmt: skip
-    scenario = named(options.experiment, **given)
+    scenario = make_scenario(options.experiment, **given)
     names = (options.filters or PAPER[scenario.name]).split(",")
     filters = filters_of(scenario, names)
     if options.learned is not None:
         name, equals, file = options.learned.partition("=")
         if not equals:
             raise ValueError(f"learned: expected NAME=FILE, received {options.learned!r}")
-        filters["learned"] = learned(file, scenario, name)
+        filters["learned"] = learned_filter(file, scenario, name)
     how = {"runs": options.runs, "seed": options.seed, "compile": options.compile, "progress": not options.quiet}
     sizes = sizes_of(options)
     results = evaluate(scenario, filters, **how)

@@ -8,13 +8,15 @@ import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from torchfra import metrics, plotting, presets
-from torchfra.clutter import Euclidean
-from torchfra.evaluate import check_names, progress_bar
+from torchfra import metrics, presets
+from torchfra.angles import wrap
+from torchfra.app import plotting
+from torchfra.app.evaluate import progress_bar
+from torchfra.association import Euclidean
+from torchfra.catalogue import check_names
+from torchfra.coordinates import from_cartesian
 from torchfra.filters import Filter
 from torchfra.scenarios import Scenario, Tracks
-from torchfra.sensors import wrap
-from torchfra.spherical import from_cartesian
 
 GATES = (100.0, 150.0)
 SETTLED, LOST = 10, 100.0
@@ -67,7 +69,7 @@ def scan_figures(
 
 def _several(scenario: Scenario, estimate: Any, tracks: Tracks) -> tuple[Tensor, Tensor, Tensor]:
     """Estimates ``(B, N, T, 6)`` in both coordinates, and the truth; of a single target too."""
-    all_of = (estimate.mean, scenario.shown(estimate).mean, tracks.truth)
+    all_of = (estimate.mean, scenario.cartesian(estimate).mean, tracks.truth)
     mean, shown, truth = (x if x.dim() == 4 else x.unsqueeze(1) for x in all_of)
     return mean, shown, truth
 
@@ -172,7 +174,7 @@ def draw_scans(
         for i, gone in enumerate(1 / from_cartesian(tracks.truth[0])[..., 5])
     }
     scans = scenario.sensor.locate(tracks.z[0]).flatten(0, 1)
-    paths = scenario.shown(estimate).mean[0]
+    paths = scenario.cartesian(estimate).mean[0]
     return errors | {
         f"{scenario.name}-ranges": plotting.raw_and_filtered(
             ranges, scenario.dt, f"{scenario.name}, first run, {last}"

@@ -817,14 +817,14 @@ def msc_predict(mean: Array, P: Array, F: Array, QC: Array, redraw: bool = True)
     return Unscented(ahead, P, zhat, off.T @ np.diag(wc) @ off, gap.T @ np.diag(wc) @ off)
 
 
-class Noise(NamedTuple):
+class MeasurementNoise(NamedTuple):
     """Estimated variances (3,), and updates so far (3,)."""
 
     R: Array
     count: Array
 
 
-def sage_husa(noise: Noise, R0: Array, target: Array, weight: Array, how: Tuned) -> Noise:
+def sage_husa(noise: MeasurementNoise, R0: Array, target: Array, weight: Array, how: Tuned) -> MeasurementNoise:
     """Eq. (19), element by element; ``target`` (3,) is what the innovation says, ``weight`` (3,) how surely."""
     R, count = noise.R.copy(), noise.count.copy()
     for i in range(3):
@@ -836,14 +836,14 @@ def sage_husa(noise: Noise, R0: Array, target: Array, weight: Array, how: Tuned)
         if count[i] >= how.warmup:
             R[i] = np.clip((1 - g * d) * R[i] + g * d * target[i], how.lowest * R0[i], how.highest * R0[i])
         count[i] += 1
-    return Noise(R, count)
+    return MeasurementNoise(R, count)
 
 
 def iaukf(
     z: Array, mean0: Array, P0: Array, F: Array, QC: Array, R0: Array, how: Tuned | None = None, redraw: bool = True
 ) -> dict[str, Array]:
     """One target without clutter, z (T,3), NaN missing; ``how=None`` leaves the noise as it is."""
-    mean, P, noise, steps = mean0, P0, Noise(R0, np.zeros(3)), []
+    mean, P, noise, steps = mean0, P0, MeasurementNoise(R0, np.zeros(3)), []
     for row in z:
         u = msc_predict(mean, P, F, QC, redraw)
         seen = _seen(row)
@@ -930,7 +930,7 @@ def jpda(
 ) -> dict[str, Array]:  # fmt: skip
     """IAUKF-JPDA, eqs. (10)-(30), on scans z (T,J,3); mean0 (N,6), P0 (N,6,6), F (N,6,6); a gate in metres."""
     N = len(mean0)
-    means, Ps, noises = list(mean0), list(P0), [Noise(R0, np.zeros(3)) for _ in range(N)]
+    means, Ps, noises = list(mean0), list(P0), [MeasurementNoise(R0, np.zeros(3)) for _ in range(N)]
     steps = []
     for scan in z:
         there = [j for j in range(len(scan)) if not np.isnan(scan[j]).any()]

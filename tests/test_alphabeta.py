@@ -10,9 +10,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchfra import gains, metrics, presets
-from torchfra.filters.alphabeta import AlphaBeta, AlphaBetaBank
-from torchfra.gains import Gains
+from torchfra import metrics, presets
+from torchfra.catalogue import filters_for
+from torchfra.filters.alphabeta import AlphaBeta, AlphaBetaBank, Gains, gains
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn
 from torchfra.scenarios import bearings_outliers, level_then_weave
 from torchfra.sensors import Bearings, Position
@@ -313,10 +313,9 @@ def test_what_does_not_fit_is_named(make, said):
 
 
 def test_a_scenario_of_bearings_leaves_it_out():
-    from torchfra.evaluate import fitting
 
-    assert "alphabeta" not in fitting(bearings_outliers())
-    assert "alphabeta" in fitting(level_then_weave())
+    assert "alphabeta" not in filters_for(bearings_outliers())
+    assert "alphabeta" in filters_for(level_then_weave())
 
 
 # ---------------------------------------------------------------- the experiment

@@ -9,8 +9,8 @@ import torch
 
 from torchfra import presets, scenarios
 from torchfra.adaptive import Fading
-from torchfra.cubature import third_degree, unscented
 from torchfra.filters import FRA, SRCKF
+from torchfra.gaussian import third_degree, unscented
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, Motion
 from torchfra.robust import Huber, ThreeSegment
 from torchfra.sensors import Bearings, Position, Sensor

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from torchfra import cli, presets, readers
-from torchfra.evaluate import evaluate
-from torchfra.track import track
+from torchfra import presets, readers
+from torchfra.app import cli
+from torchfra.app.evaluate import evaluate
+from torchfra.app.track import track
 
 
 @pytest.fixture
@@ -166,7 +167,7 @@ def test_bad_arguments_are_answered_with_one_line_and_code_2(
 
 
 def test_a_file_that_cannot_be_finished_leaves_the_old_one_as_it_was(tmp_path):
-    from torchfra.files import write
+    from torchfra.app.atomic_write import write
 
     path = tmp_path / "a.txt"
     path.write_text("old")

@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from torchfra import scenarios
-from torchfra.cli import main
-from torchfra.evaluate import SCANS, chosen, evaluate, fitting, learned, table
-from torchfra.spherical import from_cartesian
+from torchfra.app.cli import main
+from torchfra.app.evaluate import evaluate, table
+from torchfra.catalogue import filters_for, learned_filter, scan_filters, scenario_filters
+from torchfra.coordinates import from_cartesian
 
 
 def test_the_tracks_are_straight_or_turn_and_meet():
@@ -69,7 +70,7 @@ def test_the_prior_is_honest():
 
 def test_evaluation_counts_every_target_as_a_track_in_metres():
     s = scenarios.clutter_straight(clutter=2)
-    assert fitting(s) == list(SCANS)
+    assert filters_for(s) == scan_filters()
     results = evaluate(s, ["iaukf_jpda"], runs=6, seed=1, chunk=4)
     of = results["iaukf_jpda"]
     assert 1 < of["median_error_position"] < 12
@@ -77,17 +78,17 @@ def test_evaluation_counts_every_target_as_a_track_in_metres():
     assert of["relative_time"] > 0
     assert "iaukf_jpda" in table(results)
     with pytest.raises(ValueError, match="filters: expected names out of ukf_jpda, iaukf_jpda"):
-        chosen(["fra"], s)
+        scenario_filters(["fra"], s)
     with pytest.raises(ValueError, match="filters: expected names out of ukf"):
-        chosen(["ukf_jpda"], scenarios.noise_change())
+        scenario_filters(["ukf_jpda"], scenarios.noise_change())
 
 
 def test_learned_values_load_into_a_filter_for_scans(tmp_path):
     s = scenarios.clutter_straight()
-    f = chosen(["iaukf_jpda"], s)["iaukf_jpda"]
+    f = scenario_filters(["iaukf_jpda"], s)["iaukf_jpda"]
     f.detection.set(0.8)
     torch.save(f.state_dict(), tmp_path / "state_dict.pt")
-    assert learned(tmp_path / "state_dict.pt", s, "iaukf_jpda").detection().item() == pytest.approx(0.8)
+    assert learned_filter(tmp_path / "state_dict.pt", s, "iaukf_jpda").detection().item() == pytest.approx(0.8)
     assert s.detection == 0.95
 
 
@@ -95,7 +96,7 @@ def test_the_command_compares_them(tmp_path, capsys):
     arguments = ["compare", "--scenario", "clutter-crossing", "--runs", "3", "--json", str(tmp_path / "r.json")]
     assert main([*arguments, "--figure", str(tmp_path / "r.png"), "--quiet"]) == 0
     found = json.loads((tmp_path / "r.json").read_text())
-    assert list(found["filters"]) == list(SCANS)
+    assert list(found["filters"]) == scan_filters()
     assert found["settings"]["clutter"] == 6
     assert main(["compare", "--scenario", "clutter-straight", "--compile", "--runs", "2"]) == 2
     assert "JPDA" in capsys.readouterr().err

@@ -72,7 +72,7 @@ def test_a_missing_step_is_a_pure_prediction(name, make, tracks):
     f = make(name)
     e = f(tracks.z, tracks.prior, u=tracks.u)
     f_matrix = f.motion.transition(torch.tensor(1.0, dtype=torch.float64))
-    noise = f.motion.noise(torch.tensor(1.0, dtype=torch.float64))
+    noise = f.motion.process_noise(torch.tensor(1.0, dtype=torch.float64))
     same(e.mean[1, 5], f_matrix @ e.mean[1, 4])
     same(e.covariance[1, 5], f_matrix @ e.covariance[1, 4] @ f_matrix.mT + noise @ noise.mT)
     assert e.nis[1, 5] == 0

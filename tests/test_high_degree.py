@@ -9,8 +9,8 @@ import torch
 
 from torchfra import linalg, presets
 from torchfra.adaptive import Fading
-from torchfra.cubature import fifth_degree, gauss_hermite, spherical_fifth_degree, third_degree
 from torchfra.filters import SRCKF
+from torchfra.gaussian import fifth_degree, gauss_hermite, spherical_fifth_degree, third_degree
 from torchfra.motion import ConstantAcceleration, Motion
 from torchfra.sensors import Position, Sensor
 from torchfra.types import Gaussian
@@ -200,7 +200,7 @@ def oracle(motion, sensor, z, mean, P):
     weight = {0: 1 + n * (n - 7) / 18, 1: (4 - n) / 18, 2: 1 / 36}
     w = np.array([weight[sum(map(abs, s))] for s in signs])
     at = 3**0.5 * np.array(signs, dtype=float)
-    SQ = motion.noise(torch.ones((), dtype=torch.float64)).detach().numpy()
+    SQ = motion.process_noise(torch.ones((), dtype=torch.float64)).detach().numpy()
     means, covariances = [], []
 
     def through(f, mean, P):

@@ -9,8 +9,8 @@ import torch
 from scipy.integrate import quad
 
 from torchfra import presets
-from torchfra.cubature import third_degree
 from torchfra.filters import SRCKF
+from torchfra.gaussian import third_degree
 from torchfra.motion import ConstantAcceleration, Motion
 from torchfra.robust import HuberRegression, HuberScore
 from torchfra.scenarios import growth, reentry
@@ -27,7 +27,7 @@ class Still(Motion):
     def transition(self, dt):
         return torch.ones_like(dt)[..., None, None]
 
-    def noise(self, dt):
+    def process_noise(self, dt):
         return torch.zeros_like(dt)[..., None, None]
 
 
@@ -49,7 +49,9 @@ def test_a_threshold_without_end_leaves_the_plain_filter(preset):
     scenario = growth("std")
     tracks = scenario.simulate(4, 0)
     plain = presets.ghckf(scenario.motion, scenario.sensor)(tracks.z[:, :50], tracks.prior, u=tracks.u[:50])
-    robust = preset(scenario.motion, scenario.sensor, gamma=math.inf)(tracks.z[:, :50], tracks.prior, u=tracks.u[:50])
+    robust = preset(scenario.motion, scenario.sensor, threshold=math.inf)(
+        tracks.z[:, :50], tracks.prior, u=tracks.u[:50]
+    )
     torch.testing.assert_close(robust.log_likelihood[:, 0], plain.log_likelihood[:, 0])
     if preset is presets.hghckf2:
         torch.testing.assert_close(robust.mean, plain.mean)
@@ -62,22 +64,24 @@ KNOWN = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("gamma", "eps", "factor", "zeta"), KNOWN)
-def test_the_factors_are_those_of_the_table_and_of_quadrature(gamma, eps, factor, zeta):
-    score, scaled = HuberScore(gamma), HuberScore(gamma, zeta_scale=True)
-    digits = 1e-9 if gamma == 1.345 else 1e-4
+@pytest.mark.parametrize(("threshold", "eps", "factor", "zeta"), KNOWN)
+def test_the_factors_are_those_of_the_table_and_of_quadrature(threshold, eps, factor, zeta):
+    score, scaled = HuberScore(threshold), HuberScore(threshold, zeta_scale=True)
+    digits = 1e-9 if threshold == 1.345 else 1e-4
     assert score.factor().item() == pytest.approx(factor, abs=digits)
     assert scaled.zeta().item() == pytest.approx(zeta, abs=digits)
 
     def rho(t):
-        return t * t / 2 if abs(t) < gamma else gamma * abs(t) - gamma**2 / 2
+        return t * t / 2 if abs(t) < threshold else threshold * abs(t) - threshold**2 / 2
 
     # twice the half line, in pieces on which the integrand is smooth
     def integral(f):
-        return 2 * (quad(f, 0, gamma, epsabs=0, epsrel=1e-13)[0] + quad(f, gamma, np.inf, epsabs=0, epsrel=1e-13)[0])
+        return 2 * (
+            quad(f, 0, threshold, epsabs=0, epsrel=1e-13)[0] + quad(f, threshold, np.inf, epsabs=0, epsrel=1e-13)[0]
+        )
 
     mass = integral(lambda t: math.exp(-rho(t)))
-    inner = 2 * quad(lambda t: math.exp(-rho(t)), 0, gamma, epsabs=0, epsrel=1e-13)[0]
+    inner = 2 * quad(lambda t: math.exp(-rho(t)), 0, threshold, epsabs=0, epsrel=1e-13)[0]
     assert score.factor().item() == pytest.approx(inner / mass, rel=1e-12)
     assert 1 - math.sqrt(2 * math.pi) / mass == pytest.approx(eps, abs=digits)
     second = integral(lambda t: t * t * math.exp(-rho(t)))
@@ -113,7 +117,7 @@ class Rest(Motion):
     def transition(self, dt):
         return torch.eye(4, dtype=dt.dtype)
 
-    def noise(self, dt):
+    def process_noise(self, dt):
         return torch.zeros(4, 1, dtype=dt.dtype)
 
 
@@ -183,7 +187,7 @@ def test_compiled_it_gives_the_same_and_the_same_gradients(preset):
     tracks = scenario.simulate(3, 1)
     found = []
     for compiled in (False, True):
-        f = getattr(presets, preset)(scenario.motion, scenario.sensor, learn=("gamma", "std"))
+        f = getattr(presets, preset)(scenario.motion, scenario.sensor, learn=("threshold", "std"))
         f = f.compile() if compiled else f
         e = f(tracks.z[:, :12], tracks.prior, u=tracks.u[:12])
         e.mean.square().mean().backward()
@@ -196,7 +200,7 @@ def test_compiled_it_gives_the_same_and_the_same_gradients(preset):
     "options", [{}, {"eps": 0.2}, {"cov_mode": "indicator"}, {"whitening": "symmetric"}, {"zeta_scale": True}]
 )
 def test_gradients_of_the_score_are_exact(options):
-    names = ("gamma", "eps", "std") if "eps" in options else ("gamma", "std")
+    names = ("threshold", "eps", "std") if "eps" in options else ("threshold", "std")
     f = presets.hghckf2(ConstantAcceleration(1.0), Position(2.0), rule=third_degree, learn=names, **options)
     z = torch.tensor([[1.0, 2.0], [30.0, -1.0], [3.0, 2.5]]).double()
     prior = Gaussian(torch.zeros(6).double(), 3 * torch.eye(6).double())
@@ -226,7 +230,7 @@ def test_any_rule_and_any_bank_takes_them(robust):
 
 def test_a_threshold_without_end_has_gradients_in_a_bank():
     models = [ConstantAcceleration(0.1), ConstantAcceleration(3.0)]
-    f = presets.imm(models, Position(1.0), inner=presets.hghckf2, gamma=math.inf, learn=("q",))
+    f = presets.imm(models, Position(1.0), inner=presets.hghckf2, threshold=math.inf, learn=("q",))
     f(torch.randn(5, 2).double(), Gaussian(torch.zeros(6).double(), torch.eye(6).double())).mean.sum().backward()
     assert all(p.grad.isfinite().all() for p in f.parameters())
 
@@ -238,7 +242,7 @@ def test_a_threshold_without_end_has_gradients_in_a_bank():
         (lambda: HuberScore(whitening="svd"), "whitening"),
         (lambda: HuberScore(eps="max"), "eps: expected a share"),
         (lambda: HuberScore(eps=1.0), "eps"),
-        (lambda: HuberScore(0.0), "gamma: expected a value above 0"),
+        (lambda: HuberScore(0.0), "threshold: expected a value above 0"),
         (lambda: HuberRegression(max_iter=0), "max_iter"),
         (lambda: HuberRegression(start="zero"), "start"),
         (lambda: growth("offset"), "outliers"),

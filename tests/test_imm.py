@@ -9,12 +9,18 @@ import pytest
 import torch
 
 from torchfra import presets, scenarios
-from torchfra.bank import Bank, Embedded
 from torchfra.hyper import hypers
 from torchfra.metrics import rmse
-from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn, Motion
+from torchfra.motion import (
+    Bank,
+    ConstantAcceleration,
+    ConstantVelocity,
+    CoordinatedTurn,
+    CurrentStatistical,
+    Embedded,
+    Motion,
+)
 from torchfra.sensors import Position, RangeBearing
-from torchfra.statistical import CurrentStatistical
 from torchfra.types import Gaussian
 
 DT, SIGMA, STEPS = 2.0, 30.0, 15
@@ -48,7 +54,7 @@ def of(motion):
     dt = torch.tensor(DT, dtype=torch.float64)
 
     def model(mean):
-        F, noise = motion.transition(dt), motion.noise(dt)
+        F, noise = motion.transition(dt), motion.process_noise(dt)
         follows, shift = motion.adaptation(dt), torch.zeros(6, dtype=torch.float64)
         if follows is not None:
             shift, noise = follows(torch.from_numpy(mean), None, noise)
@@ -210,7 +216,7 @@ def test_a_smaller_state_is_put_into_the_larger_one_by_maps():
     outside = ConstantVelocity(0.5, orders=3)
     dt = torch.tensor([1.0, 3.0], dtype=torch.float64)
     same(inside.transition(dt), outside.transition(dt))
-    same(inside.noise(dt), outside.noise(dt))
+    same(inside.process_noise(dt), outside.process_noise(dt))
     assert inside.shift(dt, None) is None
 
 

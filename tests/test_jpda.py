@@ -9,11 +9,10 @@ import pytest
 import torch
 
 from torchfra import losses, metrics, presets, scenarios
-from torchfra.bank import Bank
-from torchfra.clutter import Candidates, ChiSquare, Clutter, Euclidean
+from torchfra.association import Candidates, ChiSquare, Clutter, Euclidean
 from torchfra.filters import JPDA, SRCKF
 from torchfra.kernel.build import CompileError
-from torchfra.motion import ConstantVelocity
+from torchfra.motion import Bank, ConstantVelocity
 from torchfra.sensors import Bearings, Position, RangeBearing
 from torchfra.types import Gaussian
 
@@ -60,7 +59,7 @@ def test_the_whole_filter_is_that_of_plain_loops(scenario, tracks, name, how, ra
     clutter = Clutter(2 * 400.0**3, rate=rate)
     estimate = make(name, scenario, clutter=clutter, **PAPER)(tracks.z, tracks.prior)
     dt = torch.tensor(1.0, dtype=torch.float64)
-    F, root = scenario.motion.cartesian.transition(dt).numpy(), scenario.motion.cartesian.noise(dt)
+    F, root = scenario.motion.cartesian.transition(dt).numpy(), scenario.motion.cartesian.process_noise(dt)
     root = root.expand(2, 6, 3)[0]
     for b in range(len(tracks.z)):
         P = (tracks.prior.scale_tril[b] @ tracks.prior.scale_tril[b].mT).numpy()
@@ -84,7 +83,7 @@ def test_the_update_is_the_papers_equations_and_so_moment_matching():
     z = torch.tensor([[1.0, 0.5], [4.0, 2.0], [8.0, 5.0], [math.nan, math.nan]], dtype=torch.float64)
     state, _ = f.step(f.init(prior), z)
     beta = f(z.unsqueeze(0), prior).info.association[:, 0]
-    F, Q = f.motion.transition(torch.tensor(1.0).double()), f.motion.noise(torch.tensor(1.0).double())
+    F, Q = f.motion.transition(torch.tensor(1.0).double()), f.motion.process_noise(torch.tensor(1.0).double())
     H, R = torch.eye(2, 4).double(), 4.0 * torch.eye(2).double()
     for t in range(2):
         ahead, P = F @ prior.mean[t], F @ prior.covariance[t] @ F.mT + Q @ Q.mT
@@ -296,7 +295,7 @@ def test_it_runs_in_single_precision(scenario, tracks):
     prior = Gaussian(*(x.float() for x in tracks.prior))
     low, high = f(tracks.z.float(), prior), f(tracks.z, tracks.prior)
     assert low.mean.dtype == torch.float32
-    gap = scenario.shown(low).mean[..., :3].double() - scenario.shown(high).mean[..., :3]
+    gap = scenario.cartesian(low).mean[..., :3].double() - scenario.cartesian(high).mean[..., :3]
     assert gap.norm(dim=-1).median() < 0.1
 
 
@@ -373,7 +372,7 @@ def scenes(rng, runs, steps, detection, false):
     """Two targets that move as assumed, and about so many false measurements in a square of 100 m."""
     motion = ConstantVelocity(0.5, 2)
     one = torch.tensor(1.0).double()
-    F, root = motion.transition(one), motion.noise(one)
+    F, root = motion.transition(one), motion.process_noise(one)
     prior = flat_prior((-20.0, 0.0), (-20.0, 15.0))
     state = prior.mean + (prior.scale_tril @ torch.randn(runs, 2, 4, 1, generator=rng).double()).squeeze(-1)
     scans = []
@@ -529,7 +528,7 @@ def test_the_noise_estimate_wins_by_far_where_the_noise_grows_and_costs_nothing_
         for size in (100.0, 150.0):
             runs = {}
             for name, gate in (("ukf_jpda", Euclidean(size)), ("iaukf_jpda", Euclidean(size, least=0.9999))):
-                mean = s.shown(make(name, s, gate=gate)(t.z, t.prior)).mean
+                mean = s.cartesian(make(name, s, gate=gate)(t.z, t.prior)).mean
                 runs[name] = metrics.error(mean, t.truth, s.position)[..., 10:].square().mean((1, 2)).sqrt()
             worst = {name: run.square().mean().sqrt() for name, run in runs.items()}
             assert worst["iaukf_jpda"] < most * worst["ukf_jpda"]

@@ -8,9 +8,15 @@ import torch
 
 from torchfra import presets
 from torchfra.hyper import learnable
-from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn
+from torchfra.motion import (
+    ConstantAcceleration,
+    ConstantVelocity,
+    CoordinatedTurn,
+    CurrentStatistical,
+    Singer,
+    WhiteJerk,
+)
 from torchfra.sensors import Position
-from torchfra.statistical import CurrentStatistical, Singer, WhiteJerk
 from torchfra.types import Gaussian
 
 T = torch.tensor(2.0, dtype=torch.float64)
@@ -41,7 +47,7 @@ def test_the_current_statistical_model_has_its_known_values():
         motion.transition(T),
         tensor([1, 2, 1.9349672144], [0, 1, 1.9032516393], [0, 0, 0.904837418]), rtol=0, atol=1e-9,
     )  # fmt: skip
-    root = motion.noise(T)
+    root = motion.process_noise(T)
     spread = (4 - math.pi) / math.pi * 2 / 20
     q = tensor([1.5141988817, 1.8720490604, 1.2070532593], [1.8720490604, 2.4756762634, 1.8111834012],
                [1.2070532593, 1.8111834012, 1.8126924692])  # fmt: skip
@@ -53,7 +59,7 @@ def test_the_current_statistical_model_has_its_known_values():
 @pytest.mark.parametrize("product", [1e-6, 1e-3, 0.1, 1.0, 4.0, 16.0])
 def test_the_noise_is_exact_however_short_or_long_the_memory(product):
     alpha = product / 2
-    root = Singer(1.0, alpha, dims=1).noise(T)
+    root = Singer(1.0, alpha, dims=1).process_noise(T)
     torch.testing.assert_close(root @ root.mT, exact_noise(alpha, 2.0), rtol=1e-12, atol=0)
 
 
@@ -61,13 +67,13 @@ def test_an_acceleration_that_never_forgets_is_constant():
     for motion in (Singer(1.0, 0.0), Singer(1.0, 1e-9)):
         expected = ConstantAcceleration(1.0).transition(T)
         torch.testing.assert_close(motion.transition(T), expected, rtol=0, atol=1e-8)
-    assert (Singer(1.0, 0.0).noise(T) == 0).all()
+    assert (Singer(1.0, 0.0).process_noise(T) == 0).all()
 
 
 def test_the_mean_goes_on_as_at_constant_acceleration_and_the_noise_shrinks_towards_the_limit():
     motion = CurrentStatistical(0.3, 2.0, below=4.0)
     mean = tensor([1, 2, 3, 4, 1.0, -1.0], [1, 2, 3, 4, 2.5, -5.0], [0, 0, 0, 0, 0, 0])
-    shift, noise = motion.adaptation(T)(mean, None, motion.noise(T))
+    shift, noise = motion.adaptation(T)(mean, None, motion.process_noise(T))
     moved = mean @ motion.transition(T).mT + shift
     torch.testing.assert_close(moved, mean @ ConstantAcceleration(1.0).transition(T).mT)
     power = (noise @ noise.mT).diagonal(dim1=-2, dim2=-1)
@@ -105,8 +111,8 @@ def test_a_turn_with_an_acceleration_has_that_of_the_turn(rate, dims):
     expected = torch.zeros(dims, dtype=torch.float64)
     expected[:2] = rate * torch.stack([-velocity[1], velocity[0]])
     torch.testing.assert_close(moved[n:], expected)
-    root = wide.noise(T)
-    torch.testing.assert_close(root[:n], narrow.noise(T))
+    root = wide.process_noise(T)
+    torch.testing.assert_close(root[:n], narrow.process_noise(T))
     torch.testing.assert_close(root[n : n + 2], rate * torch.stack([-root[dims + 1], root[dims]]))
 
 
@@ -114,12 +120,12 @@ def test_constant_velocity_with_an_acceleration_sets_it_to_zero():
     narrow, wide = ConstantVelocity(0.5), ConstantVelocity(0.5, orders=3)
     x = tensor(1, 2, 3, 4, 5, 6)
     torch.testing.assert_close(wide.transition(T) @ x, torch.cat([narrow.transition(T) @ x[:4], tensor(0, 0)]))
-    torch.testing.assert_close(wide.noise(T), torch.cat([narrow.noise(T), torch.zeros(2, 2).double()]))
+    torch.testing.assert_close(wide.process_noise(T), torch.cat([narrow.process_noise(T), torch.zeros(2, 2).double()]))
 
 
 @pytest.mark.parametrize("dt", [1e-3, 2.0, 60.0])
 def test_white_jerk_has_its_textbook_covariance(dt):
-    root = WhiteJerk(0.7, dims=1).noise(torch.tensor(dt, dtype=torch.float64))
+    root = WhiteJerk(0.7, dims=1).process_noise(torch.tensor(dt, dtype=torch.float64))
     q = tensor([dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt])
     torch.testing.assert_close(root @ root.mT, 0.7 * q, rtol=1e-12, atol=0)
 
@@ -127,7 +133,7 @@ def test_white_jerk_has_its_textbook_covariance(dt):
 @pytest.mark.parametrize("motion", [WhiteJerk(0.7), Singer(2.0, 0.3)])
 def test_two_short_steps_are_one_long_step(motion):
     short, long = T / 2, T
-    matrix, root, whole = motion.transition(short), motion.noise(short), motion.noise(long)
+    matrix, root, whole = motion.transition(short), motion.process_noise(short), motion.process_noise(long)
     torch.testing.assert_close(matrix @ matrix, motion.transition(long))
     torch.testing.assert_close(matrix @ root @ root.mT @ matrix.mT + root @ root.mT, whole @ whole.mT)
 

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchfra.mixture import moment_match
+from torchfra.gaussian import moment_match
 from torchfra.types import Gaussian
 
 

@@ -43,7 +43,7 @@ def tracks(scenario):
 def models(scenario):
     """Transition, process noise and measurement noise of a scenario in Cartesian coordinates, for the oracles."""
     dt = torch.tensor(scenario.dt, dtype=torch.float64)
-    root = scenario.motion.noise(dt)
+    root = scenario.motion.process_noise(dt)
     F = scenario.motion.cartesian.transition(dt)
     return F.numpy(), (root @ root.mT).numpy(), scenario.sensor.std().numpy() ** 2
 

@@ -7,11 +7,11 @@ import torch
 
 from torchfra import metrics, presets, scenarios
 from torchfra.adaptive import Fading
-from torchfra.filters.frames import make_frames
-from torchfra.filters.srckf import compare, predict
+from torchfra.gaussian.inputs import make_frames
+from torchfra.gaussian.model import compare, predict
+from torchfra.gaussian.update import correct, innovation, trust
 from torchfra.robust import Huber, ThreeSegment
 from torchfra.types import Gaussian
-from torchfra.update import correct, innovation, trust
 
 
 def close(value, expected, digits):
@@ -38,7 +38,7 @@ def test_the_first_prediction(first):
     root, normalised = innovation(whitened)
     covariance = scenario.sensor.std() ** 2 * root @ root.mT
     close(covariance * 1e4, [[3.179751376, 0.1747911147], [0.1747911147, 3.504650922]], 8)
-    residual = frame.noise.colour(whitened.residual.unsqueeze(-1)).squeeze(-1)
+    residual = frame.measurement_noise.colour(whitened.residual.unsqueeze(-1)).squeeze(-1)
     close(frame.z - residual, [1.017617921, 0.230985010], 8)
     assert normalised.square().sum().item() == pytest.approx(1186.7905, abs=1e-3)
     slope = scenario.sensor.std() * whitened.slope @ torch.linalg.inv(prediction.belief.scale_tril[:2, :2])

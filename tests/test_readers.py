@@ -512,7 +512,7 @@ def test_an_unknown_group_of_samples_is_refused_with_those_there_are() -> None:
 
 
 def test_without_their_package_the_samples_say_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(readers, "find_spec", lambda name: None)
+    monkeypatch.setattr("torchfra.readers.sample_files.find_spec", lambda name: None)
     with pytest.raises(ImportError, match=r"pip install --no-deps traffic==2\.13"):
         readers.samples("gliders")
 

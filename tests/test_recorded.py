@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from torchfra import metrics, readers, scenarios
-from torchfra.evaluate import chosen
+from torchfra.catalogue import scenario_filters
 
 
 def circle(steps=200, gap=None, name="a"):
@@ -36,7 +36,7 @@ def test_a_gap_splits_a_track_and_a_short_end_is_missing():
 def test_filters_follow_the_recorded_truth(sensor):
     scenario = scenarios.recorded([circle(), circle(300, name="b")], sensor, steps=60, outliers="none")
     tracks = scenario.simulate(20, 0)
-    for f in chosen(["srckf", "fra", "imm_srckf", "vsimm_srckf"], scenario).values():
+    for f in scenario_filters(["srckf", "fra", "imm_srckf", "vsimm_srckf"], scenario).values():
         estimate = f(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt)
         assert metrics.track_rmse(estimate.mean, tracks.truth, scenario.position).max() < 200
 

@@ -72,7 +72,7 @@ def test_reproduce_writes_the_decisions_of_the_alpha_beta_bank(tmp_path):
 def test_reproduce_writes_mean_square_errors_over_the_contamination(tmp_path):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
     own = scenarios.growth()
-    torch.save(presets.hghckf2(own.motion, own.sensor, gamma=1.0).state_dict(), tmp_path / "own.pt")
+    torch.save(presets.hghckf2(own.motion, own.sensor, threshold=1.0).state_dict(), tmp_path / "own.pt")
     learned = ["--learned", f"hghckf2={tmp_path / 'own.pt'}"]
     assert reproduce.main(["growth", "--runs", "6", "--sizes", "1,20", "--compile", *learned, *out]) == 0
     found = json.loads((tmp_path / "r.json").read_text())

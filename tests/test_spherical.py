@@ -9,17 +9,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchfra import presets, spherical
-from torchfra.bank import Bank
-from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn
-from torchfra.spherical import (
-    InfraredLaser,
-    Spherical,
-    cartesian_jacobian,
-    from_cartesian,
-    jacobian,
-    to_cartesian,
-)
+from torchfra import coordinates, presets
+from torchfra.coordinates import cartesian_jacobian, from_cartesian, jacobian, to_cartesian
+from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity, CoordinatedTurn, Spherical
+from torchfra.sensors import InfraredLaser
 from torchfra.types import Gaussian
 
 
@@ -127,8 +120,8 @@ def test_a_step_is_the_cartesian_step(motion, azimuth_from):
 
 def test_the_process_noise_is_mapped_at_the_predicted_mean():
     motion, x, dt = Spherical(ConstantVelocity(0.3, 3)), from_cartesian(somewhere(1)[0]), tensor(1.5).squeeze()
-    noise = motion.local(motion.noise(dt), x)
-    root, J = ConstantVelocity(0.3, 3).noise(dt), oracles.msc_jacobian(x.numpy())
+    noise = motion.process_noise_at(motion.process_noise(dt), x)
+    root, J = ConstantVelocity(0.3, 3).process_noise(dt), oracles.msc_jacobian(x.numpy())
     expected = J @ (root @ root.mT).numpy() @ J.T
     np.testing.assert_allclose(noise @ noise.mT, expected, rtol=1e-10, atol=1e-22)
 
@@ -146,7 +139,7 @@ def test_a_target_that_passes_north_is_followed_over_the_jump():
     z = sensor(from_cartesian(truth)) + tensor(1e-3, 1e-3, 5.0) * torch.randn(40, 3, generator=rng, dtype=torch.float64)
     z[:, 0] = z[:, 0].remainder(2 * math.pi)
     root = torch.diag(tensor(30, 30, 30, 5, 5, 5))
-    prior = spherical.belief_from_cartesian(Gaussian(tensor(-400.0, 2000.0, 300.0, 20.0, 1.0, 0.0), root))
+    prior = coordinates.belief_from_cartesian(Gaussian(tensor(-400.0, 2000.0, 300.0, 20.0, 1.0, 0.0), root))
     for f in (presets.srckf, presets.iaukf, presets.ekf):
         estimate = f(Spherical(ConstantVelocity(0.25, 3)), sensor)(z, prior)
         assert (z[:, 0] > 6).any()
@@ -157,7 +150,7 @@ def test_a_target_that_passes_north_is_followed_over_the_jump():
 
 def test_a_belief_there_and_back_is_what_it_was():
     belief = Gaussian(somewhere(5), torch.diag(tensor(30, 30, 30, 5, 5, 5)).expand(5, 6, 6))
-    back = spherical.belief_to_cartesian(spherical.belief_from_cartesian(belief))
+    back = coordinates.belief_to_cartesian(coordinates.belief_from_cartesian(belief))
     torch.testing.assert_close(back.mean, belief.mean, rtol=1e-10, atol=1e-8)
     torch.testing.assert_close(back.covariance, belief.covariance, rtol=1e-8, atol=1e-6)
 

@@ -6,9 +6,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchfra.evaluate import evaluate
+from torchfra.app.evaluate import evaluate
+from torchfra.app.running_metrics import Median, Tally
 from torchfra.scenarios import bearings_outliers
-from torchfra.tally import Median, Tally
 from torchfra.types import Estimate
 
 

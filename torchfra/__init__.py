@@ -2,9 +2,10 @@
 
 from torchfra import (
     adaptive,
-    bank,
-    cubature,
-    gains,
+    association,
+    coordinates,
+    filters,
+    gaussian,
     linalg,
     losses,
     metrics,
@@ -14,10 +15,9 @@ from torchfra import (
     robust,
     scenarios,
     sensors,
-    statistical,
 )
+from torchfra.app.memory import keep_memory
 from torchfra.hyper import Hyper, learnable, summary
-from torchfra.malloc import keep_memory
 from torchfra.types import Estimate, Gaussian, Innovation
 from torchfra.version import __version__ as __version__
 
@@ -27,9 +27,10 @@ __all__ = [
     "Hyper",
     "Innovation",
     "adaptive",
-    "bank",
-    "cubature",
-    "gains",
+    "association",
+    "coordinates",
+    "filters",
+    "gaussian",
     "keep_memory",
     "learnable",
     "linalg",
@@ -41,6 +42,5 @@ __all__ = [
     "robust",
     "scenarios",
     "sensors",
-    "statistical",
     "summary",
 ]

@@ -2,6 +2,6 @@
 
 import sys
 
-from torchfra.cli import main
+from torchfra.app.cli import main
 
 sys.exit(main())

@@ -97,19 +97,19 @@ class Hyper(nn.Module):
             del self._buffers["raw"]
             self.raw = nn.Parameter(raw)
 
-    def forward(self) -> Tensor:
-        """The value, in natural units."""
+    def forward(self, like: Tensor | None = None) -> Tensor:
+        """The value, in natural units; in the dtype and on the device of ``like``, if that is given."""
         value: Tensor = transform_to(self.constraint)(self.raw)
         for _ in range(self.shared if self.batch_rank else 0):
             value = value.unsqueeze(-1 - self.event)
-        return value
+        return value if like is None else value.to(like)
 
-    def elements(self) -> Tensor:
+    def elements(self, like: Tensor | None = None) -> Tensor:
         """The value with a last dimension for the elements of a vector: one for each, or one for all."""
-        value: Tensor = self()
+        value: Tensor = self(like)
         return value if self.event else value.unsqueeze(-1)
 
-    def said(self) -> tuple[str, str, str]:
+    def describe(self) -> tuple[str, str, str]:
         """For people: the value (or the shape of many), its range, and whether it learns."""
         value = self().detach()
         few = (
@@ -120,7 +120,7 @@ class Hyper(nn.Module):
 
     def extra_repr(self) -> str:
         """Value, range and whether it learns."""
-        return ", ".join(self.said())
+        return ", ".join(self.describe())
 
 
 def _said(constraint: constraints.Constraint) -> str:
@@ -181,7 +181,7 @@ def learnable(module: M, names: Collection[str]) -> M:
 def summary(module: nn.Module) -> None:
     """Print a table of a filter's hyperparameters: name, value, what it may be, and whether it is learnable."""
     rows = [("name", "value", "range", "learning")]
-    rows += [(path, *hyper.said()) for path, hyper in hypers(module).items()]
+    rows += [(path, *hyper.describe()) for path, hyper in hypers(module).items()]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())

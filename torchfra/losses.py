@@ -16,8 +16,8 @@ from collections.abc import Collection
 import torch
 from torch import Tensor
 
-from torchfra.linalg import tria, whiten
-from torchfra.sensors import wrap
+from torchfra.angles import wrap
+from torchfra.linalg.triangular import tria, whiten
 from torchfra.types import Estimate
 
 

@@ -20,21 +20,26 @@ from typing import Any, TypeVar
 
 import torch
 
-from torchfra.adaptive import Fading, SageHusa
-from torchfra.bank import Bank
-from torchfra.clutter import ChiSquare, Clutter, Euclidean, Gate
-from torchfra.cubature import Rule, fifth_degree, tangent, unscented
-from torchfra.filters.alphabeta import AlphaBetaBank
+from torchfra.adaptive.fading import Fading
+from torchfra.adaptive.noise import SageHusa
+from torchfra.association.clutter import Clutter
+from torchfra.association.gates import ChiSquare, Euclidean, Gate
+from torchfra.filters.alphabeta.bank import AlphaBetaBank
 from torchfra.filters.base import Filter
-from torchfra.filters.feedback import FRA
+from torchfra.filters.fra import FRA
 from torchfra.filters.imm import IMM, Around
 from torchfra.filters.jpda import JPDA
 from torchfra.filters.srckf import SRCKF
 from torchfra.filters.vsimm import VSIMM
+from torchfra.gaussian.cubature import fifth_degree, tangent, unscented
+from torchfra.gaussian.rules import Rule
 from torchfra.hyper import Value, learnable, named
-from torchfra.motion import Motion
-from torchfra.robust import Huber, HuberRegression, HuberScore, ThreeSegment
-from torchfra.sensors import Sensor
+from torchfra.motion.bank import Bank
+from torchfra.motion.base import Motion
+from torchfra.robust.regression import HuberRegression
+from torchfra.robust.score import HuberScore
+from torchfra.robust.weights import Huber, ThreeSegment
+from torchfra.sensors.base import Sensor
 
 Names = Collection[str]
 Models = Sequence[Motion] | Bank
@@ -101,7 +106,7 @@ def hghckf1(
     learn: Names = (),
     **regression: Any,
 ) -> SRCKF:
-    """Robust by regression: ``gamma, max_iter, tol, start, compensate`` as in ``HuberRegression``.
+    """Robust by regression: ``threshold, max_iter, tol, start, compensate`` as in ``HuberRegression``.
 
     Source: Zhang et al. (2016), what Qin et al. (2018) compare with.
     """
@@ -116,7 +121,7 @@ def hghckf2(
     learn: Names = (),
     **score: Any,
 ) -> SRCKF:
-    """Robust by the score: ``gamma, eps, cov_mode, whitening, zeta_scale`` as in ``HuberScore``.
+    """Robust by the score: ``threshold, eps, cov_mode, whitening, zeta_scale`` as in ``HuberScore``.
 
     Source: Qin et al. (2018), eqs. (53)-(59).
     """

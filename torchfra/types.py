@@ -7,7 +7,6 @@ measurement is missing data.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import torch
@@ -27,12 +26,12 @@ class Gaussian(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """A belief carried over one step, and what it was made of: ``P = spread spread^T + noise noise^T``."""
+    """A belief carried over one step, and its parts: ``P = spread spread^T + process_noise process_noise^T``."""
 
     belief: Gaussian
     spread: Tensor
     """``(..., n, r)`` root of the part that came from the belief before, F P F^T."""
-    noise: Tensor
+    process_noise: Tensor
     """``(..., n, q)`` root of the process noise."""
     repaired: Tensor | None = None
     """``(...)`` bool, of a rule with negative weights: the covariance was not positive and had to be mended."""
@@ -105,18 +104,3 @@ class Estimate(NamedTuple):
     def to_distribution(self) -> torch.distributions.MultivariateNormal:
         """The estimate as a distribution over states, one per track and step."""
         return torch.distributions.MultivariateNormal(self.mean, scale_tril=self.scale_tril, validate_args=False)
-
-
-def flatten(tree: Any) -> list[Tensor]:
-    """The tensors in tuples of tuples; None is none."""
-    if isinstance(tree, tuple):
-        return [x for part in tree for x in flatten(part)]
-    return [] if tree is None else [tree]
-
-
-def unflatten(like: Any, tensors: Iterator[Tensor]) -> Any:
-    """Tuples of this form around other tensors."""
-    if isinstance(like, tuple):
-        parts: list[Any] = [None if part is None else unflatten(part, tensors) for part in like]
-        return type(like)(*parts) if hasattr(like, "_fields") else tuple(parts)
-    return next(tensors)

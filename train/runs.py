@@ -187,7 +187,7 @@ def contaminated() -> Config:
     return Config(
         name="contaminated",
         tasks=(Task("growth", {"outliers": "std", "size": 15.0}),),
-        learn=("gamma", "eps"),
+        learn=("threshold", "eps"),
         filter="hghckf2",
         options={"eps": 0.0579148930},  # what "minimax" gives at 1.345
         search={"eps": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]},  # its slope is small against the noise of the gradient

@@ -34,10 +34,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchfra import distributed, keep_memory, losses, plotting, presets, readers, scenarios
-from torchfra.cli import named as scenario_named
-from torchfra.evaluate import evaluate, progress_bar, versions
-from torchfra.files import write, write_json, write_text
+from torchfra import keep_memory, losses, presets, readers, scenarios
+from torchfra.app import distributed, plotting
+from torchfra.app.atomic_write import write, write_json, write_text
+from torchfra.app.evaluate import evaluate, progress_bar, versions
+from torchfra.catalogue import make_scenario
 from torchfra.filters import Filter
 from torchfra.filters.imm import Around
 from torchfra.filters.jpda import JPDA
@@ -57,7 +58,7 @@ Loss = Callable[[Estimate, Tensor, slice], Tensor]
 def scenario_of(task: Task, config: Config, part: str) -> Scenario:
     """The scenario of a task; of recorded tracks every fifth is kept for ``part`` other than ``"train"``."""
     if task.scenario != "recorded":
-        return scenario_named(task.scenario, **task.options)
+        return make_scenario(task.scenario, **task.options)
     files = config.files or readers.samples("calibration", "gliders")
     recordings = [recording for file in files for recording in readers.read(Path(file))]
     kept = [r for i, r in enumerate(recordings) if (i % 5 == 4) == (part != "train")]
@@ -202,7 +203,7 @@ class Tuner:
         skip = self.config.skip
         mean, root, nis, log_likelihood, _ = estimate
         late = Estimate(mean[..., skip:, :], root[..., skip:, :, :], nis[..., skip:], log_likelihood[..., skip:], None)
-        counted = late if self.teacher is not None else self.parts[0].shown(late)
+        counted = late if self.teacher is not None else self.parts[0].cartesian(late)
         each = self.loss(counted, truth[..., skip:, :], self.parts[0].position)
         return each.flatten(1).mean(-1) if each.dim() > 1 else each  # of all targets of a scene
 

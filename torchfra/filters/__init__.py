@@ -1,8 +1,9 @@
 """The filters themselves; ``torchfra.presets`` has them ready made."""
 
-from torchfra.filters.alphabeta import AlphaBeta, AlphaBetaBank, AlphaBetaInfo
+from torchfra.filters.alphabeta import AlphaBeta
+from torchfra.filters.alphabeta.bank import AlphaBetaBank, AlphaBetaInfo
 from torchfra.filters.base import Filter
-from torchfra.filters.feedback import FRA, FRAInfo, FRAState
+from torchfra.filters.fra import FRA, FRAInfo, FRAState
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
 from torchfra.filters.jpda import JPDA, JPDAInfo, JPDAState
 from torchfra.filters.srckf import SRCKF, Info, State

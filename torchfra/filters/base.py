@@ -9,12 +9,12 @@ import torch
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint as once_more
 
-from torchfra.filters.frames import Frame, Time, batch_rank, check, make_frames
-from torchfra.linalg import tria
-from torchfra.motion import Motion
-from torchfra.sensors import Sensor
+from torchfra.gaussian.inputs import Frame, Time, batch_rank, check, make_frames
+from torchfra.gaussian.update import density
+from torchfra.linalg.triangular import tria
+from torchfra.motion.base import Motion
+from torchfra.sensors.base import Sensor
 from torchfra.types import Estimate, Gaussian, Innovation
-from torchfra.update import density
 
 F = TypeVar("F", bound="Filter")
 Mix = Callable[[Gaussian], Gaussian]
@@ -216,15 +216,15 @@ class Filter(nn.Module):
     def keep(self, state: Any, frame: Frame) -> tuple[Any, Kept]:
         """One step on a prepared frame: the next state, and what the estimate holds of it."""
         state, record = self.advance(state, frame)
-        scores = _scores(record.normalised, record.root, frame.noise.log_norm, record.density)
+        scores = _scores(record.normalised, record.root, frame.measurement_noise.log_norm, record.density)
         return state, Kept(record.belief, *scores, record.info)
 
     def observe(self, state: Any, frame: Frame) -> tuple[Any, Innovation]:
         """One step on a prepared frame: the next state, and what the measurement said."""
         state, record = self.advance(state, frame)
-        residual = frame.noise.colour(record.residual.unsqueeze(-1)).squeeze(-1)
-        scores = _scores(record.normalised, record.root, frame.noise.log_norm, record.density)
-        return state, Innovation(residual, frame.noise.colour(record.root), *scores)
+        residual = frame.measurement_noise.colour(record.residual.unsqueeze(-1)).squeeze(-1)
+        scores = _scores(record.normalised, record.root, frame.measurement_noise.log_norm, record.density)
+        return state, Innovation(residual, frame.measurement_noise.colour(record.root), *scores)
 
     def _filter(
         self, state: Any, frames: list[Frame], checkpoint: int | None, truncate: int | None

@@ -10,15 +10,16 @@ import torch
 from torch import Tensor, nn
 from torch.autograd import forward_ad
 
-from torchfra.filters.frames import Frame, Time, make_frames
+from torchfra.gaussian.inputs import Frame, Time, make_frames
 from torchfra.hyper import Hyper
 from torchfra.kernel.entries import Entries
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.run import BUILDING, Kernels
 from torchfra.kernel.source import SCALARS
 from torchfra.kernel.step import Input, Step, frozen
-from torchfra.linalg import is_traced
-from torchfra.types import Gaussian, Innovation, flatten
+from torchfra.linalg.tracing import is_traced
+from torchfra.tree import flatten
+from torchfra.types import Gaussian, Innovation
 
 Given = tuple[Tensor, Time, Tensor | None, Tensor | None, Tensor | None]
 """``z``, ``dt``, ``u``, ``std`` and ``noise`` of a call."""

@@ -8,15 +8,15 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import constraints
 
-from torchfra.bank import Bank
 from torchfra.filters.base import Filter, Mix, Record
-from torchfra.filters.frames import Frame
+from torchfra.gaussian.inputs import Frame
+from torchfra.gaussian.mixture import moment_match
+from torchfra.gaussian.update import density
 from torchfra.hyper import Hyper, Value
-from torchfra.linalg import whiten
-from torchfra.mixture import moment_match
-from torchfra.sensors import Noise
+from torchfra.linalg.triangular import whiten
+from torchfra.motion.bank import Bank
+from torchfra.sensors.base import MeasurementNoise
 from torchfra.types import Gaussian
-from torchfra.update import density
 
 
 class IMMState(NamedTuple):
@@ -111,12 +111,12 @@ class IMM(Around):
     def begin(self, belief: Gaussian) -> IMMState:
         """See ``Filter``."""
         count = len(self.motion)
-        initial = self.initial().to(belief.mean).log().expand((*belief.mean.shape[:-1], count))
+        initial = self.initial(belief.mean).log().expand((*belief.mean.shape[:-1], count))
         return IMMState(belief, self.inner.begin(repeated(belief, count)), initial)
 
     def advance(self, state: IMMState, frame: Frame, mix: Mix | None = None) -> tuple[IMMState, Record]:
         """See ``Filter``; it mixes, and is not mixed."""
-        matrix = self.transition().to(state.log_weights).log()
+        matrix = self.transition(state.log_weights).log()
         inner, log_weights, record = cycle(self.inner, state.inner, state.log_weights, matrix, for_each(frame))
         record = record._replace(info=IMMInfo(log_weights.exp()))
         return IMMState(record.belief, inner, log_weights), record
@@ -179,6 +179,8 @@ def for_each(frame: Frame) -> Frame:
     def wide(x: Any, event: int) -> Any:
         return x if x is None or x.dim() == event else x.unsqueeze(-1 - event)
 
-    noise = Noise(*(wide(x, event) for x, event in zip(frame.noise, (1, 1, 2, 2, 0), strict=True)))
+    noise = MeasurementNoise(
+        *(wide(x, event) for x, event in zip(frame.measurement_noise, (1, 1, 2, 2, 0), strict=True))
+    )
     z, seen, dt = frame.z.unsqueeze(-2), frame.seen.unsqueeze(-2), wide(frame.dt, 0)
-    return frame._replace(z=z, seen=seen, noise=noise, dt=dt, u=wide(frame.u, 1))
+    return frame._replace(z=z, seen=seen, measurement_noise=noise, dt=dt, u=wide(frame.u, 1))

@@ -10,19 +10,23 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import constraints
 
-from torchfra.adaptive import NoiseMemory
-from torchfra.association import Association, associate, check_exact
-from torchfra.clutter import Candidates, Clutter, Gate
+from torchfra.adaptive.noise import NoiseMemory
+from torchfra.association.clusters import Association
+from torchfra.association.clutter import Clutter
+from torchfra.association.events import check_exact
+from torchfra.association.gates import Candidates, Gate
+from torchfra.association.joint import associate
 from torchfra.filters.base import Filter, Mix, Record, check_lengths, stack
-from torchfra.filters.frames import Frame, Time, batch_rank, check, make_frames
 from torchfra.filters.scans import column, combined, first, flat, gated, likeliest
 from torchfra.filters.soft import Soft
-from torchfra.filters.srckf import SRCKF, State, compare, count_repaired, predict
+from torchfra.filters.srckf import SRCKF, State
+from torchfra.gaussian.inputs import Frame, Time, batch_rank, check, make_frames
+from torchfra.gaussian.mixture import moment_match
+from torchfra.gaussian.model import compare, count_repaired, predict
+from torchfra.gaussian.update import correct, density, innovation, repaired_root
 from torchfra.hyper import Hyper, Value, hypers
 from torchfra.kernel.build import CompileError
-from torchfra.mixture import moment_match
 from torchfra.types import Estimate, Gaussian, Innovation, Prediction, Whitened
-from torchfra.update import correct, density, innovation, mended
 
 _SEARCH = 5.0
 """Times that the covariance of a track that seems lost quadruples."""
@@ -109,7 +113,7 @@ class JPDA(Soft, Filter):
     ) -> None:
         nn.Module.__init__(self)
         if not isinstance(inner, SRCKF) or inner.motion.stacked:
-            said = f"{type(inner).__name__} of {inner.motion.said()}"
+            said = f"{type(inner).__name__} of {inner.motion.describe()}"
             raise ValueError(f"inner: expected an SRCKF of one motion, received {said}")
         if share_noise and inner.noise is None:
             raise ValueError(
@@ -164,7 +168,9 @@ class JPDA(Soft, Filter):
         known, size = self._known(whitened, memory, frame)
         root, normalised = innovation(known)
         candidates = self._candidates(prediction.belief, whitened, normalised, frame)
-        found = self.decide(candidates, density(size * root, normalised) + frame.noise.log_norm)  # eqs. (25)-(27)
+        found = self.decide(
+            candidates, density(size * root, normalised) + frame.measurement_noise.log_norm
+        )  # eqs. (25)-(27)
         repaired = _repaired(prediction, whitened)
         memory = self._adapted("innovation", memory, whitened, found, frame)  # eq. (19)
         known, _ = self._known(whitened, memory, frame)
@@ -174,13 +180,13 @@ class JPDA(Soft, Filter):
         memory = self._adapted("residual", memory, left, found, frame)
         noise = memory.scale if isinstance(memory, NoiseMemory) else None
         info = JPDAInfo(found.log_weights.exp(), factor, noise, weights, repaired)
-        seen = combined(found.share, whitened.residual, size * root, normalised, frame.noise)
+        seen = combined(found.share, whitened.residual, size * root, normalised, frame.measurement_noise)
         missed = self._missed(state.missed, found, frame)
         return JPDAState(State(belief, memory), missed, searched), Record(belief, *seen, info, found.evidence)
 
     def decide(self, candidates: Candidates, fit: Tensor) -> Association:
         """Which measurement is whose, by log densities ``fit (..., N, J)``: eqs. (25)-(27)."""
-        odds = self.detection().to(fit).log() - self.clutter(candidates, self.sensor)
+        odds = self.detection(fit).log() - self.clutter(candidates, self.sensor)
         measured = candidates.seen.sum(-1) > 0
         inside = torch.where(measured, self.gate(candidates, self.sensor, self.temperature), -torch.inf)
         diffuse = self.clutter.rate is None
@@ -197,7 +203,7 @@ class JPDA(Soft, Filter):
             each, _, _ = correct(predicted, known)
         else:
             weights = robust(known.residual, candidates.nis)
-            each = robust.correct(predicted, known, weights, frame.noise).belief
+            each = robust.correct(predicted, known, weights, frame.measurement_noise).belief
         belief = moment_match(first(predicted, each), log_weights.movedim(-1, 0))
         return belief._replace(mean=self.motion.canonical(belief.mean)), weights
 
@@ -345,7 +351,7 @@ class JPDA(Soft, Filter):
 
     def _log_miss(self, like: Tensor) -> Tensor:
         """Log of the probability that a target has no measurement in its gate: a number or ``(..., N)``."""
-        chance, inside = self.detection().to(like), self.gate.inside()
+        chance, inside = self.detection(like), self.gate.inside()
         chance = chance if inside is None else chance * inside.to(like)
         some = chance < 1 - 4 * torch.finfo(chance.dtype).eps
         miss = torch.where(some, torch.log1p(-torch.where(some, chance, 0.0)), -torch.inf)
@@ -368,7 +374,7 @@ class JPDA(Soft, Filter):
 
     def _candidates(self, belief: Gaussian, whitened: Whitened, normalised: Tensor, frame: Frame) -> Candidates:
         seen = frame.seen > 0
-        gap = frame.noise.colour(whitened.residual.unsqueeze(-1)).squeeze(-1)
+        gap = frame.measurement_noise.colour(whitened.residual.unsqueeze(-1)).squeeze(-1)
         there = self.sensor(belief.mean, frame.u)
         predicted = torch.where(seen, frame.z - gap, there)
         z = torch.where(seen, frame.z, there)
@@ -397,6 +403,6 @@ def _pooled(noise: NoiseMemory, measured: Tensor) -> NoiseMemory:
 
 def _repaired(prediction: Prediction, whitened: Whitened) -> Tensor | None:
     """How many covariances of a target had to be mended; None for rules that never need it."""
-    measured = None if whitened.lost is None else mended(whitened)[1].any(-1)
+    measured = None if whitened.lost is None else repaired_root(whitened)[1].any(-1)
     found = None if prediction.repaired is None else prediction.repaired.squeeze(-1)
     return count_repaired(found, measured)

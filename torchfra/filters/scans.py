@@ -7,9 +7,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchfra.adaptive import Memory
-from torchfra.linalg import is_traced
-from torchfra.sensors import Noise
+from torchfra.adaptive.fading import Memory
+from torchfra.linalg.tracing import is_traced
+from torchfra.sensors.base import MeasurementNoise
 from torchfra.types import Gaussian, Whitened
 
 
@@ -69,7 +69,7 @@ def _taken(x: Tensor, event: int, order: Tensor, shape: torch.Size) -> Tensor:
 
 
 def combined(
-    share: Tensor, residual: Tensor, root: Tensor, normalised: Tensor, noise: Noise
+    share: Tensor, residual: Tensor, root: Tensor, normalised: Tensor, noise: MeasurementNoise
 ) -> tuple[Tensor, Tensor, Tensor]:
     """What all measurements together say, in their own units, by the probabilities ``share (..., N, J)``.
 

@@ -8,16 +8,18 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.adaptive import Fading, Memory, NoiseMemory, SageHusa
-from torchfra.cubature import Rule, third_degree
+from torchfra.adaptive.fading import Fading, Memory
+from torchfra.adaptive.noise import NoiseMemory, SageHusa
 from torchfra.filters.base import Filter, Mix, Record
-from torchfra.filters.frames import Frame
-from torchfra.linalg import apply, downdate, hstack, tria
-from torchfra.motion import Motion
-from torchfra.robust import Robust
-from torchfra.sensors import Sensor
-from torchfra.types import Gaussian, Prediction, Whitened
-from torchfra.update import correct, innovation, mended
+from torchfra.gaussian.cubature import third_degree
+from torchfra.gaussian.inputs import Frame
+from torchfra.gaussian.model import compare, count_repaired, predict
+from torchfra.gaussian.rules import Rule
+from torchfra.gaussian.update import correct, innovation, repaired_root
+from torchfra.motion.base import Motion
+from torchfra.robust.base import Robust
+from torchfra.sensors.base import Sensor
+from torchfra.types import Gaussian, Whitened
 
 
 class State(NamedTuple):
@@ -108,7 +110,7 @@ class SRCKF(Filter):
         start = state.belief if mix is None else mix(state.belief)
         prediction = predict(self.motion, self.motion_rule, start, frame)
         whitened = compare(self.sensor, self.sensor_rule, prediction.belief, frame)
-        repaired = count_repaired(prediction.repaired, None if whitened.lost is None else mended(whitened)[1])
+        repaired = count_repaired(prediction.repaired, None if whitened.lost is None else repaired_root(whitened)[1])
         memory = state.memory
         if self.noise is not None and isinstance(memory, NoiseMemory):
             return self._estimating(self.noise, memory, prediction.belief, whitened, frame, repaired)
@@ -129,7 +131,7 @@ class SRCKF(Filter):
         if self.robust is None:
             belief, _, _ = correct(prediction.belief, whitened)
             return State(belief, memory), Record(belief, residual, root, normalised, Info(fading=factor))
-        done = self.robust.correct(prediction.belief, whitened, weights, frame.noise)
+        done = self.robust.correct(prediction.belief, whitened, weights, frame.measurement_noise)
         info = Info(done.weights, factor, done.iterations, count_repaired(repaired, done.repaired))
         evidence = None if mix is None else done.evidence
         return State(done.belief, memory), Record(done.belief, residual, root, normalised, info, evidence=evidence)
@@ -150,38 +152,3 @@ class SRCKF(Filter):
             memory = noise(memory, noise.excess(left), frame.seen)
         info = Info(noise=memory.scale, repaired=repaired)
         return State(belief, memory), Record(belief, whitened.residual, size * root, normalised, info)
-
-
-def count_repaired(*repaired: Tensor | None) -> Tensor | None:
-    """How many of them, None of none."""
-    there = [x.to(torch.int64) if x.dtype == torch.bool else x for x in repaired if x is not None]
-    return sum(there[1:], there[0]) if there else None
-
-
-def predict(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Prediction:
-    """Time update: eqs. (8)-(13)."""
-    mean, root = belief
-    if frame.transition is not None:
-        shift, noise = frame.shift, frame.process
-        if frame.adaptation is not None:
-            shift, noise = frame.adaptation(mean, shift, noise)
-        mean, spread = apply(frame.transition, mean), frame.transition @ root
-        mean = mean if shift is None else mean + shift
-    else:
-        u = None if frame.u is None else frame.u.unsqueeze(-2)
-        mean, spread, lost = rule(lambda x: motion(x, frame.dt.unsqueeze(-1), u), belief, motion.difference)
-        noise = motion.local(frame.process, mean)
-        if lost is not None:
-            root, repaired = downdate(tria(hstack(spread, noise)), lost)
-            return Prediction(Gaussian(mean, root), spread, noise, repaired)
-    return Prediction(Gaussian(mean, tria(hstack(spread, noise))), spread, noise)
-
-
-def compare(sensor: Sensor, rule: Rule, belief: Gaussian, frame: Frame) -> Whitened:
-    """The measurement against a predicted belief, in units of its noise: eqs. (14)-(21)."""
-    d = sensor.reads
-    u = None if frame.u is None else frame.u.unsqueeze(-2)
-    seen = Gaussian(belief.mean[..., :d], belief.scale_tril[..., :d, :d])  # lower triangular: the marginal's root
-    value, spread, lost = rule(lambda x: sensor(x, u), seen, sensor.difference)
-    residual = frame.noise.whiten(sensor.difference(frame.z, value).unsqueeze(-1)).squeeze(-1)
-    return Whitened(residual, frame.noise.whiten(spread), d, None if lost is None else frame.noise.whiten(lost))

@@ -11,8 +11,8 @@ from torch import Tensor
 from torch.distributions import constraints
 
 from torchfra.filters.base import Filter, Mix, Record
-from torchfra.filters.frames import Frame
 from torchfra.filters.imm import Around, cycle, for_each, repeated
+from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value
 from torchfra.types import Gaussian
 
@@ -134,7 +134,7 @@ class VSIMM(Around):
         """
         weight = (log_weights.exp().unsqueeze(-2) @ active).squeeze(-2)  # (..., K), as all that follows
         runs = active.sum(-2)
-        high, low = (x().to(weight).unsqueeze(-1) for x in (self.principal, self.unlikely))
+        high, low = (x(weight).unsqueeze(-1) for x in (self.principal, self.unlikely))
         principal = (weight > high).to(weight)
         called = ((principal.unsqueeze(-2) @ self.table.to(weight)).squeeze(-2) > 0).to(weight)
         likely = runs * (weight >= low).to(weight)
@@ -154,7 +154,7 @@ class VSIMM(Around):
 
         Eq. (4) when all others share what a row leaves.
         """
-        whole = self.transition().to(was)
+        whole = self.transition(was)
         own = whole.diagonal(dim1=-2, dim2=-1)
         others = was @ (whole - own.diag_embed()) @ now.mT
         stay = goes_on * (was @ own.unsqueeze(-1)).squeeze(-1)
@@ -181,5 +181,5 @@ def _chosen(frame: Frame, active: Tensor) -> Frame:
     follows = frame.adaptation
     if follows is not None:
         follows = type(follows)(*(pick(x, event) for x, event in zip(follows, (2, 1, 1), strict=True)))
-    transition, shift, process = pick(frame.transition, 2), pick(frame.shift, 1), pick(frame.process, 2)
-    return frame._replace(transition=transition, shift=shift, process=process, adaptation=follows)
+    transition, shift, process = pick(frame.transition, 2), pick(frame.shift, 1), pick(frame.process_noise, 2)
+    return frame._replace(transition=transition, shift=shift, process_noise=process, adaptation=follows)

@@ -16,7 +16,7 @@ from torch.autograd.function import once_differentiable
 from torchfra.kernel import build
 from torchfra.kernel.source import Port, Scan
 from torchfra.kernel.step import Step
-from torchfra.types import unflatten
+from torchfra.tree import unflatten
 
 BUILDING = threading.RLock()
 """Held while programs are made: a step that is traced is nobody else's."""

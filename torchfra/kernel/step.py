@@ -12,8 +12,8 @@ from torch import Tensor, nn
 from torchfra.kernel.entries import Entries, entries
 from torchfra.kernel.expressions import ZERO, Expressions
 from torchfra.kernel.source import Port, Scan
-from torchfra.linalg import elementary
-from torchfra.types import flatten, unflatten
+from torchfra.linalg.tracing import elementary
+from torchfra.tree import flatten, unflatten
 
 Advance = Callable[[Any, Any, dict[str, Any]], tuple[Any, Any]]
 """From a module, its state and what else it is given to the next state and what is kept of the step."""

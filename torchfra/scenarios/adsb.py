@@ -8,11 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchfra.bank import Bank
-from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn, Motion
+from torchfra.motion.bank import Bank
+from torchfra.motion.base import Motion
+from torchfra.motion.correlated import CurrentStatistical
+from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
+from torchfra.motion.turn import CoordinatedTurn
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
-from torchfra.sensors import Position
-from torchfra.statistical import CurrentStatistical
+from torchfra.sensors.position import Position
 from torchfra.types import Gaussian
 
 DT, SAMPLES, SPEED = 2.0, 450, 15.0

@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchfra.bank import Bank
-from torchfra.clutter import Clutter
-from torchfra.motion import Motion
-from torchfra.sensors import Sensor
+from torchfra.association.clutter import Clutter
+from torchfra.motion.bank import Bank
+from torchfra.motion.base import Motion
+from torchfra.sensors.base import Sensor
 from torchfra.types import Estimate, Gaussian
 
 BLOCK = 256
@@ -66,7 +66,7 @@ class Scenario:
     others: Mapping[str, slice] = field(default_factory=dict)
     clutter: Clutter | None = None
     detection: float = 1.0
-    shown: Callable[[Estimate], Estimate] = lambda estimate: estimate
+    cartesian: Callable[[Estimate], Estimate] = lambda estimate: estimate
 
     @property
     def position(self) -> slice:

@@ -11,11 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchfra.bank import Bank
 from torchfra.hyper import one_of
-from torchfra.motion import ConstantAcceleration, CoordinatedTurn
+from torchfra.motion.bank import Bank
+from torchfra.motion.polynomial import ConstantAcceleration
+from torchfra.motion.turn import CoordinatedTurn
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
-from torchfra.sensors import Bearings
+from torchfra.sensors.direction import Bearings
 from torchfra.types import Gaussian
 
 STEPS, DT, Q, STD = 100, 1.0, 1e-2, math.radians(1.0)
@@ -122,7 +123,7 @@ def _disturbance(jerk: Tensor, variance: float) -> Tensor:
     """Deviation of the state ``(B, T, 6)`` from its path under noise ``(B, T, 2)`` of this variance."""
     model = ConstantAcceleration(variance)
     dt = torch.tensor(DT, dtype=torch.float64)
-    matrix, root = model.transition(dt), model.noise(dt)
+    matrix, root = model.transition(dt), model.process_noise(dt)
     state, states = torch.zeros(len(jerk), 6, dtype=torch.float64), []
     for noise in jerk.unbind(1):
         state = state @ matrix.mT + noise @ root.mT

@@ -12,11 +12,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchfra.clutter import Clutter
+from torchfra.association.clutter import Clutter
+from torchfra.coordinates import belief_from_cartesian, belief_to_cartesian, from_cartesian
 from torchfra.hyper import one_of
-from torchfra.motion import ConstantVelocity, CoordinatedTurn, Motion
+from torchfra.motion.base import Motion
+from torchfra.motion.polynomial import ConstantVelocity
+from torchfra.motion.spherical import Spherical
+from torchfra.motion.turn import CoordinatedTurn
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
-from torchfra.spherical import InfraredLaser, Spherical, belief_from_cartesian, belief_to_cartesian, from_cartesian
+from torchfra.sensors.infrared import InfraredLaser
 from torchfra.types import Estimate, Gaussian
 
 STEPS, DT, Q = 100, 1.0, 0.5**2
@@ -125,7 +129,7 @@ def noise_change(
 
     prior = belief_from_cartesian(Gaussian(_STARTS[0], _ROOT))
     settings: dict[str, object] = {"noise_scale": noise_scale, "change": change, "truth_noise": truth_noise}
-    return Scenario("noise-change", Spherical(motion), sensor, prior, DT, STEPS, block, settings, shown=_shown)
+    return Scenario("noise-change", Spherical(motion), sensor, prior, DT, STEPS, block, settings, cartesian=_cartesian)
 
 
 class _Given:
@@ -153,7 +157,7 @@ class _Given:
         return InfraredLaser(torch.tensor(self.std, dtype=torch.float64))
 
 
-def _shown(estimate: Estimate) -> Estimate:
+def _cartesian(estimate: Estimate) -> Estimate:
     """Positions and velocities of an estimate in modified spherical coordinates."""
     return estimate._replace(**belief_to_cartesian(Gaussian(estimate.mean, estimate.scale_tril))._asdict())
 
@@ -183,7 +187,7 @@ def _scans(name: str, motion: Motion, dt: float, given: _Given, counts: str, set
     clutter = Clutter(volume=targets * (2 * given.region) ** 3, rate=rate)
     prior = belief_from_cartesian(Gaussian(_STARTS, _ROOT))
     return Scenario(name, Spherical(motion), sensor, prior, dt, STEPS, block, settings, clutter=clutter,
-                    detection=given.detection, shown=_shown)  # fmt: skip
+                    detection=given.detection, cartesian=_cartesian)  # fmt: skip
 
 
 def _targets(
@@ -194,7 +198,7 @@ def _targets(
     off = torch.from_numpy(rng.standard_normal((BLOCK, count, 6))) @ _ROOT
     shocks = torch.from_numpy(rng.standard_normal((STEPS, BLOCK, count, 3))) * math.sqrt(given.truth_noise / Q)
     noise = torch.from_numpy(rng.standard_normal((BLOCK, count, STEPS, 3)))
-    matrix, root = motion.transition(seconds), motion.noise(seconds)
+    matrix, root = motion.transition(seconds), motion.process_noise(seconds)
     assert matrix is not None
     state, states = starts.expand(BLOCK, count, 6), []
     for shock in shocks:

@@ -8,9 +8,9 @@ from torch import Tensor
 from torch.distributions import constraints
 
 from torchfra.hyper import Hyper
-from torchfra.motion import Motion
+from torchfra.motion.base import Motion
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks, contaminated
-from torchfra.sensors import Sensor
+from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
 STEPS, START = 500, 0.1
@@ -36,9 +36,9 @@ class Growth(Motion):
         moved: Tensor = x / 2 + 25 * x / (1 + x.square()) + 8 * (1.2 * (u - 1)).cos()
         return moved
 
-    def noise(self, dt: Tensor) -> Tensor:
+    def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., 1, 1)``."""
-        root: Tensor = (self.q().to(dt).sqrt() * torch.ones_like(dt))[..., None, None]
+        root: Tensor = (self.q(dt).sqrt() * torch.ones_like(dt))[..., None, None]
         return root
 
 

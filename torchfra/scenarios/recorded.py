@@ -9,11 +9,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchfra.bank import aircraft
-from torchfra.motion import ConstantAcceleration
-from torchfra.readers import Recording, resample
+from torchfra.motion.bank import aircraft
+from torchfra.motion.polynomial import ConstantAcceleration
+from torchfra.readers.grid import resample
+from torchfra.readers.recording import Recording
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
-from torchfra.sensors import Bearings, Position, RangeBearing
+from torchfra.sensors.direction import Bearings, RangeBearing
+from torchfra.sensors.position import Position
 from torchfra.types import Gaussian
 
 _ROOT = torch.tensor([100.0, 100.0, 10.0, 10.0, 2.0, 2.0], dtype=torch.float64).diag()

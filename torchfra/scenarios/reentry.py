@@ -8,9 +8,9 @@ from torch import Tensor
 from torch.distributions import constraints
 
 from torchfra.hyper import Hyper, Value
-from torchfra.motion import Motion
+from torchfra.motion.base import Motion
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks, contaminated
-from torchfra.sensors import RangeBearing
+from torchfra.sensors.direction import RangeBearing
 from torchfra.types import Gaussian
 
 STEPS, DT, SUBSTEPS = 200, 1.0, 10
@@ -68,9 +68,9 @@ class Reentry(Motion):
         drag = _DRAG * (parameter + (_EARTH - radius) / _SCALE).exp() * speed
         return torch.cat([velocity, drag * velocity - _PULL / radius**3 * position, 0 * parameter], -1)
 
-    def noise(self, dt: Tensor) -> Tensor:
+    def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., 5, 5)``: white acceleration over a step, and what the parameter drifts."""
-        q, drift, zero = self.q().to(dt), self.q_parameter().to(dt), torch.zeros_like(dt)
+        q, drift, zero = self.q(dt), self.q_parameter(dt), torch.zeros_like(dt)
         slow = (drift * dt).sqrt()
         far, near, fast = (q * dt**3 / 3).sqrt(), (3 * q * dt / 4).sqrt(), (q * dt / 4).sqrt()
         zero, slow, far, near, fast = torch.broadcast_tensors(zero, slow, far, near, fast)

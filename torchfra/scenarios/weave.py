@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchfra.bank import aircraft
 from torchfra.hyper import one_of
-from torchfra.motion import ConstantAcceleration
+from torchfra.motion.bank import aircraft
+from torchfra.motion.polynomial import ConstantAcceleration
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
-from torchfra.sensors import Position
+from torchfra.sensors.position import Position
 from torchfra.types import Gaussian
 
 STEPS, BEGIN, LENGTH, PEAK, STD = 120, 73.0, 47.0, 30.0, 20.0

@@ -1,0 +1,144 @@
+"""Fading factors: how much to widen a prediction whose motion model no longer holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.distributions import constraints
+
+from torchfra.hyper import Hyper, Value
+from torchfra.linalg.gram import gram_pinv
+from torchfra.linalg.triangular import hstack, tria
+from torchfra.types import Prediction, Whitened
+
+
+class Memory(NamedTuple):
+    """Running second moment of the innovations, in units of the measurement noise."""
+
+    moment: Tensor
+    """``V (..., m, m)``."""
+    begun: Tensor
+    """``(..., m, m)`` 1 where an entry has been seen at least once, else 0."""
+
+
+class Fading(nn.Module):
+    """Multiple fading factors: the innovations of late against what the model expects of them.
+
+    One factor per track, 1 or more, multiplies the covariance of the faded states that was carried over from the last
+    step, before process noise is added.  Groups of states may take different shares of it: what is above 1 is then
+    multiplied by the group's share.
+
+    Args:
+        weakening: beta, share of the measurement noise that is taken off the innovations: above 1 reacts less.
+        forgetting: rho, memory of the innovations.
+        fading_max: no factor above this; infinity for the paper's own formula.
+        rcond: singular values of the measurement matrix below this share of the largest are left out of its inverse; 0
+            for the paper's own formula, which explodes where lines of sight become parallel.
+        states: which state components fade: a slice, or several, which are groups.
+        share: of each group, ``(..., groups)``, 0 or more; by default all have the whole factor.
+        trace: ``"full"`` compares whole traces, ``"position"`` those of the faded components.
+
+    A trace that is zero or not a number gives a factor of 1.
+
+    Raises:
+        ValueError: a value out of its range.
+
+    Source: Wang et al. (2021), eqs. (29)-(34); Zhou, Xi & Zhang (1990) for the strong tracking filter.
+    Differs: singular values are compared in units of the measurement noise, so that metres and radians mix; with equal
+    noise on all elements, as in the paper, that changes nothing.  ``fading_max``, ``rcond`` and ``share`` are ours.
+    """
+
+    def __init__(
+        self,
+        weakening: Value = 2.0,
+        forgetting: Value = 0.95,
+        fading_max: Value = 1e3,
+        *,
+        rcond: float = 0.1,
+        states: slice | Sequence[slice] = slice(0, 2),
+        share: Value | Sequence[float] | None = None,
+        trace: str = "full",
+    ) -> None:
+        super().__init__()
+        if not 0 <= rcond < 1:
+            raise ValueError(f"rcond: expected a value in [0, 1), received {rcond}")
+        if trace not in ("full", "position"):
+            raise ValueError(f"trace: expected 'full' or 'position', received {trace!r}")
+        self.weakening = Hyper(weakening, constraints.greater_than_eq(1.0), name="weakening")
+        self.forgetting = Hyper(forgetting, constraints.interval(0.0, 1.0), name="forgetting")
+        self.fading_max = Hyper(fading_max, constraints.greater_than_eq(1.0), name="fading_max")
+        self.states = (states,) if isinstance(states, slice) else tuple(states)
+        self.share: Hyper | None = None
+        if share is not None:
+            share = torch.as_tensor(share, dtype=torch.float64)
+            if share.shape[-1:] != (len(self.states),):
+                raise ValueError(f"share: expected (..., {len(self.states)}), received {tuple(share.shape)}")
+            self.share = Hyper(share, constraints.nonnegative, event=1, name="share")
+        self.rcond, self.trace = rcond, trace
+
+    def begin(self, mean: Tensor, m: int) -> Memory:
+        """Nothing remembered yet of ``m`` measured elements, for tracks of state ``mean (..., n)``."""
+        nothing = mean.new_zeros((*mean.shape[:-1], m, m))
+        return Memory(nothing, nothing)
+
+    def remember(self, memory: Memory, residual: Tensor, seen: Tensor) -> Memory:
+        """The memory after one more ``residual (..., m)``; entries not ``seen (..., m)`` stay as they were."""
+        moment, begun = memory
+        square = residual.unsqueeze(-1) * residual.unsqueeze(-2)
+        pair = seen.unsqueeze(-1) * seen.unsqueeze(-2)
+        rho = self.forgetting(residual)[..., None, None]
+        moment = moment + pair * (square - moment) / (1 + rho * begun)  # eq. (31)
+        return Memory(moment, torch.maximum(begun, pair))
+
+    def forward(self, prediction: Prediction, whitened: Whitened, memory: Memory, weights: Tensor) -> Tensor:
+        """The fading factor ``(...)``.
+
+        Args:
+            prediction: not faded.
+            whitened: the measurement against that prediction.
+            memory: with this step's innovation in it.
+            weights: ``(..., m)`` robust weights that divide the measurement noise; ones if it is trusted.
+        """
+        d = whitened.reads
+        root = prediction.belief.scale_tril[..., :d, :d]
+        # A prediction that is certain of something, or came from nothing uncertain, has nothing to fade: it is divided
+        # by ones instead, and gets a factor of 1 in the end.
+        certain = root.diagonal(dim1=-2, dim2=-1) == 0
+        h = torch.linalg.solve_triangular(
+            root + torch.diag_embed(certain.to(root)), whitened.slope, upper=False, left=False
+        )
+        noise = h @ prediction.process_noise[..., :d, :]
+        excess = memory.moment - noise @ noise.mT
+        excess = excess - self.weakening(excess)[..., None, None] * torch.diag_embed(1 / weights)
+        trace_n = (gram_pinv(h, self.rcond) * excess).sum((-2, -1))  # eq. (32)
+        spread = prediction.spread
+        if self.trace == "position":
+            spread = torch.cat([spread[..., group, :] for group in self.states], -2)
+        trace_j = spread.square().sum((-2, -1))  # eq. (33)
+        nothing = certain.any(-1) | (trace_j == 0)
+        ratio = trace_n / torch.where(nothing, 1.0, trace_j)
+        ratio = torch.where(nothing | ~ratio.isfinite(), 1.0, ratio)
+        return torch.minimum(ratio.clamp_min(1.0), self.fading_max(ratio))  # eq. (34)
+
+    def inflate(self, prediction: Prediction, factor: Tensor) -> Prediction:
+        """The prediction with ``factor (...)``, or each group's share of it, on the covariance of the faded states.
+
+        The mean stays.
+
+        Source: Wang et al. (2021), eq. (29).
+        """
+        excess = factor.unsqueeze(-1) - 1
+        if self.share is not None:
+            excess = self.share(factor) * excess
+        # One column per state: the group it belongs to, if any.
+        group = torch.zeros(len(self.states), prediction.spread.shape[-2], dtype=factor.dtype, device=factor.device)
+        for row, states in zip(group, self.states, strict=True):
+            row[states] = 1
+        excess = excess.expand((*factor.shape, len(self.states))).unsqueeze(-2)
+        scale = (1 + (excess @ group).squeeze(-2)).sqrt()
+        spread, noise = scale.unsqueeze(-1) * prediction.spread, prediction.process_noise
+        root = tria(hstack(spread, noise))
+        return Prediction(prediction.belief._replace(scale_tril=root), spread, noise)

@@ -1,0 +1,126 @@
+"""An estimate of the measurement noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.distributions import constraints
+
+from torchfra.gaussian.update import trust
+from torchfra.hyper import Hyper, Value, one_of
+from torchfra.types import Whitened
+
+
+class NoiseMemory(NamedTuple):
+    """What is known of the measurement noise, element by element."""
+
+    scale: Tensor
+    """``(..., m)`` estimated variance, as a multiple of the nominal one."""
+    total: Tensor
+    """``(..., m)`` sum of the weights of all innovations so far: ``1 / d``."""
+    updates: Tensor
+    """``(..., m)`` of them."""
+
+
+class SageHusa(nn.Module):
+    """Estimates the variance of the measurement noise on line, with forgetting, sensor by sensor.
+
+    What the innovations scatter beyond the prediction's own uncertainty is noise:
+
+        R <- (1 - g d) R + g d (e e^T - H P H^T),   d = (1 - b) / (1 - b^(k + 2)),
+
+    on the diagonal and in units of the nominal noise; ``g`` is ``1 - confidence`` of the sensor, or ``confidence``.
+
+    Args:
+        blocks: elements of a measurement that belong to one sensor, ``Sensor.blocks``.
+        forgetting: b; 1 / (1 - b) innovations are remembered.
+        confidence: one for each block, ``(..., blocks)``, or one for all.
+        confidence_in: ``"nominal"``: in the noise as it is known, so that a high one changes it slowly; ``"measured"``:
+            in the noise as it is newly measured.  At 0.5 they are the same.
+        lowest: share of the nominal variance that the estimate does not fall below.
+        highest: multiple of it that the estimate does not rise above.
+        warmup: first innovations that change nothing: those of a poor start say little about the noise.
+        adapt: ``"innovation"``, before the update, as above; ``"residual"``: after it, by ``r r^T + H P H^T`` of what
+            is left, which is always positive.
+
+    Raises:
+        ValueError: a value out of its range, or not one confidence for each block.
+
+    Source: Sage & Husa (1969); Chen, Zou & Wu, eq. (19), whose form is lost: the weight ``g`` is our reading.
+    Differs: diagonal, the bounds and the warm-up are ours.
+    """
+
+    element: Tensor
+
+    def __init__(
+        self,
+        blocks: Sequence[Sequence[int]],
+        *,
+        forgetting: Value = 0.96,
+        confidence: Value | Sequence[float] = 0.5,
+        confidence_in: str = "nominal",
+        lowest: float = 0.25,
+        highest: float = 1e4,
+        warmup: int = 5,
+        adapt: str = "innovation",
+    ) -> None:
+        super().__init__()
+        one_of(
+            confidence_in=(confidence_in, ("nominal", "measured")),
+            adapt=(adapt, ("innovation", "residual")),
+        )
+        if not 0 < lowest <= 1 <= highest or warmup < 0:
+            raise ValueError(
+                "lowest, highest, warmup: expected shares up to 1, from 1 on, and 0 or more, received "
+                f"{lowest}, {highest}, {warmup}"
+            )
+        confidence = torch.as_tensor(confidence, dtype=torch.float64)
+        confidence = confidence.expand(len(blocks)) if confidence.dim() == 0 else confidence
+        if confidence.shape[-1:] != (len(blocks),):
+            raise ValueError(f"confidence: expected (..., {len(blocks)}), received {tuple(confidence.shape)}")
+        self.forgetting = Hyper(forgetting, constraints.interval(0.0, 1.0), name="forgetting")
+        self.confidence = Hyper(confidence, constraints.interval(0.0, 1.0), event=1, name="confidence")
+        self.confidence_in, self.warmup, self.adapt = confidence_in, warmup, adapt
+        self.lowest, self.highest = lowest, highest
+        element = {i: number for number, block in enumerate(blocks) for i in block}
+        self.register_buffer("element", torch.tensor([element[i] for i in sorted(element)]), persistent=False)
+
+    def begin(self, mean: Tensor) -> NoiseMemory:
+        """Nominal noise, for tracks of state ``mean (..., n)``."""
+        one = mean.new_ones((*mean.shape[:-1], len(self.element)))
+        return NoiseMemory(one, one, 0 * one)
+
+    def excess(self, whitened: Whitened) -> Tensor:
+        """``(..., m)`` what one measurement against its prediction says of the variances, ``e^2 - H P H^T`` say.
+
+        For ``"residual"`` it is what was measured against the belief after the update.
+        """
+        own = whitened.spread.square().sum(-1)
+        own = own if whitened.lost is None else own - whitened.lost.square().sum(-1)
+        return whitened.residual.square() + (own if self.adapt == "residual" else -own)
+
+    def forward(self, memory: NoiseMemory, excess: Tensor, weight: Tensor) -> NoiseMemory:
+        """The memory after one more ``excess (..., m)``.
+
+        ``weight (..., m)`` is how probably it was the target's: below a half it is not used.  0 where missing.
+        """
+        used = (weight >= 0.5).to(excess)
+        total = memory.total * self.forgetting.elements(excess) + 1
+        own = self.confidence(excess).index_select(-1, self.element)
+        gain = own if self.confidence_in == "measured" else 1 - own
+        rate = gain * weight / total
+        scale = (memory.scale + rate * (excess - memory.scale)).clamp(self.lowest, self.highest)
+        changed = used * (memory.updates >= self.warmup)
+        return NoiseMemory(
+            torch.where(changed > 0, scale, memory.scale),
+            torch.where(used > 0, total, memory.total),
+            memory.updates + used,
+        )
+
+    def known(self, whitened: Whitened, memory: NoiseMemory, seen: Tensor) -> tuple[Whitened, Tensor]:
+        """The measurement in units of the noise as it is known, and those units ``(..., m, 1)``, 1 where missing."""
+        size = torch.where(seen > 0, memory.scale, 1.0).sqrt().unsqueeze(-1)
+        return trust(whitened, 1 / memory.scale), size

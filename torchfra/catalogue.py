@@ -1,0 +1,200 @@
+"""The one registry: filters and scenarios by name, with what sets them apart."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from torchfra import presets, scenarios
+from torchfra.filters.base import Filter
+from torchfra.motion.bank import Bank
+from torchfra.motion.base import Motion
+from torchfra.scenarios.base import Scenario
+from torchfra.sensors.base import Sensor
+from torchfra.sensors.position import Position
+
+
+@dataclass(frozen=True)
+class FilterEntry:
+    """A preset and its traits."""
+
+    preset: Callable[..., Filter]
+    colour: str
+    """In figures."""
+    bank: bool = False
+    """It takes a ``Bank`` of motions instead of one."""
+    scans: bool = False
+    """It takes scans of several targets."""
+    gated: bool = False
+    """It takes a ``gate``: the normalised innovation squared above which a step is abnormal."""
+    constant_gains: bool = False
+    """It takes positions with a standard deviation only, and the ``period`` that its gains are meant for."""
+    emphasised: bool = False
+    """Its lines in figures are bold."""
+
+
+FILTERS: dict[str, FilterEntry] = {
+    "ukf": FilterEntry(presets.ukf, "#999999"),
+    "ekf": FilterEntry(presets.ekf, "#c7a76c"),
+    "srckf": FilterEntry(presets.srckf, "#4c72b0"),
+    "rsrckf": FilterEntry(presets.rsrckf, "#8172b3"),
+    "mr_ckf": FilterEntry(presets.mr_ckf, "#937860"),
+    "asrckf": FilterEntry(presets.asrckf, "#64b5cd"),
+    "rmckf": FilterEntry(presets.rmckf, "#dd8452"),
+    "ghckf": FilterEntry(presets.ghckf, "#2f4b7c"),
+    "hghckf1": FilterEntry(presets.hghckf1, "#f28e2b"),
+    "hghckf2": FilterEntry(presets.hghckf2, "#59a14f"),
+    "iaukf": FilterEntry(presets.iaukf, "#b07aa1"),
+    "fra_srckf": FilterEntry(presets.fra_srckf, "#55a868", gated=True, emphasised=True),
+    "fra": FilterEntry(presets.fra, "#c44e52", gated=True, emphasised=True),
+    "imm_srckf": FilterEntry(presets.imm_srckf, "#8c564b", bank=True),
+    "vsimm_srckf": FilterEntry(presets.vsimm_srckf, "#17becf", bank=True),
+    "imm_fra": FilterEntry(presets.imm_fra, "#da8bc3", bank=True, gated=True),
+    "alphabeta": FilterEntry(presets.alphabeta, "#76b7b2", constant_gains=True),
+    "ukf_jpda": FilterEntry(presets.ukf_jpda, "#999999", scans=True),
+    "iaukf_jpda": FilterEntry(presets.iaukf_jpda, "#b07aa1", scans=True),
+}
+"""The filters that commands know by name."""
+
+SCENARIOS: dict[str, Callable[..., Scenario]] = {
+    "bearings-outliers": scenarios.bearings_outliers,
+    "bearings-manoeuvre": scenarios.bearings_manoeuvre,
+    "adsb-turns": scenarios.adsb_turns,
+    "alpha-beta": scenarios.level_then_weave,
+    "clutter-straight": scenarios.clutter_straight,
+    "clutter-crossing": scenarios.clutter_crossing,
+    "noise-change": scenarios.noise_change,
+    "growth": scenarios.growth,
+    "reentry": scenarios.reentry,
+}
+"""The simulated scenarios that commands know by name."""
+
+
+def track_filters() -> list[str]:
+    """The filters of single targets."""
+    return [name for name, entry in FILTERS.items() if not entry.scans]
+
+
+def scan_filters() -> list[str]:
+    """The filters of several targets in scans."""
+    return [name for name, entry in FILTERS.items() if entry.scans]
+
+
+def reference_filter(scenario: Scenario) -> str:
+    """The filter that run times are relative to."""
+    return "ukf" if scenario.clutter is None else "ukf_jpda"
+
+
+def filters_for(scenario: Scenario) -> list[str]:
+    """The filters that go with a scenario: with its measurements, its sensor, and a bank if they need one."""
+    if scenario.clutter is not None:
+        return scan_filters()
+    positions = isinstance(scenario.sensor, Position) and scenario.sensor.std is not None
+    return [
+        name
+        for name in track_filters()
+        if not (FILTERS[name].bank and scenario.bank is None) and not (FILTERS[name].constant_gains and not positions)
+    ]
+
+
+def check_names(names: Sequence[str], scenario: Scenario) -> None:
+    """Whether there are filters of these names for the measurements of a scenario.
+
+    Raises:
+        ValueError: a name that is not in ``FILTERS`` or takes other measurements, or no name at all.
+    """
+    known = track_filters() if scenario.clutter is None else scan_filters()
+    unknown = [name for name in names if name not in known]
+    if unknown or not names:
+        raise ValueError(f"filters: expected names out of {', '.join(known)}, received {', '.join(unknown) or 'none'}")
+
+
+def make_filter(name: str, motion: Motion, sensor: Sensor, bank: Bank | None = None, **options: Any) -> Filter:
+    """The filter of this name around a motion, or around a bank of motions if that is what it takes.
+
+    Args:
+        name: of a filter of single targets.
+        motion: for a filter of one motion.
+        sensor: what is measured.
+        bank: for a filter of several motions.
+        options: of the preset.
+
+    Raises:
+        ValueError: an unknown name, or a filter of several motions where there is no bank.
+    """
+    if name not in track_filters():
+        raise ValueError(f"filter: expected one of {', '.join(track_filters())}, received {name!r}")
+    entry = FILTERS[name]
+    if entry.bank and bank is None:
+        raise ValueError(f"filter: expected one of a single motion, as there is no bank of motions, received {name!r}")
+    return entry.preset(bank if entry.bank else motion, sensor, **options)
+
+
+def scenario_filter(name: str, scenario: Scenario, **options: Any) -> Filter:
+    """The filter of this name around the models of a scenario.
+
+    Raises:
+        ValueError: see ``check_names`` and ``make_filter``.
+    """
+    check_names([name], scenario)
+    if scenario.clutter is None:
+        return make_filter(name, scenario.motion, scenario.sensor, scenario.bank, **options)
+    clutter = {"clutter": scenario.clutter, "detection": scenario.detection}
+    return FILTERS[name].preset(scenario.motion, scenario.sensor, **clutter | options)
+
+
+def scenario_filters(names: Sequence[str], scenario: Scenario) -> dict[str, Filter]:
+    """The filters of these names around the models of a scenario.
+
+    Raises:
+        ValueError: see ``check_names`` and ``make_filter``.
+    """
+    check_names(names, scenario)
+    return {name: scenario_filter(name, scenario) for name in names}
+
+
+def learned_filter(path: str | Path, scenario: Scenario, name: str = "fra") -> Filter:
+    """The filter ``name`` with values that were learned.
+
+    Args:
+        path: a state dictionary, as ``torch.save(f.state_dict(), path)`` writes it; a ``config.json`` beside it, of a
+            training run with this filter, says what the filter was made with.
+        scenario: whose models the filter gets, in copies with learned values.
+        name: of the filter that learned.
+
+    Raises:
+        ValueError: an unknown filter, or a file that is no state dictionary of it.
+    """
+    config = Path(path).with_name("config.json")  # what train.tune writes beside it
+    settings = json.loads(config.read_text()) if config.exists() else {}
+    options = settings.get("options", {}) if settings.get("filter") == name else {}
+    f = scenario_filter(name, copy.deepcopy(scenario), **options)
+    try:
+        f.load_state_dict(torch.load(path, weights_only=True))
+    except OSError:
+        raise
+    except Exception as error:  # torch raises whatever its reader came upon
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ValueError(f"learned: expected {path} to hold a state dictionary of {name}: {reason}") from None
+    return f
+
+
+def make_scenario(name: str, **options: Any) -> Scenario:
+    """A simulated scenario by its name; an option that is None keeps the scenario's default.
+
+    Raises:
+        ValueError: an unknown name, or an option that the scenario does not take.
+    """
+    if name not in SCENARIOS:
+        raise ValueError(f"scenario: expected one of {', '.join(SCENARIOS)}, received {name!r}")
+    chosen = {key: value for key, value in options.items() if value is not None}
+    for key in chosen.keys() - inspect.signature(SCENARIOS[name]).parameters.keys():
+        raise ValueError(f"{key}: {name} takes no such option, received {chosen[key]!r}")
+    return SCENARIOS[name](**chosen)

@@ -1,0 +1,14 @@
+"""Filters of constant gains: their design, a single filter, and a bank that switches."""
+
+from torchfra.filters.alphabeta.bank import AlphaBetaBank, AlphaBetaBankState, AlphaBetaInfo
+from torchfra.filters.alphabeta.gains import Gains
+from torchfra.filters.alphabeta.single import AlphaBeta, AlphaBetaState
+
+__all__ = [
+    "AlphaBeta",
+    "AlphaBetaBank",
+    "AlphaBetaBankState",
+    "AlphaBetaInfo",
+    "AlphaBetaState",
+    "Gains",
+]

@@ -1,0 +1,161 @@
+"""Constant gains of alpha-beta(-gamma) filters: how to choose them, and what they make of noise and of manoeuvres.
+
+Per axis, with the residual ``r`` of a position and the time step ``T``:
+
+    position += alpha r,    velocity += beta / T r,    acceleration += gamma / (2 T^2) r.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra.hyper import Value
+from torchfra.linalg.triangular import hstack, tria
+
+
+class Gains(NamedTuple):
+    """Of one filter, or of several in a last dimension."""
+
+    alpha: Tensor
+    beta: Tensor
+    gamma: Tensor | None = None
+
+
+class Variances(NamedTuple):
+    """Steady-state variances, in units of the measurement's; ``T`` is 1."""
+
+    position: Tensor
+    cross: Tensor
+    """Of position and velocity."""
+    velocity: Tensor
+    prediction: Tensor
+    """Of the predicted position; the residual's is 1 more."""
+
+
+class Lags(NamedTuple):
+    """Steady errors under a constant acceleration of 1; ``T`` is 1."""
+
+    position: Tensor
+    prediction: Tensor
+    velocity: Tensor
+
+
+def kalata(index: Value, orders: int = 2) -> Gains:
+    """Steady-state Kalman gains for a noise acceleration (with ``orders`` 3: a change of acceleration) in each step.
+
+    Args:
+        index: tracking index ``std(acceleration) T^2 / std(measurement)``, above 0.
+        orders: 2 for alpha-beta, 3 for alpha-beta-gamma.
+
+    Raises:
+        ValueError: an index that is not above 0, or other orders.
+
+    Source: Kalata (1984), "The Tracking Index"; Gray & Murray (1993) for the closed form of three gains.
+    """
+    index = torch.as_tensor(index, dtype=torch.float64)
+    if not bool((index > 0).all()) or orders not in (2, 3):
+        raise ValueError(f"index, orders: expected above 0, and 2 or 3, received {index.tolist()}, {orders}")
+    if orders == 2:
+        root = (4 + index - (8 * index + index.square()).sqrt()) / 4
+        return Gains(1 - root.square(), 2 * (1 + root.square()) - 4 * root)
+    b, c = index / 2 - 3, index / 2 + 3
+    p, q = c - b.square() / 3, 2 * b**3 / 27 - b * c / 3 - 1
+    z = -((q + (q.square() + 4 * p**3 / 27).sqrt()) / 2)
+    z = z.sign() * z.abs() ** (1 / 3)
+    s = z - p / (3 * z) - b / 3
+    return Gains(1 - s.square(), 2 * (1 - s).square(), 2 * index * s)
+
+
+def levels(orders: int = 2) -> Gains:
+    """Of a bank of three: for hard and mild manoeuvres and straight flight, by tracking indices 1.5, 0.5 and 0.1.
+
+    With ``orders`` 3 the first two have three gains, of index 0.1 and 0.03.
+    """
+    slow = kalata(torch.tensor([1.5, 0.5, 0.1], dtype=torch.float64))
+    if orders == 2:
+        return slow
+    fast = kalata(torch.tensor([0.1, 0.03], dtype=torch.float64), 3)
+    assert fast.gamma is not None
+    alpha, beta = torch.cat([fast.alpha, slow.alpha[-1:]]), torch.cat([fast.beta, slow.beta[-1:]])
+    return Gains(alpha, beta, torch.nn.functional.pad(fast.gamma, (0, 1)))
+
+
+def benedict_bordner(alpha: Value) -> Gains:
+    """The velocity gain that trades noise against the transient best.  Source: Benedict & Bordner (1962).
+
+    Raises:
+        ValueError: ``alpha`` not in (0, 1].
+    """
+    alpha = _share("alpha", alpha)
+    return Gains(alpha, alpha.square() / (2 - alpha))
+
+
+def critically_damped(theta: Value) -> Gains:
+    """Fading memory: both poles at ``theta``, in (0, 1).  Source: Morrison (1969).
+
+    Raises:
+        ValueError: ``theta`` not in (0, 1].
+    """
+    theta = _share("theta", theta)
+    return Gains(1 - theta.square(), (1 - theta).square())
+
+
+def expanding_memory(k: Tensor) -> Gains:
+    """Gains of the k-th measurement, from 1, that make a least-squares line through all of them."""
+    return Gains(2 * (2 * k - 1) / (k * (k + 1)), torch.where(k > 1, 6 / (k * (k + 1)), 0.0))
+
+
+def variances(alpha: Tensor, beta: Tensor) -> Variances:
+    """What gains make of white measurement noise.  Source: Bar-Shalom, Li & Kirubarajan (2001), section 6.5."""
+    scale = alpha * (4 - 2 * alpha - beta)
+    square, product = 2 * alpha.square() + 2 * beta, alpha * beta
+    return Variances(
+        (square - 3 * product) / scale,
+        beta * (2 * alpha - beta) / scale,
+        2 * beta.square() / scale,
+        (square + product) / scale,
+    )
+
+
+def lags(alpha: Tensor, beta: Tensor) -> Lags:
+    """What gains make of a constant acceleration."""
+    return Lags((1 - alpha) / beta, 1 / beta, (2 * alpha - beta) / (2 * beta))
+
+
+def steady_root(transition: Tensor, gain: Tensor) -> Tensor:
+    """Lower root ``(..., k, k)`` of the covariance that white noise leaves in ``x = (I - gain H) F x + gain noise``.
+
+    Args:
+        transition: ``F (..., k, k)``, position first.
+        gain: ``(..., k)``.
+    """
+    eye = torch.eye(gain.shape[-1], dtype=gain.dtype, device=gain.device)
+    step = (eye - gain.unsqueeze(-1) * eye[0]) @ transition
+    root = gain.unsqueeze(-1)
+    for _ in range(12):  # each doubles the past that is looked at
+        root, step = tria(hstack(root, step @ root)), step @ step
+    return root
+
+
+def stable(gains: Gains) -> bool:
+    """Whether errors die out, of every filter."""
+    alpha, beta, gamma = gains
+    column = [alpha, beta] if gamma is None else [alpha, beta, gamma / 2]
+    gain = torch.stack(torch.broadcast_tensors(*column), -1)
+    k = gain.shape[-1]
+    powers = torch.arange(k).unsqueeze(0) - torch.arange(k).unsqueeze(1)
+    factorial = torch.exp(torch.lgamma(powers.clamp_min(0).double() + 1))
+    transition = torch.where(powers >= 0, 1 / factorial, 0.0)
+    eye = torch.eye(k, dtype=torch.float64)
+    step = (eye - gain.double().unsqueeze(-1) * eye[0]) @ transition
+    return bool((torch.linalg.eigvals(step).abs().amax(-1) < 1).all()) and bool((gain > 0).all())
+
+
+def _share(name: str, value: Value) -> Tensor:
+    value = torch.as_tensor(value, dtype=torch.float64)
+    if not bool(((value > 0) & (value <= 1)).all()):
+        raise ValueError(f"{name}: expected a value above 0 and at most 1, received {value.tolist()}")
+    return value

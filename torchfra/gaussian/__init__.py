@@ -1,0 +1,26 @@
+"""What all Gaussian filters share: rules, the update in array form, mixtures, prediction and comparison."""
+
+from torchfra.gaussian.cubature import (
+    fifth_degree,
+    gauss_hermite,
+    spherical_fifth_degree,
+    tangent,
+    third_degree,
+    unscented,
+)
+from torchfra.gaussian.mixture import moment_match
+from torchfra.gaussian.rules import Linearised, Rule, SigmaPoints, Tangent
+
+__all__ = [
+    "Linearised",
+    "Rule",
+    "SigmaPoints",
+    "Tangent",
+    "fifth_degree",
+    "gauss_hermite",
+    "moment_match",
+    "spherical_fifth_degree",
+    "tangent",
+    "third_degree",
+    "unscented",
+]

@@ -1,0 +1,31 @@
+"""One Gaussian for several: moment matching in square-root form."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchfra.linalg.triangular import tria
+from torchfra.types import Gaussian
+
+
+def moment_match(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
+    """The Gaussian with the mean and the covariance of a mixture.
+
+    ``tria([sqrt(w_i) S_i, sqrt(w_i) (mean_i - mean)])`` over all i: no covariance is formed.
+
+    Args:
+        beliefs: ``mean (K, ..., n)`` and ``scale_tril (K, ..., n, n)``, the K beliefs on the first dimension.
+        log_weights: ``(K, ...)``, whose exponentials sum to one over the first dimension; minus infinity for a belief
+            that does not count, and may then be no number at all.
+
+    Source: Bar-Shalom, Li & Kirubarajan (2001), section 1.4.16, for the moments.
+    """
+    counts = log_weights != -torch.inf  # no number at all does count: it must be seen in the result
+    weight = torch.where(counts, log_weights, 0.0).exp() * counts
+    root = torch.where(counts, 0.5 * log_weights, 0.0).exp() * counts  # not sqrt(weight): its gradient at 0 is infinite
+    mean = torch.where(counts.unsqueeze(-1), beliefs.mean, 0.0)
+    spread = torch.where(counts[..., None, None], beliefs.scale_tril, 0.0)
+    middle = (weight.unsqueeze(-1) * mean).sum(0)
+    columns = root[..., None, None] * torch.cat([spread, (mean - middle).unsqueeze(-1)], -1)
+    return Gaussian(middle, tria(columns.movedim(0, -2).flatten(-2)))

@@ -1,0 +1,54 @@
+"""Predict and compare: what all Gaussian filters share."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchfra.gaussian.inputs import Frame
+from torchfra.gaussian.rules import Rule
+from torchfra.linalg.gram import downdate
+from torchfra.linalg.triangular import apply, hstack, tria
+from torchfra.motion.base import Motion
+from torchfra.sensors.base import Sensor
+from torchfra.types import Gaussian, Prediction, Whitened
+
+
+def count_repaired(*repaired: Tensor | None) -> Tensor | None:
+    """How many of them, None of none."""
+    there = [x.to(torch.int64) if x.dtype == torch.bool else x for x in repaired if x is not None]
+    return sum(there[1:], there[0]) if there else None
+
+
+def predict(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Prediction:
+    """Time update: eqs. (8)-(13)."""
+    mean, root = belief
+    if frame.transition is not None:
+        shift, noise = frame.shift, frame.process_noise
+        if frame.adaptation is not None:
+            shift, noise = frame.adaptation(mean, shift, noise)
+        mean, spread = apply(frame.transition, mean), frame.transition @ root
+        mean = mean if shift is None else mean + shift
+    else:
+        u = None if frame.u is None else frame.u.unsqueeze(-2)
+        mean, spread, lost = rule(lambda x: motion(x, frame.dt.unsqueeze(-1), u), belief, motion.difference)
+        noise = motion.process_noise_at(frame.process_noise, mean)
+        if lost is not None:
+            root, repaired = downdate(tria(hstack(spread, noise)), lost)
+            return Prediction(Gaussian(mean, root), spread, noise, repaired)
+    return Prediction(Gaussian(mean, tria(hstack(spread, noise))), spread, noise)
+
+
+def compare(sensor: Sensor, rule: Rule, belief: Gaussian, frame: Frame) -> Whitened:
+    """The measurement against a predicted belief, in units of its noise: eqs. (14)-(21)."""
+    d = sensor.reads
+    u = None if frame.u is None else frame.u.unsqueeze(-2)
+    seen = Gaussian(belief.mean[..., :d], belief.scale_tril[..., :d, :d])  # lower triangular: the marginal's root
+    value, spread, lost = rule(lambda x: sensor(x, u), seen, sensor.difference)
+    residual = frame.measurement_noise.whiten(sensor.difference(frame.z, value).unsqueeze(-1)).squeeze(-1)
+    return Whitened(
+        residual,
+        frame.measurement_noise.whiten(spread),
+        d,
+        None if lost is None else frame.measurement_noise.whiten(lost),
+    )

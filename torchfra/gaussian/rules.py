@@ -1,0 +1,148 @@
+"""Rules that carry a Gaussian through a function: sigma points of several kinds, and the tangent of the EKF.
+
+Each ends in the same form, a statistical linearisation.  For ``x ~ N(mean, S S^T)``
+
+    f(x) ~ value + slope S^-1 (x - mean) + (something uncorrelated with x, of covariance rest rest^T),
+
+so that every Gaussian filter is one piece of square-root algebra around its rule.  Where weights are negative, that
+covariance is ``rest rest^T - lost lost^T``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import pad
+
+from torchfra.types import Gaussian
+
+Function = Callable[[Tensor], Tensor]
+
+
+Difference = Callable[[Tensor, Tensor], Tensor]
+
+
+class Linearised(NamedTuple):
+    """``value (..., m)`` and ``spread (..., m, r + n) = [rest, slope]`` as in the head of this file."""
+
+    value: Tensor
+    spread: Tensor
+    lost: Tensor | None = None
+    """``(..., m, k)``, only of rules with negative weights."""
+
+
+class Rule(Protocol):
+    """What a filter asks of a rule for ``n`` states."""
+
+    signed: bool
+    """Whether some weights are negative, so that covariances may turn out not positive."""
+
+    def __call__(self, function: Function, belief: Gaussian, difference: Difference) -> Linearised:
+        """Carry ``belief`` through ``function (..., p, n) -> (..., p, m)``; ``difference`` subtracts two values."""
+        ...
+
+    def marginal(self, d: int) -> Rule:
+        """The same rule for functions that read the first ``d`` components only."""
+        ...
+
+
+class SigmaPoints(nn.Module):
+    """A centre and points around it, in units of the belief's root.
+
+    The mean is the centre's value plus the weighted mean of the differences to it, so that angles average right; the
+    spread comes from one constant matrix whose last ``n`` columns give the slope and the others the rest.
+
+    Args:
+        points: ``(n, p)`` without the centre, ``sum_i w_i points_i points_i^T = I``.
+        weights: ``(p,)``; the centre has what is left to one in the mean.
+        extra: what the centre's weight in the covariance is above its weight in the mean.
+        signed: whether weights may be negative.
+
+    Raises:
+        ValueError: not ``signed``, and a weight that is not positive or a centre so negative that the covariance has no
+            real root.
+    """
+
+    points: Tensor
+    combine: Tensor
+    minus: Tensor | None
+
+    def __init__(self, points: Tensor, weights: Tensor, extra: float = 0.0, *, signed: bool = False) -> None:
+        super().__init__()
+        points, weights = points[:, weights != 0], weights[weights != 0]
+        self._rule = points, weights, extra, signed
+        self.register_buffer("minus", None)
+        self.signed = bool((weights < 0).any())
+        if self.signed and not signed:
+            raise ValueError(f"weights: expected all above 0 except the centre's, received {weights.tolist()}")
+        # Sum over all points of w (value - mean)(value - mean)^T, in differences to the centre's value.
+        gram = torch.diag(weights) + (extra - 1.0) * torch.outer(weights, weights)
+        self.register_buffer("points", pad(points, (1, 0)).mT.contiguous())
+        root = self._split(gram, points, weights) if self.signed else self._root(gram, points)
+        self.register_buffer("combine", torch.cat([weights.unsqueeze(-1), root], 1))
+
+    @staticmethod
+    def _root(gram: Tensor, points: Tensor) -> Tensor:
+        """``[rest, slope] (p, r + n)`` of a positive Gram matrix."""
+        power, basis = torch.linalg.eigh(gram)
+        if power[0] < -1e-12 * power[-1]:
+            raise ValueError(
+                "the centre's weight in the covariance is too negative for a root: choose beta >= alpha^2, or a larger "
+                "kappa"
+            )
+        root = basis * power.clamp_min(0.0).sqrt()
+        turn = torch.linalg.qr((points @ root).mT, mode="complete").Q
+        root = root @ turn
+        root[:, : len(points)] *= (points @ root).diagonal().sign()
+        root = root[:, root.norm(dim=0) > 1e-12 * root.norm()]
+        ordered: Tensor = root.roll(-len(points), 1)
+        return ordered
+
+    def _split(self, gram: Tensor, points: Tensor, weights: Tensor) -> Tensor:
+        """``[rest, slope]`` of one that is not, whose negative part goes into ``minus``."""
+        slope = weights.unsqueeze(-1) * points.mT
+        power, basis = torch.linalg.eigh(gram - slope @ slope.mT)
+        small = 1e-12 * power.abs().max()
+        self.minus = (basis * power.clamp_max(0.0).abs().sqrt())[:, power < -small]
+        return torch.cat([(basis * power.clamp_min(0.0).sqrt())[:, power > small], slope], 1)
+
+    def marginal(self, d: int) -> SigmaPoints:
+        """The points as a function of the first ``d`` components sees them: those that coincide are one."""
+        points, weights, extra, signed = self._rule
+        seen, where = torch.unique(points[:d], dim=1, return_inverse=True)
+        merged = torch.zeros(seen.shape[1], dtype=weights.dtype).index_add(0, where, weights)
+        around = (seen.norm(dim=0) > 0) & (merged.abs() > 1e-14)
+        return SigmaPoints(seen[:, around], merged[around], extra, signed=signed)
+
+    def forward(self, function: Function, belief: Gaussian, difference: Difference) -> Linearised:
+        """See ``Rule``."""
+        mean, root = belief
+        points, combine = self.points.to(mean), self.combine.to(mean)
+        values = function(mean.unsqueeze(-2) + points @ root.mT)
+        centre = values[..., :1, :]
+        around = difference(values[..., 1:, :], centre).mT
+        moments = around @ combine
+        lost = None if self.minus is None else around @ self.minus.to(mean)
+        return Linearised(centre.squeeze(-2) + moments[..., 0], moments[..., 1:], lost)
+
+
+class Tangent(nn.Module):
+    """The tangent at the mean: the rule of the extended Kalman filter, by forward-mode differentiation."""
+
+    signed = False
+
+    def marginal(self, d: int) -> Tangent:
+        """The same."""
+        return self
+
+    def forward(self, function: Function, belief: Gaussian, difference: Difference) -> Linearised:
+        """See ``Rule``."""
+        mean, root = belief
+        at, along = torch.broadcast_tensors(mean.unsqueeze(-2), root.mT)  # the mean, once per column of the root
+        values, slope = torch.func.jvp(  # type: ignore[misc]  # three values only with has_aux
+            function, (at.contiguous(),), (along.contiguous(),)
+        )
+        return Linearised(values[..., 0, :], slope.mT)

@@ -1,0 +1,92 @@
+"""The measurement update in array form, on a measurement in units of its noise: see ``types.Whitened``."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from torchfra.linalg.gram import downdate
+from torchfra.linalg.triangular import apply, hstack, tria, whiten
+from torchfra.types import Gaussian, Whitened
+
+
+class Joint(NamedTuple):
+    """``tria`` of measurement and state together: ``[[S_zz, 0], [K S_zz, S_post]]``."""
+
+    root: Tensor
+    """``S_zz (..., m, m)`` lower root of the innovation's covariance: eq. (17)."""
+    cross: Tensor
+    """``(..., n, m)`` covariance of state and measurement, divided by that root: eqs. (20), (22)."""
+    left: Tensor
+    """``(..., n, n)`` lower root of the covariance that a measurement leaves: eq. (24)."""
+
+
+def repaired_root(whitened: Whitened) -> tuple[Tensor, Tensor]:
+    """Where weights are negative: lower root ``(..., m, m)`` of what does not follow the belief, noise included.
+
+    Also ``(...)`` bool: it was not positive and had to be mended.
+    """
+    assert whitened.lost is not None
+    return downdate(tria(hstack(_unit(whitened), whitened.rest)), whitened.lost)
+
+
+def innovation(whitened: Whitened) -> tuple[Tensor, Tensor]:
+    """Root ``(..., m, m)`` of the residual's covariance and the residual ``(..., m)`` divided by it: (17), (35)."""
+    root = tria(_blocks(whitened))
+    return root, whiten(root, whitened.residual)
+
+
+def joint(belief: Gaussian, whitened: Whitened) -> Joint:
+    """Measurement and state: eqs. (17)-(24).
+
+    ``tria([[I, rest, H S], [0, 0, S]]) = [[S_zz, 0], [K S_zz, S_post]]``.
+    """
+    m, n, d = whitened.residual.shape[-1], belief.mean.shape[-1], whitened.reads
+    top = pad(_blocks(whitened), (m + n, n - d))  # behind what tria leads with
+    root = belief.scale_tril.expand((*top.shape[:-2], n, n))
+    whole = tria(torch.cat([top, pad(root, (top.shape[-1] - n, 0))], -2), led=True)
+    return Joint(whole[..., :m, :m], whole[..., m:, :m], whole[..., m:, m:])
+
+
+def correct(belief: Gaussian, whitened: Whitened) -> tuple[Gaussian, Tensor, Tensor]:
+    """The belief after the measurement, and the innovation's root and normalised residual: eqs. (17)-(24)."""
+    root, cross, left = joint(belief, whitened)
+    normalised = whiten(root, whitened.residual)
+    return Gaussian(belief.mean + apply(cross, normalised), left), root, normalised
+
+
+def trust(whitened: Whitened, weights: Tensor) -> Whitened:
+    """The measurement with its noise covariance divided by ``weights (..., m)``: eq. (26).
+
+    Scaling the measurement down instead of its noise up lets a weight of 0 leave it out.
+    """
+    used = weights > 0
+    scale = torch.where(used, torch.where(used, weights, 1.0).sqrt(), 0.0)
+    lost = None if whitened.lost is None else scale.unsqueeze(-1) * whitened.lost
+    return Whitened(scale * whitened.residual, scale.unsqueeze(-1) * whitened.spread, whitened.reads, lost)
+
+
+def density(root: Tensor, normalised: Tensor) -> Tensor:
+    """Log density ``(...)`` of a residual with this root, both in units of the noise, constants left out."""
+    return -0.5 * normalised.square().sum(-1) - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+
+
+def trusted_density(root: Tensor, normalised: Tensor, weights: Tensor) -> Tensor:
+    """Log density ``(...)`` of a residual after ``trust`` with ``weights (..., m)``."""
+    used = weights > 0
+    return density(root, normalised) + 0.5 * torch.where(used, torch.where(used, weights, 1.0).log(), 0.0).sum(-1)
+
+
+def _unit(whitened: Whitened) -> Tensor:
+    m = whitened.residual.shape[-1]
+    return torch.eye(m, dtype=whitened.spread.dtype, device=whitened.spread.device)
+
+
+def _blocks(whitened: Whitened) -> Tensor:
+    """``[I, rest, H S] (..., m, p)``, a root of the residual's covariance."""
+    if whitened.lost is None:
+        return hstack(_unit(whitened), whitened.spread)
+    return hstack(repaired_root(whitened)[0], whitened.slope)

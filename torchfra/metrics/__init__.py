@@ -1,0 +1,17 @@
+"""How good estimates are, over time and over runs.  Steps whose truth is NaN do not count."""
+
+from torchfra.metrics.errors import diverged, error, nees, rmse, track_rmse
+from torchfra.metrics.sets import GOSPA, OSPA, gospa, ospa, swaps
+
+__all__ = [
+    "GOSPA",
+    "OSPA",
+    "diverged",
+    "error",
+    "gospa",
+    "nees",
+    "ospa",
+    "rmse",
+    "swaps",
+    "track_rmse",
+]

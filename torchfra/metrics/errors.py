@@ -1,0 +1,59 @@
+"""How good estimates are, over time and over runs.  Steps whose truth is NaN do not count."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchfra.linalg.triangular import whiten
+from torchfra.types import Estimate
+
+
+def error(mean: Tensor, truth: Tensor, states: slice) -> Tensor:
+    """Distance ``(..., T)`` between two tracks ``(..., T, n)`` in the components ``states``.
+
+    Args:
+        mean: the estimate.
+        truth: what was; NaN where unknown, and the error is NaN there; an estimate that is no number is
+            infinitely far off.
+        states: the components, say ``scenario.position``.
+    """
+    distance = (mean[..., states] - truth[..., states]).square().sum(-1).sqrt()
+    lost = distance.isnan() & ~truth[..., states].isnan().any(-1)
+    return torch.where(lost, torch.inf, distance)
+
+
+def rmse(mean: Tensor, truth: Tensor, states: slice) -> Tensor:
+    """Root mean square error over the runs, ``(T,)``, of tracks ``(..., T, n)``: Wang et al. (2021), eq. (38)."""
+    squared = error(mean, truth, states).square()
+    return squared.reshape(-1, squared.shape[-1]).nanmean(0).sqrt()
+
+
+def track_rmse(mean: Tensor, truth: Tensor, states: slice) -> Tensor:
+    """Root mean square error over time of each track, ``(...)``; infinity for a track that lost its numbers."""
+    return error(mean, truth, states).square().nanmean(-1).sqrt()
+
+
+def diverged(mean: Tensor, truth: Tensor, states: slice, limit: float = 2000.0) -> Tensor:
+    """``(...)`` bool: the track's root mean square error over time is above ``limit``, or not a number."""
+    return track_rmse(mean, truth, states) > limit
+
+
+def nees(estimate: Estimate, truth: Tensor, states: slice | None = None) -> Tensor:
+    """Normalised estimation error squared ``(..., T)``; its mean is the number of components when P is honest.
+
+    Args:
+        estimate: of tracks ``(..., T, n)``.
+        truth: ``(..., T, n)``.
+        states: leading components, say ``scenario.position``; all if None.
+
+    Raises:
+        ValueError: ``states`` does not begin with the first component.
+
+    Source: Bar-Shalom, Li & Kirubarajan (2001), eq. (5.4.2-1).
+    """
+    states = states or slice(0, estimate.mean.shape[-1])
+    if states.start not in (0, None):
+        raise ValueError(f"states: expected leading components, received {states}")
+    root = estimate.scale_tril[..., states, states]
+    return whiten(root, estimate.mean[..., states] - truth[..., states]).square().sum(-1)

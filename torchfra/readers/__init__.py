@@ -1,0 +1,23 @@
+"""Reads tracks from files into local metres, and counts what it had to repair on the way.
+
+The columns decide what a file is.  It is CSV with a header or JSON (records or columns), gzipped or not:
+
+- ``timestamp, latitude, longitude`` [``altitude, icao24, callsign, last_position``]: ms since 1970 or ISO text (UTC
+  where it names no zone), degrees, feet.
+- ``time, icao24, lat, lon`` [``baroaltitude, geoaltitude, callsign, lastposupdate``]: the state vectors of OpenSky, in
+  seconds since 1970, degrees, metres.  A missing baroaltitude gives way to geoaltitude.
+- ``t, x, y`` [``z``]: seconds and metres.
+"""
+
+from torchfra.readers.grid import resample
+from torchfra.readers.reading import read
+from torchfra.readers.recording import Origin, Recording
+from torchfra.readers.sample_files import samples
+
+__all__ = [
+    "Origin",
+    "Recording",
+    "read",
+    "resample",
+    "samples",
+]

@@ -1,0 +1,26 @@
+"""What a recording is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from torchfra.readers.columns import Array
+
+Origin: TypeAlias = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """The track of one target."""
+
+    name: str
+    """icao24 and first callsign, as far as they are there, else the stem of the file."""
+    time: Array
+    """``(k,)`` seconds, strictly increasing; since 1970 if the file says so."""
+    position: Array
+    """``(k, 3)`` metres east, north, up of the origin; ``(k, 2)`` for a target that never told its altitude."""
+    origin: Origin | None
+    """Latitude and longitude in degrees, altitude in metres; None for a file of x and y."""
+    repairs: dict[str, int]
+    """What was done to rows, and to how many; empty if nothing was."""

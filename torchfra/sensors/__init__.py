@@ -1,0 +1,15 @@
+"""What sensors measure."""
+
+from torchfra.sensors.base import MeasurementNoise, Sensor
+from torchfra.sensors.direction import Bearings, RangeBearing
+from torchfra.sensors.infrared import InfraredLaser
+from torchfra.sensors.position import Position
+
+__all__ = [
+    "Bearings",
+    "InfraredLaser",
+    "MeasurementNoise",
+    "Position",
+    "RangeBearing",
+    "Sensor",
+]

@@ -1,0 +1,91 @@
+"""Sensors of directions: bearings from stations, and range with bearing."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchfra.hyper import Value
+from torchfra.sensors.base import Sensor
+
+
+class Bearings(Sensor):
+    """Bearings of the target from stations in the plane, clockwise from +y, rad.
+
+    Args:
+        std: of the noise, rad; a number or ``(..., m)`` with one per station.
+        count: stations whose positions come with each step: ``u (..., 2 count)`` is ``[x1, y1, x2, y2, ...]``, m.
+        stations: ``(m, 2)`` positions of stations that stand still, m; ``u`` is not looked at then.
+        noise: root of a correlated noise, instead of ``std``.
+
+    Source: Wang et al. (2021), eq. (6), with all four quadrants.
+    """
+
+    stations: Tensor | None
+
+    def __init__(
+        self,
+        std: Value | None = None,
+        *,
+        count: int = 2,
+        stations: Tensor | None = None,
+        noise: Tensor | None = None,
+    ) -> None:
+        if stations is not None and (stations.dim() != 2 or stations.shape[-1] != 2):
+            raise ValueError(f"stations: expected (m, 2), received {tuple(stations.shape)}")
+        super().__init__(2, [True] * (count if stations is None else len(stations)), std, noise)
+        self.register_buffer("stations", stations)
+
+    def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
+        """See ``Sensor``."""
+        if self.stations is not None:
+            stations = self.stations.to(x)
+        elif u is not None:
+            stations = u[..., : 2 * self.size].unflatten(-1, (self.size, 2))
+        else:
+            raise ValueError(
+                f"u: expected the positions of {self.size} stations, (..., {2 * self.size}), received None"
+            )
+        offset = x[..., None, :2] - stations
+        return torch.atan2(offset[..., 0], offset[..., 1])
+
+
+class RangeBearing(Sensor):
+    """Range, bearing clockwise from +y and, in space, elevation above the plane: m, rad, rad.
+
+    Args:
+        std: of the noise: ``(..., m)`` in m, rad[, rad].
+        dims: 2 for range and bearing, 3 with elevation.
+        noise: root of a correlated noise, instead of ``std``.
+
+    The sensor stands at the origin, or at ``u (..., dims)`` if that is given.
+    """
+
+    def __init__(self, std: Value | None = None, *, dims: int = 2, noise: Tensor | None = None) -> None:
+        if dims not in (2, 3):
+            raise ValueError(f"dims: expected 2 or 3, received {dims}")
+        super().__init__(dims, [False, True, True][:dims], std, noise)
+
+    def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
+        """See ``Sensor``."""
+        offset = x[..., : self.size] if u is None else x[..., : self.size] - u[..., : self.size]
+        ground = torch.hypot(offset[..., 0], offset[..., 1])
+        bearing = torch.atan2(offset[..., 0], offset[..., 1])
+        if self.size == 2:
+            return torch.stack([ground, bearing], -1)
+        up = offset[..., 2]
+        return torch.stack([torch.hypot(ground, up), bearing, torch.atan2(up, ground)], -1)
+
+    def locate(self, z: Tensor) -> Tensor:
+        """See ``Sensor``; from where the sensor stands."""
+        level = z[..., 0] if self.size == 2 else z[..., 0] * z[..., 2].cos()
+        plane = [level * z[..., 1].sin(), level * z[..., 1].cos()]
+        return torch.stack(plane if self.size == 2 else [*plane, z[..., 0] * z[..., 2].sin()], -1)
+
+    def metre(self, z: Tensor) -> Tensor:
+        """See ``Sensor``."""
+        away = z[..., 0]
+        one = torch.ones_like(away)
+        if self.size == 2:
+            return torch.stack([one, 1 / away], -1)
+        return torch.stack([one, 1 / (away * z[..., 2].cos()), 1 / away], -1)
