@@ -76,7 +76,7 @@ def mr_ckf(motion: Motion, sensor: Sensor, *, learn: Names = (), **segments: Any
 
 def asrckf(motion: Motion, sensor: Sensor, *, learn: Names = (), **fading: Any) -> SRCKF:
     """Adaptive: fading factors at every step.  Source: Wang et al. (2021), eqs. (29)-(34)."""
-    return _learning(SRCKF(motion, sensor, adaptive=_fading(motion, fading)), learn)
+    return _learning(SRCKF(motion, sensor, fading=_fading(motion, fading)), learn)
 
 
 def rmckf(
@@ -90,7 +90,7 @@ def rmckf(
 ) -> SRCKF:
     """Robust and adaptive at every step.  Source: Qiu, Qian & Wang (2018), as Wang et al. (2021) describe it."""
     robust = _huber(sensor, threshold, per_element)
-    return _learning(SRCKF(motion, sensor, robust=robust, adaptive=_fading(motion, fading)), learn)
+    return _learning(SRCKF(motion, sensor, robust=robust, fading=_fading(motion, fading)), learn)
 
 
 def ghckf(motion: Motion, sensor: Sensor, *, learn: Names = ()) -> SRCKF:
@@ -143,7 +143,7 @@ def iaukf(
     measurement are drawn anew from the prediction, process noise included (errors 0.1 to 0.9 % smaller).
     """
     side = SageHusa(sensor.blocks, **noise)
-    return _learning(SRCKF(motion, sensor, rule=unscented(1.0, 2.0, 0.0), adaptive=side), learn)
+    return _learning(SRCKF(motion, sensor, rule=unscented(1.0, 2.0, 0.0), noise=side), learn)
 
 
 def fra_srckf(
@@ -161,7 +161,7 @@ def fra_srckf(
     """
     fading = {name: options.pop(name) for name in _FADING if name in options}
     robust = _huber(sensor, threshold, per_element)
-    return _learning(FRA(motion, sensor, robust=robust, adaptive=_fading(motion, fading), **options), learn)
+    return _learning(FRA(motion, sensor, robust=robust, fading=_fading(motion, fading), **options), learn)
 
 
 def fra(motion: Motion, sensor: Sensor, **options: Any) -> FRA:

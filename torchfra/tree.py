@@ -1,23 +1,135 @@
-"""Tuples of tensors: one map over all of them."""
+"""Tuples of tensors: one map over all of them, and what is made of it.
+
+A tree is a tensor, None, or a tuple of trees; other values in a tuple (a number of columns, say) stay as they are.
+Tensors begin with the dimensions of the batch and end with those of one track's entry, the event.  A tuple whose
+fields differ in that says so with ``event_ranks``.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar
 
+import torch
 from torch import Tensor
+
+C = TypeVar("C", bound=type)
+_RANKS: dict[type, dict[str, int]] = {}
+
+
+def event_ranks(**ranks: int) -> Callable[[C], C]:
+    """Decorates a ``NamedTuple``: how many dimensions one track's entry has in each field that is a tensor."""
+
+    def register(cls: C) -> C:
+        _RANKS[cls] = ranks
+        return cls
+
+    return register
+
+
+def map_tensors(function: Callable[..., Any], *trees: Any) -> Any:
+    """``function(x, ...)`` of the tensors of one tree, or of those at the same place in several."""
+    return _mapped(lambda rank, *tensors: function(*tensors), None, *trees)
+
+
+def map_ranked(function: Callable[..., Any], *trees: Any, rank: int | None = None) -> Any:
+    """``function(rank, x, ...)`` of all tensors, with the dimensions of one track's entry; a bare tensor has ``rank``.
+
+    Raises:
+        TypeError: a tuple that has not said the ranks of its fields.
+    """
+
+    def ranked(rank: int | None, *tensors: Tensor) -> Any:
+        if rank is None:
+            raise TypeError(f"tree: expected tuples with event_ranks, received {type(trees[0]).__name__}")
+        return function(rank, *tensors)
+
+    return _mapped(ranked, rank, *trees)
+
+
+def _mapped(function: Callable[..., Any], rank: int | None, *trees: Any) -> Any:
+    tree = trees[0]
+    if isinstance(tree, Tensor):
+        return function(rank, *trees)
+    if not isinstance(tree, tuple):
+        return tree
+    if not hasattr(tree, "_fields"):
+        return tuple(_mapped(function, rank, *parts) for parts in zip(*trees, strict=True))
+    ranks = _RANKS.get(type(tree), {})
+    parts = zip(tree._fields, zip(*trees, strict=True), strict=True)
+    return type(tree)(*(_mapped(function, ranks.get(name), *part) for name, part in parts))
 
 
 def flatten(tree: Any) -> list[Tensor]:
-    """The tensors in tuples of tuples; None is none."""
+    """The tensors of a tree, in order."""
     if isinstance(tree, tuple):
         return [x for part in tree for x in flatten(part)]
-    return [] if tree is None else [tree]
+    return [tree] if isinstance(tree, Tensor) else []
 
 
 def unflatten(like: Any, tensors: Iterator[Tensor]) -> Any:
-    """Tuples of this form around other tensors."""
-    if isinstance(like, tuple):
-        parts: list[Any] = [None if part is None else unflatten(part, tensors) for part in like]
-        return type(like)(*parts) if hasattr(like, "_fields") else tuple(parts)
-    return next(tensors)
+    """A tree of the same form around other tensors."""
+    return map_tensors(lambda _: next(tensors), like)
+
+
+def detach(tree: Any) -> Any:
+    """The same tree, through which no gradients flow back."""
+    return map_tensors(Tensor.detach, tree)
+
+
+def stack(trees: Sequence[Any], dim: int) -> Any:
+    """Trees of one form stacked, their tensors broadcast to each other."""
+    return map_tensors(lambda *xs: torch.stack(torch.broadcast_tensors(*xs), dim), *trees)
+
+
+def unbind(tree: Any, count: int) -> list[Any]:
+    """The ``count`` trees along the first dimension of all tensors."""
+    steps = [x.unbind(0) for x in flatten(tree)]
+    return [unflatten(tree, iter(leaves)) for leaves in zip(*steps, strict=True)] if steps else [tree] * count
+
+
+def where(mask: Tensor, yes: Any, no: Any) -> Any:
+    """``yes`` where ``mask (...)``, else ``no``: trees of tensors that begin with the batch."""
+
+    def choose(a: Tensor, b: Tensor) -> Tensor:
+        return torch.where(mask.reshape(mask.shape + (1,) * (max(a.dim(), b.dim()) - mask.dim())), a, b)
+
+    return map_tensors(choose, yes, no)
+
+
+def insert_batch_dimension(tree: Any) -> Any:
+    """One more dimension of size 1 at the end of the batch; what has no batch is shared and stays."""
+    return map_ranked(lambda rank, x: x.unsqueeze(-1 - rank) if x.dim() > rank else x, tree)
+
+
+def remove_batch_dimension(tree: Any) -> Any:
+    """The reverse of ``insert_batch_dimension``."""
+    return map_ranked(lambda rank, x: x.squeeze(-1 - rank) if x.dim() > rank else x, tree)
+
+
+def where_needed(mask: Tensor, function: Callable[..., Any], arguments: tuple[Any, ...], default: Any) -> Any:
+    """``function(*arguments)`` for the tracks in ``mask (...)`` alone, ``default`` for the others.
+
+    Tracks are gathered, so this is for code that runs eagerly.
+
+    Args:
+        mask: which tracks.
+        function: from arguments to what ``default`` is: a tree of tensors that begin with the batch.
+        arguments: trees with ``event_ranks``, or vectors ``(..., m)``.
+        default: for all tracks.
+    """
+    rows = mask.flatten().nonzero().squeeze(-1)
+    if len(rows) == 0:
+        return default
+
+    def gather(rank: int, x: Tensor) -> Tensor:
+        if x.dim() == rank:
+            return x  # shared by all tracks
+        event = x.shape[x.dim() - rank :]
+        return x.expand(mask.shape + event).reshape((-1, *event))[rows]
+
+    def scatter(values: Tensor, default: Tensor) -> Tensor:
+        event = default.shape[mask.dim() :]
+        return default.reshape((-1, *event)).index_put((rows,), values).reshape(default.shape)
+
+    return map_tensors(scatter, function(*map_ranked(gather, arguments, rank=1)), default)

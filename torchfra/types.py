@@ -1,8 +1,25 @@
-"""The shapes and the tuples that everything shares.
+"""The tuples that everything shares, the letters of their shapes, and the words for what they hold.
 
-Shape letters: ``...`` any batch, ``T`` time, ``n`` state, ``m`` measurement, ``d`` the leading state components that a
-sensor reads.  Batch first, time before the vector, no trailing-one columns; SI units and radians.  A NaN in a
-measurement is missing data.
+Shapes: ``...`` any batch, ``T`` time, ``n`` state, ``m`` measurement, ``k`` what models need to know at a step, ``d``
+the leading state components that a sensor reads, ``p`` points of a rule, ``q`` columns of the process noise, ``K``
+motions of a bank, ``N`` targets, ``J`` measurements of a scan.  Batch first, time before the vector, no trailing-one
+columns; SI units and radians.  A NaN in a measurement is missing data.
+
+Words:
+
+- belief: a Gaussian over states; prior: before the first step; prediction: after the motion, before the measurement.
+- root: a matrix ``A`` with ``P = A A^T``; the lower root is triangular.
+- process noise: what the motion adds to the uncertainty of a state; root ``S_Q``.
+- measurement noise: of the sensor; ``std`` per element, or ``noise``, a root ``S_R``, where elements are correlated.
+- nominal: the measurement noise as the sensor states it; estimated: as a filter has found it to be.
+- whitened: in units of the measurement noise, whose covariance is then the identity.
+- innovation: measured minus predicted; NIS: its normalised square; NEES: that of the estimation error.
+- weight: what divides the measurement noise of an element, from 1 (as stated) down to 0 (left out).
+- fading factor: what multiplies the predicted covariance.
+- threshold: standard deviations from which on Huber's weights fall; gate: NIS above which a step is abnormal, or
+  how far from its prediction a target's measurement is looked for.
+- repaired: a covariance that was not positive definite and was made so; counted, never silent.
+- lost: a track whose error has passed a limit; failed: one that holds NaN or infinity.
 """
 
 from __future__ import annotations
@@ -12,7 +29,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchfra.tree import event_ranks
 
+
+@event_ranks(mean=1, scale_tril=2)
 class Gaussian(NamedTuple):
     """A belief: ``mean (..., n)`` and ``scale_tril (..., n, n)``, the lower root of the covariance."""
 
@@ -25,6 +45,7 @@ class Gaussian(NamedTuple):
         return self.scale_tril @ self.scale_tril.mT
 
 
+@event_ranks(spread=2, process_noise=2, repaired=0)
 class Prediction(NamedTuple):
     """A belief carried over one step, and its parts: ``P = spread spread^T + process_noise process_noise^T``."""
 
@@ -34,9 +55,10 @@ class Prediction(NamedTuple):
     process_noise: Tensor
     """``(..., n, q)`` root of the process noise."""
     repaired: Tensor | None = None
-    """``(...)`` bool, of a rule with negative weights: the covariance was not positive and had to be mended."""
+    """``(...)`` bool, of a rule with negative weights: the covariance was not positive definite and was repaired."""
 
 
+@event_ranks(residual=1, spread=2, lost=2)
 class Whitened(NamedTuple):
     """A measurement against its prediction, in units of the measurement noise (whose covariance is then the identity).
 
@@ -97,7 +119,7 @@ class Estimate(NamedTuple):
 
     @property
     def failed(self) -> Tensor:
-        """``(...)`` True for each track that lost its numbers (NaN or infinity) at some step; the others went on."""
+        """``(...)`` True for each track with NaN or infinity at some step; the others went on."""
         finite = self.mean.isfinite().all(-1) & self.scale_tril.isfinite().flatten(-2).all(-1)
         return ~finite.all(-1)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -12,9 +12,11 @@ from torch.distributions import constraints
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.gram import gram_pinv
 from torchfra.linalg.triangular import hstack, tria
+from torchfra.tree import event_ranks
 from torchfra.types import Prediction, Whitened
 
 
+@event_ranks(moment=2, begun=2)
 class Memory(NamedTuple):
     """Running second moment of the innovations, in units of the measurement noise."""
 
@@ -24,7 +26,27 @@ class Memory(NamedTuple):
     """``(..., m, m)`` 1 where an entry has been seen at least once, else 0."""
 
 
-class Fading(nn.Module):
+class NoFading(nn.Module):
+    """Nothing fades: the motion always holds."""
+
+    def begin(self, mean: Tensor, m: int) -> Memory | None:
+        """What is remembered before the first step."""
+        return None
+
+    def remember(self, memory: Any, residual: Tensor, seen: Tensor) -> Any:
+        """The memory after one more ``residual (..., m)``."""
+        return memory
+
+    def forward(self, prediction: Prediction, whitened: Whitened, memory: Any, weights: Tensor) -> Tensor | None:
+        """The fading factor ``(...)``; None for none."""
+        return None
+
+    def inflate(self, prediction: Prediction, factor: Tensor) -> Prediction:
+        """The prediction with a fading factor."""
+        return prediction
+
+
+class Fading(NoFading):
     """Multiple fading factors: the innovations of late against what the model expects of them.
 
     One factor per track, 1 or more, multiplies the covariance of the faded states that was carried over from the last
@@ -41,7 +63,7 @@ class Fading(nn.Module):
         share: of each group, ``(..., groups)``, 0 or more; by default all have the whole factor.
         trace: ``"full"`` compares whole traces, ``"position"`` those of the faded components.
 
-    A trace that is zero or not a number gives a factor of 1.
+    A trace that is zero or NaN gives a factor of 1.
 
     Raises:
         ValueError: a value out of its range.
@@ -84,7 +106,7 @@ class Fading(nn.Module):
         nothing = mean.new_zeros((*mean.shape[:-1], m, m))
         return Memory(nothing, nothing)
 
-    def remember(self, memory: Memory, residual: Tensor, seen: Tensor) -> Memory:
+    def remember(self, memory: Any, residual: Tensor, seen: Tensor) -> Any:
         """The memory after one more ``residual (..., m)``; entries not ``seen (..., m)`` stay as they were."""
         moment, begun = memory
         square = residual.unsqueeze(-1) * residual.unsqueeze(-2)
@@ -93,7 +115,7 @@ class Fading(nn.Module):
         moment = moment + pair * (square - moment) / (1 + rho * begun)  # eq. (31)
         return Memory(moment, torch.maximum(begun, pair))
 
-    def forward(self, prediction: Prediction, whitened: Whitened, memory: Memory, weights: Tensor) -> Tensor:
+    def forward(self, prediction: Prediction, whitened: Whitened, memory: Any, weights: Tensor) -> Tensor:
         """The fading factor ``(...)``.
 
         Args:

@@ -1,9 +1,9 @@
-"""An estimate of the measurement noise."""
+"""The noise side: how large the measurement noise really is."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -11,9 +11,11 @@ from torch.distributions import constraints
 
 from torchfra.gaussian.update import trust
 from torchfra.hyper import Hyper, Value, one_of
+from torchfra.tree import event_ranks
 from torchfra.types import Whitened
 
 
+@event_ranks(scale=1, total=1, updates=1)
 class NoiseMemory(NamedTuple):
     """What is known of the measurement noise, element by element."""
 
@@ -25,7 +27,42 @@ class NoiseMemory(NamedTuple):
     """``(..., m)`` of them."""
 
 
-class SageHusa(nn.Module):
+class NominalNoise(nn.Module):
+    """Nothing is estimated: the measurement noise is what the sensor says."""
+
+    adapt = "never"
+    """When it learns: ``"innovation"``, before the update, ``"residual"``, after it, or never."""
+
+    def begin(self, mean: Tensor) -> NoiseMemory | None:
+        """What is remembered before the first step."""
+        return None
+
+    def learn(self, memory: Any, whitened: Whitened, seen: Tensor, when: str) -> Any:
+        """The memory after one more measurement, if ``when`` is when this side learns; else as it was.
+
+        Args:
+            memory: before.
+            whitened: the measurement, in units of the nominal noise, against the prediction (``"innovation"``) or
+                against the belief after the update (``"residual"``).
+            seen: ``(..., m)`` 1 where measured.
+            when: which of the two.
+        """
+        return memory
+
+    def known(self, whitened: Whitened, memory: Any, seen: Tensor) -> Whitened:
+        """The measurement in units of the noise as it is known."""
+        return whitened
+
+    def nominal(self, root: Tensor, memory: Any, seen: Tensor) -> Tensor:
+        """A root ``(..., m, m)`` from units of the known noise back in those of the nominal noise."""
+        return root
+
+    def scale(self, memory: Any) -> Tensor | None:
+        """``(..., m)`` estimated variances as multiples of the nominal ones; None where nothing is estimated."""
+        return None
+
+
+class SageHusa(NominalNoise):
     """Estimates the variance of the measurement noise on line, with forgetting, sensor by sensor.
 
     What the innovations scatter beyond the prediction's own uncertainty is noise:
@@ -89,18 +126,22 @@ class SageHusa(nn.Module):
         self.register_buffer("element", torch.tensor([element[i] for i in sorted(element)]), persistent=False)
 
     def begin(self, mean: Tensor) -> NoiseMemory:
-        """Nominal noise, for tracks of state ``mean (..., n)``."""
+        """Nominal noise remembered, for tracks of state ``mean (..., n)``."""
         one = mean.new_ones((*mean.shape[:-1], len(self.element)))
         return NoiseMemory(one, one, 0 * one)
+
+    def learn(self, memory: Any, whitened: Whitened, seen: Tensor, when: str) -> Any:
+        """The memory after one more measurement: eq. (19)."""
+        return self(memory, self.excess(whitened), seen) if when == self.adapt else memory
 
     def excess(self, whitened: Whitened) -> Tensor:
         """``(..., m)`` what one measurement against its prediction says of the variances, ``e^2 - H P H^T`` say.
 
         For ``"residual"`` it is what was measured against the belief after the update.
         """
-        own = whitened.spread.square().sum(-1)
-        own = own if whitened.lost is None else own - whitened.lost.square().sum(-1)
-        return whitened.residual.square() + (own if self.adapt == "residual" else -own)
+        predicted = whitened.spread.square().sum(-1)
+        predicted = predicted if whitened.lost is None else predicted - whitened.lost.square().sum(-1)
+        return whitened.residual.square() + (predicted if self.adapt == "residual" else -predicted)
 
     def forward(self, memory: NoiseMemory, excess: Tensor, weight: Tensor) -> NoiseMemory:
         """The memory after one more ``excess (..., m)``.
@@ -109,8 +150,8 @@ class SageHusa(nn.Module):
         """
         used = (weight >= 0.5).to(excess)
         total = memory.total * self.forgetting.elements(excess) + 1
-        own = self.confidence(excess).index_select(-1, self.element)
-        gain = own if self.confidence_in == "measured" else 1 - own
+        confidence = self.confidence(excess).index_select(-1, self.element)
+        gain = confidence if self.confidence_in == "measured" else 1 - confidence
         rate = gain * weight / total
         scale = (memory.scale + rate * (excess - memory.scale)).clamp(self.lowest, self.highest)
         changed = used * (memory.updates >= self.warmup)
@@ -120,7 +161,15 @@ class SageHusa(nn.Module):
             memory.updates + used,
         )
 
-    def known(self, whitened: Whitened, memory: NoiseMemory, seen: Tensor) -> tuple[Whitened, Tensor]:
-        """The measurement in units of the noise as it is known, and those units ``(..., m, 1)``, 1 where missing."""
-        size = torch.where(seen > 0, memory.scale, 1.0).sqrt().unsqueeze(-1)
-        return trust(whitened, 1 / memory.scale), size
+    def known(self, whitened: Whitened, memory: Any, seen: Tensor) -> Whitened:
+        """The measurement in units of the estimated noise."""
+        return trust(whitened, 1 / memory.scale)
+
+    def nominal(self, root: Tensor, memory: Any, seen: Tensor) -> Tensor:
+        """A root ``(..., m, m)`` from units of the estimated noise back in those of the nominal noise."""
+        return torch.where(seen > 0, memory.scale, 1.0).sqrt().unsqueeze(-1) * root
+
+    def scale(self, memory: Any) -> Tensor | None:
+        """``(..., m)`` estimated variances as multiples of the nominal ones."""
+        scale: Tensor = memory.scale
+        return scale

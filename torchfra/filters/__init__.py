@@ -6,7 +6,9 @@ from torchfra.filters.base import Filter
 from torchfra.filters.fra import FRA, FRAInfo, FRAState
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
 from torchfra.filters.jpda import JPDA, JPDAInfo, JPDAState
+from torchfra.filters.scans import ScanFilter
 from torchfra.filters.srckf import SRCKF, Info, State
+from torchfra.filters.tracks import GaussianFilter, TrackFilter
 from torchfra.filters.vsimm import VSIMM, VSIMMInfo, VSIMMState
 
 __all__ = [
@@ -21,12 +23,15 @@ __all__ = [
     "FRAInfo",
     "FRAState",
     "Filter",
+    "GaussianFilter",
     "IMMInfo",
     "IMMState",
     "Info",
     "JPDAInfo",
     "JPDAState",
+    "ScanFilter",
     "State",
+    "TrackFilter",
     "VSIMMInfo",
     "VSIMMState",
 ]

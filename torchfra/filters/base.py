@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Callable
+from functools import partial
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
-from torch.utils.checkpoint import checkpoint as once_more
 
-from torchfra.gaussian.inputs import Frame, Time, batch_rank, check, make_frames
-from torchfra.gaussian.update import density
+from torchfra.filters.loop import check_lengths, run
+from torchfra.filters.records import Kept, Record
+from torchfra.gaussian.inputs import Frame, Measurements, Time, batch_rank, check
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
@@ -20,40 +21,15 @@ F = TypeVar("F", bound="Filter")
 Mix = Callable[[Gaussian], Gaussian]
 
 
-class Record(NamedTuple):
-    """What a step leaves behind besides its state; innovations in units of the measurement noise."""
-
-    belief: Gaussian
-    residual: Tensor
-    """``(..., m)``."""
-    root: Tensor
-    """``(..., m, m)`` lower root of the residual's covariance."""
-    normalised: Tensor
-    """``(..., m)`` the residual divided by its root."""
-    info: Any
-    density: Tensor | None = None
-    """``(...)`` log density of the residual, where it is not that of a Gaussian with this root."""
-    evidence: Tensor | None = None
-    """``(...)`` log density of the residual as the filter trusts it, where that is another."""
-
-
-class Kept(NamedTuple):
-    """What an estimate holds of a step, before ``finish``."""
-
-    belief: Gaussian
-    nis: Tensor
-    log_likelihood: Tensor
-    info: Any
-
-
 class Filter(nn.Module):
-    """Abstract: a subclass gives ``begin`` and ``advance``.  Nothing of a track is ever kept in the module.
+    """Abstract: ``TrackFilter`` for tracks of one target, ``ScanFilter`` for scans of several.
 
-    All is computed in the dtype and on the device of the measurements.
+    A subclass gives ``begin`` and ``advance``.  Nothing of a track is ever kept in the module.  All is computed in the
+    dtype and on the device of the measurements.
 
     Args:
-        motion: how targets move.
-        sensor: what is measured.
+        motion: how targets move; None for a filter around another one, whose models are its own.
+        sensor: what is measured; likewise.
 
     Raises:
         ValueError: the sensor reads more components than the motion's state has.
@@ -61,26 +37,29 @@ class Filter(nn.Module):
 
     kernel_numbers: tuple[str, ...] = ()
     """Attributes that are plain numbers and that compiled kernels read when they run."""
+    scans = False
+    """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
 
-    def __init__(self, motion: Motion, sensor: Sensor) -> None:
+    def __init__(self, motion: Motion | None = None, sensor: Sensor | None = None) -> None:
         super().__init__()
+        self._kernels: Any = None
+        if motion is None or sensor is None:
+            return
         if sensor.reads > motion.size:
             raise ValueError(f"sensor: expected one that reads at most {motion.size} states, this reads {sensor.reads}")
         self.motion, self.sensor = motion, sensor
-        self._compiled: Any = None
 
-    def compile(self: F) -> F:  # type: ignore[override]  # torch's own compiles forward, step by step unrolled
+    def compile(self: F, *args: Any, **options: Any) -> F:  # type: ignore[override]  # torch's own returns None
         """From here on run as compiled kernels, on the CPU: same results (to rounding), same gradients.
 
-        The step is traced once for one track, every entry of every matrix a number of its own, and goes with its loop
-        over time through the machine's C++ compiler (``g++``, or what ``CXX`` names): seconds for a form of call that
-        no earlier process has compiled (they are kept in ``~/.cache/torchfra``, or where ``TORCHFRA_CACHE`` says).
-        New values of data and hyperparameters need no new kernel, and neither does another number of tracks or steps;
-        another dtype, other optional arguments, or a changed attribute does.
+        It needs a C++ compiler (``g++``, or what ``CXX`` names), and some seconds for a form of call that no earlier
+        process has compiled.  Gradients are of first order.  On other devices, under ``torch.compile`` and in
+        transforms of ``torch.func`` the filter runs as without.  ``torchfra/kernel/README.md`` has the details.
 
-        On other devices, under ``torch.compile`` and in transforms of ``torch.func`` the filter runs as without.
-        Gradients are of first order.  A step of the filter may do what torch does to a single track with sums,
-        products, elementary functions and triangular solutions, without looking at values from Python.
+        Args:
+            args: with any argument this is ``nn.Module.compile``, and so ``torch.compile``, instead:
+                ``f.compile(backend="inductor")``.
+            options: likewise.
 
         Returns:
             The filter itself.
@@ -90,9 +69,12 @@ class Filter(nn.Module):
                 large for one: seven models in space with ``fra`` for each, say.
             NotImplementedError: then too, if the filter does what kernels cannot.
         """
+        if args or options:
+            super().compile(*args, **options)
+            return self
         from torchfra.filters.compiled import Compiled
 
-        self._compiled = Compiled()
+        self._kernels = Compiled()
         return self
 
     def init(self, prior: Gaussian) -> Any:
@@ -143,15 +125,16 @@ class Filter(nn.Module):
         std: Tensor | None = None,
         noise: Tensor | None = None,
     ) -> tuple[Any, Innovation]:
-        """One measurement, for streaming.
+        """One measurement (or scan), for streaming.
 
         Args:
             state: from ``init`` or the step before; it is not changed.
-            z: ``(..., m)``; NaN is missing, and a step with nothing measured is a pure prediction.
+            z: ``(..., m)``, of scans ``(..., J, m)``; NaN is missing, and a step with nothing measured is a pure
+                prediction.
             dt: seconds since the last step, a number or ``(...)``.
             u: ``(..., k)`` what the models need to know, such as where the stations are.
-            std: ``(..., m)`` standard deviation of this measurement, instead of the sensor's.
-            noise: ``(..., m, m)`` root of its covariance, instead of the sensor's.
+            std: like ``z``: standard deviation of this measurement's noise, instead of the sensor's.
+            noise: like ``z`` with one more ``m``: root of the noise covariance, instead of the sensor's.
 
         Returns:
             The next state, whose ``belief`` is the estimate, and what the measurement said.
@@ -159,13 +142,13 @@ class Filter(nn.Module):
         Raises:
             ValueError: a shape or a value that does not fit.
         """
-        given = (z, dt, u, std, noise)
-        if self._compiled is not None and self._compiled.takes(z):
-            compiled: tuple[Any, Innovation] = self._compiled.step(
-                self, state, given, lambda: self._at_once(state, *given)
+        measurements = Measurements(z, dt, u, std, noise)
+        if self._kernels is not None and self._kernels.takes(z):
+            compiled: tuple[Any, Innovation] = self._kernels.step(
+                self, state, measurements, partial(self._frame, state, measurements)
             )
             return compiled
-        return self.observe(state, self._at_once(state, *given))
+        return self.observe(state, self._frame(state, measurements))
 
     def forward(
         self,
@@ -179,129 +162,87 @@ class Filter(nn.Module):
         truncate: int | None = None,
         checkpoint: int | None = None,
     ) -> Estimate:
-        """Whole tracks.
+        """Whole tracks, or sequences of scans.
 
         Args:
-            z: ``(..., T, m)`` measurements; NaN is missing, element by element.
-            prior: the belief one ``dt`` before the first of them: ``mean (..., n)`` and any root ``(..., n, n)``.
+            z: ``(..., T, m)`` measurements, of scans ``(..., T, J, m)``; NaN is missing, element by element.
+            prior: the belief one ``dt`` before the first of them: ``mean (..., n)`` and any root ``(..., n, n)``; of
+                several targets ``(..., N, n)`` and ``(..., N, n, n)``.
             dt: seconds between steps, a number or what broadcasts with ``(..., T)``: ``(T,)`` for each step,
                 ``(..., 1)`` for each track, ``(..., T)`` for both.
             u: ``(..., T, k)`` or ``(T, k)`` what the models need to know at a step, such as where the stations are.
-            std: ``(..., T, m)`` standard deviations of the measurements, instead of the sensor's.
-            noise: ``(..., T, m, m)`` roots of their covariances, instead of the sensor's.
+            std: like ``z``: standard deviations of the measurement noise, instead of the sensor's.
+            noise: like ``z`` with one more ``m``: roots of the noise covariances, instead of the sensor's.
             truncate: steps after which gradients flow no further back (truncated back-propagation); None for all.
             checkpoint: steps between states that are kept for the way back, which computes the steps between anew:
                 less memory for more time.  None keeps everything, and after ``compile`` a state every sqrt(T) steps.
+
+        Returns:
+            Estimates ``(..., T, n)``, of several targets ``(..., N, T, n)``.
 
         Raises:
             ValueError: a shape or a value that does not fit.
         """
         check_lengths(truncate=truncate, checkpoint=checkpoint)
-        batch = self._batch(z, prior, dt, u, std, noise)
-        rank, n = len(batch), self.motion.size
+        measurements = Measurements(z, dt, u, std, noise)
+        batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
+        n = self.motion.size
         mean, root = (x.to(z) for x in prior)
         state = self.init(Gaussian(mean.expand((*batch, n)), root.expand((*batch, n, n))))
-        if self._compiled is not None and self._compiled.takes(z):
-            given = (z, dt, u, std, noise)
-            state, kept = self._compiled.forward(self, state, given, checkpoint, truncate)
+        if self._kernels is not None and self._kernels.takes(z):
+            state, kept = self._kernels.forward(self, state, measurements, checkpoint, truncate)
         else:
-            frames, log_norm = make_frames(self.motion, self.sensor, z, dt, u, std, noise, rank)
-            state, records = self._filter(state, frames, checkpoint, truncate)
-            names = ("belief", "root", "normalised", "info", "density")
-            belief, root, normalised, info, own = (stack([getattr(r, name) for r in records], rank) for name in names)
-            kept = Kept(belief, *_scores(normalised, root, log_norm.movedim(0, -1), own), info)
+            state, kept = self._run(state, measurements, len(batch), checkpoint, truncate)
         belief, info = self.finish(state, kept.belief, kept.info)
         return Estimate(*belief, kept.nis, kept.log_likelihood, info)
 
     def keep(self, state: Any, frame: Frame) -> tuple[Any, Kept]:
         """One step on a prepared frame: the next state, and what the estimate holds of it."""
         state, record = self.advance(state, frame)
-        scores = _scores(record.normalised, record.root, frame.measurement_noise.log_norm, record.density)
-        return state, Kept(record.belief, *scores, record.info)
+        nis, log_likelihood = self._scores(record, frame.measurement_noise.log_norm)
+        return state, Kept(record.belief, nis, log_likelihood, record.info)
 
     def observe(self, state: Any, frame: Frame) -> tuple[Any, Innovation]:
         """One step on a prepared frame: the next state, and what the measurement said."""
         state, record = self.advance(state, frame)
-        residual = frame.measurement_noise.colour(record.residual.unsqueeze(-1)).squeeze(-1)
-        scores = _scores(record.normalised, record.root, frame.measurement_noise.log_norm, record.density)
-        return state, Innovation(residual, frame.measurement_noise.colour(record.root), *scores)
+        residual, root = self._innovation(record, frame)
+        return state, Innovation(residual, root, *self._scores(record, frame.measurement_noise.log_norm))
 
-    def _filter(
-        self, state: Any, frames: list[Frame], checkpoint: int | None, truncate: int | None
-    ) -> tuple[Any, list[Record]]:
-        def run(state: Any, first: int, last: int) -> tuple[Any, list[Record]]:
-            records = []
-            for k in range(first, last):
-                if truncate is not None and k and k % truncate == 0:
-                    state = _detached(state)
-                state, record = self.advance(state, frames[k])
-                records.append(record)
-            return state, records
+    def _run(
+        self, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None
+    ) -> tuple[Any, Kept]:
+        """All steps, one after the other, interpreted."""
+        frames, log_norm = self._frames(measurements, rank)
+        state, record = run(self.advance, state, frames, rank, checkpoint, truncate)
+        return state, Kept(record.belief, *self._scores(record, log_norm.movedim(0, -1)), record.info)
 
-        if checkpoint is None or not torch.is_grad_enabled():
-            return run(state, 0, len(frames))
-        records = []
-        for first in range(0, len(frames), checkpoint):
-            last = min(first + checkpoint, len(frames))
-            state, more = once_more(run, state, first, last, use_reentrant=False)
-            records += more
-        return state, records
-
-    def _at_once(
-        self, state: Any, z: Tensor, dt: Time, u: Tensor | None, std: Tensor | None, noise: Tensor | None
-    ) -> Frame:
+    def _frame(self, state: Any, measurements: Measurements) -> Frame:
         """The frame of a single step, checked."""
-        z = z.unsqueeze(-2)
-        dt = dt.unsqueeze(-1) if isinstance(dt, Tensor) and dt.dim() else dt
-        u, std, noise = (x if x is None else x.unsqueeze(e) for x, e in ((u, -2), (std, -2), (noise, -3)))
-        batch = self._batch(z, state.belief, dt, u, std, noise)
-        if batch != state.belief.mean.shape[:-1]:
-            held = tuple(state.belief.mean.shape[:-1])
-            raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, this is of {held}")
-        (frame,), _ = make_frames(self.motion, self.sensor, z, dt, u, std, noise, len(batch))
+        track = measurements.as_track(scans=self.scans)
+        batch, mean = self._batch(track, state.belief), state.belief.mean
+        expected = mean.shape[: mean.dim() - 1 - self.scans]
+        if batch != expected:
+            raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, this is of {tuple(expected)}")
+        (frame,), _ = self._frames(track, mean.dim() - 1)
         return frame
 
     def _rank(self) -> int:
         """Batch dimensions there are at least."""
-        return batch_rank(self)
+        return max(batch_rank(self), int(self.scans))
 
-    def _batch(
-        self, z: Tensor, prior: Gaussian, dt: Time, u: Tensor | None, std: Tensor | None, noise: Tensor | None
-    ) -> torch.Size:
-        """The batch of all that was handed in, checked, and as many dimensions as the hyperparameters have in front."""
-        batch = check(self.motion, self.sensor, z, prior, dt, u, std, noise)
-        return torch.Size((1,) * (self._rank() - len(batch))) + batch
+    def _batch(self, measurements: Measurements, prior: Gaussian) -> torch.Size:
+        """The batch of all that was handed in, checked, with as many dimensions as the hyperparameters have."""
+        batch = check(measurements, prior, self.motion, self.sensor, scans=self.scans)
+        return torch.Size((1,) * (self._rank() - self.scans - len(batch))) + batch
 
+    def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
+        """A frame for each step, and the log norms of the measurement noise, time first."""
+        raise TypeError(f"{type(self).__name__} needs a _frames: see TrackFilter and ScanFilter")
 
-def _scores(normalised: Tensor, root: Tensor, log_norm: Tensor, own: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Normalised innovation squared and log density."""
-    nis = normalised.square().sum(-1)
-    return nis, log_norm + (density(root, normalised) if own is None else own)
+    def _scores(self, record: Record, log_norm: Tensor) -> tuple[Tensor, Tensor]:
+        """Normalised innovation squared and log likelihood."""
+        raise TypeError(f"{type(self).__name__} needs a _scores: see TrackFilter and ScanFilter")
 
-
-def _detached(state: Any) -> Any:
-    """A tensor, or tuples of them, without what gradients would flow back through."""
-    if state is None or isinstance(state, Tensor):
-        return state if state is None else state.detach()
-    return type(state)(*map(_detached, state))
-
-
-def check_lengths(**lengths: int | None) -> None:
-    """Whether these are numbers of steps, or None.
-
-    Raises:
-        ValueError: names the first that is not.
-    """
-    for name, length in lengths.items():
-        if length is not None and length < 1:
-            raise ValueError(f"{name}: expected at least 1 step, received {length}")
-
-
-def stack(steps: Sequence[Any], rank: int) -> Any:
-    """Tensors, or tuples of them, stacked over time behind ``rank`` batch dimensions; None stays None."""
-    first = steps[0]
-    if first is None:
-        return None
-    if isinstance(first, Tensor):
-        return torch.stack(torch.broadcast_tensors(*steps), rank)
-    return type(first)(*(stack(parts, rank) for parts in zip(*steps, strict=True)))
+    def _innovation(self, record: Record, frame: Frame) -> tuple[Tensor, Tensor]:
+        """The residual and its root in the measurement's own units."""
+        raise TypeError(f"{type(self).__name__} needs an _innovation: see TrackFilter and ScanFilter")

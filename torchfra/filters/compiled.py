@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd import forward_ad
 
-from torchfra.gaussian.inputs import Frame, Time, make_frames
+from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.hyper import Hyper
 from torchfra.kernel.entries import Entries
 from torchfra.kernel.expressions import Expressions
@@ -21,11 +21,8 @@ from torchfra.linalg.tracing import is_traced
 from torchfra.tree import flatten
 from torchfra.types import Gaussian, Innovation
 
-Given = tuple[Tensor, Time, Tensor | None, Tensor | None, Tensor | None]
-"""``z``, ``dt``, ``u``, ``std`` and ``noise`` of a call."""
-
-_NAMES = ("z", "dt", "u", "std", "noise")
-_EVENTS = (1, 0, 1, 1, 2)
+_RANKS = (1, 0, 1, 1, 2)
+"""Event dimensions of the fields of ``Measurements``."""
 
 
 class _Value(NamedTuple):
@@ -84,14 +81,14 @@ class _Version:
         return all(len(owner) == size for owner, size in self.owners)
 
     def plan(
-        self, advance: Callable[..., Any], state: Any, given: Sequence[Tensor | None], timed: Sequence[bool]
+        self, advance: Callable[..., Any], state: Any, data: Sequence[Tensor | None], timed: Sequence[bool]
     ) -> _Plan:
-        """What is to be done with what is ``given``, and has its own for each step where ``timed``."""
+        """What is to be done with this ``data``, which has an entry for each step where ``timed``."""
         mean, dtype = state.belief.mean, state.belief.mean.dtype
         own = [(value, value().shape, value().dim() - value.event) for value in self.values]
         batch = torch.broadcast_shapes(mean.shape[:-1], *(shape[:rank] for _, shape, rank in own))
         inputs, shapes = {}, []
-        for name, x, event, varies in zip(_NAMES, given, _EVENTS, timed, strict=True):
+        for name, x, event, varies in zip(Measurements._fields, data, _RANKS, timed, strict=True):
             if x is not None:
                 inputs[name] = Input(x.shape[x.dim() - event :], varies, False)
                 shapes.append(batch + x.shape[x.dim() - event - varies :])
@@ -105,11 +102,11 @@ class _Version:
         return _Plan(kernels, batch, [batch + zero.shape for zero in kernels.step.zero] + shapes)
 
     def run(
-        self, plan: _Plan, steps: int, state: Any, given: Sequence[Tensor | None], *options: int | None
+        self, plan: _Plan, steps: int, state: Any, data: Sequence[Tensor | None], *options: int | None
     ) -> tuple[Any, Any]:
         """Does it."""
         dtype, leaves = state.belief.mean.dtype, flatten(state)
-        tensors = [*leaves, *(x for x in given if x is not None), *(value() for value in self.values)]
+        tensors = [*leaves, *(x for x in data if x is not None), *(value() for value in self.values)]
         full = [
             x if x.shape == shape and x.dtype == dtype and x.is_cpu else x.to("cpu", dtype).expand(shape)
             for x, shape in zip(tensors, plan.shapes, strict=True)
@@ -128,7 +125,7 @@ def _event(module: nn.Module, part: dict[str, Any], x: Any) -> int | None:
     return x.dim() if read and x is not None else None
 
 
-_PLUMBING = {*nn.Module().__dict__, "_compiled"} - {"training"}
+_PLUMBING = {*nn.Module().__dict__, "_kernels"} - {"training"}
 _VERSIONS = 4
 """How many are remembered: a filter may go back and forth, between soft decisions and hard ones say."""
 _FORMS = 64
@@ -171,31 +168,33 @@ class Compiled:
         )
 
     def forward(
-        self, f: Any, state: Any, given: Given, checkpoint: int | None, truncate: int | None
+        self, f: Any, state: Any, measurements: Measurements, checkpoint: int | None, truncate: int | None
     ) -> tuple[Any, Any]:
         """The state after whole tracks, and what ``f.keep`` keeps of each step.
 
         All has been checked.
         """
-        z, dt, *rest = given
-        seconds = torch.as_tensor(dt, dtype=z.dtype)
-        stays = seconds.dim() == 0 or seconds.shape[-1] == 1
-        seconds = seconds[..., 0] if stays and seconds.dim() else seconds
+        z = measurements.z
+        seconds = measurements.dt if measurements.varying_dt else measurements.common_dt
+        data = (z, torch.as_tensor(seconds, dtype=z.dtype), *measurements[2:])
         now = self._now(f)
         with BUILDING:
-            plan = now.plan(_keep, state, (z, seconds, *rest), (True, not stays, True, True, True))
-        return now.run(plan, z.shape[-2], state, (z, seconds, *rest), checkpoint, truncate)
+            plan = now.plan(_keep, state, data, (True, measurements.varying_dt, True, True, True))
+        return now.run(plan, z.shape[-2], state, data, checkpoint, truncate)
 
-    def step(self, f: Any, state: Any, given: Given, check: Callable[[], Frame]) -> tuple[Any, Innovation]:
+    def step(
+        self, f: Any, state: Any, measurements: Measurements, check: Callable[[], Frame]
+    ) -> tuple[Any, Innovation]:
         """The state after one measurement, and its innovation.
 
         ``check`` is called unless a call of the same shapes has passed it before.
         """
-        z, dt, *rest = given
+        z, dt, *rest = measurements
         seconds = dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype)
+        data = (z, seconds, *rest)
         now = self._now(f)
         mean = state.belief.mean
-        shapes = [None if x is None else x.shape for x in (z, seconds, *rest, *(value() for value in now.values))]
+        shapes = [None if x is None else x.shape for x in (*data, *(value() for value in now.values))]
         form = (z.dtype, mean.dtype, mean.shape, *shapes)
         plan = now.steps.get(form)
         if plan is None or not (isinstance(dt, float) and dt > 0):
@@ -204,8 +203,8 @@ class Compiled:
             with BUILDING:
                 if len(now.steps) == _FORMS:
                     now.steps.clear()
-                plan = now.steps[form] = now.plan(_observe, state, (z, seconds, *rest), (False,) * 5)
-        return now.run(plan, 1, state, (z, seconds, *rest))
+                plan = now.steps[form] = now.plan(_observe, state, data, (False,) * 5)
+        return now.run(plan, 1, state, data)
 
 
 @lru_cache(maxsize=64)
@@ -219,17 +218,15 @@ def _begin(f: Any) -> Any:
     return f.begin(Gaussian(Entries.inputs(book, (n,), dtype), Entries(book, root, dtype)))
 
 
-def _frame(f: Any, given: dict[str, Tensor]) -> Frame:
+def _frame(f: Any, data: dict[str, Tensor]) -> Frame:
     """The frame of one step of one track."""
-    z, u, std, noise = (given[name].unsqueeze(0) if name in given else None for name in ("z", "u", "std", "noise"))
-    assert z is not None
-    (frame,), _ = make_frames(f.motion, f.sensor, z, given["dt"], u, std, noise, 0)
+    (frame,), _ = make_frames(Measurements(**data).as_track(), f.motion, f.sensor, 0)
     return frame
 
 
-def _keep(f: Any, state: Any, given: dict[str, Tensor]) -> Any:
-    return f.keep(state, _frame(f, given))
+def _keep(f: Any, state: Any, data: dict[str, Tensor]) -> Any:
+    return f.keep(state, _frame(f, data))
 
 
-def _observe(f: Any, state: Any, given: dict[str, Tensor]) -> Any:
-    return f.observe(state, _frame(f, given))
+def _observe(f: Any, state: Any, data: dict[str, Tensor]) -> Any:
+    return f.observe(state, _frame(f, data))

@@ -10,15 +10,16 @@ from torch import Tensor
 from torch.distributions import constraints
 from torch.nn.functional import logsigmoid
 
+from torchfra import tree
 from torchfra.adaptive.fading import Fading, Memory
-from torchfra.filters.base import Filter, Mix, Record
+from torchfra.filters.base import Mix
+from torchfra.filters.records import Record
 from torchfra.filters.soft import Soft
+from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import moment_match
-from torchfra.gaussian.model import compare, predict
 from torchfra.gaussian.rules import Rule
-from torchfra.gaussian.select import select, where_needed
 from torchfra.gaussian.update import correct, innovation, trust, trusted_density
 from torchfra.hyper import Hyper, Value, hypers, one_of
 from torchfra.linalg.tracing import is_traced
@@ -66,13 +67,13 @@ class FRAInfo(NamedTuple):
     """``mean (..., T, n)`` and ``scale_tril``: what was known at the step itself."""
 
 
-class FRA(Soft, Filter):
+class FRA(Soft, GaussianFilter):
     """Feedback-decision robust adaptive filter.
 
     A step whose normalised innovation squared is above the gate is abnormal, be it an outlier or a manoeuvre.  There
-    the filter forks: one branch trusts the measurement less (robust), one the prediction less (adaptive).  Both predict
-    the next measurement, and the better branch is kept.  So the estimate of an abnormal step is final only with the
-    next measurement: ``Estimate.mean`` holds the final ones and ``info.provisional`` what was known at each step;
+    the filter forks: one branch down-weights the measurement (robust), one widens the prediction (adaptive).  Both
+    predict the next measurement, and the better branch is kept.  So the estimate of an abnormal step is final only with
+    the next measurement: ``Estimate.mean`` holds the final ones and ``info.provisional`` what was known at each step;
     ``step`` hands out the provisional one as ``state.belief`` and the final one of the step before as
     ``state.settled``.
 
@@ -85,7 +86,7 @@ class FRA(Soft, Filter):
         motion: how targets move.
         sensor: what is measured.
         robust: weights of the robust branch (``torchfra.robust``).
-        adaptive: fading factors of the adaptive branch (``torchfra.adaptive``).
+        fading: fading factors of the adaptive branch (``torchfra.adaptive``).
         rule: see ``SRCKF``.
         gate: normalised innovation squared above which a step is abnormal.
         preference: log odds of the robust branch before the next measurement has spoken; 0 favours none.
@@ -109,7 +110,7 @@ class FRA(Soft, Filter):
         sensor: Sensor,
         *,
         robust: Weights,
-        adaptive: Fading,
+        fading: Fading,
         rule: Callable[[int], Rule] = third_degree,
         gate: Value = 5.991,
         preference: Value = 0.0,
@@ -118,55 +119,50 @@ class FRA(Soft, Filter):
         memory: str = "plain",
         final: str = "robust",
     ) -> None:
-        super().__init__(motion, sensor)
+        super().__init__(motion, sensor, rule)
         one_of(
             decision=(decision, ("normalised", "likelihood")),
             memory=(memory, ("plain", "weighted")),
             final=(final, ("robust", "adaptive", "plain")),
         )
-        whole = rule(motion.size)
-        self.motion_rule, self.sensor_rule = whole, whole.marginal(sensor.reads)
-        if self.motion_rule.signed or self.sensor_rule.signed or not isinstance(robust, Weights):
+        if self.signed or not isinstance(robust, Weights):
             raise ValueError("rule, robust: expected one without negative weights, and one that weighs measurements")
-        self.robust, self.adaptive = robust, adaptive
+        self.robust, self.fading = robust, fading
         self.gate = Hyper(gate, name="gate")
         self.preference = Hyper(preference, constraints.real, name="preference")
         self.decision, self.memory, self.final = decision, memory, final
         self.temperature = temperature
-        parts = (robust, adaptive, self.gate, self.preference)
-        self._decisive = [hyper for part in parts for hyper in hypers(part).values()]
+        self._branching = [h for x in (robust, fading, self.gate, self.preference) for h in hypers(x).values()]
 
     def begin(self, belief: Gaussian) -> FRAState:
-        """See ``Filter``."""
+        """The state of a belief: a normal step, nothing remembered."""
         normal = torch.full_like(belief.mean[..., 0], -torch.inf)
-        memory = self.adaptive.begin(belief.mean, self.sensor.size)
+        memory = self.fading.begin(belief.mean, self.sensor.size)
         return FRAState(belief, belief, belief, belief, belief, normal, memory)
 
     def advance(self, state: FRAState, frame: Frame, mix: Mix | None = None) -> tuple[FRAState, Record]:
-        """See ``Filter``."""
-        settled, kept = self.settle(state, frame)
+        """One step: the one before is settled, then this one is normal or forks."""
+        settled, adaptive_kept = self.settle(state, frame)
         prediction, whitened = self.look(settled if mix is None else mix(settled), frame)
         plain, root, normalised = correct(prediction.belief, whitened)
-        residual, nis = whitened.residual, normalised.square().sum(-1)  # eq. (35)
-        excess = nis - self.gate(nis)
-        weights = self.robust(residual, nis)
-        memory = self.adaptive.remember(state.memory, residual, frame.seen)
-        robust, adaptive, factor = self._where(
+        nis = normalised.square().sum(-1)  # eq. (35)
+        weights = self.robust(whitened.residual, nis)
+        excess, memory = nis - self.gate(nis), self.fading.remember(state.memory, whitened.residual, frame.seen)
+        robust, adaptive, factor = self.where_abnormal(
             excess > 0, self.fork, (prediction, whitened, weights, memory, frame), (plain, plain, torch.ones_like(nis))
-        )
-        belief = self.mix(excess, plain, robust)
+        )  # eq. (36)
         if self.memory == "weighted":
-            memory = self.adaptive.remember(state.memory, weights * residual, frame.seen)
-        state = FRAState(belief, robust, adaptive, plain, settled, excess, memory)
-        weights = select(state.abnormal, weights, torch.ones_like(weights))
-        info = _Step(settled, kept, state.abnormal, factor, weights)
+            memory = self.fading.remember(state.memory, weights * whitened.residual, frame.seen)
+        state = FRAState(self.mix(excess, plain, robust), robust, adaptive, plain, settled, excess, memory)
+        weights = tree.where(state.abnormal, weights, torch.ones_like(weights))
+        info = _Step(settled, adaptive_kept, state.abnormal, factor, weights)
         evidence = None if mix is None else trusted_density(*innovation(trust(whitened, weights)), weights)
-        return state, Record(belief, residual, root, normalised, info, evidence=evidence)
+        return state, Record(state.belief, whitened.residual, root, normalised, info, evidence=evidence)
 
     def look(self, belief: Gaussian, frame: Frame) -> tuple[Prediction, Whitened]:
         """The prediction of a step, and the measurement against it."""
-        prediction = predict(self.motion, self.motion_rule, belief, frame)
-        return prediction, compare(self.sensor, self.sensor_rule, prediction.belief, frame)
+        prediction = self.predict(belief, frame)
+        return prediction, self.compare(prediction.belief, frame)
 
     def settle(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """The step before, decided by this measurement, and ``(...)`` bool: its adaptive branch was kept."""
@@ -175,24 +171,23 @@ class FRA(Soft, Filter):
             shares = torch.log_softmax(scores, 0)
             settled = self.mix(state.excess, state.plain, state.robust, state.adaptive, shares=shares)
             return settled, state.abnormal & (scores[1] > scores[0])
-        kept = self._where(state.abnormal, self.prefer, (state.robust, state.adaptive, frame), state.abnormal)
-        return select(kept, state.adaptive, state.belief), kept
+        branches = (state.robust, state.adaptive, frame)
+        adaptive_kept = self.where_abnormal(state.abnormal, self.prefer_adaptive, branches, state.abnormal)
+        return tree.where(adaptive_kept, state.adaptive, state.belief), adaptive_kept
 
-    def prefer(self, robust: Gaussian, adaptive: Gaussian, frame: Frame) -> Tensor:
+    def prefer_adaptive(self, robust: Gaussian, adaptive: Gaussian, frame: Frame) -> Tensor:
         """``(...)`` bool: the adaptive branch predicts this measurement better; a tie goes to the robust one."""
         scores = self.score(robust, adaptive, frame)
         return scores[1] > scores[0]
 
     def score(self, robust: Gaussian, adaptive: Gaussian, frame: Frame) -> Tensor:
-        """``(2, ...)`` how well each branch predicts this measurement, minus infinity for one that lost its numbers."""
-        both = Gaussian(*(torch.stack(torch.broadcast_tensors(*pair)) for pair in zip(robust, adaptive, strict=True)))
-        _, whitened = self.look(both, frame)
+        """``(2, ...)`` how well each branch predicts this measurement, minus infinity for one that failed."""
+        _, whitened = self.look(tree.stack([robust, adaptive], 0), frame)
         root, normalised = innovation(whitened)
         score = -0.5 * normalised.square().sum(-1)
         if self.decision == "likelihood":
             score = score - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-        preference = self.preference(score)
-        score = torch.stack([score[0] + preference, score[1]])
+        score = torch.stack([score[0] + self.preference(score), score[1]])
         return torch.where(score.isfinite(), score, -torch.inf)
 
     def mix(self, excess: Tensor, plain: Gaussian, *branches: Gaussian, shares: Tensor | None = None) -> Gaussian:
@@ -208,48 +203,47 @@ class FRA(Soft, Filter):
             return branches[0]
         normal, abnormal = (logsigmoid(sign * excess / self.heat).unsqueeze(0) for sign in (-1, 1))
         log_weights = torch.cat([normal, abnormal if shares is None else abnormal + shares])
-        beliefs = Gaussian(*(torch.stack(parts) for parts in zip(plain, *branches, strict=True)))
-        return moment_match(beliefs, log_weights)
+        return moment_match(tree.stack([plain, *branches], 0), log_weights)
 
     def fork(
         self, prediction: Prediction, whitened: Whitened, weights: Tensor, memory: Memory, frame: Frame
     ) -> tuple[Gaussian, Gaussian, Tensor]:
         """Both branches' beliefs, and the fading factor ``(...)``."""
         robust, _, _ = correct(prediction.belief, trust(whitened, weights))  # eqs. (25)-(26)
-        factor = self.adaptive(prediction, whitened, memory, torch.ones_like(weights))
-        faded = self.adaptive.inflate(prediction, factor).belief  # eqs. (29)-(34)
-        adaptive, _, _ = correct(faded, compare(self.sensor, self.sensor_rule, faded, frame))
+        factor = self.fading(prediction, whitened, memory, torch.ones_like(weights))
+        faded = self.fading.inflate(prediction, factor).belief  # eqs. (29)-(34)
+        adaptive, _, _ = correct(faded, self.compare(faded, frame))
         return robust, adaptive, factor
 
     def finish(self, state: FRAState, belief: Gaussian, info: _Step) -> tuple[Gaussian, FRAInfo]:
-        """See ``Filter``: each step's estimate is settled in the next, the last by ``final``."""
+        """Each step's estimate is settled in the next, the last one by ``final``."""
         last = {"robust": state.robust, "adaptive": state.adaptive, "plain": state.plain}[self.final]
         last = self.mix(state.excess, state.plain, last)
-        kept = state.abnormal & torch.full_like(state.abnormal, self.final == "adaptive")
-        rank = kept.dim()
+        adaptive_last = state.abnormal & torch.full_like(state.abnormal, self.final == "adaptive")
+        rank = adaptive_last.dim()
 
-        def late(steps: Tensor, end: Tensor) -> Tensor:
+        def one_later(steps: Tensor, end: Tensor) -> Tensor:
             """Of each step what the next one says of it."""
             return torch.cat([steps.narrow(rank, 1, steps.shape[rank] - 1), end.unsqueeze(rank)], rank)
 
-        settled = Gaussian(*(late(*pair) for pair in zip(info.settled, last, strict=True)))
-        return settled, FRAInfo(info.abnormal, late(info.kept, kept), info.fading, info.weights, belief)
+        settled = tree.map_tensors(one_later, info.settled, last)
+        kept = one_later(info.adaptive_kept, adaptive_last)
+        return settled, FRAInfo(info.abnormal, kept, info.fading, info.weights, belief)
 
-    def _where(self, mask: Tensor, function: Callable[..., Any], arguments: tuple[Any, ...], default: Any) -> Any:
+    def where_abnormal(self, mask: Tensor, function: Callable[..., Any], arguments: Any, default: Any) -> Any:
         """``function`` for the tracks in ``mask``: alone if that can be told now, else for all and then chosen."""
         if self.soft:
             return function(*arguments)
-        batched = any(h.batch_rank for h in self._decisive)
-        if batched or is_traced(mask):
-            return select(mask, function(*arguments), default)
-        return where_needed(mask, function, arguments, default)
+        if is_traced(mask) or any(hyper.batch_rank for hyper in self._branching):
+            return tree.where(mask, function(*arguments), default)
+        return tree.where_needed(mask, function, arguments, default)
 
 
 class _Step(NamedTuple):
     """What one step knows: about itself, and now for good about the one before."""
 
     settled: Gaussian
-    kept: Tensor
+    adaptive_kept: Tensor
     abnormal: Tensor
     fading: Tensor
     weights: Tensor

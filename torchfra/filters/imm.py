@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.distributions import constraints
 
-from torchfra.filters.base import Filter, Mix, Record
+from torchfra import tree
+from torchfra.filters.base import Filter, Mix
+from torchfra.filters.records import Record
+from torchfra.filters.tracks import TrackFilter
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import moment_match
 from torchfra.gaussian.update import density
-from torchfra.hyper import Hyper, Value
+from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg.triangular import whiten
 from torchfra.motion.bank import Bank
-from torchfra.sensors.base import MeasurementNoise
 from torchfra.types import Gaussian
 
 
@@ -37,29 +40,28 @@ class IMMInfo(NamedTuple):
     """``(..., T, K)`` of the models."""
 
 
-class Around(Filter):
+class Around(TrackFilter):
     """Abstract: a filter around another that runs all models of a ``Bank`` in one batched call.
 
     Args:
-        inner: that other; motion and sensor are its own.
+        inner: that other; a copy of it runs here, with the copy's motion and sensor.
 
     Raises:
         ValueError: it has no bank, or is one of these itself.
     """
 
     def __init__(self, inner: Filter) -> None:
-        nn.Module.__init__(self)
+        super().__init__()
         if not isinstance(inner.motion, Bank) or isinstance(inner, Around):
             raise ValueError(
                 f"inner: expected a plain filter around a Bank, received {type(inner).__name__} around "
                 f"{type(inner.motion).__name__}"
             )
-        self._compiled = None
-        self.inner = inner
-        for part in inner.children():
-            if part is not inner.motion and part is not inner.sensor:
-                for hyper in (h for h in part.modules() if isinstance(h, Hyper)):
-                    hyper.shared = 1
+        self.inner = copy.deepcopy(inner)
+        for part in self.inner.children():
+            if part is not self.inner.motion and part is not self.inner.sensor:
+                for hyper in hypers(part).values():
+                    hyper.shared = 1  # all models share the values of their track
 
     @property
     def motion(self) -> Bank:  # type: ignore[override]
@@ -76,14 +78,15 @@ class IMM(Around):
     """Interacting multiple models over any filter of this package, in the log domain and in square-root form.
 
     Args:
-        inner: a filter around a ``Bank`` of K motions; all K run in one batched call.
+        inner: a filter around a ``Bank`` of K motions, of which a copy runs here; all K run in one batched call.
         transition: ``(K, K)``, ``transition[i, j] = P(now j | was i)``, rows that sum to one; it learns as
             ``transition``, row by row on the simplex.
         initial: ``(K,)`` probabilities before the first step; all the same if None.
 
     The models are the last dimension of the inner filter's batch; its hyperparameters are those of a track, or of all.
 
-    A filter that is robust judges its model by the measurement as it trusts it: or one outlier would decide.
+    A robust filter judges its models under the noise that it has assumed after down-weighting: or one outlier would
+    decide which model holds.
 
     ``Estimate.nis`` and the innovation are those of the Gaussian with the moments of all models' predictions,
     ``log_likelihood`` is that of their mixture.
@@ -109,15 +112,15 @@ class IMM(Around):
         self.initial = Hyper(initial.double(), constraints.simplex, event=1, name="initial")
 
     def begin(self, belief: Gaussian) -> IMMState:
-        """See ``Filter``."""
+        """The state of a belief: the same for each model."""
         count = len(self.motion)
         initial = self.initial(belief.mean).log().expand((*belief.mean.shape[:-1], count))
         return IMMState(belief, self.inner.begin(repeated(belief, count)), initial)
 
     def advance(self, state: IMMState, frame: Frame, mix: Mix | None = None) -> tuple[IMMState, Record]:
-        """See ``Filter``; it mixes, and is not mixed."""
+        """One step; ``mix`` is not looked at, as this filter mixes itself."""
         matrix = self.transition(state.log_weights).log()
-        inner, log_weights, record = cycle(self.inner, state.inner, state.log_weights, matrix, for_each(frame))
+        inner, log_weights, record = cycle(self.inner, state.inner, state.log_weights, matrix, for_each_model(frame))
         record = record._replace(info=IMMInfo(log_weights.exp()))
         return IMMState(record.belief, inner, log_weights), record
 
@@ -133,7 +136,7 @@ def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame:
 
     Args:
         inner: the filter of all models.
-        state: its own, whose batch ends in the models.
+        state: of that filter; its batch ends in the models.
         log_weights: ``(..., K)`` before.
         matrix: ``(..., K, K)`` logs of the transition, ``[was, now]``.
         frame: for each model.
@@ -142,45 +145,40 @@ def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame:
         The filter's state, the log weights after, and what all models together keep of the step.
     """
     joint = matrix + log_weights.unsqueeze(-1)
-    ahead = joint.logsumexp(-2)  # eq. (5): (..., K) before the measurement
-    shares = (joint - ahead.unsqueeze(-2)).movedim(-2, 0)  # eq. (6): [was, ..., now]
+    predicted = joint.logsumexp(-2)  # eq. (5): (..., K) before the measurement
+    shares = (joint - predicted.unsqueeze(-2)).movedim(-2, 0)  # eq. (6): [was, ..., now]
 
     def interact(belief: Gaussian) -> Gaussian:
         """Eqs. (7), (8)."""
-        mean, root = belief.mean.movedim(-2, 0).unsqueeze(-2), belief.scale_tril.movedim(-3, 0).unsqueeze(-3)
-        count = len(mean)
-        every = Gaussian(mean.expand(*mean.shape[:-2], count, -1), root.expand(*root.shape[:-3], count, -1, -1))
-        return moment_match(every, shares)
+        mean, root = models_first(belief)
+        return moment_match(repeated(Gaussian(mean, root), shares.shape[-1]), shares)
 
     state, record = inner.advance(state, frame, interact)
-    own = _or_none(density(record.root, record.normalised))
-    log_weights = ahead + (own if record.evidence is None else _or_none(record.evidence))
+    assert record.residual is not None
+    log_density = _without_failed(density(record.root, record.normalised))
+    log_weights = predicted + (log_density if record.evidence is None else _without_failed(record.evidence))
     log_weights = log_weights - log_weights.logsumexp(-1, keepdim=True)  # eq. (9)
-    belief = _together(record.belief, log_weights)  # eqs. (10), (11)
-    seen = _together(Gaussian(record.residual, record.root), ahead)
-    normalised, whole = whiten(seen.scale_tril, seen.mean), (ahead + own).logsumexp(-1)
-    return state, log_weights, Record(belief, *seen, normalised, None, whole)
+    belief = moment_match(models_first(record.belief), log_weights.movedim(-1, 0))  # eqs. (10), (11)
+    innovation = moment_match(models_first(Gaussian(record.residual, record.root)), predicted.movedim(-1, 0))
+    normalised = whiten(innovation.scale_tril, innovation.mean)
+    return state, log_weights, Record(belief, *innovation, normalised, None, (predicted + log_density).logsumexp(-1))
 
 
-def _or_none(score: Tensor) -> Tensor:
-    """Nothing speaks for a model that lost its numbers; the others go on."""
-    return torch.where(score.isnan(), -torch.inf, score)
+def models_first(belief: Gaussian) -> Gaussian:
+    """``(..., K)`` beliefs as ``(K, ...)``."""
+    return Gaussian(belief.mean.movedim(-2, 0), belief.scale_tril.movedim(-3, 0))
 
 
-def _together(belief: Gaussian, log_weights: Tensor) -> Gaussian:
-    """Of ``(..., K)`` beliefs the one with their moments."""
-    first = Gaussian(belief.mean.movedim(-2, 0), belief.scale_tril.movedim(-3, 0))
-    return moment_match(first, log_weights.movedim(-1, 0))
+def _without_failed(log_density: Tensor) -> Tensor:
+    """Nothing speaks for a model that failed (NaN); the others go on."""
+    return torch.where(log_density.isnan(), -torch.inf, log_density)
 
 
-def for_each(frame: Frame) -> Frame:
+def for_each_model(frame: Frame) -> Frame:
     """The same for every model: a batch that ends in the models, which matrices of a ``Bank`` have already."""
-
-    def wide(x: Any, event: int) -> Any:
-        return x if x is None or x.dim() == event else x.unsqueeze(-1 - event)
-
-    noise = MeasurementNoise(
-        *(wide(x, event) for x, event in zip(frame.measurement_noise, (1, 1, 2, 2, 0), strict=True))
+    one_for_all = (frame.z, frame.seen, frame.measurement_noise, frame.dt, frame.u)
+    z, seen, noise, dt, u = (
+        tree.map_ranked(lambda event, x: x.unsqueeze(-1 - event) if x.dim() > event else x, x, rank=rank)
+        for x, rank in zip(one_for_all, (1, 1, None, 0, 1), strict=True)
     )
-    z, seen, dt = frame.z.unsqueeze(-2), frame.seen.unsqueeze(-2), wide(frame.dt, 0)
-    return frame._replace(z=z, seen=seen, measurement_noise=noise, dt=dt, u=wide(frame.u, 1))
+    return frame._replace(z=z, seen=seen, measurement_noise=noise, dt=dt, u=u)

@@ -1,91 +1,65 @@
-"""Targets against the measurements of a scan: batches ``(..., N)``, ``(..., N, 1)`` and ``(..., N, J)``."""
+"""Filters of scans: several targets, whose measurements do not say whose they are."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchfra.adaptive.fading import Memory
-from torchfra.linalg.tracing import is_traced
-from torchfra.sensors.base import MeasurementNoise
-from torchfra.types import Gaussian, Whitened
+from torchfra.filters.base import Filter
+from torchfra.filters.records import Record
+from torchfra.gaussian.inputs import Frame, Measurements, make_frames
+from torchfra.hyper import hypers
+from torchfra.kernel.build import CompileError
+from torchfra.types import Gaussian
 
 
-def column(x: Any) -> Any:
-    """Targets ``(..., N)`` against measurements, ``(..., N, 1)``: a belief, or what an adaptive side remembers."""
-    if isinstance(x, Gaussian):
-        return Gaussian(x.mean.unsqueeze(-2), x.scale_tril.unsqueeze(-3))
-    return type(x)(*(part.unsqueeze(-3 if isinstance(x, Memory) else -2) for part in x))
+class ScanFilter(Filter):
+    """Abstract: measurements ``z (..., T, J, m)``, beliefs ``(..., N, n)``.
 
-
-def flat(x: Any) -> Any:
-    """And back, of what an adaptive side remembers."""
-    return type(x)(*(part.squeeze(-3 if isinstance(x, Memory) else -2) for part in x))
-
-
-def first(predicted: Gaussian, each: Gaussian) -> Gaussian:
-    """All that may have happened, ``(J + 1, ..., N)``: missed, or any one of the measurements ``(..., N, J)``."""
-    mean = torch.cat([predicted.mean.expand_as(each.mean[..., :1, :]), each.mean], -2)
-    root = torch.cat([predicted.scale_tril.expand_as(each.scale_tril[..., :1, :, :]), each.scale_tril], -3)
-    return Gaussian(mean.movedim(-2, 0), root.movedim(-3, 0))
-
-
-def gated(log_weights: Tensor, whitened: Whitened) -> tuple[Tensor, Whitened]:
-    """Only as many of the measurements ``(..., N, J)`` as the fullest gate holds; all of them where code is traced.
-
-    Args:
-        log_weights: ``(..., N, J + 1)`` of the target being missed, and of each measurement.
-        whitened: the measurements.
+    Frames are of measurements ``(..., 1, J)``, to be held against targets ``(..., N, 1)``.  Records have innovations in
+    the measurement's own units, and the log density of the scan.
     """
-    inside = log_weights[..., 1:] > -torch.inf
-    if is_traced(log_weights) or inside.numel() == 0:
-        return log_weights, whitened
-    most = max(int(inside.sum(-1).amax()), 1)
-    if most == inside.shape[-1]:
-        return log_weights, whitened
-    order = inside.to(torch.int8).argsort(dim=-1, descending=True, stable=True)[..., :most]
-    chances = _taken(log_weights[..., 1:], 0, order, inside.shape)
-    return torch.cat([log_weights[..., :1], chances], -1), _chosen(whitened, order, inside.shape)
 
+    scans = True
 
-def likeliest(share: Tensor, whitened: Whitened) -> Whitened:
-    """Of the measurements ``(..., N, J)`` the one with the largest ``share (..., N, J)``, ``(..., N, 1)``."""
-    return _chosen(whitened, share.argmax(-1, keepdim=True), share.shape)
+    def compile(self, *args: object, **options: object) -> ScanFilter:  # type: ignore[override]  # torch's returns None
+        """With arguments ``nn.Module.compile``; without, there are no kernels for scans.
 
+        Raises:
+            CompileError: there are no arguments; see ``Filter``.
+        """
+        if not (args or options):
+            raise CompileError("compile: a scan has too many joint events for a kernel; it runs eagerly, in batches")
+        return super().compile(*args, **options)
 
-def _chosen(whitened: Whitened, order: Tensor, shape: torch.Size) -> Whitened:
-    """Of measurements ``shape = (..., N, J)`` those whose numbers are in ``order (..., N, K)``."""
-    residual, spread = (_taken(x, event, order, shape) for x, event in ((whitened.residual, 1), (whitened.spread, 2)))
-    lost = None if whitened.lost is None else _taken(whitened.lost, 2, order, shape)
-    return Whitened(residual, spread, whitened.reads, lost)
+    def _batch(self, measurements: Measurements, prior: Gaussian) -> torch.Size:
+        """The batch of scenes, checked; targets are no part of it."""
+        batch = super()._batch(measurements, prior)
+        count = prior.mean.shape[-2]
+        for path, hyper in hypers(self).items():
+            if hyper.batch_rank and hyper.raw.shape[-1 - hyper.event] not in (1, count):
+                shape = tuple(hyper.raw.shape)
+                raise ValueError(
+                    f"{path}: expected a value for each of {count} targets or one for all, received {shape}"
+                )
+        return batch
 
+    def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
+        """A frame of measurements ``(..., 1, J)`` for each step, and the log norms of the noise, time first."""
+        z, dt, u, std, noise = measurements
+        z = z.transpose(-3, -2).unsqueeze(-4)
+        std = std if std is None else std.transpose(-3, -2).unsqueeze(-4)
+        noise = noise if noise is None else noise.transpose(-4, -3).unsqueeze(-5)
+        dt = dt.unsqueeze(-2).unsqueeze(-2) if isinstance(dt, Tensor) and dt.dim() > 1 else dt
+        u = u.unsqueeze(-3).unsqueeze(-3) if u is not None and u.dim() > 2 else u
+        return make_frames(Measurements(z, dt, u, std, noise), self.motion, self.sensor, rank + 1)
 
-def _taken(x: Tensor, event: int, order: Tensor, shape: torch.Size) -> Tensor:
-    own = x.shape[x.dim() - event :]
-    rows = order[(..., *[None] * event)].expand(*order.shape, *own)
-    return x.expand(*shape, *own).gather(-event - 1, rows)
+    def _scores(self, record: Record, log_norm: Tensor) -> tuple[Tensor, Tensor]:
+        """Normalised innovation squared of the combined innovation, and log density of the scan."""
+        assert record.density is not None
+        return record.normalised.square().sum(-1), record.density
 
-
-def combined(
-    share: Tensor, residual: Tensor, root: Tensor, normalised: Tensor, noise: MeasurementNoise
-) -> tuple[Tensor, Tensor, Tensor]:
-    """What all measurements together say, in their own units, by the probabilities ``share (..., N, J)``.
-
-    Args:
-        share: that each is the target's own.
-        residual: ``(..., N, J, m)`` in units of the noise.
-        root: ``(..., N, J, m, m)`` of its covariance, in units of the noise.
-        normalised: ``(..., N, J, m)`` residual divided by its root.
-        noise: of each measurement.
-
-    Returns:
-        The weighted innovation ``(..., N, m)``, the root of the likeliest one's covariance, and the weighted normalised
-        innovation.
-    """
-    weight, likeliest = share.unsqueeze(-1), share.argmax(-1)[..., None, None, None]
-    coloured, root = noise.colour(residual.unsqueeze(-1)).squeeze(-1), noise.colour(root)
-    root = root.expand(*share.shape, *root.shape[-2:])
-    own = root.gather(-3, likeliest.expand(*share.shape[:-1], 1, *root.shape[-2:])).squeeze(-3)
-    return (weight * coloured).sum(-2), own, (weight * normalised).sum(-2)
+    def _innovation(self, record: Record, frame: Frame) -> tuple[Tensor, Tensor]:
+        """The combined innovation and its root."""
+        assert record.residual is not None
+        return record.residual, record.root

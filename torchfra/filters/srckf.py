@@ -1,32 +1,34 @@
-"""The square-root cubature Kalman filter and its three seams: a robust, an adaptive and a noise side."""
+"""The square-root cubature Kalman filter and its three sides: robust, fading, and an estimate of the noise."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
-from torchfra.adaptive.fading import Fading, Memory
-from torchfra.adaptive.noise import NoiseMemory, SageHusa
-from torchfra.filters.base import Filter, Mix, Record
+from torchfra.adaptive.fading import Fading, Memory, NoFading
+from torchfra.adaptive.noise import NoiseMemory, NominalNoise, SageHusa
+from torchfra.filters.base import Mix
+from torchfra.filters.records import Record
+from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.model import compare, count_repaired, predict
+from torchfra.gaussian.model import add_counts, repairs
 from torchfra.gaussian.rules import Rule
-from torchfra.gaussian.update import correct, innovation, repaired_root
+from torchfra.gaussian.update import correct, innovation
 from torchfra.motion.base import Motion
 from torchfra.robust.base import Robust
 from torchfra.sensors.base import Sensor
-from torchfra.types import Gaussian, Whitened
+from torchfra.types import Gaussian, Prediction, Whitened
 
 
 class State(NamedTuple):
-    """A belief, and the memory of the innovations if the filter adapts."""
+    """A belief, and what the sides remember of the innovations."""
 
     belief: Gaussian
-    memory: Memory | NoiseMemory | None
+    fading: Memory | None
+    noise: NoiseMemory | None
 
 
 class Info(NamedTuple):
@@ -35,33 +37,34 @@ class Info(NamedTuple):
     weights: Tensor | None = None
     """``(..., T, m)`` of a robust filter."""
     fading: Tensor | None = None
-    """``(..., T)`` factors of an adaptive one."""
+    """``(..., T)`` fading factors."""
     iterations: Tensor | None = None
     """``(..., T)`` of a robust side that iterates; as many as it may where it did not settle."""
     repaired: Tensor | None = None
-    """``(..., T)`` covariances that were not positive and had to be mended; of rules with negative weights, or a robust
-    side that may take off more than there is."""
+    """``(..., T)`` covariances that were not positive definite and were repaired; of rules with negative weights, or a
+    robust side that may take off more than there is."""
     noise: Tensor | None = None
-    """``(..., T, m)`` of a noise side: the estimated variances, as multiples of the nominal ones."""
+    """``(..., T, m)`` estimated variances of the measurement noise, as multiples of the nominal ones."""
 
 
-class SRCKF(Filter):
+class SRCKF(GaussianFilter):
     """Square-root cubature Kalman filter, optionally robust to outliers and adaptive to manoeuvres.
 
     Args:
         motion: how targets move; a linear motion is carried exactly, without points.
         sensor: what is measured.
-        rule: from a number of states to the rule that carries a Gaussian through a function (``torchfra.cubature``).
-        robust: what trusts a wild innovation less (``torchfra.robust``), at every step.
-        adaptive: fading factors for the prediction, or an estimate of the measurement noise (``torchfra.adaptive``), at
-            every step.
+        rule: from a number of states to the rule that carries a Gaussian through a function (``torchfra.gaussian``).
+        robust: what down-weights outlying innovations (``torchfra.robust``); None for nothing.
+        fading: factors that widen the prediction where the motion no longer holds (``torchfra.adaptive``); None for
+            none.
+        noise: an estimate of the measurement noise (``torchfra.adaptive``); None for the sensor's own.
 
-    ``Estimate.nis`` and ``log_likelihood`` judge the measurement before either side has acted, under the nominal noise,
+    ``Estimate.nis`` and ``log_likelihood`` judge the measurement before any side has acted, under the nominal noise,
     or under the noise as it was estimated before the step.
 
     Raises:
-        ValueError: fading factors and a rule with negative weights; an estimate of the noise and a robust side, as one
-            would explain away what the other looks at; or see ``Filter``.
+        ValueError: fading factors and a rule with negative weights; an estimate of the noise beside one of the other
+            sides, as one would explain away what the other looks at; or see ``Filter``.
 
     Source: Arasaratnam & Haykin (2009), "Cubature Kalman Filters"; Wang et al. (2021), sections 1-2, whose equation
     numbers stand in the code.  Differs: measurements count in units of their noise from (17) on, and (17), (20) and
@@ -75,80 +78,66 @@ class SRCKF(Filter):
         *,
         rule: Callable[[int], Rule] = third_degree,
         robust: Robust | None = None,
-        adaptive: Fading | SageHusa | None = None,
+        fading: Fading | None = None,
+        noise: SageHusa | None = None,
     ) -> None:
-        super().__init__(motion, sensor)
-        whole = rule(motion.size)
-        self.motion_rule, self.sensor_rule = whole, whole.marginal(sensor.reads)
-        self.robust = robust
-        self.adaptive = None if isinstance(adaptive, SageHusa) else adaptive
-        self.noise = adaptive if isinstance(adaptive, SageHusa) else None
-        if self.adaptive is not None and (self.motion_rule.signed or self.sensor_rule.signed):
-            raise ValueError("rule: expected one without negative weights for an adaptive filter")
-        if self.noise is not None and robust is not None:
-            raise ValueError("robust: expected none beside an estimate of the noise, received both")
-        if self.noise is not None and len(self.noise.element) != sensor.size:
+        super().__init__(motion, sensor, rule)
+        if fading is not None and self.signed:
+            raise ValueError("rule: expected one without negative weights beside fading factors")
+        if noise is not None and not (robust is None and fading is None):
+            raise ValueError("robust, fading: expected none beside an estimate of the noise, received both")
+        if noise is not None and len(noise.element) != sensor.size:
             raise ValueError(
-                f"blocks: expected those of a sensor of {sensor.size} elements, received {len(self.noise.element)}"
+                f"blocks: expected those of a sensor of {sensor.size} elements, received {len(noise.element)}"
             )
+        self.plain = robust is None and fading is None and noise is None
+        self.robust = Robust() if robust is None else robust
+        self.fading = NoFading() if fading is None else fading
+        self.noise = NominalNoise() if noise is None else noise
 
     def begin(self, belief: Gaussian) -> State:
-        """See ``Filter``."""
-        if self.noise is not None:
-            return State(belief, self.noise.begin(belief.mean))
-        return State(belief, None if self.adaptive is None else self.adaptive.begin(belief.mean, self.sensor.size))
+        """The state of a belief: nothing remembered yet."""
+        return State(belief, self.fading.begin(belief.mean, self.sensor.size), self.noise.begin(belief.mean))
 
     def advance(self, state: State, frame: Frame, mix: Mix | None = None) -> tuple[State, Record]:
-        """See ``Filter``."""
-        state, record = self._advance(state, frame, mix)
-        if not self.motion.angles:
-            return state, record
-        belief = record.belief._replace(mean=self.motion.canonical(record.belief.mean))
-        return state._replace(belief=belief), record._replace(belief=belief)
+        """One step; equation numbers of Wang et al. (2021)."""
+        prediction = self.predict(state.belief if mix is None else mix(state.belief), frame)  # (8)-(13)
+        whitened = self.compare(prediction.belief, frame)  # (14)-(21)
+        if not self.plain:
+            return self.update(prediction, whitened, state, frame)
+        belief, root, normalised = correct(prediction.belief, whitened)  # (17)-(24)
+        belief = self.canonical(belief)
+        info = Info(repaired=repairs(prediction, whitened))
+        return State(belief, None, None), Record(belief, whitened.residual, root, normalised, info)
 
-    def _advance(self, state: State, frame: Frame, mix: Mix | None) -> tuple[State, Record]:
-        start = state.belief if mix is None else mix(state.belief)
-        prediction = predict(self.motion, self.motion_rule, start, frame)
-        whitened = compare(self.sensor, self.sensor_rule, prediction.belief, frame)
-        repaired = count_repaired(prediction.repaired, None if whitened.lost is None else repaired_root(whitened)[1])
-        memory = state.memory
-        if self.noise is not None and isinstance(memory, NoiseMemory):
-            return self._estimating(self.noise, memory, prediction.belief, whitened, frame, repaired)
-        if self.robust is None and self.adaptive is None:
-            belief, root, normalised = correct(prediction.belief, whitened)
-            info = Info(repaired=repaired)
-            return State(belief, None), Record(belief, whitened.residual, root, normalised, info)
-        root, normalised = innovation(whitened)
-        residual, factor = whitened.residual, None
-        weights = (
-            torch.ones_like(residual) if self.robust is None else self.robust(residual, normalised.square().sum(-1))
-        )
-        if self.adaptive is not None and isinstance(memory, Memory):
-            memory = self.adaptive.remember(memory, residual, frame.seen)
-            factor = self.adaptive(prediction, whitened, memory, weights)
-            prediction = self.adaptive.inflate(prediction, factor)  # eq. (29)
-            whitened = compare(self.sensor, self.sensor_rule, prediction.belief, frame)
-        if self.robust is None:
-            belief, _, _ = correct(prediction.belief, whitened)
-            return State(belief, memory), Record(belief, residual, root, normalised, Info(fading=factor))
-        done = self.robust.correct(prediction.belief, whitened, weights, frame.measurement_noise)
-        info = Info(done.weights, factor, done.iterations, count_repaired(repaired, done.repaired))
-        evidence = None if mix is None else done.evidence
-        return State(done.belief, memory), Record(done.belief, residual, root, normalised, info, evidence=evidence)
+    def update(self, prediction: Prediction, whitened: Whitened, state: State, frame: Frame) -> tuple[State, Record]:
+        """The update with its sides: Wang et al. (2021), of the noise Chen, Zou & Wu."""
+        known = self.noise.known(whitened, state.noise, frame.seen)
+        root, normalised = innovation(known)  # (17), (35)
+        weights = self.robust(known.residual, normalised.square().sum(-1))  # (25)
+        noise = self.noise.learn(state.noise, whitened, frame.seen, "innovation")  # Chen, Zou & Wu (19)
+        known = self.noise.known(whitened, noise, frame.seen)
+        widened, known, memory, factor = self.widen(prediction, known, state.fading, weights, frame)  # (29)-(34)
+        done = self.robust.correct(widened.belief, known, weights, frame.measurement_noise)  # (26), (17)-(24)
+        if self.noise.adapt == "residual":
+            noise = self.noise.learn(noise, self.compare(done.belief, frame), frame.seen, "residual")
+        belief, repaired = self.canonical(done.belief), add_counts(repairs(prediction, whitened), done.repaired)
+        info = Info(done.weights, factor, done.iterations, repaired, self.noise.scale(noise))
+        root = self.noise.nominal(root, state.noise, frame.seen)
+        record = Record(belief, whitened.residual, root, normalised, info, evidence=done.evidence)
+        return State(belief, memory, noise), record
 
-    def _estimating(
-        self, noise: SageHusa, memory: NoiseMemory, predicted: Gaussian, whitened: Whitened, frame: Frame,
-        repaired: Tensor | None,
-    ) -> tuple[State, Record]:  # fmt: skip
-        """The update with a noise side: Chen, Zou & Wu, eqs. (19)-(24)."""
-        known, size = noise.known(whitened, memory, frame.seen)
-        root, normalised = innovation(known)
-        if noise.adapt == "innovation":
-            memory = noise(memory, noise.excess(whitened), frame.seen)  # eq. (19)
-            known, _ = noise.known(whitened, memory, frame.seen)
-        belief, _, _ = correct(predicted, known)
-        if noise.adapt == "residual":
-            left = compare(self.sensor, self.sensor_rule, belief, frame)
-            memory = noise(memory, noise.excess(left), frame.seen)
-        info = Info(noise=memory.scale, repaired=repaired)
-        return State(belief, memory), Record(belief, whitened.residual, size * root, normalised, info)
+    def widen(
+        self, prediction: Prediction, whitened: Whitened, memory: Memory | None, weights: Tensor, frame: Frame
+    ) -> tuple[Prediction, Whitened, Memory | None, Tensor | None]:
+        """Prediction and measurement with fading factors, the innovations remembered, and the factors ``(...)``."""
+        memory = self.fading.remember(memory, whitened.residual, frame.seen)  # (31)
+        factor = self.fading(prediction, whitened, memory, weights)  # (32)-(34)
+        if factor is None:
+            return prediction, whitened, memory, None
+        prediction = self.fading.inflate(prediction, factor)  # (29)
+        return prediction, self.compare(prediction.belief, frame), memory, factor
+
+    def canonical(self, belief: Gaussian) -> Gaussian:
+        """The belief with its angles as the motion writes them."""
+        return belief._replace(mean=self.motion.canonical(belief.mean))

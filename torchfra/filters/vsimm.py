@@ -10,8 +10,10 @@ import torch
 from torch import Tensor
 from torch.distributions import constraints
 
-from torchfra.filters.base import Filter, Mix, Record
-from torchfra.filters.imm import Around, cycle, for_each, repeated
+from torchfra import tree
+from torchfra.filters.base import Filter, Mix
+from torchfra.filters.imm import Around, cycle, for_each_model, repeated
+from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value
 from torchfra.types import Gaussian
@@ -52,8 +54,8 @@ class VSIMM(Around):
             reached from every other.
         first: the models that run first.
         transition: ``(K, K)`` between all models, ``transition[i, j] = P(now j | was i)``, all above 0.  Those that run
-            share a row out: a model that goes on keeps its probability to stay, and the rest (of one that goes, all) is
-            divided in proportion.  It learns as ``transition``, row by row on the simplex.
+            share a row out: a model that goes on keeps its self-transition probability, and the rest (of one that
+            goes, all) is divided in proportion.  It learns as ``transition``, row by row on the simplex.
         unlikely: probability below which a model makes room.
         principal: probability above which a model calls its neighbours.  A choice passes no gradient to either.
 
@@ -65,8 +67,10 @@ class VSIMM(Around):
     Part V: Likely-Model Set Algorithm".  Differs: the paper does not say how its set changes; the number is fixed.
     """
 
-    table: Tensor
-    start: Tensor
+    calls: Tensor
+    """``(K, K)`` 1 where a principal model calls another."""
+    first: Tensor
+    """``(A, K)`` the models that run first, one in each row."""
 
     def __init__(
         self,
@@ -79,49 +83,33 @@ class VSIMM(Around):
         principal: Value = 0.5,
     ) -> None:
         super().__init__(inner)
-        if self.motion.transition(torch.ones((), dtype=torch.float64)) is None:
-            raise ValueError(f"inner: expected a filter around a Bank of linear motions, received {self.motion}")
         count = len(self.motion)
-        low, high = torch.as_tensor(unlikely), torch.as_tensor(principal)
-        if not bool(((low >= 0) & (low < high) & (high < 1)).all()):
-            said = f"{low.tolist()}, {high.tolist()}"
-            raise ValueError(f"unlikely, principal: expected 0 <= unlikely < principal < 1, received {said}")
-        if len(set(first)) != len(first) or not 1 < len(first) <= count or not set(first) <= set(range(count)):
-            raise ValueError(f"first: expected 2 to {count} different models, received {list(first)}")
-        table = torch.zeros(count, count, dtype=torch.float64)
-        if len(neighbours) != count:
-            raise ValueError(f"neighbours: expected one list for each of {count} models, received {len(neighbours)}")
-        if max(map(len, neighbours)) >= len(first):
-            said = f"at most {len(first) - 1} for each, which can run beside it, received {neighbours}"
-            raise ValueError(f"neighbours: expected {said}")
-        if not all(0 <= called < count for row in neighbours for called in row):
-            raise ValueError(f"neighbours: expected numbers from 0 to {count - 1}, received {neighbours}")
-        for model, called in enumerate(neighbours):
-            table[model, list(called)] = 1
-        reached = torch.linalg.matrix_power(table + torch.eye(count, dtype=torch.float64), count) > 0
-        if not bool(reached.all()):
-            raise ValueError(f"neighbours: expected every model to be reached from every other, received {neighbours}")
         transition = torch.as_tensor(transition, dtype=torch.float64)
+        if not self.motion.linear:
+            raise ValueError(f"inner: expected a filter around a Bank of linear motions, received {self.motion}")
         if transition.shape[-2:] != (count, count) or not bool((transition > 0).all()):
             raise ValueError(f"transition: expected ({count}, {count}) above 0, received {transition.tolist()}")
+        _check_thresholds(unlikely, principal)
+        if len(set(first)) != len(first) or not 1 < len(first) <= count or not set(first) <= set(range(count)):
+            raise ValueError(f"first: expected 2 to {count} different models, received {list(first)}")
         self.transition = Hyper(transition, constraints.simplex, event=2, name="transition")
         self.unlikely = Hyper(unlikely, constraints.unit_interval, name="unlikely")
         self.principal = Hyper(principal, constraints.unit_interval, name="principal")
-        self.register_buffer("table", table)
-        self.register_buffer("start", torch.eye(count, dtype=torch.float64)[list(first)])
+        self.register_buffer("calls", _calls(neighbours, count, len(first)))
+        self.register_buffer("first", torch.eye(count, dtype=torch.float64)[list(first)])
 
     def begin(self, belief: Gaussian) -> VSIMMState:
-        """See ``Filter``."""
-        start, batch = self.start.to(belief.mean), belief.mean.shape[:-1]
-        log_weights = belief.mean.new_full((*batch, len(start)), -math.log(len(start)))
-        inner = self.inner.begin(repeated(belief, len(start)))
-        return VSIMMState(belief, inner, log_weights, start.expand(*batch, *start.shape))
+        """The state of a belief: the first models, all with the same probability."""
+        first, batch = self.first.to(belief.mean), belief.mean.shape[:-1]
+        log_weights = belief.mean.new_full((*batch, len(first)), -math.log(len(first)))
+        inner = self.inner.begin(repeated(belief, len(first)))
+        return VSIMMState(belief, inner, log_weights, first.expand(*batch, *first.shape))
 
     def advance(self, state: VSIMMState, frame: Frame, mix: Mix | None = None) -> tuple[VSIMMState, Record]:
-        """See ``Filter``; it mixes, and is not mixed."""
+        """One step; ``mix`` is not looked at, as this filter mixes itself."""
         active, goes_on = self.choose(state.active, state.log_weights)
         matrix = self.matrix(state.active, active, goes_on).log()
-        frame = _chosen(for_each(frame), active)
+        frame = _of_active(for_each_model(frame), active)
         inner, log_weights, record = cycle(self.inner, state.inner, state.log_weights, matrix, frame)
         weights = (log_weights.exp().unsqueeze(-2) @ active).squeeze(-2)
         info = VSIMMInfo(weights, active.sum(-2) > 0)
@@ -136,12 +124,12 @@ class VSIMM(Around):
         runs = active.sum(-2)
         high, low = (x(weight).unsqueeze(-1) for x in (self.principal, self.unlikely))
         principal = (weight > high).to(weight)
-        called = ((principal.unsqueeze(-2) @ self.table.to(weight)).squeeze(-2) > 0).to(weight)
+        called = ((principal.unsqueeze(-2) @ self.calls.to(weight)).squeeze(-2) > 0).to(weight)
         likely = runs * (weight >= low).to(weight)
         tier = torch.where(principal > 0, 4.0, torch.where(called > 0, 3.0, runs + likely))
         score = 2 * tier + weight
         mine, other = score.unsqueeze(-1), score.unsqueeze(-2)
-        before = torch.ones_like(self.table).tril(-1).to(weight)  # of equals the first in the bank comes first
+        before = torch.ones_like(self.calls).tril(-1).to(weight)  # of equals the first in the bank comes first
         rank = ((other > mine).to(weight) + (other == mine).to(weight) * before).sum(-1)
         chosen = (rank < active.shape[-2]).to(weight)
         goes_on = (active @ chosen.unsqueeze(-1)).squeeze(-1)
@@ -154,10 +142,10 @@ class VSIMM(Around):
 
         Eq. (4) when all others share what a row leaves.
         """
-        whole = self.transition(was)
-        own = whole.diagonal(dim1=-2, dim2=-1)
-        others = was @ (whole - own.diag_embed()) @ now.mT
-        stay = goes_on * (was @ own.unsqueeze(-1)).squeeze(-1)
+        transition = self.transition(was)
+        diagonal = transition.diagonal(dim1=-2, dim2=-1)
+        others = was @ (transition - diagonal.diag_embed()) @ now.mT
+        stay = goes_on * (was @ diagonal.unsqueeze(-1)).squeeze(-1)
         left = (1 - stay) / others.sum(-1)
         matrix: Tensor = stay.diag_embed() + left.unsqueeze(-1) * others
         return matrix
@@ -169,17 +157,41 @@ def _counted(x: Tensor) -> Tensor:
     return (x.unsqueeze(-2) @ torch.ones(count, count, dtype=x.dtype, device=x.device).triu()).squeeze(-2)
 
 
-def _chosen(frame: Frame, active: Tensor) -> Frame:
+def _of_active(frame: Frame, active: Tensor) -> Frame:
     """Of the matrices of all models those of the active ones."""
 
-    def pick(x: Any, event: int) -> Any:
-        if x is None:
-            return None
-        flat = x.flatten(-event) if event > 1 else x
-        return (active @ flat).unflatten(-1, x.shape[-event:])
+    def pick(rank: int, x: Tensor) -> Tensor:
+        rows = x.flatten(-rank) if rank > 1 else x
+        chosen: Tensor = (active @ rows).unflatten(-1, x.shape[-rank:])
+        return chosen
 
-    follows = frame.adaptation
-    if follows is not None:
-        follows = type(follows)(*(pick(x, event) for x, event in zip(follows, (2, 1, 1), strict=True)))
-    transition, shift, process = pick(frame.transition, 2), pick(frame.shift, 1), pick(frame.process_noise, 2)
-    return frame._replace(transition=transition, shift=shift, process_noise=process, adaptation=follows)
+    models = (frame.transition, frame.shift, frame.process_noise, frame.adaptation)
+    transition, shift, process_noise, adaptation = (
+        tree.map_ranked(pick, x, rank=rank) for x, rank in zip(models, (2, 1, 2, None), strict=True)
+    )
+    return frame._replace(transition=transition, shift=shift, process_noise=process_noise, adaptation=adaptation)
+
+
+def _check_thresholds(unlikely: Value, principal: Value) -> None:
+    low, high = torch.as_tensor(unlikely), torch.as_tensor(principal)
+    if not bool(((low >= 0) & (low < high) & (high < 1)).all()):
+        received = f"{low.tolist()}, {high.tolist()}"
+        raise ValueError(f"unlikely, principal: expected 0 <= unlikely < principal < 1, received {received}")
+
+
+def _calls(neighbours: Sequence[Sequence[int]], count: int, active: int) -> Tensor:
+    """``(K, K)`` 1 where a model calls another, of ``count`` models of which ``active`` run."""
+    if len(neighbours) != count:
+        raise ValueError(f"neighbours: expected one list for each of {count} models, received {len(neighbours)}")
+    if max(map(len, neighbours)) >= active:
+        expected = f"at most {active - 1} for each, which can run beside it"
+        raise ValueError(f"neighbours: expected {expected}, received {neighbours}")
+    if not all(0 <= called < count for row in neighbours for called in row):
+        raise ValueError(f"neighbours: expected numbers from 0 to {count - 1}, received {neighbours}")
+    calls = torch.zeros(count, count, dtype=torch.float64)
+    for model, called in enumerate(neighbours):
+        calls[model, list(called)] = 1
+    reached = torch.linalg.matrix_power(calls + torch.eye(count, dtype=torch.float64), count) > 0
+    if not bool(reached.all()):
+        raise ValueError(f"neighbours: expected every model to be reached from every other, received {neighbours}")
+    return calls

@@ -1,22 +1,59 @@
-"""What a filter can know of a step before it has a belief: checked once, and made for all steps at once."""
+"""What a filter is given: checked once, and turned into what each step needs to know before it has a belief."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
+from torchfra import tree
 from torchfra.hyper import hypers
 from torchfra.linalg.tracing import is_traced
 from torchfra.motion.base import Adaptation, Motion
 from torchfra.sensors.base import MeasurementNoise, Sensor
+from torchfra.tree import event_ranks
 from torchfra.types import Gaussian
 
 Time = float | Tensor
 
 
+@event_ranks(z=1, dt=0, u=1, std=1, noise=2)
+class Measurements(NamedTuple):
+    """What is measured, and what goes with it: time stands before the dimensions of the event."""
+
+    z: Tensor
+    """``(..., T, m)``; NaN is missing.  Of scans ``(..., T, J, m)``."""
+    dt: Time = 1.0
+    """Seconds since the step before: a number, or what broadcasts with ``(..., T)``."""
+    u: Tensor | None = None
+    """``(..., T, k)`` or ``(T, k)`` what the models need to know at a step."""
+    std: Tensor | None = None
+    """Of the measurement noise, like ``z``, instead of the sensor's."""
+    noise: Tensor | None = None
+    """Roots of its covariance, like ``z`` with one more ``m``, instead of the sensor's."""
+
+    @property
+    def varying_dt(self) -> bool:
+        """Whether each step has its own ``dt``."""
+        return isinstance(self.dt, Tensor) and self.dt.dim() > 0 and self.dt.shape[-1] > 1
+
+    @property
+    def common_dt(self) -> Time:
+        """``dt`` without the dimension of time, where it does not vary."""
+        return self.dt[..., 0] if isinstance(self.dt, Tensor) and self.dt.dim() else self.dt
+
+    def as_track(self, *, scans: bool = False) -> Measurements:
+        """A single step as a track of one: ``z (..., m)`` and the like get a dimension of time."""
+        z, dt, u, std, noise = self
+        dt = dt.unsqueeze(-1) if isinstance(dt, Tensor) and dt.dim() else dt
+        u, std, noise = (
+            x if x is None else x.unsqueeze(at) for x, at in ((u, -2), (std, -2 - scans), (noise, -3 - scans))
+        )
+        return Measurements(z.unsqueeze(-2 - scans), dt, u, std, noise)
+
+
+@event_ranks(z=1, seen=1, dt=0, u=1, transition=2, shift=1, process_noise=2)
 class Frame(NamedTuple):
     """All of a step that does not depend on the belief."""
 
@@ -33,64 +70,46 @@ class Frame(NamedTuple):
     process_noise: Tensor
     """``S_Q (..., n, q)``."""
     adaptation: Adaptation | None
-    """How shift and process follow the state."""
+    """How shift and process noise follow the state."""
 
 
-def make_frames(
-    motion: Motion,
-    sensor: Sensor,
-    z: Tensor,
-    dt: Time,
-    u: Tensor | None,
-    std: Tensor | None,
-    noise: Tensor | None,
-    rank: int,
-) -> tuple[list[Frame], Tensor]:
-    """One frame for each step of ``z (..., T, m)``, and the log of their noise, time first.
+def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank: int) -> tuple[list[Frame], Tensor]:
+    """One frame for each step of ``z (..., T, m)``, and the log norms of their measurement noise, ``(T, ...)``.
 
     ``rank`` is the number of batch dimensions, those of the hyperparameters included.
     """
-    steps = z.shape[-2]
+    varying = measurements.varying_dt
+    z, dt, u, std, noise = measurements
 
-    def lead(x: Tensor | None, event: int) -> Tensor | None:
+    def time_first(x: Tensor, event: int) -> Tensor:
         """Time in front of the batch, the batch filled up to its rank."""
-        if x is None:
-            return None
         x = x.to(z).movedim(-1 - event, 0)
         return x.reshape(x.shape[:1] + (1,) * (rank + 1 + event - x.dim()) + x.shape[1:])
 
-    def each(x: Any, timed: bool = True) -> Iterable[Any]:
-        """One entry per step."""
-        if x is None or not timed:
-            return [x] * steps
-        return x.unbind(0) if isinstance(x, Tensor) else (type(x)(*step) for step in zip(*map(each, x), strict=True))
-
-    z = _certain(lead(z, 1)).contiguous()
-    u = lead(u, 1)
-    dt = torch.as_tensor(dt, dtype=z.dtype, device=z.device)
-    timed = dt.dim() > 0 and dt.shape[-1] > 1
-    dt = _certain(lead(dt, 0)) if timed else dt[..., 0] if dt.dim() else dt
+    u, std, noise = (x if x is None else time_first(x, event) for x, event in ((u, 1), (std, 1), (noise, 2)))
+    z = time_first(z, 1).contiguous()
+    dt = torch.as_tensor(dt if varying else measurements.common_dt, dtype=z.dtype, device=z.device)
+    dt = time_first(dt, 0) if varying else dt
     missing = z.isnan()
-    scale = sensor.measurement_noise(z, lead(std, 1), lead(noise, 2))
+    measurement_noise = sensor.measurement_noise(z, std, noise)
     shift = motion.shift(dt, u)
-    moving = shift is not None and shift.dim() > rank + 1 + motion.stacked
+    models = (motion.transition(dt), motion.process_noise(dt), motion.adaptation(dt))
+    varying_shift = shift is not None and shift.dim() > rank + 1 + motion.stacked
+    steps = len(z)
+
+    def each(x: Any, timed: bool = True) -> list[Any]:
+        return tree.unbind(x, steps) if timed else [x] * steps
+
     columns = (
-        each(torch.where(missing, 0.0, z)),
-        each(1.0 - missing.to(z)),
-        each(scale),
-        each(dt, timed),
-        each(u),
-        each(motion.transition(dt), timed),
-        each(shift, moving),
-        each(motion.process_noise(dt), timed),
-        each(motion.adaptation(dt), timed),
+        each((torch.where(missing, 0.0, z), 1.0 - missing.to(z), measurement_noise, u)),
+        each((dt, *models), varying),
+        each(shift, varying_shift),
     )
-    return [Frame(*frame) for frame in zip(*columns, strict=True)], scale.log_norm
-
-
-def _certain(x: Tensor | None) -> Tensor:
-    assert x is not None
-    return x
+    frames = [
+        Frame(z, seen, unit, dt, u, transition, shift, process_noise, adaptation)
+        for (z, seen, unit, u), (dt, transition, process_noise, adaptation), shift in zip(*columns, strict=True)
+    ]
+    return frames, measurement_noise.log_norm
 
 
 def batch_rank(module: nn.Module) -> int:
@@ -99,57 +118,29 @@ def batch_rank(module: nn.Module) -> int:
 
 
 def check(
-    motion: Motion,
-    sensor: Sensor,
-    z: Tensor,
-    prior: Gaussian,
-    dt: Time,
-    u: Tensor | None,
-    std: Tensor | None,
-    noise: Tensor | None,
-    *,
-    scans: bool = False,
+    measurements: Measurements, prior: Gaussian, motion: Motion, sensor: Sensor, *, scans: bool = False
 ) -> torch.Size:
-    """The batch of what a user hands in, once shapes and values are known to fit; time is in front of the vector.
+    """The batch of what a user hands in, once shapes and values are known to fit.
 
-    With ``scans`` measurements are ``(..., T, J, m)`` and priors ``(..., N, n)``; targets are no part of the batch.
+    Args:
+        measurements: of whole tracks.
+        prior: ``(..., n)`` and ``(..., n, n)``.
+        motion: gives ``n``.
+        sensor: gives ``m``.
+        scans: whether measurements are ``(..., T, J, m)`` and priors ``(..., N, n)``; targets are no part of the batch.
 
     Raises:
-        ValueError: names the argument, what was expected and what came.
+        ValueError: names the argument, the shape that was expected and the one that came.
     """
-    n, m = motion.size, sensor.size
-    if not z.is_floating_point():
-        raise ValueError(f"z: expected floating point numbers, received {z.dtype}")
-    event = 2 + scans
-    if z.dim() < event or z.shape[-1] != m or 0 in z.shape[-event:]:
-        raise ValueError(f"z: expected (..., T, {'J, ' if scans else ''}{m}), received {tuple(z.shape)}")
-    steps, each = z.shape[-event], tuple(z.shape[-2:-1]) if scans else ()
-    batch = {"z": z.shape[:-event]}
-    targets = (None,) if scans else ()
-    root = (*targets, n, n) if prior.scale_tril.dim() > 2 else (n, n)
-    for name, x, shape in (
-        ("prior.mean", prior.mean, (*targets, n)),
-        ("prior.scale_tril", prior.scale_tril, root),
-        ("u", u, (steps, None)),
-        ("std", std, (steps, *each, m)),
-        ("noise", noise, (steps, *each, m, m)),
-    ):
-        if x is None:
-            continue
-        fits = x.dim() >= len(shape) and all(
-            b is None or a == b for a, b in zip(x.shape[-len(shape) :], shape, strict=True)
-        )
-        if not fits:
-            unknown = "N" if name.startswith("prior") else "k"
-            wanted = ", ".join(unknown if s is None else str(s) for s in shape)
-            raise ValueError(f"{name}: expected (..., {wanted}), received {tuple(x.shape)}")
-        batch[name] = x.shape[: x.dim() - len(shape)]
+    z, dt = measurements.z, measurements.dt
+    batch = _batches(measurements, prior, motion.size, sensor.size, scans)
     if scans and prior.scale_tril.dim() > 2 and prior.scale_tril.shape[-3] != prior.mean.shape[-2]:
         count = prior.mean.shape[-2]
         raise ValueError(
             f"prior.scale_tril: expected one for each of {count} targets, received {tuple(prior.scale_tril.shape)}"
         )
     if isinstance(dt, Tensor):
+        steps = z.shape[-2 - scans]
         if dt.dim() and dt.shape[-1] not in (1, steps):
             raise ValueError(f"dt: expected a number or (..., {steps}) or (..., 1), received {tuple(dt.shape)}")
         batch["dt"] = dt.shape[:-1]
@@ -158,5 +149,37 @@ def check(
     try:
         return torch.Size(torch.broadcast_shapes(*batch.values()))
     except RuntimeError:
-        said = ", ".join(f"{name} {tuple(shape)}" for name, shape in batch.items())
-        raise ValueError(f"batch: expected shapes that broadcast, received {said}") from None
+        received = ", ".join(f"{name} {tuple(shape)}" for name, shape in batch.items())
+        raise ValueError(f"batch: expected shapes that broadcast, received {received}") from None
+
+
+def _batches(measurements: Measurements, prior: Gaussian, n: int, m: int, scans: bool) -> dict[str, torch.Size]:
+    """The batch of each argument, once its event is known to fit."""
+    z, _, u, std, noise = measurements
+    if not z.is_floating_point():
+        raise ValueError(f"z: expected floating point numbers, received {z.dtype}")
+    rank = 2 + scans
+    if z.dim() < rank or z.shape[-1] != m or 0 in z.shape[-rank:]:
+        raise ValueError(f"z: expected (..., T, {'J, ' if scans else ''}{m}), received {tuple(z.shape)}")
+    steps, per_scan = z.shape[-rank], tuple(z.shape[-2:-1]) if scans else ()
+    targets = (None,) if scans else ()
+    root = (*targets, n, n) if prior.scale_tril.dim() > 2 else (n, n)
+    batch = {"z": z.shape[:-rank]}
+    for name, x, shape in (
+        ("prior.mean", prior.mean, (*targets, n)),
+        ("prior.scale_tril", prior.scale_tril, root),
+        ("u", u, (steps, None)),
+        ("std", std, (steps, *per_scan, m)),
+        ("noise", noise, (steps, *per_scan, m, m)),
+    ):
+        if x is None:
+            continue
+        fits = x.dim() >= len(shape) and all(
+            wanted is None or size == wanted for size, wanted in zip(x.shape[-len(shape) :], shape, strict=True)
+        )
+        if not fits:
+            unknown = "N" if name.startswith("prior") else "k"
+            wanted = ", ".join(unknown if size is None else str(size) for size in shape)
+            raise ValueError(f"{name}: expected (..., {wanted}), received {tuple(x.shape)}")
+        batch[name] = x.shape[: x.dim() - len(shape)]
+    return batch

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.rules import Rule
+from torchfra.gaussian.update import repaired_root
 from torchfra.linalg.gram import downdate
 from torchfra.linalg.triangular import apply, hstack, tria
 from torchfra.motion.base import Motion
@@ -14,9 +15,15 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Prediction, Whitened
 
 
-def count_repaired(*repaired: Tensor | None) -> Tensor | None:
-    """How many of them, None of none."""
-    there = [x.to(torch.int64) if x.dtype == torch.bool else x for x in repaired if x is not None]
+def repairs(prediction: Prediction, whitened: Whitened) -> Tensor | None:
+    """How many covariances ``(...)`` of a step had to be repaired; None for rules that never need it."""
+    measured = None if whitened.lost is None else repaired_root(whitened)[1]
+    return add_counts(prediction.repaired, measured)
+
+
+def add_counts(*counts: Tensor | None) -> Tensor | None:
+    """The sum of counts, or of truth values, that are there; None of none."""
+    there = [x.to(torch.int64) for x in counts if x is not None]
     return sum(there[1:], there[0]) if there else None
 
 

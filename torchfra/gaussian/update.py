@@ -27,7 +27,7 @@ class Joint(NamedTuple):
 def repaired_root(whitened: Whitened) -> tuple[Tensor, Tensor]:
     """Where weights are negative: lower root ``(..., m, m)`` of what does not follow the belief, noise included.
 
-    Also ``(...)`` bool: it was not positive and had to be mended.
+    Also ``(...)`` bool: it was not positive definite and was repaired.
     """
     assert whitened.lost is not None
     return downdate(tria(hstack(_unit(whitened), whitened.rest)), whitened.lost)

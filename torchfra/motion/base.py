@@ -16,8 +16,10 @@ from torch.nn.functional import pad
 from torchfra.angles import wrap
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.triangular import apply
+from torchfra.tree import event_ranks
 
 
+@event_ranks(lift=2, size=1, slope=1)
 class Adaptation(NamedTuple):
     """How a linear motion follows the acceleration that is estimated before a step, taken as known."""
 

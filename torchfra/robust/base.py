@@ -1,8 +1,4 @@
-"""The measurement side: how a filter trusts a wild innovation less.
-
-Two kinds.  ``Weights`` (``Huber``, ``ThreeSegment``) divide the noise of each element by a weight from 1 (trusted) down
-to 0 (left out), and the update stays what it was.  ``HuberScore`` and ``HuberRegression`` make an update of their own.
-"""
+"""What a robust side is: from a measurement and its prediction to the belief after it."""
 
 from __future__ import annotations
 
@@ -11,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from torchfra.gaussian.update import correct
 from torchfra.sensors.base import MeasurementNoise
 from torchfra.types import Gaussian, Whitened
 
@@ -19,10 +16,10 @@ class Corrected(NamedTuple):
     """What a robust side makes of a measurement."""
 
     belief: Gaussian
-    weights: Tensor
-    """``(..., m)`` how far each element was trusted."""
+    weights: Tensor | None
+    """``(..., m)`` by which the noise of each element was divided; None where nothing is down-weighted."""
     evidence: Tensor | None = None
-    """``(...)`` log density of the innovation as it was trusted, up to a constant; None for the plain one."""
+    """``(...)`` log density of the innovation under the noise so divided, less a constant; None for the nominal one."""
     iterations: Tensor | None = None
     """``(...)`` if it iterates."""
     repaired: Tensor | None = None
@@ -30,7 +27,12 @@ class Corrected(NamedTuple):
 
 
 class Robust(nn.Module):
-    """Abstract: a subclass gives ``correct``."""
+    """The plain update, which down-weights nothing; a subclass gives ``forward``, ``correct`` or both."""
+
+    @property
+    def plain(self) -> bool:
+        """Whether it down-weights nothing."""
+        return type(self) is Robust
 
     def forward(self, residual: Tensor, nis: Tensor) -> Tensor:
         """Weights ``(..., m)`` by which the noise of a ``residual (..., m)``, in units of it, is to be divided.
@@ -46,6 +48,6 @@ class Robust(nn.Module):
             belief: predicted.
             whitened: the measurement against it.
             weights: what ``forward`` gave, of this innovation or of the one before the prediction was widened.
-            noise: what the measurement was divided by.
+            noise: the measurement noise that the measurement is in units of.
         """
-        raise TypeError(f"{type(self).__name__} needs a correct")
+        return Corrected(correct(belief, whitened)[0], None)

@@ -15,8 +15,10 @@ from torch import Tensor, nn
 from torchfra.angles import wrap
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.triangular import hstack, tria
+from torchfra.tree import event_ranks
 
 
+@event_ranks(std=1, scale=1, root=2, mix=2, log_norm=0)
 class MeasurementNoise(NamedTuple):
     """Measurement noise of a step, ready to divide by.  A missing element weighs nothing."""
 

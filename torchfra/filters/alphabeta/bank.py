@@ -25,7 +25,8 @@ from torchfra.filters.alphabeta.single import (
     unfolded,
     updated_parts,
 )
-from torchfra.filters.base import Mix, Record
+from torchfra.filters.base import Mix
+from torchfra.filters.records import Record
 from torchfra.filters.soft import Soft
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value, one_of

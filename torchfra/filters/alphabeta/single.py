@@ -11,7 +11,9 @@ from torch.distributions import constraints
 
 from torchfra.filters.alphabeta import gains as design
 from torchfra.filters.alphabeta.gains import Gains
-from torchfra.filters.base import Filter, Mix, Record
+from torchfra.filters.base import Mix
+from torchfra.filters.records import Record
+from torchfra.filters.tracks import TrackFilter
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.tracing import is_traced
@@ -42,7 +44,7 @@ class AlphaBetaState(NamedTuple):
         return Gaussian(self.mean, unfolded(self.root, self.mean.shape[-1]))
 
 
-class Gained(Filter):
+class Gained(TrackFilter):
     """Abstract: a filter of positions, axis by axis."""
 
     def __init__(self, motion: Motion, sensor: Sensor, start: str, period: Value | None) -> None:

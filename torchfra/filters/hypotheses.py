@@ -1,0 +1,93 @@
+"""Targets against the measurements of a scan: batches ``(..., N)``, ``(..., N, 1)`` and ``(..., N, J)``."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchfra import tree
+from torchfra.linalg.tracing import is_traced
+from torchfra.sensors.base import MeasurementNoise
+from torchfra.types import Gaussian, Whitened
+
+
+def missed_or_measured(predicted: Gaussian, each: Gaussian) -> Gaussian:
+    """All that may have happened, ``(J + 1, ..., N)``: missed, or any one of the measurements ``(..., N, J)``."""
+    mean = torch.cat([predicted.mean.expand_as(each.mean[..., :1, :]), each.mean], -2)
+    root = torch.cat([predicted.scale_tril.expand_as(each.scale_tril[..., :1, :, :]), each.scale_tril], -3)
+    return Gaussian(mean.movedim(-2, 0), root.movedim(-3, 0))
+
+
+def gated(log_weights: Tensor, whitened: Whitened) -> tuple[Tensor, Whitened]:
+    """Only as many of the measurements ``(..., N, J)`` as the fullest gate holds; all of them where code is traced.
+
+    Args:
+        log_weights: ``(..., N, J + 1)`` of the target being missed, and of each measurement.
+        whitened: the measurements.
+    """
+    inside = log_weights[..., 1:] > -torch.inf
+    if is_traced(log_weights) or inside.numel() == 0:
+        return log_weights, whitened
+    most = max(int(inside.sum(-1).amax()), 1)
+    if most == inside.shape[-1]:
+        return log_weights, whitened
+    order = inside.to(torch.int8).argsort(dim=-1, descending=True, stable=True)[..., :most]
+    chances = _taken(log_weights[..., 1:], 0, order, inside.shape)
+    return torch.cat([log_weights[..., :1], chances], -1), _chosen(whitened, order, inside.shape)
+
+
+def likeliest(share: Tensor, whitened: Whitened) -> Whitened:
+    """Of the measurements ``(..., N, J)`` the one with the largest ``share (..., N, J)``, ``(..., N, 1)``."""
+    return _chosen(whitened, share.argmax(-1, keepdim=True), share.shape)
+
+
+def weighted_mean(x: Tensor, share: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean ``(..., N, 1, m)`` of ``x (..., N, J, m)`` by the probability of each measurement, and their sum.
+
+    0 where the sum is below a half: nothing is learned from it then.
+
+    Args:
+        x: of each measurement.
+        share: ``(..., N, J)`` probability that it is the target's.
+        seen: ``(..., 1, J, m)`` 1 where measured.
+    """
+    weight = share.unsqueeze(-1) * seen
+    total = weight.sum(-2, keepdim=True)
+    likely = total >= 0.5
+    mean = torch.where(likely, (weight * x).sum(-2, keepdim=True), 0.0) / torch.where(likely, total, 1.0)
+    return mean, total
+
+
+def combined(
+    share: Tensor, residual: Tensor, root: Tensor, normalised: Tensor, noise: MeasurementNoise
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What all measurements together say, in their own units, by the probabilities ``share (..., N, J)``.
+
+    Args:
+        share: probability that a measurement is the target's.
+        residual: ``(..., N, J, m)`` in units of the measurement noise.
+        root: ``(..., N, J, m, m)`` of its covariance, in units of the measurement noise.
+        normalised: ``(..., N, J, m)`` residual divided by its root.
+        noise: of each measurement.
+
+    Returns:
+        The weighted innovation ``(..., N, m)``, the root of the likeliest one's covariance, and the weighted normalised
+        innovation.
+    """
+    weight, best = share.unsqueeze(-1), share.argmax(-1)[..., None, None, None]
+    coloured, root = noise.colour(residual.unsqueeze(-1)).squeeze(-1), noise.colour(root)
+    root = root.expand(*share.shape, *root.shape[-2:])
+    root = root.gather(-3, best.expand(*share.shape[:-1], 1, *root.shape[-2:])).squeeze(-3)
+    return (weight * coloured).sum(-2), root, (weight * normalised).sum(-2)
+
+
+def _chosen(whitened: Whitened, order: Tensor, shape: torch.Size) -> Whitened:
+    """Of measurements ``shape = (..., N, J)`` those whose numbers are in ``order (..., N, K)``."""
+    chosen: Whitened = tree.map_ranked(lambda rank, x: _taken(x, rank, order, shape), whitened)
+    return chosen
+
+
+def _taken(x: Tensor, rank: int, order: Tensor, shape: torch.Size) -> Tensor:
+    event = x.shape[x.dim() - rank :]
+    rows = order[(..., *[None] * rank)].expand(*order.shape, *event)
+    return x.expand(*shape, *event).gather(-rank - 1, rows)

@@ -1,0 +1,57 @@
+"""Tracks that are missed so often that they seem lost: how often, and how wide they then search."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchfra.association.gates import Gate
+from torchfra.hyper import Hyper
+from torchfra.types import Gaussian, Prediction
+
+_SEARCH = 5.0
+"""Times that the covariance of a track that seems lost quadruples."""
+
+
+def log_miss(detection: Hyper, gate: Gate, like: Tensor) -> Tensor:
+    """Log of the probability that a target has no measurement in its gate: a number or ``(..., N)``."""
+    chance, inside = detection(like), gate.inside()
+    chance = chance if inside is None else chance * inside.to(like)
+    some = chance < 1 - 4 * torch.finfo(chance.dtype).eps
+    miss = torch.where(some, torch.log1p(-torch.where(some, chance, 0.0)), -torch.inf)
+    return miss.squeeze(-1) if miss.dim() else miss
+
+
+def missed_scans(before: Tensor, log_weights: Tensor, seen: Tensor) -> Tensor:
+    """Expected scans ``(..., N)`` since the last measurement; a scan without any says nothing.
+
+    Args:
+        before: ``(..., N)``.
+        log_weights: ``(..., N, J + 1)`` of the target being missed, and of each measurement.
+        seen: ``(..., 1, J, m)`` 1 where measured.
+    """
+    some = (seen.sum((-2, -1)) > 0).expand(before.shape)
+    return torch.where(some, log_weights[..., 0].exp() * (before + 1), before)
+
+
+def search(
+    prediction: Prediction, missed: Tensor, searched: Tensor, log_miss: Tensor, lost: float
+) -> tuple[Prediction, Tensor]:
+    """A prediction as wide as it must be where the track seems lost, and how often ``(..., N)`` it has been widened.
+
+    Args:
+        prediction: of targets ``(..., N, 1)``.
+        missed: ``(..., N)`` scans since the last measurement.
+        searched: ``(..., N)`` how often the covariance has been quadrupled.
+        log_miss: see above.
+        lost: probability to be missed so often by chance, below which a track seems lost; 0 for never.
+    """
+    if lost == 0:
+        return prediction, searched
+    patience = math.log(lost) / log_miss
+    wanted = (missed - patience).clamp(0.0, _SEARCH)
+    times = (2.0 ** (wanted - searched).clamp_min(0.0))[..., None, None, None]  # of the root
+    (mean, root), spread, process_noise, repaired = prediction
+    return Prediction(Gaussian(mean, times * root), times * spread, times * process_noise, repaired), wanted

@@ -1,0 +1,42 @@
+"""What a step leaves behind besides its state, and what of that goes into an estimate."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from torch import Tensor
+
+from torchfra.gaussian.update import density
+from torchfra.types import Gaussian
+
+
+class Record(NamedTuple):
+    """One step; innovations in units of the measurement noise."""
+
+    belief: Gaussian
+    residual: Tensor | None
+    """``(..., m)``; None once records of several steps are stacked."""
+    root: Tensor
+    """``(..., m, m)`` lower root of the residual's covariance."""
+    normalised: Tensor
+    """``(..., m)`` the residual divided by its root."""
+    info: Any
+    density: Tensor | None = None
+    """``(...)`` log density of the residual, where it is not that of a Gaussian with this root."""
+    evidence: Tensor | None = None
+    """``(...)`` log density of the residual under the noise that the filter has assumed after down-weighting it."""
+
+
+class Kept(NamedTuple):
+    """What an estimate holds of a step, before ``finish``."""
+
+    belief: Gaussian
+    nis: Tensor
+    log_likelihood: Tensor
+    info: Any
+
+
+def scores(normalised: Tensor, root: Tensor, log_norm: Tensor, log_density: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Normalised innovation squared and log density ``(...)``, constants and the units of the noise included."""
+    nis = normalised.square().sum(-1)
+    return nis, log_norm + (density(root, normalised) if log_density is None else log_density)

@@ -1,0 +1,63 @@
+"""Filters of tracks: one target, whose measurements are known to be its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from torch import Tensor
+
+from torchfra.filters.base import Filter
+from torchfra.filters.records import Record, scores
+from torchfra.gaussian.cubature import third_degree
+from torchfra.gaussian.inputs import Frame, Measurements, make_frames
+from torchfra.gaussian.model import compare, predict
+from torchfra.gaussian.rules import Rule
+from torchfra.motion.base import Motion
+from torchfra.sensors.base import Sensor
+from torchfra.types import Gaussian, Prediction, Whitened
+
+
+class TrackFilter(Filter):
+    """Abstract: measurements ``z (..., T, m)``, beliefs ``(..., n)``."""
+
+    def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
+        """A frame for each step, and the log norms of the measurement noise, time first."""
+        return make_frames(measurements, self.motion, self.sensor, rank)
+
+    def _scores(self, record: Record, log_norm: Tensor) -> tuple[Tensor, Tensor]:
+        """Normalised innovation squared and log likelihood."""
+        return scores(record.normalised, record.root, log_norm, record.density)
+
+    def _innovation(self, record: Record, frame: Frame) -> tuple[Tensor, Tensor]:
+        """The residual and its root in the measurement's own units."""
+        noise = frame.measurement_noise
+        assert record.residual is not None
+        return noise.colour(record.residual.unsqueeze(-1)).squeeze(-1), noise.colour(record.root)
+
+
+class GaussianFilter(TrackFilter):
+    """Abstract: carries a Gaussian through motion and sensor by a rule.
+
+    Args:
+        motion: how targets move; a linear motion is carried exactly, without points.
+        sensor: what is measured.
+        rule: from a number of states to the rule (``torchfra.gaussian``).
+    """
+
+    def __init__(self, motion: Motion, sensor: Sensor, rule: Callable[[int], Rule] = third_degree) -> None:
+        super().__init__(motion, sensor)
+        self.motion_rule = rule(motion.size)
+        self.sensor_rule = self.motion_rule.marginal(sensor.reads)
+
+    @property
+    def signed(self) -> bool:
+        """Whether some weights of the rule are negative, so that covariances may need repair."""
+        return self.motion_rule.signed or self.sensor_rule.signed
+
+    def predict(self, belief: Gaussian, frame: Frame) -> Prediction:
+        """The belief one step later."""
+        return predict(self.motion, self.motion_rule, belief, frame)
+
+    def compare(self, belief: Gaussian, frame: Frame) -> Whitened:
+        """The measurement against a predicted belief."""
+        return compare(self.sensor, self.sensor_rule, belief, frame)
