@@ -6,9 +6,11 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
+from torchfra.gaussian.inputs import Frame
+from torchfra.gaussian.model import add_counts
+from torchfra.gaussian.update import repaired_root
 from torchfra.linalg.tracing import is_traced
-from torchfra.sensors.base import MeasurementNoise
-from torchfra.types import Gaussian, Whitened
+from torchfra.types import Gaussian, Prediction, Whitened
 
 
 def missed_or_measured(predicted: Gaussian, each: Gaussian) -> Gaussian:
@@ -59,7 +61,7 @@ def weighted_mean(x: Tensor, share: Tensor, seen: Tensor) -> tuple[Tensor, Tenso
 
 
 def combined(
-    share: Tensor, residual: Tensor, root: Tensor, normalised: Tensor, noise: MeasurementNoise
+    share: Tensor, residual: Tensor, root: Tensor, normalised: Tensor, frame: Frame
 ) -> tuple[Tensor, Tensor, Tensor]:
     """What all measurements together say, in their own units, by the probabilities ``share (..., N, J)``.
 
@@ -68,17 +70,24 @@ def combined(
         residual: ``(..., N, J, m)`` in units of the measurement noise.
         root: ``(..., N, J, m, m)`` of its covariance, in units of the measurement noise.
         normalised: ``(..., N, J, m)`` residual divided by its root.
-        noise: of each measurement.
+        frame: of the scan; tells the units.
 
     Returns:
         The weighted innovation ``(..., N, m)``, the root of the likeliest one's covariance, and the weighted normalised
         innovation.
     """
+    noise = frame.measurement_noise
     weight, best = share.unsqueeze(-1), share.argmax(-1)[..., None, None, None]
     coloured, root = noise.colour(residual.unsqueeze(-1)).squeeze(-1), noise.colour(root)
     root = root.expand(*share.shape, *root.shape[-2:])
     root = root.gather(-3, best.expand(*share.shape[:-1], 1, *root.shape[-2:])).squeeze(-3)
     return (weight * coloured).sum(-2), root, (weight * normalised).sum(-2)
+
+
+def target_repairs(prediction: Prediction, whitened: Whitened) -> Tensor | None:
+    """How many covariances of a target had to be repaired; None for rules that never need it."""
+    measured = None if whitened.lost is None else repaired_root(whitened)[1].any(-1)
+    return add_counts(None if prediction.repaired is None else prediction.repaired.squeeze(-1), measured)
 
 
 def _chosen(whitened: Whitened, order: Tensor, shape: torch.Size) -> Whitened:

@@ -17,7 +17,7 @@ from torchfra.association.events import check_exact
 from torchfra.association.gates import Candidates, Gate
 from torchfra.association.joint import associate
 from torchfra.filters.base import Filter, Mix
-from torchfra.filters.hypotheses import combined, gated, likeliest, missed_or_measured, weighted_mean
+from torchfra.filters.hypotheses import combined, gated, likeliest, missed_or_measured, target_repairs, weighted_mean
 from torchfra.filters.lost_tracks import log_miss, missed_scans, search
 from torchfra.filters.records import Record
 from torchfra.filters.scans import ScanFilter
@@ -25,8 +25,7 @@ from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import SRCKF, State
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import moment_match
-from torchfra.gaussian.model import add_counts
-from torchfra.gaussian.update import density, innovation, repaired_root
+from torchfra.gaussian.update import density, innovation
 from torchfra.hyper import Hyper, Value, hypers
 from torchfra.types import Gaussian, Prediction, Whitened
 
@@ -61,6 +60,18 @@ class JPDAInfo(NamedTuple):
     repaired: Tensor | None
     """``(..., N, T)`` covariances that were not positive definite and were repaired; of rules with negative
     weights."""
+
+
+class _Scan(NamedTuple):
+    """The measurements of a scan ``(..., N, J)`` against the prediction of each target."""
+
+    whitened: Whitened
+    root: Tensor
+    """``(..., N, J, m, m)`` of the innovation's covariance, in units of the nominal noise."""
+    normalised: Tensor
+    candidates: Candidates
+    log_density: Tensor
+    """``(..., N, J)`` of each measurement if it is the target's."""
 
 
 class JPDA(Soft, ScanFilter):
@@ -153,37 +164,38 @@ class JPDA(Soft, ScanFilter):
         f, (belief, fading, noise) = self.inner, tree.insert_batch_dimension(state.inner)
         miss = log_miss(self.detection, self.gate, state.missed)
         prediction, searched = search(f.predict(belief, frame), state.missed, state.searched, miss, self.lost)
-        whitened = f.compare(prediction.belief, frame)
-        known = f.noise.known(whitened, noise, frame.seen)
-        root, normalised = innovation(known)
-        root = f.noise.nominal(root, noise, frame.seen)
-        candidates = self.candidates(prediction.belief, whitened, normalised, frame)
-        fit = density(root, normalised) + frame.measurement_noise.log_norm
-        association = self.associate(candidates, fit, miss)  # (25)-(27)
-        noise = self.learn_noise(noise, whitened, association, frame, "innovation")  # (19)
-        known = f.noise.known(whitened, noise, frame.seen)
-        widened, known, fading, factor = self.widen(prediction, known, fading, candidates, association, frame)
-        belief, weights = self.update(widened.belief, known, candidates, association, frame)  # (28)-(30)
+        scan = self.look(prediction.belief, noise, frame)
+        association = self.associate(scan, miss)  # (25)-(27)
+        noise = self.learn_noise(noise, scan.whitened, association, frame, "innovation")  # (19)
+        known = f.noise.known(scan.whitened, noise, frame.seen)
+        widened, known, fading, factor = self.widen(prediction, known, fading, scan, association, frame)
+        belief, weights = self.update(widened.belief, known, scan, association, frame)  # (28)-(30)
         if f.noise.adapt == "residual":
             left = f.compare(tree.insert_batch_dimension(belief), frame)
             noise = self.learn_noise(noise, left, association, frame, "residual")
         inner = State(belief, *tree.remove_batch_dimension((fading, noise)))
-        scale = f.noise.scale(inner.noise)
-        info = JPDAInfo(association.log_weights.exp(), factor, scale, weights, _repairs(prediction, whitened))
-        together = combined(association.share, whitened.residual, root, normalised, frame.measurement_noise)
         missed = missed_scans(state.missed, association.log_weights, frame.seen)
+        repaired = target_repairs(prediction, scan.whitened)
+        info = JPDAInfo(association.log_weights.exp(), factor, f.noise.scale(inner.noise), weights, repaired)
+        together = combined(association.share, scan.whitened.residual, scan.root, scan.normalised, frame)
         return JPDAState(inner, missed, searched), Record(belief, *together, info, association.evidence)
 
-    def candidates(self, belief: Gaussian, whitened: Whitened, normalised: Tensor, frame: Frame) -> Candidates:
+    def look(self, belief: Gaussian, noise: Any, frame: Frame) -> _Scan:
         """The measurements of a scan against the prediction of each target."""
-        seen = frame.seen > 0
-        gap = frame.measurement_noise.colour(whitened.residual.unsqueeze(-1)).squeeze(-1)
-        there = self.sensor(belief.mean, frame.u)
-        predicted = torch.where(seen, frame.z - gap, there)
-        return Candidates(torch.where(seen, frame.z, there), predicted, frame.seen, normalised.square().sum(-1))
+        whitened = self.inner.compare(belief, frame)
+        root, normalised = innovation(self.inner.noise.known(whitened, noise, frame.seen))
+        root = self.inner.noise.nominal(root, noise, frame.seen)
+        seen, unit = frame.seen > 0, frame.measurement_noise
+        gap = unit.colour(whitened.residual.unsqueeze(-1)).squeeze(-1)
+        expected = self.sensor(belief.mean, frame.u)
+        predicted = torch.where(seen, frame.z - gap, expected)
+        z = torch.where(seen, frame.z, expected)
+        candidates = Candidates(z, predicted, frame.seen, normalised.square().sum(-1))
+        return _Scan(whitened, root, normalised, candidates, density(root, normalised) + unit.log_norm)
 
-    def associate(self, candidates: Candidates, fit: Tensor, miss: Tensor) -> Association:
-        """Which measurement is whose, by log densities ``fit (..., N, J)``: eqs. (25)-(27)."""
+    def associate(self, scan: _Scan, miss: Tensor) -> Association:
+        """Which measurement is whose: eqs. (25)-(27)."""
+        candidates, fit = scan.candidates, scan.log_density
         odds = self.detection(fit).log() - self.clutter(candidates, self.sensor)
         measured = candidates.seen.sum(-1) > 0
         inside = torch.where(measured, self.gate(candidates, self.sensor, self.temperature), -torch.inf)
@@ -205,8 +217,8 @@ class JPDA(Soft, ScanFilter):
         return memory._replace(scale=torch.where(enough, mean, memory.scale))
 
     def widen(
-        self, prediction: Prediction, known: Whitened, memory: Memory | None, candidates: Candidates,
-        association: Association, frame: Frame,
+        self, prediction: Prediction, known: Whitened, memory: Memory | None, scan: _Scan, association: Association,
+        frame: Frame,
     ) -> tuple[Prediction, Whitened, Memory | None, Tensor | None]:  # fmt: skip
         """Prediction and measurements with fading factors, the innovations remembered, and the factors ``(..., N)``."""
         if memory is None:
@@ -215,26 +227,20 @@ class JPDA(Soft, ScanFilter):
         residual, total = weighted_mean(known.residual, share, frame.seen)
         memory = f.fading.remember(memory, residual, (total >= 0.5).to(residual))
         nearest = likeliest(share, known)
-        nis = candidates.nis.gather(-1, share.argmax(-1, keepdim=True))
+        nis = scan.candidates.nis.gather(-1, share.argmax(-1, keepdim=True))
         factor = f.fading(prediction, nearest, memory, f.robust(nearest.residual, nis))
         factor = torch.where(total.amax(-1) >= 0.5, factor, 1.0)  # nothing was measured that could ask for it
         prediction = f.fading.inflate(prediction, factor)
         return prediction, f.compare(prediction.belief, frame), memory, factor.squeeze(-1)
 
     def update(
-        self, predicted: Gaussian, known: Whitened, candidates: Candidates, association: Association, frame: Frame
+        self, predicted: Gaussian, known: Whitened, scan: _Scan, association: Association, frame: Frame
     ) -> tuple[Gaussian, Tensor | None]:
         """The Gaussian with the moments of all that may have happened, and the weights of a robust filter."""
         robust, log_weights = self.inner.robust, association.log_weights
         if robust.plain:
             log_weights, known = gated(log_weights, known)
-        weights = robust(known.residual, candidates.nis)
+        weights = robust(known.residual, scan.candidates.nis)
         each = robust.correct(predicted, known, weights, frame.measurement_noise)
         belief = moment_match(missed_or_measured(predicted, each.belief), log_weights.movedim(-1, 0))
         return self.inner.canonical(belief), None if robust.plain else weights
-
-
-def _repairs(prediction: Prediction, whitened: Whitened) -> Tensor | None:
-    """How many covariances of a target had to be repaired; None for rules that never need it."""
-    measured = None if whitened.lost is None else repaired_root(whitened)[1].any(-1)
-    return add_counts(None if prediction.repaired is None else prediction.repaired.squeeze(-1), measured)
