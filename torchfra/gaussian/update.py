@@ -45,9 +45,9 @@ def joint(belief: Gaussian, whitened: Whitened) -> Joint:
     ``tria([[I, rest, H S], [0, 0, S]]) = [[S_zz, 0], [K S_zz, S_post]]``.
     """
     m, n, d = whitened.residual.shape[-1], belief.mean.shape[-1], whitened.reads
-    top = pad(_blocks(whitened), (m + n, n - d))  # behind what tria leads with
+    top = pad(_blocks(whitened), (m + n, n - d))  # behind the zeros that tria wants
     root = belief.scale_tril.expand((*top.shape[:-2], n, n))
-    whole = tria(torch.cat([top, pad(root, (top.shape[-1] - n, 0))], -2), led=True)
+    whole = tria(torch.cat([top, pad(root, (top.shape[-1] - n, 0))], -2), padded=True)
     return Joint(whole[..., :m, :m], whole[..., m:, :m], whole[..., m:, m:])
 
 
