@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchfra.association import associate, clusters, events
+from torchfra.association import associate, joint_events, same_cluster
 
 
 def random_scan(rng, targets, count, share=0.6, scale=2.0):
@@ -87,7 +87,7 @@ def test_clusters_are_what_shares_measurements_directly_or_not():
     gated = torch.tensor([[1, 0, 0, 0], [1, 1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0]], dtype=torch.bool)
     expected = torch.eye(5, dtype=torch.bool)
     expected[:3, :3] = True
-    assert torch.equal(clusters(gated), expected)
+    assert torch.equal(same_cluster(gated), expected)
 
 
 def test_the_order_of_targets_and_measurements_does_not_matter():
@@ -202,7 +202,7 @@ def test_a_scan_of_nothing_is_refused():
 def test_events_are_all_of_them_once():
     for targets, count in ((1, 3), (2, 3), (4, 2), (3, 5)):
         number = sum(math.comb(targets, k) * math.perm(count, k) for k in range(min(targets, count) + 1))
-        every = events(targets, count)
+        every = joint_events(targets, count)
         assert len(every) == len({tuple(e) for e in every.tolist()}) == number
     with pytest.raises(ValueError, match="exact: expected targets"):
-        events(8, 12)
+        joint_events(8, 12)

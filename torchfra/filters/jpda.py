@@ -180,7 +180,7 @@ class JPDA(Soft, Filter):
         memory = self._adapted("residual", memory, left, found, frame)
         noise = memory.scale if isinstance(memory, NoiseMemory) else None
         info = JPDAInfo(found.log_weights.exp(), factor, noise, weights, repaired)
-        seen = combined(found.share, whitened.residual, size * root, normalised, frame.measurement_noise)
+        seen = combined(found.probabilities, whitened.residual, size * root, normalised, frame.measurement_noise)
         missed = self._missed(state.missed, found, frame)
         return JPDAState(State(belief, memory), missed, searched), Record(belief, *seen, info, found.evidence)
 
@@ -191,7 +191,7 @@ class JPDA(Soft, Filter):
         inside = torch.where(measured, self.gate(candidates, self.sensor, self.temperature), -torch.inf)
         diffuse = self.clutter.rate is None
         ratio = torch.where(inside > -torch.inf, fit + odds + inside, -torch.inf)
-        return associate(ratio, self._log_miss(fit), diffuse=diffuse, inside=inside, exact=self.exact)
+        return associate(ratio, self._log_miss(fit), diffuse=diffuse, log_membership=inside, exact=self.exact)
 
     def _updated(
         self, predicted: Gaussian, known: Whitened, candidates: Candidates, found: Association, frame: Frame
@@ -328,7 +328,7 @@ class JPDA(Soft, Filter):
             return memory
         excess, whole = _mean(side.excess(whitened), found, frame)
         after = flat(side(column(memory), excess, whole))
-        return _pooled(after, found.share.sum(-1, keepdim=True)) if self.share_noise else after
+        return _pooled(after, found.probabilities.sum(-1, keepdim=True)) if self.share_noise else after
 
     def _faded(
         self, prediction: Prediction, whitened: Whitened, memory: Any, candidates: Candidates, found: Association,
@@ -340,8 +340,8 @@ class JPDA(Soft, Filter):
             return prediction, whitened, memory, None
         residual, whole = _mean(whitened.residual, found, frame)
         memory = fading.remember(column(memory), residual, (whole >= 0.5).to(residual))
-        own = likeliest(found.share, whitened)
-        nis = candidates.nis.gather(-1, found.share.argmax(-1, keepdim=True))
+        own = likeliest(found.probabilities, whitened)
+        nis = candidates.nis.gather(-1, found.probabilities.argmax(-1, keepdim=True))
         weights = torch.ones_like(own.residual) if robust is None else robust(own.residual, nis)
         factor = fading(prediction, own, memory, weights)
         factor = torch.where(whole.amax(-1) >= 0.5, factor, 1.0)  # nothing was measured that could ask for it
@@ -351,7 +351,7 @@ class JPDA(Soft, Filter):
 
     def _log_miss(self, like: Tensor) -> Tensor:
         """Log of the probability that a target has no measurement in its gate: a number or ``(..., N)``."""
-        chance, inside = self.detection(like), self.gate.inside()
+        chance, inside = self.detection(like), self.gate.gate_probability()
         chance = chance if inside is None else chance * inside.to(like)
         some = chance < 1 - 4 * torch.finfo(chance.dtype).eps
         miss = torch.where(some, torch.log1p(-torch.where(some, chance, 0.0)), -torch.inf)
@@ -386,7 +386,7 @@ def _mean(of: Tensor, found: Association, frame: Frame) -> tuple[Tensor, Tensor]
 
     0 where it was hardly anything: nothing is learned from it then.
     """
-    weight = found.share.unsqueeze(-1) * frame.seen
+    weight = found.probabilities.unsqueeze(-1) * frame.seen
     whole = weight.sum(-2, keepdim=True)
     likely = whole >= 0.5
     mean = torch.where(likely, (weight * of).sum(-2, keepdim=True), 0.0) / torch.where(likely, whole, 1.0)
