@@ -138,11 +138,11 @@ def test_the_score_is_its_covariance_form(whitening, cov_mode):
     np.testing.assert_allclose(P, cov, rtol=1e-10, atol=1e-12)
 
 
-@pytest.mark.parametrize("start", ["prior", "posterior"])
+@pytest.mark.parametrize("first_iterate", ["prior", "posterior"])
 @pytest.mark.parametrize("iterations", [1, 3, 40])
-def test_the_regression_is_its_covariance_form(start, iterations):
-    mean, P, (P0, H, R, s) = update(HuberRegression(0.9, max_iter=iterations, start=start, tol=0.0))
-    x, cov = oracles.huber_regression(P0, H, R, s, 0.9, iterations, start)
+def test_the_regression_is_its_covariance_form(first_iterate, iterations):
+    mean, P, (P0, H, R, s) = update(HuberRegression(0.9, max_iter=iterations, first_iterate=first_iterate, tol=0.0))
+    x, cov = oracles.huber_regression(P0, H, R, s, 0.9, iterations, first_iterate)
     np.testing.assert_allclose(mean, x, rtol=1e-9)
     np.testing.assert_allclose(P, cov, rtol=1e-9, atol=1e-12)
 
@@ -244,7 +244,7 @@ def test_a_threshold_without_end_has_gradients_in_a_bank():
         (lambda: HuberScore(eps=1.0), "eps"),
         (lambda: HuberScore(0.0), "threshold: expected a value above 0"),
         (lambda: HuberRegression(max_iter=0), "max_iter"),
-        (lambda: HuberRegression(start="zero"), "start"),
+        (lambda: HuberRegression(first_iterate="zero"), "first_iterate: expected one of"),
         (lambda: growth("offset"), "outliers"),
         (lambda: growth(size=0.5), "size, share"),
         (lambda: reentry(radar="laser"), "radar"),
