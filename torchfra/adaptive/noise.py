@@ -82,7 +82,7 @@ class SageHusa(nn.Module):
         if confidence.shape[-1:] != (len(blocks),):
             raise ValueError(f"confidence: expected (..., {len(blocks)}), received {tuple(confidence.shape)}")
         self.forgetting = Hyper(forgetting, constraints.interval(0.0, 1.0), name="forgetting")
-        self.confidence = Hyper(confidence, constraints.interval(0.0, 1.0), event=1, name="confidence")
+        self.confidence = Hyper(confidence, constraints.interval(0.0, 1.0), event_dim=1, name="confidence")
         self.confidence_in, self.warmup, self.adapt = confidence_in, warmup, adapt
         self.lowest, self.highest = lowest, highest
         element = {i: number for number, block in enumerate(blocks) for i in block}

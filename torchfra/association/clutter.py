@@ -38,7 +38,7 @@ class Clutter(nn.Module):
             raise ValueError("volume, extent: expected exactly one of the two")
         self.volume = None if volume is None else Hyper(volume, name="volume")
         extent = None if extent is None else torch.as_tensor(extent, dtype=torch.float64)
-        self.extent = None if extent is None else Hyper(extent, event=1, name="extent")
+        self.extent = None if extent is None else Hyper(extent, event_dim=1, name="extent")
         self.rate = None if rate is None else Hyper(rate, name="rate")
 
     def check(self, sensor: Sensor) -> None:

@@ -59,7 +59,7 @@ class Around(Filter):
         for part in inner.children():
             if part is not inner.motion and part is not inner.sensor:
                 for hyper in (h for h in part.modules() if isinstance(h, Hyper)):
-                    hyper.shared = 1
+                    hyper.shared_dims = 1
 
     @property
     def motion(self) -> Bank:  # type: ignore[override]
@@ -105,8 +105,8 @@ class IMM(Around):
             )
         if initial.shape[-1:] != (count,):
             raise ValueError(f"initial: expected ({count},), received {tuple(initial.shape)}")
-        self.transition = Hyper(transition, constraints.simplex, event=2, name="transition")
-        self.initial = Hyper(initial.double(), constraints.simplex, event=1, name="initial")
+        self.transition = Hyper(transition, constraints.simplex, event_dim=2, name="transition")
+        self.initial = Hyper(initial.double(), constraints.simplex, event_dim=1, name="initial")
 
     def begin(self, belief: Gaussian) -> IMMState:
         """See ``Filter``."""

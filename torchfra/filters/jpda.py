@@ -134,7 +134,7 @@ class JPDA(Soft, Filter):
         self.temperature = temperature
         for hyper in self.modules():
             if isinstance(hyper, Hyper):
-                hyper.shared = 1  # all measurements share the values of their target
+                hyper.shared_dims = 1  # all measurements share the values of their target
 
     @property
     def motion(self) -> Any:  # type: ignore[override]
@@ -305,7 +305,7 @@ class JPDA(Soft, Filter):
 
     def _check_targets(self, count: int) -> None:
         for path, hyper in hypers(self).items():
-            if hyper.batch_rank and hyper.raw.shape[-1 - hyper.event] not in (1, count):
+            if hyper.batch_rank and hyper.raw.shape[-1 - hyper.event_dim] not in (1, count):
                 shape = tuple(hyper.raw.shape)
                 raise ValueError(
                     f"{path}: expected a value for each of {count} targets or one for all, received {shape}"

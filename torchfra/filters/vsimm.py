@@ -104,7 +104,7 @@ class VSIMM(Around):
         transition = torch.as_tensor(transition, dtype=torch.float64)
         if transition.shape[-2:] != (count, count) or not bool((transition > 0).all()):
             raise ValueError(f"transition: expected ({count}, {count}) above 0, received {transition.tolist()}")
-        self.transition = Hyper(transition, constraints.simplex, event=2, name="transition")
+        self.transition = Hyper(transition, constraints.simplex, event_dim=2, name="transition")
         self.unlikely = Hyper(unlikely, constraints.unit_interval, name="unlikely")
         self.principal = Hyper(principal, constraints.unit_interval, name="principal")
         self.register_buffer("table", table)

@@ -45,7 +45,7 @@ class Huber(Weights):
             threshold = threshold.expand(elements) if threshold.dim() == 0 else threshold
             if threshold.shape[-1] != elements:
                 raise ValueError(f"threshold: expected (..., {elements}), received {tuple(threshold.shape)}")
-        self.threshold = Hyper(threshold, event=int(elements is not None), name="threshold")
+        self.threshold = Hyper(threshold, event_dim=int(elements is not None), name="threshold")
 
     def forward(self, residual: Tensor, nis: Tensor) -> Tensor:
         """Weights ``(..., m)`` of a ``residual (..., m)`` in units of the measurement noise; ``nis`` is not used."""
