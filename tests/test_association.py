@@ -1,4 +1,4 @@
-"""Probabilities of association are sums over all joint events, and messages come close to them."""
+"""Association probabilities are sums over all joint events, and belief propagation comes close to them."""
 
 import math
 
@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchfra.association import associate, clusters, events
+from torchfra.association import associate, joint_events, same_cluster
 
 
 def random_scan(rng, targets, count, share=0.6, scale=2.0):
@@ -23,20 +23,20 @@ def log_ratio(L, PD, c):
         return torch.from_numpy(np.log(PD * L / c[:, None]).T.copy())
 
 
-def test_the_design_vector_is_met_to_eight_digits():
+def test_two_targets_and_three_measurements_have_their_known_probabilities():
     L = np.array([[0.02, 0.001], [0.004, 0.03], [0, 0.002]])
-    found = associate(log_ratio(L, 0.9, np.full(3, 1 / 500)), math.log(0.1), diffuse=True).log_weights.exp()
+    result = associate(log_ratio(L, 0.9, np.full(3, 1 / 500)), math.log(0.1), diffuse=True).log_weights.exp()
     expected = [[0.02208133, 0.95758636, 0.02033231, 0.0], [0.01617840, 0.00655881, 0.90511587, 0.07214692]]
-    np.testing.assert_allclose(found, expected, atol=5.1e-9)
+    np.testing.assert_allclose(result, expected, atol=5.1e-9)
 
 
 def test_one_target_is_the_non_parametric_filter_of_bar_shalom():
     L = np.array([[0.02], [0.004]])
-    found = associate(log_ratio(L, 0.9, np.full(2, 1 / 500)), math.log(0.1), diffuse=True).log_weights.exp()[0]
+    result = associate(log_ratio(L, 0.9, np.full(2, 1 / 500)), math.log(0.1), diffuse=True).log_weights.exp()[0]
     b = 2 * 0.1 / (0.9 * 500)
     expected = np.array([b, 0.02, 0.004]) / (b + 0.024)
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
-    np.testing.assert_allclose(found, [0.01818182, 0.81818182, 0.16363636], atol=5.1e-9)
+    np.testing.assert_allclose(result, expected, rtol=1e-12)
+    np.testing.assert_allclose(result, [0.01818182, 0.81818182, 0.16363636], atol=5.1e-9)
 
 
 @given(
@@ -47,14 +47,14 @@ def test_one_target_is_the_non_parametric_filter_of_bar_shalom():
     seed=st.integers(0, 10_000),
 )
 @settings(deadline=None, max_examples=150)
-def test_probabilities_are_those_of_going_through_every_event_of_every_cluster(targets, count, diffuse, share, seed):
+def test_probabilities_are_those_of_an_oracle_that_enumerates_every_event(targets, count, diffuse, share, seed):
     rng = np.random.default_rng(seed)
     L, c = random_scan(rng, targets, count, share)
     PD, PG = rng.uniform(0.3, 0.99), rng.uniform(0.9, 1.0)
     beta, missed = oracles.joint_events(L, PD, c, diffuse, PG)
-    found = associate(log_ratio(L, PD, c), math.log1p(-PD * PG), diffuse=diffuse)
-    np.testing.assert_allclose(found.log_weights[:, 1:].exp(), beta.T, atol=1e-12)
-    np.testing.assert_allclose(found.log_weights[:, 0].exp(), missed, atol=1e-12)
+    result = associate(log_ratio(L, PD, c), math.log1p(-PD * PG), diffuse=diffuse)
+    np.testing.assert_allclose(result.log_weights[:, 1:].exp(), beta.T, atol=1e-12)
+    np.testing.assert_allclose(result.log_weights[:, 0].exp(), missed, atol=1e-12)
 
 
 @given(targets=st.integers(5, 8), seed=st.integers(0, 1000))
@@ -67,27 +67,27 @@ def test_many_targets_in_small_clusters_are_exact_too(targets, seed):
         keep = rng.integers(targets - 1)
         L[j, [t for t in range(targets) if t not in (keep, keep + 1) or (keep % 3 == 2)]] = 0
     beta, missed = oracles.joint_events(L, 0.8, c, True)
-    found = associate(log_ratio(L, 0.8, c), math.log(0.2), diffuse=True)
-    np.testing.assert_allclose(found.log_weights[:, 1:].exp(), beta.T, atol=1e-12)
-    np.testing.assert_allclose(found.log_weights[:, 0].exp(), missed, atol=1e-12)
+    result = associate(log_ratio(L, 0.8, c), math.log(0.2), diffuse=True)
+    np.testing.assert_allclose(result.log_weights[:, 1:].exp(), beta.T, atol=1e-12)
+    np.testing.assert_allclose(result.log_weights[:, 0].exp(), missed, atol=1e-12)
 
 
-def test_a_batch_is_its_scans():
+def test_each_scan_of_a_batch_has_the_result_that_it_has_alone():
     rng = np.random.default_rng(1)
     each = [random_scan(rng, 3, 5) for _ in range(20)]
     ratios = torch.stack([log_ratio(L, 0.9, c) for L, c in each])
-    whole = associate(ratios.reshape(4, 5, 3, 5), math.log(0.1), diffuse=True)
+    together = associate(ratios.reshape(4, 5, 3, 5), math.log(0.1), diffuse=True)
     for i in range(20):
         alone = associate(ratios[i], math.log(0.1), diffuse=True)
-        torch.testing.assert_close(whole.log_weights.reshape(20, 3, 6)[i].exp(), alone.log_weights.exp())
-        torch.testing.assert_close(whole.evidence.reshape(20, 3)[i], alone.evidence)
+        torch.testing.assert_close(together.log_weights.reshape(20, 3, 6)[i].exp(), alone.log_weights.exp())
+        torch.testing.assert_close(together.evidence.reshape(20, 3)[i], alone.evidence)
 
 
-def test_clusters_are_what_shares_measurements_directly_or_not():
+def test_targets_that_share_measurements_directly_or_through_others_are_a_cluster():
     gated = torch.tensor([[1, 0, 0, 0], [1, 1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0]], dtype=torch.bool)
     expected = torch.eye(5, dtype=torch.bool)
     expected[:3, :3] = True
-    assert torch.equal(clusters(gated), expected)
+    assert torch.equal(same_cluster(gated), expected)
 
 
 def test_the_order_of_targets_and_measurements_does_not_matter():
@@ -99,19 +99,18 @@ def test_the_order_of_targets_and_measurements_does_not_matter():
 
 
 def test_evidence_is_the_log_of_the_sum_over_all_events():
-    """Shared out evenly in a cluster; of Poisson false measurements, for which events of all targets may be summed."""
+    """Divided equally in a cluster; with Poisson false measurements the sum may run over the events of all targets."""
     L, c = random_scan(np.random.default_rng(5), 3, 4, share=1.0)
     total = sum(weight for weight, _ in oracles._every([0, 1, 2], [0, 1, 2, 3], L, 0.8, c, 1.0))
-    found = associate(log_ratio(L, 0.8, c), math.log(0.2)).evidence
-    np.testing.assert_allclose(found, np.full(3, math.log(total) / 3), rtol=1e-12)
-    L[:, 2] = 0  # a cluster of two, and one alone with nothing
+    result = associate(log_ratio(L, 0.8, c), math.log(0.2)).evidence
+    np.testing.assert_allclose(result, np.full(3, math.log(total) / 3), rtol=1e-12)
+    L[:, 2] = 0  # a cluster of two, and a single target without measurements
     total = sum(weight for weight, _ in oracles._every([0, 1], [0, 1, 2, 3], L, 0.8, c, 1.0))
-    found = associate(log_ratio(L, 0.8, c), math.log(0.2)).evidence
-    np.testing.assert_allclose(found, [math.log(total) / 2] * 2 + [math.log(0.2)], rtol=1e-12)
+    result = associate(log_ratio(L, 0.8, c), math.log(0.2)).evidence
+    np.testing.assert_allclose(result, [math.log(total) / 2] * 2 + [math.log(0.2)], rtol=1e-12)
 
 
-def test_targets_that_are_always_measured_are_missed_as_rarely_as_can_be():
-    """Detection of 1: as the limit of a detection that goes there."""
+def test_a_detection_probability_of_one_is_the_limit_of_smaller_ones():
     rng = np.random.default_rng(2)
     for _ in range(20):
         L, c = random_scan(rng, 3, 3, share=0.4)
@@ -121,8 +120,8 @@ def test_targets_that_are_always_measured_are_missed_as_rarely_as_can_be():
 
 
 @pytest.mark.parametrize("diffuse", [False, True])
-def test_messages_are_close_to_the_sum_over_events(diffuse):
-    """Loopy belief propagation, 4 targets with 10 measurements in all gates: the error that the docstring says."""
+def test_belief_propagation_is_close_to_the_sum_over_events(diffuse):
+    """Four targets with 10 measurements in shared gates: the error is the one that the docstring states."""
     rng = np.random.default_rng(0)
     scans = [random_scan(rng, 4, 10, 0.8) for _ in range(200)]
     ratios = torch.stack([log_ratio(L, 0.9, c) for L, c in scans])
@@ -131,15 +130,15 @@ def test_messages_are_close_to_the_sum_over_events(diffuse):
     error = (exact.log_weights.exp() - close.log_weights.exp()).abs()
     assert error.mean() < 0.01
     assert error.max() < 0.15
-    assert error.max() > 1e-6  # it is another way, after all
+    assert error.max() > 1e-6  # or it would be the same computation
     torch.testing.assert_close(close.log_weights.exp().sum(-1), torch.ones(200, 4).double())
     assert (exact.evidence - close.evidence).abs().max() < 0.3
 
 
-def test_messages_of_targets_that_are_always_measured_are_probabilities_too():
-    """More targets than measurements, whose odds are far from even: each measurement still belongs to one target."""
+def test_belief_propagation_gives_each_measurement_to_one_target_if_all_are_always_measured():
+    """Also with more targets than measurements, and with odds far from even."""
     rng = np.random.default_rng(0)
-    both = torch.tensor([[0.0, -40.0], [0.0, -40.0]], dtype=torch.float64)  # two for two: none is missed
+    both = torch.tensor([[0.0, -40.0], [0.0, -40.0]], dtype=torch.float64)  # two measurements: none is missed
     assert associate(both, -math.inf, exact=(1, 1)).log_weights[:, 0].exp().max() < 1e-3
     for targets, count, scale in ((5, 3, 1.0), (3, 2, 1.0), (2, 1, 10.0), (3, 2, 100.0)):
         ratio = torch.from_numpy(scale * rng.standard_normal((targets, count)))
@@ -151,22 +150,22 @@ def test_messages_of_targets_that_are_always_measured_are_probabilities_too():
             assert (close.evidence - sure.evidence).abs().max() < 1
 
 
-def test_messages_are_exact_where_nothing_is_shared():
+def test_belief_propagation_is_exact_if_no_measurement_is_shared():
     L, c = random_scan(np.random.default_rng(7), 5, 15, share=1.0)
     L *= np.kron(np.eye(5), np.ones((3, 1)))
     for diffuse in (False, True):
         beta, missed = oracles.joint_events(L, 0.9, c, diffuse)
-        found = associate(log_ratio(L, 0.9, c), math.log(0.1), diffuse=diffuse, exact=(0, 0)).log_weights.exp()
-        np.testing.assert_allclose(found[:, 1:], beta.T, atol=1e-12)
-        np.testing.assert_allclose(found[:, 0], missed, atol=1e-12)
+        result = associate(log_ratio(L, 0.9, c), math.log(0.1), diffuse=diffuse, exact=(0, 0)).log_weights.exp()
+        np.testing.assert_allclose(result[:, 1:], beta.T, atol=1e-12)
+        np.testing.assert_allclose(result[:, 0], missed, atol=1e-12)
 
 
-def test_a_crowd_runs_by_messages():
+def test_twelve_targets_with_forty_measurements_have_valid_probabilities():
     L, c = random_scan(np.random.default_rng(9), 12, 40, share=0.5)
-    found = associate(log_ratio(L, 0.9, c), math.log(0.1)).log_weights.exp()
-    assert found.isfinite().all()
-    torch.testing.assert_close(found.sum(-1), torch.ones(12).double())
-    assert (found[:, 1:].sum(0) < 1 + 1e-6).all()  # no measurement belongs to more than one target
+    result = associate(log_ratio(L, 0.9, c), math.log(0.1)).log_weights.exp()
+    assert result.isfinite().all()
+    torch.testing.assert_close(result.sum(-1), torch.ones(12).double())
+    assert (result[:, 1:].sum(0) < 1 + 1e-6).all()  # no measurement belongs to more than one target
 
 
 @pytest.mark.parametrize("exact", [(4, 10), (1, 1)])
@@ -179,30 +178,32 @@ def test_gradients_are_those_of_finite_differences(diffuse, exact):
 
     def probabilities(values, miss):
         full = torch.full_like(ratio, -torch.inf).index_put(torch.where(inside), values)
-        found = associate(full, miss, diffuse=diffuse, exact=exact)
-        return found.log_weights.exp(), found.evidence
+        result = associate(full, miss, diffuse=diffuse, exact=exact)
+        return result.log_weights.exp(), result.evidence
 
     assert torch.autograd.gradcheck(probabilities, (ratio[inside].requires_grad_(), miss))
 
 
-def test_it_runs_under_vmap_and_compile():
+def test_vmap_and_torch_compile_give_the_same():
     rng = np.random.default_rng(6)
     ratios = torch.stack([log_ratio(random_scan(rng, 3, 4)[0], 0.9, np.ones(4)) for _ in range(6)])
     eager = associate(ratios, math.log(0.1), diffuse=True)
     mapped = torch.func.vmap(lambda r: associate(r, math.log(0.1), diffuse=True))(ratios)
     torch.testing.assert_close(mapped.log_weights.exp(), eager.log_weights.exp())
     torch.testing.assert_close(mapped.evidence, eager.evidence)
+    compiled = torch.compile(lambda r: associate(r, math.log(0.1), diffuse=True), backend="eager")(ratios)
+    torch.testing.assert_close(compiled.log_weights.exp(), eager.log_weights.exp())
 
 
-def test_a_scan_of_nothing_is_refused():
+def test_a_scan_without_measurements_is_an_error():
     with pytest.raises(ValueError, match="log_ratio: expected"):
         associate(torch.zeros(2, 0), math.log(0.1))
 
 
-def test_events_are_all_of_them_once():
+def test_every_joint_event_is_enumerated_once():
     for targets, count in ((1, 3), (2, 3), (4, 2), (3, 5)):
         number = sum(math.comb(targets, k) * math.perm(count, k) for k in range(min(targets, count) + 1))
-        every = events(targets, count)
+        every = joint_events(targets, count)
         assert len(every) == len({tuple(e) for e in every.tolist()}) == number
     with pytest.raises(ValueError, match="exact: expected targets"):
-        events(8, 12)
+        joint_events(8, 12)

@@ -1,4 +1,4 @@
-"""The scenarios of several targets are what they say, and commands know them."""
+"""The scenarios of several targets in clutter have their documented properties, and the commands run them."""
 
 import json
 import math
@@ -13,7 +13,7 @@ from torchfra.catalogue import filters_for, learned_filter, scan_filters, scenar
 from torchfra.coordinates import from_cartesian
 
 
-def test_the_tracks_are_straight_or_turn_and_meet():
+def test_tracks_are_straight_or_turn_and_cross():
     straight = scenarios.clutter_straight().simulate(1, 0).truth[0]
     torch.testing.assert_close(straight[:, -1, :3], torch.tensor([[4500.0, 4500.0, 6000.0]] * 2).double())
     turning = scenarios.clutter_crossing().simulate(1, 0).truth[0]
@@ -31,7 +31,7 @@ def test_the_turn_as_printed_never_crosses():
 
 
 @pytest.mark.parametrize("make", [scenarios.clutter_straight, scenarios.clutter_crossing])
-def test_scans_hold_what_they_say(make):
+def test_scans_have_the_documented_detections_noise_and_clutter(make):
     s = make(noise_scale=3.0, change=30, clutter=6)
     t = s.simulate(64, 1)
     assert t.truth.shape == (64, 2, 100, 6)
@@ -42,24 +42,24 @@ def test_scans_hold_what_they_say(make):
     there = s.sensor(from_cartesian(t.truth)).movedim(1, 2).unsqueeze(-2)
     far = s.sensor.difference(t.z.unsqueeze(2), there) / s.sensor.std()
     nearest = far.square().sum(-1).nan_to_num(torch.inf).min(-1).values
-    # What is farther off than any noise is a false measurement in the place of a missed one.
+    # Beyond 5 standard deviations the nearest measurement is a false one, of a missed target.
     before, after = (part[part < 25 * k].mean().item() for part, k in ((nearest[:, :30], 1), (nearest[:, 30:], 9)))
     assert before == pytest.approx(3.0, rel=0.1)
     assert after == pytest.approx(27.0, rel=0.1)
     spots = s.sensor.locate(t.z)
     inside = (spots.unsqueeze(2) - t.truth.movedim(1, 2)[..., None, :3]).abs().amax(-1).nan_to_num(0).amin(-2)
-    assert inside.max() < 200 + 200  # the cube, or a measurement of the target itself
+    assert inside.max() < 200 + 200  # in the cube of false measurements, or a measurement of the target
     assert s.clutter.volume().item() == pytest.approx(2 * 400.0**3)
 
 
-def test_a_run_does_not_depend_on_how_many_are_asked_for():
+def test_a_run_does_not_depend_on_the_number_of_runs():
     s = scenarios.clutter_straight()
-    whole, part = s.simulate(5, 3), s.simulate(2, 3, first=3)
-    torch.testing.assert_close(whole.z[3:], part.z, equal_nan=True, rtol=0, atol=0)
-    torch.testing.assert_close(whole.prior.scale_tril[3:], part.prior.scale_tril, rtol=0, atol=0)
+    all_runs, part = s.simulate(5, 3), s.simulate(2, 3, first=3)
+    torch.testing.assert_close(all_runs.z[3:], part.z, equal_nan=True, rtol=0, atol=0)
+    torch.testing.assert_close(all_runs.prior.scale_tril[3:], part.prior.scale_tril, rtol=0, atol=0)
 
 
-def test_the_prior_is_honest():
+def test_the_errors_of_the_prior_have_its_covariance():
     s = scenarios.clutter_straight()
     t = s.simulate(512, 0)
     starts = torch.tensor([[1500, 500, 1000, 30, 40, 50], [500, 1500, 1000, 40, 30, 50]]).double()
@@ -92,11 +92,11 @@ def test_learned_values_load_into_a_filter_for_scans(tmp_path):
     assert s.detection == 0.95
 
 
-def test_the_command_compares_them(tmp_path, capsys):
+def test_the_command_compares_filters_on_them(tmp_path, capsys):
     arguments = ["compare", "--scenario", "clutter-crossing", "--runs", "3", "--json", str(tmp_path / "r.json")]
     assert main([*arguments, "--figure", str(tmp_path / "r.png"), "--quiet"]) == 0
-    found = json.loads((tmp_path / "r.json").read_text())
-    assert list(found["filters"]) == scan_filters()
-    assert found["settings"]["clutter"] == 6
+    written = json.loads((tmp_path / "r.json").read_text())
+    assert list(written["filters"]) == scan_filters()
+    assert written["settings"]["clutter"] == 6
     assert main(["compare", "--scenario", "clutter-straight", "--compile", "--runs", "2"]) == 2
     assert "JPDA" in capsys.readouterr().err

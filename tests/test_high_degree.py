@@ -1,4 +1,4 @@
-"""Rules of high degree integrate what they promise, and their negative weights break nothing silently."""
+"""Rules of high degree are exact up to their degree, and repairs of their negative weights are reported."""
 
 import math
 from itertools import product
@@ -41,12 +41,12 @@ def test_monomials_up_to_degree_five_have_their_exact_mean(make, n):
 @pytest.mark.parametrize(("order", "n"), [(2, 3), (3, 1), (3, 2), (4, 3), (5, 2)])
 def test_products_of_gauss_and_hermite_are_exact_in_each_component(order, n):
     rule = gauss_hermite(order)(n)
-    assert len(rule.points) == order**n + (order % 2 == 0)  # the centre is looked at in any case
+    assert len(rule.points) == order**n + (order % 2 == 0)  # the centre is always a point
     for powers in product(range(2 * order), repeat=n):
         assert integral(rule, n, powers) == pytest.approx(moment(powers), rel=1e-11, abs=1e-10)
 
 
-def test_degree_six_is_beyond_it():
+def test_the_rule_of_degree_five_is_not_exact_in_degree_six():
     assert integral(fifth_degree(5), 5, (6,)) == pytest.approx(9)  # not 15
 
 
@@ -73,7 +73,7 @@ def test_in_one_and_two_dimensions_it_is_gauss_and_hermite(n):
 
 
 @pytest.mark.parametrize(("n", "d"), [(6, 2), (5, 2), (7, 5)])
-def test_what_a_sensor_reads_alone_sees_the_same_moments(n, d):
+def test_the_marginal_rule_of_the_elements_that_a_sensor_reads_has_the_same_moments(n, d):
     root, g = torch.randn(n, n, generator=torch.Generator().manual_seed(0)).double().tril(), torch.Generator()
     mean = torch.randn(n, generator=g.manual_seed(1)).double()
 
@@ -88,7 +88,7 @@ def test_what_a_sensor_reads_alone_sees_the_same_moments(n, d):
         torch.testing.assert_close(a, b, rtol=1e-9, atol=1e-9)
 
 
-def test_weights_and_points_give_the_covariance_also_where_they_are_negative():
+def test_the_covariance_is_the_weighted_sum_also_where_weights_are_negative():
     n, g = 6, torch.Generator().manual_seed(3)
     root, mean = torch.randn(n, n, generator=g).double().tril(), torch.randn(n, generator=g).double()
 
@@ -114,14 +114,14 @@ def test_a_downdate_is_the_root_of_the_difference():
     g = torch.Generator().manual_seed(0)
     root = torch.randn(7, 4, 4, generator=g).double().tril() + 3 * torch.eye(4).double()
     lost = 0.5 * torch.randn(7, 4, 3, generator=g).double()
-    found, repaired = linalg.downdate(root, lost)
+    root_after, repaired = linalg.downdate(root, lost)
     assert not repaired.any()
-    torch.testing.assert_close(found @ found.mT, root @ root.mT - lost @ lost.mT)
-    assert (found.diagonal(dim1=-2, dim2=-1) > 0).all()
-    assert torch.equal(found, found.tril())
+    torch.testing.assert_close(root_after @ root_after.mT, root @ root.mT - lost @ lost.mT)
+    assert (root_after.diagonal(dim1=-2, dim2=-1) > 0).all()
+    assert torch.equal(root_after, root_after.tril())
 
 
-def test_its_gradient_is_exact():
+def test_the_gradient_of_a_downdate_is_exact():
     g = torch.Generator().manual_seed(0)
     root = (torch.randn(2, 3, 3, generator=g).double().tril() + 3 * torch.eye(3).double()).requires_grad_()
     lost = (0.5 * torch.randn(2, 3, 2, generator=g).double()).requires_grad_()
@@ -130,23 +130,23 @@ def test_its_gradient_is_exact():
     assert torch.autograd.gradcheck(lambda x: linalg.downdate(torch.eye(3).double(), x)[0], (alike,))
 
 
-def test_what_is_not_positive_is_mended_track_by_track_and_said():
+def test_a_downdate_that_is_not_positive_is_repaired_and_reported_for_each_track():
     root = torch.eye(3).double().expand(3, 3, 3)
     lost = torch.zeros(3, 3, 1).double()
     lost[0, 0], lost[1, 1] = 0.5, 2.0
     lost.requires_grad_()
-    found, repaired = linalg.downdate(root, lost)
+    root_after, repaired = linalg.downdate(root, lost)
     assert repaired.tolist() == [False, True, False]
-    assert found[1, 1, 1].item() == pytest.approx(1e-6)
-    (slope,) = torch.autograd.grad(found.sum(), lost)
+    assert root_after[1, 1, 1].item() == pytest.approx(1e-6)
+    (slope,) = torch.autograd.grad(root_after.sum(), lost)
     assert slope.isfinite().all()
-    torch.testing.assert_close(found[0, 0, 0], torch.tensor(0.75).double().sqrt())
+    torch.testing.assert_close(root_after[0, 0, 0], torch.tensor(0.75).double().sqrt())
 
 
-def test_a_direction_that_is_certain_loses_nothing():
+def test_a_direction_without_uncertainty_stays_as_it_is():
     root = torch.diag(torch.tensor([1.0, 0.0])).double()
-    found, repaired = linalg.downdate(root, torch.tensor([[0.6], [0.0]]).double())
-    torch.testing.assert_close(found, torch.diag(torch.tensor([0.8, 0.0])).double())
+    root_after, repaired = linalg.downdate(root, torch.tensor([[0.6], [0.0]]).double())
+    torch.testing.assert_close(root_after, torch.diag(torch.tensor([0.8, 0.0])).double())
     assert not repaired
 
 
@@ -162,7 +162,7 @@ def test_the_symmetric_root_and_its_gradient():
 
 
 class Bent(Motion):
-    """Six states, strongly curved."""
+    """Six states, strongly nonlinear."""
 
     def __init__(self, bend):
         super().__init__(2, 3, 0.01)
@@ -173,7 +173,7 @@ class Bent(Motion):
 
 
 class Spiked(Motion):
-    """Six states, and a jump on the axes, where weights are negative."""
+    """Six states, and a spike on the axes, where weights are negative."""
 
     def __init__(self):
         super().__init__(2, 3, 0.01)
@@ -184,7 +184,7 @@ class Spiked(Motion):
 
 
 class All(Sensor):
-    """Reads all six states, of which products are measured."""
+    """Measures products of all six states."""
 
     def __init__(self):
         super().__init__(6, [False, False], 0.5, None)
@@ -222,7 +222,7 @@ def oracle(motion, sensor, z, mean, P):
     return np.array(means), np.array(covariances)
 
 
-def test_the_filter_is_its_covariance_form():
+def test_the_filter_agrees_with_its_covariance_form():
     motion, sensor, g = Bent(0.05), All(), torch.Generator().manual_seed(0)
     z = torch.randn(8, 2, generator=g).double()
     prior = Gaussian(torch.full((6,), 0.3).double(), 0.5 * torch.eye(6).double())
@@ -233,7 +233,7 @@ def test_the_filter_is_its_covariance_form():
     np.testing.assert_allclose(e.covariance, P, rtol=1e-8, atol=1e-9)
 
 
-def test_a_filter_mends_what_negative_weights_break_and_counts_it():
+def test_a_filter_repairs_covariances_that_negative_weights_make_indefinite_and_counts_them():
     prior = Gaussian(torch.zeros(2, 6).double(), torch.stack([0.1 * torch.eye(6), 4 * torch.eye(6)]).double())
     f = presets.ghckf(Spiked(), Position(0.5), learn=("std",))
     e = f(torch.zeros(2, 3, 2).double(), prior)
@@ -244,7 +244,7 @@ def test_a_filter_mends_what_negative_weights_break_and_counts_it():
     assert f.sensor.std.raw.grad.isfinite()
 
 
-def test_compiled_it_gives_the_same():
+def test_the_compiled_filter_gives_the_same():
     z = torch.randn(3, 4, 2, generator=torch.Generator().manual_seed(0)).double()
     prior = Gaussian(torch.zeros(6).double(), torch.eye(6).double())
     for motion in (Bent(0.05), Spiked()):

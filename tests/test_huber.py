@@ -1,4 +1,4 @@
-"""The Huber score and the Huber regression are what their papers say, and train."""
+"""The Huber score and the Huber regression follow their papers, and can be learned."""
 
 import math
 
@@ -19,7 +19,7 @@ from torchfra.types import Gaussian
 
 
 class Still(Motion):
-    """Nothing happens."""
+    """A scalar state that stays constant."""
 
     def __init__(self):
         super().__init__(1, 1, None)
@@ -37,7 +37,7 @@ def scalar(preset, P, s, **options):
     return e.mean.item(), e.covariance.item()
 
 
-def test_scalars_have_their_known_values():
+def test_scalar_updates_have_their_known_values():
     assert scalar(presets.hghckf2, 1, 3.0) == pytest.approx((0.951059, 0.613098), abs=1e-6)
     assert scalar(presets.hghckf2, 4, 6.0)[0] == pytest.approx(4 / 5**0.5 * 1.345)
     assert scalar(presets.hghckf1, 4, 6.0) == pytest.approx((5.3275, 0.88792), abs=1e-5)
@@ -45,7 +45,7 @@ def test_scalars_have_their_known_values():
 
 
 @pytest.mark.parametrize("preset", [presets.hghckf1, presets.hghckf2])
-def test_a_threshold_without_end_leaves_the_plain_filter(preset):
+def test_an_infinite_threshold_gives_the_plain_filter(preset):
     scenario = growth("std")
     tracks = scenario.simulate(4, 0)
     plain = presets.ghckf(scenario.motion, scenario.sensor)(tracks.z[:, :50], tracks.prior, u=tracks.u[:50])
@@ -65,7 +65,7 @@ KNOWN = [
 
 
 @pytest.mark.parametrize(("threshold", "eps", "factor", "zeta"), KNOWN)
-def test_the_factors_are_those_of_the_table_and_of_quadrature(threshold, eps, factor, zeta):
+def test_factor_and_scale_are_those_of_the_table_and_of_quadrature(threshold, eps, factor, zeta):
     score, scaled = HuberScore(threshold), HuberScore(threshold, zeta_scale=True)
     digits = 1e-9 if threshold == 1.345 else 1e-4
     assert score.factor().item() == pytest.approx(factor, abs=digits)
@@ -98,7 +98,7 @@ def plain(n=4, m=2, seed=0):
 
 
 class Linear(Position):
-    """Two sums of the position."""
+    """Two linear combinations of the position."""
 
     def __init__(self, H, root):
         super().__init__(None, noise=torch.from_numpy(root))
@@ -109,7 +109,7 @@ class Linear(Position):
 
 
 class Rest(Motion):
-    """Four states stay."""
+    """Four states that stay constant."""
 
     def __init__(self):
         super().__init__(2, 2, None)
@@ -131,23 +131,23 @@ def update(robust):
 
 @pytest.mark.parametrize("whitening", ["cholesky", "symmetric"])
 @pytest.mark.parametrize("cov_mode", ["constant", "indicator"])
-def test_the_score_is_its_covariance_form(whitening, cov_mode):
+def test_the_score_agrees_with_its_covariance_form(whitening, cov_mode):
     mean, P, (P0, H, R, s) = update(HuberScore(1.1, eps=0.2, whitening=whitening, cov_mode=cov_mode))
     x, cov = oracles.huber_score(P0, H, R, s, 1.1, 0.2, whitening, cov_mode)
     np.testing.assert_allclose(mean, x, rtol=1e-10)
     np.testing.assert_allclose(P, cov, rtol=1e-10, atol=1e-12)
 
 
-@pytest.mark.parametrize("start", ["prior", "posterior"])
+@pytest.mark.parametrize("first_iterate", ["prior", "posterior"])
 @pytest.mark.parametrize("iterations", [1, 3, 40])
-def test_the_regression_is_its_covariance_form(start, iterations):
-    mean, P, (P0, H, R, s) = update(HuberRegression(0.9, max_iter=iterations, start=start, tol=0.0))
-    x, cov = oracles.huber_regression(P0, H, R, s, 0.9, iterations, start)
+def test_the_regression_agrees_with_its_covariance_form(first_iterate, iterations):
+    mean, P, (P0, H, R, s) = update(HuberRegression(0.9, max_iter=iterations, first_iterate=first_iterate, tol=0.0))
+    x, cov = oracles.huber_regression(P0, H, R, s, 0.9, iterations, first_iterate)
     np.testing.assert_allclose(mean, x, rtol=1e-9)
     np.testing.assert_allclose(P, cov, rtol=1e-9, atol=1e-12)
 
 
-def test_tracks_settle_each_at_its_own_iteration():
+def test_each_track_stops_once_it_has_converged():
     scenario = growth("std")
     tracks = scenario.simulate(6, 0)
     f = presets.hghckf1(scenario.motion, scenario.sensor, max_iter=50, tol=1e-9)
@@ -171,7 +171,7 @@ def test_the_error_of_the_linearisation_can_be_added():
     assert error[1] < 0.6 * error[0]
 
 
-def test_a_scaled_score_may_take_off_too_much_and_says_so():
+def test_a_scaled_score_may_need_a_repair_and_reports_it():
     prior = Gaussian(torch.zeros(1).double(), torch.tensor([[1000.0]]).double())
     f = presets.hghckf2(Still(), Position(1.0, dims=1), zeta_scale=True)
     e = f(torch.zeros(1, 1).double(), prior)
@@ -185,14 +185,14 @@ def test_a_scaled_score_may_take_off_too_much_and_says_so():
 def test_compiled_it_gives_the_same_and_the_same_gradients(preset):
     scenario = growth("std")
     tracks = scenario.simulate(3, 1)
-    found = []
+    results = []
     for compiled in (False, True):
         f = getattr(presets, preset)(scenario.motion, scenario.sensor, learn=("threshold", "std"))
         f = f.compile() if compiled else f
         e = f(tracks.z[:, :12], tracks.prior, u=tracks.u[:12])
         e.mean.square().mean().backward()
-        found.append((e.mean.detach(), e.scale_tril.detach(), *(p.grad for p in f.parameters())))
-    for slow, fast in zip(*found, strict=True):
+        results.append((e.mean.detach(), e.scale_tril.detach(), *(p.grad for p in f.parameters())))
+    for slow, fast in zip(*results, strict=True):
         torch.testing.assert_close(fast, slow, rtol=1e-7, atol=1e-9)
 
 
@@ -214,7 +214,7 @@ def test_gradients_of_the_score_are_exact(options):
 
 
 @pytest.mark.parametrize("robust", [HuberScore(), HuberRegression()])
-def test_any_rule_and_any_bank_takes_them(robust):
+def test_interacting_models_take_them(robust):
     models = [ConstantAcceleration(0.1), ConstantAcceleration(3.0)]
     z = torch.randn(2, 6, 2, generator=torch.Generator().manual_seed(0)).double()
     z[0, 2, 0] = torch.nan
@@ -228,7 +228,7 @@ def test_any_rule_and_any_bank_takes_them(robust):
     torch.testing.assert_close(e.info.probabilities.sum(-1), torch.ones(2, 6).double())
 
 
-def test_a_threshold_without_end_has_gradients_in_a_bank():
+def test_an_infinite_threshold_has_finite_gradients_in_a_bank():
     models = [ConstantAcceleration(0.1), ConstantAcceleration(3.0)]
     f = presets.imm(models, Position(1.0), inner=presets.hghckf2, threshold=math.inf, learn=("q",))
     f(torch.randn(5, 2).double(), Gaussian(torch.zeros(6).double(), torch.eye(6).double())).mean.sum().backward()
@@ -236,7 +236,7 @@ def test_a_threshold_without_end_has_gradients_in_a_bank():
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "message"),
     [
         (lambda: HuberScore(cov_mode="mean"), "cov_mode"),
         (lambda: HuberScore(whitening="svd"), "whitening"),
@@ -244,15 +244,15 @@ def test_a_threshold_without_end_has_gradients_in_a_bank():
         (lambda: HuberScore(eps=1.0), "eps"),
         (lambda: HuberScore(0.0), "threshold: expected a value above 0"),
         (lambda: HuberRegression(max_iter=0), "max_iter"),
-        (lambda: HuberRegression(start="zero"), "start"),
+        (lambda: HuberRegression(first_iterate="zero"), "first_iterate: expected one of"),
         (lambda: growth("offset"), "outliers"),
         (lambda: growth(size=0.5), "size, share"),
         (lambda: reentry(radar="laser"), "radar"),
         (lambda: reentry(method="heun"), "method"),
     ],
 )
-def test_what_does_not_fit_is_named(make, said):
-    with pytest.raises(ValueError, match=said):
+def test_an_argument_out_of_range_is_named(make, message):
+    with pytest.raises(ValueError, match=message):
         make()
 
 
@@ -267,19 +267,19 @@ UNGM = {
 @pytest.mark.slow
 @pytest.mark.parametrize("outliers", ["covariance", "std"])
 def test_mean_square_errors_of_the_growth_model_are_known(outliers):
-    found = {name: [] for name in UNGM[outliers]}
+    errors_of = {name: [] for name in UNGM[outliers]}
     for size in (1.0, 15.0, 20.0):
         scenario = growth(outliers, size=size)
         tracks = scenario.simulate(600, 0)
-        for name, errors in found.items():
+        for name, errors in errors_of.items():
             f = getattr(presets, name)(scenario.motion, scenario.sensor).compile()
             with torch.no_grad():
                 mean = f(tracks.z, tracks.prior, u=tracks.u).mean
             errors.append((mean - tracks.truth).square().mean().item())
-    for name, errors in found.items():
+    for name, errors in errors_of.items():
         assert errors == pytest.approx(UNGM[outliers][name], rel=0.05), name
-    assert found["ghckf"][0] < found["hghckf2"][0] < found["hghckf1"][0]
-    assert found["hghckf2"][2] < 1.3 * found["hghckf2"][0]
+    assert errors_of["ghckf"][0] < errors_of["hghckf2"][0] < errors_of["hghckf1"][0]
+    assert errors_of["hghckf2"][2] < 1.3 * errors_of["hghckf2"][0]
 
 
 REENTRY = {
@@ -291,10 +291,10 @@ REENTRY = {
 @pytest.mark.slow
 @pytest.mark.parametrize("radar", ["paper", "precise"])
 def test_errors_of_the_reentry_are_known(radar):
-    """Of 60 runs there; the parameter's error hangs on a few runs, and differs by 10 % between sets of as many."""
+    """Sets of 60 runs; the error of the parameter depends on a few runs, and differs by 10 % between sets."""
     scenario = reentry(radar=radar)
     tracks = scenario.simulate(480, 1)
-    found = {}
+    errors_of = {}
     for name, known in REENTRY[radar].items():
         f = getattr(presets, name)(scenario.motion, scenario.sensor)
         with torch.no_grad():
@@ -305,6 +305,6 @@ def test_errors_of_the_reentry_are_known(radar):
         assert sets[:2] == pytest.approx(known[:2], rel=0.1), name
         assert sets[2] == pytest.approx(known[2], rel=0.2), name
         assert e.info.repaired.sum() == 0
-        found[name] = sets
-    assert found["hghckf2"][1] < found["hghckf1"][1]
-    assert found["hghckf2"][2] < found["ghckf"][2]
+        errors_of[name] = sets
+    assert errors_of["hghckf2"][1] < errors_of["hghckf1"][1]
+    assert errors_of["hghckf2"][2] < errors_of["ghckf"][2]

@@ -287,7 +287,7 @@ def test_what_was_handed_in_stays_as_it_was(scenario):
     assert f.inner is not inner
     make("iaukf_jpda", scenario, learn="all")
     for part in (inner, scenario.clutter, scenario.motion, scenario.sensor):
-        assert all(h.shared == 0 and not h.raw.requires_grad for h in part.modules() if hasattr(h, "shared"))
+        assert all(h.shared_dims == 0 and not h.raw.requires_grad for h in part.modules() if hasattr(h, "shared_dims"))
 
 
 def test_it_runs_in_single_precision(scenario, tracks):

@@ -44,7 +44,7 @@ def test_samples_of_the_mixture_have_its_moments():
     np.testing.assert_allclose(mixed.covariance, np.cov(x.T), atol=0.05)
 
 
-def test_one_belief_that_has_all_the_weight_is_the_result_whatever_the_others_are():
+def test_one_belief_with_all_the_weight_is_the_result_even_if_the_others_are_nan():
     each = beliefs(3, 4)
     each.mean[1], each.scale_tril[2] = torch.nan, torch.inf
     weights = torch.tensor([0.0, -torch.inf, -torch.inf], dtype=torch.float64)
@@ -53,12 +53,12 @@ def test_one_belief_that_has_all_the_weight_is_the_result_whatever_the_others_ar
     torch.testing.assert_close(mixed.covariance, each.covariance[0])
 
 
-def test_a_weight_that_is_no_number_shows_in_the_result():
+def test_a_weight_that_is_nan_makes_the_result_nan():
     assert moment_match(beliefs(2, 3), torch.full((2,), torch.nan).double()).mean.isnan().all()
 
 
 @pytest.mark.parametrize("logits", [[0.3, -1.0, 0.5], [0.0, -800.0, 0.0]])
-def test_its_gradient_is_that_of_finite_differences_down_to_weights_of_nothing(logits):
+def test_its_gradient_is_that_of_finite_differences_down_to_weights_of_zero(logits):
     each = beliefs(3, 3)
     logits = torch.tensor(logits, dtype=torch.float64, requires_grad=True)
     parts = [x.clone().requires_grad_() for x in each]

@@ -1,4 +1,4 @@
-"""The noise side follows the paper's recursion, finds the noise, and costs nothing where the noise is known."""
+"""The estimate of the measurement noise follows the paper and converges, and costs little where the noise is known."""
 
 import numpy as np
 import oracles
@@ -49,7 +49,7 @@ def models(scenario):
 
 
 @pytest.mark.parametrize(("options", "how"), SETTINGS)
-def test_the_filter_is_that_of_plain_loops(scenario, tracks, options, how):
+def test_the_filter_agrees_with_an_oracle_of_plain_loops(scenario, tracks, options, how):
     estimate = presets.iaukf(scenario.motion, scenario.sensor, **options)(tracks.z, tracks.prior)
     root = tracks.prior.scale_tril[0].numpy()
     F, Q, R = models(scenario)
@@ -61,7 +61,7 @@ def test_the_filter_is_that_of_plain_loops(scenario, tracks, options, how):
     np.testing.assert_allclose(estimate.info.noise[0].numpy() * R, truth["R"], rtol=1e-9)
 
 
-def test_at_half_a_confidence_both_readings_are_the_same(scenario, tracks):
+def test_with_the_default_confidence_both_readings_are_the_same(scenario, tracks):
     a, b = (
         presets.iaukf(scenario.motion, scenario.sensor, confidence_in=reading)(tracks.z, tracks.prior)
         for reading in ("nominal", "measured")
@@ -69,8 +69,8 @@ def test_at_half_a_confidence_both_readings_are_the_same(scenario, tracks):
     assert torch.equal(a.mean, b.mean)
 
 
-def test_the_weight_of_an_innovation_is_the_papers():
-    """d = (1 - b) / (1 - b^(k + 2)), and a variance that is off by a factor goes to it at that rate."""
+def test_the_weight_of_an_innovation_is_that_of_the_paper():
+    """d = (1 - b) / (1 - b^(k + 2)), and the estimate of a wrong variance converges at that rate."""
     side, b = SageHusa([(0,)], forgetting=0.9, confidence=0.0, warmup=0), 0.9
     memory = side.begin(torch.zeros(1, dtype=torch.float64))
     scale = 1.0
@@ -80,7 +80,7 @@ def test_the_weight_of_an_innovation_is_the_papers():
         assert memory.scale.item() == pytest.approx(scale, rel=1e-12)
 
 
-def test_the_first_innovations_change_nothing_and_the_bounds_hold():
+def test_the_estimate_starts_after_the_warmup_and_stays_in_its_bounds():
     side = SageHusa([(0, 1)], warmup=3, lowest=0.5, highest=2.0)
     memory = side.begin(torch.zeros(2, dtype=torch.float64))
     for k in range(30):
@@ -90,7 +90,7 @@ def test_the_first_innovations_change_nothing_and_the_bounds_hold():
     assert memory.scale.tolist() == [0.5, 2.0]
 
 
-def test_what_was_not_measured_changes_nothing():
+def test_a_missing_element_leaves_its_estimate_unchanged():
     side = SageHusa([(0, 1)], warmup=0)
     before = side.begin(torch.zeros(2, dtype=torch.float64))
     after = side(before, torch.tensor([3.0, 3.0]).double(), torch.tensor([1.0, 0.0]).double())
@@ -98,7 +98,7 @@ def test_what_was_not_measured_changes_nothing():
     assert [part[1].item() for part in after] == [part[1].item() for part in before]
 
 
-def test_variances_in_units_of_the_noise_are_found_again(scenario):
+def test_a_measurement_noise_three_times_as_large_is_estimated_as_such(scenario):
     """Three times the standard deviation from the start: nine times the variance, in both blocks."""
     s = scenarios.noise_change(noise_scale=3.0, change=0)
     t = s.simulate(100, 2)
@@ -107,9 +107,9 @@ def test_variances_in_units_of_the_noise_are_found_again(scenario):
 
 
 @pytest.mark.slow
-def test_with_five_times_the_noise_it_is_as_good_as_the_design_says_and_without_it_loses_nothing():
+def test_errors_are_known_with_five_times_the_measurement_noise_and_no_larger_with_the_nominal_one():
     """Range, m, and azimuth, mrad, from step 11 on: 18.1 / 2.15 for the plain filter, 13.7 / 1.69 for this one."""
-    found = {}
+    errors = {}
     for scale in (5.0, 1.0):
         s = scenarios.noise_change(noise_scale=scale)
         t = s.simulate(500, 0)
@@ -119,28 +119,28 @@ def test_with_five_times_the_noise_it_is_as_good_as_the_design_says_and_without_
             ("iaukf", presets.iaukf(s.motion, s.sensor)),
         ):
             gap = s.sensor.difference(s.sensor(f(t.z, t.prior).mean), truth)[:, 10:]
-            found[name, scale] = gap.square().mean((0, 1)).sqrt() * torch.tensor([1e3, 1e3, 1.0])
+            errors[name, scale] = gap.square().mean((0, 1)).sqrt() * torch.tensor([1e3, 1e3, 1.0])
             assert not f(t.z, t.prior).failed.any()
-    assert found["ukf", 5.0][[2, 0]].tolist() == pytest.approx([18.1, 2.15], rel=0.15)
-    assert found["iaukf", 5.0][[2, 0]].tolist() == pytest.approx([13.7, 1.69], rel=0.15)
-    assert (found["iaukf", 1.0] <= 1.02 * found["ukf", 1.0]).all()
+    assert errors["ukf", 5.0][[2, 0]].tolist() == pytest.approx([18.1, 2.15], rel=0.15)
+    assert errors["iaukf", 5.0][[2, 0]].tolist() == pytest.approx([13.7, 1.69], rel=0.15)
+    assert (errors["iaukf", 1.0] <= 1.02 * errors["ukf", 1.0]).all()
 
 
-def test_drawing_the_points_anew_makes_hardly_a_difference(scenario, tracks):
+def test_redrawing_the_points_changes_errors_by_less_than_two_percent(scenario, tracks):
     """The paper measures the propagated points, without the process noise: below 1 % of the error over many runs."""
     F, Q, R = models(scenario)
     root = tracks.prior.scale_tril[1].numpy()
-    given = tracks.z[1].numpy(), tracks.prior.mean[1].numpy(), root @ root.T, F, Q, R, oracles.Tuned()
+    arguments = tracks.z[1].numpy(), tracks.prior.mean[1].numpy(), root @ root.T, F, Q, R, oracles.Tuned()
     truth = np.array([oracles.msc_from_cartesian(x) for x in tracks.truth[1].numpy()])
     errors = []
     for redraw in (True, False):
-        gap = 1 / oracles.iaukf(*given, redraw)["mean"][10:, 5] - 1 / truth[10:, 5]
+        gap = 1 / oracles.iaukf(*arguments, redraw)["mean"][10:, 5] - 1 / truth[10:, 5]
         errors.append(np.sqrt((gap**2).mean()))
     assert errors[1] == pytest.approx(errors[0], rel=0.02)
     assert errors[1] != errors[0]
 
 
-def test_it_serves_with_any_sensor_and_any_rule(scenario):
+def test_it_works_with_other_sensors_filters_and_interacting_models(scenario):
     s = scenarios.bearings_outliers("none", initial="truth")
     t = s.simulate(4, 0)
     for f in (
@@ -152,7 +152,7 @@ def test_it_serves_with_any_sensor_and_any_rule(scenario):
         assert (metrics.track_rmse(estimate.mean, t.truth, s.position) < 300).all()
 
 
-def test_streaming_is_the_whole_and_a_batch_is_its_tracks(scenario, tracks):
+def test_streaming_and_single_tracks_agree_with_the_batch(scenario, tracks):
     f = presets.iaukf(scenario.motion, scenario.sensor)
     whole = f(tracks.z, tracks.prior)
     state = f.init(tracks.prior)
@@ -165,7 +165,7 @@ def test_streaming_is_the_whole_and_a_batch_is_its_tracks(scenario, tracks):
     torch.testing.assert_close(alone.mean, whole.mean[0], rtol=1e-12, atol=1e-14)
 
 
-def test_an_innovation_is_judged_under_the_noise_as_it_was_known(scenario, tracks):
+def test_the_likelihood_of_an_innovation_uses_the_noise_estimate_before_it(scenario, tracks):
     """Its density is that of a Gaussian with the covariance that ``step`` gives."""
     f = presets.iaukf(scenario.motion, scenario.sensor)
     state = f.init(tracks.prior)
@@ -189,7 +189,7 @@ def test_gradients_reach_forgetting_confidence_and_nominal_noise(scenario, track
     assert torch.autograd.gradcheck(loss, values, atol=1e-5)
 
 
-def test_kernels_do_the_same(scenario, tracks):
+def test_kernels_give_the_same(scenario, tracks):
     eager = presets.iaukf(scenario.motion, scenario.sensor)
     fast = presets.iaukf(scenario.motion, scenario.sensor).compile()
     torch.testing.assert_close(
@@ -197,9 +197,9 @@ def test_kernels_do_the_same(scenario, tracks):
     )
 
 
-def test_what_does_not_fit_is_named(scenario):
+def test_an_argument_out_of_range_is_named(scenario):
     motion, sensor = scenario.motion, scenario.sensor
-    for options, said in (
+    for options, message in (
         ({"forgetting": 1.5}, "forgetting"),
         ({"confidence": (0.1, 0.2, 0.3)}, "confidence: expected"),
         ({"confidence_in": "me"}, "confidence_in: expected one of"),
@@ -207,7 +207,7 @@ def test_what_does_not_fit_is_named(scenario):
         ({"lowest": 2.0}, "lowest, highest, warmup"),
         ({"warmup": -1}, "lowest, highest, warmup"),
     ):
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(ValueError, match=message):
             presets.iaukf(motion, sensor, **options)
     with pytest.raises(ValueError, match="robust: expected none beside"):
         SRCKF(motion, sensor, robust=Huber(), adaptive=SageHusa(sensor.blocks))

@@ -9,7 +9,7 @@ from torchfra import metrics, presets, scenarios
 from torchfra.adaptive import Fading
 from torchfra.gaussian.inputs import make_frames
 from torchfra.gaussian.model import compare, predict
-from torchfra.gaussian.update import correct, innovation, trust
+from torchfra.gaussian.update import correct, down_weight, innovation
 from torchfra.robust import Huber, ThreeSegment
 from torchfra.types import Gaussian
 
@@ -51,7 +51,7 @@ def test_the_first_update(first):
     close(belief.mean[:2], [2334.557232, 1580.969090], 6)
     weights = Huber()(whitened.residual, normalised.square().sum())
     close(weights, [0.040640495, 0.093530201], 7)
-    robust, _, _ = correct(prediction.belief, trust(whitened, weights))
+    robust, _, _ = correct(prediction.belief, down_weight(whitened, weights))
     close(robust.mean[:2], [2404.011874, 1519.076543], 6)
 
 

@@ -1,4 +1,6 @@
-"""``tria`` gives the one lower root with a non-negative diagonal, and its exact gradient, also where rank is lost."""
+"""``tria`` gives the one lower root with a non-negative diagonal and its exact gradient, also where rank is lost."""
+
+import math
 
 import numpy as np
 import pytest
@@ -6,7 +8,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchfra.linalg import gram_pinv, hstack, tria, whiten
+from torchfra.kernel.entries import Entries, entries
+from torchfra.kernel.expressions import Expressions
+from torchfra.linalg import gram_pinv, hstack, safe_divide, safe_log, safe_sqrt, tria, whiten
 
 torch.manual_seed(0)
 
@@ -49,10 +53,10 @@ def test_at_full_rank_it_is_the_cholesky_factor():
     torch.testing.assert_close(tria(a), torch.linalg.cholesky(a @ a.mT))
 
 
-def test_a_matrix_that_leads_with_zeros_can_say_so():
+def test_a_matrix_that_is_already_padded_with_zeros_has_the_same_root():
     a = random(3, 4, 6)
-    led = torch.cat([torch.zeros(3, 4, 4, dtype=a.dtype), a], -1)
-    torch.testing.assert_close(tria(led, led=True), tria(a), rtol=0, atol=0)
+    padded = torch.cat([torch.zeros(3, 4, 4, dtype=a.dtype), a], -1)
+    torch.testing.assert_close(tria(padded, padded=True), tria(a), rtol=0, atol=0)
 
 
 def test_the_eager_shortcut_equals_torch_linalg_qr():
@@ -76,7 +80,7 @@ def test_the_gradient_is_exact_beside_a_zero_row_and_a_zero_column(row):
     assert exact == pytest.approx(numeric, rel=1e-6)
 
 
-def test_the_gradient_is_exact_without_initial_uncertainty_and_with_noise_of_low_rank():
+def test_the_gradient_is_exact_without_initial_uncertainty_and_with_process_noise_of_low_rank():
     gamma = torch.tensor([0.5, 1.0, 1.0], dtype=torch.float64)
     a = torch.cat([torch.zeros(6, 6), torch.kron(gamma.unsqueeze(-1), torch.eye(2))], 1).double()
     assert (tria(a).diagonal() > 0).sum() == 2
@@ -93,11 +97,11 @@ def test_a_matrix_of_zeros_has_finite_gradients():
     assert a.grad.isfinite().all()
 
 
-def test_one_broken_matrix_leaves_the_others_alone():
+def test_a_matrix_that_contains_nan_does_not_affect_the_others_of_its_batch():
     a = random(3, 4, 6)
-    broken = a.clone()
-    broken[1, 0, 0] = torch.nan
-    torch.testing.assert_close(tria(broken)[[0, 2]], tria(a)[[0, 2]], rtol=0, atol=0)
+    with_nan = a.clone()
+    with_nan[1, 0, 0] = torch.nan
+    torch.testing.assert_close(tria(with_nan)[[0, 2]], tria(a)[[0, 2]], rtol=0, atol=0)
 
 
 @pytest.mark.parametrize("rcond", [0.0, 0.1, 0.6])
@@ -117,3 +121,51 @@ def test_small_helpers():
     assert hstack(torch.ones(3, 2, 1), torch.zeros(2, 4)).shape == (3, 2, 5)
     root, v = tria(random(4, 3, 5)), random(4, 3)
     torch.testing.assert_close((root @ whiten(root, v).unsqueeze(-1)).squeeze(-1), v)
+
+
+# ---------------------------------------------------------------- roots, logarithms and quotients
+
+SAFE = {
+    "sqrt": (safe_sqrt, [4.0, 0.0, -1.0], [2.0, 0.0, 0.0], [0.25, 0.0, 0.0]),
+    "log": (safe_log, [2.0, 0.0, -1.0], [math.log(2), -math.inf, -math.inf], [0.5, 0.0, 0.0]),
+    "log, filled": (lambda x: safe_log(x, fill=0.0), [2.0, 0.0], [math.log(2), 0.0], [0.5, 0.0]),
+    "divide": (lambda x: safe_divide(3.0, x), [2.0, 0.0, -1.0], [1.5, 0.0, -3.0], [-0.75, 0.0, -3.0]),
+    "divide, filled": (lambda x: safe_divide(3.0, x, fill=7.0), [2.0, 0.0], [1.5, 7.0], [-0.75, 0.0]),
+}
+
+
+@pytest.mark.parametrize("name", SAFE)
+def test_safe_functions_have_finite_derivatives_of_both_orders_at_the_edge(name):
+    function, arguments, values, slopes = SAFE[name]
+    x = torch.tensor(arguments, dtype=torch.float64, requires_grad=True)
+    y = function(x)
+    np.testing.assert_allclose(y.detach(), values)
+    (first,) = torch.autograd.grad(torch.where(y.isfinite(), y, 0.0).sum(), x, create_graph=True)
+    np.testing.assert_allclose(first.detach(), slopes)
+    (second,) = torch.autograd.grad(first.sum(), x)
+    assert second.isfinite().all()
+    assert second[0] != 0
+    assert (second[x == 0] == 0).all()
+
+
+def test_the_gradient_of_a_safe_quotient_reaches_the_numerator_only_where_it_counts():
+    a = torch.ones(2, dtype=torch.float64, requires_grad=True)
+    (gradient,) = torch.autograd.grad(safe_divide(a, torch.tensor([4.0, 0.0]).double()).sum(), a)
+    assert gradient.tolist() == [0.25, 0.0]
+
+
+def test_nan_is_filled_by_root_and_logarithm_and_stays_in_a_quotient():
+    nan = torch.tensor([math.nan])
+    assert safe_sqrt(nan).item() == 0
+    assert safe_log(nan).item() == -math.inf
+    assert safe_divide(1.0, nan).isnan().all()
+
+
+@pytest.mark.parametrize("name", SAFE)
+def test_safe_functions_run_under_torch_compile_and_in_kernels(name):
+    function, arguments, values, _ = SAFE[name]
+    x = torch.tensor(arguments, dtype=torch.float64)
+    np.testing.assert_allclose(torch.compile(function, backend="eager", fullgraph=True)(x), values)
+    traced = function(entries(book := Expressions(), x))
+    assert isinstance(traced, Entries)
+    np.testing.assert_allclose([book.values[i] for i in traced.ids.tolist()], values)

@@ -1,4 +1,4 @@
-"""Constrained values, fixed or learnable, and how to find them in a filter."""
+"""Hyperparameters: constrained values, fixed or learnable, and how to find them in a filter."""
 
 from __future__ import annotations
 
@@ -14,37 +14,38 @@ M = TypeVar("M", bound=nn.Module)
 
 
 def one_of(**choices: tuple[str, Collection[str]]) -> None:
-    """Checks arguments against what they may be: ``one_of(rule=(rule, ("this", "that")))``.
+    """Checks that arguments are among their allowed values: ``one_of(rule=(rule, ("third", "fifth")))``.
 
     Raises:
-        ValueError: names the first that is none of its own.
+        ValueError: names the first argument that is not, and its allowed values.
     """
-    for name, (value, known) in choices.items():
-        if value not in known:
-            raise ValueError(f"{name}: expected one of {tuple(known)}, received {value!r}")
+    for name, (value, allowed) in choices.items():
+        if value not in allowed:
+            raise ValueError(f"{name}: expected one of {tuple(allowed)}, received {value!r}")
 
 
 class Hyper(nn.Module):
-    """A hyperparameter in natural units: call it to read it.
+    """A hyperparameter in natural units; calling it returns its value.
 
     Args:
         value: a number, or a tensor whose shape broadcasts with the batch of tracks: thresholds of shape ``(100, 1)``
-            against 1000 tracks give a batch of ``(100, 1000)``.
-        constraint: of ``torch.distributions.constraints``; what the value may be.
-        learn: whether gradient descent may change it.
-        event: last dimensions of ``value`` that are no batch: 1 for a vector with a value for each element.
-        name: what an error calls it.
+            with 1000 tracks make a batch of ``(100, 1000)``.
+        constraint: allowed values, from ``torch.distributions.constraints``.
+        learn: whether the value is a parameter that gradient descent may change.
+        event_dim: number of last dimensions of ``value`` that are not batch dimensions, as in ``torch.distributions``:
+            1 for a vector with one value per element.
+        name: what error messages call the value.
 
-    The state dict holds the unconstrained value under ``raw`` whether it is learnable or not, so that values learned
-    by one filter load into a fixed one.
+    The state dict holds the unconstrained value as ``raw`` whether it is learnable or not, so that values learned by
+    one filter load into another where they are fixed.
 
     Raises:
-        ValueError: the value is outside the constraint, not a number, or on its edge and to be learned.
+        ValueError: the value violates the constraint or is NaN, or is to be learned and on the boundary of its range.
     """
 
     raw: Tensor
-    shared = 0
-    """Last dimensions of a batch that share the values of their track: those of models, say."""
+    shared_dims = 0
+    """Number of last batch dimensions of a filter over which the value is shared, such as the models of an ``IMM``."""
 
     def __init__(
         self,
@@ -52,20 +53,24 @@ class Hyper(nn.Module):
         constraint: constraints.Constraint = constraints.positive,
         *,
         learn: bool = False,
-        event: int = 0,
+        event_dim: int = 0,
         name: str = "value",
     ) -> None:
         super().__init__()
-        self.constraint, self.event = constraint, event
+        self.constraint, self.event_dim = constraint, event_dim
         self.register_buffer("raw", self._unconstrained(value, name))
         if learn:
             self.learn(name)
 
     def set(self, value: Value, name: str = "value") -> None:
-        """Give it another value, of the same shape or a number for all.
+        """Replaces the value, in place.
+
+        Args:
+            value: of the same shape, or one number for all entries.
+            name: what error messages call the value.
 
         Raises:
-            ValueError: the value is outside the constraint, or not a number.
+            ValueError: the value violates the constraint or is NaN.
         """
         with torch.no_grad():
             self.raw.copy_(self._unconstrained(value, name))
@@ -74,23 +79,27 @@ class Hyper(nn.Module):
         if not isinstance(value, Tensor) or not value.is_floating_point():
             value = torch.as_tensor(value, dtype=torch.float64)
         if not bool(self.constraint.check(value).all()):
-            raise ValueError(f"{name}: expected {_said(self.constraint)}, received {value.tolist()}")
+            raise ValueError(f"{name}: expected {_allowed(self.constraint)}, received {value.tolist()}")
         raw: Tensor = transform_to(self.constraint).inv(value.detach().clone())
         return raw
 
     @property
-    def inside(self) -> bool:
-        """Whether the value lies inside its range and not on the edge, where gradient descent cannot leave from."""
+    def interior(self) -> bool:
+        """Whether no entry is on the boundary of its range, from where gradient descent cannot move it."""
         return bool(self.raw.isfinite().all())
 
     @property
     def batch_rank(self) -> int:
-        """Batch dimensions that the value brings."""
-        return self.raw.dim() - self.event
+        """Number of batch dimensions of the value."""
+        return self.raw.dim() - self.event_dim
 
     def learn(self, name: str = "value") -> None:
-        """Make the value a parameter from here on."""
-        if not self.inside:
+        """Makes the value a parameter.
+
+        Raises:
+            ValueError: the value is on the boundary of its range.
+        """
+        if not self.interior:
             raise ValueError(f"{name}: to be learned it must lie inside its range, not on the edge: {self().tolist()}")
         raw = self.raw
         if "raw" in self._buffers:
@@ -98,32 +107,33 @@ class Hyper(nn.Module):
             self.raw = nn.Parameter(raw)
 
     def forward(self, like: Tensor | None = None) -> Tensor:
-        """The value, in natural units; in the dtype and on the device of ``like``, if that is given."""
+        """The value in natural units, with the dtype and on the device of ``like`` if that is not None."""
         value: Tensor = transform_to(self.constraint)(self.raw)
-        for _ in range(self.shared if self.batch_rank else 0):
-            value = value.unsqueeze(-1 - self.event)
+        for _ in range(self.shared_dims if self.batch_rank else 0):
+            value = value.unsqueeze(-1 - self.event_dim)
         return value if like is None else value.to(like)
 
     def elements(self, like: Tensor | None = None) -> Tensor:
-        """The value with a last dimension for the elements of a vector: one for each, or one for all."""
+        """The value with a last dimension that broadcasts with the elements of a vector ``like (..., m)``."""
         value: Tensor = self(like)
-        return value if self.event else value.unsqueeze(-1)
+        return value if self.event_dim else value.unsqueeze(-1)
 
     def describe(self) -> tuple[str, str, str]:
-        """For people: the value (or the shape of many), its range, and whether it learns."""
+        """As text: the value (or the shape of many values), its range, and ``"learnable"`` or ``"fixed"``."""
         value = self().detach()
-        few = (
-            ", ".join(f"{v:.6g}" for v in value.flatten().tolist()) if value.numel() <= 6 and value.dim() < 2 else None
-        )
-        shown = f"values of shape {tuple(value.shape)}" if few is None else few
-        return shown, _said(self.constraint), "learnable" if self.raw.requires_grad else "fixed"
+        if value.numel() <= 6 and value.dim() < 2:
+            values = ", ".join(f"{v:.6g}" for v in value.flatten().tolist())
+        else:
+            values = f"values of shape {tuple(value.shape)}"
+        return values, _allowed(self.constraint), "learnable" if self.raw.requires_grad else "fixed"
 
     def extra_repr(self) -> str:
-        """Value, range and whether it learns."""
+        """Value, range and whether it is learnable."""
         return ", ".join(self.describe())
 
 
-def _said(constraint: constraints.Constraint) -> str:
+def _allowed(constraint: constraints.Constraint) -> str:
+    """The allowed values of a constraint as text."""
     low, high = getattr(constraint, "lower_bound", None), getattr(constraint, "upper_bound", None)
     if low is None:
         return "a number" if isinstance(constraint, type(constraints.real)) else f"a value in {constraint}"
@@ -134,44 +144,47 @@ def _said(constraint: constraints.Constraint) -> str:
 
 
 def hypers(module: nn.Module) -> dict[str, Hyper]:
-    """All hyperparameters of a module by their path, ``"motion.q"`` say."""
+    """All hyperparameters of a module, by their path, such as ``"motion.q"``."""
     return {path: part for path, part in module.named_modules() if isinstance(part, Hyper)}
 
 
 def named(module: nn.Module, names: Collection[str]) -> dict[str, Hyper]:
-    """The hyperparameters of these names by their path.
+    """The hyperparameters of a module that have certain names, by their path.
 
     Args:
-        module: where to look, at any depth.
-        names: last parts of a path, ``"q"``, or whole paths, ``"motion.q"``; or ``"all"``, which is every value that
-            lies inside its range: those on the edge, such as an infinite threshold, stay as they are.
+        module: searched at any depth.
+        names: whole paths, such as ``"motion.q"``, or their last parts, such as ``"q"``, which may match several
+            hyperparameters; a single name may be a plain string.  ``"all"`` selects every hyperparameter except those
+            on the boundary of their range, such as an infinite threshold.
 
     Raises:
-        ValueError: a name that the module does not have; says which there are.
+        ValueError: the module has no hyperparameter of that name; the message lists the names that it has.
     """
-    known = hypers(module)
+    every = hypers(module)
     if names == "all":
-        return {path: hyper for path, hyper in known.items() if hyper.inside}
-    names = (names,) if isinstance(names, str) else names
-    found: dict[str, Hyper] = {}
-    for name in names:
-        matching = {path: hyper for path, hyper in known.items() if name in (path, path.rpartition(".")[2])}
+        return {path: hyper for path, hyper in every.items() if hyper.interior}
+    selected: dict[str, Hyper] = {}
+    for name in (names,) if isinstance(names, str) else names:
+        matching = {path: hyper for path, hyper in every.items() if name in (path, path.rpartition(".")[2])}
         if not matching:
-            last = sorted({path.rpartition(".")[2] for path in known})
-            raise ValueError(f"learn: expected 'all' or names out of {last}, received {name!r}")
-        found |= matching
-    return found
+            known = sorted({path.rpartition(".")[2] for path in every})
+            raise ValueError(f"learn: expected 'all' or names out of {known}, received {name!r}")
+        selected |= matching
+    return selected
 
 
 def learnable(module: M, names: Collection[str]) -> M:
-    """Make the hyperparameters of these names learnable, wherever in the module they are.
+    """Makes hyperparameters of a module parameters, which an optimiser finds in ``module.parameters()``.
 
     Args:
-        module: it is changed and returned.
-        names: see ``named``.
+        module: it is changed in place.
+        names: as in ``named``: ``("q", "robust.threshold")``, or ``"all"``.
+
+    Returns:
+        The same module.
 
     Raises:
-        ValueError: a name that the module does not have, or a value on the edge of its range.
+        ValueError: the module has no hyperparameter of that name, or its value is on the boundary of its range.
     """
     for path, hyper in named(module, names).items():
         hyper.learn(path)

@@ -106,7 +106,7 @@ def hghckf1(
     learn: Names = (),
     **regression: Any,
 ) -> SRCKF:
-    """Robust by regression: ``threshold, max_iter, tol, start, compensate`` as in ``HuberRegression``.
+    """Robust by regression: ``threshold, max_iter, tol, first_iterate, compensate`` as in ``HuberRegression``.
 
     Source: Zhang et al. (2016), what Qin et al. (2018) compare with.
     """

@@ -98,7 +98,7 @@ class Fading(NoFading):
             share = torch.as_tensor(share, dtype=torch.float64)
             if share.shape[-1:] != (len(self.states),):
                 raise ValueError(f"share: expected (..., {len(self.states)}), received {tuple(share.shape)}")
-            self.share = Hyper(share, constraints.nonnegative, event=1, name="share")
+            self.share = Hyper(share, constraints.nonnegative, event_dim=1, name="share")
         self.rcond, self.trace = rcond, trace
 
     def begin(self, mean: Tensor, m: int) -> Memory:

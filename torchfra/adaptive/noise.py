@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import constraints
 
-from torchfra.gaussian.update import trust
+from torchfra.gaussian.update import down_weight
 from torchfra.hyper import Hyper, Value, one_of
 from torchfra.tree import event_ranks
 from torchfra.types import Whitened
@@ -119,7 +119,7 @@ class SageHusa(NominalNoise):
         if confidence.shape[-1:] != (len(blocks),):
             raise ValueError(f"confidence: expected (..., {len(blocks)}), received {tuple(confidence.shape)}")
         self.forgetting = Hyper(forgetting, constraints.interval(0.0, 1.0), name="forgetting")
-        self.confidence = Hyper(confidence, constraints.interval(0.0, 1.0), event=1, name="confidence")
+        self.confidence = Hyper(confidence, constraints.interval(0.0, 1.0), event_dim=1, name="confidence")
         self.confidence_in, self.warmup, self.adapt = confidence_in, warmup, adapt
         self.lowest, self.highest = lowest, highest
         element = {i: number for number, block in enumerate(blocks) for i in block}
@@ -163,7 +163,7 @@ class SageHusa(NominalNoise):
 
     def known(self, whitened: Whitened, memory: Any, seen: Tensor) -> Whitened:
         """The measurement in units of the estimated noise."""
-        return trust(whitened, 1 / memory.scale)
+        return down_weight(whitened, 1 / memory.scale)
 
     def nominal(self, root: Tensor, memory: Any, seen: Tensor) -> Tensor:
         """A root ``(..., m, m)`` from units of the estimated noise back in those of the nominal noise."""

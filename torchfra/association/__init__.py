@@ -1,16 +1,15 @@
-"""Which measurement is whose: gates, the density of false measurements, probabilities of joint association.
+"""Data association: gates, clutter density, and probabilities of which measurement originates from which target.
 
-Everything is in the log domain.  A target is missed or has one measurement; a measurement is of one target or false.
-Targets that share measurements in their gates, directly or through others, are a cluster; clusters do not matter to
-each other.
+All probabilities are logs.  In a joint event each target is missed or has one measurement, and each measurement belongs
+to one target or is false.  Targets that share measurements in their gates, directly or through others, form a cluster;
+clusters are independent of each other.
 """
 
-from torchfra.association.clusters import Association, Clusters, clusters
+from torchfra.association.clusters import Association, Clusters, same_cluster
 from torchfra.association.clutter import Clutter
-from torchfra.association.events import check_exact, enumerate_events, events
+from torchfra.association.events import check_exact, joint_events
 from torchfra.association.gates import Candidates, ChiSquare, Euclidean, Gate
 from torchfra.association.joint import associate
-from torchfra.association.messages import propagate
 
 __all__ = [
     "Association",
@@ -22,8 +21,6 @@ __all__ = [
     "Gate",
     "associate",
     "check_exact",
-    "clusters",
-    "enumerate_events",
-    "events",
-    "propagate",
+    "joint_events",
+    "same_cluster",
 ]

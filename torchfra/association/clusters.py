@@ -1,4 +1,4 @@
-"""Clusters of targets that share measurements, and what association gives."""
+"""Clusters of targets that share gated measurements, and the types that association works on."""
 
 from __future__ import annotations
 
@@ -9,38 +9,73 @@ from torch import Tensor
 
 
 class Association(NamedTuple):
-    """What a scan says about its targets."""
+    """Marginal probabilities of association of a scan."""
 
     log_weights: Tensor
-    """``(..., N, J + 1)`` logs of the probabilities: missed, then of each measurement; minus infinity for none."""
+    """``(..., N, J + 1)`` log probabilities: that the target was missed, then that each measurement is its own; minus
+    infinity where impossible."""
     evidence: Tensor
-    """``(..., N)`` log density of the scan against one of false measurements alone; each target of a cluster has an
-    equal share, so that their sum is that of the scan."""
+    """``(..., N)`` log density of the scan relative to one of false measurements alone, divided equally among the
+    targets of a cluster: the sum over targets is the log density of the scan."""
 
     @property
-    def share(self) -> Tensor:
-        """``(..., N, J)`` probability that each measurement is the target's own."""
+    def probabilities(self) -> Tensor:
+        """``(..., N, J)`` probability that each measurement originates from the target; the ``beta`` of the papers."""
         return self.log_weights[..., 1:].exp()
 
 
 class Clusters(NamedTuple):
-    """Of every target its cluster."""
+    """The cluster that each of N targets belongs to, in R scans."""
 
-    together: Tensor
-    """``(R, N, N)`` bool, which targets are in it."""
+    members: Tensor
+    """``(R, N, N)`` bool: which targets are in the same cluster, itself included."""
     size: Tensor
-    """``(R, N)`` how many."""
+    """``(R, N)`` number of targets in the cluster."""
     gated: Tensor
-    """``(R, N)`` measurements in their gates."""
-    counted: Tensor
-    """``(R, N)`` those, each as far as it is inside."""
+    """``(R, N)`` number of measurements in the gates of the cluster."""
+    weight: Tensor
+    """``(R, N)`` the same number, each measurement weighted by its membership of soft gates, between 0 and 1."""
 
 
-def clusters(gated: Tensor) -> Tensor:
-    """``(..., N, N)`` bool: which targets share measurements, directly or through others, by ``gated (..., N, J)``."""
-    n = gated.shape[-2]
-    share = gated.to(torch.float32) @ gated.mT.to(torch.float32)
-    linked = (share > 0) | torch.eye(n, dtype=torch.bool, device=gated.device)
-    for _ in range(max(n - 1, 1).bit_length()):
+class GatedScans(NamedTuple):
+    """R scans of J measurements against N targets: what both ways to sum over joint events start from."""
+
+    log_ratio: Tensor
+    """``(R, N, J)`` log of detection probability times likelihood over clutter density; minus infinity if not gated."""
+    log_miss: Tensor
+    """``(R, N)`` log probability of no gated measurement; minus infinity for targets that are always measured."""
+    gated: Tensor
+    """``(R, N, J)`` bool: which measurements are in the gate of each target."""
+    clusters: Clusters
+    diffuse: bool
+    """Whether any number of false measurements is equally probable a priori; otherwise it is Poisson."""
+
+
+def same_cluster(gated: Tensor) -> Tensor:
+    """Which targets share measurements, directly or through others.
+
+    Args:
+        gated: ``(..., N, J)`` bool, which measurements are in the gate of each target.
+
+    Returns:
+        ``(..., N, N)`` bool: the connected components of the graph of targets and gated measurements.
+    """
+    targets = gated.shape[-2]
+    shared = gated.to(torch.float32) @ gated.mT.to(torch.float32)
+    linked = (shared > 0) | torch.eye(targets, dtype=torch.bool, device=gated.device)
+    for _ in range(max(targets - 1, 1).bit_length()):  # each squaring doubles the length of the paths
         linked = (linked.to(torch.float32) @ linked.to(torch.float32)) > 0
     return linked
+
+
+def find_clusters(gated: Tensor, membership: Tensor) -> Clusters:
+    """The clusters of R scans.
+
+    Args:
+        gated: ``(R, N, J)`` bool, which measurements are in the gate of each target.
+        membership: ``(R, N, J)`` from 0 (outside) to 1 (inside).
+    """
+    members = same_cluster(gated)
+    # The membership of each measurement in the gates of each target's cluster: (R, N, J).
+    weight = torch.where(members.unsqueeze(-1), membership.unsqueeze(-3), 0.0).amax(-2)
+    return Clusters(members, members.sum(-1), (weight > 0).sum(-1), weight.sum(-1))

@@ -1,4 +1,4 @@
-"""How dense false measurements are."""
+"""The density of false measurements."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from torchfra.sensors.base import Sensor
 
 
 class Clutter(nn.Module):
-    """How dense false measurements are, where one was measured.
+    """Density of false measurements, uniform in space or in measurement space.
 
     Args:
-        volume: of the space that false measurements fall in evenly, m^3 (m^2 in the plane); the sensor must measure
-            each direction of space (``Sensor.metre``).
-        extent: instead, of the measurements that false ones fall in evenly: ``(m,)`` from the lowest to the highest of
-            each element, in its own unit.
-        rate: expected false measurements per scan, Poisson; None if any number of them is alike beforehand
-            (non-parametric).
+        volume: volume of the region of space in which false measurements are uniform, m^3 (m^2 in the plane).  The
+            sensor must measure every direction of space (``Sensor.metre``).
+        extent: ``(m,)`` instead, the extent of the region of measurement space in which they are uniform: the range of
+            each element, in its unit.
+        rate: expected number of false measurements per scan, Poisson.  None if any number of them is equally probable a
+            priori (non-parametric).
 
     Raises:
         ValueError: both or neither of ``volume`` and ``extent``, or values that are not above 0.
 
-    Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eq. (25).  Differs: the density of false measurements
-    that fall evenly in space is mapped to the measurement's own units, by ``r^2 cos(elevation)`` for angles and range.
+    Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eq. (25).  Differs: a density that is uniform in
+    space is transformed to the units of the measurement, by ``r^2 cos(elevation)`` for range and two angles.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Clutter(nn.Module):
             raise ValueError("volume, extent: expected exactly one of the two")
         self.volume = None if volume is None else Hyper(volume, name="volume")
         extent = None if extent is None else torch.as_tensor(extent, dtype=torch.float64)
-        self.extent = None if extent is None else Hyper(extent, event=1, name="extent")
+        self.extent = None if extent is None else Hyper(extent, event_dim=1, name="extent")
         self.rate = None if rate is None else Hyper(rate, name="rate")
 
     def check(self, sensor: Sensor) -> None:
@@ -53,16 +53,15 @@ class Clutter(nn.Module):
             raise ValueError(f"extent: expected ({sensor.size},), received {tuple(self.extent().shape)}")
 
     def forward(self, candidates: Candidates, sensor: Sensor) -> Tensor:
-        """Log density ``(..., N, J)``; of what was seen, where some elements are missing."""
+        """Log density ``(..., N, J)`` at each measurement, over the elements that were measured."""
         z = candidates.z
         if self.extent is not None:
-            spans = self.extent(z)
+            extent = self.extent(z)
         else:
             assert self.volume is not None
-            # A measured elevation may be beyond the vertical; a range of 0, which no gate holds, has no density.
+            # A measured elevation may lie beyond the vertical; a range of 0 has no density, and lies in no gate.
             metre = sensor.metre(z).abs()
             metre = torch.where((metre > 0) & metre.isfinite(), metre, 1.0)
-            spans = self.volume(z).unsqueeze(-1) ** (1 / sensor.size) * metre
-        found = -(candidates.seen * spans.log()).sum(-1)
-        density: Tensor = found if self.rate is None else found + self.rate(z).log()
-        return density
+            extent = self.volume(z).unsqueeze(-1) ** (1 / sensor.size) * metre
+        density: Tensor = -(candidates.seen * extent.log()).sum(-1)
+        return density if self.rate is None else density + self.rate(z).log()

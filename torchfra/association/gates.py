@@ -1,4 +1,4 @@
-"""Gates: which measurements may be a target's at all."""
+"""Gates: which measurements are considered for a target at all."""
 
 from __future__ import annotations
 
@@ -10,63 +10,65 @@ from torch.distributions import constraints
 from torch.nn.functional import logsigmoid
 
 from torchfra.hyper import Hyper, Value
+from torchfra.linalg.safe import safe_log, safe_sqrt
 from torchfra.sensors.base import Sensor
 
-_NOTHING = -30.0
-"""Log of how far inside a soft gate a measurement must be to count at all."""
+_LOWEST_MEMBERSHIP = -30.0
+"""Log membership of a soft gate below which a measurement counts as outside."""
 
 
 class Candidates(NamedTuple):
-    """All measurements of a scan against the prediction of each target."""
+    """The J measurements of a scan, compared with the predictions of N targets."""
 
     z: Tensor
-    """``(..., N, J, m)`` measured; where an element is missing, what was predicted."""
+    """``(..., N, J, m)`` measurements; a missing element has its predicted value."""
     predicted: Tensor
-    """``(..., N, J, m)``."""
+    """``(..., N, J, m)`` predicted measurements."""
     seen: Tensor
-    """``(..., 1, J, m)`` 1 where measured, 0 where missing."""
+    """``(..., 1, J, m)`` 1 where an element was measured, 0 where it is missing."""
     nis: Tensor
     """``(..., N, J)`` normalised innovation squared."""
 
 
 class Gate(nn.Module):
-    """Abstract: a subclass gives ``beyond``, and ``inside`` if a target's measurement may lie outside."""
+    """Abstract: a subclass defines ``beyond``, and ``gate_probability`` if it is not 1."""
 
     def forward(self, candidates: Candidates, sensor: Sensor, temperature: float) -> Tensor:
-        """Log ``(..., N, J)`` of how far each measurement counts: 0 inside, minus infinity outside.
+        """Log membership ``(..., N, J)``: 0 for measurements inside the gate, minus infinity outside.
 
-        With a temperature the edge is soft, that wide as a share of the gate: gradients then reach its size.
+        A ``temperature`` above 0 makes the edge soft, and is its width as a fraction of the gate: gradients then reach
+        the size of the gate.
         """
         beyond = self.beyond(candidates, sensor)
         if temperature > 0:
             soft = logsigmoid(-beyond / temperature)
-            return torch.where(soft > _NOTHING, soft, -torch.inf)
+            return torch.where(soft > _LOWEST_MEMBERSHIP, soft, -torch.inf)
         return torch.where(beyond > 0, -torch.inf, 0.0)
 
     def beyond(self, candidates: Candidates, sensor: Sensor) -> Tensor:
-        """``(..., N, J)`` how far outside the edge a measurement lies, as a share of the gate; negative inside."""
-        raise TypeError(f"{type(self).__name__} needs a beyond")
+        """``(..., N, J)`` distance beyond the edge of the gate, as a fraction of its size; negative inside."""
+        raise TypeError(f"{type(self).__name__} must define beyond")
 
-    def inside(self) -> Tensor | None:
-        """Probability that a target's own measurement lies inside; None for 1."""
+    def gate_probability(self) -> Tensor | None:
+        """Probability that the measurement of a target lies inside its gate, the ``P_G`` of the papers; None for 1."""
         return None
 
 
 class Euclidean(Gate):
-    """Within so many metres of the predicted measurement.
+    """A sphere in space around the predicted measurement.
 
     Args:
-        size: m.
-        least: the gate holds at least the ellipsoid of the innovation's covariance that has this probability: a
-            prediction may be less certain than the gate is wide, that of a poor start say.  0 for metres alone.
+        size: radius, m.
+        least: the gate also contains the ellipsoid of the innovation covariance with this probability, in [0, 1), for
+            predictions that are less certain than the sphere is wide, such as a poor prior.  0 for the sphere alone.
 
-    The sensor must tell where in space a measurement lies (``Sensor.locate``).  Targets are taken to be inside always.
+    The sensor must know where in space a measurement lies (``Sensor.locate``).  The gate probability is taken as 1.
 
     Raises:
-        ValueError: ``size`` not above 0, ``least`` not in [0, 1).
+        ValueError: ``size`` is not above 0, or ``least`` not in [0, 1).
 
-    Source: Chen, Zou & Wu, section 4, who print gates of 100 and 150; unit and form are our reading.  Differs:
-    ``least`` is ours.
+    Source: Chen, Zou & Wu, section 4, who print gates of 100 and 150.  Differs: they state neither unit nor form,
+    metres and sphere are our reading; ``least`` is an addition.
     """
 
     def __init__(self, size: Value = 100.0, least: float = 0.0) -> None:
@@ -77,50 +79,52 @@ class Euclidean(Gate):
         self.least = least
 
     def beyond(self, candidates: Candidates, sensor: Sensor) -> Tensor:
-        """See ``Gate``."""
+        """Distance in space less the radius, as a fraction of the radius."""
         gap = sensor.locate(candidates.z) - sensor.locate(candidates.predicted)
-        squared, size = gap.square().sum(-1), self.size(gap)
-        distance = torch.where(squared > 0, torch.where(squared > 0, squared, 1.0).sqrt(), 0.0)
-        beyond: Tensor = distance / size - 1
+        beyond: Tensor = safe_sqrt(gap.square().sum(-1)) / self.size(gap) - 1
         if not self.least:
             return beyond
-        return torch.minimum(beyond, _tail(candidates, beyond.new_tensor(self.least)))
+        return torch.minimum(beyond, _beyond_ellipsoid(candidates, beyond.new_tensor(self.least)))
 
 
 class ChiSquare(Gate):
-    """Within the ellipsoid of the innovation's covariance that has a probability, whatever elements were seen.
+    """The ellipsoid of the innovation covariance with a given probability, for as many elements as were measured.
 
     Args:
-        probability: that the target's own measurement lies inside, below 1.
+        probability: probability that the measurement of a target lies inside, above 0 and below 1.
 
-    Softness counts in the log of the probability to lie still farther out.
+    The width of a soft edge is measured in the log of the tail probability.
+
+    Raises:
+        ValueError: ``probability`` is not above 0 and below 1.
 
     Source: Bar-Shalom & Fortmann (1988), section 5.
     """
 
     def __init__(self, probability: Value = 0.999) -> None:
         super().__init__()
-        given = torch.as_tensor(probability)
-        if not bool(((given > 0) & (given < 1)).all()):
+        value = torch.as_tensor(probability)
+        if not bool(((value > 0) & (value < 1)).all()):
             raise ValueError(f"probability: expected a value above 0 and below 1, received {probability}")
         self.probability = Hyper(probability, constraints.interval(0.0, 1.0), name="probability")
 
     def beyond(self, candidates: Candidates, sensor: Sensor) -> Tensor:
-        """See ``Gate``."""
+        """Log tail probability beyond the measurement, relative to that beyond the ellipsoid."""
         probability: Tensor = self.probability(candidates.nis)
-        return _tail(candidates, probability)
+        return _beyond_ellipsoid(candidates, probability)
 
-    def inside(self) -> Tensor | None:
-        """See ``Gate``."""
+    def gate_probability(self) -> Tensor | None:
+        """The probability of the ellipsoid."""
         probability: Tensor = self.probability()
         return probability
 
 
-def _tail(candidates: Candidates, probability: Tensor) -> Tensor:
-    """How far ``(..., N, J)`` beyond the ellipsoid of a probability, in the log of the one to lie still farther out."""
+def _beyond_ellipsoid(candidates: Candidates, probability: Tensor) -> Tensor:
+    """How far ``(..., N, J)`` beyond the ellipsoid of a probability, as ``log tail / log(1 - probability) - 1``.
+
+    ``tail`` is the probability of a larger normalised innovation squared; where it underflows the result is infinity.
+    """
     nis, seen = candidates.nis, candidates.seen.sum(-1).expand(candidates.nis.shape)
     tail = torch.special.gammaincc(seen.clamp_min(1.0) / 2, nis.clamp_min(1e-12) / 2)
-    some = tail > 0
-    beyond = torch.where(some, tail, 1.0).log() / torch.log1p(-probability) - 1
-    outside: Tensor = torch.where(some, beyond, torch.inf)
-    return outside
+    beyond: Tensor = torch.where(tail > 0, safe_log(tail, fill=0.0) / torch.log1p(-probability) - 1, torch.inf)
+    return beyond

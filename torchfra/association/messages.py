@@ -1,87 +1,121 @@
-"""Joint association by belief propagation."""
+"""Joint association by loopy belief propagation between targets and measurements."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
+from torch.nn.functional import pad, softplus
 
-from torchfra.association.clusters import Association, Clusters
+from torchfra.association.clusters import Association, Clusters, GatedScans
+from torchfra.linalg.safe import safe_divide
 from torchfra.linalg.tracing import is_traced
 
-_SURE, _NOTHING = -30.0, -1e3
-"""In messages, log weights against the largest of a target: to miss one that is always measured, and what cannot be."""
+_MISS_OF_ALWAYS_MEASURED, _IMPOSSIBLE = -30.0, -1e3
+"""Finite log weights in messages, relative to the lowest of a cluster: of the miss of a target that is always measured,
+and of a measurement outside the gate."""
+
+_CONVERGED = 1e-10
+"""Largest change of a log message at which the iterations stop."""
 
 
-_SETTLED = 1e-10
-"""Change of a message, in logs, that is none."""
-
-
-def propagate(log_ratio: Tensor, log_miss: Tensor, within: Clusters, *, diffuse: bool, iterations: int) -> Association:
-    """Belief propagation between targets ``N`` and measurements ``J``: exact for single targets, close for clusters.
+def belief_propagation(scans: GatedScans, iterations: int) -> Association:
+    """Association by sum-product messages: exact for clusters of one target, approximate for larger ones.
 
     Args:
-        log_ratio: ``(R, N, J)``.
-        log_miss: ``(R, N)``.
-        within: clusters of the targets.
-        diffuse: counted as Poisson with the rate that gives the same odds to as many detections as there are targets.
-        iterations: of messages both ways, at most.
+        scans: measurements against targets.  Where they are diffuse, the number of false measurements is taken as
+            Poisson, with the rate that gives the same odds to as many detections as the cluster has targets.
+        iterations: largest number of rounds of messages; 0 if all clusters have one target.
 
-    Against the sum over all events, 4 targets with up to 10 measurements in shared gates (drawn at random),
-    probabilities are off by 0.001 to 0.003 on average and by less than 0.04 in 99 of 100; the worst of 22,000 by 0.2;
-    evidence is off by less than 0.1.  Targets that are always measured and alike converge worst.
+    Error against the sum over all events, for 4 targets with up to 10 measurements in shared gates drawn at random:
+    of the probabilities 0.001 to 0.003 on average, below 0.04 in 99 % of the cases, 0.2 in the worst of 22,000; of the
+    evidence below 0.1.  It is largest for similar targets that are always measured.
 
     Source: Williams & Lau (2014), "Approximate evaluation of marginal association probabilities with belief
     propagation".
     """
-    gated = log_ratio > -torch.inf
-    if diffuse:
-        found = torch.minimum(within.size.to(log_ratio), within.counted)
-        some = found > 0
-        rate = torch.lgamma(within.counted + 1) - torch.lgamma(within.counted - found + 1)
-        log_ratio = log_ratio - torch.where(some, rate / torch.where(some, found, 1.0), 0.0).unsqueeze(-1)
-    certain, alone = log_miss == -torch.inf, within.size == 1
-    every = torch.cat([torch.where(certain, torch.where(gated.any(-1), -torch.inf, 0.0), log_miss).unsqueeze(-1),
-                       log_ratio], -1)  # fmt: skip
-    # Those always measured are missed with a weight that is below all else that may happen in their cluster, and the
-    # same for all of it, so that it decides nothing but that.
-    low = _lowest(within.together, gated, log_ratio.detach())
-    forced = torch.where(low.isfinite(), low + _SURE, 0.0)
-    miss = torch.where(certain, forced, log_miss).unsqueeze(-1)
-    least = torch.minimum(miss.detach(), torch.where(low.isfinite(), low, 0.0).unsqueeze(-1))
-    weight = torch.where(gated, log_ratio, least + _NOTHING)
-    back = torch.zeros_like(weight)  # log of nu, from measurement to target
-    for k in range(iterations):
-        ahead = weight - torch.logaddexp(miss, _others(weight + back))
-        before, back = back, -torch.nn.functional.softplus(_others(ahead.mT).mT)
-        if k % 10 == 9 and not is_traced(back) and bool((back - before).abs().amax() < _SETTLED):
-            break
-    told = torch.cat([miss, weight + back], -1)
-    whole = told.logsumexp(-1)
-    log_weights = torch.where(pad(gated, (1, 0), value=True), told - whole.unsqueeze(-1), -torch.inf)
-    # The Bethe approximation of the sum over all events, each measurement's part shared by the targets that gate it.
-    ahead = weight - torch.logaddexp(miss, _others(weight + back))
-    of_measurement = torch.nn.functional.softplus(ahead.logsumexp(-2)) / gated.sum(-2).clamp_min(1)
-    own = whole + (gated * of_measurement.unsqueeze(-2) - torch.nn.functional.softplus(ahead + back)).sum(-1)
-    own = own - torch.where(certain, forced * log_weights[..., 0].exp(), 0.0)  # which counts as 0 among events
-    evidence = (within.together.to(own) @ own.unsqueeze(-1)).squeeze(-1) / within.size
-    single = every.logsumexp(-1)  # of a target alone there is nothing to tell others
+    log_ratio, clusters = scans.log_ratio, scans.clusters
+    if scans.diffuse:
+        log_ratio = log_ratio - _log_poisson_rate(clusters).unsqueeze(-1)
+    always_measured = scans.log_miss == -torch.inf
+    detected, missed = _finite_weights(log_ratio, scans.log_miss, scans.gated, clusters.members)
+    to_target = _converge(detected, missed, iterations)
+    beliefs = torch.cat([missed, detected + to_target], -1)
+    log_total = beliefs.logsumexp(-1)
+    possible = pad(scans.gated, (1, 0), value=True)
+    log_weights = torch.where(possible, beliefs - log_total.unsqueeze(-1), -torch.inf)
+    share = log_total + _bethe_correction(detected, missed, to_target, scans.gated)
+    # The finite weight of an impossible miss counts as 1 among events, and so must it here.
+    share = share - torch.where(always_measured, missed.squeeze(-1) * log_weights[..., 0].exp(), 0.0)
+    evidence = (clusters.members.to(share) @ share.unsqueeze(-1)).squeeze(-1) / clusters.size
+    alone, single = clusters.size == 1, _single_target(log_ratio, scans.log_miss, scans.gated)
     return Association(
-        torch.where(alone.unsqueeze(-1), every - single.unsqueeze(-1), log_weights),
-        torch.where(alone, single, evidence),
+        torch.where(alone.unsqueeze(-1), single.log_weights, log_weights),
+        torch.where(alone, single.evidence, evidence),
     )
 
 
-def _lowest(together: Tensor, gated: Tensor, log_ratio: Tensor) -> Tensor:
-    """Of every target ``(R, N)`` the smallest log ratio in its cluster, infinite if there is none."""
-    own = torch.where(gated, log_ratio, torch.inf).amin(-1)
-    return torch.where(together, own.unsqueeze(-2), torch.inf).amin(-1)
+def _single_target(log_ratio: Tensor, log_miss: Tensor, gated: Tensor) -> Association:
+    """Exact association of each target by itself."""
+    impossible = torch.where(gated.any(-1), -torch.inf, 0.0)  # an always measured target is missed if its gate is empty
+    log_miss = torch.where(log_miss == -torch.inf, impossible, log_miss)
+    beliefs = torch.cat([log_miss.unsqueeze(-1), log_ratio], -1)
+    log_total = beliefs.logsumexp(-1)
+    return Association(beliefs - log_total.unsqueeze(-1), log_total)
 
 
-def _others(x: Tensor) -> Tensor:
-    """Log of the sum over all other entries of the last dimension, for each of ``x (..., n)``."""
+def _log_poisson_rate(clusters: Clusters) -> Tensor:
+    """``(R, N)`` log rate of Poisson false measurements that stands for a diffuse number of them in each cluster."""
+    detections = torch.minimum(clusters.size.to(clusters.weight), clusters.weight)
+    log_odds = torch.lgamma(clusters.weight + 1) - torch.lgamma(clusters.weight - detections + 1)
+    return safe_divide(log_odds, detections)
+
+
+def _finite_weights(log_ratio: Tensor, log_miss: Tensor, gated: Tensor, members: Tensor) -> tuple[Tensor, Tensor]:
+    """Log weights of detections ``(R, N, J)`` and misses ``(R, N, 1)`` with finite numbers for impossible ones.
+
+    The miss of a target that is always measured has a weight far below all others of its cluster, the same for all of
+    its targets, so that it changes nothing but the number of misses.
+    """
+    gated_ratio = torch.where(gated, log_ratio.detach(), torch.inf).amin(-1)
+    lowest = torch.where(members, gated_ratio.unsqueeze(-2), torch.inf).amin(-1)  # (R, N) in the whole cluster
+    some = lowest.isfinite()
+    stand_in = torch.where(some, lowest + _MISS_OF_ALWAYS_MEASURED, 0.0)
+    missed = torch.where(log_miss == -torch.inf, stand_in, log_miss).unsqueeze(-1)
+    floor = torch.minimum(missed.detach(), torch.where(some, lowest, 0.0).unsqueeze(-1))
+    return torch.where(gated, log_ratio, floor + _IMPOSSIBLE), missed
+
+
+def _converge(detected: Tensor, missed: Tensor, iterations: int) -> Tensor:
+    """Log messages ``(R, N, J)`` from measurements to targets, the ``nu`` of the paper, after they have converged."""
+    to_target = torch.zeros_like(detected)
+    for k in range(iterations):
+        to_measurement = _message_to_measurement(detected, missed, to_target)
+        before, to_target = to_target, -softplus(_log_sum_of_others(to_measurement.mT).mT)
+        if k % 10 == 9 and not is_traced(to_target) and bool((to_target - before).abs().amax() < _CONVERGED):
+            break
+    return to_target
+
+
+def _message_to_measurement(detected: Tensor, missed: Tensor, to_target: Tensor) -> Tensor:
+    """Log messages ``(R, N, J)`` from targets to measurements, the ``mu`` of the paper."""
+    return detected - torch.logaddexp(missed, _log_sum_of_others(detected + to_target))
+
+
+def _bethe_correction(detected: Tensor, missed: Tensor, to_target: Tensor, gated: Tensor) -> Tensor:
+    """What the Bethe approximation of the log sum over events adds to the log sums of the targets: ``(R, N)``.
+
+    The term of each measurement is divided equally among the targets that gate it.
+    """
+    to_measurement = _message_to_measurement(detected, missed, to_target)
+    of_measurement = softplus(to_measurement.logsumexp(-2)) / gated.sum(-2).clamp_min(1)
+    correction: Tensor = (gated * of_measurement.unsqueeze(-2) - softplus(to_measurement + to_target)).sum(-1)
+    return correction
+
+
+def _log_sum_of_others(x: Tensor) -> Tensor:
+    """For each entry of ``x (..., n)`` the log of the sum over all others of the last dimension."""
     n = x.shape[-1]
     if n == 1:
         return torch.full_like(x, -torch.inf)
-    own = torch.eye(n, dtype=torch.bool, device=x.device)
-    return torch.where(own, -torch.inf, x.unsqueeze(-2)).logsumexp(-1)
+    itself = torch.eye(n, dtype=torch.bool, device=x.device)
+    return torch.where(itself, -torch.inf, x.unsqueeze(-2)).logsumexp(-1)

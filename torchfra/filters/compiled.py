@@ -120,7 +120,7 @@ def _event(module: nn.Module, part: dict[str, Any], x: Any) -> int | None:
     Read are hyperparameters, parameters, and buffers that have gradients.
     """
     if isinstance(module, Hyper) and (part is module._parameters or part is module._buffers):
-        return module.event
+        return module.event_dim
     read = part is module._parameters or (part is module._buffers and x is not None and x.requires_grad)
     return x.dim() if read and x is not None else None
 

@@ -20,7 +20,7 @@ from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import moment_match
 from torchfra.gaussian.rules import Rule
-from torchfra.gaussian.update import correct, innovation, trust, trusted_density
+from torchfra.gaussian.update import correct, down_weight, down_weighted_density, innovation
 from torchfra.hyper import Hyper, Value, hypers, one_of
 from torchfra.linalg.tracing import is_traced
 from torchfra.motion.base import Motion
@@ -156,7 +156,7 @@ class FRA(Soft, GaussianFilter):
         state = FRAState(self.mix(excess, plain, robust), robust, adaptive, plain, settled, excess, memory)
         weights = tree.where(state.abnormal, weights, torch.ones_like(weights))
         info = _Step(settled, adaptive_kept, state.abnormal, factor, weights)
-        evidence = None if mix is None else trusted_density(*innovation(trust(whitened, weights)), weights)
+        evidence = None if mix is None else down_weighted_density(*innovation(down_weight(whitened, weights)), weights)
         return state, Record(state.belief, whitened.residual, root, normalised, info, evidence=evidence)
 
     def look(self, belief: Gaussian, frame: Frame) -> tuple[Prediction, Whitened]:
@@ -209,7 +209,7 @@ class FRA(Soft, GaussianFilter):
         self, prediction: Prediction, whitened: Whitened, weights: Tensor, memory: Memory, frame: Frame
     ) -> tuple[Gaussian, Gaussian, Tensor]:
         """Both branches' beliefs, and the fading factor ``(...)``."""
-        robust, _, _ = correct(prediction.belief, trust(whitened, weights))  # eqs. (25)-(26)
+        robust, _, _ = correct(prediction.belief, down_weight(whitened, weights))  # eqs. (25)-(26)
         factor = self.fading(prediction, whitened, memory, torch.ones_like(weights))
         faded = self.fading.inflate(prediction, factor).belief  # eqs. (29)-(34)
         adaptive, _, _ = correct(faded, self.compare(faded, frame))

@@ -61,7 +61,7 @@ class Around(TrackFilter):
         for part in self.inner.children():
             if part is not self.inner.motion and part is not self.inner.sensor:
                 for hyper in hypers(part).values():
-                    hyper.shared = 1  # all models share the values of their track
+                    hyper.shared_dims = 1  # all models share the values of their track
 
     @property
     def motion(self) -> Bank:  # type: ignore[override]
@@ -108,8 +108,8 @@ class IMM(Around):
             )
         if initial.shape[-1:] != (count,):
             raise ValueError(f"initial: expected ({count},), received {tuple(initial.shape)}")
-        self.transition = Hyper(transition, constraints.simplex, event=2, name="transition")
-        self.initial = Hyper(initial.double(), constraints.simplex, event=1, name="initial")
+        self.transition = Hyper(transition, constraints.simplex, event_dim=2, name="transition")
+        self.initial = Hyper(initial.double(), constraints.simplex, event_dim=1, name="initial")
 
     def begin(self, belief: Gaussian) -> IMMState:
         """The state of a belief: the same for each model."""

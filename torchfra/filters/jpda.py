@@ -142,7 +142,7 @@ class JPDA(Soft, ScanFilter):
         self.share_noise, self.exact, self.lost = share_noise, exact, lost
         self.temperature = temperature
         for hyper in hypers(self).values():
-            hyper.shared = 1  # all measurements share the values of their target
+            hyper.shared_dims = 1  # all measurements share the values of their target
 
     @property
     def motion(self) -> Any:  # type: ignore[override]
@@ -177,7 +177,7 @@ class JPDA(Soft, ScanFilter):
         missed = missed_scans(state.missed, association.log_weights, frame.seen)
         repaired = target_repairs(prediction, scan.whitened)
         info = JPDAInfo(association.log_weights.exp(), factor, f.noise.scale(inner.noise), weights, repaired)
-        together = combined(association.share, scan.whitened.residual, scan.root, scan.normalised, frame)
+        together = combined(association.probabilities, scan.whitened.residual, scan.root, scan.normalised, frame)
         return JPDAState(inner, missed, searched), Record(belief, *together, info, association.evidence)
 
     def look(self, belief: Gaussian, noise: Any, frame: Frame) -> _Scan:
@@ -200,11 +200,13 @@ class JPDA(Soft, ScanFilter):
         measured = candidates.seen.sum(-1) > 0
         inside = torch.where(measured, self.gate(candidates, self.sensor, self.temperature), -torch.inf)
         ratio = torch.where(inside > -torch.inf, fit + odds + inside, -torch.inf)
-        return associate(ratio, miss.to(fit), diffuse=self.clutter.rate is None, inside=inside, exact=self.exact)
+        return associate(
+            ratio, miss.to(fit), diffuse=self.clutter.rate is None, log_membership=inside, exact=self.exact
+        )
 
     def learn_noise(self, memory: Any, whitened: Whitened, association: Association, frame: Frame, when: str) -> Any:
         """The memory of the measurement noise after a scan, if ``when`` is when the inner filter learns: eq. (19)."""
-        side, share = self.inner.noise, association.share
+        side, share = self.inner.noise, association.probabilities
         if side.adapt != when:
             return memory
         memory = side(memory, *weighted_mean(side.excess(whitened), share, frame.seen))
@@ -223,7 +225,7 @@ class JPDA(Soft, ScanFilter):
         """Prediction and measurements with fading factors, the innovations remembered, and the factors ``(..., N)``."""
         if memory is None:
             return prediction, known, None, None
-        f, share = self.inner, association.share
+        f, share = self.inner, association.probabilities
         residual, total = weighted_mean(known.residual, share, frame.seen)
         memory = f.fading.remember(memory, residual, (total >= 0.5).to(residual))
         nearest = likeliest(share, known)

@@ -17,7 +17,7 @@ _SEARCH = 5.0
 
 def log_miss(detection: Hyper, gate: Gate, like: Tensor) -> Tensor:
     """Log of the probability that a target has no measurement in its gate: a number or ``(..., N)``."""
-    chance, inside = detection(like), gate.inside()
+    chance, inside = detection(like), gate.gate_probability()
     chance = chance if inside is None else chance * inside.to(like)
     some = chance < 1 - 4 * torch.finfo(chance.dtype).eps
     miss = torch.where(some, torch.log1p(-torch.where(some, chance, 0.0)), -torch.inf)

@@ -37,7 +37,7 @@ class ScanFilter(Filter):
         batch = super()._batch(measurements, prior)
         count = prior.mean.shape[-2]
         for path, hyper in hypers(self).items():
-            if hyper.batch_rank and hyper.raw.shape[-1 - hyper.event] not in (1, count):
+            if hyper.batch_rank and hyper.raw.shape[-1 - hyper.event_dim] not in (1, count):
                 shape = tuple(hyper.raw.shape)
                 raise ValueError(
                     f"{path}: expected a value for each of {count} targets or one for all, received {shape}"

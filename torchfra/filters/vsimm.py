@@ -92,7 +92,7 @@ class VSIMM(Around):
         _check_thresholds(unlikely, principal)
         if len(set(first)) != len(first) or not 1 < len(first) <= count or not set(first) <= set(range(count)):
             raise ValueError(f"first: expected 2 to {count} different models, received {list(first)}")
-        self.transition = Hyper(transition, constraints.simplex, event=2, name="transition")
+        self.transition = Hyper(transition, constraints.simplex, event_dim=2, name="transition")
         self.unlikely = Hyper(unlikely, constraints.unit_interval, name="unlikely")
         self.principal = Hyper(principal, constraints.unit_interval, name="principal")
         self.register_buffer("calls", _calls(neighbours, count, len(first)))

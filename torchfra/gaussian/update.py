@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from torchfra.linalg.gram import downdate
+from torchfra.linalg.safe import safe_log, safe_sqrt
 from torchfra.linalg.triangular import apply, hstack, tria, whiten
 from torchfra.types import Gaussian, Whitened
 
@@ -45,9 +46,9 @@ def joint(belief: Gaussian, whitened: Whitened) -> Joint:
     ``tria([[I, rest, H S], [0, 0, S]]) = [[S_zz, 0], [K S_zz, S_post]]``.
     """
     m, n, d = whitened.residual.shape[-1], belief.mean.shape[-1], whitened.reads
-    top = pad(_blocks(whitened), (m + n, n - d))  # behind what tria leads with
+    top = pad(_blocks(whitened), (m + n, n - d))  # behind the zeros that tria wants
     root = belief.scale_tril.expand((*top.shape[:-2], n, n))
-    whole = tria(torch.cat([top, pad(root, (top.shape[-1] - n, 0))], -2), led=True)
+    whole = tria(torch.cat([top, pad(root, (top.shape[-1] - n, 0))], -2), padded=True)
     return Joint(whole[..., :m, :m], whole[..., m:, :m], whole[..., m:, m:])
 
 
@@ -58,13 +59,12 @@ def correct(belief: Gaussian, whitened: Whitened) -> tuple[Gaussian, Tensor, Ten
     return Gaussian(belief.mean + apply(cross, normalised), left), root, normalised
 
 
-def trust(whitened: Whitened, weights: Tensor) -> Whitened:
+def down_weight(whitened: Whitened, weights: Tensor) -> Whitened:
     """The measurement with its noise covariance divided by ``weights (..., m)``: eq. (26).
 
     Scaling the measurement down instead of its noise up lets a weight of 0 leave it out.
     """
-    used = weights > 0
-    scale = torch.where(used, torch.where(used, weights, 1.0).sqrt(), 0.0)
+    scale = safe_sqrt(weights)
     lost = None if whitened.lost is None else scale.unsqueeze(-1) * whitened.lost
     return Whitened(scale * whitened.residual, scale.unsqueeze(-1) * whitened.spread, whitened.reads, lost)
 
@@ -74,10 +74,9 @@ def density(root: Tensor, normalised: Tensor) -> Tensor:
     return -0.5 * normalised.square().sum(-1) - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
 
-def trusted_density(root: Tensor, normalised: Tensor, weights: Tensor) -> Tensor:
-    """Log density ``(...)`` of a residual after ``trust`` with ``weights (..., m)``."""
-    used = weights > 0
-    return density(root, normalised) + 0.5 * torch.where(used, torch.where(used, weights, 1.0).log(), 0.0).sum(-1)
+def down_weighted_density(root: Tensor, normalised: Tensor, weights: Tensor) -> Tensor:
+    """Log density ``(...)`` of a residual after ``down_weight`` with ``weights (..., m)``."""
+    return density(root, normalised) + 0.5 * safe_log(weights, fill=0.0).sum(-1)
 
 
 def _unit(whitened: Whitened) -> Tensor:

@@ -1,10 +1,11 @@
-"""Square-root algebra: triangularisation with an exact, rank-safe gradient, downdates, functions of Gram matrices.
+"""Square-root algebra: triangularisation, downdates and functions of Gram matrices, all with exact gradients.
 
-A covariance is never formed here.  Everything works on a square root ``A`` of it, ``P = A A^T``, and on the one
-lower-triangular root with non-negative diagonal, ``L = tria(A)``.
+No covariance is formed here.  Everything works on a square root ``A`` of it, ``P = A A^T``, and on the unique
+lower-triangular root with a non-negative diagonal, ``L = tria(A)``.
 """
 
 from torchfra.linalg.gram import downdate, gram_pinv, gram_sqrt
+from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
 from torchfra.linalg.tracing import elementary, is_elementary, is_traced
 from torchfra.linalg.triangular import apply, hstack, tria, whiten
 
@@ -17,6 +18,9 @@ __all__ = [
     "hstack",
     "is_elementary",
     "is_traced",
+    "safe_divide",
+    "safe_log",
+    "safe_sqrt",
     "tria",
     "whiten",
 ]

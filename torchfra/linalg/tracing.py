@@ -1,4 +1,4 @@
-"""Whether code runs on numbers or is being traced."""
+"""Whether code is being executed or traced."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from torch import Tensor
 
 
 def is_traced(*tensors: Tensor) -> bool:
-    """Whether this runs under ``torch.compile``, ``torch.export``, a transform of ``torch.func`` or ``elementary``."""
+    """Whether this runs under ``torch.compile``, ``torch.export``, a transform of ``torch.func`` or ``elementary``.
+
+    There a Python branch must not depend on the values of tensors.
+    """
     wrapped = torch._C._functorch.is_functorch_wrapped_tensor
     return bool(torch.compiler.is_compiling()) or is_elementary() or any(wrapped(t) for t in tensors)
 
@@ -21,7 +24,7 @@ _elementary: ContextVar[bool] = ContextVar("elementary", default=False)
 
 @contextmanager
 def elementary() -> Iterator[None]:
-    """In here decompositions are loops of sums and products, for what turns them into code of its own."""
+    """Inside this context, decompositions run as loops of elementary arithmetic, which ``torchfra.kernel`` records."""
     token = _elementary.set(True)
     try:
         yield
@@ -30,5 +33,5 @@ def elementary() -> Iterator[None]:
 
 
 def is_elementary() -> bool:
-    """Whether this runs under ``elementary``."""
+    """Whether this runs inside the context of ``elementary``."""
     return not torch.compiler.is_compiling() and _elementary.get()

@@ -1,34 +1,63 @@
-"""Robust by a Huber regression on measurement and prediction."""
+"""Robust update by a Huber regression on measurement and prediction."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from torchfra.gaussian.update import correct, repaired_root, trust
-from torchfra.hyper import Hyper, Value
+from torchfra.gaussian.update import correct, down_weight, repaired_root
+from torchfra.hyper import Hyper, Value, one_of
 from torchfra.linalg.triangular import apply, hstack, tria, whiten
 from torchfra.robust.base import Corrected, Robust
 from torchfra.sensors.base import MeasurementNoise
 from torchfra.types import Gaussian, Whitened
 
 
+class _Linear(NamedTuple):
+    """The regression ``residual = slope e + noise``, ``0 = e + noise`` for the error ``e (..., n)`` of the prediction.
+
+    All is in units of the roots of measurement noise and prediction, so that both noises have covariance I.
+    """
+
+    measurement: Whitened
+    """The residual ``(..., m)`` and its slope with respect to the elements of the state that the sensor reads."""
+    slope: Tensor
+    """``(..., m, n)`` the slope with respect to all elements of the state."""
+    threshold: Tensor
+    """``(..., 1)``."""
+
+    def reweighted(self, error: Tensor) -> tuple[Gaussian, Tensor]:
+        """The weighted least-squares solution, and the weights ``(..., m)`` of the measurement.
+
+        Args:
+            error: ``(..., n)`` the last iterate, which fixes the weights.
+        """
+        weights = _huber_weights(apply(self.slope, error) - self.measurement.residual, self.threshold)
+        std = _huber_weights(error, self.threshold).rsqrt()  # of the reweighted prediction
+        scaled = self.measurement._replace(spread=self.measurement.slope * std[..., None, : self.measurement.reads])
+        solution, _, _ = correct(Gaussian(torch.zeros_like(error), std.diag_embed()), down_weight(scaled, weights))
+        return solution, weights
+
+
 class HuberRegression(Robust):
     """The update as a linear regression on measurement and prediction, both with Huber weights, iterated.
 
-    Of the measurement's statistical linearisation the error is left out.  The prediction is doubted too: where it is
-    the less certain of the two, an outlier of the measurement is blamed on it and followed.
+    It down-weights outlying predictions too: where the prediction is the less certain of the two, it attributes an
+    outlier of the measurement to the prediction, and follows it.
 
     Args:
-        threshold: threshold of the weights, in standard deviations; infinity never doubts anything.
-        max_iter: reweightings at most; 1 is a variant of its own.
-        tol: relative change at which a track has settled.
-        start: the first point: ``"posterior"`` of the plain update, or ``"prior"``.
-        compensate: add the error of the linearisation to the noise.
+        threshold: threshold of the weights, in standard deviations; with infinity all weights are 1.
+        max_iter: largest number of reweightings, 1 or more.
+        tol: relative change below which a track has converged, 0 or more.
+        first_iterate: where the iterations start: ``"posterior"`` of the plain update, or ``"prior"``.
+        compensate: whether the error of the statistical linearisation of the measurement is added to the measurement
+            noise; otherwise it is neglected.
 
     Raises:
-        ValueError: an argument that is none of those.
+        ValueError: an argument is out of its range.
 
     Source: Karlgaard & Schaub (2007); Zhang et al. (2016); Qin et al. (2018) for the comparison.
     """
@@ -39,45 +68,54 @@ class HuberRegression(Robust):
         *,
         max_iter: int = 10,
         tol: float = 1e-6,
-        start: str = "posterior",
+        first_iterate: str = "posterior",
         compensate: bool = False,
     ) -> None:
         super().__init__()
         if max_iter < 1 or not tol >= 0:
             raise ValueError(f"max_iter, tol: expected 1 or more and 0 or more, received {max_iter}, {tol}")
-        if start not in ("posterior", "prior"):
-            raise ValueError(f"start: expected 'posterior' or 'prior', received {start!r}")
+        one_of(first_iterate=(first_iterate, ("posterior", "prior")))
         self.threshold = Hyper(threshold, name="threshold")
-        self.max_iter, self.tol, self.start, self.compensate = max_iter, tol, start, compensate
+        self.max_iter, self.tol, self.first_iterate, self.compensate = max_iter, tol, first_iterate, compensate
 
     def correct(self, belief: Gaussian, whitened: Whitened, weights: Tensor, noise: MeasurementNoise) -> Corrected:
-        """See ``Robust``; all in units of the prediction's root, in which it is 0 with covariance 1."""
-        residual, slope, d, n = whitened.residual, whitened.slope, whitened.reads, belief.mean.shape[-1]
-        unit = torch.eye(n, dtype=residual.dtype, device=residual.device)
-        point = torch.zeros_like(belief.mean)
-        if self.start == "posterior":
-            point = correct(Gaussian(point, unit), whitened)[0].mean
+        """The belief after the measurement; the weights of the iterations take the place of ``weights``."""
+        linear = self._linear(whitened, belief.mean.shape[-1])
+        error, iterations = self._iterate(linear, self._first(belief, whitened))
+        solution, weights = linear.reweighted(error)
+        mean = belief.mean + apply(belief.scale_tril, error)
+        return Corrected(Gaussian(mean, belief.scale_tril @ solution.scale_tril), weights, iterations=iterations)
+
+    def _linear(self, whitened: Whitened, n: int) -> _Linear:
+        """The regression, for a state of ``n`` elements."""
+        residual, slope, d = whitened.residual, whitened.slope, whitened.reads
         if self.compensate:
-            rest = torch.eye(residual.shape[-1], dtype=residual.dtype, device=residual.device)
-            rest = tria(hstack(rest, whitened.rest)) if whitened.lost is None else repaired_root(whitened)[0]
-            residual, slope = whiten(rest, residual), torch.linalg.solve_triangular(rest, slope, upper=False)
-        linear, wide = Whitened(residual, slope, d), pad(slope, (0, n - d))
+            unit = torch.eye(residual.shape[-1], dtype=residual.dtype, device=residual.device)
+            root = tria(hstack(unit, whitened.rest)) if whitened.lost is None else repaired_root(whitened)[0]
+            residual, slope = whiten(root, residual), torch.linalg.solve_triangular(root, slope, upper=False)
         threshold = self.threshold(residual).unsqueeze(-1)
+        return _Linear(Whitened(residual, slope, d), pad(slope, (0, n - d)), threshold)
 
-        def reweighted(point: Tensor) -> tuple[Gaussian, Tensor]:
-            seen, told = (1 / (x.abs() / threshold).clamp_min(1.0) for x in (apply(wide, point) - residual, point))
-            shrunk = told.rsqrt()
-            scaled = linear._replace(spread=slope * shrunk[..., None, :d])
-            after, _, _ = correct(Gaussian(torch.zeros_like(point), shrunk.diag_embed()), trust(scaled, seen))
-            return after, seen
+    def _first(self, belief: Gaussian, whitened: Whitened) -> Tensor:
+        """``(..., n)`` the first iterate of the prediction's error."""
+        error = torch.zeros_like(belief.mean)
+        if self.first_iterate == "prior":
+            return error
+        unit = torch.eye(error.shape[-1], dtype=whitened.residual.dtype, device=whitened.residual.device)
+        return correct(Gaussian(error, unit), whitened)[0].mean
 
-        going = torch.ones_like(point[..., 0], dtype=torch.bool)
-        count = torch.zeros_like(going, dtype=torch.int64)
+    def _iterate(self, linear: _Linear, error: Tensor) -> tuple[Tensor, Tensor]:
+        """The last iterate ``(..., n)`` and the number of iterations ``(...)``; each track stops once it converged."""
+        active = torch.ones_like(error[..., 0], dtype=torch.bool)
+        count = torch.zeros_like(active, dtype=torch.int64)
         for _ in range(self.max_iter):
-            new = reweighted(point)[0].mean
-            moved = (new - point).square().sum(-1) > self.tol**2 * new.square().sum(-1)
-            point, count = torch.where(going.unsqueeze(-1), new, point), count + going.to(count)
-            going = going & moved
-        after, seen = reweighted(point)
-        mean, root = belief.mean + apply(belief.scale_tril, point), belief.scale_tril @ after.scale_tril
-        return Corrected(Gaussian(mean, root), seen, iterations=count)
+            new = linear.reweighted(error)[0].mean
+            moved = (new - error).square().sum(-1) > self.tol**2 * new.square().sum(-1)
+            error, count = torch.where(active.unsqueeze(-1), new, error), count + active.to(count)
+            active = active & moved
+        return error, count
+
+
+def _huber_weights(residual: Tensor, threshold: Tensor) -> Tensor:
+    """``min(1, threshold / |residual|)`` of each element."""
+    return 1 / (residual.abs() / threshold).clamp_min(1.0)

@@ -1,11 +1,11 @@
-"""Robust by weights that divide the noise of each element."""
+"""Robust updates by weights that divide the measurement noise of each element."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from torchfra.gaussian.update import correct, trust, trusted_density
+from torchfra.gaussian.update import correct, down_weight, down_weighted_density
 from torchfra.hyper import Hyper, Value
 from torchfra.robust.base import Corrected, Robust
 from torchfra.sensors.base import MeasurementNoise
@@ -13,27 +13,27 @@ from torchfra.types import Gaussian, Whitened
 
 
 class Weights(Robust):
-    """Abstract: a subclass gives ``forward``, and the update is the plain one with the noise so much larger."""
+    """Abstract: a subclass defines ``forward``; the plain update runs with measurement noise divided by it."""
 
     def correct(self, belief: Gaussian, whitened: Whitened, weights: Tensor, noise: MeasurementNoise) -> Corrected:
-        """See ``Robust``; Wang et al. (2021), eq. (26)."""
-        after, root, normalised = correct(belief, trust(whitened, weights))
-        return Corrected(after, weights, trusted_density(root, normalised, weights))
+        """The plain update with the measurement noise divided by ``weights``: Wang et al. (2021), eq. (26)."""
+        after, root, normalised = correct(belief, down_weight(whitened, weights))
+        return Corrected(after, weights, down_weighted_density(root, normalised, weights))
 
 
 class Huber(Weights):
-    """Weight 1 up to a threshold and ``threshold / |v|`` beyond it, per element.
+    """Weight 1 up to a threshold and ``threshold / |v|`` beyond it, for each element of the innovation ``v``.
 
-    The innovation counts in units of the measurement noise alone, not of the whole innovation covariance: a large
-    error of the prediction is taken for an outlier too.
+    The innovation is measured in units of the measurement noise alone, not of the innovation covariance: a large error
+    of the prediction is down-weighted like an outlier.
 
     Args:
-        threshold: in standard deviations of the noise; infinity never doubts a measurement.
-        elements: the number of elements of a measurement if each is to have a threshold of its own, in the last
-            dimension of ``threshold``; a single number is then repeated.
+        threshold: in standard deviations of the measurement noise; with infinity all weights are 1.
+        elements: number of elements of a measurement, if each has its own threshold in the last dimension of
+            ``threshold``; a single number is then repeated.  None for one threshold for all elements.
 
     Raises:
-        ValueError: a threshold that is not above 0, or not one for each element.
+        ValueError: a threshold is not above 0, or there is not one for each element.
 
     Source: Huber (1964); Wang et al. (2021), eqs. (25)-(26).
     """
@@ -45,31 +45,31 @@ class Huber(Weights):
             threshold = threshold.expand(elements) if threshold.dim() == 0 else threshold
             if threshold.shape[-1] != elements:
                 raise ValueError(f"threshold: expected (..., {elements}), received {tuple(threshold.shape)}")
-        self.threshold = Hyper(threshold, event=int(elements is not None), name="threshold")
+        self.threshold = Hyper(threshold, event_dim=int(elements is not None), name="threshold")
 
     def forward(self, residual: Tensor, nis: Tensor) -> Tensor:
-        """Weights ``(..., m)`` of a ``residual (..., m)`` in units of the noise; ``nis (...)`` is not looked at."""
+        """Weights ``(..., m)`` of a ``residual (..., m)`` in units of the measurement noise; ``nis`` is not used."""
         excess = residual.abs() / self.threshold.elements(residual)
         weights: Tensor = 1 / excess.clamp_min(1.0)
         return weights
 
 
 class ThreeSegment(Weights):
-    """One weight for all elements, from the distance of the whole innovation: full, falling, none (IGG-III).
+    """One weight for all elements, from the normalised innovation squared: full, decreasing, zero (IGG-III).
 
-    With ``d = sqrt(nis)``, ``a = sqrt(low)`` and ``b = sqrt(high)``: 1 up to a, ``a/d ((b - d)/(b - a))^2`` between,
-    0 from b on, which leaves the measurement out.
+    With ``d = sqrt(nis)``, ``a = sqrt(low)`` and ``b = sqrt(high)`` the weight is 1 for ``d <= a``, then ``a/d ((b -
+    d)/(b - a))^2``, and 0 for ``d >= b``, where the measurement is not used.
 
     Args:
-        low: normalised innovation squared up to which a measurement is trusted fully.
-        high: from which on it is not used at all.
-        squared: take ``nis, low, high`` themselves in the place of ``d, a, b``.
+        low: normalised innovation squared up to which the weight is 1.
+        high: normalised innovation squared from which on it is 0.
+        squared: whether ``nis``, ``low`` and ``high`` themselves take the place of ``d``, ``a`` and ``b``.
 
     Raises:
-        ValueError: ``high`` not above ``low``.
+        ValueError: ``high`` is not above ``low``.
 
-    Source: Yang et al. (2001) for the weight.  Differs: Wang et al. (2021) compare with the filter of Wu et al. (2015)
-    and print its thresholds only; the form of the weight is our reading.
+    Source: Yang et al. (2001) for the weight.  Differs: Wang et al. (2021), who compare with the filter of Wu et al.
+    (2015), print its thresholds only; the form of the weight is our reading.
     """
 
     def __init__(self, low: Value = 5.991, high: Value = 10000.0, *, squared: bool = False) -> None:
@@ -79,9 +79,9 @@ class ThreeSegment(Weights):
             raise ValueError(f"high: expected a value above low, received {high} with low {low}")
 
     def forward(self, residual: Tensor, nis: Tensor) -> Tensor:
-        """Weights ``(..., m)``, all the same, of an innovation whose normalised square is ``nis (...)``."""
+        """Weights ``(..., m)``, all equal, for the normalised innovation squared ``nis (...)``."""
         low, high = self.low(nis), self.high(nis)
-        # The clamps keep the root and its gradient away from 0, inside the segment where the weight is 1 anyway.
+        # The clamps keep the square root and its gradient away from 0, where the weight is 1 anyway.
         d = nis.clamp_min(low) if self.squared else nis.clamp_min(low).sqrt()
         a, b = (low, high) if self.squared else (low.sqrt(), high.sqrt())
         weight = a / d * ((b - d).clamp_min(0.0) / (b - a)).square()

@@ -72,7 +72,7 @@ class Sensor(nn.Module):
         if std is not None:
             if isinstance(std, Tensor) and std.dim() and std.shape[-1] != self.size:
                 raise ValueError(f"std: expected a number or (..., {self.size}), received {tuple(std.shape)}")
-            self.std = Hyper(std, event=int(isinstance(std, Tensor) and std.dim() > 0), name="std")
+            self.std = Hyper(std, event_dim=int(isinstance(std, Tensor) and std.dim() > 0), name="std")
         if noise is not None:
             if noise.dim() < 2 or noise.shape[-2] != self.size:
                 raise ValueError(f"noise: expected (..., {self.size}, r), received {tuple(noise.shape)}")

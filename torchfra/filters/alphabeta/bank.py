@@ -224,10 +224,12 @@ class AlphaBetaBank(Soft, Gained):
         degrees = few if degrees is None else torch.as_tensor(degrees, dtype=torch.float64)
         if degrees.shape[-1:] != (count - 2,) or not bool((degrees.diff() < 0).all()):
             raise ValueError(f"degrees: expected ({count - 2},), falling, received {degrees.tolist()}")
-        self.alpha = Hyper(gains.alpha, constraints.unit_interval, event=1, name="alpha")
-        self.beta = Hyper(gains.beta, constraints.interval(0.0, 4.0), event=1, name="beta")
-        self.gamma = None if gains.gamma is None else Hyper(gains.gamma, constraints.nonnegative, event=1, name="gamma")
-        self.degrees = Hyper(degrees, event=1, name="degrees")
+        self.alpha = Hyper(gains.alpha, constraints.unit_interval, event_dim=1, name="alpha")
+        self.beta = Hyper(gains.beta, constraints.interval(0.0, 4.0), event_dim=1, name="beta")
+        self.gamma = (
+            None if gains.gamma is None else Hyper(gains.gamma, constraints.nonnegative, event_dim=1, name="gamma")
+        )
+        self.degrees = Hyper(degrees, event_dim=1, name="degrees")
         self.manoeuvre, self.outlier = Hyper(manoeuvre, name="manoeuvre"), Hyper(outlier, name="outlier")
         self.limit, self.margin = Hyper(limit, name="limit"), Hyper(margin, constraints.nonnegative, name="margin")
         self.hysteresis = Hyper(hysteresis, constraints.interval(0.0, 1.0), name="hysteresis")

@@ -1,0 +1,94 @@
+"""Exact association of small clusters: each is packed into a small table, whose joint events are enumerated."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra.association.clusters import Association, GatedScans
+from torchfra.association.events import sum_over_events
+from torchfra.linalg.tracing import is_traced
+
+
+class _Packed(NamedTuple):
+    """K clusters, each as a table of n targets and j measurements at most; each is known by its first target."""
+
+    first: Tensor
+    """``(R, N)`` number of the first target of each target's cluster."""
+    place: Tensor
+    """``(K,)`` number of the first target among those of all scans, ``run * N + head``."""
+    run: Tensor
+    """``(K,)`` number of the scan."""
+    head: Tensor
+    """``(K,)`` number of the first target in its scan."""
+    log_ratio: Tensor
+    """``(K, n, j)``."""
+    log_miss: Tensor
+    """``(K, n)``."""
+    gated: Tensor
+    """``(K, J)`` bool: which measurements are in the gates of the cluster."""
+
+
+def associate_by_events(
+    scans: GatedScans, chosen: Tensor, table: tuple[int, int], otherwise: Association
+) -> Association:
+    """Association of the clusters of several targets by the sum over their joint events.
+
+    Args:
+        scans: measurements against targets.
+        chosen: ``(R, N)`` bool: whether the target's cluster is to be enumerated.
+        table: number of targets and of gated measurements that the largest chosen cluster has, or more.
+        otherwise: the association of the other targets.
+    """
+    packed = _pack(scans, chosen, table)
+    weight = scans.clusters.weight[packed.run, packed.head]
+    log_weights, log_total = sum_over_events(packed.log_ratio, packed.log_miss, weight, diffuse=scans.diffuse)
+    exact = _unpack(scans, packed, log_weights, log_total)
+    return Association(
+        torch.where(chosen.unsqueeze(-1), exact.log_weights, otherwise.log_weights),
+        torch.where(chosen, exact.evidence, otherwise.evidence),
+    )
+
+
+def _pack(scans: GatedScans, chosen: Tensor, table: tuple[int, int]) -> _Packed:
+    """The chosen clusters as tables; where code is traced, a table for every target, since shapes must be known."""
+    runs, targets, _ = scans.log_ratio.shape
+    first = scans.clusters.members.to(torch.int64).argmax(-1)
+    numbers = torch.arange(runs * targets, device=chosen.device)
+    if is_traced(scans.log_ratio):
+        place = numbers
+    else:
+        heads = chosen & (first == numbers[:targets])
+        place = numbers[heads.flatten()]
+        table = int(scans.clusters.size[heads].amax()), max(int(scans.clusters.gated[heads].amax()), 1)
+    run, head = place // targets, place % targets
+    members = scans.clusters.members[run, head]  # (K, N)
+    gated = (members.unsqueeze(-1) & scans.gated[run]).any(-2)  # (K, J)
+    rows, columns = _true_first(members, table[0]), _true_first(gated, table[1])  # (K, n), (K, j)
+    used = members.gather(-1, rows)
+    log_ratio = scans.log_ratio[run.unsqueeze(-1), rows].gather(-1, columns.unsqueeze(-2).expand(-1, table[0], -1))
+    log_ratio = torch.where(used.unsqueeze(-1), log_ratio, -torch.inf)
+    log_miss = torch.where(used, scans.log_miss[run.unsqueeze(-1), rows], 0.0)
+    return _Packed(first, place, run, head, log_ratio, log_miss, gated)
+
+
+def _true_first(mask: Tensor, count: int) -> Tensor:
+    """``(..., count)`` indices of ``mask (..., n)``: first where it is true, in order, then others."""
+    return mask.to(torch.int8).argsort(dim=-1, descending=True, stable=True)[..., :count]
+
+
+def _unpack(scans: GatedScans, packed: _Packed, log_weights: Tensor, log_total: Tensor) -> Association:
+    """Each target looks up its cluster's table, its row there, and the column of each measurement."""
+    runs, targets, _ = scans.log_ratio.shape
+    slots, columns = log_weights.shape[-2], log_weights.shape[-1] - 1
+    numbers = torch.arange(runs * targets, device=log_weights.device)
+    tables = torch.zeros_like(numbers).index_put((packed.place,), numbers[: len(packed.place)])
+    table = tables[numbers[:runs].unsqueeze(-1) * targets + packed.first]  # (R, N)
+    row = (scans.clusters.members.cumsum(-1) - 1).diagonal(dim1=-2, dim2=-1).clamp(0, slots - 1)
+    target = log_weights[table, row]  # (R, N, j + 1)
+    column = (packed.gated.cumsum(-1) * packed.gated)[table]  # 0 for measurements in no gate of the cluster
+    column = torch.where(column <= columns, column, 0)
+    measured = torch.where(column > 0, target.gather(-1, column), -torch.inf)
+    return Association(torch.cat([target[..., :1], measured], -1), log_total[table] / scans.clusters.size)

@@ -1,0 +1,34 @@
+"""Square roots, logarithms and quotients whose gradient stays finite at the edge of their domain.
+
+The gradient of ``torch.where(x > 0, x.sqrt(), 0.0)`` at 0 is NaN: the branch that is not taken contributes zero times
+infinity.  Here the argument itself is replaced before the function sees it, so all derivatives are finite.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def safe_sqrt(x: Tensor) -> Tensor:
+    """Square root where ``x > 0``; elsewhere, also where ``x`` is NaN, value and gradient are 0."""
+    positive = x > 0
+    return torch.where(positive, torch.where(positive, x, 1.0).sqrt(), 0.0)
+
+
+def safe_log(x: Tensor, fill: float = -torch.inf) -> Tensor:
+    """Logarithm where ``x > 0``; elsewhere, also where ``x`` is NaN, the value is ``fill`` and the gradient 0."""
+    positive = x > 0
+    return torch.where(positive, torch.where(positive, x, 1.0).log(), fill)
+
+
+def safe_divide(a: Tensor | float, b: Tensor, fill: float = 0.0) -> Tensor:
+    """``a / b`` where ``b`` is not 0; where it is, the value is ``fill`` and the gradients of both are 0.
+
+    Args:
+        a: a number, or a tensor that broadcasts with ``b``.
+        b: any shape; where it is NaN, so is the quotient.
+        fill: the value where ``b`` is 0.
+    """
+    defined = b != 0
+    return torch.where(defined, a / torch.where(defined, b, 1.0), fill)
