@@ -1,4 +1,4 @@
-"""The named runs of ``train.tune``: each is a function that returns a config, numbers with their reasons."""
+"""The named runs of ``train.tune``: each is a function that returns its settings, with the reasons for them."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ def _bearings(name: str, weight: float = 1.0, **options: Any) -> Task:
 def fra_bearings() -> Config:
     """Both bearings scenarios at once: one set of values for a poor start, a good one, outliers and a manoeuvre.
 
-    Good starts end near 60 m and the manoeuvre near 250 m: the weights let relative errors count, and most where the
-    plain robust filters are hard to keep up with.  The scale is beyond any track that is not lost, so that the loss is
-    nearly the mean squared error and the worst tracks lead.
+    Good starts end near 60 m and the manoeuvre near 250 m: the weights make relative errors count, most of all where
+    the plain robust filters are hard to beat.  The scale is beyond the error of any track that does not diverge, so
+    that the loss is nearly the mean squared error and the worst tracks dominate.
     """
     return Config(
         name="fra_bearings",
@@ -31,17 +31,17 @@ def fra_bearings() -> Config:
         ),
         learn=("threshold", "weakening", "forgetting", "fading_max", "gate", "preference", "q", "std"),
         scale=500.0,
-        skip=9,  # the first steps carry the poor start, whatever the filter does
+        skip=9,  # the errors of the first steps are those of the poor start, whatever the filter does
         batch=48,
         iterations=90,
         lr=0.15,
-        patience=9,  # it moves along a flat valley; validation is noisier than its slope
+        patience=9,  # the loss has a flat valley: validation scores scatter more than they fall along it
         validation_runs=128,
     )
 
 
 def fra_recorded() -> Config:
-    """The likelihood of the measurements alone: needs no truth.  Every fifth recorded track is kept for the test."""
+    """The likelihood of the measurements alone: needs no truth.  Every fifth recorded track is held out."""
     return Config(
         name="fra_recorded",
         tasks=(Task("recorded"),),
@@ -68,7 +68,7 @@ def noise() -> Config:
 
 
 def recover() -> Config:
-    """A filter with known values is the teacher; another that starts a factor 3 off finds them from its estimates."""
+    """A filter with known values is the teacher; another, a factor 3 off at first, recovers them from its estimates."""
     known = {"threshold": 1.0, "weakening": 4.0, "q": 0.03}
     return Config(
         name="recover",
@@ -82,16 +82,16 @@ def recover() -> Config:
         lr=0.1,
         validation_runs=16,
         patience=100,
-        cold=1.0,  # teacher and pupil decide alike, and softly: nothing is gained by hardening
+        cold=1.0,  # both filters make soft decisions at one temperature: nothing is gained by hard ones
         test_runs=0,
     )
 
 
 def switching() -> Config:
-    """Three of five models at a time on the ADS-B tracks: which follows which, how noisy each is, and when sets change.
+    """Three of five models at a time on the ADS-B tracks: transition probabilities, noise levels, when the set changes.
 
-    Both forms of the turns, so that it is not one path that is learned.  The scale is near the error of a track: each
-    counts by its relative error.  Rates of turns stay: at one learning rate with the others they jump.
+    Both forms of the turns, so that what is learned is not one path.  The scale is near the error of a track: each
+    counts by its relative error.  Turn rates stay fixed: at the learning rate of the other values they jump.
     """
     return Config(
         name="switching",
@@ -110,9 +110,9 @@ def switching() -> Config:
 
 
 def contaminated() -> Config:
-    """Threshold of the Huber score, and the contamination it assumes, on the growth model with wild noise.
+    """Threshold of the Huber score, and the contamination it assumes, on the growth model with outliers.
 
-    Three in ten measurements have 15 times the standard deviation.  Errors are near 9: the scale is that of a track.
+    Three in ten measurements have 15 times the standard deviation.  The scale is near the error of a track, 9.
     """
     return Config(
         name="contaminated",
@@ -120,12 +120,12 @@ def contaminated() -> Config:
         learn=("threshold", "eps"),
         filter="hghckf2",
         options={"eps": 0.0579148930},  # what "minimax" gives at 1.345
-        search={"eps": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]},  # its slope is small against the noise of the gradient
+        search={"eps": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]},  # the gradient is small compared with its scatter
         scale=10.0,
         batch=256,
         iterations=100,
         lr=0.05,
-        clip=1.0,  # gradients through 500 chaotic steps are wild: it is their direction that counts
+        clip=1.0,  # gradients through 500 chaotic steps can be of any size: their direction is what counts
         temperature=0.0,
         validation_runs=1024,
         patience=8,
@@ -134,10 +134,10 @@ def contaminated() -> Config:
 
 
 def association() -> Config:
-    """How often targets are measured, the gate, and how fast to follow the noise: from the likelihood of scans alone.
+    """Detection, gate, and how fast to follow the measurement noise: from the likelihood of scans alone.
 
     Two targets among Poisson false measurements (the likelihood of a non-parametric number of them would reward small
-    gates, as it counts them in the gates alone); the noise becomes four times what the filter assumes.  Detection
+    gates, as it counts only those inside); the measurement noise becomes four times what the filter assumes.  Detection
     starts at 0.7 (truth: 0.95), the gate at 60 m, the memory at five innovations.  The gate is soft while it learns.
     """
     return Config(
