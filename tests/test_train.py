@@ -14,9 +14,15 @@ import torch
 
 import torchfra
 from torchfra import presets, scenarios
+from torchfra.app import cli
 from torchfra.kernel import build
-from train import tune
+from torchfra.types import Gaussian
+from train import checkpoints, tune
+from train.batches import Batch, simulate
+from train.log import Log
 from train.runs import RUNS, configured
+from train.search import search
+from train.training import Training
 
 ROOT = Path(__file__).parent.parent
 SMALL = (
@@ -35,6 +41,15 @@ SHORT = 'tasks=[{"scenario":"bearings-outliers","options":{"outliers":"std","ini
 
 def train(out, *arguments):
     return tune.main(["fra_bearings", *SMALL, SHORT, *arguments, "--out", str(out), "--quiet"])
+
+
+def prepare(name, *changes):
+    return Training(configured(name, changes))
+
+
+def iterate(training, out):
+    """The training loop, with nothing printed."""
+    tune.train(training, out, Log(training.config, out, begin=training.iteration, quiet=True))
 
 
 def learned(out):
@@ -83,63 +98,58 @@ def test_the_learned_values_load_into_a_fixed_filter(unbroken):
     scenario = scenarios.bearings_outliers()
     f = presets.fra(scenario.motion, scenario.sensor)
     f.load_state_dict(learned(unbroken))
-    said = json.loads((unbroken / "results.json").read_text())["values"]["learned"]
-    assert f.gate().item() == pytest.approx(said["gate"])
-    assert f.motion.q().item() == pytest.approx(said["motion.q"])
+    reported = json.loads((unbroken / "results.json").read_text())["values"]["learned"]
+    assert f.gate().item() == pytest.approx(reported["gate"])
+    assert f.motion.q().item() == pytest.approx(reported["motion.q"])
 
 
 def test_the_same_settings_learn_the_same_values(unbroken, tmp_path):
-    assert train(tmp_path) == 0
+    assert train(tmp_path, "test_runs=0") == 0
     assert equal(learned(tmp_path), learned(unbroken))
 
 
 # ---------------------------------------------------------------- interruptions
 
 
-def test_a_run_killed_at_any_moment_resumes_to_the_same_values(unbroken, tmp_path):
-    command = [sys.executable, "-m", "train.tune", "fra_bearings", *SMALL, SHORT, "--quiet", "--out"]
-    whole = tmp_path / "whole"
-    subprocess.run([*command, str(whole)], cwd=ROOT, env=environment(), check=True, timeout=600)
-    broken = tmp_path / "broken"
-    for moment in range(2):
-        process = subprocess.Popen([*command, str(broken), "--resume"], cwd=ROOT, env=environment())
-        until = time.monotonic() + 300
-        count = 2 * (moment + 1)  # some time after the checkpoint of this iteration
-        while time.monotonic() < until and process.poll() is None:
-            log = broken / "log.csv"
-            if log.exists() and len(log.read_text().splitlines()) > count:
-                break
-            time.sleep(0.02)
-        time.sleep(0.1)
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    subprocess.run([*command, str(broken), "--resume"], cwd=ROOT, env=environment(), check=True, timeout=600)
-    assert equal(learned(broken), learned(whole))
-    assert len((broken / "log.csv").read_text().splitlines()) == 7
+def test_a_run_that_is_killed_resumes_to_the_same_values(unbroken, tmp_path):
+    command = [sys.executable, "-m", "train.tune", "fra_bearings", *SMALL, SHORT, "--quiet", "--out", str(tmp_path)]
+    process = subprocess.Popen(command, cwd=ROOT, env=environment())
+    until, checkpoint = time.monotonic() + 300, tmp_path / "checkpoint.pt"
+    while time.monotonic() < until and process.poll() is None and not checkpoint.exists():
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)  # some time after the checkpoint of iteration 2
+    assert process.wait() == -signal.SIGKILL
+    assert train(tmp_path, "--resume") == 0
+    assert equal(learned(tmp_path), learned(unbroken))
+    assert [int(row["iteration"]) for row in log_of(tmp_path)] == [1, 2, 3, 4, 5, 6]
 
 
-def stopped_after_four(out):
-    """A run whose last checkpoints are those of iterations 4 and 2."""
-    config = configured("fra_bearings", [*SMALL, SHORT])
-    tuner = tune.Tuner(config)
-    out.mkdir(exist_ok=True)
-    for _ in range(4):
-        tuner.step()
-        if tuner.iteration % 2 == 0:
-            tuner.save(out)
+def stop_after_four(out, monkeypatch):
+    """A run that is interrupted when its last checkpoints are those of iterations 4 and 2."""
+    save = checkpoints.save
+
+    def save_until_four(training, folder):
+        save(training, folder)
+        if training.iteration == 4:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(checkpoints, "save", save_until_four)
+    with pytest.raises(KeyboardInterrupt):
+        train(out, "test_runs=0")
+    monkeypatch.setattr(checkpoints, "save", save)
 
 
-def test_a_checkpoint_cut_in_half_is_refused_and_the_one_before_it_used(unbroken, tmp_path, capsys):
-    stopped_after_four(tmp_path)
+def test_a_checkpoint_cut_in_half_is_refused_and_the_one_before_it_used(unbroken, tmp_path, monkeypatch, capsys):
+    stop_after_four(tmp_path, monkeypatch)
     newest = tmp_path / "checkpoint.pt"
     newest.write_bytes(newest.read_bytes()[: newest.stat().st_size // 2])
-    assert train(tmp_path, "--resume") == 0
+    assert train(tmp_path, "--resume", "test_runs=0") == 0
     assert "checkpoint.pt is damaged and is not used" in capsys.readouterr().err
     assert equal(learned(tmp_path), learned(unbroken))
     assert torch.load(tmp_path / "checkpoint-previous.pt", weights_only=True)["iteration"] >= 4
 
 
-def test_when_no_checkpoint_can_be_read_the_run_says_so_and_touches_nothing(tmp_path, capsys):
+def test_when_no_checkpoint_can_be_read_the_run_says_so_and_changes_nothing(tmp_path, capsys):
     for name in ("checkpoint.pt", "checkpoint-previous.pt"):
         (tmp_path / name).write_bytes(b"PK broken")
     assert train(tmp_path, "--resume") == 2
@@ -147,7 +157,7 @@ def test_when_no_checkpoint_can_be_read_the_run_says_so_and_touches_nothing(tmp_
     assert (tmp_path / "checkpoint.pt").read_bytes() == b"PK broken"
 
 
-def test_a_run_is_not_overwritten_nor_gone_on_with_under_other_settings(unbroken, capsys):
+def test_a_run_is_not_overwritten_nor_resumed_with_other_settings(unbroken, capsys):
     before = (unbroken / "checkpoint.pt").read_bytes()
     assert train(unbroken) == 2
     assert "holds a run already" in capsys.readouterr().err
@@ -159,43 +169,45 @@ def test_a_run_is_not_overwritten_nor_gone_on_with_under_other_settings(unbroken
 # ---------------------------------------------------------------- what it promises
 
 
-def test_a_track_that_blows_up_is_left_out_and_counted(monkeypatch):
-    config = configured("fra_bearings", [*SMALL, SHORT])
-    tuner, clean = tune.Tuner(config), tune.Tuner(config)
-    batch = tune.simulate(tuner.parts, 0, 8, 0, "cpu")
+def test_a_track_that_diverges_to_nan_is_left_out_and_counted():
+    training = prepare("fra_bearings", *SMALL, SHORT)
+    batch = simulate(training.scenarios, first=0, runs=8, seed=0)
     mean = batch.prior.mean.clone()
     mean[3] = torch.nan
-    lesson = tuner.learn(batch._replace(prior=batch.prior._replace(mean=mean)), 1.0)
     keep = [0, 1, 2, 4, 5, 6, 7]
-    rest = clean.learn(
-        batch._replace(z=batch.z[keep], truth=batch.truth[keep], u=batch.u[keep], dt=batch.dt[keep],
-                       task=batch.task[keep], prior=type(batch.prior)(*(x[keep] for x in batch.prior))), 1.0
-    )  # fmt: skip
-    assert lesson.left_out == 1
-    assert lesson.gradient.isfinite().all()
-    torch.testing.assert_close(lesson.gradient, rest.gradient, rtol=1e-10, atol=1e-12)
-    torch.testing.assert_close(lesson.loss, rest.loss)
+    prior = Gaussian(batch.prior.mean[keep], batch.prior.scale_tril[keep])
+    kept = [batch.z[keep], batch.truth[keep], batch.u[keep], prior, batch.dt[keep], batch.task[keep]]
+    loss, gradient, left_out = means(training, batch._replace(prior=batch.prior._replace(mean=mean)))
+    expected_loss, expected_gradient, _ = means(training, Batch(*kept))
+    assert left_out == 1
+    assert gradient.isfinite().all()
+    torch.testing.assert_close(gradient, expected_gradient, rtol=1e-10, atol=1e-12)
+    torch.testing.assert_close(loss, expected_loss)
 
 
 def test_the_gradient_of_a_batch_is_that_of_its_mean_loss():
-    tuner = tune.Tuner(configured("fra_bearings", [*SMALL, "clip=1e9"]))
-    batch = tune.simulate(tuner.parts, 0, 4, 0, "cpu")
-    lesson = tuner.learn(batch, 1.0)
-    shared = dict(zip(tuner.names, tuner.parameters, strict=True))
-    each = tuner.losses(shared, batch, 1.0).unflatten(0, (len(tuner.parts), 4))
-    expected = torch.autograd.grad(tuner.weights @ each.mean(1), tuner.parameters)
-    torch.testing.assert_close(tuner.weights @ lesson.gradient, torch.stack(expected), rtol=1e-8, atol=1e-10)
+    training = prepare("fra_bearings", *SMALL, "clip=1e9")
+    batch = simulate(training.scenarios, first=0, runs=4, seed=0)
+    loss, gradient, _ = means(training, batch)
+    each = training.losses(training.parameters, batch, 1.0).unflatten(0, (len(training.scenarios), 4))
+    expected = torch.autograd.grad(training.task_weights @ each.mean(1), list(training.parameters.values()))
+    torch.testing.assert_close(training.task_weights @ gradient, torch.stack(expected), rtol=1e-8, atol=1e-10)
+    torch.testing.assert_close(loss, each.detach().mean(1))
 
 
-def test_one_wild_track_moves_the_step_no_further_than_the_clip():
-    tuner = tune.Tuner(configured("fra_bearings", [*SMALL, SHORT, "clip=1e-3"]))
-    lesson = tuner.learn(tune.simulate(tuner.parts, 0, 8, 0, "cpu"), 1.0)
-    assert 0 < lesson.gradient.norm() <= 1e-3
+def test_the_gradient_of_one_track_moves_the_values_no_further_than_the_clip():
+    training = prepare("fra_bearings", *SMALL, SHORT, "clip=1e-3")
+    _, gradient, _ = means(training, simulate(training.scenarios, first=0, runs=8, seed=0))
+    assert 0 < gradient.norm() <= 1e-3
+
+
+def means(training, batch):
+    return tune.task_means(training, batch, *tune.track_gradients(training, batch, temperature=1.0))
 
 
 def test_training_stops_when_validation_no_longer_improves(tmp_path, monkeypatch):
     scores = iter([1.0, 0.9, 0.95, 0.96, 0.5])
-    monkeypatch.setattr(tune.Tuner, "validate", lambda self: next(scores))
+    monkeypatch.setattr(tune, "validate", lambda training: next(scores))
     assert train(tmp_path, "validate_every=1", "patience=2", "iterations=20", "test_runs=0") == 0
     result = json.loads((tmp_path / "results.json").read_text())
     assert (result["iterations"], result["best"]) == (4, 2)
@@ -204,7 +216,7 @@ def test_training_stops_when_validation_no_longer_improves(tmp_path, monkeypatch
 def test_shorter_tracks_of_another_task_end_in_missing_data():
     short, long = scenarios.bearings_outliers(), scenarios.bearings_manoeuvre()
     cut = short.__class__(**{**vars(short), "steps": 60, "block": lambda rng, n: _cut(short.block(rng, n))})
-    batch = tune.simulate([cut, long], 0, 3, 0, "cpu")
+    batch = simulate([cut, long], first=0, runs=3, seed=0)
     assert batch.z.shape == (6, 100, 2)
     assert batch.z[:3, 60:].isnan().all()
     assert batch.truth[:3, 60:].isnan().all()
@@ -216,7 +228,7 @@ def _cut(tracks):
     return tracks._replace(truth=tracks.truth[:, :60], z=tracks.z[:, :60], u=tracks.u[:60])
 
 
-@pytest.mark.parametrize(("change", "said"), [
+@pytest.mark.parametrize(("change", "message"), [
     ("rate=1", "expected KEY=VALUE with a key out of"),
     ("lr", "expected KEY=VALUE"),
     ("lr=fast", "lr: expected float, received 'fast'"),
@@ -226,54 +238,54 @@ def _cut(tracks):
     ("validation_seed=0", "three different"),
     ("loss=love", "loss: expected one of"),
     ("learn=phase", "learn: expected 'all' or names"),
-    ("filter=kalman", "filter: expected a preset"),
+    ("filter=kalman", "filter: expected one of"),
     ('search={"gate":0.6}', "search: expected values that fra takes"),
     ('search={"unlikely":[0.6]}', "search: expected values that fra takes"),
     ("cold=2", "cold: expected above 0 and at most 1.0"),
 ])  # fmt: skip
-def test_a_setting_that_makes_no_sense_is_named_before_any_work(change, said, tmp_path, capsys):
+def test_a_setting_that_makes_no_sense_is_named_before_any_work(change, message, tmp_path, capsys):
     assert tune.main(["fra_bearings", change, "--out", str(tmp_path / "x")]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
 
 
 def test_an_unknown_run_is_answered_with_the_known_ones(capsys):
     assert tune.main(["fra_sonar"]) == 2
-    said = capsys.readouterr().err
-    assert all(name in said for name in RUNS)
+    message = capsys.readouterr().err
+    assert all(name in message for name in RUNS)
 
 
 @pytest.mark.parametrize("name", sorted(RUNS))
-def test_every_named_run_takes_a_step(name):
-    tuner = tune.Tuner(configured(name, ["batch=4", "validation_runs=4", "test_runs=0"]))
-    before = tuner.learned()
-    row = tuner.step()
-    assert row["left out"] == 0
-    searched = set(tuner.config.search)
-    assert all(tuner.learned()[path] != value for path, value in before.items() if path not in searched)
+def test_every_named_run_takes_a_step(name, tmp_path):
+    training = prepare(name, "batch=4", "iterations=1", "validation_runs=1", "compile=false")
+    before = training.learned_values()
+    iterate(training, tmp_path)
+    assert training.rows[0]["left out"] == 0
+    after, searched = training.learned_values(), set(training.config.search)
+    assert all(after[path] != value for path, value in before.items() if path not in searched)
 
 
-def test_what_no_gradient_reaches_is_searched_on_validation_tracks(monkeypatch):
-    tuner = tune.Tuner(configured("switching", ["batch=1", "validation_runs=1"]))
-    tuner.best["score"] = 10.0
+def test_what_no_gradient_reaches_is_searched_on_validation_tracks():
+    training = prepare("switching", "batch=1", "validation_runs=1", "compile=false")
+    training.best["score"] = 10.0
 
-    def score(self):
-        at = (self.f.unlikely().item(), self.f.principal().item())
-        return abs(at[0] - 0.1) + abs(at[1] - 0.3)
+    def score(training):
+        f = training.filter
+        return abs(f.unlikely().item() - 0.1) + abs(f.principal().item() - 0.3)
 
-    monkeypatch.setattr(tune.Tuner, "validate", score)
-    tuner.search()
-    tuner.f.load_state_dict(tuner.best["filter"])
-    assert tuner.f.unlikely().item() == pytest.approx(0.1)
-    assert tuner.f.principal().item() == pytest.approx(0.3)
-    assert tuner.best["score"] == pytest.approx(0.0, abs=1e-12)
+    search(training, score)
+    training.filter.load_state_dict(training.best["filter"])
+    assert training.filter.unlikely().item() == pytest.approx(0.1)
+    assert training.filter.principal().item() == pytest.approx(0.3)
+    assert training.best["score"] == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.slow
 def test_learned_switching_errs_less_than_all_five_models_with_fixed_values(tmp_path):
     """At the cost of three: 12.4 and 13.9 m for all five, unseen runs, from sample 21 on."""
-    result = tune.tune(configured("switching", ["iterations=40", "batch=24", "validation_runs=64", "test_runs=100"]),
-                       tmp_path, quiet=True)  # fmt: skip
+    one_task = 'tasks=[{"scenario":"adsb-turns"}]'
+    fewer = ["iterations=20", "lr=0.2", "batch=24", "validation_runs=32", "test_runs=100"]
+    result = tune.tune(configured("switching", [one_task, *fewer]), tmp_path, quiet=True)
     after = result["tasks"][0]["after"]
     assert after["rmse_x"] < 11.5
     assert after["rmse_y"] < 12.0
@@ -284,7 +296,7 @@ def test_learned_switching_errs_less_than_all_five_models_with_fixed_values(tmp_
 @pytest.mark.slow
 def test_scans_alone_tell_how_often_targets_are_measured_and_how_wide_a_gate_must_be(tmp_path):
     """Detection from 0.7 towards 0.95, the gate from 60 m to what the larger noise needs; no track is left out."""
-    small = ["iterations=14", "batch=4", "validate_every=14", "validation_runs=4", "test_runs=4", "lr=0.3"]
+    small = ["iterations=8", "batch=2", "validate_every=8", "validation_runs=1", "test_runs=0", "lr=0.5"]
     result = tune.tune(configured("association", small), tmp_path, quiet=True)
     assert result["left_out"] == 0
     assert result["values"]["learned"]["detection"] > 0.85
@@ -295,26 +307,25 @@ def test_scans_alone_tell_how_often_targets_are_measured_and_how_wide_a_gate_mus
     assert f.detection().item() > 0.85
 
 
-def test_a_run_of_another_kind_of_measurement_is_refused():
-    with pytest.raises(ValueError, match="filter: fra does not go with"):
-        tune.Tuner(configured("association", ["filter=fra"]))
-    with pytest.raises(ValueError, match="filter: iaukf_jpda does not go with"):
-        tune.Tuner(configured("noise", ["filter=iaukf_jpda"]))
+def test_a_filter_for_other_measurements_is_refused():
+    with pytest.raises(ValueError, match=r"filter: expected one of .*'ukf_jpda'.* received 'fra'"):
+        prepare("association", "filter=fra")
+    with pytest.raises(ValueError, match=r"filter: expected one of .*'fra'.* received 'iaukf_jpda'"):
+        prepare("noise", "filter=iaukf_jpda")
 
 
 def test_all_learns_all():
-    tuner = tune.Tuner(configured("fra_bearings", [*SMALL, "learn=all"]))
-    assert len(tuner.names) == 8
+    training = prepare("fra_bearings", *SMALL, "learn=all", "compile=false")
+    assert len(training.parameters) == 8
 
 
 # ---------------------------------------------------------------- several processes
 
 
 def torchrun(*command, processes):
-    own = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
-    subprocess.run(
-        [*own, *map(str, command)], cwd=ROOT, env=environment(), check=True, capture_output=True, timeout=600
-    )
+    launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
+    arguments = map(str, command)
+    subprocess.run([*launcher, *arguments], cwd=ROOT, env=environment(), check=True, capture_output=True, timeout=600)
 
 
 @pytest.mark.slow
@@ -329,13 +340,12 @@ def test_two_processes_train_as_one_does(unbroken, tmp_path):
 
 @pytest.mark.slow
 def test_two_processes_compare_as_one_does(tmp_path):
-    arguments = ["-m", "torchfra", "compare", "--scenario", "bearings-outliers", "--outliers", "std", "--runs", "21",
-                 "--filters", "srckf,rmckf,fra", "--quiet"]  # fmt: skip
-    results = []
-    for processes in (1, 2):
-        path = tmp_path / f"{processes}.json"
-        torchrun(*arguments, "--json", path, "--figure", tmp_path / "f.png", processes=processes)
-        results.append(json.loads(path.read_text())["filters"])
+    arguments = ["compare", "--scenario", "bearings-outliers", "--outliers", "std", "--runs", "5", "--filters",
+                 "srckf,fra", "--quiet", "--figure", str(tmp_path / "f.png"), "--json"]  # fmt: skip
+    one, two = tmp_path / "1.json", tmp_path / "2.json"
+    assert cli.main([*arguments, str(one)]) == 0
+    torchrun("-m", "torchfra", *arguments, two, processes=2)
+    results = [json.loads(path.read_text())["filters"] for path in (one, two)]
     for name, figures in results[0].items():
         for key in figures.keys() - {"microseconds", "relative_time"}:
             assert figures[key] == pytest.approx(results[1][name][key], rel=1e-10), key
@@ -369,7 +379,7 @@ def test_without_a_compiler_it_says_how_to_train_without(tmp_path, monkeypatch, 
     finally:
         build._compiler.cache_clear()
     assert "compile=false trains without" in capsys.readouterr().err
-    assert train(tmp_path, "compile=false", "iterations=1") == 0
+    assert train(tmp_path, "compile=false", "iterations=1", "test_runs=0") == 0
 
 
 def test_a_tensorboard_that_is_not_there_is_asked_for(tmp_path, monkeypatch, capsys):

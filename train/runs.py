@@ -1,82 +1,12 @@
-"""The named runs of ``train.tune``: each is a function that returns a config, numbers with their reasons."""
+"""The named runs of ``train.tune``: each is a function that returns its settings, with the reasons for them."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, get_type_hints
+from typing import Any
 
-
-@dataclass(frozen=True)
-class Task:
-    """Tracks to learn from, and how much they count."""
-
-    scenario: str
-    """A name of ``torchfra.cli.SCENARIOS``, ``"bearings-outliers"`` say, or ``"recorded"``."""
-    options: dict[str, Any] = field(default_factory=dict)
-    """What the scenario takes, such as ``outliers`` and ``truth_noise``."""
-    weight: float = 1.0
-    """Of the mean loss of this task's tracks."""
-
-
-@dataclass(frozen=True)
-class Config:
-    """What a run does.  Any field may be set on the command line, ``lr=0.1``."""
-
-    name: str
-    tasks: tuple[Task, ...]
-    """Each iteration takes tracks of all of them."""
-    learn: tuple[str, ...]
-    """Hyperparameters by name, or ``("all",)``."""
-    filter: str = "fra"
-    """A preset."""
-    options: dict[str, Any] = field(default_factory=dict)
-    """What the preset takes."""
-    start: dict[str, float] = field(default_factory=dict)
-    """Values to start from instead of the preset's and the scenario's, in natural units."""
-    search: dict[str, list[float]] = field(default_factory=dict)
-    """Values to try, by hyperparameter, for what no gradient reaches: after the last iteration, on the validation
-    tracks, one hyperparameter after the other."""
-    loss: str = "robust"
-    """``"mse"``, ``"robust"``, ``"nll"`` (of the position), ``"innovation"`` or ``"teacher"``."""
-    scale: float = 100.0
-    """Position error, m, from which on the robust loss flattens."""
-    teacher: dict[str, float] = field(default_factory=dict)
-    """Loss ``"teacher"``: values of the filter whose estimates are to be found again."""
-    skip: int = 0
-    """First steps of a track that do not count."""
-    files: tuple[str, ...] = ()
-    """Recorded tracks for the task ``"recorded"``; the sample tracks if none."""
-    batch: int = 64
-    """Tracks of each task and iteration, over all processes."""
-    iterations: int = 100
-    lr: float = 0.05
-    """Of Adam, on the unconstrained values; falls to a tenth along a half cosine."""
-    clip: float = 100.0
-    """Largest norm of one track's gradient.  Large: it is the tracks in danger that have large gradients."""
-    truncate: int = 0
-    """Steps after which gradients flow no further back; 0 for all of a track."""
-    temperature: float = 1.0
-    """Of FRA's decision at the start; falls geometrically to ``cold`` at the end.  0 trains the hard decision."""
-    cold: float = 0.1
-    validate_every: int = 10
-    """Iterations between validations, with the hard decision, on tracks never trained on."""
-    validation_runs: int = 128
-    patience: int = 5
-    """Validations without a better one after which training stops."""
-    checkpoint_every: int = 10
-    test_runs: int = 500
-    """Unseen tracks of each task for the figures before and after; 0 for none."""
-    seed: int = 0
-    validation_seed: int = 1
-    test_seed: int = 2
-    device: str = "cpu"
-    compile: bool = True
-    """Run compiled kernels on the CPU: many times faster, and needs a C++ compiler."""
-    tensorboard: bool = False
-    """Also write a TensorBoard log."""
+from train.config import Config, Task, check, read_changes
 
 
 def _bearings(name: str, weight: float = 1.0, **options: Any) -> Task:
@@ -86,9 +16,9 @@ def _bearings(name: str, weight: float = 1.0, **options: Any) -> Task:
 def fra_bearings() -> Config:
     """Both bearings scenarios at once: one set of values for a poor start, a good one, outliers and a manoeuvre.
 
-    Good starts end near 60 m and the manoeuvre near 250 m: the weights let relative errors count, and most where the
-    plain robust filters are hard to keep up with.  The scale is beyond any track that is not lost, so that the loss is
-    nearly the mean squared error and the worst tracks lead.
+    Good starts end near 60 m and the manoeuvre near 250 m: the weights make relative errors count, most of all where
+    the plain robust filters are hard to beat.  The scale is beyond the error of any track that does not diverge, so
+    that the loss is nearly the mean squared error and the worst tracks dominate.
     """
     return Config(
         name="fra_bearings",
@@ -101,17 +31,17 @@ def fra_bearings() -> Config:
         ),
         learn=("threshold", "weakening", "forgetting", "fading_max", "gate", "preference", "q", "std"),
         scale=500.0,
-        skip=9,  # the first steps carry the poor start, whatever the filter does
+        skip=9,  # the errors of the first steps are those of the poor start, whatever the filter does
         batch=48,
         iterations=90,
         lr=0.15,
-        patience=9,  # it moves along a flat valley; validation is noisier than its slope
+        patience=9,  # the loss has a flat valley: validation scores scatter more than they fall along it
         validation_runs=128,
     )
 
 
 def fra_recorded() -> Config:
-    """The likelihood of the measurements alone: needs no truth.  Every fifth recorded track is kept for the test."""
+    """The likelihood of the measurements alone: needs no truth.  Every fifth recorded track is held out."""
     return Config(
         name="fra_recorded",
         tasks=(Task("recorded"),),
@@ -138,7 +68,7 @@ def noise() -> Config:
 
 
 def recover() -> Config:
-    """A filter with known values is the teacher; another that starts a factor 3 off finds them from its estimates."""
+    """A filter with known values is the teacher; another, a factor 3 off at first, recovers them from its estimates."""
     known = {"threshold": 1.0, "weakening": 4.0, "q": 0.03}
     return Config(
         name="recover",
@@ -152,16 +82,16 @@ def recover() -> Config:
         lr=0.1,
         validation_runs=16,
         patience=100,
-        cold=1.0,  # teacher and pupil decide alike, and softly: nothing is gained by hardening
+        cold=1.0,  # both filters make soft decisions at one temperature: nothing is gained by hard ones
         test_runs=0,
     )
 
 
 def switching() -> Config:
-    """Three of five models at a time on the ADS-B tracks: which follows which, how noisy each is, and when sets change.
+    """Three of five models at a time on the ADS-B tracks: transition probabilities, noise levels, when the set changes.
 
-    Both forms of the turns, so that it is not one path that is learned.  The scale is near the error of a track: each
-    counts by its relative error.  Rates of turns stay: at one learning rate with the others they jump.
+    Both forms of the turns, so that what is learned is not one path.  The scale is near the error of a track: each
+    counts by its relative error.  Turn rates stay fixed: at the learning rate of the other values they jump.
     """
     return Config(
         name="switching",
@@ -180,9 +110,9 @@ def switching() -> Config:
 
 
 def contaminated() -> Config:
-    """Threshold of the Huber score, and the contamination it assumes, on the growth model with wild noise.
+    """Threshold of the Huber score, and the contamination it assumes, on the growth model with outliers.
 
-    Three in ten measurements have 15 times the standard deviation.  Errors are near 9: the scale is that of a track.
+    Three in ten measurements have 15 times the standard deviation.  The scale is near the error of a track, 9.
     """
     return Config(
         name="contaminated",
@@ -190,12 +120,12 @@ def contaminated() -> Config:
         learn=("threshold", "eps"),
         filter="hghckf2",
         options={"eps": 0.0579148930},  # what "minimax" gives at 1.345
-        search={"eps": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]},  # its slope is small against the noise of the gradient
+        search={"eps": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]},  # the gradient is small compared with its scatter
         scale=10.0,
         batch=256,
         iterations=100,
         lr=0.05,
-        clip=1.0,  # gradients through 500 chaotic steps are wild: it is their direction that counts
+        clip=1.0,  # gradients through 500 chaotic steps can be of any size: their direction is what counts
         temperature=0.0,
         validation_runs=1024,
         patience=8,
@@ -204,10 +134,10 @@ def contaminated() -> Config:
 
 
 def association() -> Config:
-    """How often targets are measured, the gate, and how fast to follow the noise: from the likelihood of scans alone.
+    """Detection, gate, and how fast to follow the measurement noise: from the likelihood of scans alone.
 
     Two targets among Poisson false measurements (the likelihood of a non-parametric number of them would reward small
-    gates, as it counts them in the gates alone); the noise becomes four times what the filter assumes.  Detection
+    gates, as it counts only those inside); the measurement noise becomes four times what the filter assumes.  Detection
     starts at 0.7 (truth: 0.95), the gate at 60 m, the memory at five innovations.  The gate is soft while it learns.
     """
     return Config(
@@ -239,57 +169,11 @@ RUNS: dict[str, Callable[[], Config]] = {
 
 
 def configured(name: str, changes: Sequence[str] = ()) -> Config:
-    """A named run with ``key=value`` changes.
+    """A named run with ``KEY=VALUE`` changes.
 
     Raises:
-        ValueError: an unknown run or key, or a value of the wrong kind.
+        ValueError: an unknown run or key, or a value of the wrong type or out of its range.
     """
     if name not in RUNS:
         raise ValueError(f"run: expected one of {', '.join(RUNS)}, received {name!r}")
-    hints = get_type_hints(Config)
-    given: dict[str, Any] = {}
-    for change in changes:
-        key, equals, text = change.partition("=")
-        if not equals or key not in hints:
-            raise ValueError(f"config: expected KEY=VALUE with a key out of {', '.join(hints)}, received {change!r}")
-        given[key] = _read(key, text, hints[key])
-    return _checked(dataclasses.replace(RUNS[name](), **given))
-
-
-def _read(key: str, text: str, kind: Any) -> Any:
-    try:
-        if kind is bool:
-            return {"true": True, "false": False, "1": True, "0": False}[text.lower()]
-        if kind in (int, float, str):
-            return kind(text)
-        if kind == tuple[str, ...]:
-            return tuple(part for part in text.split(",") if part)
-        value = json.loads(text)
-        if kind == tuple[Task, ...]:
-            return tuple(Task(**task) for task in value)
-        if not isinstance(value, dict):
-            raise TypeError
-        return value
-    except (ValueError, KeyError, TypeError):
-        said = getattr(kind, "__name__", None) or str(kind)
-        raise ValueError(
-            f"{key}: expected {'JSON' if 'dict' in said or 'Task' in str(kind) else said}, received {text!r}"
-        ) from None
-
-
-def _checked(config: Config) -> Config:
-    for key, low in (("batch", 1), ("iterations", 1), ("validate_every", 1), ("validation_runs", 1), ("patience", 1),
-                     ("checkpoint_every", 1), ("skip", 0), ("truncate", 0), ("test_runs", 0), ("seed", 0),
-                     ("validation_seed", 0), ("test_seed", 0)):  # fmt: skip
-        if getattr(config, key) < low:
-            raise ValueError(f"{key}: expected at least {low}, received {getattr(config, key)}")
-    for key in ("lr", "clip", "scale"):
-        if not getattr(config, key) > 0:
-            raise ValueError(f"{key}: expected a value above 0, received {getattr(config, key)}")
-    if config.temperature and not config.temperature >= config.cold > 0:
-        raise ValueError(f"cold: expected above 0 and at most {config.temperature}, received {config.cold}")
-    if len({config.seed, config.validation_seed, config.test_seed}) < 3:
-        raise ValueError("seed, validation_seed, test_seed: expected three different ones")
-    if not config.tasks or not config.learn:
-        raise ValueError("tasks, learn: expected at least one of each")
-    return config
+    return check(dataclasses.replace(RUNS[name](), **read_changes(changes)))

@@ -1,0 +1,87 @@
+"""Tracks of all tasks of a run as one batch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra import readers, scenarios
+from torchfra.app import distributed
+from torchfra.catalogue import make_scenario
+from torchfra.scenarios import Scenario
+from torchfra.types import Gaussian
+from train.config import Config, Task
+
+
+class Batch(NamedTuple):
+    """Tracks of all tasks; those with fewer steps than the longest end in NaN."""
+
+    z: Tensor
+    """``(B, T, m)`` measurements, or scans ``(B, T, J, m)``."""
+    truth: Tensor
+    """``(B, T, n)`` states, of several targets ``(B, N, T, n)``."""
+    u: Tensor | None
+    """``(B, T, k)`` inputs of the models."""
+    prior: Gaussian
+    """Each track's belief one step before the first."""
+    dt: Tensor
+    """``(B, 1)`` seconds per step."""
+    task: Tensor
+    """``(B,)`` index of the task that each track belongs to."""
+
+
+def task_scenario(task: Task, config: Config, *, held_out: bool) -> Scenario:
+    """The scenario of a task.
+
+    Args:
+        task: which.
+        config: names the files of recorded tracks.
+        held_out: of recorded tracks every fifth, which training never sees, instead of the others.
+    """
+    if task.scenario != "recorded":
+        return make_scenario(task.scenario, **task.options)
+    files = config.files or readers.samples("calibration", "gliders")
+    recordings = [recording for file in files for recording in readers.read(Path(file))]
+    kept = [recording for i, recording in enumerate(recordings) if (i % 5 == 4) == held_out]
+    return scenarios.recorded(kept, **task.options)
+
+
+def simulate(tasks: Sequence[Scenario], *, first: int, runs: int, seed: int, device: str = "cpu") -> Batch:
+    """This process's share of ``runs`` tracks of each task.
+
+    Args:
+        tasks: the scenario of each.
+        first: number of the first run; run i of a seed is always the same track.
+        runs: tracks of each task, over all processes.
+        seed: of the random numbers.
+        device: where the tensors go.
+    """
+    share = distributed.share(runs)
+    count, steps = len(share), max(scenario.steps for scenario in tasks)
+    parts = [scenario.simulate(count, seed, first=first + share.start) for scenario in tasks]
+    us = [_padded(_batched(part.u, count), steps, 0.0, -2) for part in parts if part.u is not None]
+    roots = [part.prior.scale_tril.expand(*part.prior.mean.shape, part.prior.mean.shape[-1]) for part in parts]
+    return Batch(
+        z=torch.cat([_padded(part.z, steps, math.nan, 1) for part in parts]).to(device),
+        truth=torch.cat([_padded(part.truth, steps, math.nan, -2) for part in parts]).to(device),
+        u=torch.cat(us).to(device) if us else None,
+        prior=Gaussian(torch.cat([part.prior.mean for part in parts]).to(device), torch.cat(roots).to(device)),
+        dt=torch.cat([torch.full((count, 1), scenario.dt, dtype=torch.float64) for scenario in tasks]).to(device),
+        task=torch.arange(len(tasks)).repeat_interleave(count).to(device),
+    )
+
+
+def _batched(u: Tensor, count: int) -> Tensor:
+    """``(T, k)`` inputs, the same for all tracks, as ``(B, T, k)``."""
+    return u if u.dim() > 2 else u.expand(count, *u.shape)
+
+
+def _padded(x: Tensor, steps: int, fill: float, time_dim: int) -> Tensor:
+    missing = list(x.shape)
+    missing[time_dim] = steps - x.shape[time_dim]
+    return torch.cat([x, torch.full(missing, fill, dtype=x.dtype)], time_dim)

@@ -1,0 +1,147 @@
+"""What a run of ``train.tune`` does: its settings, how the command line changes them, and what they may be."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, get_type_hints
+
+from torchfra.hyper import one_of
+
+LOSSES = ("mse", "robust", "nll", "innovation", "teacher")
+
+
+@dataclass(frozen=True)
+class Task:
+    """Tracks to learn from, and how much they count."""
+
+    scenario: str
+    """A name of ``torchfra.catalogue.SCENARIOS``, ``"bearings-outliers"`` for example, or ``"recorded"``."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """Arguments of the scenario, such as ``outliers`` and ``truth_noise``."""
+    weight: float = 1.0
+    """Weight of this task's mean loss in the loss of the run."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """The settings of a run.  Any of them may be changed on the command line: ``lr=0.1``."""
+
+    name: str
+    tasks: tuple[Task, ...]
+    """Each iteration simulates tracks of all of them."""
+    learn: tuple[str, ...]
+    """Hyperparameters by name, or ``("all",)``."""
+    filter: str = "fra"
+    """A name of ``torchfra.catalogue.FILTERS``."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """Arguments of the filter's preset."""
+    start: dict[str, float] = field(default_factory=dict)
+    """Initial values, in natural units, instead of the preset's and the scenario's."""
+    search: dict[str, list[float]] = field(default_factory=dict)
+    """Candidate values of hyperparameters that no gradient reaches.  They are tried after the last iteration, on the
+    validation tracks, one hyperparameter after the other."""
+    loss: str = "robust"
+    """``"mse"``, ``"robust"``, ``"nll"`` (of the position), ``"innovation"`` or ``"teacher"``."""
+    scale: float = 100.0
+    """Position error, m, above which the robust loss flattens."""
+    teacher: dict[str, float] = field(default_factory=dict)
+    """Loss ``"teacher"``: values of the filter whose estimates are the targets."""
+    skip: int = 0
+    """Steps at the start of each track that do not count."""
+    files: tuple[str, ...] = ()
+    """Recorded tracks for the task ``"recorded"``; the sample tracks if empty."""
+    batch: int = 64
+    """Tracks of each task in an iteration, over all processes."""
+    iterations: int = 100
+    lr: float = 0.05
+    """Learning rate of Adam, on the unconstrained values; falls to a tenth along a half cosine."""
+    clip: float = 100.0
+    """Largest norm of one track's gradient.  Large, because tracks about to diverge have large gradients."""
+    truncate: int = 0
+    """Steps after which backpropagation through time is cut; 0 for never."""
+    temperature: float = 1.0
+    """Initial temperature of FRA's decision; falls geometrically to ``cold``.  0 trains the hard decision."""
+    cold: float = 0.1
+    """Final temperature."""
+    validate_every: int = 10
+    """Iterations between validations, with the hard decision, on tracks that are never trained on."""
+    validation_runs: int = 128
+    patience: int = 5
+    """Validations without improvement after which training stops."""
+    checkpoint_every: int = 10
+    test_runs: int = 500
+    """Unseen tracks of each task for the figures before and after; 0 for none."""
+    seed: int = 0
+    validation_seed: int = 1
+    test_seed: int = 2
+    device: str = "cpu"
+    compile: bool = True
+    """Run compiled kernels on the CPU: many times faster, and needs a C++ compiler."""
+    tensorboard: bool = False
+    """Also write a TensorBoard log."""
+
+
+def read_changes(changes: Sequence[str]) -> dict[str, Any]:
+    """Fields of ``Config`` from ``KEY=VALUE``.
+
+    Raises:
+        ValueError: an unknown key, or a value of another type.
+    """
+    types = get_type_hints(Config)
+    fields: dict[str, Any] = {}
+    for change in changes:
+        key, equals, text = change.partition("=")
+        if not equals or key not in types:
+            raise ValueError(f"config: expected KEY=VALUE with a key out of {', '.join(types)}, received {change!r}")
+        try:
+            fields[key] = _read(text, types[key])
+        except (ValueError, KeyError, TypeError):
+            raise ValueError(f"{key}: expected {_type_name(types[key])}, received {text!r}") from None
+    return fields
+
+
+def _read(text: str, kind: Any) -> Any:
+    if kind is bool:
+        return {"true": True, "false": False, "1": True, "0": False}[text.lower()]
+    if kind in (int, float, str):
+        return kind(text)
+    if kind == tuple[str, ...]:
+        return tuple(part for part in text.split(",") if part)
+    value = json.loads(text)
+    if kind == tuple[Task, ...]:
+        return tuple(Task(**task) for task in value)
+    if not isinstance(value, dict):
+        raise TypeError
+    return value
+
+
+def _type_name(kind: Any) -> str:
+    if kind in (bool, int, float, str):
+        return str(kind.__name__)
+    return "names with commas between them" if kind == tuple[str, ...] else "JSON"
+
+
+def check(config: Config) -> Config:
+    """The same settings, if they are possible.
+
+    Raises:
+        ValueError: a value out of its range.
+    """
+    one_of(loss=(config.loss, LOSSES))
+    for low, keys in ((1, ("batch", "iterations", "validate_every", "validation_runs", "patience", "checkpoint_every")),
+                      (0, ("skip", "truncate", "test_runs", "seed", "validation_seed", "test_seed"))):  # fmt: skip
+        for key in keys:
+            if getattr(config, key) < low:
+                raise ValueError(f"{key}: expected at least {low}, received {getattr(config, key)}")
+    for key in ("lr", "clip", "scale"):
+        if not getattr(config, key) > 0:
+            raise ValueError(f"{key}: expected a value above 0, received {getattr(config, key)}")
+    if config.temperature and not config.temperature >= config.cold > 0:
+        raise ValueError(f"cold: expected above 0 and at most {config.temperature}, received {config.cold}")
+    if len({config.seed, config.validation_seed, config.test_seed}) < 3:
+        raise ValueError("seed, validation_seed, test_seed: expected three different ones")
+    if not config.tasks or not config.learn:
+        raise ValueError("tasks, learn: expected at least one of each")
+    return config
