@@ -37,7 +37,8 @@ from torch import Tensor
 from torchfra import keep_memory, losses, presets, readers, scenarios
 from torchfra.app import distributed, plotting
 from torchfra.app.atomic_write import write, write_json, write_text
-from torchfra.app.evaluate import evaluate, progress_bar, versions
+from torchfra.app.evaluate import evaluate, versions
+from torchfra.app.progress import progress_bar
 from torchfra.catalogue import make_scenario
 from torchfra.filters import Filter
 from torchfra.filters.imm import Around

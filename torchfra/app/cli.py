@@ -15,8 +15,9 @@ import numpy as np
 from torchfra import readers, scenarios
 from torchfra.app import distributed
 from torchfra.app.atomic_write import write_json, write_text
-from torchfra.app.evaluate import evaluate, progress_bar, report, table
+from torchfra.app.evaluate import evaluate, report, table
 from torchfra.app.memory import keep_memory
+from torchfra.app.progress import progress_bar
 from torchfra.catalogue import (
     SCENARIOS,
     filters_for,

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import copy
 import platform
-import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import torch
 
 from torchfra.app import distributed
+from torchfra.app.progress import progress_bar
 from torchfra.app.running_metrics import Tally
 from torchfra.catalogue import reference_filter, scenario_filters
 from torchfra.filters.base import Filter
@@ -139,15 +139,3 @@ def table(results: dict[str, Result]) -> str:
         said = [f"{c:{f}}" if c < 1e6 else f"{c:.0e}" for c, (_, _, f) in zip(cells, columns, strict=True)]
         lines.append(f"{name:<10}" + "".join(f"{cell:>12}" for cell in said))
     return "\n".join(lines)
-
-
-def progress_bar(items: Iterable[Any], unit: str, show: bool) -> Iterable[Any]:
-    """The items, behind a bar if that is wanted, a terminal is there and tqdm is installed."""
-    if show and sys.stderr.isatty():
-        try:
-            from tqdm import tqdm
-        except ImportError:
-            return items
-        bar: Iterable[Any] = tqdm(items, unit=unit, leave=False)
-        return bar
-    return items

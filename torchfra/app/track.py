@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from torchfra.app.evaluate import progress_bar
+from torchfra.app.progress import progress_bar
 from torchfra.catalogue import make_filter
 from torchfra.filters import Filter
 from torchfra.hyper import Value
