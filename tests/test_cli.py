@@ -13,6 +13,7 @@ from torchfra import presets, readers
 from torchfra.app import cli
 from torchfra.app.evaluate import evaluate
 from torchfra.app.track import track
+from torchfra.catalogue import make_scenario
 
 
 @pytest.fixture
@@ -183,7 +184,7 @@ def test_python_m_torchfra_is_the_command():
 
 
 def test_compare_takes_values_that_were_learned(tmp_path, capsys):
-    scenario = cli.named("bearings-outliers")
+    scenario = make_scenario("bearings-outliers")
     f = presets.rsrckf(scenario.motion, scenario.sensor, threshold=0.5)
     torch.save(f.state_dict(), tmp_path / "learned.pt")
     arguments = ["compare", "--scenario", "bearings-outliers", "--runs", "5", "--filters", "rsrckf", "--quiet"]

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchfra.association.clutter import Clutter
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
+from torchfra.motion.spherical import Spherical
 from torchfra.sensors.base import Sensor
 from torchfra.types import Estimate, Gaussian
 
@@ -74,9 +75,19 @@ class Scenario:
         return self.motion.position
 
     @property
+    def truth_position(self) -> slice:
+        """The truth's position components, of estimates that ``cartesian`` has converted too."""
+        return slice(0, 3) if isinstance(self.motion, Spherical) else self.motion.position
+
+    @property
+    def truth_velocity(self) -> slice:
+        """The truth's velocity components, of estimates that ``cartesian`` has converted too."""
+        return slice(3, 6) if isinstance(self.motion, Spherical) else self.motion.velocity
+
+    @property
     def quantities(self) -> dict[str, slice]:
         """Components of the state whose errors are of interest, by name."""
-        return {"position": self.position, "velocity": self.velocity, **self.others}
+        return {"position": self.truth_position, "velocity": self.truth_velocity, **self.others}
 
     @property
     def velocity(self) -> slice:
