@@ -25,7 +25,10 @@ def add_compile_option(parser: argparse.ArgumentParser, default: str) -> None:
 
 
 def reporters(wanted: bool | None, quiet: bool) -> tuple[Callable[[str], None], Fallback | None]:
-    """What prints a line, unless ``quiet``, and what prints that a filter has no kernel: an error where one is wanted."""
+    """``tell`` and ``fallback`` of a command: they print lines, unless ``quiet``.
+
+    There is no fallback where compiled kernels are wanted: a filter without one is then an error.
+    """
 
     def tell(line: str) -> None:
         if not quiet:
