@@ -13,6 +13,7 @@ import torch
 from torchfra.app.progress import progress_bar
 from torchfra.filters import Filter
 from torchfra.kernel.build import CompileError, compiler
+from torchfra.motion.bank import Bank
 
 Fallback = Callable[[str, str], None]
 """Called with the name of a filter that has no kernel, and the reason."""
@@ -92,16 +93,16 @@ def compiled(
             return error
         return g
 
+    order = sorted(filters, key=lambda name: not isinstance(filters[name].motion, Bank))  # what takes longest first
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        attempts = list(progress_bar(pool.map(attempt, filters.values()), "kernel", progress))
-    done = {}
-    for (name, f), made in zip(filters.items(), attempts, strict=True):
-        if not isinstance(made, Filter):
+        made = pool.map(attempt, [filters[name] for name in order])
+        attempts = dict(zip(order, progress_bar(made, "kernel", progress), strict=True))
+    for name, f in attempts.items():
+        if not isinstance(f, Filter):
             if fallback is None:
-                raise made
-            fallback(name, _brief(made))
-        done[name] = made if isinstance(made, Filter) else f
-    return done
+                raise f
+            fallback(name, _brief(f))
+    return {name: f if isinstance(f := attempts[name], Filter) else filters[name] for name in filters}
 
 
 def _brief(error: Exception) -> str:
