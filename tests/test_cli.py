@@ -115,7 +115,7 @@ def test_commands_compile_when_it_is_worthwhile_and_say_so(noisy_track, tmp_path
     monkeypatch.setattr("torchfra.app.track_command.choose", choose)
     assert compare(tmp_path, "--runs", "10", "--quiet") == 0
     assert compare(tmp_path, "--runs", "1000", "--no-compile", "--quiet") == 0
-    track_it = ["track", str(noisy_track), "--no-plots", "--quiet", "--out", str(tmp_path)]
+    track_it = ["track", str(noisy_track), "--no-plots", "--quiet", "--out", str(tmp_path / "out")]
     assert cli.main(track_it) == 0
     monkeypatch.setattr("torchfra.app.track_command.WORTHWHILE", 80)
     assert cli.main([*track_it, "--compile"]) == 0
