@@ -35,8 +35,8 @@ class FilterEntry:
     gated: bool = False
     """It takes a ``gate``: the normalised innovation squared above which a step is abnormal."""
     constant_gains: bool = False
-    """It takes positions with a standard deviation only, the ``period`` that its gains are meant for, and the ``longest``
-    gap that it bridges."""
+    """It takes positions with a standard deviation only, the ``period`` that its gains are meant for, and the
+    ``longest`` gap that it bridges."""
     emphasised: bool = False
     """Its lines in figures are bold."""
 
