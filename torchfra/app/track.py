@@ -50,17 +50,14 @@ def track(
         sigma: standard deviation of a recorded position per axis, m.
         q: variance of the change of acceleration per step, m^2/s^4.
         compile: whether to run compiled (``Filter.compile``); needs a C++ compiler.
-        fallback: called with the name of the filter and the reason if it cannot be compiled; it then runs interpreted.
-            None raises the error.
+        fallback: called if the filter cannot be compiled, and runs interpreted; None raises the error.
         progress: whether to show a bar.
 
     Raises:
         ValueError: an unknown filter, or a value out of its range.
-        CompileError: ``compile`` without ``fallback``, and there is no compiler or the filter has no kernel.
+        CompileError: the filter cannot be compiled, and there is no ``fallback``.
     """
-    _make(name, 2, sigma, q)  # checks the values before anything is filtered
-    if dt is not None and not dt > 0:
-        raise ValueError(f"dt: expected seconds above 0, received {dt}")
+    _check(name, dt, sigma, q)
     done: dict[int, Filtered] = {}
     for group in progress_bar(_groups(recordings), "group", progress):
         part = [recordings[i] for i in group]
@@ -71,9 +68,15 @@ def track(
             few = partial(_run, z=z[:, :2], gaps=gaps[:, :2], prior=prior)  # makes the kernel
             interpreted, f = f, compiled({name: f}, few, fallback=fallback)[name]
             compile = f is not interpreted  # a kernel that is refused once is not tried again
-        models = tuple(f.motion.names) if isinstance(f.motion, Bank) else ()
+        models = f.motion.names if isinstance(f.motion, Bank) else ()
         done |= zip(group, _split(part, grids, _run(f, z, gaps, prior), models), strict=True)
     return [done[i] for i in range(len(recordings))]
+
+
+def _check(name: str, dt: float | None, sigma: float, q: float) -> None:
+    _make(name, 2, sigma, q)
+    if dt is not None and not dt > 0:
+        raise ValueError(f"dt: expected seconds above 0, received {dt}")
 
 
 def successive_steps(recordings: Sequence[Recording]) -> int:
@@ -133,7 +136,7 @@ def _make(name: str, d: int, sigma: float, q: float, period: Value = 1.0) -> Fil
 
 
 def _split(
-    recordings: Sequence[Recording], grids: Sequence[tuple[Array, Array]], estimate: Estimate, models: tuple[str, ...]
+    recordings: Sequence[Recording], grids: Sequence[tuple[Array, Array]], estimate: Estimate, models: Sequence[str]
 ) -> list[Filtered]:
     """What is known of each recording after they were filtered as one batch."""
     d = grids[0][1].shape[1]
@@ -150,7 +153,7 @@ def _split(
         mean, nis = estimate.mean[i, :k].numpy(), estimate.nis[i, :k].numpy()
         position, velocity, spread = mean[:, :d], mean[:, d : 2 * d], std[i, :k, :d].numpy()
         leading = estimate.info.probabilities[i, :k].argmax(-1).numpy() if models else None
-        results.append(Filtered(recording, time, raw, position, velocity, spread, nis, flags, models, leading))
+        results.append(Filtered(recording, time, raw, position, velocity, spread, nis, flags, tuple(models), leading))
     return results
 
 

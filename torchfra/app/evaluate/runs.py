@@ -46,14 +46,7 @@ def evaluate(
         progress: whether to show a bar.
 
     Returns:
-        For each filter: ``rmse_position``, ``rmse_velocity`` and those of ``Scenario.others`` over time ``[T]``, their
-        means ``mean_rmse_*``, ``median_error_position`` over all steps and runs (to 0.05 %), ``median_track_rmse`` and
-        ``worst_track`` of the root mean square errors of single runs, ``divergence_rate``, ``nees_position`` (median,
-        to 0.05 %; 1.39 of a consistent filter, in the plane), by coordinate and over time the signed ``mean_error_x``,
-        ``rmse_x`` and ``mape_x`` (mean relative error, %, of coordinates of 100 m or more), the models' mean
-        ``probabilities`` ``[T][K]`` if there are some, ``microseconds`` per run and step and ``relative_time`` to the
-        UKF (``ukf_jpda`` on scans) on the same runs.  Each target of a run of several counts as a track.  In every
-        process the results of all runs.
+        For each filter its ``Result``; in every process that of all runs.
 
     Raises:
         ValueError: an unknown filter, or fewer runs than processes.

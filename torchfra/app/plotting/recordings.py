@@ -13,16 +13,9 @@ from torchfra.app.plotting.style import BLUE, ORANGE, RED, without_box
 
 
 def filtered(
-    time: Any,
-    raw: Any,
-    mean: Any,
-    nis: Any,
-    flags: dict[str, Any],
-    gate: float,
-    title: str,
-    models: Sequence[str] = (),
-    leading: Any = None,
-) -> Figure:
+    time: Any, raw: Any, mean: Any, nis: Any, flags: dict[str, Any], gate: float, title: str,
+    models: Sequence[str] = (), leading: Any = None,
+) -> Figure:  # fmt: skip
     """A recorded track after filtering: path, distance of the fixes from it, innovations, and flagged steps.
 
     Args:
