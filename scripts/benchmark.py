@@ -30,7 +30,8 @@ import torch
 from torchfra import keep_memory, presets, scenarios
 from torchfra.app import plotting
 from torchfra.app.atomic_write import write_json
-from torchfra.app.evaluate import progress_bar, run, versions
+from torchfra.app.evaluate import run, versions
+from torchfra.app.progress import progress_bar
 from torchfra.catalogue import SCENARIOS, make_scenario, scenario_filters, track_filters
 from torchfra.linalg import triangular
 from torchfra.motion import ConstantAcceleration, ConstantVelocity

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from torchfra import Gaussian, losses, presets
-from torchfra.app.evaluate import progress_bar
+from torchfra.app.progress import progress_bar
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import RangeBearing
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchfra import metrics, presets
 from torchfra.angles import wrap
 from torchfra.app import plotting
-from torchfra.app.evaluate import progress_bar
+from torchfra.app.progress import progress_bar
 from torchfra.association import Euclidean
 from torchfra.catalogue import check_names
 from torchfra.coordinates import from_cartesian

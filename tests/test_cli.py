@@ -13,6 +13,8 @@ from torchfra import presets, readers
 from torchfra.app import cli
 from torchfra.app.evaluate import evaluate
 from torchfra.app.track import track
+from torchfra.catalogue import make_scenario
+from torchfra.kernel import build
 
 
 @pytest.fixture
@@ -90,6 +92,66 @@ def test_track_runs_compiled_and_says_how_fast(noisy_track, tmp_path):
     assert found[0] == found[1]
     rows = list(csv.DictReader(found[0].splitlines()))
     assert rows[40]["outlier"] == "1"
+
+
+def models():
+    scenario = make_scenario("bearings-outliers")
+    return scenario.motion, scenario.sensor
+
+
+def compare(tmp_path, *options):
+    out = ["--json", str(tmp_path / "r.json"), "--figure", str(tmp_path / "f.png")]
+    return cli.main(["compare", "--scenario", "bearings-outliers", "--filters", "srckf", *options, *out])
+
+
+def test_commands_compile_when_it_is_worthwhile_and_say_so(noisy_track, tmp_path, capsys, monkeypatch):
+    calls = []
+
+    def choose(wanted, worthwhile, tell):
+        calls.append((wanted, worthwhile))
+        return False
+
+    monkeypatch.setattr("torchfra.app.compare_command.choose", choose)
+    monkeypatch.setattr("torchfra.app.track_command.choose", choose)
+    assert compare(tmp_path, "--runs", "10", "--quiet") == 0
+    assert compare(tmp_path, "--runs", "1000", "--no-compile", "--quiet") == 0
+    track_it = ["track", str(noisy_track), "--no-plots", "--quiet", "--out", str(tmp_path / "out")]
+    assert cli.main(track_it) == 0
+    monkeypatch.setattr("torchfra.app.track_command.WORTHWHILE", 80)
+    assert cli.main([*track_it, "--compile"]) == 0
+    assert cli.main([*track_it, "--filter", "imm_srckf"]) == 0
+    assert calls == [(None, False), (False, True), (None, False), (True, True), (None, False)]
+
+
+def test_without_a_compiler_commands_run_interpreted_unless_told_to_compile(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("CXX", "/no/such/compiler")
+    build._compiler.cache_clear()
+    monkeypatch.setattr("torchfra.app.compare_command.WORTHWHILE", 1)
+    try:
+        assert compare(tmp_path, "--runs", "5") == 0
+        said = capsys.readouterr().out
+        assert said.startswith("filters run interpreted (expected a C++ compiler, /no/such/compiler does not run")
+        assert compare(tmp_path, "--runs", "5", "--no-compile") == 0
+        assert "interpreted" not in capsys.readouterr().out
+        assert compare(tmp_path, "--runs", "5", "--compile") == 2
+        assert "/no/such/compiler" in capsys.readouterr().err
+    finally:
+        build._compiler.cache_clear()
+
+
+def test_a_filter_without_a_kernel_runs_interpreted_beside_compiled_ones(tmp_path, capsys, monkeypatch):
+    def refuse(self):
+        raise build.CompileError("compile: too large")
+
+    monkeypatch.setattr(presets.ukf(*models()).__class__, "compile", refuse)
+    monkeypatch.setattr("torchfra.app.compare_command.WORTHWHILE", 1)
+    assert compare(tmp_path, "--runs", "5") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("compiled kernels (g++")
+    assert "ukf runs interpreted (too large)" in lines
+    assert "srckf runs interpreted (too large)" in lines
+    assert compare(tmp_path, "--runs", "5", "--compile") == 2
+    assert "too large" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["srckf", "asrckf", "fra_srckf", "imm_fra", "vsimm_srckf", "alphabeta"])
@@ -183,7 +245,7 @@ def test_python_m_torchfra_is_the_command():
 
 
 def test_compare_takes_values_that_were_learned(tmp_path, capsys):
-    scenario = cli.named("bearings-outliers")
+    scenario = make_scenario("bearings-outliers")
     f = presets.rsrckf(scenario.motion, scenario.sensor, threshold=0.5)
     torch.save(f.state_dict(), tmp_path / "learned.pt")
     arguments = ["compare", "--scenario", "bearings-outliers", "--runs", "5", "--filters", "rsrckf", "--quiet"]

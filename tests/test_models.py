@@ -256,7 +256,7 @@ def test_keeping_memory_is_said_to_work_or_not():
 
 
 LEVELS = [
-    {"version"}, {"angles"}, {"linalg"}, {"types"}, {"tree"}, {"hyper"}, {"coordinates"}, {"readers"},
+    {"version"}, {"tables"}, {"angles"}, {"linalg"}, {"types"}, {"tree"}, {"hyper"}, {"coordinates"}, {"readers"},
     {"losses"}, {"metrics"},
     {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"kernel"}, {"filters"},
     {"presets"},

@@ -27,7 +27,7 @@ class FilterEntry:
 
     preset: Callable[..., Filter]
     colour: str
-    """In figures."""
+    """Of its lines in figures."""
     bank: bool = False
     """It takes a ``Bank`` of motions instead of one."""
     scans: bool = False
@@ -35,7 +35,8 @@ class FilterEntry:
     gated: bool = False
     """It takes a ``gate``: the normalised innovation squared above which a step is abnormal."""
     constant_gains: bool = False
-    """It takes positions with a standard deviation only, and the ``period`` that its gains are meant for."""
+    """It takes positions with a standard deviation only, the ``period`` that its gains are meant for, and the
+    ``longest`` gap that it bridges."""
     emphasised: bool = False
     """Its lines in figures are bold."""
 
@@ -105,7 +106,7 @@ def filters_for(scenario: Scenario) -> list[str]:
 
 
 def check_names(names: Sequence[str], scenario: Scenario) -> None:
-    """Whether there are filters of these names for the measurements of a scenario.
+    """Checks that there are filters of these names for the measurements of a scenario.
 
     Raises:
         ValueError: a name that is not in ``FILTERS`` or takes other measurements, or no name at all.
@@ -141,7 +142,7 @@ def scenario_filter(name: str, scenario: Scenario, **options: Any) -> Filter:
     """The filter of this name around the models of a scenario.
 
     Raises:
-        ValueError: see ``check_names`` and ``make_filter``.
+        ValueError: an unknown name, or a filter that does not go with the scenario.
     """
     check_names([name], scenario)
     if scenario.clutter is None:
@@ -154,7 +155,7 @@ def scenario_filters(names: Sequence[str], scenario: Scenario) -> dict[str, Filt
     """The filters of these names around the models of a scenario.
 
     Raises:
-        ValueError: see ``check_names`` and ``make_filter``.
+        ValueError: an unknown name, or a filter that does not go with the scenario.
     """
     check_names(names, scenario)
     return {name: scenario_filter(name, scenario) for name in names}
@@ -167,7 +168,7 @@ def learned_filter(path: str | Path, scenario: Scenario, name: str = "fra") -> F
         path: a state dictionary, as ``torch.save(f.state_dict(), path)`` writes it; a ``config.json`` beside it, of a
             training run with this filter, says what the filter was made with.
         scenario: whose models the filter gets, in copies with learned values.
-        name: of the filter that learned.
+        name: of the filter whose values they are.
 
     Raises:
         ValueError: an unknown filter, or a file that is no state dictionary of it.
@@ -180,7 +181,7 @@ def learned_filter(path: str | Path, scenario: Scenario, name: str = "fra") -> F
         f.load_state_dict(torch.load(path, weights_only=True))
     except OSError:
         raise
-    except Exception as error:  # torch raises whatever its reader came upon
+    except Exception as error:  # torch.load raises errors of many kinds
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ValueError(f"learned: expected {path} to hold a state dictionary of {name}: {reason}") from None
     return f

@@ -9,6 +9,8 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import constraints, transform_to
 
+from torchfra.tables import text_table
+
 Value = float | Tensor
 M = TypeVar("M", bound=nn.Module)
 
@@ -193,8 +195,5 @@ def learnable(module: M, names: Collection[str]) -> M:
 
 def summary(module: nn.Module) -> None:
     """Print a table of a filter's hyperparameters: name, value, what it may be, and whether it is learnable."""
-    rows = [("name", "value", "range", "learning")]
-    rows += [(path, *hyper.describe()) for path, hyper in hypers(module).items()]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+    rows = [(path, *hyper.describe()) for path, hyper in hypers(module).items()]
+    print(text_table(("name", "value", "range", "learning"), rows, align="<"))

@@ -1,1 +1,1 @@
-"""The command line and what stands behind it; nothing else in torchfra imports it."""
+"""The command line: evaluation, figures, files.  The library below does not import it."""

@@ -1,4 +1,4 @@
-"""Files are written whole or not at all."""
+"""Files that are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import IO, Any
 
 
 def write(path: str | Path, fill: Callable[[IO[bytes]], None]) -> Path:
-    """Lets ``fill`` write a file beside ``path`` and moves it there when it is complete; makes the folder.
+    """Lets ``fill`` write a temporary file, and moves it to ``path`` when it is complete; makes the folder.
 
     Raises:
         OSError: it cannot be written; what was at ``path`` is as before.
@@ -28,12 +28,12 @@ def write(path: str | Path, fill: Callable[[IO[bytes]], None]) -> Path:
 
 
 def write_text(path: str | Path, text: str) -> Path:
-    """Writes text: see ``write``."""
+    """Writes text, completely or not at all."""
     return write(path, lambda file: _put(file, text.encode()))
 
 
 def write_json(path: str | Path, data: Any) -> Path:
-    """Writes JSON, in which what is no number (NaN, infinity) is null: see ``write``."""
+    """Writes JSON, completely or not at all; NaN and infinity become null."""
     return write_text(path, json.dumps(_finite(data), indent=1, allow_nan=False) + "\n")
 
 

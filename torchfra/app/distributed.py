@@ -1,4 +1,4 @@
-"""Several processes, as ``torchrun`` starts them: who this one is, its share of the work, what all have together."""
+"""Several processes, as ``torchrun`` starts them: rank, share of the work, sums and lists over all of them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 @contextmanager
 def team() -> Iterator[None]:
-    """Joins the processes that ``torchrun`` started, if it did; alone, this does nothing.
+    """Joins the processes that ``torchrun`` started; does nothing in a single process.
 
     Tensors on the CPU go by gloo, those on a GPU by nccl; each process takes the GPU of its local rank.
     """
@@ -33,22 +33,22 @@ def team() -> Iterator[None]:
 
 
 def rank() -> int:
-    """The number of this process, from 0."""
+    """Number of this process, from 0."""
     return distributed.get_rank() if distributed.is_initialized() else 0
 
 
 def size() -> int:
-    """How many there are."""
+    """Number of processes."""
     return distributed.get_world_size() if distributed.is_initialized() else 1
 
 
 def share(count: int) -> range:
-    """Which of ``count`` things this process does; all processes together do each once, in order of their numbers."""
+    """Which of ``count`` items this process takes; each item goes to one process, in order of rank."""
     return range(count * rank() // size(), count * (rank() + 1) // size())
 
 
 def gathered(thing: T) -> list[T]:
-    """One thing from each process, in order of their numbers."""
+    """One object from each process, in order of rank."""
     if size() == 1:
         return [thing]
     things: list[Any] = [None] * size()

@@ -1,4 +1,4 @@
-"""One setting of the C library that decides how fast large batches run."""
+"""A setting of the C library that makes large batches faster."""
 
 from __future__ import annotations
 

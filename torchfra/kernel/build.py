@@ -59,6 +59,16 @@ def load(source: str) -> Any:
     return function
 
 
+def compiler() -> str:
+    """The command of the C++ compiler that makes kernels: ``CXX``, or ``g++``.
+
+    Raises:
+        CompileError: it does not run.
+    """
+    command, _ = _compiler()
+    return shlex.join(command)
+
+
 def _compile(command: list[str], source: str, library: Path) -> None:
     global compiled
     library.parent.mkdir(parents=True, exist_ok=True)

@@ -31,7 +31,9 @@ class Program:
     def __init__(self, scan: Scan) -> None:
         self._dtype = scan.dtype
         self._reads, self._writes = scan.carry + scan.reads, scan.after + scan.writes
-        self._run = build.load(scan.source())
+        with BUILDING:
+            source = scan.source()
+        self._run = build.load(source)  # outside: several filters compile at the same time
 
     def __call__(self, batch: torch.Size, steps: int, given: Sequence[Tensor]) -> list[Tensor]:
         """Runs it.
@@ -101,14 +103,17 @@ class Kernels:
     def __init__(self, step: Step) -> None:
         self.step = step
         self._programs: dict[tuple[Any, ...], Program] = {}
+        self._making = threading.Lock()
 
     def program(self, kind: str, *how: Any) -> Program:
         """``"forwards"``, ``"trajectory"`` or ``"backwards"`` of the step, see there."""
         key = (kind, *how)
         if key not in self._programs:
-            with BUILDING:
+            with self._making:
                 if key not in self._programs:
-                    self._programs[key] = Program(getattr(self.step, kind)(*how))
+                    with BUILDING:
+                        scan = getattr(self.step, kind)(*how)
+                    self._programs[key] = Program(scan)
         return self._programs[key]
 
     def run(

@@ -76,13 +76,18 @@ class Scenario:
 
     @property
     def truth_position(self) -> slice:
-        """The position components of ``Tracks.truth`` and of ``cartesian(estimate)``."""
+        """The truth's position components, of estimates that ``cartesian`` has converted too."""
         return slice(0, 3) if isinstance(self.motion, Spherical) else self.motion.position
+
+    @property
+    def truth_velocity(self) -> slice:
+        """The truth's velocity components, of estimates that ``cartesian`` has converted too."""
+        return slice(3, 6) if isinstance(self.motion, Spherical) else self.motion.velocity
 
     @property
     def quantities(self) -> dict[str, slice]:
         """Components of the state whose errors are of interest, by name."""
-        return {"position": self.position, "velocity": self.velocity, **self.others}
+        return {"position": self.truth_position, "velocity": self.truth_velocity, **self.others}
 
     @property
     def velocity(self) -> slice:

@@ -1,4 +1,4 @@
-"""Figures that are added up as tracks come are those of all tracks at once."""
+"""Metrics that are accumulated batch by batch are those of all tracks at once."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchfra.app.evaluate import evaluate
-from torchfra.app.running_metrics import Median, Tally
+from torchfra.app.running_metrics import RunningMedian, RunningMetrics
 from torchfra.scenarios import bearings_outliers
 from torchfra.types import Estimate
 
@@ -15,7 +15,7 @@ from torchfra.types import Estimate
 @given(st.lists(st.floats(0, 1e12), min_size=1, max_size=60), st.integers(0, 60))
 @settings(deadline=None, max_examples=50)
 def test_a_running_median_is_the_median_to_a_thousandth(values, cut):
-    median = Median()
+    median = RunningMedian()
     tensor = torch.tensor(values, dtype=torch.float64)
     median.add(tensor[:cut])
     median.add(tensor[cut:])
@@ -23,8 +23,8 @@ def test_a_running_median_is_the_median_to_a_thousandth(values, cut):
     assert low * (1 - 1e-3) - 1e-300 <= median() <= high * (1 + 1e-3) + 1e-300
 
 
-def test_what_is_no_number_does_not_count_and_infinity_does():
-    median = Median()
+def test_nan_does_not_count_and_infinity_does():
+    median = RunningMedian()
     assert np.isnan(median())
     median.add(torch.tensor([1.0, torch.nan, torch.nan, torch.nan]))
     assert median() == pytest.approx(1.0, rel=1e-3)
@@ -42,44 +42,44 @@ def random_tracks(runs, seed):
     return Estimate(mean, root, mean[..., 0], mean[..., 0], None), truth
 
 
-def test_figures_are_what_numpy_says_of_all_tracks():
+def test_metrics_are_what_numpy_computes_of_all_tracks():
     parts = [random_tracks(runs, seed) for seed, runs in enumerate((3, 50, 7))]
-    one, two = (Tally({"position": slice(0, 2), "velocity": slice(2, 4)}) for _ in range(2))
-    for tally, (estimate, truth) in zip((one, two, one), parts, strict=True):
-        tally.add(estimate, truth, 1.0)
+    one, two = (RunningMetrics({"position": slice(0, 2), "velocity": slice(2, 4)}) for _ in range(2))
+    for metrics, (estimate, truth) in zip((one, two, one), parts, strict=True):
+        metrics.add(estimate, truth, 1.0)
     one.merge(two)
-    found = one.summary(limit=2.0)
+    summary = one.summary(limit=2.0)
     mean, truth = (np.concatenate(x) for x in ([p[0].mean.numpy() for p in parts], [p[1].numpy() for p in parts]))
     order = np.r_[0:3, 53:60, 3:53]  # merged last
     error = np.sqrt(((mean - truth)[order, :, :2] ** 2).sum(-1))
     error[np.isnan(error) & ~np.isnan(truth[order, :, 0])] = np.inf
-    np.testing.assert_allclose(found["rmse_position"], np.sqrt(np.nanmean(error**2, 0)))
+    np.testing.assert_allclose(summary["rmse_position"], np.sqrt(np.nanmean(error**2, 0)))
     gap = np.where(np.isnan(mean) & ~np.isnan(truth), np.inf, mean - truth)
     for i, axis in enumerate("xy"):
-        np.testing.assert_allclose(found[f"mean_error_{axis}"], np.nanmean(gap[..., i], 0), atol=1e-12)
-        np.testing.assert_allclose(found[f"rmse_{axis}"], np.sqrt(np.nanmean(gap[..., i] ** 2, 0)))
+        np.testing.assert_allclose(summary[f"mean_error_{axis}"], np.nanmean(gap[..., i], 0), atol=1e-12)
+        np.testing.assert_allclose(summary[f"rmse_{axis}"], np.sqrt(np.nanmean(gap[..., i] ** 2, 0)))
         share = np.abs(gap[..., i]) / np.maximum(np.abs(truth[..., i]), 100)
-        np.testing.assert_allclose(found[f"mape_{axis}"], 100 * np.nanmean(share, 0))
-    own = np.sqrt(np.nanmean(error**2, 1))
-    assert found["divergence_rate"] == (own > 2).mean()
-    assert found["worst_track"] == np.inf
-    assert found["median_error_position"] == pytest.approx(np.nanmedian(error), rel=5e-2)
-    assert found["median_track_rmse"] == pytest.approx(np.quantile(own, 0.5, method="lower"))
+        np.testing.assert_allclose(summary[f"mape_{axis}"], 100 * np.nanmean(share, 0))
+    track_rmse = np.sqrt(np.nanmean(error**2, 1))
+    assert summary["divergence_rate"] == (track_rmse > 2).mean()
+    assert summary["worst_track"] == np.inf
+    assert summary["median_error_position"] == pytest.approx(np.nanmedian(error), rel=5e-2)
+    assert summary["median_track_rmse"] == pytest.approx(np.quantile(track_rmse, 0.5, method="lower"))
     assert one.seconds == 3.0
 
 
 def test_memory_is_one_number_for_each_track_however_many_steps():
-    tally = Tally({"position": slice(0, 2), "velocity": slice(2, 4)})
+    metrics = RunningMetrics({"position": slice(0, 2), "velocity": slice(2, 4)})
     for seed in range(3):
-        tally.add(*random_tracks(20, seed), 0.0)
-    held = [*tally.squares.values(), *tally.counts.values(), *tally.tracks]
+        metrics.add(*random_tracks(20, seed), 0.0)
+    held = [*metrics.squares.values(), *metrics.counts.values(), *metrics.track_rmse]
     assert sum(x.numel() for x in held) == 4 * 9 + 60
 
 
 def test_chunks_leave_the_figures():
     scenario = bearings_outliers("std", initial="truth")
-    whole = evaluate(scenario, ["srckf"], runs=30)["srckf"]
+    at_once = evaluate(scenario, ["srckf"], runs=30)["srckf"]
     for options in ({"chunk": 7}, {"compile": True}):
         part = evaluate(scenario, ["srckf"], runs=30, **options)["srckf"]
-        for key in whole.keys() - {"microseconds", "relative_time"}:
-            assert part[key] == pytest.approx(whole[key], rel=1e-9), key
+        for key in at_once.keys() - {"microseconds", "relative_time"}:
+            assert part[key] == pytest.approx(at_once[key], rel=1e-9), key

@@ -1,0 +1,75 @@
+"""Results of an evaluation: what a file holds, and a table as text."""
+
+from __future__ import annotations
+
+import platform
+from typing import Any
+
+import numpy as np
+import torch
+
+from torchfra.scenarios import Scenario
+from torchfra.tables import text_table
+from torchfra.version import __version__
+
+Result = dict[str, Any]
+"""The figures of one filter; each target of a run of several counts as a track.
+
+``rmse_position``, ``rmse_velocity`` and those of ``Scenario.others`` over time ``[T]``, their means ``mean_rmse_*``,
+``median_error_position`` over all steps and runs (to 0.05 %), ``median_track_rmse`` and ``worst_track`` of the root
+mean square errors of single runs, ``divergence_rate``, ``nees_position`` (median, to 0.05 %; 1.39 of a consistent
+filter, in the plane), by coordinate and over time the signed ``mean_error_x``, ``rmse_x`` and ``mape_x`` (mean relative
+error, %, of coordinates of 100 m or more), the models' mean ``probabilities`` ``[T][K]`` if there are some,
+``microseconds`` per run and step, and ``relative_time`` to the UKF (``ukf_jpda`` on scans) on the same runs.
+"""
+
+_COLUMNS = (
+    ("RMSE m", "mean_rmse_position", ".1f"),
+    ("RMSE m/s", "mean_rmse_velocity", ".2f"),
+    ("median m", "median_error_position", ".1f"),
+    ("worst run m", "worst_track", ".0f"),
+    ("diverged %", "divergence_rate", ".2f"),
+    ("NEES", "nees_position", ".2f"),
+    ("time / UKF", "relative_time", ".2f"),
+)
+
+
+def report(scenario: Scenario, results: dict[str, Result], *, runs: int, seed: int) -> dict[str, Any]:
+    """What a results file holds: what was evaluated, with which settings and versions, and the results.
+
+    Args:
+        scenario: what was tracked.
+        results: from ``evaluate``.
+        runs: how many there were.
+        seed: of the random numbers.
+    """
+    settings = {"dt": scenario.dt, "steps": scenario.steps, "threads": torch.get_num_threads(), **scenario.settings}
+    return {
+        "experiment": scenario.name,
+        "runs": runs,
+        "seed": seed,
+        "settings": settings,
+        "versions": versions(),
+        "filters": results,
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of the software that computed the results."""
+    return {
+        "torchfra": __version__,
+        "torch": torch.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
+
+
+def table(results: dict[str, Result]) -> str:
+    """The results as text, one line per filter."""
+    rows = [[name, *(_cell(result[key], key, form) for _, key, form in _COLUMNS)] for name, result in results.items()]
+    return text_table(["filter", *(title for title, _, _ in _COLUMNS)], rows)
+
+
+def _cell(value: float, key: str, form: str) -> str:
+    value *= 100 if key == "divergence_rate" else 1
+    return f"{value:{form}}" if value < 1e6 else f"{value:.0e}"

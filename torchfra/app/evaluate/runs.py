@@ -1,0 +1,109 @@
+"""Many runs of a scenario through many filters: one dictionary of figures for each."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+
+import torch
+
+from torchfra.app import distributed
+from torchfra.app.compiling import Fallback, compiled
+from torchfra.app.evaluate.results import Result
+from torchfra.app.progress import progress_bar
+from torchfra.app.running_metrics import RunningMetrics
+from torchfra.catalogue import reference_filter, scenario_filters
+from torchfra.filters.base import Filter
+from torchfra.scenarios import Scenario, Tracks
+from torchfra.types import Estimate
+
+
+def evaluate(
+    scenario: Scenario,
+    filters: Sequence[str] | Mapping[str, Filter],
+    *,
+    runs: int,
+    seed: int = 0,
+    limit: float = 2000.0,
+    chunk: int = 1000,
+    compile: bool = False,
+    fallback: Fallback | None = None,
+    progress: bool = False,
+) -> dict[str, Result]:
+    """Runs of a scenario through filters; under ``torchrun`` the processes share the runs.
+
+    Args:
+        scenario: what is tracked.
+        filters: names of ``catalogue.FILTERS``, or filters by any names.
+        runs: how many.
+        seed: of the random numbers; every filter sees the same runs.
+        limit: a run diverges when its position error, root mean square over time, is above this, m.
+        chunk: runs that are filtered at once; bounds the memory, which does not grow with ``runs`` but for one number
+            per run and filter.
+        compile: whether to run compiled (``Filter.compile``); needs a C++ compiler.
+        fallback: called with the name of each filter that cannot be compiled and the reason; that filter then runs
+            interpreted.  None raises the error.
+        progress: whether to show a bar.
+
+    Returns:
+        For each filter its ``Result``; in every process that of all runs.
+
+    Raises:
+        ValueError: an unknown filter, or fewer runs than processes.
+        CompileError: ``compile`` without ``fallback``, and there is no compiler or a filter has no kernel.
+    """
+    if not isinstance(filters, Mapping):
+        filters = scenario_filters(filters, scenario)
+    reference = reference_filter(scenario)
+    timed = scenario_filters([reference], scenario) | dict(filters)
+    if runs < distributed.size() or chunk < 1:
+        raise ValueError(f"runs, chunk: expected at least {distributed.size()} and 1, received {runs}, {chunk}")
+    if compile:
+        one = scenario.simulate(1, seed)
+        timed = compiled(timed, lambda f: run(f, scenario, one), fallback=fallback, progress=progress)
+    metrics = _merged(_accumulate(scenario, timed, distributed.share(runs), seed, chunk, progress))
+    return {name: metrics[name].summary(limit) | _times(metrics, name, reference, runs, scenario) for name in filters}
+
+
+def run(f: Filter, scenario: Scenario, tracks: Tracks) -> Estimate:
+    """The tracks of a scenario through one filter, in the coordinates of the truth."""
+    estimate: Estimate = f(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt)
+    return scenario.cartesian(estimate)
+
+
+def _accumulate(
+    scenario: Scenario, filters: Mapping[str, Filter], share: range, seed: int, chunk: int, progress: bool
+) -> dict[str, RunningMetrics]:
+    """Metrics of the runs of this process."""
+    metrics = {name: RunningMetrics(scenario.quantities) for name in filters}
+    with torch.no_grad():
+        few = scenario.simulate(min(len(share), chunk), seed)
+        for f in filters.values():
+            run(f, scenario, few)  # not timed: the first call allocates memory
+        for first in progress_bar(share[::chunk], f"{chunk} runs", progress):
+            tracks = scenario.simulate(min(chunk, share.stop - first), seed, first=first)
+            for name, f in filters.items():
+                start = time.perf_counter()
+                estimate = run(f, scenario, tracks)
+                metrics[name].add(estimate, tracks.truth, time.perf_counter() - start)
+                del estimate  # before the next one is made
+    return metrics
+
+
+def _merged(metrics: dict[str, RunningMetrics]) -> dict[str, RunningMetrics]:
+    """Metrics of the runs of all processes."""
+    first, *others = distributed.gathered(metrics)
+    for other in others:
+        for name, of in other.items():
+            first[name].merge(of)
+    return first
+
+
+def _times(
+    metrics: dict[str, RunningMetrics], name: str, reference: str, runs: int, scenario: Scenario
+) -> dict[str, float]:
+    seconds = metrics[name].seconds
+    return {
+        "microseconds": seconds / (runs * scenario.steps) * 1e6,
+        "relative_time": seconds / metrics[reference].seconds,
+    }

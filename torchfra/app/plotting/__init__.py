@@ -1,0 +1,28 @@
+"""Figures; the only part of torchfra that imports matplotlib.
+
+Each function returns a figure that pyplot does not know of, so that nothing has to be closed; ``save`` writes it.
+"""
+
+from torchfra.app.plotting.curves import against, by_coordinate, innovations, rmse_curves, scaling
+from torchfra.app.plotting.models import probabilities
+from torchfra.app.plotting.paths import in_space, tracks
+from torchfra.app.plotting.recordings import filtered
+from torchfra.app.plotting.style import save
+from torchfra.app.plotting.targets import by_target, raw_and_filtered
+from torchfra.app.plotting.training import learning_curve
+
+__all__ = [
+    "against",
+    "by_coordinate",
+    "by_target",
+    "filtered",
+    "in_space",
+    "innovations",
+    "learning_curve",
+    "probabilities",
+    "raw_and_filtered",
+    "rmse_curves",
+    "save",
+    "scaling",
+    "tracks",
+]

@@ -1,0 +1,56 @@
+"""What all figures share: colours, lines, axes, and files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import cycle
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from torchfra.app.atomic_write import write
+from torchfra.catalogue import FILTERS
+
+GREY, BLUE, ORANGE, RED = "#999999", "#4c72b0", "#dd8452", "#c44e52"
+CYCLE = (BLUE, ORANGE, "#55a868", RED, "#8172b3", "#ccb974", "#64b5cd")
+"""For whatever is no filter of the catalogue: targets, models, filters by other names."""
+
+
+def save(figure: Figure, path: str | Path) -> Path:
+    """Writes a figure as PNG, completely or not at all.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    return write(path, lambda file: figure.savefig(file, format="png", dpi=140))
+
+
+def line_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """How the line of each filter looks, as keywords of ``Axes.plot``.
+
+    Filters of the catalogue have their colours; others (``"learned"``, say) get colours that no line of the figure has,
+    as long as there are some.
+    """
+    names = list(names)
+    known = {name: FILTERS[name].colour for name in names if name in FILTERS}
+    free = cycle([colour for colour in CYCLE if colour not in known.values()] or CYCLE)
+    styles = {}
+    for name in names:
+        bold = name in FILTERS and FILTERS[name].emphasised
+        colour = known[name] if name in known else next(free)
+        styles[name] = {"color": colour, "linewidth": 1.8 if bold else 1.1, "zorder": 3 if bold else 2}
+    return styles
+
+
+def finish(axes: Axes) -> None:
+    """Gives axes a grid and a legend, and takes two of their spines away."""
+    axes.grid(alpha=0.25)
+    without_box(axes)
+    axes.legend(frameon=False, fontsize=8, ncols=2)
+
+
+def without_box(axes: Axes) -> None:
+    """Takes the upper and the right spine away."""
+    axes.spines[["top", "right"]].set_visible(False)

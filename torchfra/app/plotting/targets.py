@@ -1,0 +1,62 @@
+"""Errors of several targets, one row of panels for each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from torchfra.app.plotting.style import CYCLE, RED, finish, without_box
+
+_QUANTITIES = (("range", "m", 1.0), ("azimuth", "mrad", 1e3), ("elevation", "mrad", 1e3))
+
+
+def by_target(of: dict[str, dict[str, Any]], dt: float, title: str) -> Figure:
+    """Root mean square errors of range, azimuth and elevation over time, one row for each target.
+
+    Args:
+        of: by name of the filter, in pairs that share a colour, ``"rmse_range"`` (m), ``"rmse_azimuth"`` and
+            ``"rmse_elevation"`` (rad), ``[N][T]``.
+        dt: seconds per step.
+        title: of the figure.
+    """
+    targets = len(next(iter(of.values()))["rmse_range"])
+    figure = Figure(figsize=(12, 3 * targets), layout="constrained")
+    grid = figure.subplots(targets, len(_QUANTITIES), squeeze=False, sharex=True)
+    for i, row in enumerate(grid):
+        for axes, (key, unit, scale) in zip(row, _QUANTITIES, strict=True):
+            for number, (name, values) in enumerate(of.items()):
+                curve = scale * np.array(values[f"rmse_{key}"][i], dtype=float)
+                style = {"color": CYCLE[number // 2 % len(CYCLE)], "linestyle": ("-", ":")[number % 2]}
+                axes.plot(dt * np.arange(1, len(curve) + 1), curve, label=name, linewidth=1.3, **style)
+            axes.set(ylabel=f"target {i + 1}: {key}, {unit}", yscale="log")
+            axes.grid(alpha=0.25)
+            without_box(axes)
+    for axes in grid[-1]:
+        axes.set(xlabel="time, s")
+    legend = figure.axes[0].get_legend_handles_labels()
+    figure.legend(*legend, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
+    figure.suptitle(f"root mean square error, {title}")
+    return figure
+
+
+def raw_and_filtered(ranges: dict[str, tuple[Tensor, Tensor]], dt: float, title: str) -> Figure:
+    """Range errors of measurements and of estimates, one panel for each target.
+
+    Args:
+        ranges: by name of the target, measured and filtered errors ``(T,)``, m; NaN where missed.
+        dt: seconds per step.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(8, 2.6 * len(ranges)), layout="constrained")
+    panels = figure.subplots(len(ranges), 1, squeeze=False, sharex=True)[:, 0]
+    for axes, (name, (raw, filtered)) in zip(panels, ranges.items(), strict=True):
+        time = dt * np.arange(1, len(raw) + 1)
+        axes.plot(time, raw, ".", color="black", markersize=4, label="measured")
+        axes.plot(time, filtered, color=RED, linewidth=1.4, label="filtered")
+        axes.set(xlabel="time, s", ylabel=f"{name}: range error, m")
+        finish(axes)
+    figure.suptitle(title)
+    return figure

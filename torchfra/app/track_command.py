@@ -1,0 +1,117 @@
+"""``torchfra track``: filters the positions of recorded tracks."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+from torchfra import readers
+from torchfra.app import distributed
+from torchfra.app.atomic_write import write_json, write_text
+from torchfra.app.command import add_json_option, add_quiet_option
+from torchfra.app.compiling import add_compile_option, choose, reporters
+from torchfra.app.filtered import Filtered
+from torchfra.app.progress import progress_bar
+from torchfra.app.track import GATE, successive_steps, track
+from torchfra.catalogue import FILTERS, track_filters
+from torchfra.version import __version__
+
+FILES = """FILE is a recorded track, or several: OpenSky state vectors (CSV: time, icao24, lat, lon), gzip-JSON
+tracks (timestamp, latitude, longitude, altitude, ...), or plain CSV with columns t,x,y[,z] in seconds and metres."""
+
+_EXAMPLES = """examples:
+  torchfra track flight.json.gz --sigma 30 --out filtered
+  torchfra track flight.json.gz --filter vsimm_srckf    # interacting models: the figure shades the most probable one
+  torchfra track long.csv --filter alphabeta --compile --no-plots    # the fastest way through a large file"""
+
+WORTHWHILE, WORTHWHILE_OF_BANKS = 5_000, 50_000
+"""Steps in sequence that take an interpreted filter about as long as compiling it."""
+
+
+def add_to(commands: Any) -> None:
+    """Adds the command to a parser's subparsers."""
+    command = commands.add_parser(
+        "track",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        help="filter the positions of a recorded track",
+        description=f"Filter recorded positions: writes NAME.csv and NAME.png for each target.\n\n{FILES}",
+        epilog=_EXAMPLES,
+    )
+    add = command.add_argument
+    add("file", metavar="FILE", type=Path)
+    add("--filter", default="fra", metavar="NAME", help=f"one of {', '.join(track_filters())} (default: fra)")
+    add("--dt", type=float, metavar="S", help="also estimate every S seconds between the fixes")
+    add("--sigma", type=float, default=25.0, metavar="M", help="std of a recorded position, m (default: 25)")
+    add("--q", type=float, default=1.0, help="variance of the change of acceleration per step, m^2/s^4 (default: 1)")
+    add_compile_option(
+        command, f"for {WORTHWHILE:,} steps or more, of filters with several models {WORTHWHILE_OF_BANKS:,}"
+    )
+    add("--out", type=Path, default=Path("out"), metavar="DIR", help="where to write (default: out)")
+    add("--no-plots", action="store_true", help="write the tables only")
+    add_json_option(command)
+    add_quiet_option(command)
+    command.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Runs the command; in the first process alone, which is enough for a file."""
+    if distributed.rank():
+        return
+    recordings = readers.read(options.file)
+    tell, fallback = reporters(options.compile, options.quiet)
+    entry = FILTERS.get(options.filter)
+    least = WORTHWHILE_OF_BANKS if entry is not None and entry.bank else WORTHWHILE
+    compile = choose(options.compile, successive_steps(recordings) >= least, tell)
+    settings = {"dt": options.dt, "sigma": options.sigma, "q": options.q}
+    start = time.perf_counter()
+    results = track(
+        recordings, options.filter, **settings, compile=compile, fallback=fallback, progress=not options.quiet
+    )
+    seconds = time.perf_counter() - start
+    names: set[str] = set()
+    for result in progress_bar(results, "file", not options.quiet):
+        path = options.out / f"{_unused(result.recording.name, names)}.csv"
+        write_text(path, result.csv())
+        if not options.no_plots:
+            _draw(result, options.filter, path.with_name(f"{path.stem}.png"))
+        if not options.quiet:
+            print(_line(result.summary(), path))
+    if options.json is not None:
+        head = {"file": options.file.name, "version": __version__, "settings": {"filter": options.filter, **settings}}
+        rate = sum(len(result.time) for result in results) / seconds
+        tracks = [result.summary() for result in results]
+        write_json(options.json, {**head, "steps_per_second": rate, "tracks": tracks})
+
+
+def _draw(result: Filtered, name: str, path: Path) -> None:
+    from torchfra.app import plotting  # matplotlib takes long to import
+
+    flags = {name: result.flags[name] for name in ("outlier", "manoeuvre")}
+    figure = plotting.filtered(
+        result.time, result.raw, result.position, result.nis, flags, GATE[result.raw.shape[1]],
+        f"{result.recording.name}, {name}", result.models, result.leading,
+    )  # fmt: skip
+    plotting.save(figure, path)
+
+
+def _unused(name: str, used: set[str]) -> str:
+    """A file name, without its ending, that no other target of this call has."""
+    name = re.sub(r"[^\w.-]+", "_", name).strip("_.") or "track"
+    number, candidate = 2, name
+    while candidate in used:
+        number, candidate = number + 1, f"{name}-{number}"
+    used.add(candidate)
+    return candidate
+
+
+def _line(summary: dict[str, Any], path: Path) -> str:
+    repairs = ", ".join(f"{count} {what}" for what, count in summary["repairs"].items()) or "none"
+    failed = ", FAILED: NaN or infinity" if summary["failed"] else ""
+    return (
+        f"{summary['name']}: {summary['steps']} steps over {summary['seconds'] / 60:.1f} min, "
+        f"{summary['outlier']} outliers, {summary['manoeuvre']} manoeuvres, {summary['missing']} missing, "
+        f"median correction {summary['median_correction']:.1f} m{failed}; repairs: {repairs} -> {path}"
+    )
