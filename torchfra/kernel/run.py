@@ -137,7 +137,7 @@ class Kernels:
         else:
             done = self.program("forwards")(batch, steps, (*state, *inputs))
         rest = iter([logical(x, len(batch)) for x in done])
-        return unflatten(self.step.state, rest), unflatten(self.step.form, rest)
+        return unflatten(self.step.state, rest), unflatten(self.step.record, rest)
 
 
 class _Run(torch.autograd.Function):
