@@ -12,9 +12,9 @@ from torch import nn
 from torchfra import presets, scenarios
 from torchfra.filters import SRCKF
 from torchfra.kernel import build
-from torchfra.kernel.entries import Entries, entries
+from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import Expressions
-from torchfra.kernel.run import Program, logical
+from torchfra.kernel.run import Program, batch_first
 from torchfra.kernel.source import Port, Scan
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Bearings, Position, Sensor
@@ -279,14 +279,14 @@ def test_what_torch_does_to_numbers_kernels_do_as_well():
     """All at once, in one kernel: 500 triples through each function."""
     book = Expressions()
     x = Entries.inputs(book, (3,), torch.float64)
-    written = [entries(book, function(x)) for function in FUNCTIONS.values()]
+    written = [as_entries(book, function(x)) for function in FUNCTIONS.values()]
     ports = [Port(y.ids.flatten().tolist(), y.shape, timed=True) for y in written]
     program = Program(Scan(book, [], [], [Port(x.ids.tolist(), x.shape)], ports))
     values = 3 * torch.randn(500, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     for (name, function), found in zip(FUNCTIONS.items(), program(torch.Size([500]), 1, [values]), strict=True):
         expected = torch.stack([function(v) for v in values])
         torch.testing.assert_close(
-            logical(found, 1)[:, 0], expected, rtol=1e-12, atol=1e-12, msg=lambda m, n=name: f"{n}: {m}"
+            batch_first(found, 1)[:, 0], expected, rtol=1e-12, atol=1e-12, msg=lambda m, n=name: f"{n}: {m}"
         )
 
 
