@@ -126,10 +126,9 @@ class Step:
         if differentiable:
             for x in (*before, *inputs.values()):
                 x.requires_grad_()
-        for name, x in self.inputs.items():
-            if x.value:
-                _replace(module, name, inputs[name])
-        data = {name: inputs[name] for name, x in self.inputs.items() if not x.value}
+        for name in (name for name, kind in self.inputs.items() if kind.value):
+            _replace(module, name, inputs[name])
+        data = {name: inputs[name] for name, kind in self.inputs.items() if not kind.value}
         with elementary(), torch.set_grad_enabled(differentiable):
             state, record = self._advance(module, unflatten(self.state, iter(before)), data)
         after, kept = (tuple(as_entries(book, x) for x in flatten(tree)) for tree in (state, record))

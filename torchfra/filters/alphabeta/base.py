@@ -49,7 +49,8 @@ class ConstantGainFilter(Filter):
 
     def _components(self, mean: Tensor) -> tuple[Tensor, ...]:
         """Position, velocity(, acceleration) ``(..., d)`` of a mean."""
-        return mean.unflatten(-1, (self.motion.orders, self.motion.dims)).unbind(-2)
+        components: tuple[Tensor, ...] = mean.unflatten(-1, (self.motion.orders, self.motion.dims)).unbind(-2)
+        return components
 
     def finish(self, state: Any, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
         """Beliefs of a sequence with the whole root, of which steps keep the entries that are not zero."""

@@ -84,7 +84,8 @@ class Decisions(Soft, ConstantGainFilter):
         reach = innovation.since + innovation.dt * flagged_steps * (1 - self._above(state.rejected, 0.5))
         limit, margin, outlier = (h(reach).unsqueeze(-1) for h in (self.limit, self.margin, self.outlier))
         reached = 0.5 * limit * reach.square() / innovation.std + margin
-        return manoeuvre * reached + (1 - manoeuvre) * outlier
+        largest: Tensor = manoeuvre * reached + (1 - manoeuvre) * outlier
+        return largest
 
     def _flags_in_a_row(self, state: AlphaBetaBankState) -> Tensor:
         """``(..., g)`` flags raised without a gap immediately before this step."""
