@@ -45,7 +45,7 @@ def test_kalatas_gains_are_those_of_a_kalman_filter_that_has_settled(index, orde
     n = motion.size
     f = presets.srckf(motion, Position(1.0, dims=1))
     prior = Gaussian(torch.zeros(n).double(), torch.eye(n).double())
-    P = f(torch.zeros(3000, 1).double(), prior).covariance[-1]
+    P = f(torch.zeros(400, 1).double(), prior).covariance[-1]
     found = gains.kalata(index, orders)
     expected = [found.alpha, found.beta] + ([] if orders == 2 else [found.gamma / 2])
     torch.testing.assert_close(P[:, 0], torch.stack(expected), rtol=1e-6, atol=1e-9)
@@ -175,28 +175,28 @@ def test_the_vote_is_the_majority_of_three():
 
 @pytest.mark.parametrize("options", [{}, {"detect": "polar"}, {"temperature": 0.2}, {"onset": "fastest"}])
 @pytest.mark.parametrize("orders", [2, 3])
-def test_a_batch_is_a_loop_streaming_is_the_whole_and_kernels_agree(options, orders):
+def test_a_batch_is_a_loop_streaming_is_the_batch_and_kernels_agree(options, orders):
     motion = (ConstantVelocity if orders == 2 else ConstantAcceleration)(1.0, 3)
     f = presets.alphabeta(motion, Position(20.0, dims=3), **options)
     z = level_then_weave().simulate(4, 0).z[:, 60:].clone()
     z[1, 20], z[2, 30, 1], z[3, 5:12] = torch.nan, torch.nan, z[3, 5:12] + 4000
     prior = Gaussian(torch.zeros(3 * orders).double(), torch.eye(3 * orders).double())
-    whole = f(z, prior)
+    batch = f(z, prior)
     fast = presets.alphabeta(motion, Position(20.0, dims=3), **options).compile()(z, prior)
-    torch.testing.assert_close(fast.mean, whole.mean, rtol=1e-9, atol=1e-6)
-    torch.testing.assert_close(fast.scale_tril, whole.scale_tril, rtol=1e-9, atol=1e-9)
-    assert torch.equal(fast.info.rejected, whole.info.rejected)
-    assert whole.info.rejected.any()
-    assert whole.info.level.shape[-1] == (1 if "detect" in options else 3)
+    torch.testing.assert_close(fast.mean, batch.mean, rtol=1e-9, atol=1e-6)
+    torch.testing.assert_close(fast.scale_tril, batch.scale_tril, rtol=1e-9, atol=1e-9)
+    assert torch.equal(fast.info.rejected, batch.info.rejected)
+    assert batch.info.rejected.any()
+    assert batch.info.level.shape[-1] == (1 if "detect" in options else 3)
     for i in range(4):
         one = f(z[i], prior)
-        torch.testing.assert_close(one.mean, whole.mean[i])
-        torch.testing.assert_close(one.scale_tril, whole.scale_tril[i])
+        torch.testing.assert_close(one.mean, batch.mean[i])
+        torch.testing.assert_close(one.scale_tril, batch.scale_tril[i])
         state = f.init(prior)
         for k in range(60):
             state, _ = f.step(state, z[i, k])
-        torch.testing.assert_close(state.belief.mean, whole.mean[i, -1])
-        torch.testing.assert_close(state.belief.scale_tril, whole.scale_tril[i, -1])
+        torch.testing.assert_close(state.belief.mean, batch.mean[i, -1])
+        torch.testing.assert_close(state.belief.scale_tril, batch.scale_tril[i, -1])
 
 
 def test_soft_choices_become_hard_ones_and_have_gradients():

@@ -12,10 +12,11 @@ from torch import nn
 from torchfra import presets, scenarios
 from torchfra.filters import SRCKF
 from torchfra.kernel import build
-from torchfra.kernel.entries import Entries, entries
+from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import Expressions
-from torchfra.kernel.run import Program, logical
+from torchfra.kernel.run import Program, batch_first
 from torchfra.kernel.source import Port, Scan
+from torchfra.kernel.step import Input, Step
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Bearings, Position, Sensor
 from torchfra.types import Gaussian
@@ -271,7 +272,7 @@ FUNCTIONS = {
     "cross": lambda x: torch.linalg.cross(x, x + 1), "whole": lambda x: (3 * x).to(torch.int64).to(x) / 3,
     "count": lambda x: ((x > 0).sum() + (x > 1).to(x).amax()).to(x), "mixed": lambda x: torch.where(x > 1, x > 2, x),
     "picked": lambda x: x[torch.tensor([True, False, True])] * x[torch.tensor([2, 0], dtype=torch.int32)],
-    "any": lambda x: (x > 0).any().to(x) + (x > -1).all(),
+    "any": lambda x: (x > 0).any().to(x) + (x > -1).all(), "in place": lambda x: (x + 1).mul_(x).sub_(3.0),
 }  # fmt: skip
 
 
@@ -279,14 +280,14 @@ def test_what_torch_does_to_numbers_kernels_do_as_well():
     """All at once, in one kernel: 500 triples through each function."""
     book = Expressions()
     x = Entries.inputs(book, (3,), torch.float64)
-    written = [entries(book, function(x)) for function in FUNCTIONS.values()]
+    written = [as_entries(book, function(x)) for function in FUNCTIONS.values()]
     ports = [Port(y.ids.flatten().tolist(), y.shape, timed=True) for y in written]
     program = Program(Scan(book, [], [], [Port(x.ids.tolist(), x.shape)], ports))
     values = 3 * torch.randn(500, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     for (name, function), found in zip(FUNCTIONS.items(), program(torch.Size([500]), 1, [values]), strict=True):
         expected = torch.stack([function(v) for v in values])
         torch.testing.assert_close(
-            logical(found, 1)[:, 0], expected, rtol=1e-12, atol=1e-12, msg=lambda m, n=name: f"{n}: {m}"
+            batch_first(found, 1)[:, 0], expected, rtol=1e-12, atol=1e-12, msg=lambda m, n=name: f"{n}: {m}"
         )
 
 
@@ -329,17 +330,32 @@ class Looking(Position):
 
 
 class Exotic(Position):
-    """Uses what kernels do not know."""
+    """Uses an operation that kernels do not have."""
 
     def forward(self, x, u=None):
         return torch.special.bessel_j0(super().forward(x))
 
 
-@pytest.mark.parametrize(("sensor", "said"), [(Looking(1.0), "torch.where"), (Exotic(1.0), "bessel_j0")])
-def test_what_kernels_cannot_do_is_named(sensor, said):
+class Indexing(Position):
+    """Takes the entry that the data say."""
+
+    def forward(self, x, u=None):
+        place = (x[..., :2] > 0).to(torch.int64)
+        return super().forward(x).gather(-1, place)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "message"),
+    [
+        (Looking(1.0), "torch.where, not by if"),
+        (Exotic(1.0), "bessel_j0.* cannot become part of a kernel.*leave compile"),
+        (Indexing(1.0), "gather.*the index depends on data"),
+    ],
+)
+def test_what_kernels_cannot_do_is_named_with_a_way_out(sensor, message):
     f = SRCKF(ConstantVelocity(0.1), sensor).compile()
     prior = Gaussian(torch.ones(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64))
-    with pytest.raises(NotImplementedError, match=said):
+    with pytest.raises(NotImplementedError, match=message):
         f(torch.ones(3, 2, dtype=torch.float64), prior)
 
 
@@ -363,6 +379,28 @@ def test_a_change_between_forward_and_backward_leaves_the_gradient(make, tracks)
     f.temperature = 0.0
     loss.backward()
     assert f.gate.raw.grad.isfinite()
+
+
+class Decay(nn.Module):
+    """A step with a parameter."""
+
+    def __init__(self):
+        super().__init__()
+        self.rate = nn.Parameter(torch.tensor(0.9, dtype=torch.float64))
+
+
+def test_traces_in_several_threads_are_equal_and_leave_the_module_alone():
+    def advance(module, state, data):
+        x = module.rate * state[0] + data["z"]
+        return (x,), (x.square(),)
+
+    module = Decay()
+    inputs = {"z": Input(torch.Size([2]), True, False), "rate": Input(torch.Size([]), False, True)}
+    step = Step(module, lambda m: (torch.ones(2, dtype=torch.float64),), advance, inputs, torch.float64)
+    with ThreadPoolExecutor(4) as pool:
+        sources = set(pool.map(lambda _: step.backwards((True,), ("z", "rate")).source(), range(16)))
+    assert len(sources) == 1
+    assert isinstance(module.rate, nn.Parameter)
 
 
 def test_several_threads_may_make_the_same_kernel(make, tracks):

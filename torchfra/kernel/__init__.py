@@ -1,5 +1,6 @@
 """From a filter's step to machine code.
 
-``expressions`` writes arithmetic on single numbers down, ``entries`` lets torch code do so, ``step`` traces a step and
-its gradient, ``source`` turns them into C++, ``build`` compiles that, ``run`` runs it on tensors.
+``expressions`` holds arithmetic on single numbers; ``entries`` are tensors of expressions, which torch code runs on by
+the rules of ``entrywise``, ``reductions`` and ``moves``, put together in ``operations``; ``step`` traces a step and its
+gradient, ``source`` turns them into C++ (``template.cpp``), ``build`` compiles it, ``run`` runs it on tensors.
 """

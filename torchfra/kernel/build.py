@@ -16,7 +16,7 @@ import torch
 
 FLAGS = "-O2 -march=native -fno-math-errno -fno-trapping-math -fopenmp -shared -fPIC -std=c++20 -w"
 compiled = 0
-"""How many times the compiler was called by this process."""
+"""How many times this process has called the compiler."""
 
 
 class CompileError(RuntimeError):
@@ -28,29 +28,31 @@ LARGEST = 120_000
 
 
 def check(operations: int) -> None:
-    """Whether a step of so many operations can be compiled.
+    """Checks that a step of so many operations can be compiled.
 
     Raises:
         CompileError: it has too many.
     """
     if operations > LARGEST:
-        said = f"{operations} operations would take many minutes and gigabytes (at most {LARGEST})"
-        raise CompileError(f"compile: a step of {said}: run it without, or with fewer models")
+        raise CompileError(
+            f"compile: a step of {operations} operations would take many minutes and gigabytes (at most {LARGEST}): "
+            "run it without compile(), or with fewer models"
+        )
 
 
 def load(source: str) -> Any:
     """The function ``run`` of a translation unit.
 
-    It is compiled by ``CXX`` (``g++`` unless set), ``CXXFLAGS`` behind flags of its own, unless an earlier process has
-    done so already: results are kept in ``TORCHFRA_CACHE``, or ``~/.cache/torchfra``.
+    It is compiled by ``CXX`` (``g++`` unless set) with ``CXXFLAGS`` behind ``FLAGS``, unless an earlier process has
+    done so: libraries are kept in ``TORCHFRA_CACHE``, or ``~/.cache/torchfra``.
 
     Raises:
         CompileError: there is no compiler, or it fails.
     """
     compiler, version = _compiler()
     flags = FLAGS.split() + shlex.split(os.environ.get("CXXFLAGS", ""))
-    said = "\n".join((source, *compiler, version, *flags, torch.__version__, _processor()))
-    library = _folder() / f"{hashlib.sha256(said.encode()).hexdigest()[:32]}.so"
+    key = "\n".join((source, *compiler, version, *flags, torch.__version__, _processor()))
+    library = _folder() / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
     if not library.exists():
         _compile([*compiler, *flags], source, library)
     function = ctypes.CDLL(str(library)).run
@@ -73,26 +75,26 @@ def _compile(command: list[str], source: str, library: Path) -> None:
     global compiled
     library.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
-        text, made = Path(folder) / "kernel.cpp", Path(folder) / "kernel.so"
+        text, result = Path(folder) / "kernel.cpp", Path(folder) / "kernel.so"
         text.write_text(source)
-        brought = Path(torch.__file__).parent  # vectors and their mathematics
-        link = [f"-L{brought / 'lib'}", f"-Wl,-rpath,{brought / 'lib'}", "-ltorch_cpu"]
-        done = subprocess.run([*command, f"-I{brought / 'include'}", str(text), "-o", str(made), *link],
+        torch_folder = Path(torch.__file__).parent  # its vectors and their mathematics
+        link = [f"-L{torch_folder / 'lib'}", f"-Wl,-rpath,{torch_folder / 'lib'}", "-ltorch_cpu"]
+        done = subprocess.run([*command, f"-I{torch_folder / 'include'}", str(text), "-o", str(result), *link],
                               capture_output=True, text=True, check=False)  # fmt: skip
         if done.returncode:
             raise CompileError(f"compile: {shlex.join(command)} failed:\n{done.stderr[-2000:]}")
         compiled += 1
-        os.replace(made, library)
+        os.replace(result, library)  # other processes see all of it or nothing
 
 
 def _folder() -> Path:
-    own = os.environ.get("TORCHFRA_CACHE")
-    return Path(own) if own else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "torchfra"
+    chosen = os.environ.get("TORCHFRA_CACHE")
+    return Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "torchfra"
 
 
 @lru_cache(maxsize=1)
 def _compiler() -> tuple[list[str], str]:
-    """The compiler, and what it says it is."""
+    """The command of the compiler, and the version it reports."""
     command = shlex.split(os.environ.get("CXX", "g++"))
     try:
         return command, subprocess.run([*command, "--version"], capture_output=True, text=True, check=True).stdout
@@ -105,7 +107,7 @@ def _compiler() -> tuple[list[str], str]:
 
 @lru_cache(maxsize=1)
 def _processor() -> str:
-    """What the processor can do: what is compiled for one may not run on another."""
+    """The instructions that the processor has: a library for one may not run on another."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

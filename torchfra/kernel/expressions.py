@@ -29,8 +29,8 @@ _FOLD: dict[str, Callable[..., float]] = {
 class Expressions:
     """Expressions by number, each once: ``nodes[i]`` is an operation and the numbers of what it acts on.
 
-    What is known is folded: constants, and what adding or multiplying by 0 and 1 leaves.  (So 0 times a number that is
-    none is 0 here.)
+    Operations on constants are folded, and so are additions of 0 and products with 0 and 1.  (So 0 times NaN is 0
+    here.)
     """
 
     def __init__(self) -> None:
@@ -70,9 +70,9 @@ class Expressions:
         if op in ("sqrt", "exp", "log", "sin", "cos") and known[0] is not None and known[0] > 0:
             return self.constant(getattr(math, op)(known[0]))
         simple = getattr(self, f"_{op}", None)
-        found = None if simple is None else simple(args, known)
-        if found is not None:
-            return int(found)
+        simplified = None if simple is None else simple(args, known)
+        if simplified is not None:
+            return int(simplified)
         if op in ("add", "mul", "and", "or", "eq", "max", "min"):
             args = tuple(sorted(args))
         return self._new(op, args)
@@ -86,8 +86,8 @@ class Expressions:
 
     def _argument(self, op: str, number: int) -> int | None:
         """What ``op`` acts on if that is what the number is."""
-        found, args = self.nodes[number]
-        return args[0] if found == op else None
+        other, args = self.nodes[number]
+        return args[0] if other == op else None
 
     def _add(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
         for (a, b), value in zip((args, args[::-1]), known, strict=True):

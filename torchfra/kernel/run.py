@@ -19,10 +19,13 @@ from torchfra.kernel.step import Step
 from torchfra.tree import unflatten
 
 BUILDING = threading.RLock()
-"""Held while programs are made: a step that is traced is nobody else's."""
+"""Held while caches of kernels are looked up and filled: threads that need the same kernels make them once.
 
-_SHARE = 16
-"""Tracks that are worth a thread of their own."""
+Tracing itself needs no lock: every trace has its own copy of the module.
+"""
+
+_TRACKS_PER_THREAD = 16
+"""Tracks at least for each thread."""
 
 
 class Program:
@@ -35,39 +38,39 @@ class Program:
             source = scan.source()
         self._run = build.load(source)  # outside: several filters compile at the same time
 
-    def __call__(self, batch: torch.Size, steps: int, given: Sequence[Tensor]) -> list[Tensor]:
+    def __call__(self, batch: torch.Size, steps: int, tensors: Sequence[Tensor]) -> list[Tensor]:
         """Runs it.
 
         Args:
             batch: shape of the batch of tracks.
             steps: of time.
-            given: what it reads: tensors ``(..., entries)`` or ``(..., T, entries)`` where ``...`` is the batch, whose
+            tensors: what it reads: ``(..., entries)`` or ``(..., T, entries)`` where ``...`` is the batch, whose
                 entries have any shape.
 
         Returns:
-            What it wrote, with tracks innermost: ``logical`` turns it round.
+            What it wrote, with tracks innermost: ``batch_first`` moves them to the front.
         """
         tracks = batch.numel()
-        held = [_laid_out(x, port, len(batch), tracks) for x, port in zip(given, self._reads, strict=True)]
+        ports = [_strided(x, port, len(batch), tracks) for x, port in zip(tensors, self._reads, strict=True)]
         written = []
         for port in self._writes:
             shape = ((steps,) if port.timed else ()) + tuple(port.shape) + tuple(batch)
             written.append(torch.empty(shape, dtype=torch.bool if port.truth else self._dtype))
-        held += [(x, 1, len(port.ids) * tracks, tracks) for x, port in zip(written, self._writes, strict=True)]
-        table = array("q", [number for x, *strides in held for number in (x.data_ptr(), *strides)])
+        ports += [(x, 1, len(port.ids) * tracks, tracks) for x, port in zip(written, self._writes, strict=True)]
+        table = array("q", [number for x, *strides in ports for number in (x.data_ptr(), *strides)])
         address = table.buffer_info()[0]
-        threads = max(1, min(torch.get_num_threads(), -(-tracks // _SHARE)))
-        self._run(tracks, steps, threads, address, address + 32 * len(given))
+        threads = max(1, min(torch.get_num_threads(), -(-tracks // _TRACKS_PER_THREAD)))
+        self._run(tracks, steps, threads, address, address + 32 * len(tensors))
         return written
 
 
-def logical(x: Tensor, rank: int) -> Tensor:
-    """What a program wrote with ``rank`` batch dimensions in front, where users have them."""
+def batch_first(x: Tensor, rank: int) -> Tensor:
+    """What a program wrote, with its ``rank`` batch dimensions moved to the front."""
     inner = x.dim() - rank
     return x.permute([*range(inner, x.dim()), *range(inner)]) if rank else x
 
 
-def _laid_out(x: Tensor, port: Port, rank: int, tracks: int) -> tuple[Tensor, int, int, int]:
+def _strided(x: Tensor, port: Port, rank: int, tracks: int) -> tuple[Tensor, int, int, int]:
     """The tensor, copied if it must be, and its strides from track to track, step to step, entry to entry."""
     count = len(port.ids)
     if x.is_contiguous():
@@ -75,7 +78,7 @@ def _laid_out(x: Tensor, port: Port, rank: int, tracks: int) -> tuple[Tensor, in
     sizes, strides, split = x.shape, x.stride(), rank + port.timed
     track, entry = _stride(sizes[:rank], strides[:rank]), _stride(sizes[split:], strides[split:])
     if track is None or entry is None:
-        return _laid_out(x.contiguous(), port, rank, tracks)
+        return _strided(x.contiguous(), port, rank, tracks)
     return x, track, strides[rank] if port.timed else 0, entry
 
 
@@ -141,8 +144,8 @@ class Kernels:
             done = _Run.apply(self, batch, (*starts, steps), truncate, *state, *inputs)  # type: ignore[no-untyped-call]
         else:
             done = self.program("forwards")(batch, steps, (*state, *inputs))
-        rest = iter([logical(x, len(batch)) for x in done])
-        return unflatten(self.step.state, rest), unflatten(self.step.form, rest)
+        rest = iter([batch_first(x, len(batch)) for x in done])
+        return unflatten(self.step.state, rest), unflatten(self.step.record, rest)
 
 
 class _Run(torch.autograd.Function):
@@ -161,7 +164,7 @@ class _Run(torch.autograd.Function):
         for first, last in pairwise(starts):
             begun += state
             done = kernels.program("forwards")(batch, last - first, (*state, *_part(step, inputs, first, last, rank)))
-            state = tuple(logical(x, rank) for x in done[:count])
+            state = tuple(batch_first(x, rank) for x in done[:count])
             kept.append(done[count:])
         ctx.save_for_backward(*inputs, *begun)
         ctx.kernels, ctx.batch, ctx.starts, ctx.truncate = kernels, batch, starts, truncate
@@ -179,9 +182,9 @@ class _Run(torch.autograd.Function):
         needed = tuple(n for n, wanted in zip(names, ctx.needs_input_grad[4 + count :], strict=True) if wanted)
         stay = [n for n in needed if not step.inputs[n].timed]
         program = kernels.program("backwards", tuple(g is not None for g in grads[count:]), needed)
-        given = [logical(g, rank) for g in grads[count:] if g is not None]
+        pulls = [batch_first(g, rank) for g in grads[count:] if g is not None]
         zero = [begun[0].new_zeros(()).expand(batch + x.shape) for x in step.zero]
-        state = [z if g is None else logical(g, rank) for z, g in zip(zero, grads, strict=False)]
+        state = [z if g is None else batch_first(g, rank) for z, g in zip(zero, grads, strict=False)]
         sums = [begun[0].new_zeros(()).expand(batch + step.inputs[n].shape) for n in stay]
         timed: list[list[Tensor]] = []
         for k, (first, last) in reversed(list(enumerate(pairwise(ctx.starts)))):
@@ -189,16 +192,16 @@ class _Run(torch.autograd.Function):
                 state = zero
             reads = _part(step, inputs, first, last, rank)
             before = (*begun[k * count : (k + 1) * count], *reads)
-            path = [logical(x, rank) for x in kernels.program("trajectory")(batch, last - first, before)[count:]]
-            local = [g.narrow(rank, first, last - first) for g in given] if step.repeated else given
+            path = [batch_first(x, rank) for x in kernels.program("trajectory")(batch, last - first, before)[count:]]
+            local = [g.narrow(rank, first, last - first) for g in pulls] if step.repeated else pulls
             done = program(batch, last - first, (*state, *sums, *reads, *path, *local))
-            logicals = [logical(x, rank) for x in done[: count + len(stay)]]
-            state, sums = logicals[:count], logicals[count:]
+            moved = [batch_first(x, rank) for x in done[: count + len(stay)]]
+            state, sums = moved[:count], moved[count:]
             timed.insert(0, done[count + len(stay) :])
-        whole = [logical(x, rank) for x in _joined(timed)]
-        found = dict(zip([n for n in needed if step.inputs[n].timed], whole, strict=True))
-        found |= zip(stay, sums, strict=True)
-        return (*[None] * 4, *state, *(found.get(n) for n in names))
+        joined = [batch_first(x, rank) for x in _joined(timed)]
+        gradients = dict(zip([n for n in needed if step.inputs[n].timed], joined, strict=True))
+        gradients |= zip(stay, sums, strict=True)
+        return (*[None] * 4, *state, *(gradients.get(n) for n in names))
 
 
 def _part(step: Step, inputs: Sequence[Tensor], first: int, last: int, rank: int) -> list[Tensor]:

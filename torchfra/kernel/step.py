@@ -9,45 +9,65 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from torchfra.kernel.entries import Entries, entries
+import torchfra.kernel.operations  # noqa: F401  fills the table of operations that Entries look up
+from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import ZERO, Expressions
 from torchfra.kernel.source import Port, Scan
 from torchfra.linalg.tracing import elementary
 from torchfra.tree import flatten, unflatten
 
 Advance = Callable[[Any, Any, dict[str, Any]], tuple[Any, Any]]
-"""From a module, its state and what else it is given to the next state and what is kept of the step."""
+"""From a module, its state and its inputs by name to the next state and the record of the step."""
 
 
 class Input(NamedTuple):
-    """What a step is given, for one track."""
+    """An input of a step, for one track."""
 
     shape: torch.Size
     timed: bool
-    """Whether each step has its own."""
+    """Whether each step has its own value."""
     value: bool
-    """Whether it is a parameter, a buffer or a number of the module, by its path."""
+    """Whether it is a parameter, a buffer or a number of the module (its name is then the path), and not data."""
+
+
+class Trace(NamedTuple):
+    """One step of one track, written down as expressions; nothing changes it."""
+
+    book: Expressions
+    """All expressions of the step."""
+    before: tuple[Entries, ...]
+    """Leaves of the state before the step."""
+    inputs: dict[str, Entries]
+    after: tuple[Entries, ...]
+    """Leaves of the state after the step."""
+    record: Any
+    """What the step returned besides the state: tuples of tensors."""
+    kept: tuple[Entries, ...]
+    """Leaves of the record."""
 
 
 def frozen(module: nn.Module, memo: dict[int, nn.Module] | None = None) -> nn.Module:
-    """A copy that nobody else changes; what is neither a tensor nor a list, dictionary or set is shared."""
+    """A copy that no later change of the module reaches.
+
+    Tensors without a gradient, lists, dictionaries and sets are copied; everything else is shared.
+    """
     memo = {} if memo is None else memo
     if id(module) not in memo:
         new = memo[id(module)] = module.__new__(type(module))
-        new.__dict__.update({key: _held(x) for key, x in module.__dict__.items()})
-        new.__dict__["_buffers"] = {key: _held(x) for key, x in module._buffers.items()}
+        new.__dict__.update({key: _copied(x) for key, x in module.__dict__.items()})
+        new.__dict__["_buffers"] = {key: _copied(x) for key, x in module._buffers.items()}
         new.__dict__["_modules"] = {key: x and frozen(x, memo) for key, x in module._modules.items()}
     return memo[id(module)]
 
 
-def _held(x: Any) -> Any:
+def _copied(x: Any) -> Any:
     if isinstance(x, Tensor):
         return x if x.requires_grad else x.detach().clone()
     return copy.copy(x) if isinstance(x, list | dict | set) else x
 
 
-def _put(module: nn.Module, path: str, x: Tensor) -> None:
-    """In the place of the parameter, buffer or number of this path."""
+def _replace(module: nn.Module, path: str, x: Tensor) -> None:
+    """Puts a tensor in the place of the parameter, buffer or number of this path."""
     owner, _, key = path.rpartition(".")
     part = module.get_submodule(owner)
     part._parameters.pop(key, None)
@@ -57,16 +77,18 @@ def _put(module: nn.Module, path: str, x: Tensor) -> None:
 class Step:
     """One step of a filter for one track.
 
+    Every trace runs on a copy of the module of its own, so that several threads may trace the same step.
+
     Args:
-        module: the filter, of this step alone (see ``frozen``).
-        begin: the state before the first step, of a module.
+        module: the filter; nobody may change it from here on (see ``frozen``).
+        begin: the state before the first step, from a module.
         advance: one step.
-        inputs: what each step is given, by name.
+        inputs: what each step reads besides the state, by name.
         dtype: of all numbers.
-        repeated: whether it is one of many, and what is kept has time in front; or the only one.
+        repeated: whether it is one of many steps, so that records have time in front; or the only one.
 
     Raises:
-        NotImplementedError: it does what has no form for single entries.
+        NotImplementedError: the step uses an operation that kernels do not have.
     """
 
     def __init__(
@@ -78,92 +100,99 @@ class Step:
         dtype: torch.dtype,
         repeated: bool = True,
     ) -> None:
-        self.module, self.advance, self.inputs = module, advance, inputs
+        self._module, self._advance, self.inputs = module, advance, inputs
         self.dtype, self.repeated = dtype, repeated
         with elementary(), torch.no_grad():
             self.state = begin(module)
         leaves = flatten(self.state)
         if not all(x.is_floating_point() for x in leaves):
             raise NotImplementedError(f"state: kernels carry floating point numbers, received {self.state}")
-        zero = [entries(Expressions(), x.detach()).ids == ZERO for x in leaves]
+        self.zero, self._plain = self._always_zero([as_entries(Expressions(), x.detach()).ids == ZERO for x in leaves])
+        self.record = self._plain.record
+
+    def _always_zero(self, zero: list[Tensor]) -> tuple[list[Tensor], Trace]:
+        """The entries of the state that are 0 before the first step and stay 0, and a trace that knows it."""
         while True:
-            self.zero = zero
-            self._trace(False)
-            zero = [z & (after.ids == ZERO) for z, after in zip(self.zero, self.after, strict=True)]
-            if all(map(torch.equal, zero, self.zero)):
-                break
+            trace = self._trace(zero)
+            still = [z & (after.ids == ZERO) for z, after in zip(zero, trace.after, strict=True)]
+            if all(map(torch.equal, still, zero)):
+                return zero, trace
+            zero = still
 
-    def _trace(self, differentiable: bool) -> None:
-        book = self.book = Expressions()
-        self.before = self._carried(book)
-        self.given = {name: Entries.inputs(book, x.shape, self.dtype) for name, x in self.inputs.items()}
+    def _trace(self, zero: Sequence[Tensor], differentiable: bool = False) -> Trace:
+        book, module = Expressions(), frozen(self._module)
+        before = _carried(book, zero, self.dtype)
+        inputs = {name: Entries.inputs(book, x.shape, self.dtype) for name, x in self.inputs.items()}
         if differentiable:
-            for x in (*self.before, *self.given.values()):
+            for x in (*before, *inputs.values()):
                 x.requires_grad_()
-        for name, given in self.inputs.items():
-            if given.value:
-                _put(self.module, name, self.given[name])
-        data = {name: self.given[name] for name, given in self.inputs.items() if not given.value}
+        for name in (name for name, kind in self.inputs.items() if kind.value):
+            _replace(module, name, inputs[name])
+        data = {name: inputs[name] for name, kind in self.inputs.items() if not kind.value}
         with elementary(), torch.set_grad_enabled(differentiable):
-            after, kept = self.advance(self.module, unflatten(self.state, iter(self.before)), data)
-        self.after, self.kept = ([entries(book, x) for x in flatten(tree)] for tree in (after, kept))
-        self.form = kept
-        if [x.shape for x in self.after] != [zero.shape for zero in self.zero]:
-            raise ValueError(f"state: expected a step to keep its form {self.state}, received {after}")
-
-    def _carried(self, book: Expressions) -> list[Entries]:
-        """What goes from step to step, nothing known but its zeros."""
-        new = [Entries.inputs(book, zero.shape, self.dtype).ids for zero in self.zero]
-        return [
-            Entries(book, torch.where(zero, ZERO, ids), self.dtype) for zero, ids in zip(self.zero, new, strict=True)
-        ]
+            state, record = self._advance(module, unflatten(self.state, iter(before)), data)
+        after, kept = (tuple(as_entries(book, x) for x in flatten(tree)) for tree in (state, record))
+        if [x.shape for x in after] != [x.shape for x in zero]:
+            raise ValueError(f"state: expected a step to keep its form {self.state}, received {state}")
+        return Trace(book, before, inputs, after, record, kept)
 
     def forwards(self) -> Scan:
-        """Filters: reads the inputs, writes what is kept of each step."""
-        self._trace(False)
-        return self._scan(_ports(self.kept, timed=self.repeated))
+        """Filters: reads the inputs, writes the record of each step."""
+        return self._scan(self._plain, _ports(self._plain.kept, timed=self.repeated))
 
     def trajectory(self) -> Scan:
         """Filters again: writes the state before each step."""
-        self._trace(False)
-        return self._scan(_varying(self.before))
+        return self._scan(self._plain, _nonzero_ports(self._plain.before))
 
-    def _scan(self, writes: list[Port]) -> Scan:
-        return Scan(self.book, _ports(self.before), _ports(self.after), self._reads(), writes, dtype=self.dtype)
+    def _scan(self, trace: Trace, writes: list[Port]) -> Scan:
+        return Scan(trace.book, _ports(trace.before), _ports(trace.after), self._reads(trace), writes, dtype=self.dtype)
 
-    def _reads(self) -> list[Port]:
-        return [Port(_ids(self.given[name]), x.shape, x.timed) for name, x in self.inputs.items()]
+    def _reads(self, trace: Trace) -> list[Port]:
+        return [Port(_ids(trace.inputs[name]), x.shape, x.timed) for name, x in self.inputs.items()]
 
     def backwards(self, graded: Sequence[bool], needed: Sequence[str]) -> Scan:
         """The adjoint, from the last step to the first.
 
-        Reads the inputs, the state before each step and the gradients of what was kept, where ``graded``.  Carries the
-        gradients of the state and of the ``needed`` inputs that stay, and writes those of the inputs with time.
+        Reads the inputs, the state before each step and the gradients of the record, where ``graded``.  Carries the
+        gradients of the state and of the ``needed`` inputs without time, and writes those of the inputs with time.
         """
-        self._trace(True)
-        book, states = self.book, len(self.before)
-        after = self._carried(book)
-        kept = [x for x, wanted in zip(self.kept, graded, strict=True) if wanted]
+        trace = self._trace(self.zero, differentiable=True)
+        book, states = trace.book, len(trace.before)
+        after = _carried(book, self.zero, self.dtype)
+        kept = [x for x, wanted in zip(trace.kept, graded, strict=True) if wanted]
         grads = [Entries.inputs(book, x.shape, self.dtype) for x in kept]
-        follows = [(x, g) for x, g in zip(self.after + kept, after + grads, strict=True) if x.requires_grad]
-        ends, pulls = zip(*follows, strict=True)
-        sources = self.before + [self.given[name] for name in needed]
-        with elementary():
-            pulled = torch.autograd.grad(ends, sources, pulls, allow_unused=True)
-        found = [entries(book, torch.zeros(x.shape) if g is None else g) for x, g in zip(sources, pulled, strict=True)]
-        stays = [g for g, name in zip(found[states:], needed, strict=True) if not self.inputs[name].timed]
-        timed = [g for g, name in zip(found[states:], needed, strict=True) if self.inputs[name].timed]
+        sources = [*trace.before, *(trace.inputs[name] for name in needed)]
+        pulled = _pullback(book, [*trace.after, *kept], [*after, *grads], sources)
+        stays = [g for g, name in zip(pulled[states:], needed, strict=True) if not self.inputs[name].timed]
+        timed = [g for g, name in zip(pulled[states:], needed, strict=True) if self.inputs[name].timed]
         sums = [Entries.inputs(book, g.shape, self.dtype) for g in stays]
-        totals = [entries(book, a + b) for a, b in zip(sums, stays, strict=True)]
+        totals = [as_entries(book, a + b) for a, b in zip(sums, stays, strict=True)]
         return Scan(
             book,
-            _ports(after + sums),
-            _ports(found[:states] + totals),
-            self._reads() + _varying(self.before) + _ports(grads, timed=self.repeated),
+            _ports([*after, *sums]),
+            _ports(pulled[:states] + totals),
+            self._reads(trace) + _nonzero_ports(trace.before) + _ports(grads, timed=self.repeated),
             _ports(timed, timed=True),
             backwards=True,
             dtype=self.dtype,
         )
+
+
+def _carried(book: Expressions, zero: Sequence[Tensor], dtype: torch.dtype) -> tuple[Entries, ...]:
+    """What goes from step to step: unknown, but for the entries that are always 0."""
+    new = [Entries.inputs(book, z.shape, dtype).ids for z in zero]
+    return tuple(Entries(book, torch.where(z, ZERO, ids), dtype) for z, ids in zip(zero, new, strict=True))
+
+
+def _pullback(
+    book: Expressions, outputs: Sequence[Entries], gradients: Sequence[Entries], sources: Sequence[Entries]
+) -> list[Entries]:
+    """Gradients of the sources, from those of the outputs."""
+    follows = [(x, g) for x, g in zip(outputs, gradients, strict=True) if x.requires_grad]
+    ends, pulls = zip(*follows, strict=True)
+    with elementary():
+        pulled = torch.autograd.grad(ends, sources, pulls, allow_unused=True)
+    return [as_entries(book, torch.zeros(x.shape) if g is None else g) for x, g in zip(sources, pulled, strict=True)]
 
 
 def _ids(x: Entries) -> list[int]:
@@ -175,7 +204,7 @@ def _ports(tensors: Sequence[Entries], *, timed: bool = False) -> list[Port]:
     return [Port(_ids(x), x.shape, timed, truth=x.dtype == torch.bool) for x in tensors]
 
 
-def _varying(tensors: Sequence[Entries]) -> list[Port]:
-    """Without the entries that are 0 always."""
+def _nonzero_ports(tensors: Sequence[Entries]) -> list[Port]:
+    """Ports without the entries that are always 0."""
     parts = [[i for i in _ids(x) if i != ZERO] for x in tensors]
     return [Port(part, torch.Size([len(part)]), timed=True, packed=True) for part in parts]

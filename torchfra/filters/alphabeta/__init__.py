@@ -1,7 +1,8 @@
 """Filters of constant gains: their design, a single filter, and a bank that switches."""
 
-from torchfra.filters.alphabeta.bank import AlphaBetaBank, AlphaBetaBankState, AlphaBetaInfo
+from torchfra.filters.alphabeta.bank import AlphaBetaBank
 from torchfra.filters.alphabeta.gains import Gains
+from torchfra.filters.alphabeta.memory import AlphaBetaBankState, AlphaBetaInfo
 from torchfra.filters.alphabeta.single import AlphaBeta, AlphaBetaState
 
 __all__ = [

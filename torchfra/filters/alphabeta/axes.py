@@ -1,0 +1,88 @@
+"""Arithmetic of filters of constant gains, axis by axis: prediction, update, gains of special steps, covariances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchfra.filters.alphabeta import gains as design
+from torchfra.hyper import Hyper
+from torchfra.linalg.tracing import is_traced
+
+
+def predicted(parts: tuple[Tensor, ...], dt: Tensor) -> list[Tensor]:
+    """Position, velocity(, acceleration) after ``dt``."""
+    if len(parts) == 2:
+        return [parts[0] + dt * parts[1], parts[1]]
+    p, v, a = parts
+    return [p + dt * v + dt**2 / 2 * a, v + dt * a, a]
+
+
+def updated(ahead: list[Tensor], column: list[Tensor], since: Tensor, residual: Tensor) -> list[Tensor]:
+    """Position, velocity(, acceleration) after a residual; those without a gain are 0."""
+    moved = [x + g / since**i * residual for i, (x, g) in enumerate(zip(ahead, column, strict=False))]
+    return moved + [torch.zeros_like(residual) for _ in ahead[len(column) :]]
+
+
+def short_step_gains(column: list[Tensor], since: Tensor, period: Hyper | None) -> list[Tensor]:
+    """Gains for a step shorter than their period, as those of a tracking index that falls with the step's square."""
+    if period is None:
+        return column
+    share = (since / period(since).unsqueeze(-1)).clamp_max(1.0)
+    return [gain * share ** (i + 1) for i, gain in enumerate(column)]
+
+
+def startup_gains(column: list[Tensor], count: Tensor) -> list[Tensor]:
+    """Gains that take the position from the first measurement and the velocity from the second; later unchanged."""
+    first = [1.0] + [0.0] * (len(column) - 1)
+    second = [1.0, 1.0] + [0.0] * (len(column) - 2)
+    return [
+        torch.where(count < 0.5, a, torch.where(count < 1.5, b, gain))
+        for a, b, gain in zip(first, second, column, strict=True)
+    ]
+
+
+def two_gain_root(alpha: Tensor, beta: Tensor) -> tuple[list[Tensor], Tensor]:
+    """Steady-state covariance root, row by row, and variance of the residual, for measurement noise and step of 1."""
+    position, cross, velocity, ahead = design.variances(alpha, beta)
+    first = position.sqrt()
+    along = cross / first
+    return [first, along, (velocity - along.square()).sqrt()], 1 + ahead
+
+
+def three_gain_root(alpha: Tensor, beta: Tensor, gamma: Tensor) -> tuple[list[Tensor], Tensor]:
+    """The same as ``two_gain_root`` for three gains."""
+    rows = [[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]
+    transition = torch.tensor(rows, dtype=alpha.dtype, device=alpha.device)
+    root = design.steady_root(transition, torch.stack([alpha, beta, gamma / 2], -1))
+    ahead = (transition[0].unsqueeze(-2) @ root).squeeze(-2)
+    return [root[..., i, j] for i in range(3) for j in range(i + 1)], 1 + ahead.square().sum(-1)
+
+
+def scaled_root(entries: Sequence[Tensor], dt: Tensor, std: Tensor) -> Tensor:
+    """Entries ``(..., p, d)`` of the root for this time step and this std of the measurement noise."""
+    rows = [i for i in range(3) for _ in range(i + 1)]
+    rows_scaled = [entry / dt**i * std for i, entry in zip(rows, entries, strict=False)]
+    return torch.stack(torch.broadcast_tensors(*rows_scaled), -2)
+
+
+def full_root(entries: Tensor, n: int) -> Tensor:
+    """Root ``(..., n, n)`` from its entries ``(..., p, d)``; states without entries are certain."""
+    p, d = entries.shape[-2:]
+    places = [(row, column) for row in range(3) for column in range(row + 1)][:p]
+    if not is_traced(entries) and entries.dim() > 3 and entries.stride(0) == 1:
+        # Kernels write tracks side by side; the root keeps that layout.
+        batch = entries.shape[:-2]
+        root = entries.new_zeros((*batch[1:], n, n, batch[0])).movedim(-1, 0)
+        for i, (row, column) in enumerate(places):
+            block = root[..., row * d : (row + 1) * d, column * d : (column + 1) * d]
+            block.diagonal(dim1=-2, dim2=-1).copy_(entries[..., i, :])
+        return root
+    place = torch.zeros(p * d, n * n, dtype=entries.dtype, device=entries.device)
+    for i, (row, column) in enumerate(places):
+        for axis in range(d):
+            place[i * d + axis, (row * d + axis) * n + column * d + axis] = 1
+    spread: Tensor = (entries.flatten(-2) @ place).unflatten(-1, (n, n))
+    return spread

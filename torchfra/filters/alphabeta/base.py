@@ -1,0 +1,74 @@
+"""What a single filter of constant gains and a bank of them share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra.filters.alphabeta.axes import full_root
+from torchfra.filters.records import Record
+from torchfra.filters.tracks import TrackFilter
+from torchfra.gaussian.inputs import Frame
+from torchfra.hyper import Hyper, Value, one_of
+from torchfra.motion.base import Motion
+from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
+from torchfra.sensors.base import Sensor
+from torchfra.sensors.position import Position
+from torchfra.types import Gaussian
+
+
+class ConstantGainFilter(TrackFilter):
+    """Abstract: a filter of positions, axis by axis."""
+
+    gamma: Hyper | None
+
+    def __init__(self, motion: Motion, sensor: Sensor, initiation: str, period: Value | None) -> None:
+        if not isinstance(sensor, Position) or sensor.std is None:
+            raise ValueError(f"sensor: expected a Position with a std, received {type(sensor).__name__}")
+        if not isinstance(motion, ConstantVelocity | ConstantAcceleration) or motion.dims != sensor.size:
+            raise ValueError(
+                f"motion: expected constant velocity or acceleration in {sensor.size} dimensions, received {motion}"
+            )
+        one_of(initiation=(initiation, ("two-point", "prior")))
+        super().__init__(motion, sensor)
+        self.initiation = initiation
+        self.period = None if period is None else Hyper(period, name="period")
+
+    def _first(self, belief: Gaussian) -> tuple[Tensor, Tensor, Tensor]:
+        """The mean to begin with, zeros ``(..., d)``, and the number of measurements that it stands for."""
+        d = self.motion.dims
+        zero = torch.zeros_like(belief.mean[..., :d])
+        if self.initiation == "prior":
+            return belief.mean, zero, zero + 2
+        return torch.cat([belief.mean[..., :d], *[zero] * (self.motion.orders - 1)], -1), zero, zero
+
+    def _empty_root(self, zero: Tensor) -> Tensor:
+        """Entries ``(..., p, d)`` of a covariance root of 0."""
+        return zero.unsqueeze(-2).expand(*zero.shape[:-1], 3 if self.gamma is None else 6, -1)
+
+    def _components(self, mean: Tensor) -> tuple[Tensor, ...]:
+        """Position, velocity(, acceleration) ``(..., d)`` of a mean."""
+        components: tuple[Tensor, ...] = mean.unflatten(-1, (self.motion.orders, self.motion.dims)).unbind(-2)
+        return components
+
+    def finish(self, state: Any, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
+        """Beliefs of a sequence with the whole root, of which steps keep the entries that are not zero."""
+        return Gaussian(belief.mean, full_root(belief.scale_tril, belief.mean.shape[-1])), info
+
+
+def record(state: Any, residual: Tensor, frame: Frame, std: Tensor, info: Any) -> Record:
+    """The record of a step.
+
+    Args:
+        state: after the step.
+        residual: ``(..., d)``, 0 where nothing was measured.
+        frame: of the step.
+        std: ``(..., d)`` standard deviation of the residual, in units of the measurement noise.
+        info: of the step.
+    """
+    std = std.expand_as(residual)
+    whitened = residual * frame.measurement_noise.scale
+    std = torch.where(frame.seen > 0, std, 1.0)
+    return Record(Gaussian(state.mean, state.root), whitened, std.diag_embed(), whitened / std, info)

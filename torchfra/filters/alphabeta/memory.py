@@ -1,0 +1,147 @@
+"""What the bank remembers from step to step, and what it reports."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra.filters.alphabeta.axes import full_root
+from torchfra.types import Gaussian
+
+
+class AlphaBetaBankState(NamedTuple):
+    """What the bank knows after a step; ``g`` is an axis, or 1 where all axes decide together."""
+
+    mean: Tensor
+    root: Tensor
+    """``(..., 3, d)``, see ``AlphaBetaState``."""
+    used: Tensor
+    """``(..., g)`` measurements that were used since the (re)start."""
+    since: Tensor
+    """``(..., g)`` seconds since the last of them."""
+    rejected: Tensor
+    """``(..., g)`` measurements rejected since then."""
+    flags: Tensor
+    """``(..., votes, c)`` of the last measurements, the newest first; ``c`` is an axis, or range and azimuth."""
+    known: Tensor
+    """``(..., g)`` how many of them there are."""
+    manoeuvre: Tensor
+    """``(..., g)`` 1 in a manoeuvre."""
+    quiet: Tensor
+    """``(..., g)`` steps since the last vote for one."""
+    level: Tensor
+    """``(..., g, N)`` the filter that was used last."""
+    interval: Tensor
+    """``(..., g)`` seconds between the last two that were used."""
+    last: Tensor
+    """``(..., d)`` the last measurement, used or not."""
+    since_last: Tensor
+    """``(..., d)`` seconds since it."""
+    fastest: Tensor | None
+    """``(..., n)`` mean of the fastest filter, if that runs all the time."""
+
+    @property
+    def belief(self) -> Gaussian:
+        """The estimate, with the steady-state covariance of the level in use."""
+        return Gaussian(self.mean, full_root(self.root, self.mean.shape[-1]))
+
+
+class AlphaBetaInfo(NamedTuple):
+    """Per step and track, for each axis, or once where all axes decide together: ``(..., T, g)``."""
+
+    level: Tensor
+    """Which filter was used, from 0 (the fastest); at a rejected step the one before."""
+    vote: Tensor
+    """bool: the flags voted for a manoeuvre."""
+    manoeuvre: Tensor
+    """bool: treated as one."""
+    rejected: Tensor
+    """bool: an outlier, not used."""
+    restarted: Tensor
+    """bool: begun anew after too many of them, or too long without one that was used."""
+
+
+class Innovation(NamedTuple):
+    """A measurement compared with its prediction."""
+
+    z: Tensor
+    """``(..., d)`` the measurement."""
+    ahead: list[Tensor]
+    """Predicted position, velocity(, acceleration)."""
+    residual: Tensor
+    """``(..., d)``, 0 where nothing was measured."""
+    size: Tensor
+    """``(..., d)`` of the residual, in std."""
+    channels: Tensor
+    """``(..., c)`` the residuals that flags are raised by, in std: of each axis, or of range and azimuth."""
+    axis_measured: Tensor
+    """``(..., d)`` 1 where the axis was measured."""
+    measured: Tensor
+    """``(..., g)`` 1 where there is something to decide."""
+    dt: Tensor
+    since: Tensor
+    """``(..., g)`` seconds since the last measurement that was used."""
+    std: Tensor
+
+
+class Vote(NamedTuple):
+    """The vote on a manoeuvre."""
+
+    flag: Tensor
+    """``(..., c)`` raised by this measurement."""
+    vote: Tensor
+    manoeuvre: Tensor
+    quiet: Tensor
+
+
+class OutlierTest(NamedTuple):
+    """The test for outliers, and what follows from it."""
+
+    rejected: Tensor
+    """``(..., g)`` 1 for a measurement that is not used."""
+    accepted: Tensor
+    """``(..., g)`` 1 for one that is."""
+    in_a_row: Tensor
+    """``(..., g)`` rejections since the last measurement that was used."""
+    restarted: Tensor
+    points: Tensor
+    """``(..., g)`` measurements that a restart begins with."""
+
+
+def remember(
+    state: AlphaBetaBankState, innovation: Innovation, vote: Vote, test: OutlierTest, flag: Tensor
+) -> AlphaBetaBankState:
+    """Counters, flags and the last measurement after the step; only the last measurement survives a restart.
+
+    Args:
+        state: before the step.
+        innovation: of the step.
+        vote: of the step.
+        test: of the step.
+        flag: ``(..., c)`` what this measurement leaves in the history.
+    """
+    keep, measured, axis_measured = 1 - test.restarted, innovation.measured, innovation.axis_measured
+    voting = measured * (state.used > 1.5)  # the two points that start a track vote for nothing
+    change = voting.unsqueeze(-2) * (_pushed(state.flags, flag) - state.flags)
+    used_interval = state.interval + test.accepted * (innovation.since - state.interval)
+    return state._replace(
+        used=keep * (state.used + test.accepted) + test.restarted * test.points,
+        since=keep * innovation.since * (1 - test.accepted),
+        rejected=keep * test.in_a_row * (1 - test.accepted),
+        flags=keep.unsqueeze(-2) * (state.flags + change),
+        known=keep * (state.known + voting),
+        manoeuvre=keep * (state.manoeuvre + measured * (vote.manoeuvre - state.manoeuvre)),
+        quiet=keep * vote.quiet,
+        interval=torch.where(test.restarted > 0, innovation.dt, used_interval),
+        last=state.last + axis_measured * (innovation.z - state.last),
+        since_last=(state.since_last + innovation.dt) * (1 - axis_measured),
+    )
+
+
+def _pushed(flags: Tensor, flag: Tensor) -> Tensor:
+    """The history of flags with a new one in front and without the oldest."""
+    older = flags[..., :-1, :]
+    newest = torch.broadcast_tensors(flag.unsqueeze(-2), older)[0]
+    return torch.cat([newest[..., :1, :], older.expand(*newest.shape[:-2], -1, -1)], -2)
