@@ -1,7 +1,8 @@
 """The filters themselves; ``torchfra.presets`` has them ready made."""
 
 from torchfra.filters.alphabeta import AlphaBeta
-from torchfra.filters.alphabeta.bank import AlphaBetaBank, AlphaBetaInfo
+from torchfra.filters.alphabeta.bank import AlphaBetaBank
+from torchfra.filters.alphabeta.memory import AlphaBetaInfo
 from torchfra.filters.base import Filter
 from torchfra.filters.fra import FRA, FRAInfo, FRAState
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
