@@ -17,7 +17,7 @@ class Clutter(nn.Module):
 
     Args:
         volume: of the space that false measurements fall in evenly, m^3 (m^2 in the plane); the sensor must measure
-            each direction of space (``Sensor.metre``).
+            each direction of space (``Sensor.measures_each_direction``).
         extent: instead, of the measurements that false ones fall in evenly: ``(m,)`` from the lowest to the highest of
             each element, in its own unit.
         rate: expected false measurements per scan, Poisson; None if any number of them is alike beforehand
@@ -48,7 +48,11 @@ class Clutter(nn.Module):
             ValueError: it does not.
         """
         if self.extent is None:
-            sensor.metre(torch.ones(sensor.size))
+            if not sensor.measures_each_direction:
+                received = sensor.describe()
+                raise ValueError(
+                    f"volume: expected a sensor that measures each direction of space, received {received}"
+                )
         elif self.extent().shape[-1:] != (sensor.size,):
             raise ValueError(f"extent: expected ({sensor.size},), received {tuple(self.extent().shape)}")
 
@@ -60,7 +64,7 @@ class Clutter(nn.Module):
         else:
             assert self.volume is not None
             # A measured elevation may be beyond the vertical; a range of 0, which no gate holds, has no density.
-            metre = sensor.metre(z).abs()
+            metre = sensor.units_per_metre(z).abs()
             metre = torch.where((metre > 0) & metre.isfinite(), metre, 1.0)
             spans = self.volume(z).unsqueeze(-1) ** (1 / sensor.size) * metre
         found = -(candidates.seen * spans.log()).sum(-1)

@@ -32,6 +32,13 @@ class Candidates(NamedTuple):
 class Gate(nn.Module):
     """Abstract: a subclass gives ``beyond``, and ``inside`` if a target's measurement may lie outside."""
 
+    def check(self, sensor: Sensor) -> None:
+        """Whether this goes with a sensor.
+
+        Raises:
+            ValueError: it does not.
+        """
+
     def forward(self, candidates: Candidates, sensor: Sensor, temperature: float) -> Tensor:
         """Log ``(..., N, J)`` of how far each measurement counts: 0 inside, minus infinity outside.
 
@@ -75,6 +82,15 @@ class Euclidean(Gate):
             raise ValueError(f"least: expected a probability of 0 or more and below 1, received {least}")
         self.size = Hyper(size, name="size")
         self.least = least
+
+    def check(self, sensor: Sensor) -> None:
+        """Whether the sensor measures where a target is.
+
+        Raises:
+            ValueError: it does not.
+        """
+        if not sensor.locates:
+            raise ValueError(f"gate: expected a sensor that measures where the target is, received {sensor.describe()}")
 
     def beyond(self, candidates: Candidates, sensor: Sensor) -> Tensor:
         """See ``Gate``."""

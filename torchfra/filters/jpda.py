@@ -126,8 +126,7 @@ class JPDA(Soft, Filter):
             raise ValueError(f"detection: expected a probability above 0, received {detection}")
         check_exact(exact)
         clutter.check(inner.sensor)
-        whole = torch.ones(1, 1, inner.sensor.size)
-        gate.beyond(Candidates(whole, whole, whole, whole[..., 0]), inner.sensor)
+        gate.check(inner.sensor)
         if not 0 <= lost < 1:
             raise ValueError(f"lost: expected a probability of 0 or more and below 1, received {lost}")
         self.share_noise, self.exact, self.lost = share_noise, exact, lost

@@ -79,7 +79,7 @@ class VSIMM(Around):
         principal: Value = 0.5,
     ) -> None:
         super().__init__(inner)
-        if self.motion.transition(torch.ones((), dtype=torch.float64)) is None:
+        if not self.motion.linear:
             raise ValueError(f"inner: expected a filter around a Bank of linear motions, received {self.motion}")
         count = len(self.motion)
         low, high = torch.as_tensor(unlikely), torch.as_tensor(principal)

@@ -80,7 +80,7 @@ def make_frames(
         each(scale),
         each(dt, timed),
         each(u),
-        each(motion.transition(dt), timed),
+        each(motion.transition(dt) if motion.linear else None, timed),
         each(shift, moving),
         each(motion.process_noise(dt), timed),
         each(motion.adaptation(dt), timed),
