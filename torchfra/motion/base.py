@@ -51,7 +51,7 @@ class Motion(nn.Module):
     same ``...``, sigma points first and then the batch: it must treat every entry of ``...`` alike and give
     ``(..., n)``.  ``transition``, ``shift`` and ``process_noise`` are called once for all steps of a sequence: ``dt``
     has no dimensions, or is ``(T, ...)`` or ``(...)``, ``u`` is ``(T, ..., k)``, and what they give broadcasts with the
-    batch.  Values that may be learned are ``Hyper``s: ``self.q(dt)`` reads one in the dtype and on the device of ``dt``.
+    batch.  Values that may be learned are ``Hyper``; ``self.q(dt)`` reads one in the dtype and on the device of dt.
 
     States list positions first, then velocities, then accelerations, ``[x, y, vx, vy, ax, ay]`` in m, m/s, m/s^2,
     unless ``position`` and ``velocity`` say otherwise.
