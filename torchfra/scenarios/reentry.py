@@ -47,7 +47,7 @@ class Reentry(Motion):
         self.method, self.substeps = method, substeps
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
-        """See ``Motion``."""
+        """The state ``(..., 5)`` after ``dt (...)`` seconds, without process noise."""
         h = dt.unsqueeze(-1) / self.substeps
         for _ in range(self.substeps):
             slope = self.slope(x)
