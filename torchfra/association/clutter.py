@@ -50,9 +50,7 @@ class Clutter(nn.Module):
         if self.extent is None:
             if not sensor.measures_each_direction:
                 received = sensor.describe()
-                raise ValueError(
-                    f"volume: expected a sensor that measures each direction of space, received {received}"
-                )
+                raise ValueError(f"sensor: expected one that measures each direction of space, received {received}")
         elif self.extent().shape[-1:] != (sensor.size,):
             raise ValueError(f"extent: expected ({sensor.size},), received {tuple(self.extent().shape)}")
 

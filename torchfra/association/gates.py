@@ -90,7 +90,7 @@ class Euclidean(Gate):
             ValueError: it does not.
         """
         if not sensor.locates:
-            raise ValueError(f"gate: expected a sensor that measures where the target is, received {sensor.describe()}")
+            raise ValueError(f"sensor: expected one that measures where the target is, received {sensor.describe()}")
 
     def beyond(self, candidates: Candidates, sensor: Sensor) -> Tensor:
         """See ``Gate``."""
