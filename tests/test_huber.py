@@ -21,6 +21,8 @@ from torchfra.types import Gaussian
 class Still(Motion):
     """A scalar state that stays constant."""
 
+    linear = True
+
     def __init__(self):
         super().__init__(1, 1, None)
 
@@ -110,6 +112,8 @@ class Linear(Position):
 
 class Rest(Motion):
     """Four states that stay constant."""
+
+    linear = True
 
     def __init__(self):
         super().__init__(2, 2, None)

@@ -126,6 +126,12 @@ def test_the_process_noise_is_mapped_at_the_predicted_mean():
     np.testing.assert_allclose(noise @ noise.mT, expected, rtol=1e-10, atol=1e-22)
 
 
+def test_the_state_says_which_components_are_position_and_rates():
+    motion = Spherical(ConstantVelocity(0.3, 3))
+    assert (motion.position, motion.velocity) == (slice(3, 6), slice(0, 3))
+    assert not motion.linear
+
+
 def crossing_north(steps=40):
     """A target that passes north of the sensor: its azimuth jumps from 2 pi to 0."""
     t = torch.arange(1, steps + 1, dtype=torch.float64).unsqueeze(-1)
@@ -173,7 +179,7 @@ def test_a_metre_of_space_is_the_density_of_the_map():
     sensor = InfraredLaser(1e-3)
     z = sensor(from_cartesian(somewhere(6)))
     volume = torch.func.vmap(torch.func.jacrev(sensor.locate))(z).det().abs()
-    torch.testing.assert_close(1 / sensor.metre(z).prod(-1), volume)
+    torch.testing.assert_close(1 / sensor.units_per_metre(z).prod(-1), volume)
 
 
 def test_what_does_not_fit_is_named():
@@ -183,9 +189,9 @@ def test_what_does_not_fit_is_named():
         from_cartesian(somewhere(1), "south")
     with pytest.raises(ValueError, match="laser: expected one of"):
         InfraredLaser(1e-3, laser="red")
-    with pytest.raises(ValueError, match="laser: expected a range"):
+    with pytest.raises(ValueError, match="sensor: expected one that measures where the target is"):
         InfraredLaser(1e-3, laser="none").locate(torch.ones(2))
-    with pytest.raises(ValueError, match="laser: expected one measurement of each angle"):
-        InfraredLaser(1e-3, laser="all").metre(torch.ones(5))
+    with pytest.raises(ValueError, match="sensor: expected one that measures each direction of space"):
+        InfraredLaser(1e-3, laser="all").units_per_metre(torch.ones(5))
     with pytest.raises(ValueError, match="models: expected motions whose states mix"):
         Bank([Spherical(ConstantVelocity(1.0, 3))] * 2)

@@ -1,4 +1,4 @@
-"""Angles: the same one within half a turn, or within a whole one."""
+"""Angles, brought into (-pi, pi] or [0, 2 pi)."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from torch import Tensor
 
 
 def wrap(angle: Tensor) -> Tensor:
-    """The same angle within half a turn either way, rad."""
+    """The same angle between -pi and pi, rad."""
     return angle - 2 * math.pi * torch.round(angle / (2 * math.pi))
 
 
 def turned(azimuth: Tensor) -> Tensor:
     """The same azimuth in [0, 2 pi)."""
-    whole = 2 * math.pi
-    positive = azimuth - whole * torch.floor(azimuth / whole)
-    return torch.where(positive >= whole, positive - whole, positive)  # what rounding makes of next to nothing below 0
+    turn = 2 * math.pi
+    positive = azimuth - turn * torch.floor(azimuth / turn)
+    return torch.where(positive >= turn, positive - turn, positive)  # rounding makes a whole turn of just below 0

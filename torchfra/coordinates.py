@@ -1,12 +1,12 @@
-"""Modified spherical coordinates: what a sensor at the origin sees, and how fast that changes relative to the range.
+"""Modified spherical coordinates: azimuth, elevation and inverse range from the origin, and their rates.
 
 A state is ``[omega, elevation rate, d ln(range)/dt, azimuth, elevation, 1 / range]`` in rad/s, rad/s, 1/s, rad, rad,
 1/m with ``omega = azimuth rate * cos(elevation)``; its Cartesian counterpart is ``[x, y, z, vx, vy, vz]``: east, north,
 up. Azimuth counts from north (+y) clockwise, in [0, 2 pi), or from east (+x) counter-clockwise; elevation from the
-horizontal plane up.  Straight above and below the sensor the coordinates do not exist: numbers there are NaN.
+horizontal plane up.  Straight above and below the sensor the coordinates do not exist: they are NaN there.
 
 Source: Stallard (1991), "Angle-only tracking filter in modified spherical coordinates"; Mallick et al. (2012), whose
-order this is; Chen, Zou & Wu, eqs. (1)-(2).  Jacobians are ours, in the axes of the line of sight.
+order this is; Chen, Zou & Wu, eqs. (1)-(2).  The Jacobians are derived here, in the axes of the line of sight.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from torchfra.hyper import one_of
 from torchfra.linalg.triangular import tria
 from torchfra.types import Gaussian
 
-RATES, AZIMUTH, ELEVATION, CLOSENESS = slice(0, 3), 3, 4, 5
+RATES, PLACE = slice(0, 3), slice(3, 6)
+AZIMUTH, ELEVATION, INVERSE_RANGE = 3, 4, 5
 
 
 class _Axes(NamedTuple):
@@ -34,7 +35,7 @@ class _Axes(NamedTuple):
 
 def to_cartesian(x: Tensor, azimuth_from: str = "north") -> Tensor:
     """``[position, velocity] (..., 6)`` of states ``(..., 6)``, m and m/s.  Source: Chen, Zou & Wu, eq. (1)."""
-    axes, away = _axes(x, azimuth_from), 1 / x[..., CLOSENESS:]
+    axes, away = _axes(x, azimuth_from), 1 / x[..., INVERSE_RANGE:]
     omega, climb, opening = x[..., RATES].split(1, -1)
     return torch.cat([away * axes.out, away * (opening * axes.out + omega * axes.across + climb * axes.up)], -1)
 
@@ -42,7 +43,7 @@ def to_cartesian(x: Tensor, azimuth_from: str = "north") -> Tensor:
 def from_cartesian(x: Tensor, azimuth_from: str = "north") -> Tensor:
     """States ``(..., 6)`` of ``[position, velocity] (..., 6)``.  Source: Chen, Zou & Wu, eq. (2)."""
     first, second, z, v_first, v_second, vz = x.unbind(-1)
-    if _from_east(azimuth_from):
+    if from_east(azimuth_from):
         first, second, v_first, v_second = second, first, v_second, v_first
     ground_squared = first.square() + second.square()
     away_squared = ground_squared + z.square()
@@ -63,7 +64,7 @@ def from_cartesian(x: Tensor, azimuth_from: str = "north") -> Tensor:
 
 def jacobian(x: Tensor, azimuth_from: str = "north") -> Tensor:
     """``(..., 6, 6)`` of ``from_cartesian``, by the state ``(..., 6)`` it leads to."""
-    axes, close = _axes(x, azimuth_from), x[..., CLOSENESS:]
+    axes, close = _axes(x, azimuth_from), x[..., INVERSE_RANGE:]
     omega, climb, opening = x[..., RATES].split(1, -1)
     slope = torch.tan(x[..., ELEVATION : ELEVATION + 1])
     nothing = torch.zeros_like(axes.out)
@@ -80,7 +81,7 @@ def jacobian(x: Tensor, azimuth_from: str = "north") -> Tensor:
 
 def cartesian_jacobian(x: Tensor, azimuth_from: str = "north") -> Tensor:
     """``(..., 6, 6)`` of ``to_cartesian`` at the state ``(..., 6)``: the inverse of ``jacobian``."""
-    axes, away = _axes(x, azimuth_from), 1 / x[..., CLOSENESS:]
+    axes, away = _axes(x, azimuth_from), 1 / x[..., INVERSE_RANGE:]
     omega, climb, opening = x[..., RATES].split(1, -1)
     elevation = x[..., ELEVATION : ELEVATION + 1]
     level, high = torch.cos(elevation), torch.sin(elevation)
@@ -110,16 +111,22 @@ def belief_to_cartesian(belief: Gaussian, azimuth_from: str = "north") -> Gaussi
     return Gaussian(to_cartesian(belief.mean, azimuth_from), tria(slope @ belief.scale_tril))
 
 
-def _from_east(azimuth_from: str) -> bool:
+def from_east(azimuth_from: str) -> bool:
+    """Whether azimuth counts from east, counter-clockwise, and not from north, clockwise.
+
+    Raises:
+        ValueError: ``azimuth_from`` is neither ``"north"`` nor ``"east"``.
+    """
     one_of(azimuth_from=(azimuth_from, ("north", "east")))
     return azimuth_from == "east"
 
 
 def _axes(x: Tensor, azimuth_from: str) -> _Axes:
+    """The line of sight to states ``(..., 6)``, and the directions in which azimuth and elevation grow."""
     azimuth, elevation = x[..., AZIMUTH], x[..., ELEVATION]
     sine, cosine, level, high = azimuth.sin(), azimuth.cos(), elevation.cos(), elevation.sin()
     nothing = torch.zeros_like(sine)
-    order = (1, 0, 2) if _from_east(azimuth_from) else (0, 1, 2)
+    order = (1, 0, 2) if from_east(azimuth_from) else (0, 1, 2)
 
     def vector(*parts: Tensor) -> Tensor:
         return torch.stack([parts[i] for i in order], -1)

@@ -17,7 +17,7 @@ class Clutter(nn.Module):
 
     Args:
         volume: volume of the region of space in which false measurements are uniform, m^3 (m^2 in the plane).  The
-            sensor must measure every direction of space (``Sensor.metre``).
+            sensor must measure every direction of space (``Sensor.measures_each_direction``).
         extent: ``(m,)`` instead, the extent of the region of measurement space in which they are uniform: the range of
             each element, in its unit.
         rate: expected number of false measurements per scan, Poisson.  None if any number of them is equally probable a
@@ -48,7 +48,9 @@ class Clutter(nn.Module):
             ValueError: it does not.
         """
         if self.extent is None:
-            sensor.metre(torch.ones(sensor.size))
+            if not sensor.measures_each_direction:
+                received = sensor.describe()
+                raise ValueError(f"sensor: expected one that measures each direction of space, received {received}")
         elif self.extent().shape[-1:] != (sensor.size,):
             raise ValueError(f"extent: expected ({sensor.size},), received {tuple(self.extent().shape)}")
 
@@ -60,7 +62,7 @@ class Clutter(nn.Module):
         else:
             assert self.volume is not None
             # A measured elevation may lie beyond the vertical; a range of 0 has no density, and lies in no gate.
-            metre = sensor.metre(z).abs()
+            metre = sensor.units_per_metre(z).abs()
             metre = torch.where((metre > 0) & metre.isfinite(), metre, 1.0)
             extent = self.volume(z).unsqueeze(-1) ** (1 / sensor.size) * metre
         density: Tensor = -(candidates.seen * extent.log()).sum(-1)

@@ -33,6 +33,13 @@ class Candidates(NamedTuple):
 class Gate(nn.Module):
     """Abstract: a subclass defines ``beyond``, and ``gate_probability`` if it is not 1."""
 
+    def check(self, sensor: Sensor) -> None:
+        """Whether this goes with a sensor.
+
+        Raises:
+            ValueError: it does not.
+        """
+
     def forward(self, candidates: Candidates, sensor: Sensor, temperature: float) -> Tensor:
         """Log membership ``(..., N, J)``: 0 for measurements inside the gate, minus infinity outside.
 
@@ -77,6 +84,15 @@ class Euclidean(Gate):
             raise ValueError(f"least: expected a probability of 0 or more and below 1, received {least}")
         self.size = Hyper(size, name="size")
         self.least = least
+
+    def check(self, sensor: Sensor) -> None:
+        """Whether the sensor measures where a target is.
+
+        Raises:
+            ValueError: it does not.
+        """
+        if not sensor.locates:
+            raise ValueError(f"sensor: expected one that measures where the target is, received {sensor.describe()}")
 
     def beyond(self, candidates: Candidates, sensor: Sensor) -> Tensor:
         """Distance in space less the radius, as a fraction of the radius."""

@@ -93,7 +93,7 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
     missing = z.isnan()
     measurement_noise = sensor.measurement_noise(z, std, noise)
     shift = motion.shift(dt, u)
-    models = (motion.transition(dt), motion.process_noise(dt), motion.adaptation(dt))
+    models = (motion.transition(dt) if motion.linear else None, motion.process_noise(dt), motion.adaptation(dt))
     varying_shift = shift is not None and shift.dim() > rank + 1 + motion.stacked
     steps = len(z)
 

@@ -37,8 +37,7 @@ def predict(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Predi
         mean, spread = apply(frame.transition, mean), frame.transition @ root
         mean = mean if shift is None else mean + shift
     else:
-        u = None if frame.u is None else frame.u.unsqueeze(-2)
-        mean, spread, lost = rule(lambda x: motion(x, frame.dt.unsqueeze(-1), u), belief, motion.difference)
+        mean, spread, lost = rule(lambda x: motion.at_points(x, frame.dt, frame.u), belief, motion.difference)
         noise = motion.process_noise_at(frame.process_noise, mean)
         if lost is not None:
             root, repaired = downdate(tria(hstack(spread, noise)), lost)
@@ -49,9 +48,8 @@ def predict(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Predi
 def compare(sensor: Sensor, rule: Rule, belief: Gaussian, frame: Frame) -> Whitened:
     """The measurement against a predicted belief, in units of its noise: eqs. (14)-(21)."""
     d = sensor.reads
-    u = None if frame.u is None else frame.u.unsqueeze(-2)
     seen = Gaussian(belief.mean[..., :d], belief.scale_tril[..., :d, :d])  # lower triangular: the marginal's root
-    value, spread, lost = rule(lambda x: sensor(x, u), seen, sensor.difference)
+    value, spread, lost = rule(lambda x: sensor.at_points(x, frame.u), seen, sensor.difference)
     residual = frame.measurement_noise.whiten(sensor.difference(frame.z, value).unsqueeze(-1)).squeeze(-1)
     return Whitened(
         residual,

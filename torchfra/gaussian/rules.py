@@ -35,13 +35,16 @@ class Linearised(NamedTuple):
 
 
 class Rule(Protocol):
-    """What a filter asks of a rule for ``n`` states."""
+    """What a filter asks of a rule for ``n`` states: ``p`` points that a function carries all at once."""
 
     signed: bool
     """Whether some weights are negative, so that covariances may turn out not positive."""
 
     def __call__(self, function: Function, belief: Gaussian, difference: Difference) -> Linearised:
-        """Carry ``belief`` through ``function (..., p, n) -> (..., p, m)``; ``difference`` subtracts two values."""
+        """Carry ``belief (..., n)`` through ``function (p, ..., n) -> (p, ..., m)``: the points are in front.
+
+        ``difference`` subtracts two values ``(..., m)``.
+        """
         ...
 
     def marginal(self, d: int) -> Rule:
@@ -118,15 +121,15 @@ class SigmaPoints(nn.Module):
         return SigmaPoints(seen[:, around], merged[around], extra, signed=signed)
 
     def forward(self, function: Function, belief: Gaussian, difference: Difference) -> Linearised:
-        """See ``Rule``."""
+        """The function's values at the points, in three matrix products for the whole batch."""
         mean, root = belief
         points, combine = self.points.to(mean), self.combine.to(mean)
-        values = function(mean.unsqueeze(-2) + points @ root.mT)
-        centre = values[..., :1, :]
-        around = difference(values[..., 1:, :], centre).mT
-        moments = around @ combine
-        lost = None if self.minus is None else around @ self.minus.to(mean)
-        return Linearised(centre.squeeze(-2) + moments[..., 0], moments[..., 1:], lost)
+        values = function(mean + (root @ points.mT).movedim(-1, 0))
+        centre = values[0]
+        around = difference(values[1:], centre).flatten(1).mT  # a row for each entry of the batch and of the values
+        moments = (around @ combine).reshape(*centre.shape, -1)
+        lost = None if self.minus is None else (around @ self.minus.to(mean)).reshape(*centre.shape, -1)
+        return Linearised(centre + moments[..., 0], moments[..., 1:], lost)
 
 
 class Tangent(nn.Module):
@@ -139,10 +142,9 @@ class Tangent(nn.Module):
         return self
 
     def forward(self, function: Function, belief: Gaussian, difference: Difference) -> Linearised:
-        """See ``Rule``."""
+        """The function's value at the mean, and its derivative along each column of the root."""
         mean, root = belief
-        at, along = torch.broadcast_tensors(mean.unsqueeze(-2), root.mT)  # the mean, once per column of the root
-        values, slope = torch.func.jvp(  # type: ignore[misc]  # three values only with has_aux
-            function, (at.contiguous(),), (along.contiguous(),)
-        )
-        return Linearised(values[..., 0, :], slope.mT)
+        along = root.movedim(-1, 0).contiguous()
+        at = mean.expand_as(along).contiguous()  # the mean, once per column
+        values, slope = torch.func.jvp(function, (at,), (along,))  # type: ignore[misc]  # three only with has_aux
+        return Linearised(values[0], slope.movedim(0, -1))

@@ -1,4 +1,4 @@
-"""Several motions of one state side by side, and motions of a smaller state in a larger one."""
+"""Several motions of the same state side by side, and motions of a smaller state in a larger one."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torch.nn.functional import pad
 
 from torchfra.hyper import Value
+from torchfra.linalg.triangular import apply
 from torchfra.motion.base import Adaptation, Motion
 from torchfra.motion.correlated import CurrentStatistical
 from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
@@ -18,16 +19,18 @@ from torchfra.motion.turn import CoordinatedTurn
 
 
 class Bank(Motion):
-    """Motions that interacting models share out among them: matrices have an axis for the model, ``(..., K, n, n)``.
+    """Motions of the same state for interacting models: in all that it gives, ``K`` models come before the state.
+
+    It is linear if all of them are.
 
     Args:
-        models: motions of the same state, linear all or none.
-        neighbours: for each model those that its success calls, by number, where only a few run at a time
-            (``filters.VSIMM``).
-        first: the models that run first there.
+        models: motions of the same state, without angles.
+        neighbours: for each model the numbers of those that become active when it is likely, where only a few models
+            run at a time (``filters.VSIMM``).
+        first: the numbers of the models that are active first there.
 
     Raises:
-        ValueError: none at all, states that differ, or states with angles.
+        ValueError: no models, states that differ, or states with angles.
     """
 
     stacked = 1
@@ -39,13 +42,13 @@ class Bank(Motion):
         neighbours: Sequence[Sequence[int]] | None = None,
         first: Sequence[int] | None = None,
     ) -> None:
-        sizes = {(m.dims, m.orders) for m in models}
-        if len(sizes) != 1:
-            said = ", ".join(f"{type(m).__name__} of {m.size}" for m in models) or "none"
-            raise ValueError(f"models: expected motions of one state (see orders= and Embedded), received {said}")
+        if len({(m.dims, m.orders, m.size) for m in models}) != 1:
+            received = ", ".join(f"{type(m).__name__} of {m.size}" for m in models) or "none"
+            raise ValueError(f"models: expected motions of one state (see orders= and Embedded), received {received}")
         if any(m.angles for m in models):
             raise ValueError("models: expected motions whose states mix, received one whose state has angles")
-        super().__init__(*sizes.pop(), None)
+        like = models[0]
+        super().__init__(like.dims, like.orders, None, size=like.size, position=like.position, velocity=like.velocity)
         self.models = nn.ModuleList(models)
         self.neighbours, self.first = neighbours, first
 
@@ -60,44 +63,59 @@ class Bank(Motion):
         return self._motions[index]
 
     @property
+    def linear(self) -> bool:  # type: ignore[override]  # of these models, not of the class
+        """Whether all models are linear."""
+        return all(model.linear for model in self._motions)
+
+    @property
     def names(self) -> list[str]:
-        """Of the models, for people."""
+        """Of the models, for tables and pictures."""
         return [model.describe() for model in self._motions]
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
-        """States ``(..., K, p, n)``, each with the model of its place, after ``dt (..., 1, 1)`` or ``(1,)`` seconds."""
-        dt = dt.select(-2, 0) if dt.dim() > 1 else dt
-        u = u if u is None or u.dim() < 3 else u.select(-3, 0)
-        return torch.stack([model(x.select(-3, k), dt, u) for k, model in enumerate(self._motions)], -3)
+        """States ``(..., K, n)``, each moved by the model of its place; ``dt (..., K)``, ``u (..., K, k)``."""
+        dt, u = dt.expand(x.shape[:-1]), u if u is None else u.expand(*x.shape[:-1], -1)
+        moved = [
+            model(x.select(-2, k), dt.select(-1, k), u if u is None else u.select(-2, k))
+            for k, model in enumerate(self._motions)
+        ]
+        return torch.stack(moved, -2)
 
-    def transition(self, dt: Tensor) -> Tensor | None:
-        """``F (..., K, n, n)`` for ``dt (...)`` if all motions are linear."""
-        parts = [model.transition(dt) for model in self._motions]
-        known = [part for part in parts if part is not None]
-        return _stacked(known, -3) if len(known) == len(parts) else None
+    def at_points(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
+        """``forward`` for points ``x (p, ..., K, n)`` of one step, with ``dt (..., 1)`` and ``u (..., 1, k)``.
+
+        Those are the same for all models, and linear models among others compute their transition once for all points.
+        """
+        dt = dt.select(-1, 0) if dt.dim() else dt
+        u = u if u is None or u.dim() < 2 else u.select(-2, 0)
+        return torch.stack([model.at_points(x.select(-2, k), dt, u) for k, model in enumerate(self._motions)], -2)
+
+    def transition(self, dt: Tensor) -> Tensor:
+        """``F (..., K, n, n)`` for ``dt (...)``, if all motions are linear."""
+        return _stack([model.transition(dt) for model in self._motions], 2)
 
     def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
-        """Known changes of the state, ``(..., K, n)``."""
+        """Known changes of the state, ``(..., K, n)``; None if no model has any."""
         parts = [model.shift(dt, u) for model in self._motions]
         if all(part is None for part in parts):
             return None
-        return _stacked([dt.new_zeros(self.size) if part is None else part for part in parts], -2)
+        return _stack([dt.new_zeros(self.size) if part is None else part for part in parts], 1)
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., K, n, q)``, filled up with zeros to the widest."""
+        """``S_Q (..., K, n, r)``, filled up with zeros to the widest."""
         parts = [model.process_noise(dt) for model in self._motions]
         wide = max(part.shape[-1] for part in parts)
-        return _stacked([pad(part, (0, wide - part.shape[-1])) for part in parts], -3)
+        return _stack([pad(part, (0, wide - part.shape[-1])) for part in parts], 2)
 
     def adaptation(self, dt: Tensor) -> Adaptation | None:
-        """See ``Motion``, ``(..., K, ...)``; nothing for those that do not follow."""
+        """How each model follows the estimated acceleration, ``(..., K, ...)``; one that does not stays as it is."""
         parts = [model.adaptation(dt) for model in self._motions]
         if all(part is None for part in parts):
             return None
         one = dt.new_ones(2)
-        nothing = Adaptation(dt.new_zeros(self.size, self.dims), one, 0 * one)
-        columns = zip(*(nothing if part is None else part for part in parts), strict=True)
-        return Adaptation(*(_stacked(column, place) for column, place in zip(columns, (-3, -2, -2), strict=True)))
+        none = Adaptation(dt.new_zeros(self.size, self.dims), one, 0 * one)
+        columns = zip(*(none if part is None else part for part in parts), strict=True)
+        return Adaptation(*(_stack(column, event) for column, event in zip(columns, (2, 1, 1), strict=True)))
 
     @property
     def _motions(self) -> list[Motion]:
@@ -105,18 +123,19 @@ class Bank(Motion):
 
 
 class Embedded(Motion):
-    """A motion of a smaller state as one of a larger: taken out, moved on, and put back.
+    """A linear motion of a smaller state as one of a larger: ``into F out``.
 
     Args:
-        motion: linear.
-        out: ``(k, n)`` from the larger state to the motion's own.
+        motion: linear, of ``k`` components.
+        out: ``(k, n)`` from the larger state to that of the motion.
         into: ``(n, k)`` back; what it does not reach is 0 after a step.
-        orders: of the larger state.
+        orders: derivatives in the larger state, which has ``n = motion.dims * orders`` components.
 
     Raises:
         ValueError: shapes that do not fit, or a motion that is not linear.
     """
 
+    linear = True
     out: Tensor
     into: Tensor
 
@@ -127,7 +146,7 @@ class Embedded(Motion):
             raise ValueError(
                 f"out, into: expected ({k}, {n}) and ({n}, {k}), received {tuple(out.shape)} and {tuple(into.shape)}"
             )
-        if motion.transition(torch.ones((), dtype=torch.float64)) is None:
+        if not motion.linear:
             raise ValueError(f"motion: expected a linear one, received {type(motion).__name__}")
         self.inside = motion
         self.register_buffer("out", out)
@@ -135,28 +154,26 @@ class Embedded(Motion):
 
     def transition(self, dt: Tensor) -> Tensor:
         """``F (..., n, n)`` for ``dt (...)``."""
-        matrix = self.inside.transition(dt)
-        assert matrix is not None
-        return self.into.to(dt) @ matrix @ self.out.to(dt)
+        return self.into.to(dt) @ self.inside.transition(dt) @ self.out.to(dt)
 
     def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
-        """See ``Motion``."""
-        own = self.inside.shift(dt, u)
-        return None if own is None else (self.into.to(dt) @ own.unsqueeze(-1)).squeeze(-1)
+        """The known change ``(..., n)`` of the smaller state, put into the larger."""
+        shift = self.inside.shift(dt, u)
+        return None if shift is None else apply(self.into.to(dt), shift)
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., n, q)`` for ``dt (...)``."""
+        """``S_Q (..., n, r)`` for ``dt (...)``."""
         return self.into.to(dt) @ self.inside.process_noise(dt)
 
 
 def aircraft(q: Value = 4.0, dims: int = 2) -> Bank:
     """Seven motions for aircraft and gliders: straight on, accelerating, turns of 3 and 12 deg/s to both sides.
 
-    The current statistical model, of up to 1 g, stands for all that the others are not.  Four run at a time where only
-    some do (``presets.vsimm_srckf``).
+    The current statistical model, of up to 1 g, stands for every manoeuvre that the others do not describe.  Where only
+    some models run at a time (``presets.vsimm_srckf``), it is four.
 
     Args:
-        q: variance of the noise acceleration, m^2/s^4; straight flight has a fortieth.
+        q: variance of the acceleration noise, m^2/s^4; straight flight has a fortieth.
         dims: dimensions of space.
     """
     turns = [CoordinatedTurn(math.radians(side * rate), q, dims, orders=3) for rate in (3.0, 12.0) for side in (1, -1)]
@@ -170,8 +187,7 @@ def aircraft(q: Value = 4.0, dims: int = 2) -> Bank:
     return Bank(models, neighbours=neighbours, first=(0, 2, 3, 4))
 
 
-def _stacked(parts: Sequence[Tensor], place: int) -> Tensor:
-    """Side by side at ``place``, batches broadcast."""
-    event = -place - 1
+def _stack(parts: Sequence[Tensor], event: int) -> Tensor:
+    """One for each model, stacked in front of their last ``event`` dimensions, batches broadcast."""
     batch = torch.broadcast_shapes(*(part.shape[: part.dim() - event] for part in parts))
-    return torch.stack([part.expand(batch + part.shape[part.dim() - event :]) for part in parts], place)
+    return torch.stack([part.expand(batch + part.shape[part.dim() - event :]) for part in parts], -1 - event)

@@ -1,106 +1,168 @@
-"""How targets move: the transition and a square root of the process noise, both following the time step.
-
-States list positions first, then velocities, then accelerations: ``[x, y, vx, vy, ax, ay]`` in m, m/s, m/s^2.
-"""
+"""What every motion is: how a state evolves over a time step, and the process noise that the step adds."""
 
 from __future__ import annotations
 
 import re
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.distributions import constraints
-from torch.nn.functional import pad
 
 from torchfra.angles import wrap
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.triangular import apply
+from torchfra.motion.blocks import acceleration_gain
 from torchfra.tree import event_ranks
 
 
-@event_ranks(lift=2, size=1, slope=1)
+@event_ranks(response=2, scale=1, decrease=1)
 class Adaptation(NamedTuple):
-    """How a linear motion follows the acceleration that is estimated before a step, taken as known."""
+    """How a step of a linear motion depends on the acceleration estimated before it, which is taken as known."""
 
-    lift: Tensor
-    """``(..., n, dims)`` what one unit of it adds to the state."""
-    size: Tensor
-    """``(..., 2)`` factor of the noise for a positive and a negative one."""
-    slope: Tensor
-    """``(..., 2)`` what the size of one takes off that factor, as a share per m/s^2, down to 0."""
+    response: Tensor
+    """``(..., n, dims)`` what an acceleration of 1 m/s^2 adds to the state over the step."""
+    scale: Tensor
+    """``(..., 2)`` factor on the root of the process noise near 0, for positive and for negative accelerations."""
+    decrease: Tensor
+    """``(..., 2)`` share of that factor that each m/s^2 takes off, until 0 is left; for either sign."""
 
-    def __call__(self, mean: Tensor, shift: Tensor | None, noise: Tensor) -> tuple[Tensor, Tensor]:
-        """Shift ``(..., n)`` and noise ``(..., n, q)`` of a step from ``mean (..., n)``."""
-        dims = self.lift.shape[-1]
-        level = mean[..., -dims:]
-        size, slope = (torch.where(level < 0, x[..., 1:], x[..., :1]) for x in (self.size, self.slope))
-        scale = size * (1 - slope * level.abs()).clamp_min(0.0)
-        scale = torch.cat([scale] * (mean.shape[-1] // dims), -1)
-        own = apply(self.lift, level)
-        return own if shift is None else shift + own, noise * scale.unsqueeze(-1)
+    def __call__(self, mean: Tensor, shift: Tensor | None, process_noise: Tensor) -> tuple[Tensor, Tensor]:
+        """Shift ``(..., n)`` and root of the process noise ``(..., n, q)`` of a step from ``mean (..., n)``."""
+        dims = self.response.shape[-1]
+        acceleration = mean[..., -dims:]
+        scale, decrease = (torch.where(acceleration < 0, x[..., 1:], x[..., :1]) for x in (self.scale, self.decrease))
+        factor = scale * (1 - decrease * acceleration.abs()).clamp_min(0.0)
+        factor = torch.cat([factor] * (mean.shape[-1] // dims), -1)
+        added = apply(self.response, acceleration)
+        return added if shift is None else shift + added, process_noise * factor.unsqueeze(-1)
 
 
 class Motion(nn.Module):
-    """Abstract: how a state goes on over ``dt``, and how uncertain that is.
+    """Abstract: how a state evolves over ``dt`` seconds, and with what process noise.
 
-    A linear motion gives ``transition``, any other ``forward``; either may replace ``noise`` and ``shift``.
+    A motion of one's own is a subclass that gives
+
+    - if it is linear, ``linear = True`` and ``transition(dt)``, with ``shift(dt, u)`` for a known change on top:
+      filters then carry means and covariances exactly, without sigma points;
+    - if it is not, ``forward(x, dt, u)``;
+    - ``process_noise(dt)``, unless the default below is right;
+    - ``angles``, ``process_noise_at``, ``canonical`` and ``describe`` where the defaults are not right.
+
+    Shapes: filters call ``forward`` with ``x (..., n)``, ``dt (...)`` and ``u (..., k)`` (or None) that all have the
+    same ``...``, sigma points first and then the batch: it must treat every entry of ``...`` alike and give
+    ``(..., n)``.  ``transition``, ``shift`` and ``process_noise`` are called once for all steps of a sequence: ``dt``
+    has no dimensions, or is ``(T, ...)`` or ``(...)``, ``u`` is ``(T, ..., k)``, and what they give broadcasts with the
+    batch.  Values that may be learned are ``Hyper``; ``self.q(dt)`` reads one in the dtype and on the device of dt.
+
+    States list positions first, then velocities, then accelerations, ``[x, y, vx, vy, ax, ay]`` in m, m/s, m/s^2,
+    unless ``position`` and ``velocity`` say otherwise.
 
     Args:
-        dims: dimensions of space; they come first in the state.
-        orders: derivatives in the state, position included: 2 up to velocity, 3 up to acceleration.
-        q: variance of the noise acceleration, m^2/s^4, constant over a step and independent between steps and axes
+        dims: dimensions of space, of which there are positions in the state.
+        orders: derivatives in the state, the position included: 2 up to velocity, 3 up to acceleration.
+        q: variance of the acceleration noise, m^2/s^4, constant over a step and independent between steps and axes
             (so that two short steps are not the same as a long one).  A tensor broadcasts with the batch.  None for a
-            motion that has its noise from elsewhere.
+            motion with a ``process_noise`` of another kind.
+        size: components of the state, ``n``; by default ``dims * orders``.
+        position: which components are the position; by default the first ``dims``.
+        velocity: which are the velocity; by default the ``dims`` after those, as far as there are any.
 
     Raises:
-        ValueError: ``dims`` below 1, ``q`` below 0.
+        ValueError: ``dims`` or ``size`` below 1, ``q`` below 0.
+        TypeError: (where the class is defined) ``linear = True`` without a ``transition``, or the other way round.
     """
 
-    stacked = 0
-    """Dimensions between batch and state in what it gives: 1 for several motions side by side."""
+    linear: bool = False
+    """Whether the motion is linear and ``transition`` gives its matrix; a property where it depends on the instance."""
+    size: int
+    """Components of the state, ``n``."""
+    position: slice
+    """Components that are the position, or tell where the target is in other coordinates."""
+    velocity: slice
+    """Components that are the velocity, or the rates of other coordinates; empty if the state has none."""
     angles: tuple[int, ...] = ()
-    """Components of the state that are angles, rad."""
+    """Components of the state that are angles, rad: differences of states wrap them."""
+    stacked = 0
+    """Dimensions that this motion puts between batch and state: 1 for a ``Bank``, several motions side by side."""
 
-    def __init__(self, dims: int, orders: int, q: Value | None) -> None:
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        gives = cls.transition is not Motion.transition
+        if isinstance(cls.linear, bool) and cls.linear != gives:
+            expected = "a transition, received none" if cls.linear else "linear = True beside its transition"
+            raise TypeError(f"{cls.__name__}: linear is {cls.linear}: expected {expected}")
+
+    def __init__(
+        self,
+        dims: int,
+        orders: int,
+        q: Value | None,
+        *,
+        size: int | None = None,
+        position: slice | None = None,
+        velocity: slice | None = None,
+    ) -> None:
         super().__init__()
         if dims < 1:
             raise ValueError(f"dims: expected 1 or more dimensions of space, received {dims}")
-        self.dims, self.orders, self.size = dims, orders, dims * orders
-        self.position, self.velocity = slice(0, dims), slice(dims, 2 * dims)
+        self.dims, self.orders = dims, orders
+        self.size = dims * orders if size is None else size
+        if self.size < 1:
+            raise ValueError(f"size: expected 1 or more components of the state, received {self.size}")
+        self.position = slice(0, dims) if position is None else position
+        self.velocity = slice(dims, 2 * dims) if velocity is None else velocity
         if q is not None:
             self.q = Hyper(q, constraints.nonnegative, name="q")
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
-        """The state ``(..., n)`` after ``dt (...)`` seconds, without noise."""
+        """The state ``(..., n)`` that ``x (..., n)`` becomes after ``dt (...)`` seconds, without process noise.
+
+        ``u (..., k)`` is what the models need to know of the step.  A linear motion need not give this: its
+        ``transition`` and ``shift`` do, for any ``dt`` and ``u`` that broadcast with ``x``.
+        """
+        if not self.linear:
+            raise TypeError(f"{type(self).__name__}: expected a forward, or linear = True and a transition")
         matrix, shift = self.transition(dt), self.shift(dt, u)
-        if matrix is None:
-            raise TypeError(f"{type(self).__name__} needs a forward or a transition")
         return apply(matrix, x) if shift is None else apply(matrix, x) + shift
 
-    def transition(self, dt: Tensor) -> Tensor | None:
-        """``F (..., n, n)`` for ``dt (...)`` if the motion is linear: filters then carry it exactly, without points."""
-        return None
+    def at_points(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
+        """``forward`` for points ``x (p, ..., n)`` of one step ``dt (...)``, ``u (..., k)``: ``(p, ..., n)``.
+
+        Rules call this.  It expands ``dt`` and ``u`` to the points, so that ``forward`` gets three tensors of the same
+        ``...``; a motion that would compute the same for every point of them may do better.
+        """
+        if self.linear:
+            return self.forward(x, dt, u)
+        return self.forward(x, dt.expand(x.shape[:-1]), u if u is None else u.expand(*x.shape[:-1], -1))
+
+    def transition(self, dt: Tensor) -> Tensor:
+        """``F (..., n, n)`` for ``dt (...)``, of linear motions."""
+        raise TypeError(f"{type(self).__name__}: expected a linear motion, this has no transition")
 
     def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
         """A known change of the state, ``(..., n)``, on top of a linear transition: control, or a moving frame."""
         return None
 
     def adaptation(self, dt: Tensor) -> Adaptation | None:
-        """How shift and noise follow the state that a step starts from, if they do."""
+        """How shift and process noise follow the state that a step starts from, if they do; of linear motions."""
         return None
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, dims)`` for ``dt (...)``: a root of the process noise covariance, ``sqrt(q) [dt^2/2; dt; 1]``.
 
+        Any ``(..., n, r)`` will do whose product with its transpose is the covariance.
+
         Source: Wang et al. (2021), eqs. (3)-(4).
         """
-        gain = _taylor(dt, torch.arange(2, 2 - self.orders, -1, device=dt.device))
-        return _per_axis((self.q(dt).sqrt().unsqueeze(-1) * gain).unsqueeze(-1), self.dims)
+        return acceleration_gain(dt, self.q(dt), range(2, 2 - self.orders, -1), self.dims)
 
-    def process_noise_at(self, noise: Tensor, mean: Tensor) -> Tensor:
-        """The root of the process noise ``(..., n, q)`` at a predicted mean ``(..., n)``, if it depends on that."""
-        return noise
+    def process_noise_at(self, process_noise: Tensor, mean: Tensor) -> Tensor:
+        """The root ``(..., n, r)`` of ``process_noise`` mapped to a predicted mean ``(..., n)``, if it depends on that.
+
+        Asked of motions that are not linear.
+        """
+        return process_noise
 
     def difference(self, a: Tensor, b: Tensor) -> Tensor:
         """``a - b`` of states ``(..., n)``, angles within half a turn."""
@@ -111,37 +173,13 @@ class Motion(nn.Module):
         return torch.where(turns, wrap(gap), gap)
 
     def canonical(self, mean: Tensor) -> Tensor:
-        """The same state ``(..., n)`` with its angles as this motion writes them."""
+        """The same state ``(..., n)`` with its angles in the range that this motion writes them in."""
         return mean
 
     def describe(self) -> str:
-        """For people: what it is, in a few words."""
+        """What the motion is, in a few words for tables and messages: by default the words of the class's name."""
         return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(self).__name__).lower()
 
     def extra_repr(self) -> str:
         """Dimensions of space and of the state."""
         return f"dims={self.dims}, size={self.size}"
-
-
-def _two_or_three(orders: int) -> int:
-    if orders not in (2, 3):
-        raise ValueError(f"orders: expected 2 or 3, received {orders}")
-    return orders
-
-
-def _wider(matrix: Tensor, size: int) -> Tensor:
-    """Filled up with zeros to ``(..., size, size)``."""
-    return pad(matrix, (0, size - matrix.shape[-1], 0, size - matrix.shape[-2]))
-
-
-def _taylor(dt: Tensor, power: Tensor) -> Tensor:
-    """``dt^k / k!`` for every k in ``power``, in a new last dimension (or, for a square of powers, the last of dt)."""
-    factorial = torch.exp(torch.lgamma(power.to(dt) + 1)).round()
-    return dt.unsqueeze(-1) ** power / factorial
-
-
-def _per_axis(block: Tensor, dims: int) -> Tensor:
-    """Kronecker product with the identity over the axes: ``(..., a, b) -> (..., a dims, b dims)``."""
-    eye = torch.eye(dims, dtype=block.dtype, device=block.device)
-    product = block.unsqueeze(-2).unsqueeze(-1) * eye.unsqueeze(-2)
-    return product.flatten(-2).flatten(-3, -2)

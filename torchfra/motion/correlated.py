@@ -1,6 +1,6 @@
-"""Motions driven by noise all the time: white jerk, Singer's, and the current statistical model.
+"""Motions driven by process noise in continuous time: white jerk, Singer's, and the current statistical model.
 
-States ``[position, velocity, acceleration]``, ``da/dt = -alpha (a - level) + noise``.
+States ``[position, velocity, acceleration]``, ``da/dt = -alpha (a - level) + process noise``.
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ from torch.distributions import constraints
 
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.triangular import tria
-from torchfra.motion.base import Adaptation, Motion, _per_axis
+from torchfra.motion.base import Adaptation, Motion
+from torchfra.motion.blocks import per_axis, scaled_per_axis
 from torchfra.motion.polynomial import ConstantAcceleration
 
 
 class WhiteJerk(ConstantAcceleration):
-    """Constant acceleration, disturbed all the time by a white jerk: two short steps are the same as a long one.
+    """Constant acceleration, disturbed by a white jerk in continuous time: two short steps are the same as a long one.
 
     Args:
         q: its power spectral density, m^2/s^5: variance of the acceleration that a second adds.
@@ -34,25 +35,27 @@ class WhiteJerk(ConstantAcceleration):
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, n)`` for ``dt (...)``."""
-        return _per_axis(self.q(dt).sqrt()[..., None, None] * _root(torch.zeros_like(dt), dt), self.dims)
+        return scaled_per_axis(self.q(dt).sqrt(), white_noise_root(torch.zeros_like(dt), dt), self.dims)
 
 
 class Singer(Motion):
-    """Acceleration of zero mean, correlated over some ``1 / alpha`` seconds.
+    """Acceleration of zero mean, correlated over about ``1 / alpha`` seconds.
 
     Args:
         q: variance of the acceleration itself, m^2/s^4.
-        alpha: 1/s; towards 0 it is constant acceleration.
+        alpha: rate at which the correlation decays, 1/s; towards 0 the acceleration is constant.
         dims: dimensions of space.
 
-    The root of the process noise comes from its integral by Gauss' rule, which has no cancellation for small ``alpha
-    dt``; it is exact to rounding for ``alpha dt`` up to 16.
+    The root of the process noise comes from its integral by Gauss-Legendre quadrature, which has no cancellation for
+    small ``alpha dt``; it is exact to rounding for ``alpha dt`` up to 16.
 
     Raises:
         ValueError: a value out of its range.
 
     Source: Singer (1970), "Estimating Optimal Tracking Filter Performance for Manned Maneuvering Targets".
     """
+
+    linear = True
 
     def __init__(self, q: Value, alpha: Value, dims: int = 2) -> None:
         super().__init__(dims, 3, q)
@@ -64,29 +67,29 @@ class Singer(Motion):
         one, zero = torch.ones_like(rows[0]), torch.zeros_like(rows[0])
         ahead = dt.expand_as(one)
         block = torch.stack([one, ahead, rows[0], zero, one, rows[1], zero, zero, rows[2]], -1)
-        return _per_axis(block.unflatten(-1, (3, 3)), self.dims)
+        return per_axis(block.unflatten(-1, (3, 3)), self.dims)
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, n)`` for ``dt (...)``."""
-        return _per_axis(self.q(dt).sqrt()[..., None, None] * self._root(dt), self.dims)
+        return scaled_per_axis(self.q(dt).sqrt(), self._unit_root(dt), self.dims)
 
-    def _root(self, dt: Tensor) -> Tensor:
-        """Of the noise covariance of one axis, ``(..., 3, 3)``, for an acceleration of variance 1."""
+    def _unit_root(self, dt: Tensor) -> Tensor:
+        """Root of the process noise of one axis, ``(..., 3, 3)``, for an acceleration of variance 1."""
         alpha = self.alpha(dt)
-        root: Tensor = (2 * alpha).sqrt()[..., None, None] * _root(alpha, dt)
+        root: Tensor = (2 * alpha).sqrt()[..., None, None] * white_noise_root(alpha, dt)
         return root
 
 
 class CurrentStatistical(Singer):
-    """Singer's motion around the acceleration of the moment, of which more is the less likely the nearer the limit.
+    """Singer's motion around the current acceleration, with less process noise the nearer that is to its limit.
 
-    The level is the estimated acceleration before the step, taken as known; the variance is that of a Rayleigh density
-    between the level and the limit, ``(4 - pi) / pi (limit - |level|)^2`` per axis, and 0 beyond it.
+    The mean acceleration is the one estimated before the step, taken as known; the variance around it is that of a
+    Rayleigh density between it and the limit, ``(4 - pi) / pi (limit - |mean|)^2`` per axis, and 0 beyond the limit.
 
     Args:
-        alpha: 1/s.
+        alpha: rate at which the correlation decays, 1/s.
         limit: largest acceleration, m/s^2.
-        below: largest acceleration the other way, m/s^2; ``limit`` if None.
+        below: largest acceleration in the negative direction, m/s^2; ``limit`` if None.
         dims: dimensions of space.
 
     Raises:
@@ -103,23 +106,23 @@ class CurrentStatistical(Singer):
         self.below = None if below is None else Hyper(below, name="below")
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., n, n)`` for ``dt (...)`` at no acceleration."""
+        """``S_Q (..., n, n)`` for ``dt (...)`` at an acceleration of 0."""
         spread = math.sqrt((4 - math.pi) / math.pi) * self.limit(dt)
-        return _per_axis(spread[..., None, None] * self._root(dt), self.dims)
+        return scaled_per_axis(spread, self._unit_root(dt), self.dims)
 
     def adaptation(self, dt: Tensor) -> Adaptation:
-        """See ``Motion``: the level moves the state, and scales the noise of each axis."""
+        """The estimated acceleration shifts the state and scales the process noise, axis by axis."""
         rows = _response(self.alpha(dt), dt)
         moved = torch.stack([dt**2 / 2 - rows[0], dt - rows[1], 1 - rows[2]], -1)
         limit, below = ((x or self.limit)(dt) for x in (self.limit, self.below))
         limit, below, _ = torch.broadcast_tensors(limit, below, dt)
-        size, slope = torch.stack([limit / limit, below / limit], -1), torch.stack([1 / limit, 1 / below], -1)
-        return Adaptation(_per_axis(moved.unsqueeze(-1), self.dims), size, slope)
+        scale, decrease = torch.stack([limit / limit, below / limit], -1), torch.stack([1 / limit, 1 / below], -1)
+        return Adaptation(per_axis(moved.unsqueeze(-1), self.dims), scale, decrease)
 
 
-def _root(alpha: Tensor, dt: Tensor) -> Tensor:
-    """Of the noise covariance of one axis, ``(..., 3, 3)``, for white noise of density 1."""
-    at, weight = (torch.tensor(x, dtype=dt.dtype, device=dt.device) for x in _gauss())
+def white_noise_root(alpha: Tensor, dt: Tensor) -> Tensor:
+    """Root of the process noise of one axis, ``(..., 3, 3)``, for white noise of density 1 on the acceleration."""
+    at, weight = (torch.tensor(x, dtype=dt.dtype, device=dt.device) for x in _gauss_legendre())
     alpha, dt = torch.broadcast_tensors(alpha, dt)
     columns = torch.stack(_response(alpha.unsqueeze(-1), dt.unsqueeze(-1) * at), -2)
     return tria(columns * dt.sqrt()[..., None, None] * weight.sqrt())
@@ -128,11 +131,11 @@ def _root(alpha: Tensor, dt: Tensor) -> Tensor:
 def _response(alpha: Tensor, dt: Tensor) -> list[Tensor]:
     """What an acceleration of 1 becomes after ``dt``: position, velocity and acceleration."""
     x = -alpha * dt
-    one, two = _phi(x)
+    one, two = _exponential_quotients(x)
     return [dt**2 * two, dt * one, x.exp()]
 
 
-def _phi(x: Tensor) -> tuple[Tensor, Tensor]:
+def _exponential_quotients(x: Tensor) -> tuple[Tensor, Tensor]:
     """``(e^x - 1) / x`` and ``(e^x - 1 - x) / x^2``, smooth at 0."""
     small = x.abs() < 0.5
     safe = torch.where(small, -1.0, x)
@@ -145,7 +148,7 @@ def _phi(x: Tensor) -> tuple[Tensor, Tensor]:
 
 
 @lru_cache(maxsize=1)
-def _gauss() -> tuple[list[float], list[float]]:
-    """Nodes and weights on [0, 1]."""
+def _gauss_legendre() -> tuple[list[float], list[float]]:
+    """Nodes and weights of 20 points on [0, 1]."""
     at, weight = np.polynomial.legendre.leggauss(20)
     return ((at + 1) / 2).tolist(), (weight / 2).tolist()

@@ -6,15 +6,16 @@ import torch
 from torch import Tensor
 
 from torchfra.angles import turned
-from torchfra.coordinates import AZIMUTH, ELEVATION, _from_east, from_cartesian, jacobian, to_cartesian
-from torchfra.linalg.triangular import apply
+from torchfra.coordinates import AZIMUTH, ELEVATION, PLACE, RATES, from_cartesian, from_east, jacobian, to_cartesian
 from torchfra.motion.base import Motion
 
 
 class Spherical(Motion):
-    """A Cartesian motion as one of modified spherical coordinates: there, a step, and back.
+    """A Cartesian motion as one of modified spherical coordinates: a state is mapped there, moved and mapped back.
 
-    The process noise is that of the Cartesian motion, mapped at the predicted mean.
+    States are those of ``torchfra.coordinates``: rates first, then azimuth, elevation and inverse range, so that
+    ``velocity`` is ``slice(0, 3)`` and ``position`` ``slice(3, 6)``.  The process noise is that of the Cartesian
+    motion, mapped at the predicted mean.
 
     Args:
         motion: in space, of states ``[position, velocity]`` relative to the sensor: ``ConstantVelocity(q, 3)``,
@@ -22,9 +23,9 @@ class Spherical(Motion):
         azimuth_from: ``"north"``, clockwise, or ``"east"``, counter-clockwise.
 
     Raises:
-        ValueError: a motion of other states.
+        ValueError: a motion of other states, or an unknown ``azimuth_from``.
 
-    Source: Chen, Zou & Wu, eqs. (3)-(7).  Differs: they add a process noise whose form is lost.
+    Source: Chen, Zou & Wu, eqs. (3)-(7).  Differs: they add a process noise whose form the text does not show.
     """
 
     angles = (AZIMUTH,)
@@ -32,35 +33,32 @@ class Spherical(Motion):
     def __init__(self, motion: Motion, azimuth_from: str = "north") -> None:
         if (motion.dims, motion.size) != (3, 6) or motion.stacked:
             raise ValueError(f"motion: expected one of 3 positions and 3 velocities, received {motion.describe()}")
-        _from_east(azimuth_from)
-        super().__init__(3, 2, None)
+        from_east(azimuth_from)
+        super().__init__(3, 2, None, position=PLACE, velocity=RATES)
         self.cartesian, self.azimuth_from = motion, azimuth_from
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
-        """See ``Motion``."""
-        start = to_cartesian(x, self.azimuth_from)
-        once = dt.squeeze(-1) if dt.dim() and dt.shape[-1] == 1 else dt  # the same for all points of a rule
-        matrix = self.cartesian.transition(once)
-        if matrix is None:
-            moved = self.cartesian(start, dt, u)
-        else:
-            shift = self.cartesian.shift(dt, u)
-            wide = matrix.unsqueeze(-3) if once is not dt and matrix.dim() > 2 else matrix
-            moved = apply(wide, start) if shift is None else apply(wide, start) + shift
+        """The state ``(..., 6)`` after ``dt (...)`` seconds, without process noise."""
+        moved = self.cartesian(to_cartesian(x, self.azimuth_from), dt, u)
+        return from_cartesian(moved, self.azimuth_from)
+
+    def at_points(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
+        """``forward`` for points ``(p, ..., 6)`` of one step: one transition serves them all."""
+        moved = self.cartesian.at_points(to_cartesian(x, self.azimuth_from), dt, u)
         return from_cartesian(moved, self.azimuth_from)
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., 6, q)`` in Cartesian coordinates."""
+        """``S_Q (..., 6, r)`` in Cartesian coordinates."""
         return self.cartesian.process_noise(dt)
 
-    def process_noise_at(self, noise: Tensor, mean: Tensor) -> Tensor:
-        """See ``Motion``: eqs. (4), (15)."""
-        return jacobian(mean, self.azimuth_from) @ noise
+    def process_noise_at(self, process_noise: Tensor, mean: Tensor) -> Tensor:
+        """The root in modified spherical coordinates, at a predicted mean ``(..., 6)``: eqs. (4), (15)."""
+        return jacobian(mean, self.azimuth_from) @ process_noise
 
     def canonical(self, mean: Tensor) -> Tensor:
-        """See ``Motion``."""
+        """The same state ``(..., 6)`` with its azimuth in [0, 2 pi)."""
         return torch.cat([mean[..., :AZIMUTH], turned(mean[..., AZIMUTH:ELEVATION]), mean[..., ELEVATION:]], -1)
 
     def describe(self) -> str:
-        """See ``Motion``."""
+        """The Cartesian motion, and that it runs in these coordinates."""
         return f"{self.cartesian.describe()} in modified spherical coordinates"

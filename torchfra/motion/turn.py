@@ -9,7 +9,9 @@ from torch import Tensor
 from torch.distributions import constraints
 
 from torchfra.hyper import Hyper, Value
-from torchfra.motion.base import Motion, _per_axis, _taylor, _two_or_three, _wider
+from torchfra.motion.base import Motion
+from torchfra.motion.blocks import acceleration_gain, zero_padded
+from torchfra.motion.polynomial import check_orders
 
 
 class CoordinatedTurn(Motion):
@@ -19,24 +21,26 @@ class CoordinatedTurn(Motion):
 
     Args:
         rate: rad/s, counter-clockwise from x to y; a tensor broadcasts with the batch.
-        q: variance of the noise acceleration, m^2/s^4.
+        q: variance of the acceleration noise, m^2/s^4.
         dims: dimensions of space, 2 or more.
         orders: 3 for states with an acceleration, which after each step is that of the turn.
 
     Raises:
-        ValueError: ``dims`` below 2, ``rate`` not a number, ``q`` below 0, ``orders`` neither 2 nor 3.
+        ValueError: ``dims`` below 2, ``rate`` NaN or infinite, ``q`` below 0, ``orders`` neither 2 nor 3.
 
     Source: Li & Jilkov (2003), "Survey of Maneuvering Target Tracking. Part I", eq. (61).
     """
 
+    linear = True
+
     def __init__(self, rate: Value, q: Value, dims: int = 2, *, orders: int = 2) -> None:
         if dims < 2:
             raise ValueError(f"dims: expected 2 or more dimensions for a turn, received {dims}")
-        super().__init__(dims, _two_or_three(orders), q)
+        super().__init__(dims, check_orders(orders), q)
         self.rate = Hyper(rate, constraints.real, name="rate")
 
     def describe(self) -> str:
-        """See ``Motion``."""
+        """The turn with its rate, if that is a single one."""
         rates = self.rate().detach()
         return f"turn {math.degrees(rates):+.3g} deg/s" if rates.dim() == 0 else "turn"
 
@@ -48,15 +52,13 @@ class CoordinatedTurn(Motion):
         moved, turned = self._plane(along, across), self._plane(angle.cos(), angle.sin())
         still = torch.eye(self.dims, dtype=dt.dtype, device=dt.device).expand_as(turned)
         top, bottom = torch.cat([still, dt[..., None, None] * moved], -1), torch.cat([still * 0, turned], -1)
-        return self._with_acceleration(torch.cat([top, bottom], -2))
+        return zero_padded(self._with_acceleration(torch.cat([top, bottom], -2)), self.size)
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, dims)``: ``sqrt(q) [dt^2/2; dt]``, and what the turn makes of the velocity."""
-        gain = _taylor(dt, torch.tensor([2, 1], device=dt.device))
-        root = _per_axis((self.q(dt).sqrt().unsqueeze(-1) * gain).unsqueeze(-1), self.dims)
-        return self._with_acceleration(root, square=False)
+        return self._with_acceleration(acceleration_gain(dt, self.q(dt), (2, 1), self.dims))
 
-    def _with_acceleration(self, matrix: Tensor, square: bool = True) -> Tensor:
+    def _with_acceleration(self, matrix: Tensor) -> Tensor:
         """The rows of position and velocity, and below them those of the acceleration if the state has it."""
         if self.orders == 2:
             return matrix
@@ -68,10 +70,10 @@ class CoordinatedTurn(Motion):
         )
         velocity = matrix[..., self.dims :, :]
         batch = torch.broadcast_shapes(across.shape[:-2], velocity.shape[:-2])
-        rows = torch.cat([matrix.expand(batch + matrix.shape[-2:]), across @ velocity], -2)
-        return _wider(rows, self.size) if square else rows
+        return torch.cat([matrix.expand(batch + matrix.shape[-2:]), across @ velocity], -2)
 
     def _plane(self, c: Tensor, s: Tensor) -> Tensor:
+        """``(..., dims, dims)``: ``[[c, -s], [s, c]]`` in the plane of the turn, 1 on the other axes."""
         rows = torch.stack([torch.stack([c, -s], -1), torch.stack([s, c], -1)], -2)
         rest = torch.eye(self.dims, dtype=c.dtype, device=c.device)[2:]
         rows = torch.nn.functional.pad(rows, (0, self.dims - 2))

@@ -30,7 +30,7 @@ class Growth(Motion):
         self.q = Hyper(q, constraints.nonnegative, name="q")
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
-        """See ``Motion``; ``dt`` is not looked at."""
+        """The state ``(..., 1)`` one step on, without process noise; ``dt`` is not used."""
         if u is None:
             raise ValueError("u: expected the number of the step, (..., 1), received None")
         moved: Tensor = x / 2 + 25 * x / (1 + x.square()) + 8 * (1.2 * (u - 1)).cos()
@@ -53,7 +53,7 @@ class Square(Sensor):
         super().__init__(1, [False], std, None)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
-        """See ``Sensor``."""
+        """The measurement ``(..., 1)`` of states, without noise."""
         return x[..., :1].square() / 20
 
 

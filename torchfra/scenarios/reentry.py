@@ -42,13 +42,12 @@ class Reentry(Motion):
             raise ValueError(
                 f"method, substeps: expected 'euler' or 'rk4' and 1 or more, received {method!r}, {substeps}"
             )
-        super().__init__(2, 2, q)
-        self.size = 5
+        super().__init__(2, 2, q, size=5)
         self.q_parameter = Hyper(q_parameter, constraints.nonnegative, name="q_parameter")
         self.method, self.substeps = method, substeps
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
-        """See ``Motion``."""
+        """The state ``(..., 5)`` after ``dt (...)`` seconds, without process noise."""
         h = dt.unsqueeze(-1) / self.substeps
         for _ in range(self.substeps):
             slope = self.slope(x)

@@ -1,13 +1,11 @@
-"""What sensors measure: the function, the difference of two measurements (angles wrap), and the noise.
-
-Bearings count clockwise from the +y axis (north), ``atan2(dx, dy)``.
-"""
+"""What every sensor is: a function of the state, the difference of two measurements, and the measurement noise."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -20,21 +18,21 @@ from torchfra.tree import event_ranks
 
 @event_ranks(std=1, scale=1, root=2, mix=2, log_norm=0)
 class MeasurementNoise(NamedTuple):
-    """Measurement noise of a step, ready to divide by.  A missing element weighs nothing."""
+    """Measurement noise of a step, in the form that whitening needs.  A missing element has no weight."""
 
     std: Tensor
     """``(..., m)``, 1 where missing."""
     scale: Tensor
     """``(..., m)`` 1 / std, 0 where missing."""
     root: Tensor | None
-    """``(..., m, m)`` lower root of a noise that is correlated between elements; else None."""
+    """``(..., m, m)`` lower root of a covariance with correlated elements; else None."""
     mix: Tensor | None
     """``(..., m, m)`` its inverse, rows of missing elements zero; else None."""
     log_norm: Tensor
-    """``(...)`` what the noise adds to the log density of the seen elements, constants included."""
+    """``(...)`` what this covariance adds to the log density of the seen elements, constants included."""
 
     def whiten(self, x: Tensor) -> Tensor:
-        """``x (..., m, k)`` in units of the noise."""
+        """``x (..., m, k)`` in units of the measurement noise."""
         return x * self.scale.unsqueeze(-1) if self.mix is None else self.mix @ x
 
     def colour(self, x: Tensor) -> Tensor:
@@ -43,25 +41,52 @@ class MeasurementNoise(NamedTuple):
 
 
 class Sensor(nn.Module):
-    """Abstract: a subclass gives ``forward`` and tells the base its sizes, noise and angles.
+    """Abstract: what is measured of a state, and with what noise.
+
+    A sensor of one's own is a subclass that gives ``forward(x, u)`` and hands its sizes and noise to this class.  All
+    else is optional: ``blocks`` where several devices measure; ``locates`` with ``locate``, and
+    ``measures_each_direction`` with ``units_per_metre``, for gates in metres and clutter that is even in space.
+
+    Shapes: filters call ``forward`` with states ``x (..., d)`` (or more components) and ``u (..., k)`` (or None) that
+    have the same ``...``, the sigma points first: it must treat every entry of ``...`` alike and give ``(..., m)``.
+    Values that may be learned are ``Hyper``s, read as ``self.std(x)`` in the dtype and on the device of ``x``.
 
     Args:
         reads: how many leading state components it looks at, ``d``.
-        angles: for each of the ``m`` elements of a measurement, whether it is an angle in rad.
-        std: standard deviation of the noise, a number or ``(..., m)`` that broadcasts with the batch.
-        noise: instead of ``std``, a root ``(..., m, r)`` of a noise covariance that may be correlated.
+        angles: for each of the ``m`` elements of a measurement, whether it is an angle in rad: differences wrap then.
+        std: standard deviation of the measurement noise, a number or ``(..., m)`` that broadcasts with the batch.
+        noise: instead of ``std``, a root ``(..., m, r)`` of a covariance of measurement noise, which may be correlated.
 
     Raises:
         ValueError: both or neither of ``std`` and ``noise``, a shape that does not fit, a std that is not above 0, a
-            noise covariance that is singular.
+            covariance that is singular.
+        TypeError: (where the class is defined) a class that declares ``locates`` without a ``locate``, or
+            ``measures_each_direction`` without ``units_per_metre``.
     """
 
+    size: int
+    """Elements of a measurement, ``m``."""
+    reads: int
+    """Leading state components that the sensor looks at, ``d``."""
     angles: Tensor
     root: Tensor | None
     blocks: tuple[tuple[int, ...], ...]
-    """Elements of a measurement that share a device and so a trust in its noise; one unless a sensor says more."""
+    """Elements that come from the same device, which share an estimate of the measurement noise; one block by default.
+    """
+    locates: bool = False
+    """Whether a measurement says where in space the target is, as ``locate`` tells; a property where it depends."""
+    measures_each_direction: bool = False
+    """Whether there is one element for each direction of space, so that ``units_per_metre`` makes sense; as above."""
 
-    def __init__(self, reads: int, angles: Sequence[bool], std: Value | None, noise: Tensor | None) -> None:
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        for declared, method in (("locates", "locate"), ("measures_each_direction", "units_per_metre")):
+            if getattr(cls, declared) is True and getattr(cls, method) is getattr(Sensor, method):
+                raise TypeError(f"{cls.__name__}: {declared} is True: expected a {method}, received none")
+
+    def __init__(
+        self, reads: int, angles: Sequence[bool], std: Value | None = None, noise: Tensor | None = None
+    ) -> None:
         super().__init__()
         self.reads, self.size = reads, len(angles)
         self.blocks = (tuple(range(self.size)),)
@@ -74,18 +99,20 @@ class Sensor(nn.Module):
                 raise ValueError(f"std: expected a number or (..., {self.size}), received {tuple(std.shape)}")
             self.std = Hyper(std, event_dim=int(isinstance(std, Tensor) and std.dim() > 0), name="std")
         if noise is not None:
-            if noise.dim() < 2 or noise.shape[-2] != self.size:
-                raise ValueError(f"noise: expected (..., {self.size}, r), received {tuple(noise.shape)}")
-            self.root = tria(noise)
-            rounding = 10 * torch.finfo(noise.dtype).eps * torch.linalg.vector_norm(noise, dim=-1)
-            if not bool((self.root.diagonal(dim1=-2, dim2=-1) > rounding).all()):
-                raise ValueError("noise: expected a root of a covariance that has an inverse, received a singular one")
+            self.root = _checked_root(noise, self.size)
         self._some, self._all = any(angles), all(angles)
         self.register_buffer("angles", torch.tensor(angles), persistent=False)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
-        """The measurement ``(..., m)`` of states ``x (..., d or more)``, without noise, given ``u (..., k)``."""
-        raise TypeError(f"{type(self).__name__} needs a forward")
+        """The measurement ``(..., m)``, without noise, of states ``x (..., d)`` or longer, given ``u (..., k)``."""
+        raise TypeError(f"{type(self).__name__}: expected a forward, received none")
+
+    def at_points(self, x: Tensor, u: Tensor | None = None) -> Tensor:
+        """``forward`` for points ``x (p, ..., d)`` of one step with ``u (..., k)``, expanded to them: ``(p, ..., m)``.
+
+        Rules call this.
+        """
+        return self.forward(x, u if u is None else u.expand(*x.shape[:-1], -1))
 
     def difference(self, a: Tensor, b: Tensor) -> Tensor:
         """``a - b`` of measurements ``(..., m)``, angles wrapped."""
@@ -95,30 +122,28 @@ class Sensor(nn.Module):
         return torch.where(self.angles, wrap(gap), gap) if self._some else gap
 
     def locate(self, z: Tensor) -> Tensor:
-        """Where in space ``(..., dims)`` a measurement ``(..., m)`` lies, m.
+        """Where in space ``(..., dims)`` a measurement ``(..., m)`` lies, m, relative to the sensor.
 
         Raises:
-            ValueError: it does not say where.
+            ValueError: this sensor does not tell (``locates``).
         """
-        raise ValueError(
-            f"sensor: expected one whose measurement says where the target is, received {type(self).__name__}"
-        )
+        raise ValueError(f"sensor: expected one that measures where the target is, received {self.describe()}")
 
-    def metre(self, z: Tensor) -> Tensor:
-        """What a metre of space is in each element of a measurement ``(..., m)``, if each is a direction of space.
+    def units_per_metre(self, z: Tensor) -> Tensor:
+        """By how much each element of a measurement ``(..., m)`` changes per metre of space in its direction.
 
         Raises:
-            ValueError: they are not.
+            ValueError: the elements are not one for each direction (``measures_each_direction``).
         """
-        raise ValueError(f"sensor: expected one that measures each direction of space, received {type(self).__name__}")
+        raise ValueError(f"sensor: expected one that measures each direction of space once, received {self.describe()}")
 
     def measurement_noise(self, z: Tensor, std: Tensor | None = None, root: Tensor | None = None) -> MeasurementNoise:
         """The noise of measurements ``z (..., m)``, of which NaN are missing.
 
         Args:
             z: the measurements.
-            std: ``(..., m)``, to replace the sensor's own noise.
-            root: ``(..., m, m)``, to replace it by a correlated one.
+            std: ``(..., m)`` standard deviations of these measurements, instead of the sensor's.
+            root: ``(..., m, m)`` roots of their covariances, instead of the sensor's.
         """
         seen = ~z.isnan()
         if std is None and root is None:
@@ -127,16 +152,31 @@ class Sensor(nn.Module):
             std = torch.where(seen, std.to(z), 1.0)
             return MeasurementNoise(std, seen / std, None, None, _log_norm(std, seen))
         assert root is not None
-        # A missing element gets a unit of noise of its own, so that it mixes with none of the others.
+        # A missing element gets independent noise of variance 1, so that it mixes with none of the others.
         lower = tria(hstack(torch.where(seen.unsqueeze(-1), root.to(z), 0.0), torch.diag_embed(1.0 - seen.to(z))))
         eye = torch.eye(self.size, dtype=z.dtype, device=z.device).expand_as(lower)
         mix = torch.linalg.solve_triangular(lower, eye, upper=False) * seen.unsqueeze(-1)
         diagonal = lower.diagonal(dim1=-2, dim2=-1)
         return MeasurementNoise(diagonal, seen / diagonal, lower, mix, _log_norm(diagonal, seen))
 
+    def describe(self) -> str:
+        """What the sensor is, in a few words for tables and messages: by default the words of the class's name."""
+        return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(self).__name__).lower()
+
     def extra_repr(self) -> str:
-        """Sizes."""
+        """Sizes of a measurement and of what it looks at."""
         return f"size={self.size}, reads={self.reads}"
+
+
+def _checked_root(noise: Tensor, size: int) -> Tensor:
+    """The lower root ``(..., m, m)`` of a covariance that has an inverse."""
+    if noise.dim() < 2 or noise.shape[-2] != size:
+        raise ValueError(f"noise: expected (..., {size}, r), received {tuple(noise.shape)}")
+    root = tria(noise)
+    rounding = 10 * torch.finfo(noise.dtype).eps * torch.linalg.vector_norm(noise, dim=-1)
+    if not bool((root.diagonal(dim1=-2, dim2=-1) > rounding).all()):
+        raise ValueError("noise: expected a root of a covariance that has an inverse, received a singular one")
+    return root
 
 
 def _log_norm(std: Tensor, seen: Tensor) -> Tensor:

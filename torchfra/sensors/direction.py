@@ -1,4 +1,7 @@
-"""Sensors of directions: bearings from stations, and range with bearing."""
+"""Sensors of directions: bearings from stations, and range with bearing.
+
+Bearings count clockwise from the +y axis (north), ``atan2(dx, dy)``.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +16,13 @@ class Bearings(Sensor):
     """Bearings of the target from stations in the plane, clockwise from +y, rad.
 
     Args:
-        std: of the noise, rad; a number or ``(..., m)`` with one per station.
+        std: of the measurement noise, rad; a number or ``(..., m)`` with one per station.
         count: stations whose positions come with each step: ``u (..., 2 count)`` is ``[x1, y1, x2, y2, ...]``, m.
-        stations: ``(m, 2)`` positions of stations that stand still, m; ``u`` is not looked at then.
-        noise: root of a correlated noise, instead of ``std``.
+        stations: ``(m, 2)`` positions of stations that stand still, m; ``u`` is not used then.
+        noise: instead of ``std``, a root of the covariance of correlated measurement noise.
+
+    Raises:
+        ValueError: ``stations`` of another shape.
 
     Source: Wang et al. (2021), eq. (6), with all four quadrants.
     """
@@ -37,7 +43,7 @@ class Bearings(Sensor):
         self.register_buffer("stations", stations)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
-        """See ``Sensor``."""
+        """The bearing ``(..., m)`` of states from each station."""
         if self.stations is not None:
             stations = self.stations.to(x)
         elif u is not None:
@@ -54,12 +60,17 @@ class RangeBearing(Sensor):
     """Range, bearing clockwise from +y and, in space, elevation above the plane: m, rad, rad.
 
     Args:
-        std: of the noise: ``(..., m)`` in m, rad[, rad].
+        std: of the measurement noise: ``(..., m)`` in m, rad[, rad].
         dims: 2 for range and bearing, 3 with elevation.
-        noise: root of a correlated noise, instead of ``std``.
+        noise: instead of ``std``, a root of the covariance of correlated measurement noise.
 
-    The sensor stands at the origin, or at ``u (..., dims)`` if that is given.
+    The sensor stands at the origin, or at ``u (..., dims)`` if there is a ``u``.
+
+    Raises:
+        ValueError: ``dims`` neither 2 nor 3.
     """
+
+    locates = measures_each_direction = True
 
     def __init__(self, std: Value | None = None, *, dims: int = 2, noise: Tensor | None = None) -> None:
         if dims not in (2, 3):
@@ -67,7 +78,7 @@ class RangeBearing(Sensor):
         super().__init__(dims, [False, True, True][:dims], std, noise)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
-        """See ``Sensor``."""
+        """Range, bearing and, in space, elevation ``(..., dims)`` of states."""
         offset = x[..., : self.size] if u is None else x[..., : self.size] - u[..., : self.size]
         ground = torch.hypot(offset[..., 0], offset[..., 1])
         bearing = torch.atan2(offset[..., 0], offset[..., 1])
@@ -77,13 +88,13 @@ class RangeBearing(Sensor):
         return torch.stack([torch.hypot(ground, up), bearing, torch.atan2(up, ground)], -1)
 
     def locate(self, z: Tensor) -> Tensor:
-        """See ``Sensor``; from where the sensor stands."""
+        """The position ``(..., dims)`` that was measured, from where the sensor stands."""
         level = z[..., 0] if self.size == 2 else z[..., 0] * z[..., 2].cos()
         plane = [level * z[..., 1].sin(), level * z[..., 1].cos()]
         return torch.stack(plane if self.size == 2 else [*plane, z[..., 0] * z[..., 2].sin()], -1)
 
-    def metre(self, z: Tensor) -> Tensor:
-        """See ``Sensor``."""
+    def units_per_metre(self, z: Tensor) -> Tensor:
+        """1 for the range, and for an angle one over the radius of the circle that it runs along."""
         away = z[..., 0]
         one = torch.ones_like(away)
         if self.size == 2:

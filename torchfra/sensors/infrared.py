@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchfra.coordinates import AZIMUTH, CLOSENESS, _from_east, to_cartesian
+from torchfra.coordinates import AZIMUTH, INVERSE_RANGE, from_east, to_cartesian
 from torchfra.hyper import Value, one_of
 from torchfra.sensors.base import Sensor
 
@@ -13,20 +13,21 @@ from torchfra.sensors.base import Sensor
 class InfraredLaser(Sensor):
     """Infrared sensor and laser: azimuth and elevation, rad, and range, m, of modified spherical states.
 
-    Two blocks of noise: ``[azimuth, elevation]`` of the infrared sensor and what the laser measures.  A block that did
-    not measure is NaN.
+    There are two blocks: ``[azimuth, elevation]`` of the infrared sensor and what the laser measures.  A block that was
+    not measured is NaN.
 
     Args:
-        std: of the noise, rad, rad[, rad, rad], m, one for each element.
-        laser: ``"range"``; ``"all"`` for azimuth, elevation and range of its own (five elements); ``"none"`` for the
-            infrared sensor alone, from which the range cannot be told unless the sensor manoeuvres.
+        std: of the measurement noise, rad, rad[, rad, rad], m, one for each element.
+        laser: ``"range"``; ``"all"`` for another azimuth and elevation beside the range (five elements); ``"none"`` for
+            the infrared sensor alone, from which the range is not observable unless the sensor manoeuvres.
         azimuth_from: of the states, see ``Spherical``.
-        noise: root of a correlated noise, instead of ``std``.
+        noise: instead of ``std``, a root of the covariance of correlated measurement noise.
 
     Raises:
         ValueError: an argument that is none of those.
 
-    Source: Chen, Zou & Wu, eqs. (8)-(9).  Differs: what the laser measures is lost; range is our reading.
+    Source: Chen, Zou & Wu, eqs. (8)-(9).  Differs: the text does not show what the laser measures: we
+    assume the range.
     """
 
     def __init__(
@@ -38,33 +39,52 @@ class InfraredLaser(Sensor):
         noise: Tensor | None = None,
     ) -> None:
         one_of(laser=(laser, ("range", "all", "none")))
-        _from_east(azimuth_from)
+        from_east(azimuth_from)
         extra = {"range": [False], "all": [True, True, False], "none": []}[laser]
         super().__init__(6, [True, True, *extra], std, noise)
         self.laser, self.azimuth_from = laser, azimuth_from
-        own = tuple(range(2, self.size))
-        self.blocks = ((0, 1), own) if own else ((0, 1),)
+        of_laser = tuple(range(2, self.size))
+        self.blocks = ((0, 1), of_laser) if of_laser else ((0, 1),)
+
+    @property
+    def locates(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
+        """Whether the laser measures the range."""
+        return self.laser != "none"
+
+    @property
+    def measures_each_direction(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
+        """Whether each angle is measured once, and the range."""
+        return self.laser == "range"
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
-        """See ``Sensor``."""
-        angles, away = x[..., AZIMUTH:CLOSENESS], 1 / x[..., CLOSENESS:]
+        """Angles and ranges ``(..., m)`` of modified spherical states."""
+        angles, away = x[..., AZIMUTH:INVERSE_RANGE], 1 / x[..., INVERSE_RANGE:]
         parts = {"range": [angles, away], "all": [angles, angles, away], "none": [angles]}[self.laser]
         return torch.cat(parts, -1)
 
     def locate(self, z: Tensor) -> Tensor:
-        """See ``Sensor``; by the infrared sensor's angles."""
-        self._needs_range()
+        """The position ``(..., 3)`` that was measured, by the infrared sensor's angles.
+
+        Raises:
+            ValueError: without a range.
+        """
+        if not self.locates:
+            return super().locate(z)
         rates = torch.zeros_like(z[..., :1]).expand(*z.shape[:-1], 3)
         return to_cartesian(torch.cat([rates, z[..., :2], 1 / z[..., -1:]], -1), self.azimuth_from)[..., :3]
 
-    def metre(self, z: Tensor) -> Tensor:
-        """See ``Sensor``."""
-        self._needs_range()
-        if self.laser == "all":
-            raise ValueError("laser: expected one measurement of each angle, received two")
+    def units_per_metre(self, z: Tensor) -> Tensor:
+        """1 for the range, and for an angle one over the radius of the circle that it runs along.
+
+        Raises:
+            ValueError: without a range, or with two measurements of each angle.
+        """
+        if not self.measures_each_direction:
+            return super().units_per_metre(z)
         away, level = z[..., 2], z[..., 1].cos()
         return torch.stack([1 / (away * level), 1 / away, torch.ones_like(away)], -1)
 
-    def _needs_range(self) -> None:
-        if self.laser == "none":
-            raise ValueError("laser: expected a range for a place in space, received none")
+    def describe(self) -> str:
+        """The infrared sensor and what the laser measures."""
+        beside = {"range": "with a laser's range", "all": "with a laser's angles and range", "none": "without a laser"}
+        return f"infrared sensor {beside[self.laser]}"

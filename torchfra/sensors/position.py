@@ -13,22 +13,24 @@ class Position(Sensor):
     """The position itself, m.
 
     Args:
-        std: of the noise, m; a number or ``(..., dims)``.
+        std: of the measurement noise, m; a number or ``(..., dims)``.
         dims: dimensions of space.
-        noise: root of a correlated noise, instead of ``std``.
+        noise: instead of ``std``, a root of the covariance of correlated measurement noise.
     """
+
+    locates = measures_each_direction = True
 
     def __init__(self, std: Value | None = None, *, dims: int = 2, noise: Tensor | None = None) -> None:
         super().__init__(dims, [False] * dims, std, noise)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
-        """See ``Sensor``."""
+        """The first ``dims`` components of the states."""
         return x[..., : self.size]
 
     def locate(self, z: Tensor) -> Tensor:
-        """See ``Sensor``."""
+        """The measurement itself."""
         return z
 
-    def metre(self, z: Tensor) -> Tensor:
-        """See ``Sensor``."""
+    def units_per_metre(self, z: Tensor) -> Tensor:
+        """1 for each."""
         return torch.ones_like(z)
