@@ -11,6 +11,7 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.adaptive.fading import Memory
+from torchfra.adaptive.noise import SageHusa
 from torchfra.association.clusters import Association
 from torchfra.association.clutter import Clutter
 from torchfra.association.events import check_exact
@@ -207,7 +208,7 @@ class JPDA(Soft, ScanFilter):
     def learn_noise(self, memory: Any, whitened: Whitened, association: Association, frame: Frame, when: str) -> Any:
         """The memory of the measurement noise after a scan, if ``when`` is when the inner filter learns: eq. (19)."""
         side, share = self.inner.noise, association.probabilities
-        if side.adapt != when:
+        if not isinstance(side, SageHusa) or side.adapt != when:
             return memory
         memory = side(memory, *weighted_mean(side.excess(whitened), share, frame.seen))
         if not self.share_noise:
