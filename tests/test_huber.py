@@ -1,6 +1,7 @@
 """The Huber score and the Huber regression are what their papers say, and train."""
 
 import math
+from functools import partial
 
 import numpy as np
 import oracles
@@ -230,7 +231,7 @@ def test_any_rule_and_any_bank_takes_them(robust):
 
 def test_a_threshold_without_end_has_gradients_in_a_bank():
     models = [ConstantAcceleration(0.1), ConstantAcceleration(3.0)]
-    f = presets.imm(models, Position(1.0), inner=presets.hghckf2, threshold=math.inf, learn=("q",))
+    f = presets.imm(models, Position(1.0), inner=partial(presets.hghckf2, threshold=math.inf), learn=("q",))
     f(torch.randn(5, 2).double(), Gaussian(torch.zeros(6).double(), torch.eye(6).double())).mean.sum().backward()
     assert all(p.grad.isfinite().all() for p in f.parameters())
 
