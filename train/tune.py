@@ -204,7 +204,7 @@ class Tuner:
         mean, root, nis, log_likelihood, _ = estimate
         late = Estimate(mean[..., skip:, :], root[..., skip:, :, :], nis[..., skip:], log_likelihood[..., skip:], None)
         counted = late if self.teacher is not None else self.parts[0].cartesian(late)
-        each = self.loss(counted, truth[..., skip:, :], self.parts[0].position)
+        each = self.loss(counted, truth[..., skip:, :], self.parts[0].truth_position)
         return each.flatten(1).mean(-1) if each.dim() > 1 else each  # of all targets of a scene
 
     def learn(self, batch: Batch, temperature: float) -> Lesson:
