@@ -1,6 +1,7 @@
 """Two moving stations take bearings of one target: the two experiments of Wang et al. (2021), section 3.
 
-Constant-acceleration filter, steps of 1 s over 100 s, bearings with errors of 1 degree, stations at 100 m/s, heading 45.
+Filters assume constant acceleration.  100 steps of 1 s, bearings with errors of 1 degree, stations at 100 m/s to the
+north-east.
 """
 
 from __future__ import annotations
@@ -31,8 +32,7 @@ def bearings_outliers(outliers: str = "covariance", *, truth_noise: float = 0.0,
     Args:
         outliers: reading of "10 sigma": ``"covariance"`` or ``"std"`` times 10, or an ``"offset"`` of 10 std of random
             sign; ``"none"`` for none.
-        truth_noise: variance of a random part of the true acceleration, like ``q`` of the filter, m^2/s^4; the paper has
-            0.
+        truth_noise: variance of the targets' random acceleration, m^2/s^4; the paper has 0.
         initial: ``"paper"`` for its initial state, 2.5 km off; ``"truth"`` for one drawn around the true state.
 
     Raises:
