@@ -48,7 +48,7 @@ def evaluate(
         progress: whether to show a bar.
 
     Returns:
-        For each filter: ``rmse_position``, ``rmse_velocity`` and others of ``Scenario.quantities`` over time ``[T]``, their
+        For each filter: ``rmse_position`` and so on for all ``Scenario.quantities`` over time ``[T]``, their
         means ``mean_rmse_*``, ``median_error_position`` over all steps and runs (to 0.05 %), ``median_track_rmse`` and
         ``worst_track`` of the runs' own root mean square errors, ``divergence_rate``, ``nees_position`` (median, to
         0.05 %; 1.39 if honest, in the plane), by coordinate and over time the signed ``mean_error_x``, ``rmse_x`` and
