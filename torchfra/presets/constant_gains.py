@@ -52,18 +52,17 @@ def alphabeta(
         converged: measurements after which it decides.
         flag_on_reject: flag of a rejected measurement: ``"raw"`` its own, or ``"hold"`` the vote.
         detect: in ``"cartesian"`` or ``"polar"`` coordinates.
-        onset: a manoeuvre begins from the ``"shared"`` state or the ``"fastest"`` filter's; ``"shared"`` if None
-            (``"fastest"``).
+        onset: a manoeuvre begins from the ``"shared"`` state or the ``"fastest"`` filter's; shared if None (fastest).
         expect: thresholds are constant, ``"paper"``, or grow with the ``"level"``.
         temperature: 0 for hard choices, above for soft ones, to train by.
         initiation: from two measurements, ``"two-point"``, or the ``"prior"``.
         period: seconds between measurements that the gains are meant for.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
-    chosen = {"manoeuvre": manoeuvre, "outlier": outlier, "degrees": degrees, "margin": margin,
-              "hysteresis": hysteresis, "dwell": dwell, "onset": onset}  # fmt: skip
-    thresholds = _TUNED if motion.orders == 3 and gains is None else _PAPER
-    thresholds = thresholds | {name: value for name, value in chosen.items() if value is not None}
+    thresholds = _thresholds(
+        motion.orders == 3 and gains is None, manoeuvre=manoeuvre, outlier=outlier, degrees=degrees, margin=margin,
+        hysteresis=hysteresis, dwell=dwell, onset=onset,
+    )  # fmt: skip
     start = "points" if initiation == "two-point" else initiation
     f = AlphaBetaBank(
         motion, sensor, gains, limit=limit, votes=votes, patience=patience, longest=longest, converged=converged,
@@ -71,3 +70,8 @@ def alphabeta(
         period=period, **thresholds,
     )  # fmt: skip
     return with_learning(f, learn)
+
+
+def _thresholds(tuned: bool, **chosen: Any) -> dict[str, Any]:
+    """The defaults, tuned or of the paper, but for what is not None."""
+    return (_TUNED if tuned else _PAPER) | {name: value for name, value in chosen.items() if value is not None}

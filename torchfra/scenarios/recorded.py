@@ -57,21 +57,24 @@ def recorded(
     Raises:
         ValueError: an argument out of its range, or no track long enough.
     """
-    one_of(outliers=(outliers, ("covariance", "std", "none")))
-    if steps < _SHORTEST or not 0 <= share <= 1 or not size >= 1:
-        raise ValueError(
-            f"steps, share, size: expected {_SHORTEST} or more, in [0, 1], 1 or more, received {steps}, {share}, {size}"
-        )
+    growth = _growth(outliers, share, size)
     windows = _windows(recordings, dt, steps, max_gap)
     model, places = _observed(sensor, std, windows)
-    sigma, growth = _std(model), {"covariance": math.sqrt(size), "std": size, "none": 1.0}[outliers]
     settings = {
         "sensor": sensor, "windows": len(windows), "recordings": len(recordings), "max_gap": max_gap,
-        "std": sigma.tolist(), "outliers": outliers, "share": share, "size": size, "q": q,
+        "std": _std(model).tolist(), "outliers": outliers, "share": share, "size": size, "q": q,
     }  # fmt: skip
     block = partial(_block, windows, model, places, share, growth)
     return Scenario("recorded", ConstantAcceleration(q), model, Gaussian(windows[0, 0] * _KNOWN, _ROOT), dt, steps,
                     block, settings, aircraft(q))  # fmt: skip
+
+
+def _growth(outliers: str, share: float, size: float) -> float:
+    """The factor on the standard deviation of an outlier."""
+    one_of(outliers=(outliers, ("covariance", "std", "none")))
+    if not 0 <= share <= 1 or not size >= 1:
+        raise ValueError(f"share, size: expected a share in [0, 1], and 1 or more, received {share}, {size}")
+    return {"covariance": math.sqrt(size), "std": size, "none": 1.0}[outliers]
 
 
 def _observed(sensor: str, std: float | Sequence[float] | None, windows: Tensor) -> tuple[_Sensor, Tensor | None]:
@@ -113,6 +116,8 @@ def _std(sensor: _Sensor) -> Tensor:
 
 def _windows(recordings: Sequence[Recording], dt: float, steps: int, max_gap: float) -> Tensor:
     """States ``(W, steps + 1, 6)`` of all windows, NaN after the end of a track."""
+    if steps < _SHORTEST:
+        raise ValueError(f"steps: expected {_SHORTEST} or more, received {steps}")
     windows = []
     for recording in recordings:
         for time, position in resample(recording, dt, max_gap=max_gap):

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.distributions import constraints
+from torch.nn.functional import pad
 
 from torchfra.hyper import Hyper, Value, one_of
 from torchfra.motion.base import Motion
@@ -84,14 +85,9 @@ class Reentry(Motion):
 
 
 def reentry(
-    outliers: str = "covariance",
-    *,
-    radar: str = "paper",
-    size: float | None = None,
-    share: float = 0.3,
-    q_parameter: float = 0.0,
-    method: str = "euler",
-) -> Scenario:
+    outliers: str = "covariance", *, radar: str = "paper", size: float | None = None, share: float = 0.3,
+    q_parameter: float = 0.0, method: str = "euler",
+) -> Scenario:  # fmt: skip
     """200 s of a re-entry, range and bearing every second, with outliers.
 
     Args:
@@ -119,12 +115,7 @@ def reentry(
         start = torch.from_numpy(rng.standard_normal((BLOCK, 4)))
         noise = torch.from_numpy(rng.standard_normal((BLOCK, STEPS, 2)))
         process = torch.from_numpy(rng.standard_normal((STEPS, SUBSTEPS, BLOCK, 2)))
-        state, states = _START + torch.nn.functional.pad(start, (0, 1)), []
-        for second in process:
-            for shock in second:  # Euler-Maruyama
-                state = state + DT / SUBSTEPS * Reentry.slope(state) + torch.nn.functional.pad(jolt * shock, (2, 1))
-            states.append(state)
-        truth = torch.stack(states, 1)
+        truth = _fallen(_START + pad(start, (0, 1)), jolt * process)
         z = sensor(truth, station) + std * noise * factors(rng, (BLOCK, STEPS, 1))
         return Tracks(truth, z, station, Gaussian(prior.mean.expand(BLOCK, 5), prior.scale_tril))
 
@@ -135,3 +126,13 @@ def reentry(
     return Scenario(
         "reentry", motion, sensor, prior, DT, STEPS, block, settings, extra_quantities={"parameter": slice(4, 5)}
     )
+
+
+def _fallen(state: Tensor, shocks: Tensor) -> Tensor:
+    """True states ``(BLOCK, T, 5)`` by Euler-Maruyama; ``shocks (T, SUBSTEPS, BLOCK, 2)`` are added to velocities."""
+    states = []
+    for second in shocks:
+        for shock in second:
+            state = state + DT / SUBSTEPS * Reentry.slope(state) + pad(shock, (2, 1))
+        states.append(state)
+    return torch.stack(states, 1)

@@ -25,8 +25,8 @@ def level_then_weave(outliers: str = "planted", *, noise: str = "cartesian") -> 
 
     Args:
         outliers: ``"planted"``: 2 km on x at 100 and 101 s; ``"none"``.
-        noise: ``"cartesian"``: 20 m per axis; ``"spherical"``: 20 m in range, 0.05 degrees in azimuth and elevation
-            from the origin (filters assume 20 m per axis in any case).
+        noise: of the measurements: ``"cartesian"``: 20 m per axis; ``"spherical"``: 20 m in range, 0.05 degrees in
+            azimuth and elevation from the origin (filters assume 20 m per axis in any case).
 
     Raises:
         ValueError: an argument that is none of those.
