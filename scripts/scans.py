@@ -78,15 +78,15 @@ def _errors(scenario: Scenario, mean: Tensor, shown: Tensor, cartesian: Tensor, 
     """Per run."""
     truth = from_cartesian(cartesian)
     gone = 1 / mean[..., 5] - 1 / truth[..., 5]
-    position = metrics.error(shown, cartesian, scenario.position)
+    position = metrics.error(shown, cartesian, scenario.truth_position)
     return {
         "range": gone,
         "azimuth": wrap(mean[..., 3] - truth[..., 3]),
         "elevation": mean[..., 4] - truth[..., 4],
         "position": position,
         "raw": raw,
-        "swaps": metrics.swaps(shown, cartesian, scenario.position, LOST),
-        "ospa": metrics.ospa(shown, cartesian, scenario.position, cutoff=LOST).distance,
+        "swaps": metrics.swaps(shown, cartesian, scenario.truth_position, LOST),
+        "ospa": metrics.ospa(shown, cartesian, scenario.truth_position, cutoff=LOST).distance,
     }
 
 

@@ -1,6 +1,7 @@
 """The Huber score and the Huber regression follow their papers, and can be learned."""
 
 import math
+from functools import partial
 
 import numpy as np
 import oracles
@@ -234,7 +235,7 @@ def test_interacting_models_take_them(robust):
 
 def test_an_infinite_threshold_has_finite_gradients_in_a_bank():
     models = [ConstantAcceleration(0.1), ConstantAcceleration(3.0)]
-    f = presets.imm(models, Position(1.0), inner=presets.hghckf2, threshold=math.inf, learn=("q",))
+    f = presets.imm(models, Position(1.0), inner=partial(presets.hghckf2, threshold=math.inf), learn=("q",))
     f(torch.randn(5, 2).double(), Gaussian(torch.zeros(6).double(), torch.eye(6).double())).mean.sum().backward()
     assert all(p.grad.isfinite().all() for p in f.parameters())
 

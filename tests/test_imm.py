@@ -2,6 +2,7 @@
 
 import copy
 import math
+from functools import partial
 
 import numpy as np
 import oracles
@@ -9,6 +10,7 @@ import pytest
 import torch
 
 from torchfra import presets, scenarios
+from torchfra.filters import IMM
 from torchfra.hyper import hypers
 from torchfra.metrics import rmse
 from torchfra.motion import (
@@ -274,10 +276,10 @@ def test_a_known_push_pushes_every_model(batch, given):
 def test_a_value_for_each_track_is_that_of_all_its_models(inner, batch):
     z, values = measured(batch), torch.linspace(0.3, 2.0, batch, dtype=torch.float64)
     make = getattr(presets, inner)
-    whole = presets.imm(bank()[:3], SENSOR, inner=make, threshold=values)(z, PRIOR, dt=DT)
+    whole = presets.imm(bank()[:3], SENSOR, inner=partial(make, threshold=values))(z, PRIOR, dt=DT)
     assert whole.mean.shape == (batch, STEPS, 6)
     for i in range(batch):
-        f = presets.imm(bank()[:3], SENSOR, inner=make, threshold=values[i].item())
+        f = presets.imm(bank()[:3], SENSOR, inner=partial(make, threshold=values[i].item()))
         same(whole.mean[i], f(z[i], PRIOR, dt=DT).mean)
 
 
@@ -320,7 +322,7 @@ def test_what_does_not_fit_is_named():
     with pytest.raises(ValueError, match=r"initial: expected \(5,\)"):
         presets.imm(bank(), SENSOR, initial=torch.ones(3) / 3)
     with pytest.raises(ValueError, match="inner: expected a plain filter around a Bank"):
-        presets.IMM(presets.srckf(ConstantAcceleration(1.0), SENSOR), transition=torch.eye(1))
+        IMM(presets.srckf(ConstantAcceleration(1.0), SENSOR), transition=torch.eye(1))
     with pytest.raises(ValueError, match="out, into"):
         Embedded(ConstantVelocity(1.0), torch.eye(4), torch.eye(4), orders=3)
     with pytest.raises(ValueError, match="motion: expected a linear one"):

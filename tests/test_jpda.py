@@ -2,6 +2,7 @@
 
 import copy
 import math
+from functools import partial
 
 import numpy as np
 import oracles
@@ -143,7 +144,7 @@ def test_a_missed_target_does_not_fade_whatever_else_was_measured():
     own = 60 * torch.randn(16, 1, 2, dtype=torch.float64, generator=rng)
     own[10:12] = math.nan
     far = torch.full((16, 1, 2), 5e4).double()
-    f = presets.jpda(ConstantVelocity(0.1, 2), Position(10.0), inner=presets.asrckf, weakening=1.0,
+    f = presets.jpda(ConstantVelocity(0.1, 2), Position(10.0), inner=partial(presets.asrckf, weakening=1.0),
                      clutter=Clutter(1e8), gate=Euclidean(1000.0))  # fmt: skip
     one, other = (f(torch.cat(scan, 1), flat_prior((0.0, 0.0))) for scan in ((own, far), (far, own)))
     assert one.info.fading.max() > 2
@@ -529,7 +530,7 @@ def test_the_noise_estimate_wins_by_far_where_the_noise_grows_and_costs_nothing_
             runs = {}
             for name, gate in (("ukf_jpda", Euclidean(size)), ("iaukf_jpda", Euclidean(size, least=0.9999))):
                 mean = s.cartesian(make(name, s, gate=gate)(t.z, t.prior)).mean
-                runs[name] = metrics.error(mean, t.truth, s.position)[..., 10:].square().mean((1, 2)).sqrt()
+                runs[name] = metrics.error(mean, t.truth, s.truth_position)[..., 10:].square().mean((1, 2)).sqrt()
             worst = {name: run.square().mean().sqrt() for name, run in runs.items()}
             assert worst["iaukf_jpda"] < most * worst["ukf_jpda"]
             assert (runs["iaukf_jpda"] > 100).sum() == 0

@@ -269,7 +269,7 @@ def test_an_aircraft_without_altitudes_is_flat_beside_others_that_are_not(write:
         ("a.csv", "hello\nworld\n", "t, x, y; missing .* received hello"),
         ("a.json", '[{"timestamp": 1, "latitude": 2}]', "missing longitude, received timestamp, latitude"),
         ("a.json", '{"result": {"request": {}}}', "missing .*, received result"),
-        ("a.csv", "t,x,x,y\n0,1,2,3\n", "each column once, received more of x"),
+        ("a.csv", "t,x,x,y\n0,1,2,3\n", "every column once, received several named x"),
         ("a.csv", "t,x,y\n0,1,2\n1,2\n", "expected 3 fields in row 2, received 2"),
         ("a.csv", "t,x,y\n0,1,2\n1,2,3,4\n", "expected 3 fields in row 2, received 4"),
         ("a.csv", "t,x,y\n0,1,2\n1,two,3\n", "expected a number in row 2, column x, received 'two'"),
@@ -306,7 +306,7 @@ def test_a_missing_file_is_said_to_be_missing(tmp_path: Path) -> None:
 def test_a_truncated_gzip_is_refused_wherever_it_breaks_off(write: Write) -> None:
     whole = gzip.compress(json.dumps(flight()).encode())
     for length in range(2, len(whole)):
-        with pytest.raises(ValueError, match=r"cut\.json\.gz: expected UTF-8 text or all of its gzip"):
+        with pytest.raises(ValueError, match=r"cut\.json\.gz: expected UTF-8 text or a complete gzip file of it"):
             read(write("cut.json.gz", whole[:length]))
 
 
@@ -324,7 +324,7 @@ def test_an_origin_that_is_nowhere_is_refused(write: Write, origin: Any) -> None
 
 
 def test_an_origin_for_x_and_y_is_refused(write: Write) -> None:
-    with pytest.raises(ValueError, match="expected latitudes to go with the origin, received the columns t, x, y"):
+    with pytest.raises(ValueError, match="origin: expected degrees to go with it, received the columns t, x, y"):
         read(write("p.csv", "t,x,y\n0,1,2\n1,2,3\n"), origin=CENTRE)
 
 

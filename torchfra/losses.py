@@ -1,11 +1,12 @@
-"""What training makes small.
+"""Losses to train filters by.
 
-Each loss is one number per track, ``(...)``, the mean over its steps, so that a track that blew up can be told from the
-others and left out; take ``.mean()`` for a batch.  Only ``calibration`` is a property of many tracks together and gives
-one number.  Steps whose truth is NaN do not count.
+Each loss is one number per track, ``(...)``, the mean over its steps, so that a track that diverged can be recognised
+and left out; take ``.mean()`` for a batch.  Only ``calibration`` is a property of many tracks together and gives one
+number.  Steps whose truth is NaN do not count.
 
-``states`` are the components that count, ``scenario.position`` say; ``angles`` are those of the state's components that
-are angles, rad, and are compared within half a turn.
+``states`` are the components that count, the same in estimate and truth, ``scenario.truth_position`` say (for
+estimates in other coordinates see ``scenarios.Scenario``); ``angles`` are those of the state's components that are
+angles, rad: their differences are taken within half a turn.
 """
 
 from __future__ import annotations
@@ -35,16 +36,17 @@ def mse(mean: Tensor, truth: Tensor, states: slice, *, angles: Collection[int] =
 
 
 def robust_mse(mean: Tensor, truth: Tensor, states: slice, scale: float, *, angles: Collection[int] = ()) -> Tensor:
-    """``log(1 + mse / scale^2)``: the mean squared distance in its sway over the batch bounded.
+    """``log(1 + mse / scale^2)``: the mean squared distance with a bounded influence of each track.
 
-    A track far beyond ``scale`` counts by the logarithm of its error, so that one that diverged cannot drown the
-    others; one far below counts by its mean squared error.  A small scale makes it the relative error of each track.
+    A track with an error far above ``scale`` counts by the logarithm of its error, so that one that diverged does not
+    dominate the batch; one far below counts by its mean squared error.  With a small scale the relative error of each
+    track counts.
 
     Args:
         mean: ``(..., T, n)`` estimates.
         truth: ``(..., T, n)``; NaN where unknown.
         states: the components that count.
-        scale: the error from which on it flattens, in the unit of the components.
+        scale: the error above which the loss grows slowly, in the unit of the components.
         angles: the components of the state that are angles.
 
     Raises:
@@ -72,7 +74,7 @@ def nll(estimate: Estimate, truth: Tensor, states: slice | None = None, *, angle
 
 
 def innovation_nll(estimate: Estimate) -> Tensor:
-    """Negative log density of each measurement before it was used.  Needs no truth: it works on recorded tracks.
+    """Negative log density of each measurement under its prediction.  It needs no truth: for recorded tracks.
 
     Source: the prediction error decomposition, Schweppe (1965).
     """
@@ -82,10 +84,10 @@ def innovation_nll(estimate: Estimate) -> Tensor:
 def calibration(
     estimate: Estimate, truth: Tensor, states: slice | None = None, *, angles: Collection[int] = ()
 ) -> Tensor:
-    """How far the covariances are from honest: the squared log of the mean NEES over its size; a number.
+    """How dishonest the covariances are: the squared log of the mean NEES per component; one number.
 
-    0 when the mean over all tracks and known steps is the number of components; the same for covariances that are
-    too large or too small by one factor.
+    0 when the mean over all tracks and known steps is the number of components; covariances that are too large or too
+    small by the same factor have the same loss.
 
     Args:
         estimate: of tracks ``(..., T, n)``.
@@ -101,18 +103,18 @@ def calibration(
 
 
 def _gap(mean: Tensor, truth: Tensor, states: slice, angles: Collection[int]) -> tuple[Tensor, Tensor]:
-    """Estimate minus truth, 0 at steps ``(..., T)`` that are not known."""
-    turns = torch.zeros(mean.shape[-1], dtype=torch.bool, device=mean.device)
-    turns[list(angles)] = True
+    """Estimate minus truth, 0 at steps whose truth is NaN, and which steps ``(..., T)`` are known."""
+    is_angle = torch.zeros(mean.shape[-1], dtype=torch.bool, device=mean.device)
+    is_angle[list(angles)] = True
     known = ~truth[..., states].isnan().any(-1)
     gap = mean[..., states] - torch.where(known.unsqueeze(-1), truth[..., states], mean.detach()[..., states])
-    return torch.where(turns[states], wrap(gap), gap), known
+    return torch.where(is_angle[states], wrap(gap), gap), known
 
 
 def _normalised(
     estimate: Estimate, truth: Tensor, states: slice | None, angles: Collection[int]
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Errors in units of their covariance's root, half its log determinant (0 where not known), and what is known."""
+    """Errors in units of their covariance's root, half its log determinant (0 where unknown), and known steps."""
     states = slice(None) if states is None else states
     gap, known = _gap(estimate.mean, truth, states, angles)
     rows = estimate.scale_tril[..., states, :]

@@ -1,4 +1,10 @@
-"""How good estimates are, over time and over runs.  Steps whose truth is NaN do not count."""
+"""How good estimates are, over time and over runs.  Steps whose truth is NaN do not count.
+
+``states`` are the components to compare, the same in estimate and truth.  Of a scenario, whatever coordinates its
+filters estimate in::
+
+    rmse(scenario.cartesian(estimate).mean, tracks.truth, scenario.truth_position)
+"""
 
 from torchfra.metrics.errors import diverged, error, nees, rmse, track_rmse
 from torchfra.metrics.sets import GOSPA, OSPA, gospa, ospa, swaps

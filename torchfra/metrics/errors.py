@@ -1,4 +1,4 @@
-"""How good estimates are, over time and over runs.  Steps whose truth is NaN do not count."""
+"""Errors of estimates of single targets, over time and over runs.  Steps whose truth is NaN do not count."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ def error(mean: Tensor, truth: Tensor, states: slice) -> Tensor:
 
     Args:
         mean: the estimate.
-        truth: what was; NaN where unknown, and the error is NaN there; an estimate that is no number is
-            infinitely far off.
-        states: the components, say ``scenario.position``.
+        truth: the true states; NaN where unknown, where the error is NaN too.  Where the truth is known and the
+            estimate is NaN, the error is infinite.
+        states: the components to compare, ``scenario.truth_position`` say.
     """
     distance = (mean[..., states] - truth[..., states]).square().sum(-1).sqrt()
-    lost = distance.isnan() & ~truth[..., states].isnan().any(-1)
-    return torch.where(lost, torch.inf, distance)
+    failed = distance.isnan() & ~truth[..., states].isnan().any(-1)
+    return torch.where(failed, torch.inf, distance)
 
 
 def rmse(mean: Tensor, truth: Tensor, states: slice) -> Tensor:
@@ -30,22 +30,22 @@ def rmse(mean: Tensor, truth: Tensor, states: slice) -> Tensor:
 
 
 def track_rmse(mean: Tensor, truth: Tensor, states: slice) -> Tensor:
-    """Root mean square error over time of each track, ``(...)``; infinity for a track that lost its numbers."""
+    """Root mean square error over time of each track, ``(...)``; infinity for a track with NaN estimates."""
     return error(mean, truth, states).square().nanmean(-1).sqrt()
 
 
 def diverged(mean: Tensor, truth: Tensor, states: slice, limit: float = 2000.0) -> Tensor:
-    """``(...)`` bool: the track's root mean square error over time is above ``limit``, or not a number."""
+    """``(...)`` bool: the track's root mean square error over time is above ``limit``, m, or an estimate is NaN."""
     return track_rmse(mean, truth, states) > limit
 
 
 def nees(estimate: Estimate, truth: Tensor, states: slice | None = None) -> Tensor:
-    """Normalised estimation error squared ``(..., T)``; its mean is the number of components when P is honest.
+    """Normalised estimation error squared ``(..., T)``; its mean is the number of components if covariances are honest.
 
     Args:
         estimate: of tracks ``(..., T, n)``.
         truth: ``(..., T, n)``.
-        states: leading components, say ``scenario.position``; all if None.
+        states: leading components, ``scenario.truth_position`` say; all if None.
 
     Raises:
         ValueError: ``states`` does not begin with the first component.

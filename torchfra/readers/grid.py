@@ -11,7 +11,7 @@ from torchfra.readers.recording import Recording
 
 
 def resample(recording: Recording, dt: float, *, max_gap: float) -> list[tuple[Array, Array]]:
-    """Puts a recording on a regular grid by cubic Hermite interpolation, which goes through the fixes.
+    """Interpolates a recording on a regular grid: cubic Hermite interpolation, which goes through the fixes.
 
     Args:
         recording: the track.
@@ -19,7 +19,7 @@ def resample(recording: Recording, dt: float, *, max_gap: float) -> list[tuple[A
         max_gap: seconds; a longer gap between fixes splits the track.
 
     Returns:
-        ``(time (k,), position (k, d))`` of every piece that lasts for a step, so ``k >= 2``, in order of time.
+        ``(time (k,), position (k, d))`` of every piece that lasts a step or longer, so ``k >= 2``, in order of time.
 
     Raises:
         ValueError: ``dt`` or ``max_gap`` is not above 0.
@@ -29,7 +29,7 @@ def resample(recording: Recording, dt: float, *, max_gap: float) -> list[tuple[A
     breaks = np.flatnonzero(np.diff(recording.time) > max_gap) + 1
     pieces = []
     for time, position in zip(np.split(recording.time, breaks), np.split(recording.position, breaks), strict=True):
-        steps = math.floor((time[-1] - time[0]) / dt + 1e-5)  # times since 1970 are good to 1e-6 s
+        steps = math.floor((time[-1] - time[0]) / dt + 1e-5)  # times since 1970 are exact to 1e-6 s
         if steps >= 1:
             grid = time[0] + dt * np.arange(steps + 1)
             pieces.append((grid, _hermite(time, position, grid)))

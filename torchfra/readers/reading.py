@@ -1,13 +1,4 @@
-"""Reads tracks from files into local metres, and counts what it had to repair on the way.
-
-The columns decide what a file is.  It is CSV with a header or JSON (records or columns), gzipped or not:
-
-- ``timestamp, latitude, longitude`` [``altitude, icao24, callsign, last_position``]: ms since 1970 or ISO text (UTC
-  where it names no zone), degrees, feet.
-- ``time, icao24, lat, lon`` [``baroaltitude, geoaltitude, callsign, lastposupdate``]: the state vectors of OpenSky, in
-  seconds since 1970, degrees, metres.  A missing baroaltitude gives way to geoaltitude.
-- ``t, x, y`` [``z``]: seconds and metres.
-"""
+"""Reads the tracks of a file; ``torchfra.readers`` says which files."""
 
 from __future__ import annotations
 
@@ -16,46 +7,48 @@ from pathlib import Path
 
 import numpy as np
 
-from torchfra.readers.columns import _PLAIN, _layout, _listed, _table
+from torchfra.readers.columns import PLAIN, layout_of
 from torchfra.readers.recording import Origin, Recording
-from torchfra.readers.repairs import _Target, _targets
+from torchfra.readers.repairs import Target, repaired_targets
+from torchfra.readers.tables import listed, read_table
 
 
 def read(path: str | Path, *, origin: Origin | None = None) -> list[Recording]:
     """Reads every target of a file.
 
-    Rows without time or place, late rows, all but the first row of a time, held positions (as in the row before, and
-    not of a newer position update where the file tells) and missing altitudes are repaired and counted.
+    These are repaired and counted: rows without time or position, rows out of time order, all but the first of the rows
+    with the same time, held positions (the same as in the row before, without a newer position update where the file
+    records updates), and missing altitudes.
 
     Args:
         path: the file.
-        origin: latitude, longitude in degrees and altitude in m that become (0, 0, 0); the first fix of the target
-            that the file names first, unless given.
+        origin: latitude, longitude in degrees and altitude in m that become (0, 0, 0); if None, the first fix of the
+            first target in the file.
 
     Returns:
-        The recordings, sorted by name, all of one origin.
+        The recordings, sorted by name, all about the same origin.
 
     Raises:
-        ValueError: the file is empty, broken or of another format, or no target keeps 2 fixes.
-        ImportError: pymap3d is needed and absent.
+        ValueError: the file is empty, broken or of another format, or no target has 2 fixes left.
+        ImportError: pymap3d is needed and not installed.
     """
     path = Path(path)
     try:
-        table = _table(path)
-        layout = _layout(table)
-        targets = _targets(table, layout, Path(path.name.removesuffix(".gz")).stem)
-        if layout is not _PLAIN:
+        table = read_table(path)
+        layout = layout_of(table)
+        targets = repaired_targets(table, layout, Path(path.name.removesuffix(".gz")).stem)
+        if layout is not PLAIN:
             return _located(targets, origin)
         if origin is not None:
-            raise ValueError(f"expected latitudes to go with the origin, received the columns {_listed(table)}")
+            raise ValueError(f"origin: expected degrees to go with it, received the columns {listed(table)}")
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     except RecursionError as error:
-        raise ValueError(f"{path}: expected flat rows, received some nested too deep") from error
+        raise ValueError(f"{path}: expected rows of numbers and text, received too deeply nested ones") from error
     return [Recording(n, f[:, 0], np.delete(f, (0, 3), 1), None, dict(+repairs)) for n, f, repairs in targets]
 
 
-def _located(targets: list[_Target], origin: Origin | None) -> list[Recording]:
+def _located(targets: list[Target], origin: Origin | None) -> list[Recording]:
     """Turns degrees into metres about the origin, by default the first fix of all."""
     try:
         from pymap3d import geodetic2enu
@@ -64,7 +57,7 @@ def _located(targets: list[_Target], origin: Origin | None) -> list[Recording]:
     first = (*targets[0].fixes[0].tolist(), 0.0)
     lat, lon, up = (first[1], first[2], first[4]) if origin is None else origin
     if not (abs(lat) <= 90 and abs(lon) <= 180 and math.isfinite(up)):
-        raise ValueError(f"expected an origin of latitude, longitude in degrees, altitude in m, received {origin}")
+        raise ValueError(f"origin: expected latitude, longitude in degrees and altitude in m, received {origin}")
     recordings = []
     for name, fixes, repairs in targets:
         height = fixes[:, 4] if fixes.shape[1] == 5 else up

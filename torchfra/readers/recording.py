@@ -15,12 +15,12 @@ class Recording:
     """The track of one target."""
 
     name: str
-    """icao24 and first callsign, as far as they are there, else the stem of the file."""
+    """icao24 and first callsign, as far as the file has them; otherwise the stem of the file."""
     time: Array
-    """``(k,)`` seconds, strictly increasing; since 1970 if the file says so."""
+    """``(k,)`` seconds, strictly increasing; since 1970 if the file counts so."""
     position: Array
-    """``(k, 3)`` metres east, north, up of the origin; ``(k, 2)`` for a target that never told its altitude."""
+    """``(k, 3)`` metres east, north, up of the origin; ``(k, 2)`` for a target without any altitude."""
     origin: Origin | None
     """Latitude and longitude in degrees, altitude in metres; None for a file of x and y."""
     repairs: dict[str, int]
-    """What was done to rows, and to how many; empty if nothing was."""
+    """Each kind of repair, and the number of rows; empty if there was none."""

@@ -1,4 +1,4 @@
-"""Repairs rows of a target, and counts what was repaired."""
+"""Repairs the rows of every target, and counts the repairs."""
 
 from __future__ import annotations
 
@@ -9,39 +9,48 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from torchfra.readers.columns import _PLAIN, Array, _column, _Table, _words
+from torchfra.readers.columns import PLAIN, Array, Layout, column, text_column
+from torchfra.readers.tables import Table
 
 
-class _Target(NamedTuple):
+class Target(NamedTuple):
+    """A target and the fixes that are left of it."""
+
     name: str
     fixes: Array
-    """``(k, 5 or 4)``: time in s, place, mark, and up in m if there is any."""
+    """``(k, 5)``: time in s, two coordinates, what marks a new position, altitude in m; ``(k, 4)`` without altitude."""
     repairs: Counter[str]
 
 
-def _targets(table: _Table, layout: tuple[str, ...], stem: str) -> list[_Target]:
-    """The targets of a file that keep 2 fixes, in the order of the file."""
-    data = np.stack([_column(table, name) for name in layout], 1)
-    icao24s, calls = ([""] * len(data) if layout is _PLAIN else _words(table, name) for name in ("icao24", "callsign"))
+def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
+    """The targets of a file that have 2 fixes or more left, in the order of the file.
+
+    Raises:
+        ValueError: there is none.
+    """
+    data = np.stack([column(table, name) for name in layout], 1)
+    icao24s, calls = (
+        [""] * len(data) if layout is PLAIN else text_column(table, name) for name in ("icao24", "callsign")
+    )
     members: dict[str, list[int]] = {}
     for i, icao24 in enumerate(icao24s):
         members.setdefault(icao24, []).append(i)
     targets = []
     for icao24, rows in members.items():
-        index, repairs = _kept(data[rows])
+        index, repairs = _rows_to_keep(data[rows])
         call = next((calls[rows[i]] for i in index if calls[rows[i]]), "")
         name = f"{icao24} {call}".strip()
-        targets.append(_Target(name or stem, _raised(data[rows][index], repairs), repairs))
+        targets.append(Target(name or stem, _with_altitude(data[rows][index], repairs), repairs))
     good = [target for target in targets if len(target.fixes) >= 2]
     if not good:
-        done = dict(sum((target.repairs for target in targets), Counter[str]()))
-        raise ValueError(f"expected a target with 2 fixes, received none in {len(data)} rows after repairs: {done}")
+        counts = dict(sum((target.repairs for target in targets), Counter[str]()))
+        raise ValueError(f"expected a target with 2 fixes, received none in {len(data)} rows after repairs: {counts}")
     for target in good:
         target.repairs["aircraft with under 2 fixes dropped"] = len(targets) - len(good)
     return good
 
 
-def _kept(data: Array) -> tuple[NDArray[np.intp], Counter[str]]:
+def _rows_to_keep(data: Array) -> tuple[NDArray[np.intp], Counter[str]]:
     """Which rows ``(rows, 6)`` of a target to keep, in order of time, and the count of the repairs."""
     repairs: Counter[str] = Counter()
 
@@ -59,8 +68,8 @@ def _kept(data: Array) -> tuple[NDArray[np.intp], Counter[str]]:
     return keep(index, step.any(1), "held positions dropped"), repairs
 
 
-def _raised(fixes: Array, repairs: Counter[str]) -> Array:
-    """Fixes ``(k, 6)`` as ``(k, 5)``, no up missing, or as ``(k, 4)`` if every up is."""
+def _with_altitude(fixes: Array, repairs: Counter[str]) -> Array:
+    """Fixes ``(k, 6)`` as ``(k, 5)`` with missing altitudes filled, or as ``(k, 4)`` if all altitudes are missing."""
     known = np.isfinite(fixes[:, 4:])
     some = known.any(1)
     if not some.any():

@@ -1,4 +1,4 @@
-"""The recorded tracks that come with the package ``traffic``."""
+"""Finds the recorded tracks that come with the package ``traffic``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def samples(*groups: str) -> list[Path]:
     roots = [Path(place) / "data" / "samples" for place in (spec and spec.submodule_search_locations) or ()]
     there = {file.parent.name for root in roots for file in root.glob("*/*.json.gz")}
     if not there:
-        raise ImportError("the sample tracks need their package: pip install --no-deps traffic==2.13")
+        raise ImportError("the sample tracks are in the package traffic: pip install --no-deps traffic==2.13")
     if not groups or not there.issuperset(groups):
         raise ValueError(f"expected groups among {', '.join(sorted(there))}, received {', '.join(groups) or 'none'}")
     return sorted(file for root in roots for group in set(groups) for file in root.glob(f"{group}/*.json.gz"))

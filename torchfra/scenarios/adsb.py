@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchfra.hyper import one_of
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.motion.correlated import CurrentStatistical
@@ -25,8 +26,8 @@ _LEGS = ((400.0, 0.0), (200.0, 1.0), (10.0, 0.0), (50.0, -1.0), (240.0, 0.0))
 def adsb_turns(turns: str = "acceleration", *, std: float = 30.0) -> Scenario:
     """Position reports every 2 s for 900 s: straight, a quarter turn in 200 s, straight, one back in 50 s, straight.
 
-    Filters start from the first two reports: position from the second, velocity from their difference.  What they get
-    and the truth begin with the third.
+    Filters start from the first two reports: position from the second, velocity from their difference.  Measurements
+    and truth begin with the third.
 
     Args:
         turns: ``"acceleration"``: constant acceleration turns the velocity, as in the textbook example; ``"arc"``:
@@ -36,10 +37,9 @@ def adsb_turns(turns: str = "acceleration", *, std: float = 30.0) -> Scenario:
     Raises:
         ValueError: an argument that is none of those.
 
-    Source: Du & Zhang (2020), section 3.  Differs: noise levels and the truth of the turns are our reading.
+    Source: Du & Zhang (2020), section 3.  Differs: measurement noise and the truth of the turns are our reading.
     """
-    if turns not in ("acceleration", "arc"):
-        raise ValueError(f"turns: expected 'acceleration' or 'arc', received {turns!r}")
+    one_of(turns=(turns, ("acceleration", "arc")))
     if not std > 0:
         raise ValueError(f"std: expected metres above 0, received {std}")
     path, sensor = _path(turns), Position(std)
@@ -61,7 +61,7 @@ def adsb_turns(turns: str = "acceleration", *, std: float = 30.0) -> Scenario:
 def adsb_models() -> Bank:
     """Constant velocity and acceleration, current statistical, slow turn and fast turn, in one state of six.
 
-    Source: Du & Zhang (2020), section 1; the values, and what calls what (``Bank.neighbours``), are ours.
+    Source: Du & Zhang (2020), section 1; the values and ``Bank.neighbours`` are ours.
     """
     models: list[Motion] = [
         ConstantVelocity(0.01**2, orders=3),

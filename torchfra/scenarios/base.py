@@ -1,4 +1,4 @@
-"""What a scenario is, and noise that does not depend on how many runs are asked for."""
+"""What a scenario is, and random numbers that do not depend on how many runs are asked for."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from torchfra.association.clutter import Clutter
+from torchfra.hyper import one_of
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
-from torchfra.motion.spherical import Spherical
 from torchfra.sensors.base import Sensor
 from torchfra.types import Estimate, Gaussian
 
@@ -22,7 +22,7 @@ BLOCK = 256
 
 
 class Tracks(NamedTuple):
-    """A batch of tracks: what was, what was measured, and what a filter may know."""
+    """A batch of tracks: the truth, the measurements, and what a filter may know."""
 
     truth: Tensor
     """``(B, T, n)`` states, of several targets ``(B, N, T, n)``; NaN where unknown."""
@@ -37,22 +37,32 @@ class Tracks(NamedTuple):
 
 @dataclass(frozen=True)
 class Scenario:
-    """An experiment.
+    """An experiment: the models that filters use, and the tracks to use them on.
+
+    Errors of estimates, whatever coordinates the filters' state has::
+
+        estimate = f(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt)
+        metrics.rmse(scenario.cartesian(estimate).mean, tracks.truth, scenario.truth_position)
+
+    Where filters estimate in the truth's coordinates, ``cartesian`` changes nothing and ``position`` is the same as
+    ``truth_position``.  Where they do not (``clutter_*``, ``noise_change``: modified spherical coordinates),
+    ``position`` is a ValueError, as there are no components that estimates and truth have in common.
 
     Args:
-        name: what it is called.
-        motion: the model that filters use; the truth may well do something else.
-        sensor: what measures.
+        name: of the experiment.
+        motion: the model that filters use; the targets may well move otherwise.
+        sensor: what is measured.
         prior: the belief all runs start from, or the centre of what they start from (each run's own: ``Tracks.prior``).
         dt: seconds per step.
         steps: measurements per run.
         block: simulates the ``BLOCK`` runs of these numbers, ``(BLOCK,)``, from a generator.
         settings: what to write beside results.
         bank: motions for interacting models, which may know more of the targets than ``motion`` does.
-        others: components of the state besides position and velocity whose error is of interest, by name.
+        extra_quantities: components of the truth besides position and velocity whose errors are of interest, by name.
         clutter: how dense false measurements are, of scans of several targets.
         detection: probability that a target is measured, of scans.
-        shown: makes the truth's coordinates of an estimate in the motion's, if those are others.
+        conversion: from estimates in the motion's coordinates to ``[position, velocity]`` in Cartesian ones, which are
+            the truth's; None if the motion's coordinates are the truth's.
     """
 
     name: str
@@ -64,43 +74,64 @@ class Scenario:
     block: Callable[[np.random.Generator, Tensor], Tracks]
     settings: dict[str, object]
     bank: Bank | None = None
-    others: Mapping[str, slice] = field(default_factory=dict)
+    extra_quantities: Mapping[str, slice] = field(default_factory=dict)
     clutter: Clutter | None = None
     detection: float = 1.0
-    cartesian: Callable[[Estimate], Estimate] = lambda estimate: estimate
+    conversion: Callable[[Estimate], Estimate] | None = None
 
-    @property
-    def position(self) -> slice:
-        """The state's position components."""
-        return self.motion.position
+    def cartesian(self, estimate: Estimate) -> Estimate:
+        """The estimate in the truth's coordinates; unchanged where filters estimate in these anyway."""
+        return estimate if self.conversion is None else self.conversion(estimate)
 
     @property
     def truth_position(self) -> slice:
-        """The truth's position components, of estimates that ``cartesian`` has converted too."""
-        return slice(0, 3) if isinstance(self.motion, Spherical) else self.motion.position
+        """Position components of the truth, and of estimates converted by ``cartesian``."""
+        return self.motion.position if self.conversion is None else slice(0, self.motion.dims)
 
     @property
     def truth_velocity(self) -> slice:
-        """The truth's velocity components, of estimates that ``cartesian`` has converted too."""
-        return slice(3, 6) if isinstance(self.motion, Spherical) else self.motion.velocity
+        """Velocity components of the truth, and of estimates converted by ``cartesian``."""
+        return self.motion.velocity if self.conversion is None else slice(self.motion.dims, 2 * self.motion.dims)
 
     @property
-    def quantities(self) -> dict[str, slice]:
-        """Components of the state whose errors are of interest, by name."""
-        return {"position": self.truth_position, "velocity": self.truth_velocity, **self.others}
+    def position(self) -> slice:
+        """Position components of estimates and truth alike.
+
+        Raises:
+            ValueError: estimates have other coordinates than the truth.
+        """
+        self._check_same_coordinates("position")
+        return self.motion.position
 
     @property
     def velocity(self) -> slice:
-        """The state's velocity components."""
+        """Velocity components of estimates and truth alike.
+
+        Raises:
+            ValueError: estimates have other coordinates than the truth.
+        """
+        self._check_same_coordinates("velocity")
         return self.motion.velocity
 
+    @property
+    def quantities(self) -> dict[str, slice]:
+        """Components of the truth, and of converted estimates, whose errors are of interest, by name."""
+        return {"position": self.truth_position, "velocity": self.truth_velocity, **self.extra_quantities}
+
+    def _check_same_coordinates(self, name: str) -> None:
+        if self.conversion is not None:
+            raise ValueError(
+                f"{name}: estimates of {self.name} have other coordinates than the truth; compare "
+                f"scenario.cartesian(estimate).mean with tracks.truth in the components scenario.truth_{name}"
+            )
+
     def simulate(self, runs: int, seed: int = 0, *, first: int = 0, dtype: torch.dtype = torch.float64) -> Tracks:
-        """Simulated runs ``first`` to ``first + runs``.
+        """Simulates the runs from ``first`` up to, not including, ``first + runs``.
 
         Args:
             runs: how many.
             seed: of the random numbers.
-            first: of the first run; run i of a seed is the same to the bit in every call.
+            first: number of the first run; run i of a seed is the same to the bit in every call.
             dtype: of the result.
 
         Raises:
@@ -126,26 +157,25 @@ class Scenario:
         return Tracks(joined([b.truth for b in blocks]), joined([b.z for b in blocks]), u, prior)
 
 
-def contaminated(outliers: str, size: float | None, share: float) -> Callable[[np.random.Generator, Any], Tensor]:
-    """Draws by how much the standard deviation of each measurement grows: 1 for most.
+def outlier_factors(outliers: str, size: float | None, share: float) -> Callable[[np.random.Generator, Any], Tensor]:
+    """A function ``(rng, shape)`` that draws the factor on the standard deviation of each measurement: 1 for most.
 
     Args:
-        outliers: what grows: ``"covariance"`` or ``"std"``, or ``"none"``.
-        size: how many times it grows; None for an integer from 1 to 20, drawn each time.
-        share: of the measurements that it happens to.
+        outliers: what is ``size`` times larger in an outlier: ``"covariance"`` or ``"std"``, or ``"none"``.
+        size: how many times; None for an integer from 1 to 20, drawn each time.
+        share: of the measurements that are outliers.
 
     Raises:
-        ValueError: an argument that is none of those.
+        ValueError: an argument out of its range.
     """
-    if outliers not in ("covariance", "std", "none"):
-        raise ValueError(f"outliers: expected 'covariance', 'std' or 'none', received {outliers!r}")
+    one_of(outliers=(outliers, ("covariance", "std", "none")))
     if not (size is None or 1 <= size < float("inf")) or not 0 <= share <= 1:
         raise ValueError(f"size, share: expected 1 or more and a share in [0, 1], received {size}, {share}")
 
-    def grown(rng: np.random.Generator, shape: Any) -> Tensor:
-        wild, drawn = torch.from_numpy(rng.random(shape)) < share, torch.from_numpy(rng.integers(1, 21, shape))
+    def draw(rng: np.random.Generator, shape: Any) -> Tensor:
+        outlying, drawn = torch.from_numpy(rng.random(shape)) < share, torch.from_numpy(rng.integers(1, 21, shape))
         times = drawn.double() if size is None else torch.full(tuple(shape), float(size), dtype=torch.float64)
-        times = {"covariance": times.sqrt(), "std": times, "none": torch.ones_like(times)}[outliers]
-        return torch.where(wild, times, 1.0)
+        factor = {"covariance": times.sqrt(), "std": times, "none": torch.ones_like(times)}[outliers]
+        return torch.where(outlying, factor, 1.0)
 
-    return grown
+    return draw

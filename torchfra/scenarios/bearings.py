@@ -1,6 +1,7 @@
 """Two moving stations take bearings of one target: the two experiments of Wang et al. (2021), section 3.
 
-Constant-acceleration filter, steps of 1 s over 100 s, bearings good to 1 degree, stations at 100 m/s, heading 45.
+Filters assume constant acceleration.  100 steps of 1 s, bearings with errors of 1 degree, stations at 100 m/s to the
+north-east.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ _ROOT = torch.tensor([10.0, 10.0, 1.0, 1.0, 0.1, 0.1], dtype=torch.float64).diag
 
 
 def bearings_outliers(outliers: str = "covariance", *, truth_noise: float = 0.0, initial: str = "paper") -> Scenario:
-    """Scenario 1: constant acceleration, abnormal noise at 40, 50, 60 (10 sigma) and 70 s (40 sigma).
+    """Scenario 1: constant acceleration, outliers at 40, 50, 60 (10 sigma) and 70 s (40 sigma).
 
     Args:
         outliers: reading of "10 sigma": ``"covariance"`` or ``"std"`` times 10, or an ``"offset"`` of 10 std of random
             sign; ``"none"`` for none.
-        truth_noise: variance of a noise on the true acceleration, as ``q`` of the filter, m^2/s^4; the paper has 0.
+        truth_noise: variance of the targets' random acceleration, m^2/s^4; the paper has 0.
         initial: ``"paper"`` for its initial state, 2.5 km off; ``"truth"`` for one drawn around the true state.
 
     Raises:
@@ -45,11 +46,11 @@ def bearings_outliers(outliers: str = "covariance", *, truth_noise: float = 0.0,
 
 
 def bearings_manoeuvre(outliers: str = "covariance", *, truth_noise: float = 0.0, initial: str = "truth") -> Scenario:
-    """Scenario 2: constant acceleration, a turn of pi/10 rad/s from 30 to 80 s; abnormal noise at 50, 60, 70 s.
+    """Scenario 2: constant acceleration, a turn of pi/10 rad/s from 30 to 80 s; outliers at 50, 60, 70 s.
 
     Args:
-        outliers: see ``bearings_outliers``.
-        truth_noise: see ``bearings_outliers``.
+        outliers: as in ``bearings_outliers``.
+        truth_noise: as in ``bearings_outliers``.
         initial: ``"truth"`` (the paper's "near the truth"): each run starts from a state drawn around the true one;
             ``"paper"`` from that of scenario 1.
 
@@ -114,13 +115,13 @@ def _scenario(name: str, path: Tensor, sizes: dict[int, float], outliers: str, t
 
 
 def _bank() -> Bank:
-    """Constant acceleration, and turns of the rate of scenario 2 to both sides: it knows what comes."""
+    """Constant acceleration, and turns of the rate of scenario 2 to both sides."""
     turns = [CoordinatedTurn(side * math.pi / 10, Q, orders=3) for side in (1, -1)]
     return Bank([ConstantAcceleration(Q), *turns], neighbours=((1, 2), (0, 2), (0, 1)), first=(0, 1, 2))
 
 
 def _disturbance(jerk: Tensor, variance: float) -> Tensor:
-    """Deviation of the state ``(B, T, 6)`` from its path under noise ``(B, T, 2)`` of this variance."""
+    """Deviation of the state ``(B, T, 6)`` from its path under process noise ``(B, T, 2)`` of this variance."""
     model = ConstantAcceleration(variance)
     dt = torch.tensor(DT, dtype=torch.float64)
     matrix, root = model.transition(dt), model.process_noise(dt)

@@ -1,4 +1,4 @@
-"""The univariate non-stationary growth model under contaminated noise: Qin et al. (2018), experiment 1."""
+"""The univariate non-stationary growth model under measurement noise with outliers: Qin et al. (2018), experiment 1."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch.distributions import constraints
 
 from torchfra.hyper import Hyper
 from torchfra.motion.base import Motion
-from torchfra.scenarios.base import BLOCK, Scenario, Tracks, contaminated
+from torchfra.scenarios.base import BLOCK, Scenario, Tracks, outlier_factors
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
@@ -20,7 +20,7 @@ class Growth(Motion):
     """``x' = x / 2 + 25 x / (1 + x^2) + 8 cos(1.2 (k - 1))``; the number ``k`` of the step is ``u (..., 1)``.
 
     Args:
-        q: variance of what a step adds.
+        q: variance of the process noise of a step.
 
     Source: Kitagawa (1987), in the form of Gordon, Salmond & Smith (1993).
     """
@@ -30,40 +30,40 @@ class Growth(Motion):
         self.q = Hyper(q, constraints.nonnegative, name="q")
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
-        """The state ``(..., 1)`` one step on, without process noise; ``dt`` is not used."""
+        """The state ``(..., 1)`` after a step; ``dt`` does not matter."""
         if u is None:
             raise ValueError("u: expected the number of the step, (..., 1), received None")
         moved: Tensor = x / 2 + 25 * x / (1 + x.square()) + 8 * (1.2 * (u - 1)).cos()
         return moved
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., 1, 1)``."""
+        """Root of the process noise ``(..., 1, 1)``; ``dt`` does not matter."""
         root: Tensor = (self.q(dt).sqrt() * torch.ones_like(dt))[..., None, None]
         return root
 
 
 class Square(Sensor):
-    """``x^2 / 20``: it does not tell the sign.
+    """Measures ``x^2 / 20``, which does not tell the sign.
 
     Args:
-        std: of the noise.
+        std: of the measurement noise.
     """
 
     def __init__(self, std: float = 1.0) -> None:
         super().__init__(1, [False], std, None)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
-        """The measurement ``(..., 1)`` of states, without noise."""
+        """The measurement ``(..., 1)`` without noise."""
         return x[..., :1].square() / 20
 
 
 def growth(outliers: str = "covariance", *, size: float = 15.0, share: float = 0.3) -> Scenario:
-    """A strongly nonlinear scalar state over 500 steps, its square measured with contaminated noise.
+    """A strongly nonlinear scalar state over 500 steps, its square measured with outliers.
 
     Args:
-        outliers: what grows in a contaminated measurement: ``"covariance"``, ``"std"``, or ``"none"``.
-        size: how many times it grows.
-        share: of the measurements that are contaminated.
+        outliers: what is ``size`` times larger in an outlier: ``"covariance"``, ``"std"``, or ``"none"``.
+        size: how many times larger.
+        share: of the measurements that are outliers.
 
     Raises:
         ValueError: an argument that is none of those.
@@ -73,7 +73,7 @@ def growth(outliers: str = "covariance", *, size: float = 15.0, share: float = 0
     motion, sensor = Growth(), Square()
     numbers = torch.arange(1, STEPS + 1, dtype=torch.float64).unsqueeze(-1)
     prior = Gaussian(torch.zeros(1, dtype=torch.float64), torch.eye(1, dtype=torch.float64))
-    grown = contaminated(outliers, size, share)
+    factors = outlier_factors(outliers, size, share)
 
     def block(rng: np.random.Generator, runs: Tensor) -> Tracks:
         # One draw holds all that any setting may need, so that settings can be compared on the same noise.
@@ -83,7 +83,7 @@ def growth(outliers: str = "covariance", *, size: float = 15.0, share: float = 0
             state = motion(state, torch.ones(1), numbers[k]) + step
             states.append(state)
         truth = torch.stack(states, 1)
-        z = sensor(truth) + noise * grown(rng, (BLOCK, STEPS, 1))
+        z = sensor(truth) + noise * factors(rng, (BLOCK, STEPS, 1))
         return Tracks(truth, z, numbers, Gaussian(prior.mean.expand(BLOCK, 1), prior.scale_tril))
 
     settings: dict[str, object] = {"outliers": outliers, "size": size, "share": share}

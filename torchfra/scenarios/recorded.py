@@ -1,14 +1,16 @@
-"""Recorded tracks as the truth, and a simulated sensor that looks at them."""
+"""Recorded tracks as the truth, and a simulated sensor that measures them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from torchfra.hyper import one_of
 from torchfra.motion.bank import aircraft
 from torchfra.motion.polynomial import ConstantAcceleration
 from torchfra.readers.grid import resample
@@ -19,27 +21,23 @@ from torchfra.sensors.position import Position
 from torchfra.types import Gaussian
 
 _ROOT = torch.tensor([100.0, 100.0, 10.0, 10.0, 2.0, 2.0], dtype=torch.float64).diag()
+_KNOWN = torch.tensor([1.0, 1.0, 1.0, 1.0, 0.0, 0.0], dtype=torch.float64)
+"""Components of the true state that the initial belief is centred on: not the acceleration."""
 _SHORTEST = 20
+"""Steps of the shortest window."""
+_Sensor = Bearings | RangeBearing | Position
 
 
 def recorded(
-    recordings: Sequence[Recording],
-    sensor: str = "bearings",
-    *,
-    dt: float = 5.0,
-    steps: int = 120,
-    max_gap: float = 30.0,
-    std: float | Sequence[float] | None = None,
-    outliers: str = "covariance",
-    share: float = 0.05,
-    size: float = 10.0,
-    q: float = 0.25,
-) -> Scenario:
+    recordings: Sequence[Recording], sensor: str = "bearings", *, dt: float = 5.0, steps: int = 120,
+    max_gap: float = 30.0, std: float | Sequence[float] | None = None, outliers: str = "covariance",
+    share: float = 0.05, size: float = 10.0, q: float = 0.25,
+) -> Scenario:  # fmt: skip
     """A simulated sensor on recorded tracks, in the horizontal plane.
 
     Tracks are resampled to a regular step, split at gaps and cut into windows; run i takes window i modulo their
-    number (``settings["windows"]``), with its own noise.  Velocity and acceleration of the truth are differences of the
-    positions.  A window that ends early has NaN from there on.
+    number (``settings["windows"]``), with other random numbers.  Velocity and acceleration of the truth are differences
+    of the positions.  A window that ends early has NaN from there on.
 
     Args:
         recordings: from ``torchfra.readers.read``.
@@ -50,62 +48,76 @@ def recorded(
         max_gap: seconds without a position that split a track.
         std: of the sensor: rad for bearings (0.1 degrees unless given), (m, rad) for the radar (50 m, 0.1 degrees), m
             for the position (30 m).
-        outliers: what grows in an outlier: ``"covariance"`` or ``"std"``, or ``"none"``.
+        outliers: what is ``size`` times larger in an outlier: ``"covariance"``, ``"std"``, or ``"none"``.
         share: of the measurements that are outliers.
-        size: how many times it grows.
+        size: how many times larger.
         q: variance of the change of acceleration per step that filters assume, m^2/s^4; also of the bank
-            (``torchfra.bank.aircraft``).
+            (``torchfra.motion.aircraft``).
 
     Raises:
         ValueError: an argument out of its range, or no track long enough.
     """
-    if outliers not in ("covariance", "std", "none"):
-        raise ValueError(f"outliers: expected 'covariance', 'std' or 'none', received {outliers!r}")
-    if sensor not in ("bearings", "radar", "position"):
-        raise ValueError(f"sensor: expected 'bearings', 'radar' or 'position', received {sensor!r}")
-    if steps < _SHORTEST or not 0 <= share <= 1 or not size >= 1:
-        raise ValueError(
-            f"steps, share, size: expected {_SHORTEST} or more, in [0, 1], 1 or more, received {steps}, {share}, {size}"
-        )
+    growth = _growth(outliers, share, size)
     windows = _windows(recordings, dt, steps, max_gap)
-    centre, reach = _frame(windows)
-    angle = math.radians(0.1)
-    model: Bearings | RangeBearing | Position
-    south = centre - reach * torch.tensor([0.0, 1.5], dtype=torch.float64)
-    if sensor == "bearings":
-        model = Bearings(angle if std is None else torch.as_tensor(std, dtype=torch.float64))
-        aside = reach * torch.tensor([1.0, 0.0], dtype=torch.float64)
-        places = torch.cat([south - aside, south + aside], -1)
-    elif sensor == "position":
-        model, places = Position(30.0 if std is None else torch.as_tensor(std, dtype=torch.float64)), None
-    else:
-        model = RangeBearing(torch.as_tensor((50.0, angle) if std is None else std, dtype=torch.float64))
-        places = south
-    assert model.std is not None
-    sigma, grown = model.std(), {"covariance": math.sqrt(size), "std": size, "none": 1.0}[outliers]
-
-    def block(rng: np.random.Generator, numbers: Tensor) -> Tracks:
-        window = numbers % len(windows)
-        draw = torch.from_numpy(rng.standard_normal((BLOCK, 6 + steps * model.size)))
-        wild = torch.from_numpy(rng.random((BLOCK, steps, 1))) < share
-        truth = windows[window]
-        u = None if places is None else places[window].unsqueeze(1).expand(-1, steps, -1)
-        noise = draw[:, 6:].unflatten(1, (steps, model.size)) * torch.where(wild, grown, 1.0)
-        start = truth[:, 0] * torch.tensor([1.0, 1.0, 1.0, 1.0, 0.0, 0.0], dtype=torch.float64)
-        truth = truth[:, 1:]
-        return Tracks(truth, model(truth, u) + sigma * noise, u, Gaussian(start + draw[:, :6] @ _ROOT, _ROOT))
-
+    model, places = _observed(sensor, std, windows)
     settings = {
         "sensor": sensor, "windows": len(windows), "recordings": len(recordings), "max_gap": max_gap,
-        "std": sigma.tolist(), "outliers": outliers, "share": share, "size": size, "q": q,
+        "std": _std(model).tolist(), "outliers": outliers, "share": share, "size": size, "q": q,
     }  # fmt: skip
-    motion = ConstantAcceleration(q)
-    centre_of_all = Gaussian(windows[0, 0] * torch.tensor([1.0] * 4 + [0.0] * 2, dtype=torch.float64), _ROOT)
-    return Scenario("recorded", motion, model, centre_of_all, dt, steps, block, settings, aircraft(q))
+    block = partial(_block, windows, model, places, share, growth)
+    return Scenario("recorded", ConstantAcceleration(q), model, Gaussian(windows[0, 0] * _KNOWN, _ROOT), dt, steps,
+                    block, settings, aircraft(q))  # fmt: skip
+
+
+def _growth(outliers: str, share: float, size: float) -> float:
+    """The factor on the standard deviation of an outlier."""
+    one_of(outliers=(outliers, ("covariance", "std", "none")))
+    if not 0 <= share <= 1 or not size >= 1:
+        raise ValueError(f"share, size: expected a share in [0, 1], and 1 or more, received {share}, {size}")
+    return {"covariance": math.sqrt(size), "std": size, "none": 1.0}[outliers]
+
+
+def _observed(sensor: str, std: float | Sequence[float] | None, windows: Tensor) -> tuple[_Sensor, Tensor | None]:
+    """The sensor, and the positions of its stations ``(W, k)`` for each window; None if it has no station."""
+    one_of(sensor=(sensor, ("bearings", "radar", "position")))
+    known = None if std is None else torch.as_tensor(std, dtype=torch.float64)
+    if sensor == "position":
+        return Position(30.0 if known is None else known), None
+    angle = math.radians(0.1)
+    centre, reach = _frame(windows)
+    south = centre - reach * torch.tensor([0.0, 1.5], dtype=torch.float64)
+    if sensor == "radar":
+        return RangeBearing(torch.tensor((50.0, angle), dtype=torch.float64) if known is None else known), south
+    aside = reach * torch.tensor([1.0, 0.0], dtype=torch.float64)
+    return Bearings(angle if known is None else known), torch.cat([south - aside, south + aside], -1)
+
+
+def _block(
+    windows: Tensor, sensor: _Sensor, places: Tensor | None, share: float, growth: float,
+    rng: np.random.Generator, numbers: Tensor,
+) -> Tracks:  # fmt: skip
+    """Runs of these numbers; an outlier's standard deviation is ``growth`` times larger."""
+    window, steps = numbers % len(windows), windows.shape[1] - 1
+    draw = torch.from_numpy(rng.standard_normal((BLOCK, 6 + steps * sensor.size)))
+    outlying = torch.from_numpy(rng.random((BLOCK, steps, 1))) < share
+    truth = windows[window]
+    start, truth = truth[:, 0] * _KNOWN, truth[:, 1:]
+    u = None if places is None else places[window].unsqueeze(1).expand(-1, steps, -1)
+    noise = draw[:, 6:].unflatten(1, (steps, sensor.size)) * torch.where(outlying, growth, 1.0)
+    z = sensor(truth, u) + _std(sensor) * noise
+    return Tracks(truth, z, u, Gaussian(start + draw[:, :6] @ _ROOT, _ROOT))
+
+
+def _std(sensor: _Sensor) -> Tensor:
+    assert sensor.std is not None
+    std: Tensor = sensor.std()
+    return std
 
 
 def _windows(recordings: Sequence[Recording], dt: float, steps: int, max_gap: float) -> Tensor:
-    """States ``(W, steps + 1, 6)`` of all windows, NaN behind the end of a track."""
+    """States ``(W, steps + 1, 6)`` of all windows, NaN after the end of a track."""
+    if steps < _SHORTEST:
+        raise ValueError(f"steps: expected {_SHORTEST} or more, received {steps}")
     windows = []
     for recording in recordings:
         for time, position in resample(recording, dt, max_gap=max_gap):

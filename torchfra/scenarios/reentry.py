@@ -6,10 +6,11 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.distributions import constraints
+from torch.nn.functional import pad
 
-from torchfra.hyper import Hyper, Value
+from torchfra.hyper import Hyper, Value, one_of
 from torchfra.motion.base import Motion
-from torchfra.scenarios.base import BLOCK, Scenario, Tracks, contaminated
+from torchfra.scenarios.base import BLOCK, Scenario, Tracks, outlier_factors
 from torchfra.sensors.direction import RangeBearing
 from torchfra.types import Gaussian
 
@@ -24,30 +25,29 @@ class Reentry(Motion):
     """Gravity and drag: ``[x, y, vx, vy, parameter]`` from the centre of the earth, m, m/s.
 
     Args:
-        q: spectral density of the acceleration's noise, m^2/s^3.
+        q: spectral density of the random acceleration, m^2/s^3.
         q_parameter: variance that a second adds to the logarithm of the ballistic parameter.
         method: how a step is integrated: ``"euler"`` or ``"rk4"``.
-        substeps: in how many parts.
+        substeps: parts that a step is integrated in.
 
     Raises:
-        ValueError: an unknown method, or no substep.
+        ValueError: an unknown method, or ``substeps`` below 1.
 
-    Source: Austin & Leondes (1981); Julier & Uhlmann (2004); Sarkka (2007) for the noise.
+    Source: Austin & Leondes (1981); Julier & Uhlmann (2004); Sarkka (2007) for the process noise.
     """
 
     def __init__(
         self, q: Value = 240.64, q_parameter: Value = 0.0, *, method: str = "euler", substeps: int = SUBSTEPS
     ) -> None:
-        if method not in ("euler", "rk4") or substeps < 1:
-            raise ValueError(
-                f"method, substeps: expected 'euler' or 'rk4' and 1 or more, received {method!r}, {substeps}"
-            )
+        one_of(method=(method, ("euler", "rk4")))
+        if substeps < 1:
+            raise ValueError(f"substeps: expected 1 or more, received {substeps}")
         super().__init__(2, 2, q, size=5)
         self.q_parameter = Hyper(q_parameter, constraints.nonnegative, name="q_parameter")
         self.method, self.substeps = method, substeps
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
-        """The state ``(..., 5)`` after ``dt (...)`` seconds, without process noise."""
+        """The state ``(..., 5)`` after ``dt`` seconds, without process noise."""
         h = dt.unsqueeze(-1) / self.substeps
         for _ in range(self.substeps):
             slope = self.slope(x)
@@ -60,7 +60,7 @@ class Reentry(Motion):
 
     @staticmethod
     def slope(x: Tensor) -> Tensor:
-        """Time derivative ``(..., 5)`` of a state, without noise."""
+        """Time derivative ``(..., 5)`` of a state, without process noise."""
         position, velocity, parameter = x[..., :2], x[..., 2:4], x[..., 4:]
         radius = position.square().sum(-1, keepdim=True).sqrt()
         speed = velocity.square().sum(-1, keepdim=True).sqrt()
@@ -68,7 +68,7 @@ class Reentry(Motion):
         return torch.cat([velocity, drag * velocity - _PULL / radius**3 * position, 0 * parameter], -1)
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., 5, 5)``: white acceleration over a step, and what the parameter drifts."""
+        """Root of the process noise ``(..., 5, 5)``: white acceleration over a step, and drift of the parameter."""
         q, drift, zero = self.q(dt), self.q_parameter(dt), torch.zeros_like(dt)
         slow = (drift * dt).sqrt()
         far, near, fast = (q * dt**3 / 3).sqrt(), (3 * q * dt / 4).sqrt(), (q * dt / 4).sqrt()
@@ -84,53 +84,54 @@ class Reentry(Motion):
 
 
 def reentry(
-    outliers: str = "covariance",
-    *,
-    radar: str = "paper",
-    size: float | None = None,
-    share: float = 0.3,
-    q_parameter: float = 0.0,
-    method: str = "euler",
-) -> Scenario:
-    """200 s of a re-entry, range and bearing every second with contaminated noise.
+    outliers: str = "covariance", *, radar: str = "paper", size: float | None = None, share: float = 0.3,
+    q_parameter: float = 0.0, method: str = "euler",
+) -> Scenario:  # fmt: skip
+    """200 s of a re-entry, range and bearing every second, with outliers.
 
     Args:
-        outliers: what grows in a contaminated measurement: ``"covariance"``, ``"std"``, or ``"none"``.
-        radar: ``"paper"`` (32 m and 13 mrad, what it prints read as variances) or ``"precise"`` (1 m and 0.17 mrad,
+        outliers: what is ``size`` times larger in an outlier: ``"covariance"``, ``"std"``, or ``"none"``.
+        radar: ``"paper"`` (32 m and 13 mrad, its numbers read as variances) or ``"precise"`` (1 m and 0.17 mrad,
             those of the literature).
-        size: how many times it grows; None for an integer from 1 to 20, drawn each time.
-        share: of the measurements that are contaminated.
-        q_parameter: see ``Reentry``; the filters', the truth keeps its parameter.
-        method: of the filters' integration, see ``Reentry``.
+        size: how many times larger; None for an integer from 1 to 20, drawn each time.
+        share: of the measurements that are outliers.
+        q_parameter: as in ``Reentry``, for the filters; the true parameter is constant.
+        method: of the filters' integration, as in ``Reentry``.
 
     Raises:
         ValueError: an argument that is none of those.
 
     Source: Qin et al. (2018), section 4.2.  The duration and the integration are ours.
     """
-    if radar not in _RADARS:
-        raise ValueError(f"radar: expected one of {tuple(_RADARS)}, received {radar!r}")
+    one_of(radar=(radar, tuple(_RADARS)))
     motion, std = Reentry(q_parameter=q_parameter, method=method), torch.tensor(_RADARS[radar], dtype=torch.float64)
     sensor = RangeBearing(std)
     station = torch.tensor([_EARTH, 0.0], dtype=torch.float64).expand(STEPS, 2)
-    prior, grown = Gaussian(_START, torch.eye(5, dtype=torch.float64)), contaminated(outliers, size, share)
+    prior, factors = Gaussian(_START, torch.eye(5, dtype=torch.float64)), outlier_factors(outliers, size, share)
     jolt = (motion.q() * DT / SUBSTEPS).sqrt()
 
     def block(rng: np.random.Generator, runs: Tensor) -> Tracks:
         start = torch.from_numpy(rng.standard_normal((BLOCK, 4)))
         noise = torch.from_numpy(rng.standard_normal((BLOCK, STEPS, 2)))
         process = torch.from_numpy(rng.standard_normal((STEPS, SUBSTEPS, BLOCK, 2)))
-        state, states = _START + torch.nn.functional.pad(start, (0, 1)), []
-        for second in process:
-            for shock in second:  # Euler-Maruyama
-                state = state + DT / SUBSTEPS * Reentry.slope(state) + torch.nn.functional.pad(jolt * shock, (2, 1))
-            states.append(state)
-        truth = torch.stack(states, 1)
-        z = sensor(truth, station) + std * noise * grown(rng, (BLOCK, STEPS, 1))
+        truth = _fallen(_START + pad(start, (0, 1)), jolt * process)
+        z = sensor(truth, station) + std * noise * factors(rng, (BLOCK, STEPS, 1))
         return Tracks(truth, z, station, Gaussian(prior.mean.expand(BLOCK, 5), prior.scale_tril))
 
     settings: dict[str, object] = {
         "outliers": outliers, "radar": radar, "size": "1 to 20" if size is None else size, "share": share,
         "q_parameter": q_parameter, "method": method,
     }  # fmt: skip
-    return Scenario("reentry", motion, sensor, prior, DT, STEPS, block, settings, others={"parameter": slice(4, 5)})
+    return Scenario(
+        "reentry", motion, sensor, prior, DT, STEPS, block, settings, extra_quantities={"parameter": slice(4, 5)}
+    )
+
+
+def _fallen(state: Tensor, shocks: Tensor) -> Tensor:
+    """True states ``(BLOCK, T, 5)`` by Euler-Maruyama; ``shocks (T, SUBSTEPS, BLOCK, 2)`` are added to velocities."""
+    states = []
+    for second in shocks:
+        for shock in second:
+            state = state + DT / SUBSTEPS * Reentry.slope(state) + pad(shock, (2, 1))
+        states.append(state)
+    return torch.stack(states, 1)

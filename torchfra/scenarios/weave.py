@@ -1,4 +1,4 @@
-"""An aircraft that flies level and then manoeuvres hard, two outliers planted: the alpha-beta bank's experiment."""
+"""An aircraft that flies level and then manoeuvres hard, with two outliers: the alpha-beta bank's experiment."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def level_then_weave(outliers: str = "planted", *, noise: str = "cartesian") -> 
 
     Args:
         outliers: ``"planted"``: 2 km on x at 100 and 101 s; ``"none"``.
-        noise: ``"cartesian"``: 20 m per axis; ``"spherical"``: 20 m in range, 0.05 degrees in azimuth and elevation
-            from the origin (filters assume 20 m per axis in any case).
+        noise: of the measurements: ``"cartesian"``: 20 m per axis; ``"spherical"``: 20 m in range, 0.05 degrees in
+            azimuth and elevation from the origin (filters assume 20 m per axis in any case).
 
     Raises:
         ValueError: an argument that is none of those.
 
-    Source: Xu et al., section 4.  The track's numbers are ours where the paper's are lost.
+    Source: Xu et al., section 4.  Numbers of the track that the paper lost are ours.
     """
     one_of(
         outliers=(outliers, ("planted", "none")),
@@ -45,7 +45,7 @@ def level_then_weave(outliers: str = "planted", *, noise: str = "cartesian") -> 
     def block(rng: np.random.Generator, runs: Tensor) -> Tracks:
         draw = torch.from_numpy(rng.standard_normal((BLOCK, STEPS, 3)))
         start = torch.from_numpy(rng.standard_normal((BLOCK, 9)))
-        z = truth[1:, :3] + STD * draw if noise == "cartesian" else _seen(truth[1:, :3], draw)
+        z = truth[1:, :3] + STD * draw if noise == "cartesian" else _measured(truth[1:, :3], draw)
         return Tracks(truth[1:].expand(BLOCK, -1, -1), z + planted, None, Gaussian(truth[0] + start @ _ROOT, _ROOT))
 
     settings: dict[str, object] = {"outliers": outliers, "noise": noise}
@@ -69,8 +69,8 @@ def _path() -> Tensor:
     return torch.cat([position, velocity, acceleration], -1)
 
 
-def _seen(position: Tensor, draw: Tensor) -> Tensor:
-    """Positions from range, azimuth and elevation with noise."""
+def _measured(position: Tensor, draw: Tensor) -> Tensor:
+    """Positions from range, azimuth and elevation with measurement noise."""
     ground = torch.hypot(position[..., 0], position[..., 1])
     angle = math.radians(0.05)
     reach = position.norm(dim=-1) + STD * draw[..., 0]

@@ -1,0 +1,122 @@
+"""Presets say what they take, refuse what they do not know, and share nothing that learns with what they are handed."""
+
+import inspect
+import re
+from functools import partial
+
+import pytest
+import torch
+
+from torchfra import presets, scenarios
+from torchfra.adaptive import Fading
+from torchfra.association import Clutter
+from torchfra.hyper import hypers
+from torchfra.motion import ConstantAcceleration, ConstantVelocity
+from torchfra.robust import Huber, HuberScore, ThreeSegment
+from torchfra.sensors import Bearings, Position
+
+ALL = [getattr(presets, name) for name in presets.__all__]
+
+
+def faded(f):
+    """The components that the fading factors of a filter act on."""
+    return next(part.states for part in f.modules() if isinstance(part, Fading))
+
+
+def same(one, other):
+    torch.testing.assert_close(one.mean, other.mean, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("preset", ALL)
+def test_every_keyword_is_explicit_and_has_its_line_of_documentation(preset):
+    parameters = inspect.signature(preset).parameters.values()
+    assert not [p for p in parameters if p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL)]
+    documented = re.findall(r"^    (\w+): ", inspect.getdoc(preset).split("Args:\n")[1].split("\n\n")[0], re.MULTILINE)
+    assert documented == [p.name for p in parameters]
+
+
+@pytest.mark.parametrize("preset", ALL)
+def test_a_misspelt_keyword_is_an_error_that_names_the_preset(preset):
+    with pytest.raises(TypeError, match=rf"{preset.__name__}\(\) got an unexpected keyword argument 'wekening'"):
+        preset(ConstantVelocity(1.0), Position(1.0), wekening=2.0)
+
+
+def test_the_defaults_of_presets_are_those_of_the_classes_but_for_what_they_change():
+    """Presets that pass a keyword on to another preset give it the same default, or the one listed here."""
+
+    def defaults(preset):
+        return {p.name: p.default for p in inspect.signature(preset).parameters.values() if p.default is not p.empty}
+
+    for outer, inner, changed in (
+        (presets.fra, presets.fra_srckf, {"rcond": 0.2, "decision": "likelihood", "memory": "weighted"}),
+        (presets.imm_fra, presets.fra, {"preference": 5.0}),
+        (presets.imm_fra, presets.imm, {"stay": 0.99}),
+        (presets.iaukf_jpda, presets.iaukf, {}),
+        (presets.iaukf_jpda, presets.jpda, {"lost": 1e-3}),
+        (presets.ukf_jpda, presets.jpda, {}),
+        (presets.ukf_jpda, presets.ukf, {"beta": 2.0, "kappa": 0.0}),
+        (presets.rmckf, presets.asrckf, {}),
+        (presets.rmckf, presets.rsrckf, {}),
+    ):
+        common = defaults(outer).keys() & defaults(inner).keys()
+        differ = {name: defaults(outer)[name] for name in common if defaults(outer)[name] != defaults(inner)[name]}
+        assert differ == changed
+
+
+@pytest.mark.parametrize("name", ["rsrckf", "rmckf", "fra_srckf", "fra"])
+def test_a_robust_side_takes_the_place_of_huber_weights(scenario, tracks, name):
+    preset = partial(getattr(presets, name), scenario.motion, scenario.sensor)
+
+    def estimate(f):
+        return f(tracks.z, tracks.prior, u=tracks.u)
+
+    same(estimate(preset(robust=Huber(0.7))), estimate(preset(threshold=0.7)))
+    other = estimate(preset(robust=ThreeSegment()))
+    assert (other.mean - estimate(preset()).mean).abs().max() > 1e-3
+    for options in ({"threshold": 1.345}, {"per_element": True}):
+        with pytest.raises(ValueError, match="robust, threshold, per_element: expected a robust side or options of"):
+            preset(robust=Huber(), **options)
+
+
+def test_a_robust_side_that_learns_is_a_copy(scenario):
+    side = HuberScore(2.0)
+    f = presets.rsrckf(scenario.motion, scenario.sensor, robust=side, learn=("threshold",))
+    assert f.robust.threshold.raw.requires_grad
+    assert not side.threshold.raw.requires_grad
+    assert presets.rsrckf(scenario.motion, scenario.sensor, robust=side).robust is side
+
+
+def test_options_of_an_inner_filter_are_bound_with_partial():
+    f = presets.imm_fra([ConstantAcceleration(0.1), ConstantAcceleration(1.0)], Bearings(0.1), gate=9.0, threshold=2.0)
+    assert f.inner.gate().item() == pytest.approx(9.0)
+    assert f.inner.robust.threshold().item() == pytest.approx(2.0)
+    bank = scenarios.adsb_models()
+    f = presets.vsimm_srckf(bank, Position(1.0), inner=partial(presets.rsrckf, threshold=2.0))
+    assert f.inner.robust.threshold().item() == pytest.approx(2.0)
+    f = presets.jpda(ConstantVelocity(1.0), Position(1.0), clutter=Clutter(1.0), inner=partial(presets.ukf, kappa=2.0))
+    assert hypers(f).keys() >= {"gate.probability", "detection", "clutter.volume"}
+
+
+def test_a_share_fades_position_velocity_and_acceleration_apart():
+    f = presets.asrckf(ConstantAcceleration(1.0), Position(1.0), share=(1, 0.1, 0.1))
+    assert faded(f) == (slice(0, 2), slice(2, 4), slice(4, 6))
+    assert faded(presets.asrckf(ConstantAcceleration(1.0), Position(1.0))) == (slice(0, 2),)
+    assert faded(presets.asrckf(ConstantVelocity(1.0), Position(1.0), states=slice(0, 4))) == (slice(0, 4),)
+
+
+def test_fading_follows_where_a_motion_has_its_position_and_velocity():
+    motion = ConstantVelocity(1.0)
+    motion.position, motion.velocity = slice(2, 4), slice(0, 2)
+    assert faded(presets.asrckf(motion, Position(1.0))) == (slice(2, 4),)
+    assert faded(presets.rmckf(motion, Position(1.0), share=(1, 0.5))) == (slice(2, 4), slice(0, 2))
+
+
+def test_alphabeta_is_tuned_for_constant_acceleration_and_keeps_what_is_chosen():
+    motion, sensor = ConstantAcceleration(4.0, 3), Position(20.0, dims=3)
+    f = presets.alphabeta(motion, sensor)
+    assert (f.manoeuvre().item(), f.outlier().item(), f.margin().item()) == pytest.approx((3.5, 18.0, 6.0))
+    assert (f.hysteresis().item(), f.dwell().item(), f.onset) == (pytest.approx(0.7), pytest.approx(20.0), "fastest")
+    f = presets.alphabeta(motion, sensor, margin=2.0, onset="shared")
+    assert (f.outlier().item(), f.margin().item(), f.onset) == (pytest.approx(18.0), pytest.approx(2.0), "shared")
+    f = presets.alphabeta(ConstantVelocity(4.0, 3), sensor)
+    assert (f.margin().item(), f.dwell().item(), f.onset) == (pytest.approx(3.0), pytest.approx(3.0), "shared")

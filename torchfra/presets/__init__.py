@@ -1,0 +1,58 @@
+"""The filters that papers name, ready made: each is a choice of arguments to the classes of ``torchfra.filters``.
+
+Every preset takes ``motion`` (how targets move; for interacting models a ``Bank`` or several motions of one state) and
+``sensor`` (what is measured), then keywords.  ``help(presets.fra)`` lists the keywords of a preset; what a keyword does
+in full is told by the class that it goes to, which its line names.  A value out of its range is a ``ValueError`` that
+names the argument.
+
+``learn`` is the same everywhere: the names of the hyperparameters that gradient descent may change, wherever in the
+filter they are, or ``"all"``.  ``torchfra.hyper.summary(f)`` prints the names that a filter has:
+
+- of the robust side: ``threshold``, ``low``, ``high``, ``eps``;
+- of the fading factors: ``weakening``, ``forgetting``, ``fading_max``, ``share``;
+- of the estimated measurement noise: ``forgetting``, ``confidence``;
+- of the feedback decision: ``gate``, ``preference``;
+- of interacting models: ``transition``, ``initial``, ``unlikely``, ``principal``;
+- of association: ``detection``, ``gate.size``, ``probability``, ``volume``, ``rate``;
+- of motions and sensors: ``q``, ``std``, ``rate``, ``alpha``, ``limit``.
+
+A motion or sensor whose values learn is copied first, so that the one handed in stays as it is; one whose values do not
+learn is shared.  A robust side that is handed in is copied if anything learns.
+
+A filter around another (``imm``, ``vsimm_srckf``, ``jpda``) takes that other as ``inner``: a preset, or any callable
+``(motion, sensor) -> Filter``.  Options of the inner filter are bound with ``functools.partial``::
+
+    imm(bank, sensor, inner=partial(rsrckf, threshold=2.0))
+"""
+
+from torchfra.presets.adaptive import asrckf, iaukf, rmckf
+from torchfra.presets.banks import imm, imm_ckf, imm_fra, imm_srckf, vsimm_srckf
+from torchfra.presets.constant_gains import alphabeta
+from torchfra.presets.feedback import fra, fra_srckf
+from torchfra.presets.scans import iaukf_jpda, jpda, ukf_jpda
+from torchfra.presets.single import ekf, ghckf, hghckf1, hghckf2, mr_ckf, rsrckf, srckf, ukf
+
+__all__ = [
+    "alphabeta",
+    "asrckf",
+    "ekf",
+    "fra",
+    "fra_srckf",
+    "ghckf",
+    "hghckf1",
+    "hghckf2",
+    "iaukf",
+    "iaukf_jpda",
+    "imm",
+    "imm_ckf",
+    "imm_fra",
+    "imm_srckf",
+    "jpda",
+    "mr_ckf",
+    "rmckf",
+    "rsrckf",
+    "srckf",
+    "ukf",
+    "ukf_jpda",
+    "vsimm_srckf",
+]

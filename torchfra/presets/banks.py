@@ -1,0 +1,181 @@
+"""Interacting models: a filter around a bank of motions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from functools import partial
+
+import torch
+
+from torchfra.filters.base import Filter
+from torchfra.filters.imm import IMM
+from torchfra.filters.vsimm import VSIMM
+from torchfra.gaussian.cubature import third_degree
+from torchfra.gaussian.rules import Rule
+from torchfra.hyper import Value
+from torchfra.motion.bank import Bank
+from torchfra.motion.base import Motion
+from torchfra.presets.feedback import fra
+from torchfra.presets.learning import with_learning
+from torchfra.presets.sides import Share, States
+from torchfra.presets.single import srckf
+from torchfra.robust.weights import Weights
+from torchfra.sensors.base import Sensor
+
+Models = Sequence[Motion] | Bank
+Inner = Callable[[Motion, Sensor], Filter]
+
+
+def imm(
+    models: Models, sensor: Sensor, *, inner: Inner = srckf, stay: float = 0.95, transition: Value | None = None,
+    initial: Value | None = None, learn: Collection[str] = (),
+) -> IMM:  # fmt: skip
+    """Interacting multiple models.
+
+    Args:
+        models: motions of one state, or a ``Bank`` of them.
+        sensor: what is measured.
+        inner: the filter of each model, ``(motion, sensor) -> Filter``: a preset, or a ``functools.partial`` of one.
+        stay: self-transition probability of every model; the others share the rest evenly.
+        transition: ``(K, K)`` probabilities instead of ``stay``, ``[i, j] = P(now j | was i)``: ``filters.IMM``.
+        initial: ``(K,)`` probabilities of the models before the first step; all the same if None.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+
+    Raises:
+        ValueError: a single motion, or ``stay`` that is no probability between 0 and 1.
+
+    Source: Blom & Bar-Shalom (1988); Du & Zhang (2020) for the square-root cubature form.
+    """
+    bank = _bank(models)
+    matrix = _transition(len(bank), stay, transition)
+    return with_learning(IMM(inner(bank, sensor), transition=matrix, initial=initial), learn)
+
+
+def imm_srckf(
+    models: Models, sensor: Sensor, *, stay: float = 0.95, transition: Value | None = None,
+    initial: Value | None = None, learn: Collection[str] = (),
+) -> IMM:  # fmt: skip
+    """``imm`` with ``srckf`` for each model.  Source: Du & Zhang (2020).
+
+    Args:
+        models: motions of one state, or a ``Bank`` of them.
+        sensor: what is measured.
+        stay: self-transition probability of every model; the others share the rest evenly.
+        transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
+        initial: ``(K,)`` probabilities of the models before the first step; all the same if None.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+    """
+    return imm(models, sensor, stay=stay, transition=transition, initial=initial, learn=learn)
+
+
+def imm_ckf(
+    models: Models, sensor: Sensor, *, stay: float = 0.95, transition: Value | None = None,
+    initial: Value | None = None, learn: Collection[str] = (),
+) -> IMM:  # fmt: skip
+    """The same filter as ``imm_srckf``, under the name of what Du & Zhang (2020) compare theirs with.
+
+    Covariances or their roots give the same estimates but for rounding, so that the difference in accuracy that they
+    report cannot come from there.  This filter computes with roots too.
+
+    Args:
+        models: motions of one state, or a ``Bank`` of them.
+        sensor: what is measured.
+        stay: self-transition probability of every model; the others share the rest evenly.
+        transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
+        initial: ``(K,)`` probabilities of the models before the first step; all the same if None.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+    """
+    return imm_srckf(models, sensor, stay=stay, transition=transition, initial=initial, learn=learn)
+
+
+def imm_fra(
+    models: Models, sensor: Sensor, *, stay: float = 0.99, transition: Value | None = None,
+    initial: Value | None = None, threshold: Value | None = None, per_element: bool = False,
+    robust: Weights | None = None, weakening: Value = 2.0, forgetting: Value = 0.95, fading_max: Value = 1e3,
+    rcond: float = 0.2, states: States = None, share: Share = None, trace: str = "full", gate: Value = 5.991,
+    preference: Value = 5.0, decision: str = "likelihood", temperature: float = 0.0, memory: str = "weighted",
+    final: str = "robust", rule: Callable[[int], Rule] = third_degree, learn: Collection[str] = (),
+) -> IMM:  # fmt: skip
+    """``imm`` with ``fra`` for each model: for manoeuvring targets and sensors with outliers.
+
+    Args:
+        models: motions of one state, or a ``Bank`` of them.
+        sensor: what is measured.
+        stay: self-transition probability of every model; high, so that one outlier does not change the model.
+        transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
+        initial: ``(K,)`` probabilities of the models before the first step; all the same if None.
+        threshold: as in ``fra``, like all that follow up to ``rule``.
+        per_element: whether each element of a measurement has its own threshold.
+        robust: other weights instead of Huber's; not together with ``threshold`` or ``per_element``.
+        weakening: above 1 the fading factors react less.
+        forgetting: memory of the innovations, in [0, 1].
+        fading_max: largest factor.
+        rcond: smallest singular value that is inverted, as a share of the largest.
+        states: components that fade, one slice or several groups; the position if None.
+        share: of the factor for each group; if given, the groups are position, velocity, acceleration.
+        trace: ``"full"``, or ``"position"`` to compare traces of the faded components only.
+        gate: normalised innovation squared above which a step is abnormal.
+        preference: log odds of the robust branch; high, as the bank explains manoeuvres and leaves the outliers.
+        decision: branches are compared by the predictive ``"likelihood"`` or the ``"normalised"`` innovation.
+        temperature: 0 for hard decisions, above for soft ones, to train by.
+        memory: innovations count ``"weighted"`` by the robust weights, or ``"plain"``.
+        final: branch of an abnormal last step: ``"robust"``, ``"adaptive"`` or ``"plain"``.
+        rule: makes the points for a number of states.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+    """
+    inner = partial(
+        fra, threshold=threshold, per_element=per_element, robust=robust, weakening=weakening, forgetting=forgetting,
+        fading_max=fading_max, rcond=rcond, states=states, share=share, trace=trace, gate=gate, preference=preference,
+        decision=decision, temperature=temperature, memory=memory, final=final, rule=rule,
+    )  # fmt: skip
+    return imm(models, sensor, inner=inner, stay=stay, transition=transition, initial=initial, learn=learn)
+
+
+def vsimm_srckf(
+    models: Models, sensor: Sensor, *, inner: Inner = srckf, neighbours: Sequence[Sequence[int]] | None = None,
+    first: Sequence[int] | None = None, stay: float = 0.95, transition: Value | None = None, unlikely: Value = 0.05,
+    principal: Value = 0.5, learn: Collection[str] = (),
+) -> VSIMM:  # fmt: skip
+    """Interacting models of which a few run at a time: three of five in the paper.  Source: Du & Zhang (2020).
+
+    Args:
+        models: motions of one state, or a ``Bank`` of them.
+        sensor: what is measured.
+        inner: the filter of each model, ``(motion, sensor) -> Filter``: a preset, or a ``functools.partial`` of one.
+        neighbours: of each model, those that it may call; the bank's if None (the paper has none): ``filters.VSIMM``.
+        first: models that run at first; the bank's if None: ``filters.VSIMM``.
+        stay: self-transition probability of every model; the others share the rest evenly.
+        transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.VSIMM``.
+        unlikely: probability below which a model is left out: ``filters.VSIMM``.
+        principal: probability above which a model calls its neighbours: ``filters.VSIMM``.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+
+    Raises:
+        ValueError: a single motion, neither ``neighbours`` and ``first`` nor a bank that has them, or ``stay`` that is
+            no probability between 0 and 1.
+    """
+    bank = _bank(models)
+    neighbours = bank.neighbours if neighbours is None else neighbours
+    first = bank.first if first is None else first
+    if neighbours is None or first is None:
+        raise ValueError("neighbours, first: expected both, or a Bank that has them, received none")
+    matrix = _transition(len(bank), stay, transition)
+    f = VSIMM(inner(bank, sensor), neighbours=neighbours, first=first, transition=matrix, unlikely=unlikely,
+              principal=principal)  # fmt: skip
+    return with_learning(f, learn)
+
+
+def _bank(models: Models) -> Bank:
+    if isinstance(models, Motion) and not isinstance(models, Bank):
+        raise ValueError(f"models: expected several motions or a Bank, received {type(models).__name__}")
+    return models if isinstance(models, Bank) else Bank(models)
+
+
+def _transition(count: int, stay: float, transition: Value | None) -> Value:
+    """The matrix ``(count, count)`` handed in, or one in which every model stays with the same probability."""
+    if not 0 < stay < 1:
+        raise ValueError(f"stay: expected a probability above 0 and below 1, received {stay}")
+    if transition is not None:
+        return transition
+    eye = torch.eye(count, dtype=torch.float64)
+    return stay * eye + (1 - stay) / (count - 1) * (1 - eye) if count > 1 else eye

@@ -1,0 +1,76 @@
+"""Filters of constant gains."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from typing import Any
+
+from torchfra.filters.alphabeta.bank import AlphaBetaBank
+from torchfra.filters.alphabeta.gains import Gains
+from torchfra.hyper import Value
+from torchfra.motion.base import Motion
+from torchfra.presets.learning import with_learning
+from torchfra.sensors.base import Sensor
+
+_PAPER: dict[str, Any] = {"margin": 3.0, "hysteresis": 0.5, "dwell": 3.0, "onset": "shared"}
+_TUNED: dict[str, Any] = {
+    "manoeuvre": 3.5, "outlier": 18.0, "margin": 6.0, "hysteresis": 0.7, "dwell": 20.0, "degrees": [0.25],
+    "onset": "fastest",
+}  # fmt: skip
+"""Of three gains, tuned on ``scenarios.level_then_weave``."""
+
+
+def alphabeta(
+    motion: Motion, sensor: Sensor, *, gains: Gains | None = None, manoeuvre: Value | None = None,
+    outlier: Value | None = None, degrees: Value | Sequence[float] | None = None, limit: Value = 60.0,
+    margin: Value | None = None, hysteresis: Value | None = None, dwell: Value | None = None, votes: int = 2,
+    patience: int = 5, longest: float = math.inf, converged: int = 5, flag_on_reject: str = "raw",
+    detect: str = "cartesian", onset: str | None = None, expect: str = "paper", temperature: float = 0.0,
+    initiation: str = "two-point", period: Value | None = None, learn: Collection[str] = (),
+) -> AlphaBetaBank:  # fmt: skip
+    """Alpha-beta filters that switch with the manoeuvre: the cheapest.  Source: Xu et al.; Kalata (1984) for the gains.
+
+    With a motion of constant velocity it is the paper's.  With constant acceleration and without ``gains`` the fast
+    levels have three gains, which extrapolate a manoeuvre over outliers; the defaults in brackets then hold.  All
+    keywords but ``learn`` are those of ``filters.AlphaBetaBank``.
+
+    Args:
+        motion: constant velocity or constant acceleration.
+        sensor: a ``Position``.
+        gains: of the levels, the fastest first; ``gains.levels`` if None.
+        manoeuvre: residual that raises a flag, in std; 3 times the slowest filter's own if None (3.5).
+        outlier: residual that is rejected outside manoeuvres, in std; 3 times ``manoeuvre`` if None (18).
+        degrees: shares of ``manoeuvre`` that choose the level in a manoeuvre; evenly from 0.9 down if None (0.25).
+        limit: largest acceleration of the target, m/s^2.
+        margin: residual that is within reach in any case, in std; 3 if None (6).
+        hysteresis: share of ``manoeuvre`` that raises a flag while in a manoeuvre; 0.5 if None (0.7).
+        dwell: steps without a vote after which a manoeuvre ends; 3 if None (20).
+        votes: flags before the newest one, even.
+        patience: rejections in a row after which the filter restarts.
+        longest: seconds without a used measurement after which the filter restarts.
+        converged: measurements after which it decides.
+        flag_on_reject: flag of a rejected measurement: ``"raw"`` its own, or ``"hold"`` the vote.
+        detect: in ``"cartesian"`` or ``"polar"`` coordinates.
+        onset: a manoeuvre begins from the ``"shared"`` state or the ``"fastest"`` filter's; shared if None (fastest).
+        expect: thresholds are constant, ``"paper"``, or grow with the ``"level"``.
+        temperature: 0 for hard choices, above for soft ones, to train by.
+        initiation: from two measurements, ``"two-point"``, or the ``"prior"``.
+        period: seconds between measurements that the gains are meant for.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+    """
+    thresholds = _thresholds(
+        motion.orders == 3 and gains is None, manoeuvre=manoeuvre, outlier=outlier, degrees=degrees, margin=margin,
+        hysteresis=hysteresis, dwell=dwell, onset=onset,
+    )  # fmt: skip
+    f = AlphaBetaBank(
+        motion, sensor, gains, limit=limit, votes=votes, patience=patience, longest=longest, converged=converged,
+        flag_on_reject=flag_on_reject, detect=detect, expect=expect, temperature=temperature, initiation=initiation,
+        period=period, **thresholds,
+    )  # fmt: skip
+    return with_learning(f, learn)
+
+
+def _thresholds(tuned: bool, **chosen: Any) -> dict[str, Any]:
+    """The defaults, tuned or of the paper, but for what is not None."""
+    return (_TUNED if tuned else _PAPER) | {name: value for name, value in chosen.items() if value is not None}

@@ -1,0 +1,158 @@
+"""Filters of one motion: plain ones with several rules, and robust ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+
+from torchfra.filters.srckf import SRCKF
+from torchfra.gaussian.cubature import fifth_degree, tangent, unscented
+from torchfra.gaussian.rules import Rule
+from torchfra.hyper import Value
+from torchfra.motion.base import Motion
+from torchfra.presets.learning import with_learning
+from torchfra.presets.sides import robust_side
+from torchfra.robust.base import Robust
+from torchfra.robust.regression import HuberRegression
+from torchfra.robust.score import HuberScore
+from torchfra.robust.weights import ThreeSegment
+from torchfra.sensors.base import Sensor
+
+
+def ekf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = ()) -> SRCKF:
+    """Extended Kalman filter.  Source: Jazwinski (1970), ch. 8.
+
+    Args:
+        motion: how targets move.
+        sensor: what is measured.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+    """
+    return with_learning(SRCKF(motion, sensor, rule=tangent), learn)
+
+
+def ukf(
+    motion: Motion, sensor: Sensor, *, alpha: float = 1.0, beta: float = 0.0, kappa: float = 1.0,
+    learn: Collection[str] = (),
+) -> SRCKF:  # fmt: skip
+    """Unscented Kalman filter.  Source: Julier & Uhlmann (2004).
+
+    Args:
+        motion: how targets move.
+        sensor: what is measured.
+        alpha: spread of the points: ``cubature.unscented``.
+        beta: added to the centre's weight in the covariance: ``cubature.unscented``.
+        kappa: moves points from the centre outwards: ``cubature.unscented``.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+    """
+    return with_learning(SRCKF(motion, sensor, rule=unscented(alpha, beta, kappa)), learn)
+
+
+def srckf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = ()) -> SRCKF:
+    """Square-root cubature Kalman filter.  Source: Arasaratnam & Haykin (2009).
+
+    Args:
+        motion: how targets move.
+        sensor: what is measured.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+    """
+    return with_learning(SRCKF(motion, sensor), learn)
+
+
+def ghckf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = ()) -> SRCKF:
+    """Fifth-degree cubature Kalman filter.  Source: Zhang (2014); Qin et al. (2018), eqs. (48)-(52).
+
+    Args:
+        motion: how targets move.
+        sensor: what is measured.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+    """
+    return with_learning(SRCKF(motion, sensor, rule=fifth_degree), learn)
+
+
+def rsrckf(
+    motion: Motion, sensor: Sensor, *, threshold: Value | None = None, per_element: bool = False,
+    robust: Robust | None = None, learn: Collection[str] = (),
+) -> SRCKF:  # fmt: skip
+    """Robust square-root cubature Kalman filter: Huber weights at every step.
+
+    Args:
+        motion: how targets move.
+        sensor: what is measured.
+        threshold: in standard deviations of the measurement noise, 1.345 if None: ``robust.Huber``.
+        per_element: whether each element of a measurement has its own threshold.
+        robust: another robust side instead of Huber weights: ``torchfra.robust``.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+
+    Raises:
+        ValueError: ``robust`` together with ``threshold`` or ``per_element``.
+
+    Source: Wang et al. (2021), eqs. (25)-(26).
+    """
+    side = robust_side(sensor, robust, threshold, per_element, learn)
+    return with_learning(SRCKF(motion, sensor, robust=side), learn)
+
+
+def mr_ckf(
+    motion: Motion, sensor: Sensor, *, low: Value = 5.991, high: Value = 10000.0, squared: bool = False,
+    learn: Collection[str] = (),
+) -> SRCKF:  # fmt: skip
+    """Robust: one weight in three segments for the whole measurement, at every step.
+
+    Args:
+        motion: how targets move.
+        sensor: what is measured.
+        low: normalised innovation squared up to which the weight is 1: ``robust.ThreeSegment``.
+        high: normalised innovation squared from which on the weight is 0: ``robust.ThreeSegment``.
+        squared: whether the weight falls with the square of the distance: ``robust.ThreeSegment``.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+
+    Source: Wu et al. (2015), as read in ``robust.ThreeSegment``.
+    """
+    return with_learning(SRCKF(motion, sensor, robust=ThreeSegment(low, high, squared=squared)), learn)
+
+
+def hghckf1(
+    motion: Motion, sensor: Sensor, *, rule: Callable[[int], Rule] = fifth_degree, threshold: Value = 1.345,
+    max_iter: int = 10, tol: float = 1e-6, first_iterate: str = "posterior", compensate: bool = False,
+    learn: Collection[str] = (),
+) -> SRCKF:  # fmt: skip
+    """Robust by an iterated Huber regression on measurement and prediction.
+
+    Args:
+        motion: how targets move.
+        sensor: what is measured.
+        rule: makes the points for a number of states: ``torchfra.gaussian.cubature``.
+        threshold: of the weights, in standard deviations: ``robust.HuberRegression``.
+        max_iter: iterations at most.
+        tol: relative change at which a track has converged.
+        first_iterate: ``"posterior"`` of the plain update, or ``"prior"``.
+        compensate: whether the error of the linearisation is added to the measurement noise.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+
+    Source: Zhang et al. (2016), what Qin et al. (2018) compare with.
+    """
+    robust = HuberRegression(threshold, max_iter=max_iter, tol=tol, first_iterate=first_iterate, compensate=compensate)
+    return with_learning(SRCKF(motion, sensor, rule=rule, robust=robust), learn)
+
+
+def hghckf2(
+    motion: Motion, sensor: Sensor, *, rule: Callable[[int], Rule] = fifth_degree, threshold: Value = 1.345,
+    eps: Value | str = "minimax", cov_mode: str = "constant", whitening: str = "cholesky", zeta_scale: bool = False,
+    learn: Collection[str] = (),
+) -> SRCKF:  # fmt: skip
+    """Robust by the Huber score of the normalised innovation.
+
+    Args:
+        motion: how targets move.
+        sensor: what is measured.
+        rule: makes the points for a number of states: ``torchfra.gaussian.cubature``.
+        threshold: in standard deviations of the innovation: ``robust.HuberScore``.
+        eps: assumed share of outliers, or ``"minimax"``: ``robust.HuberScore``.
+        cov_mode: factor of the covariance, ``"constant"`` or ``"indicator"``: ``robust.HuberScore``.
+        whitening: root of the innovation covariance, ``"cholesky"`` or ``"symmetric"``.
+        zeta_scale: whether the density behind the score is scaled to variance 1: ``robust.HuberScore``.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+
+    Source: Qin et al. (2018), eqs. (53)-(59).
+    """
+    robust = HuberScore(threshold, eps=eps, cov_mode=cov_mode, whitening=whitening, zeta_scale=zeta_scale)
+    return with_learning(SRCKF(motion, sensor, rule=rule, robust=robust), learn)
