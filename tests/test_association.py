@@ -101,11 +101,11 @@ def test_the_order_of_targets_and_measurements_does_not_matter():
 def test_evidence_is_the_log_of_the_sum_over_all_events():
     """Shared out evenly in a cluster; of Poisson false measurements, for which events of all targets may be summed."""
     L, c = random_scan(np.random.default_rng(5), 3, 4, share=1.0)
-    total = sum(weight for weight, _ in oracles._every([0, 1, 2], [0, 1, 2, 3], L, 0.8, c, 1.0))
+    total = sum(weight for weight, _ in oracles.every_event([0, 1, 2], [0, 1, 2, 3], L, 0.8, c, 1.0))
     found = associate(log_ratio(L, 0.8, c), math.log(0.2)).evidence
     np.testing.assert_allclose(found, np.full(3, math.log(total) / 3), rtol=1e-12)
     L[:, 2] = 0  # a cluster of two, and one alone with nothing
-    total = sum(weight for weight, _ in oracles._every([0, 1], [0, 1, 2, 3], L, 0.8, c, 1.0))
+    total = sum(weight for weight, _ in oracles.every_event([0, 1], [0, 1, 2, 3], L, 0.8, c, 1.0))
     found = associate(log_ratio(L, 0.8, c), math.log(0.2)).evidence
     np.testing.assert_allclose(found, [math.log(total) / 2] * 2 + [math.log(0.2)], rtol=1e-12)
 
