@@ -2,8 +2,8 @@
 
 Each file is written straight from the equations of the paper that its docstring names. Shapes: n states, m measured
 elements, T steps. Row k of `z` (counted from 0) is measured after the transition F(k), Q(k) from the step before (row
-0: from the initial state). NaN elements of `z` are missing. Every filter returns a dict of arrays with one row per step;
-those of Wang et al. (2021) have
+0: from the initial state). NaN elements of `z` are missing. Every filter returns a dict of arrays with one row per
+step; those of Wang et al. (2021) have
 
     mean (T,n), P (T,n,n), weights (T,m), fading (T,)
     nis (T,), log_likelihood (T,)   of the unweighted innovation, nominal R, unfaded prediction, elements not missing

@@ -35,7 +35,7 @@ class MeasurementNoise(NamedTuple):
 
 
 def sage_husa(noise: MeasurementNoise, R0: Array, target: Array, weight: Array, how: Tuned) -> MeasurementNoise:
-    """Eq. (19), element by element; ``target`` (3,): variance that the innovation shows, ``weight`` (3,): how surely."""
+    """Eq. (19), element by element; ``target`` (3,): variance that the innovation shows; ``weight`` (3,)."""
     R, count = noise.R.copy(), noise.count.copy()
     for i in range(3):
         if weight[i] < 0.5:
