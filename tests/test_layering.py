@@ -56,7 +56,7 @@ def imports_of(name, modules):
 
 def part(name):
     """The part of the package that a module belongs to: the second component of its name."""
-    return (name.split(".") + ["__init__"])[1]
+    return [*name.split("."), "__init__"][1]
 
 
 def upward_imports(root, levels, apart=(), optional=()):
@@ -71,9 +71,10 @@ def upward_imports(root, levels, apart=(), optional=()):
                     yield here
             elif other not in modules:
                 yield f"{here}, which does not exist"
-            elif part(name) != part(other):
-                if (part(name), part(other)) in apart or not level.get(part(other), 0) < level.get(part(name), 0):
-                    yield here
+            elif part(name) != part(other) and (
+                (part(name), part(other)) in apart or level.get(part(other), 0) >= level.get(part(name), 0)
+            ):
+                yield here
 
 
 def circles(root):
