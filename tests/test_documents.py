@@ -175,6 +175,8 @@ def script(path):
         spec = importlib.util.spec_from_file_location(name, ROOT / path)
         sys.modules[name] = module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
+        if hasattr(module, "CASES"):  # of regret.py: the first of them is enough here
+            module.CASES = dict([next(iter(module.CASES.items()))])
     return sys.modules[name].main
 
 
