@@ -29,6 +29,19 @@ def tracks(scenario):
     return t._replace(z=z, u=t.u[:STEPS], truth=t.truth[:, :STEPS])
 
 
+@pytest.fixture(scope="session")
+def crossing():
+    """Two targets that cross among false measurements, under measurement noise that grows."""
+    return scenarios.clutter_crossing(noise_scale=4.0, change=8)
+
+
+@pytest.fixture(scope="session")
+def scans(crossing):
+    """Three runs of 25 scans."""
+    t = crossing.simulate(3, 3)
+    return t._replace(truth=t.truth[:, :, :25], z=t.z[:, :25])
+
+
 @pytest.fixture
 def make(scenario):
     """Makes a preset with models of its own, so that one that learns does not change another."""

@@ -101,11 +101,11 @@ def test_the_order_of_targets_and_measurements_does_not_matter():
 def test_evidence_is_the_log_of_the_sum_over_all_events():
     """Divided equally in a cluster; with Poisson false measurements the sum may run over the events of all targets."""
     L, c = random_scan(np.random.default_rng(5), 3, 4, share=1.0)
-    total = sum(weight for weight, _ in oracles._every([0, 1, 2], [0, 1, 2, 3], L, 0.8, c, 1.0))
+    total = sum(weight for weight, _ in oracles.every_event([0, 1, 2], [0, 1, 2, 3], L, 0.8, c, 1.0))
     result = associate(log_ratio(L, 0.8, c), math.log(0.2)).evidence
     np.testing.assert_allclose(result, np.full(3, math.log(total) / 3), rtol=1e-12)
     L[:, 2] = 0  # a cluster of two, and a single target without measurements
-    total = sum(weight for weight, _ in oracles._every([0, 1], [0, 1, 2, 3], L, 0.8, c, 1.0))
+    total = sum(weight for weight, _ in oracles.every_event([0, 1], [0, 1, 2, 3], L, 0.8, c, 1.0))
     result = associate(log_ratio(L, 0.8, c), math.log(0.2)).evidence
     np.testing.assert_allclose(result, [math.log(total) / 2] * 2 + [math.log(0.2)], rtol=1e-12)
 

@@ -169,6 +169,6 @@ def test_what_is_none_of_the_choices_is_named(scenario):
     with pytest.raises(ValueError, match="rcond"):
         presets.asrckf(scenario.motion, scenario.sensor, rcond=1.0)
     with pytest.raises(ValueError, match="sensor: expected one that reads at most 4"):
-        FRA(ConstantVelocity(1.0), Whole(0.1), robust=Huber(), adaptive=Fading())
+        FRA(ConstantVelocity(1.0), Whole(0.1), robust=Huber(), fading=Fading())
     with pytest.raises(ValueError, match="high: expected"):
         presets.mr_ckf(scenario.motion, scenario.sensor, low=5.0, high=2.0)

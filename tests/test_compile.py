@@ -221,7 +221,7 @@ def test_kernels_are_made_once_for_a_form_of_call(make, tracks, monkeypatch):
 def test_what_changes_in_the_filter_changes_its_kernels(make, tracks):
     f = make("rmckf").compile()
     before = f(tracks.z, tracks.prior, u=tracks.u).mean
-    f.adaptive.rcond = 0.9
+    f.fading.rcond = 0.9
     slow = make("rmckf", rcond=0.9)
     after = f(tracks.z, tracks.prior, u=tracks.u).mean
     assert not torch.equal(before, after)

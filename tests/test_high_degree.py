@@ -256,8 +256,8 @@ def test_the_compiled_filter_gives_the_same():
 
 def test_fading_and_negative_weights_do_not_go_together():
     with pytest.raises(ValueError, match="rule: expected one without negative weights"):
-        SRCKF(Bent(0.1), Position(1.0), rule=fifth_degree, adaptive=Fading())
-    SRCKF(ConstantAcceleration(0.1, 1), Position(1.0, dims=1), rule=fifth_degree, adaptive=Fading(states=slice(0, 1)))
+        SRCKF(Bent(0.1), Position(1.0), rule=fifth_degree, fading=Fading())
+    SRCKF(ConstantAcceleration(0.1, 1), Position(1.0, dims=1), rule=fifth_degree, fading=Fading(states=slice(0, 1)))
     with pytest.raises(ValueError, match="order: expected 2 or more"):
         gauss_hermite(1)
     with pytest.raises(ValueError, match="at most 3000 points"):

@@ -85,7 +85,7 @@ def test_it_is_the_moment_form():
     r = oracles.imm(z.numpy(), PRIOR.mean.numpy(), covariance, models, H, SIGMA**2 * np.eye(2), rows, initial)
     same(e.mean, torch.from_numpy(r["mean"]))
     same(e.covariance, torch.from_numpy(r["P"]))
-    same(e.info.probabilities, torch.from_numpy(r["weights"]))
+    same(e.info.probabilities, torch.from_numpy(r["probabilities"]))
     same(e.log_likelihood, torch.from_numpy(r["log_likelihood"]))
 
 

@@ -1,11 +1,7 @@
 """Rules integrate what they claim to; models follow their closed forms; hyperparameters keep to their range."""
 
-import ast
 import math
-import subprocess
-import sys
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import oracles
@@ -14,7 +10,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import torchfra
 from torchfra import metrics, presets
 from torchfra.angles import wrap
 from torchfra.gaussian import tangent, third_degree, unscented
@@ -299,7 +294,7 @@ def test_a_hyperparameter_out_of_range_is_refused_with_its_name():
         fra(ConstantVelocity(1.0), Position(1.0), forgetting=1.5)
 
 
-# ---------------------------------------------------------------- metrics, malloc, structure
+# ---------------------------------------------------------------- metrics
 
 
 def test_metrics_are_what_numpy_says_and_unknown_truth_does_not_count():
@@ -327,72 +322,3 @@ def test_an_estimate_that_is_no_number_has_diverged():
     mean[2] = 1e4
     assert metrics.diverged(mean, truth, slice(0, 2)).tolist() == [False, True, True]
     assert metrics.rmse(mean, truth, slice(0, 2))[4].isinf()
-
-
-def test_keeping_memory_is_said_to_work_or_not():
-    assert torchfra.keep_memory() is sys.platform.startswith("linux")
-
-
-LEVELS = [
-    {"version"}, {"tables"}, {"angles"}, {"linalg"}, {"types"}, {"tree"}, {"hyper"}, {"coordinates"}, {"readers"},
-    {"losses"}, {"metrics"},
-    {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"kernel"}, {"filters"},
-    {"presets"},
-    {"scenarios"}, {"catalogue"}, {"app"}, {"__init__", "__main__"},
-]  # fmt: skip
-"""Lower first; a module or package imports those below it, and within a package there is no circle."""
-APART = {("scenarios", "filters"), ("scenarios", "presets")}
-
-
-def imports_of(path, modules):
-    """The modules of torchfra that a file imports, whichever way it is written."""
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path} imports relatively"
-            for alias in node.names:
-                inside = f"{node.module}.{alias.name}"
-                yield inside if inside in modules else node.module
-        elif isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-
-
-def test_imports_run_downwards_only():
-    root = Path(torchfra.__file__).parent
-    level = {name: i for i, names in enumerate(LEVELS) for name in names}
-    paths = {".".join(("torchfra", *path.relative_to(root).with_suffix("").parts)): path for path in root.rglob("*.py")}
-    modules = {name.removesuffix(".__init__"): path for name, path in paths.items()}
-    graph = {}
-    for name, path in modules.items():
-        graph[name] = set(imports_of(path, modules))
-        tops = {module.split(".")[0] for module in graph[name]}
-        assert "train" not in tops, f"{name} imports train"
-        assert "matplotlib" not in tops or name.startswith("torchfra.app.plotting"), f"{name} imports matplotlib"
-        graph[name] = {module for module in graph[name] if module.split(".")[0] == "torchfra"} & modules.keys()
-        own = name.split(".")[1] if "." in name else "__init__"
-        for module in graph[name] - {"torchfra"}:
-            other = module.split(".")[1]
-            assert own == other or level[other] < level[own], f"{name} imports {module}, which is not below it"
-            assert (own, other) not in APART, f"{name} imports {module}"
-    done, going = set(), []
-
-    def visit(name):
-        assert name not in going, f"a circle: {' imports '.join([*going[going.index(name) :], name])}"
-        if name not in done:
-            going.append(name)
-            for module in sorted(graph[name] - {"torchfra"}):
-                visit(module)
-            going.pop()
-            done.add(name)
-
-    for name in graph:
-        visit(name)
-
-
-def test_every_folder_is_a_package():
-    root = Path(torchfra.__file__).parent
-    assert {path.parent for path in root.rglob("*.py")} == {path.parent for path in root.rglob("__init__.py")}
-
-
-def test_importing_the_package_imports_nothing_optional():
-    code = "import sys, torchfra; print({'matplotlib', 'pymap3d', 'scipy', 'traffic'} & set(sys.modules))"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"

@@ -145,7 +145,7 @@ def test_it_works_with_other_sensors_filters_and_interacting_models(scenario):
     t = s.simulate(4, 0)
     for f in (
         presets.iaukf(s.motion, s.sensor),
-        SRCKF(s.motion, s.sensor, adaptive=SageHusa(s.sensor.blocks)),
+        SRCKF(s.motion, s.sensor, noise=SageHusa(s.sensor.blocks)),
         presets.imm([s.motion, s.motion], s.sensor, inner=presets.iaukf),
     ):
         estimate = f(t.z, t.prior, u=t.u)
@@ -210,10 +210,10 @@ def test_an_argument_out_of_range_is_named(scenario):
         with pytest.raises(ValueError, match=message):
             presets.iaukf(motion, sensor, **options)
     with pytest.raises(ValueError, match="robust: expected none beside"):
-        SRCKF(motion, sensor, robust=Huber(), adaptive=SageHusa(sensor.blocks))
+        SRCKF(motion, sensor, robust=Huber(), noise=SageHusa(sensor.blocks))
     with pytest.raises(ValueError, match="blocks: expected those of a sensor of 3"):
-        SRCKF(motion, sensor, adaptive=SageHusa([(0, 1)]))
-    assert isinstance(SRCKF(motion, sensor, adaptive=Fading()).adaptive, Fading)
+        SRCKF(motion, sensor, noise=SageHusa([(0, 1)]))
+    assert isinstance(SRCKF(motion, sensor, fading=Fading()).fading, Fading)
 
 
 def test_the_excess_is_what_scatters_beyond_the_prediction():

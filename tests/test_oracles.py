@@ -1,5 +1,9 @@
 """Every filter agrees with plain numpy loops over 100 steps, whatever is missing."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import oracles
 import pytest
@@ -43,13 +47,24 @@ def experiment(request):
     return scenario, tracks._replace(z=z)
 
 
-@pytest.mark.parametrize(("preset", "oracle", "options"), CASES, ids=str)
-def test_a_filter_agrees_with_its_oracle(experiment, preset, oracle, options):
-    scenario, tracks = experiment
+def model_of(scenario, tracks):
+    """The scenario's two bearings and constant acceleration, for the oracles."""
     F, SQ = oracles.ca(1.0, 0.01)
     places = tracks.u.numpy().reshape(100, 2, 2)
     std = scenario.sensor.std().item()
-    model = oracles.Model(F, SQ, std * np.eye(2), lambda x, k: oracles.bearings(x, places[k]), np.array([True, True]))
+    return oracles.Model(F, SQ, std * np.eye(2), lambda x, k: oracles.bearings(x, places[k]), np.array([True, True]))
+
+
+def priors_of(tracks):
+    """Mean and covariance of each track."""
+    covariance = (tracks.prior.scale_tril @ tracks.prior.scale_tril.mT).numpy()
+    return [(mean.numpy(), covariance) for mean in tracks.prior.mean]
+
+
+@pytest.mark.parametrize(("preset", "oracle", "options"), CASES, ids=str)
+def test_a_filter_agrees_with_its_oracle(experiment, preset, oracle, options):
+    scenario, tracks = experiment
+    model = model_of(scenario, tracks)
     ours, theirs = dict(options), dict(options)
     if preset == "fra":
         theirs |= {"decision": "likelihood", "memory": "weighted", "rcond": 0.2}
@@ -59,29 +74,26 @@ def test_a_filter_agrees_with_its_oracle(experiment, preset, oracle, options):
         pairs = zip(theirs.pop("states"), theirs.pop("share"), strict=True)
         theirs["groups"] = tuple((states.start, states.stop, share) for states, share in pairs)
     e = getattr(presets, preset)(scenario.motion, scenario.sensor, **ours)(tracks.z, tracks.prior, u=tracks.u)
-    covariance = (tracks.prior.scale_tril @ tracks.prior.scale_tril.mT).numpy()
     # The oracle's EKF takes its Jacobian from finite differences.
     tolerance = 1e-5 if oracle == "ekf" else 1e-9
-    for i in range(3):
-        said = getattr(oracles, oracle)(tracks.z[i].numpy(), tracks.prior.mean[i].numpy(), covariance, model, **theirs)
+    for i, prior in enumerate(priors_of(tracks)):
+        expected = getattr(oracles, oracle)(tracks.z[i].numpy(), *prior, model, **theirs)
         mean, P = e.mean[i].numpy(), e.covariance[i].numpy()
-        np.testing.assert_allclose(mean, said["mean"], rtol=tolerance, atol=tolerance * np.abs(mean).max())
-        np.testing.assert_allclose(P, said["P"], rtol=tolerance * 10, atol=tolerance * np.abs(P).max())
-        np.testing.assert_allclose(e.nis[i].numpy(), said["nis"], rtol=tolerance * 1e3, atol=tolerance * 1e3)
-        np.testing.assert_allclose(
-            e.log_likelihood[i].numpy(), said["log_likelihood"], rtol=tolerance * 1e3, atol=tolerance * 1e3
-        )
+        np.testing.assert_allclose(mean, expected["mean"], rtol=tolerance, atol=tolerance * np.abs(mean).max())
+        np.testing.assert_allclose(P, expected["P"], rtol=tolerance * 10, atol=tolerance * np.abs(P).max())
+        for key, value in (("nis", e.nis), ("log_likelihood", e.log_likelihood)):
+            np.testing.assert_allclose(value[i].numpy(), expected[key], rtol=tolerance * 1e3, atol=tolerance * 1e3)
         info = e.info
         if oracle == "fra":
-            np.testing.assert_array_equal(info.abnormal[i].numpy(), said["abnormal"])
-            np.testing.assert_array_equal(info.adaptive[i].numpy(), said["adaptive"])
-            np.testing.assert_allclose(info.provisional.mean[i].numpy(), said["provisional"], rtol=1e-7, atol=1e-5)
+            np.testing.assert_array_equal(info.abnormal[i].numpy(), expected["abnormal"])
+            np.testing.assert_array_equal(info.adaptive[i].numpy(), expected["adaptive"])
+            np.testing.assert_allclose(info.provisional.mean[i].numpy(), expected["provisional"], rtol=1e-7, atol=1e-5)
             kept = np.where(info.adaptive[i], info.fading[i], 1.0)
-            np.testing.assert_allclose(kept, said["fading"], rtol=1e-6)
+            np.testing.assert_allclose(kept, expected["fading"], rtol=1e-6)
         elif info.fading is not None:
-            np.testing.assert_allclose(info.fading[i].numpy(), said["fading"], rtol=1e-6)
+            np.testing.assert_allclose(info.fading[i].numpy(), expected["fading"], rtol=1e-6)
         if oracle in ("rsrckf", "rmckf", "mr_ckf"):
-            np.testing.assert_allclose(info.weights[i].numpy(), said["weights"], rtol=1e-6)
+            np.testing.assert_allclose(info.weights[i].numpy(), expected["weights"], rtol=1e-6)
 
 
 @pytest.mark.parametrize("temperature", [0.05, 1.0, 5.0])
@@ -91,17 +103,19 @@ def test_a_filter_agrees_with_its_oracle(experiment, preset, oracle, options):
 ])  # fmt: skip
 def test_a_soft_decision_agrees_with_its_oracle(experiment, preset, options, temperature):
     scenario, tracks = experiment
-    F, SQ = oracles.ca(1.0, 0.01)
-    places = tracks.u.numpy().reshape(100, 2, 2)
-    std = scenario.sensor.std().item()
-    model = oracles.Model(F, SQ, std * np.eye(2), lambda x, k: oracles.bearings(x, places[k]), np.array([True, True]))
+    model = model_of(scenario, tracks)
     f = getattr(presets, preset)(scenario.motion, scenario.sensor, temperature=temperature, **options)
     e = f(tracks.z, tracks.prior, u=tracks.u)
-    covariance = (tracks.prior.scale_tril @ tracks.prior.scale_tril.mT).numpy()
-    for i in range(3):
-        said = oracles.soft_fra(
-            tracks.z[i].numpy(), tracks.prior.mean[i].numpy(), covariance, model, temperature, **options
-        )
-        np.testing.assert_allclose(e.mean[i].numpy(), said["mean"], rtol=1e-8, atol=1e-8 * np.abs(said["mean"]).max())
-        P = e.covariance[i].numpy()
-        np.testing.assert_allclose(P, said["P"], rtol=1e-7, atol=1e-8 * np.abs(P).max())
+    for i, prior in enumerate(priors_of(tracks)):
+        expected = oracles.soft_fra(tracks.z[i].numpy(), *prior, model, temperature, **options)
+        mean, P = e.mean[i].numpy(), e.covariance[i].numpy()
+        np.testing.assert_allclose(mean, expected["mean"], rtol=1e-8, atol=1e-8 * np.abs(mean).max())
+        np.testing.assert_allclose(P, expected["P"], rtol=1e-7, atol=1e-8 * np.abs(P).max())
+
+
+def test_oracles_never_import_what_they_are_compared_with():
+    code = "import sys, oracles; print({'torch', 'torchfra', 'train'} & set(sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=Path(__file__).parent, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "set()\n"

@@ -32,9 +32,9 @@ def test_it_is_the_moment_form_with_the_same_sets(seed):
     models = [of(m) for m in adsb_models()]
     r = oracles.vsimm(z.numpy(), prior.mean.numpy(), covariance, models, *position(), CALLS, [0, 2, 3])
     e = presets.vsimm_srckf(adsb_models(), SENSOR)(z, prior, dt=DT)
-    assert (e.info.active == torch.from_numpy(r["weights"] > 0)).all()
+    assert (e.info.active == torch.from_numpy(r["probabilities"] > 0)).all()
     assert (e.info.active[1:] != e.info.active[:-1]).any(-1).sum() >= 2
-    same(e.info.probabilities, torch.from_numpy(r["weights"]), 1e-8)
+    same(e.info.probabilities, torch.from_numpy(r["probabilities"]), 1e-8)
     same(e.mean, torch.from_numpy(r["mean"]))
     same(e.covariance, torch.from_numpy(r["P"]), 1e-8)
     same(e.log_likelihood, torch.from_numpy(r["log_likelihood"]))

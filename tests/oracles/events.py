@@ -1,0 +1,58 @@
+"""Joint association by going through every event; Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, (25)-(27)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from oracles.basics import Array
+
+
+def joint_events(L: Array, PD: float, c: Array, diffuse: bool, PG: float = 1.0) -> tuple[Array, Array]:
+    """Marginals (J,N) and (N,) by going through every event of every cluster: eqs. (25)-(27).
+
+    L (J,N) likelihoods, 0 outside the gate; c (J,) density of false measurements at each; PD, PG probabilities of
+    detection and of the gate; ``diffuse`` takes the number of false measurements as unknown, otherwise it is Poisson.
+    """
+    J, N = L.shape
+    beta, missed = np.zeros((J, N)), np.zeros(N)
+    left = set(range(N))
+    while left:
+        cluster, edge = set(), {min(left)}
+        while edge:
+            cluster |= edge
+            touched = {j for j in range(J) for t in edge if L[j, t] > 0}
+            edge = {t for t in range(N) for j in touched if L[j, t] > 0} - cluster
+        left -= cluster
+        targets = sorted(cluster)
+        gated = [j for j in range(J) if any(L[j, t] > 0 for t in targets)]
+        total = 0.0
+        for weight, chosen in every_event(targets, gated, L, PD, c, PG):
+            false = len(gated) - sum(j is not None for j in chosen.values())
+            weight *= math.factorial(false) if diffuse else 1.0
+            total += weight
+            for t, j in chosen.items():
+                if j is None:
+                    missed[t] += weight
+                else:
+                    beta[j, t] += weight
+        for t in targets:
+            beta[:, t] /= total
+            missed[t] /= total
+    return beta, missed
+
+
+def every_event(
+    targets: list[int], free: list[int], L: Array, PD: float, c: Array, PG: float
+) -> list[tuple[float, dict[int, int | None]]]:
+    """All events: their weight against one of false measurements alone, and the measurement of each target."""
+    if not targets:
+        return [(1.0, {})]
+    t, others = targets[0], targets[1:]
+    events = [(w * (1 - PD * PG), {t: None} | rest) for w, rest in every_event(others, free, L, PD, c, PG)]
+    for j in free:
+        if L[j, t] > 0:
+            left = [i for i in free if i != j]
+            events += [(w * PD * L[j, t] / c[j], {t: j} | rest) for w, rest in every_event(others, left, L, PD, c, PG)]
+    return events

@@ -1,0 +1,313 @@
+"""Every README is held to its word: its code runs, its command lines run, with small arguments, and its links exist."""
+
+import contextlib
+import functools
+import importlib.util
+import io
+import json
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from torchfra.app import cli
+from torchfra.catalogue import make_scenario, scenario_filters
+from train import tune
+
+ROOT = Path(__file__).parent.parent
+DOCUMENTS = [
+    ROOT / "README.md",
+    *(p for d in ("torchfra", "train", "scripts") for p in sorted((ROOT / d).rglob("README.md"))),
+]
+NAMES = [str(path.relative_to(ROOT)) for path in DOCUMENTS]
+WORDS = 1200
+"""The most that README.md may have."""
+
+STARTS = ("python scripts/", "python -m train.tune", "python -m torchfra", "torchfra ", "torchrun ", "bash scripts/")
+SETUP = ("pip install ", "python -m pip install ", "git clone ", "cd ", "python3 -m venv ", "source ")
+"""Commands that prepare a machine, which are not run here."""
+
+SMALL = {
+    "torchfra compare": ({"--runs": "2"}, {"--filters": "srckf,fra"}),
+    "scripts/reproduce.py": ({"--runs": "2"}, {}),
+    "scripts/reproduce.py growth": ({"--runs": "2", "--sizes": "1"}, {"--filters": "ghckf"}),
+    "scripts/reproduce.py reentry": ({"--runs": "2", "--sizes": "1"}, {"--filters": "ghckf"}),
+    "scripts/reproduce.py clutter": ({"--runs": "2"}, {"--filters": "ukf_jpda_safe"}),
+    "scripts/regret.py": ({"--runs": "2"}, {}),
+    "scripts/benchmark.py": ({"--batch": "1", "--passes": "1", "--modes": "eager"}, {"--filters": "srckf"}),
+    "scripts/": ({"--iterations": "2", "--tracks": "4", "--steps": "10"}, {}),
+}
+"""Options by the beginning of a command, the longest that fits: always these, and these where the line has none."""
+SMALL_TRAINING = ["iterations=1", "batch=2", "validation_runs=2", "test_runs=2", "compile=false", "search={}"]
+HELP_ONLY = {
+    "scripts/export.py": "takes most of a minute: run by test_scripts.py",
+    "scripts/benchmark.py --what training": "compiles four filters with gradients: run by test_scripts.py",
+    "scripts/benchmark.py --what scaling": "compiles a filter for each number of states",
+}
+"""Commands of which only the arguments are checked, and why."""
+LEARNED = {
+    "fra_bearings": ("fra", "bearings-outliers"), "fra_recorded": ("fra", "bearings-outliers"),
+    "switching": ("vsimm_srckf", "adsb-turns"), "contaminated": ("hghckf2", "growth"),
+    "association": ("iaukf_jpda", "clutter-crossing"),
+}  # fmt: skip
+"""What a named run of train.tune learns."""
+
+
+# ---------------------------------------------------------------- what a document says
+
+
+def blocks_of(text):
+    """The fenced blocks of a document as (language, text), and what remains without them."""
+    fences = re.compile(r"^```(\w*)\n(.*?)^```$", re.S | re.M)
+    return [(m[1], m[2]) for m in fences.finditer(text)], fences.sub("", text)
+
+
+def commands_of(text):
+    """The command lines of a document: of shell blocks, of indented blocks, and of code within sentences."""
+    blocks, rest = blocks_of(text)
+    shell = "\n".join(block for language, block in blocks if language in ("", "sh", "bash", "shell", "console"))
+    indented = re.findall(r"(?:^|\n)\n((?: {4}.*\n)+)", rest)
+    for line in re.sub(r"\\\n\s*", " ", shell + "\n" + "".join(indented)).splitlines():
+        command = " ".join(re.split(r"\s#\s", line.strip())[0].split()).removeprefix("$ ")
+        if command and not command.startswith("#"):
+            yield command
+    prose = re.sub(r"(?:^|(?<=\n))(?: {4}.*\n)+", "", rest)
+    for code in re.findall(r"`([^`]+)`", prose):
+        command = " ".join(code.split())
+        command = f"python {command}" if re.match(r"scripts/\S+\.py ", command) else command
+        if command.startswith(STARTS):
+            yield command
+
+
+LINES = sorted({line for path in DOCUMENTS for line in commands_of(path.read_text())})
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_block_of_code_runs(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scope: dict[str, object] = {}
+    for language, block in blocks_of((ROOT / name).read_text())[0]:
+        if language == "python":
+            exec(compile(block, name, "exec"), scope)
+
+
+def anchors(path):
+    """The anchors of a document's headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.*)$", blocks_of(path.read_text())[1], re.M)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_links_and_images_lead_to_what_is_there(name):
+    path, broken = ROOT / name, []
+    for link in re.findall(r"\]\(([^)\s]+)\)", blocks_of(path.read_text())[1]):
+        if not re.match(r"[a-z]+:", link):
+            file, _, anchor = link.partition("#")
+            target = (path.parent / file).resolve() if file else path
+            if not target.exists() or (anchor and anchor not in anchors(target)):
+                broken.append(link)
+    assert not broken, broken
+
+
+def test_the_readme_is_one_page():
+    assert len((ROOT / "README.md").read_text().split()) <= WORDS
+
+
+# ---------------------------------------------------------------- command lines
+
+
+@pytest.fixture(scope="session")
+def flights(tmp_path_factory):
+    """Five straight flights of 1280 s with 25 m of measurement noise."""
+    rng, paths = np.random.default_rng(0), []
+    time = np.arange(320) * 4.0
+    for i in range(5):
+        paths.append(tmp_path_factory.mktemp("flights") / f"flight-{i}.csv")
+        xy = np.stack([100 * time, (10 * i - 20) * time], 1) + 25 * rng.standard_normal((320, 2))
+        paths[-1].write_text("t,x,y\n" + "".join(f"{t},{x},{y}\n" for t, (x, y) in zip(time, xy, strict=True)))
+    return [str(path) for path in paths]
+
+
+def learned(path):
+    """Writes the values that a named run would have learned to where it would have."""
+    run = Path(path).parent.name
+    name, scenario = LEARNED[run][0], make_scenario(LEARNED[run][1])
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    torch.save(scenario_filters([name], scenario)[name].state_dict(), path)
+
+
+def filled(words, flights):
+    """The words of a command with files in place of placeholders."""
+    for word in words:
+        match = re.search(r"[\w/.-]+\.pt$|STATE_DICT$", word)
+        if match:
+            path = match[0].replace("STATE_DICT", "out/train/fra_bearings/state_dict.pt")
+            learned(path)
+            yield word[: match.start()] + path
+        elif word in ("FILE", "FILES", "FILE..."):
+            yield from flights[: 1 if word == "FILE" else 2]
+        elif re.fullmatch(r"[\w-]+\.(csv|csv\.gz|json\.gz)", word):
+            yield flights[0]
+        else:
+            yield word
+
+
+def with_option(words, option, value):
+    """Sets an option, in place of the value that it has."""
+    words = [word for word in words if not word.startswith(f"{option}=")]
+    if option in words:
+        place = words.index(option)
+        words = words[:place] + words[place + 2 :]
+    return [*words, option, value]
+
+
+def script(path):
+    """The ``main`` of a script."""
+    assert (ROOT / path).exists(), f"{path} does not exist"
+    name = f"documented_{Path(path).stem}"
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, ROOT / path)
+        sys.modules[name] = module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        if hasattr(module, "CASES"):  # of regret.py: the first of them is enough here
+            module.CASES = dict([next(iter(module.CASES.items()))])
+    return sys.modules[name].main
+
+
+def run(main, arguments):
+    """The exit status and all that was printed, both in-process."""
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
+        try:
+            status = main(arguments)
+        except SystemExit as stopped:
+            status = stopped.code
+    return status or 0, out.getvalue()
+
+
+@functools.cache
+def run_once(main, *arguments):
+    """As `run`; a command that several lines come to is run for the first of them."""
+    return run(main, list(arguments))
+
+
+def help_of(main, arguments):
+    """What ``--help`` prints after these arguments."""
+    status, text = run(main, [*arguments, "--help"])
+    assert status == 0, text
+    return text
+
+
+def small(line, main, words, known):
+    """The arguments of a command made small, as far as its ``--help`` knows them."""
+    always, otherwise = SMALL.get(
+        max((start for start in SMALL if line.startswith(start)), key=len, default=""), ({}, {})
+    )
+    for option, value in always.items():
+        words = with_option(words, option, value) if option in known else words
+    for option, value in otherwise.items():
+        words = with_option(words, option, value) if option not in words else words
+    if "--no-compile" in known and "--compile" not in words:
+        words = [*words, "--no-compile"]
+    return words
+
+
+def small_training(words, flights):
+    """The arguments of train.tune made small; recorded tracks are the flights."""
+    keys = {change.split("=")[0] for change in SMALL_TRAINING} | {"files"}
+    words = [word for word in words if word.split("=")[0] not in keys]
+    files = ["files=" + ",".join(flights)] if words[0] == "fra_recorded" else []
+    return [*words, *files, *SMALL_TRAINING]
+
+
+def understood(line, flights):
+    """The ``main`` that a command line calls, its arguments made small, and whether only its help is asked for."""
+    words = shlex.split(line)
+    if "train.tune" in words:  # of torchrun, one process: two are in test_train.py
+        assert words[0] in ("python", "torchrun")
+        assert words[0] == "python" or shutil.which("torchrun")
+        words = words[words.index("train.tune") + 1 :]
+        return tune.main, [w.replace("RUN", "fra_bearings") for w in small_training(words, flights)], False
+    if words[:3] == ["python", "-m", "torchfra"]:
+        words = ["torchfra", *words[3:]]
+    main, words = (cli.main, words[1:]) if words[0] == "torchfra" else (script(words[1]), words[2:])
+    line = line.removeprefix("python ")
+    if line.startswith(tuple(HELP_ONLY)):
+        return main, words, True
+    known = help_of(main, words[:1] if main is cli.main else [])
+    words = list(filled(words, flights))
+    if main is cli.main and words and words[0] in ("track", "compare"):
+        named = [w for w in words if w.endswith(".csv")]
+        words += [] if named or "--scenario" in words else flights[:1]
+    return main, small(line, main, words, known), False
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_a_command_line_of_a_document_works(line, flights, tmp_path, monkeypatch):
+    if line.startswith(SETUP):
+        return
+    assert line.startswith(STARTS), f"unknown command line: {line}"
+    if line.startswith("bash "):
+        file = ROOT / line.split()[1]
+        assert file.exists()
+        subprocess.run(["bash", "-n", file], check=True)
+        return
+    monkeypatch.chdir(tmp_path)
+    main, arguments, help_only = understood(line, flights)
+    if help_only:
+        help_of(main, arguments)
+        return
+    status, text = run_once(main, *arguments)
+    assert status == 0, f"{arguments}: {text}"
+    if "--peers" in arguments and importlib.util.find_spec("jax") is None:
+        assert "jax" in text.lower(), "what is not installed is not named"
+
+
+def test_the_demo_compares_recorded_tracks(tmp_path, monkeypatch):
+    """What scripts/demo.sh runs, on the shortest of its files and with two filters."""
+    from torchfra.readers import samples
+
+    try:
+        files = [str(path) for path in samples("calibration", "gliders")]
+    except (ImportError, ValueError) as missing:
+        pytest.skip(str(missing))
+    monkeypatch.chdir(tmp_path)
+    (line,) = (line for line in (ROOT / "scripts/demo.sh").read_text().splitlines() if line.startswith("torchfra "))
+    words = shlex.split(
+        line.replace('"${files[@]}"', min(files, key=lambda file: Path(file).stat().st_size)).replace('"$@"', "")
+    )
+    words = small("torchfra compare", cli.main, words[1:], help_of(cli.main, ["compare"]))
+    status, text = run(cli.main, words)
+    assert status == 0, text
+    assert json.loads(Path("out/recorded.json").read_text())["filters"].keys() == {"srckf", "fra"}
+    assert Path("out/recorded.png").exists()
+
+
+# ---------------------------------------------------------------- documents are read as they are meant
+
+
+def test_command_lines_are_read_from_blocks_and_sentences():
+    text = (
+        "Run `torchfra compare --scenario\ngrowth`, see `torchfra.app` or `scripts/regret.py`.\n\n"
+        "    bash scripts/demo.sh    # the demo\n    make all\n\n"
+        "```sh\npython scripts/reproduce.py growth \\\n    --runs 3\n```\n\n```python\ntorchfra = 1\n```\n"
+    )
+    assert sorted(commands_of(text)) == [
+        "bash scripts/demo.sh", "make all", "python scripts/reproduce.py growth --runs 3",
+        "torchfra compare --scenario growth",
+    ]  # fmt: skip
+
+
+def test_arguments_are_made_small():
+    known = "--runs M --filters A,B --no-compile"
+    words = ["compare", "--scenario", "growth", "--runs", "500"]
+    assert small("torchfra compare --scenario growth", None, words, known) == [
+        "compare", "--scenario", "growth", "--runs", "2", "--filters", "srckf,fra", "--no-compile"
+    ]  # fmt: skip
+    assert small_training(["noise", "batch=64", "lr=0.1"], []) == ["noise", "lr=0.1", *SMALL_TRAINING]

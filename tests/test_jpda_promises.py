@@ -1,0 +1,168 @@
+"""Joint association keeps every promise of a filter: batches, streams, dtypes, copies, vmap, and what it tells."""
+
+import copy
+import math
+
+import pytest
+import torch
+from joint import STEPS, flat_prior, make, plane
+
+from torchfra import presets, scenarios
+from torchfra.association import ChiSquare, Clutter, Euclidean
+from torchfra.filters import JPDA, SRCKF
+from torchfra.types import Gaussian
+
+
+def test_streaming_is_the_whole_and_a_batch_is_its_scenes(crossing, scans):
+    f = make("iaukf_jpda", crossing)
+    whole = f(scans.z, scans.prior)
+    assert whole.mean.shape == (3, 2, STEPS, 6)
+    assert whole.info.association.shape == (3, 2, STEPS, 9)
+    state = f.init(scans.prior)
+    for k in range(STEPS):
+        state, innovation = f.step(state, scans.z[:, k])
+        torch.testing.assert_close(state.belief.mean, whole.mean[:, :, k], rtol=1e-12, atol=1e-14)
+        torch.testing.assert_close(innovation.log_likelihood, whole.log_likelihood[:, :, k])
+        torch.testing.assert_close(innovation.nis, whole.nis[:, :, k])
+        assert innovation.residual.shape == (3, 2, 3)
+        assert innovation.scale_tril.shape == (3, 2, 3, 3)
+    alone = f(scans.z[1], Gaussian(scans.prior.mean[1], scans.prior.scale_tril[1]))
+    torch.testing.assert_close(alone.mean, whole.mean[1], rtol=1e-10, atol=1e-13)
+
+
+def test_steps_and_noise_may_differ_between_scenes(crossing, scans):
+    f = make("iaukf_jpda", crossing)
+    dt = torch.tensor([[0.5], [1.0], [2.0]], dtype=torch.float64).expand(3, STEPS)
+    std = crossing.sensor.std() * torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)[:, None, None, None].expand(
+        3, STEPS, 8, 1
+    )
+    together = f(scans.z, scans.prior, dt=dt, std=std)
+    roots = torch.diag_embed(std)
+    as_roots = f(scans.z, scans.prior, dt=dt, noise=roots)
+    torch.testing.assert_close(as_roots.mean, together.mean, rtol=1e-8, atol=1e-10)
+    for b in range(3):
+        prior = Gaussian(scans.prior.mean[b], scans.prior.scale_tril[b])
+        alone = f(scans.z[b], prior, dt=dt[b], std=std[b])
+        torch.testing.assert_close(alone.mean, together.mean[b], rtol=1e-9, atol=1e-12)
+    state = f.init(scans.prior)
+    state, _ = f.step(state, scans.z[:, 0], dt=dt[:, 0], std=std[:, 0])
+    torch.testing.assert_close(state.belief.mean, together.mean[:, :, 0], rtol=1e-10, atol=1e-13)
+
+
+def test_hyperparameters_may_differ_between_targets_and_scenes(crossing, scans):
+    values = torch.tensor([[0.8, 0.9], [0.7, 0.95], [0.6, 0.99]], dtype=torch.float64)
+    together = make("iaukf_jpda", crossing, detection=values, forgetting=values)(scans.z, scans.prior)
+    prior = Gaussian(scans.prior.mean[1], scans.prior.scale_tril[1])
+    alone = make("iaukf_jpda", crossing, detection=values[1], forgetting=values[1])(scans.z[1], prior)
+    torch.testing.assert_close(alone.mean, together.mean[1], rtol=1e-9, atol=1e-12)
+    same = make(
+        "iaukf_jpda", crossing, detection=values[:, :1], gate=Euclidean(torch.tensor([[90.0], [150.0], [200.0]]))
+    )
+    prior = Gaussian(scans.prior.mean[2], scans.prior.scale_tril[2])
+    alone = make("iaukf_jpda", crossing, detection=0.6, gate=Euclidean(200.0))(scans.z[2], prior)
+    torch.testing.assert_close(alone.mean, same(scans.z, scans.prior).mean[2], rtol=1e-9, atol=1e-12)
+
+
+def test_one_that_fails_lets_the_others_go_on(crossing, scans):
+    f, mean = make("iaukf_jpda", crossing), scans.prior.mean.clone()
+    mean[0, 0, 5] = math.nan
+    estimate = f(scans.z, Gaussian(mean, scans.prior.scale_tril))
+    assert estimate.failed[0, 0]
+    assert not estimate.failed[1:].any()
+    torch.testing.assert_close(estimate.mean[1:], f(scans.z, scans.prior).mean[1:])
+
+
+def test_state_dicts_and_copies_hold_all(crossing, scans):
+    f, g = make("iaukf_jpda", crossing, detection=0.8, forgetting=0.9), make("iaukf_jpda", crossing)
+    g.load_state_dict(f.state_dict())
+    torch.testing.assert_close(g(scans.z, scans.prior).mean, f(scans.z, scans.prior).mean)
+    torch.testing.assert_close(copy.deepcopy(f)(scans.z, scans.prior).mean, f(scans.z, scans.prior).mean)
+
+
+def test_what_was_handed_in_stays_as_it_was(crossing):
+    inner = SRCKF(crossing.motion, crossing.sensor)
+    f = JPDA(inner, gate=Euclidean(), clutter=Clutter(1.0))
+    assert f.inner is not inner
+    make("iaukf_jpda", crossing, learn="all")
+    for part in (inner, crossing.clutter, crossing.motion, crossing.sensor):
+        assert all(h.shared_dims == 0 and not h.raw.requires_grad for h in part.modules() if hasattr(h, "shared_dims"))
+
+
+def test_it_runs_in_single_precision(crossing, scans):
+    f = make("iaukf_jpda", crossing)
+    prior = Gaussian(*(x.float() for x in scans.prior))
+    low, high = f(scans.z.float(), prior), f(scans.z, scans.prior)
+    assert low.mean.dtype == torch.float32
+    gap = crossing.cartesian(low).mean[..., :3].double() - crossing.cartesian(high).mean[..., :3]
+    assert gap.norm(dim=-1).median() < 0.1
+
+
+def test_vmap_and_checkpoints_give_the_same(crossing, scans):
+    f = make("iaukf_jpda", crossing)
+    z = scans.z[:, :6]
+    whole = f(z, scans.prior)
+    mapped = torch.func.vmap(lambda z, mean, root: f(z, Gaussian(mean, root)).mean)(z, *scans.prior)
+    torch.testing.assert_close(mapped, whole.mean, rtol=1e-9, atol=1e-12)
+    learning = make("iaukf_jpda", crossing, learn=("detection",))
+    gradients = []
+    for checkpoint in (None, 2):
+        (gradient,) = torch.autograd.grad(
+            learning(z, scans.prior, checkpoint=checkpoint).log_likelihood.sum(), list(learning.parameters())
+        )
+        gradients.append(gradient)
+    torch.testing.assert_close(*gradients)
+
+
+def test_values_of_scenes_work_with_scans_of_one():
+    z = torch.randn(6, 3, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    prior, values = flat_prior((0.0, 0.0), (3.0, 1.0)), torch.tensor([[0.9], [0.8], [0.7]], dtype=torch.float64)
+    for options, alone in (
+        ({"detection": values}, {"detection": 0.8}),
+        ({"clutter": Clutter(1e4, rate=10 * values)}, {"clutter": Clutter(1e4, rate=8.0)}),
+        ({"clutter": Clutter(1e4 * values)}, {"clutter": Clutter(8e3)}),
+        ({"gate": ChiSquare(values)}, {"gate": ChiSquare(0.8)}),
+    ):
+        together, one = plane(**options)(z, prior), plane(**alone)(z, prior)
+        torch.testing.assert_close(together.mean[1], one.mean)
+        state, _ = plane(**options).step(plane(**options).init(prior), z[0])
+        torch.testing.assert_close(state.belief.mean[1], one.mean[:, 0])
+
+
+def test_an_empty_batch_is_a_batch(crossing):
+    f = make("iaukf_jpda", crossing)
+    prior = Gaussian(torch.zeros(0, 2, 6).double(), torch.zeros(0, 2, 6, 6).double())
+    assert f(torch.zeros(0, 5, 8, 3).double(), prior).mean.shape == (0, 2, 5, 6)
+    single = scenarios.noise_change()
+    plain = presets.iaukf(single.motion, single.sensor)
+    prior = Gaussian(torch.zeros(0, 6).double(), torch.zeros(0, 6, 6).double())
+    assert plain(torch.zeros(0, 5, 3).double(), prior).mean.shape == (0, 5, 6)
+
+
+def test_what_had_to_be_mended_and_how_far_robust_filters_trust_is_told(crossing, scans):
+    robust = presets.jpda(crossing.motion, crossing.sensor, clutter=crossing.clutter, inner=presets.rsrckf)
+    info = robust(scans.z, scans.prior).info
+    assert info.weights.shape == (3, 2, STEPS, 8, 3)
+    assert info.repaired is None
+    high = presets.jpda(crossing.motion, crossing.sensor, clutter=crossing.clutter, inner=presets.ghckf)
+    assert high(scans.z, scans.prior).info.repaired.shape == (3, 2, STEPS)
+
+
+@pytest.mark.slow
+def test_torch_compile_sees_a_step_as_it_is(crossing, scans):
+    f = make("iaukf_jpda", crossing)
+    state = f.init(scans.prior)
+    fast = torch.compile(f.step, backend="eager", fullgraph=True)
+    torch.testing.assert_close(fast(state, scans.z[:, 0])[0].belief.mean, f.step(state, scans.z[:, 0])[0].belief.mean)
+
+
+def test_shared_noise_is_one_for_all_targets(crossing, scans):
+    apart = make("iaukf_jpda", crossing)(scans.z, scans.prior).info.noise
+    shared = make("iaukf_jpda", crossing, share_noise=True)(scans.z, scans.prior).info.noise
+    assert (apart[:, 0] != apart[:, 1]).any()
+    assert torch.equal(shared[:, 0], shared[:, 1])
+
+
+def test_residuals_may_tell_the_noise(crossing, scans):
+    estimate = make("iaukf_jpda", crossing, adapt="residual")(scans.z, scans.prior)
+    assert estimate.info.noise[:, :, -1].mean() > 2
+    assert not estimate.failed.any()

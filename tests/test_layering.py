@@ -1,0 +1,223 @@
+"""Imports of the library run downwards only, its parts are small, and importing it imports nothing optional."""
+
+import ast
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import torchfra
+import train
+
+LIBRARY, RECIPES = Path(torchfra.__file__).parent, Path(train.__file__).parent
+LEVELS = [
+    {"version"}, {"angles"}, {"linalg"}, {"types"}, {"tree"}, {"hyper"}, {"coordinates"}, {"readers"},
+    {"losses"}, {"metrics"},
+    {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"kernel"}, {"filters"},
+    {"presets"},
+    {"scenarios"}, {"catalogue"}, {"app"}, {"__init__", "__main__"},
+]  # fmt: skip
+"""Lower first: a module or package imports those below it, and within a package there is no circle."""
+APART = {("scenarios", "filters"), ("scenarios", "presets")}
+"""The first never imports the second, although it lies below."""
+OPTIONAL = {"train": "nothing", "matplotlib": "app.plotting"}
+"""Packages from outside, and the one part of the library that may import them."""
+
+LINES_OF_A_FILE, LINES_OF_A_FUNCTION = 250, 40
+LONG_FILES: dict[str, str] = {}
+"""Exceptions, with their reasons."""
+LONG_FUNCTIONS: dict[str, str] = {}
+
+
+# ---------------------------------------------------------------- the checker
+
+
+def modules_of(root):
+    """All modules below a folder by their dotted names, packages by the names of their folders."""
+    names = {path: (root.name, *path.relative_to(root).with_suffix("").parts) for path in sorted(root.rglob("*.py"))}
+    return {".".join(name).removesuffix(".__init__"): path for path, name in names.items()}
+
+
+def imports_of(name, modules):
+    """The modules that a module imports, anywhere in its file and whichever way it is written."""
+    path = modules[name]
+    package = name if path.stem == "__init__" else name.rpartition(".")[0]
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            source = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+            for alias in node.names:
+                inside = f"{source}.{alias.name}"
+                yield inside if inside in modules else source
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+
+
+def part(name):
+    """The part of the package that a module belongs to: the second component of its name."""
+    return [*name.split("."), "__init__"][1]
+
+
+def upward_imports(root, levels, apart=(), optional=()):
+    """What is imported although it does not lie below, in words."""
+    modules, level = modules_of(root), {name: i for i, names in enumerate(levels) for name in names}
+    yield from (f"{name} has no level" for name in modules if part(name) not in level)
+    for name in modules:
+        for other in sorted(set(imports_of(name, modules))):
+            top, here = other.split(".")[0], f"{name} imports {other}"
+            if top != root.name:
+                if top in optional and not name.startswith(f"{root.name}.{optional[top]}"):
+                    yield here
+            elif other not in modules:
+                yield f"{here}, which does not exist"
+            elif part(name) != part(other) and (
+                (part(name), part(other)) in apart or level.get(part(other), 0) >= level.get(part(name), 0)
+            ):
+                yield here
+
+
+def circles(root):
+    """Modules that import themselves through others, each circle once, in words."""
+    modules = modules_of(root)
+    graph = {name: sorted(set(imports_of(name, modules)) & modules.keys()) for name in modules}
+    done, going = set(), []
+
+    def visit(name):
+        if name in going:
+            yield " imports ".join([*going[going.index(name) :], name])
+        elif name not in done:
+            going.append(name)
+            for other in graph[name]:
+                yield from visit(other)
+            going.pop()
+            done.add(name)
+
+    for name in graph:
+        yield from visit(name)
+
+
+def functions_of(path):
+    """Each function or method of a file with its number of lines, the docstring not counted."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            first = node.body[0]
+            docstring = first.end_lineno - first.lineno + 1 if ast.get_docstring(node) is not None else 0
+            yield node.name, node.end_lineno - node.lineno + 1 - docstring
+
+
+# ---------------------------------------------------------------- the library
+
+
+def test_imports_run_downwards_only():
+    assert list(upward_imports(LIBRARY, LEVELS, APART, OPTIONAL)) == []
+
+
+def test_no_module_imports_itself_through_others():
+    assert [circle for root in (LIBRARY, RECIPES) for circle in circles(root)] == []
+
+
+def test_every_folder_is_a_package():
+    assert {path.parent for path in LIBRARY.rglob("*.py")} == {path.parent for path in LIBRARY.rglob("__init__.py")}
+
+
+def test_importing_the_package_imports_nothing_optional():
+    code = "import sys, torchfra; print({'matplotlib', 'pymap3d', 'scipy', 'traffic', 'train'} & set(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"
+
+
+def test_no_file_is_long():
+    long = {}
+    for root in (LIBRARY, RECIPES):
+        for path in root.rglob("*.py"):
+            lines, name = len(path.read_text().splitlines()), str(path.relative_to(root.parent))
+            if lines > LINES_OF_A_FILE and name not in LONG_FILES:
+                long[name] = lines
+    assert not long, long
+
+
+def test_no_function_is_long():
+    long = {}
+    for root in (LIBRARY, RECIPES):
+        for path in root.rglob("*.py"):
+            for name, lines in functions_of(path):
+                where = f"{path.relative_to(root.parent)}:{name}"
+                if lines > LINES_OF_A_FUNCTION and where not in LONG_FUNCTIONS:
+                    long[where] = lines
+    assert not long, long
+
+
+# ---------------------------------------------------------------- the checker sees what it must
+
+
+@pytest.fixture
+def package(tmp_path):
+    """Writes a small package: low < middle < high, with the source of some of its modules."""
+
+    def build(**sources):
+        root = tmp_path / "tiny"
+        (root / "high").mkdir(parents=True)
+        files = {"__init__": "", "low": "", "middle": "from tiny.low import x", "high/__init__": "", "high/a": "",
+                 "high/b": "from tiny.high.a import x"}  # fmt: skip
+        for name, source in (files | sources).items():
+            (root / f"{name}.py").write_text(source)
+        return root
+
+    return build
+
+
+TINY = [{"low"}, {"middle"}, {"high"}, {"__init__"}]
+
+
+def test_a_package_in_order_is_not_complained_of(package):
+    root = package(**{"high/__init__": "from tiny.high.b import x\nfrom tiny import low, middle"})
+    assert list(upward_imports(root, TINY)) == []
+    assert list(circles(root)) == []
+
+
+@pytest.mark.parametrize("source", [
+    "from tiny import high", "from tiny.high import a", "from tiny.high.a import x", "import tiny.high.a",
+    "import tiny.high.a as a", "from . import high", "from .high import a", "from .high.a import x",
+    "def f():\n    from tiny import high", "def f():\n    import tiny.high", "from tiny import low, high",
+    "try:\n    from .high import a\nexcept ImportError:\n    pass", "if TYPE_CHECKING:\n    from tiny.high.a import x",
+    "from tiny import something", "import tiny",
+])  # fmt: skip
+def test_an_import_upwards_is_seen_however_it_is_written(package, source):
+    (complaint,) = upward_imports(package(low=source), TINY)
+    assert complaint.startswith("tiny.low imports tiny")
+
+
+def test_neighbours_of_one_level_do_not_import_each_other(package):
+    root = package(low="", middle="from tiny.low import x")
+    assert list(upward_imports(root, [{"low", "middle"}, {"high"}, {"__init__"}])) == ["tiny.middle imports tiny.low"]
+
+
+def test_parts_kept_apart_and_packages_from_outside_are_seen(package):
+    root = package(**{"high/a": "import plots.lines", "high/b": "from tiny.low import x"})
+    assert list(upward_imports(root, TINY, {("high", "low")})) == ["tiny.high.b imports tiny.low"]
+    assert list(upward_imports(root, TINY, (), {"plots": "middle"})) == ["tiny.high.a imports plots.lines"]
+    assert list(upward_imports(root, TINY, (), {"plots": "high"})) == []
+
+
+def test_a_part_without_a_level_is_named(package):
+    assert "tiny.low has no level" in upward_imports(package(), TINY[1:])
+
+
+@pytest.mark.parametrize(("files", "modules"), [
+    ({"high/a": "from tiny.high.b import x"}, {"tiny.high.a", "tiny.high.b"}),
+    ({"high/a": "from . import b"}, {"tiny.high.a", "tiny.high.b"}),
+    ({"high/a": "def f():\n    from .b import x"}, {"tiny.high.a", "tiny.high.b"}),
+    ({"high/a": "from tiny.high import x", "high/__init__": "from .b import x"},
+     {"tiny.high", "tiny.high.a", "tiny.high.b"}),
+])  # fmt: skip
+def test_a_circle_inside_a_package_is_seen(package, files, modules):
+    root = package(**files)
+    (circle,) = circles(root)
+    assert set(circle.split(" imports ")) == modules
+    assert list(upward_imports(root, TINY)) == []
+
+
+def test_lines_of_functions_are_counted_without_their_docstrings(tmp_path):
+    path = tmp_path / "a.py"
+    path.write_text('class A:\n    def f(self):\n        """One.\n\n        Two.\n        """\n        return 1\n')
+    assert list(functions_of(path)) == [("f", 2)]
