@@ -13,7 +13,7 @@ import train
 
 LIBRARY, RECIPES = Path(torchfra.__file__).parent, Path(train.__file__).parent
 LEVELS = [
-    {"version"}, {"angles"}, {"linalg"}, {"types"}, {"tree"}, {"hyper"}, {"coordinates"}, {"readers"},
+    {"version"}, {"tables"}, {"angles"}, {"tree"}, {"linalg"}, {"types"}, {"hyper"}, {"coordinates"}, {"readers"},
     {"losses"}, {"metrics"},
     {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"kernel"}, {"filters"},
     {"presets"},

@@ -15,7 +15,7 @@ from torchfra.version import __version__
 Result = dict[str, Any]
 """The figures of one filter; each target of a run of several counts as a track.
 
-``rmse_position``, ``rmse_velocity`` and those of ``Scenario.extra_quantities`` over time ``[T]``, their means ``mean_rmse_*``,
+``rmse_position`` and so on for all ``Scenario.quantities`` over time ``[T]``, their means ``mean_rmse_*``,
 ``median_error_position`` over all steps and runs (to 0.05 %), ``median_track_rmse`` and ``worst_track`` of the root
 mean square errors of single runs, ``divergence_rate``, ``nees_position`` (median, to 0.05 %; 1.39 of a consistent
 filter, in the plane), by coordinate and over time the signed ``mean_error_x``, ``rmse_x`` and ``mape_x`` (mean relative
