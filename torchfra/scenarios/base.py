@@ -13,6 +13,7 @@ from torch import Tensor
 from torchfra.association.clutter import Clutter
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
+from torchfra.motion.spherical import Spherical
 from torchfra.sensors.base import Sensor
 from torchfra.types import Estimate, Gaussian
 
@@ -72,6 +73,11 @@ class Scenario:
     def position(self) -> slice:
         """The state's position components."""
         return self.motion.position
+
+    @property
+    def truth_position(self) -> slice:
+        """The truth's position components, of estimates that ``cartesian`` has converted too."""
+        return slice(0, 3) if isinstance(self.motion, Spherical) else self.position
 
     @property
     def quantities(self) -> dict[str, slice]:

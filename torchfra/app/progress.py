@@ -1,0 +1,27 @@
+"""Progress bars."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from typing import TypeVar
+
+T = TypeVar("T")
+
+
+def progress_bar(items: Iterable[T], unit: str, show: bool) -> Iterable[T]:
+    """The items, with a progress bar on standard error where that is a terminal and tqdm is installed.
+
+    Args:
+        items: what is iterated over.
+        unit: what the bar calls one of them.
+        show: whether to show a bar at all.
+    """
+    if not (show and sys.stderr.isatty()):
+        return items
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        return items
+    bar: Iterable[T] = tqdm(items, unit=unit, leave=False)
+    return bar
