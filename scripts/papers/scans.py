@@ -9,13 +9,16 @@ from torch import Tensor
 
 from torchfra import metrics
 from torchfra.angles import wrap
-from torchfra.coordinates import AZIMUTH, CLOSENESS, ELEVATION, from_cartesian
+from torchfra.coordinates import AZIMUTH, ELEVATION, from_cartesian
 from torchfra.scenarios import Scenario, Tracks
 from torchfra.types import Estimate
 
 SETTLED, LOST = 10, 100.0
 """Steps that do not count in averages, and the RMSE of a run, m, from which on a track of it is lost."""
-_RANGE_MEASURED = 2
+INVERSE_RANGE = 5
+"""Component of the modified spherical state."""
+RANGE = 2
+"""Element of a measurement."""
 _FARTHEST = 25.0
 """Squared distance, in standard deviations, up to which the nearest measurement of a scan may come from a target."""
 
@@ -44,7 +47,7 @@ def errors(scenario: Scenario, estimate: Estimate, tracks: Tracks) -> dict[str, 
 
 def range_errors(estimate: Estimate, truth: Tensor) -> Tensor:
     """Errors ``(..., T)`` in range of estimates in modified spherical coordinates, m."""
-    return 1 / estimate.mean[..., CLOSENESS] - 1 / from_cartesian(truth)[..., CLOSENESS]
+    return 1 / estimate.mean[..., INVERSE_RANGE] - 1 / from_cartesian(truth)[..., INVERSE_RANGE]
 
 
 def measured_ranges(scenario: Scenario, tracks: Tracks) -> Tensor:
@@ -54,7 +57,7 @@ def measured_ranges(scenario: Scenario, tracks: Tracks) -> Tensor:
     gap = scenario.sensor.difference(z.unsqueeze(-3), exact)
     std = scenario.sensor.std() * float(str(scenario.settings["noise_scale"]))
     distance, nearest = (gap / std).square().sum(-1).nan_to_num(torch.inf).min(-1)
-    error = gap[..., _RANGE_MEASURED].gather(-1, nearest.unsqueeze(-1)).squeeze(-1)
+    error = gap[..., RANGE].gather(-1, nearest.unsqueeze(-1)).squeeze(-1)
     return torch.where(distance < _FARTHEST, error, torch.nan).movedim(1, 2)
 
 
