@@ -7,7 +7,8 @@
     python scripts/benchmark.py --what positions                   the alpha-beta bank on 100,000 tracks in space
 
 Prints microseconds per track and step: median and quartiles of several passes, one pass of each system in turn, so that
-a machine whose speed drifts treats them alike.  Compile time is apart.  Filters of torchfra return full estimates
+a machine whose speed drifts treats them alike.  A pass repeats short calls for 20 ms and takes their median, so that
+caches are warm.  Compile time is apart.  Filters of torchfra return full estimates
 (means, roots, scores at every step); the others the last mean only.  Each of the others runs in a process of its own,
 which sleeps while the others are timed.
 """
@@ -67,8 +68,8 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--scenario", default="bearings-outliers", choices=BEARINGS)
     p.add_argument("--initial", default="truth", choices=["truth", "paper"], help="initial state (default: truth)")
     p.add_argument("--passes", type=int, default=7, help="timed passes (default: 7)")
-    p.add_argument("--peers", action="store_true", help="also JAX, dynamax and FilterPy, where installed (for another "
-                   "Python than this one if TORCHFRA_PEERS_PYTHON names it), and C++")  # fmt: skip
+    p.add_argument("--peers", action="store_true", help="also JAX, dynamax and FilterPy, where installed, and C++; "
+                   "the environment variable TORCHFRA_PEERS_PYTHON may name the Python that has them")  # fmt: skip
     p.add_argument("--figure", type=Path, metavar="FILE", help="PNG of the results of 'scaling'")
     add_json_option(p)
     return p
