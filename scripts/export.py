@@ -5,7 +5,7 @@
 
 The package (torch.export, AOTInductor) holds machine code for one step of one track: state and measurement in, next
 state and innovation out.  Python loads it with torch._inductor.aoti_load_package, C++ with
-torch::inductor::AOTIModelPackageLoader.  For streaming from Python, Filter.compile() is as good and simpler.
+torch::inductor::AOTIModelPackageLoader.  For streaming from Python, Filter.compile() is simpler.
 """
 
 from __future__ import annotations
@@ -13,13 +13,15 @@ from __future__ import annotations
 import argparse
 import statistics
 import sys
-import time
 from pathlib import Path
+from typing import Any
 
 import torch
+from benchmarks.clock import once
 from torch import Tensor, nn
 
-from torchfra.catalogue import SCENARIOS, scenario_filters, track_filters
+from torchfra.app.command import check_list, exit_status, make_parser
+from torchfra.catalogue import SCENARIOS, scenario_filter, track_filters
 from torchfra.filters import Filter
 from torchfra.scenarios import Scenario
 from torchfra.tree import flatten, unflatten
@@ -27,16 +29,41 @@ from torchfra.types import Gaussian
 
 
 class Step(nn.Module):
-    """One step, from tensors to tensors."""
+    """One step, from tensors to tensors.
 
-    def __init__(self, f: Filter, state: tuple) -> None:
+    Args:
+        f: the filter.
+        state: any state of it, whose structure all states have.
+    """
+
+    def __init__(self, f: Filter, state: Any) -> None:
         super().__init__()
         self.filter, self.like = f, state
 
     def forward(self, leaves: list[Tensor], z: Tensor, u: Tensor) -> tuple[Tensor, ...]:
-        """Leaves of the state, a measurement and where the stations are; leaves of the next state, then ``nis``."""
+        """From the leaves of the state, ``z (m,)`` and the stations ``u (k,)`` to those of the next, and ``nis``."""
         state, innovation = self.filter.step(unflatten(self.like, iter(leaves)), z, u=u)
         return (*flatten(state), innovation.nis)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the example; returns 0, or 2 after one line on standard error if an argument was wrong."""
+    p = make_parser(__doc__)
+    p.add_argument("--filter", default="srckf", help=f"one of {', '.join(track_filters())} (default: srckf)")
+    p.add_argument("--out", type=Path, metavar="FILE", help="the package (default: out/FILTER.pt2)")
+    options = p.parse_args(arguments)
+    check_list(p, "filter", options.filter, track_filters())
+    return exit_status("export", lambda: example(options))
+
+
+def example(options: argparse.Namespace) -> None:
+    """Writes the package, and compares it with the filter along a track."""
+    scenario = SCENARIOS["bearings-outliers"]()
+    f = scenario_filter(options.filter, scenario)
+    path = export(f, scenario, options.out or Path("out") / f"{options.filter}.pt2")
+    seconds, difference = compare(f, torch._inductor.aoti_load_package(str(path)), scenario)
+    print(f"{path}: {path.stat().st_size / 1024:.0f} kB, {seconds * 1e6:.0f} us per step, "
+          f"relative difference from the filter {difference:.1e}")  # fmt: skip
 
 
 def export(f: Filter, scenario: Scenario, path: Path) -> Path:
@@ -50,33 +77,19 @@ def export(f: Filter, scenario: Scenario, path: Path) -> Path:
         return Path(torch._inductor.aoti_compile_and_package(program, package_path=str(path)))
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Runs the example."""
-    form = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
-    parser.add_argument("--filter", default="srckf", help=f"one of {', '.join(track_filters())} (default: srckf)")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="the package (default: out/FILTER.pt2)")
-    options = parser.parse_args(arguments)
-    if options.filter not in track_filters():
-        parser.error(f"--filter: expected one of {', '.join(track_filters())}, received {options.filter!r}")
-    scenario = SCENARIOS["bearings-outliers"]()
-    f = scenario_filters([options.filter], scenario)[options.filter]
-    path = export(f, scenario, options.out or Path("out") / f"{options.filter}.pt2")
-    step = torch._inductor.aoti_load_package(str(path))
+@torch.no_grad()
+def compare(f: Filter, step: Any, scenario: Scenario) -> tuple[float, float]:
+    """Median seconds of an exported step, and the largest difference of its means relative to their size."""
     tracks = scenario.simulate(1, 0)
     state = f.init(Gaussian(tracks.prior.mean[0], tracks.prior.scale_tril))
-    leaves, worst, seconds = flatten(state), 0.0, []
-    with torch.no_grad():
-        for z, u in zip(tracks.z[0], tracks.u, strict=True):
-            state, _ = f.step(state, z, u=u)
-            start = time.perf_counter()
-            *leaves, _ = step(leaves, z, u)
-            seconds.append(time.perf_counter() - start)
-            scale = state.belief.mean.abs().max()
-            worst = max(worst, ((leaves[0] - state.belief.mean).abs().max() / scale).item())
-    print(f"{path}: {path.stat().st_size / 1024:.0f} kB, {statistics.median(seconds) * 1e6:.0f} us per step, "
-          f"relative difference from the filter {worst:.1e}")  # fmt: skip
-    return 0
+    leaves, difference, seconds = flatten(state), 0.0, []
+    for z, u in zip(tracks.z[0], tracks.u, strict=True):
+        state, _ = f.step(state, z, u=u)
+        seconds.append(once(lambda leaves=leaves, z=z, u=u: step(leaves, z, u)))
+        *leaves, _ = step(leaves, z, u)
+        gap = (leaves[0] - state.belief.mean).abs().max() / state.belief.mean.abs().max()
+        difference = max(difference, gap.item())
+    return statistics.median(seconds), difference
 
 
 if __name__ == "__main__":

@@ -1,38 +1,52 @@
-"""What one would pick instead, on the job of scripts/benchmark.py: each is a function from tracks to final means.
+"""What one would use instead, on the job of scripts/benchmark.py: a process that times it for each line it reads.
 
-Needs ``pip install 'torchfra[bench]'``.  The hand-written SRCKF in JAX is the array form that torchfra uses, with the
-QR decomposition that JAX has; the C++ one is limit.cpp, and needs g++.
+    python scripts/peers.py jax job.npz --means last.npy
+
+Prints a JSON line with the seconds of the first call, and one for each line on standard input.  Needs
+``pip install 'torchfra[bench]'`` but neither torch nor torchfra.  The hand-written SRCKF in JAX is the array form that
+torchfra uses, with the QR decomposition that JAX has.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
-import os
-import subprocess
-import tempfile
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-
-from torchfra.scenarios import Scenario, Tracks
+from benchmarks.clock import once, one_pass
 
 Run = Callable[[], np.ndarray]
 SCALING = (1.0, 2.0, -3.0)
 """Of the unscented transform: alpha, beta, kappa with n + kappa = 3."""
 
 
-def _arrays(scenario: Scenario, tracks: Tracks) -> tuple[np.ndarray, ...]:
-    import torch
+class Job(NamedTuple):
+    """Two bearings of a target from two moving stations, and a linear motion."""
 
-    dt = torch.tensor(scenario.dt, dtype=torch.float64)
-    matrix, noise = scenario.motion.transition(dt), scenario.motion.process_noise(dt)
-    std = scenario.sensor.std()
-    return tuple(x.detach().numpy() for x in (matrix, noise, std, *tracks.prior, tracks.z, tracks.u))
+    matrix: np.ndarray
+    """``(n, n)`` transition of a step."""
+    noise: np.ndarray
+    """``(n, q)`` root of the process noise."""
+    std: np.ndarray
+    """``()`` of a bearing, rad."""
+    means: np.ndarray
+    """``(B, n)`` priors, one step before the first measurement."""
+    root: np.ndarray
+    """``(n, n)`` root of their covariance."""
+    z: np.ndarray
+    """``(B, T, 2)`` bearings, rad."""
+    u: np.ndarray
+    """``(T, 4)`` positions of the stations, m."""
+    dt: np.ndarray
+    """``()`` seconds per step."""
 
 
-def jax_srckf(scenario: Scenario, tracks: Tracks) -> Run:
+def jax_srckf(job: Job) -> Run:
     """Hand-written for this job: jit, vmap over tracks, scan over time."""
     import jax
 
@@ -40,7 +54,7 @@ def jax_srckf(scenario: Scenario, tracks: Tracks) -> Run:
     import jax.numpy as jnp
     from jax import lax
 
-    matrix, noise, std, means, root, z, u = map(jnp.asarray, _arrays(scenario, tracks))
+    matrix, noise, std, means, root, z, u, _ = map(jnp.asarray, job)
     n, turn = len(matrix), 2 * math.pi
     unit = jnp.concatenate([jnp.eye(n), -jnp.eye(n)], 1)
 
@@ -50,8 +64,8 @@ def jax_srckf(scenario: Scenario, tracks: Tracks) -> Run:
     def wrap(angle):
         return angle - turn * jnp.round(angle / turn)
 
-    def step(carry, given):
-        (mean, root), (z, u) = carry, given
+    def step(carry, at):
+        (mean, root), (z, u) = carry, at
         mean, root = matrix @ mean, tria(jnp.concatenate([matrix @ root, noise], 1))
         points = mean[:, None] + math.sqrt(n) * root @ unit
         offset = points[None, :2] - u.reshape(2, 2)[:, :, None]
@@ -64,22 +78,19 @@ def jax_srckf(scenario: Scenario, tracks: Tracks) -> Run:
         scaled = lax.linalg.triangular_solve(joint[:2, :2], residual[:, None], left_side=True, lower=True)[:, 0]
         return (mean + joint[2:, :2] @ scaled, joint[2:, 2 : 2 + n]), None
 
-    def track(mean, z):
-        return lax.scan(step, (mean, root), (z, u))[0][0]
-
-    compiled = jax.jit(jax.vmap(track))
+    compiled = jax.jit(jax.vmap(lambda mean, z: lax.scan(step, (mean, root), (z, u))[0][0]))
     return lambda: np.asarray(compiled(means, z).block_until_ready())
 
 
-def dynamax_ukf(scenario: Scenario, tracks: Tracks) -> Run:
-    """Its unscented Kalman filter, under jit and vmap."""
+def dynamax_ukf(job: Job) -> Run:
+    """The unscented Kalman filter of dynamax, under jit and vmap."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
     import jax.numpy as jnp
     from dynamax.nonlinear_gaussian_ssm import ParamsNLGSSM, UKFHyperParams, unscented_kalman_filter
 
-    matrix, noise, std, means, root, z, u = map(jnp.asarray, _arrays(scenario, tracks))
+    matrix, noise, std, means, root, z, u, _ = map(jnp.asarray, job)
     q, r = noise @ noise.T, std**2 * jnp.eye(2)
 
     def measure(x, u):
@@ -95,11 +106,11 @@ def dynamax_ukf(scenario: Scenario, tracks: Tracks) -> Run:
     return lambda: np.asarray(compiled(means, z).block_until_ready())
 
 
-def filterpy_ukf(scenario: Scenario, tracks: Tracks) -> Run:
-    """Its unscented Kalman filter, one track after the other."""
+def filterpy_ukf(job: Job) -> Run:
+    """The unscented Kalman filter of FilterPy, one track after the other."""
     from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-    matrix, noise, std, means, root, z, u = _arrays(scenario, tracks)
+    matrix, noise, std, means, root, z, u, dt = job
 
     def measure(x, u):
         offset = x[:2] - u.reshape(2, 2)
@@ -109,7 +120,7 @@ def filterpy_ukf(scenario: Scenario, tracks: Tracks) -> Run:
         ends = []
         for mean, track in zip(means, z, strict=True):
             points = MerweScaledSigmaPoints(len(matrix), *SCALING)
-            f = UnscentedKalmanFilter(len(matrix), 2, scenario.dt, measure, lambda x, dt: matrix @ x, points)
+            f = UnscentedKalmanFilter(len(matrix), 2, float(dt), measure, lambda x, dt: matrix @ x, points)
             f.x, f.P, f.Q, f.R = mean.copy(), root @ root.T, noise @ noise.T, std**2 * np.eye(2)
             for z_k, u_k in zip(track, u, strict=True):
                 f.predict()
@@ -120,19 +131,36 @@ def filterpy_ukf(scenario: Scenario, tracks: Tracks) -> Run:
     return run
 
 
-PEERS = {"JAX, hand-written SRCKF": jax_srckf, "dynamax UKF": dynamax_ukf, "FilterPy UKF": filterpy_ukf}
-"""By name; the last is for a few tracks only."""
+PEERS = {"jax": jax_srckf, "dynamax": dynamax_ukf, "filterpy": filterpy_ukf}
 
 
-def limit(batch: int) -> float | None:
-    """Microseconds per track and step of hand-written SIMD C++; None without g++."""
-    with tempfile.TemporaryDirectory() as folder:
-        program = Path(folder) / "limit"
-        command = [os.environ.get("CXX", "g++"), "-O3", "-march=native", "-ffast-math", "-fopenmp"]
-        try:
-            source = Path(__file__).with_name("limit.cpp")
-            subprocess.run([*command, str(source), "-o", str(program)], check=True, capture_output=True)
-        except (OSError, subprocess.CalledProcessError):
-            return None
-        done = subprocess.run([str(program), str(batch)], check=True, capture_output=True, text=True)
-        return float(json.loads(done.stdout)["us_per_track_step"])
+def main(arguments: list[str] | None = None) -> int:
+    """Answers until standard input ends."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("name", choices=PEERS)
+    parser.add_argument("job", type=Path, metavar="JOB", help="arrays of the job (.npz), from scripts/benchmark.py")
+    parser.add_argument("--means", type=Path, metavar="FILE", help="write the last means of the tracks (.npy)")
+    options = parser.parse_args(arguments)
+    with np.load(options.job) as arrays:
+        job = Job(**arrays)
+    try:
+        run = PEERS[options.name](job)
+    except ImportError as missing:
+        answer(missing=str(missing))
+        return 0
+    first = once(run)
+    if options.means is not None:
+        np.save(options.means, run())
+    answer(first_call_s=first)
+    for _ in sys.stdin:
+        answer(seconds=one_pass(run))
+    return 0
+
+
+def answer(**values: float | str) -> None:
+    """One JSON line on standard output."""
+    print(json.dumps(values), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

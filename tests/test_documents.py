@@ -41,6 +41,7 @@ SMALL = {
     "scripts/reproduce.py clutter": ({"--runs": "2"}, {"--filters": "ukf_jpda_safe"}),
     "scripts/regret.py": ({"--runs": "2"}, {}),
     "scripts/benchmark.py": ({"--batch": "1", "--passes": "1", "--modes": "eager"}, {"--filters": "srckf"}),
+    "scripts/examples/": ({}, {}),
     "scripts/": ({"--iterations": "2", "--tracks": "4", "--steps": "10"}, {}),
 }
 """Options by the beginning of a command, the longest that fits: always these, and these where the line has none."""

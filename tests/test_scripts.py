@@ -7,10 +7,13 @@ from pathlib import Path
 import benchmark
 import export
 import pytest
+import regret
 import reproduce
 import torch
+from benchmarks import elsewhere, training
 
 from torchfra import presets, scenarios
+from torchfra.catalogue import SCENARIOS
 
 ROOT = Path(__file__).parent.parent
 
@@ -41,7 +44,7 @@ def test_reproduce_writes_results_and_the_papers_figures(experiment, tmp_path):
 
 def test_reproduce_writes_what_du_and_zhang_show(tmp_path, capsys):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path)]
-    assert reproduce.main(["adsb-turns", "--runs", "20", "--compile", *out]) == 0
+    assert reproduce.main(["adsb-turns", "--runs", "20", *out]) == 0
     result = json.loads((tmp_path / "r.json").read_text())
     assert result["filters"].keys() == {"srckf", "imm3", "imm5", "vsimm_srckf"}
     for name, of in result["filters"].items():
@@ -60,9 +63,9 @@ def test_reproduce_writes_what_du_and_zhang_show(tmp_path, capsys):
 def test_reproduce_writes_the_decisions_of_the_alpha_beta_bank(tmp_path):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
     assert reproduce.main(["alpha-beta", "--runs", "40", *out]) == 0
-    found = json.loads((tmp_path / "r.json").read_text())
-    decisions = found["decisions"]
-    assert decisions.keys() == found["filters"].keys() == {"f1", "f2", "f3", "paper", "alphabeta"}
+    result = json.loads((tmp_path / "r.json").read_text())
+    decisions = result["decisions"]
+    assert decisions.keys() == result["filters"].keys() == {"f1", "f2", "f3", "paper", "alphabeta"}
     assert list(decisions["alphabeta"]["rejected"]) == [str(k) for k in range(97, 105)]
     assert decisions["alphabeta"]["rejected"]["100"] == decisions["alphabeta"]["rejected"]["101"] == 1
     assert decisions["alphabeta"]["manoeuvre_x"] < decisions["f1"]["manoeuvre_x"]  # which follows the outliers
@@ -71,26 +74,26 @@ def test_reproduce_writes_the_decisions_of_the_alpha_beta_bank(tmp_path):
 
 def test_reproduce_writes_mean_square_errors_over_the_contamination(tmp_path):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
-    own = scenarios.growth()
-    torch.save(presets.hghckf2(own.motion, own.sensor, threshold=1.0).state_dict(), tmp_path / "own.pt")
-    learned = ["--learned", f"hghckf2={tmp_path / 'own.pt'}"]
+    scenario = scenarios.growth()
+    torch.save(presets.hghckf2(scenario.motion, scenario.sensor, threshold=1.0).state_dict(), tmp_path / "values.pt")
+    learned = ["--learned", f"hghckf2={tmp_path / 'values.pt'}"]
     assert reproduce.main(["growth", "--runs", "6", "--sizes", "1,20", "--compile", *learned, *out]) == 0
-    found = json.loads((tmp_path / "r.json").read_text())
-    assert list(found["by_size"]) == ["1", "20"]
-    for of in found["by_size"].values():
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert list(result["by_size"]) == ["1", "20"]
+    for of in result["by_size"].values():
         assert of.keys() == {"ghckf", "hghckf1", "hghckf2", "learned"}
         assert len(of["ghckf"]["mse"]) == 500
         assert of["ghckf"]["mmse"] == pytest.approx(sum(of["ghckf"]["mse"]) / 500)
-    assert found["by_size"]["1"]["ghckf"]["mmse"] < found["by_size"]["20"]["ghckf"]["mmse"]
+    assert result["by_size"]["1"]["ghckf"]["mmse"] < result["by_size"]["20"]["ghckf"]["mmse"]
     assert {p.name for p in tmp_path.glob("*.png")} == {"growth-position.png", "growth-mmse.png"}
 
 
 def test_reproduce_writes_the_errors_of_the_reentry(tmp_path):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
     assert reproduce.main(["reentry", "--runs", "2", "--filters", "ghckf", "--sizes", "1", *out]) == 0
-    found = json.loads((tmp_path / "r.json").read_text())
-    assert len(found["filters"]["ghckf"]["rmse_parameter"]) == 200
-    assert found["by_size"]["1"]["ghckf"].keys() == {"mmse", "mse", "mmse_velocity", "mmse_parameter"}
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert len(result["filters"]["ghckf"]["rmse_parameter"]) == 200
+    assert result["by_size"]["1"]["ghckf"].keys() == {"mmse", "mse", "mmse_velocity", "mmse_parameter"}
     names = {f"reentry-{name}.png" for name in ("position", "velocity", "parameter", "mmse")}
     assert {p.name for p in tmp_path.glob("*.png")} == names
 
@@ -101,18 +104,18 @@ def test_reproduce_writes_errors_by_target_and_association_probabilities(tmp_pat
     assert (
         reproduce.main(["clutter-crossing", "--runs", "4", "--noise-scale", "4", "--clutter", "4", *names, *out]) == 0
     )
-    found = json.loads((tmp_path / "r.json").read_text())
-    assert found["settings"]["noise_scale"] == 4
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert result["settings"]["noise_scale"] == 4
     wanted = {
         f"{name} {gate} m" for name in ("ukf_jpda_paper", "iaukf_jpda_paper", "iaukf_jpda_safe") for gate in (100, 150)
     }
-    assert found["scans"].keys() == found["associations"].keys() == wanted
-    of = found["scans"]["iaukf_jpda_safe 100 m"]
+    assert result["scans"].keys() == result["associations"].keys() == wanted
+    of = result["scans"]["iaukf_jpda_safe 100 m"]
     assert len(of["rmse_range"]) == 2
     assert len(of["rmse_azimuth"][0]) == len(of["ospa"]) == 100
     assert of["filtered_range"] < of["raw_range"] == pytest.approx(19.0, rel=0.15)
     assert of["lost"] == 0
-    for rows in found["associations"]["iaukf_jpda_safe 100 m"].values():
+    for rows in result["associations"]["iaukf_jpda_safe 100 m"].values():
         assert [sum(row) for row in rows] == pytest.approx([1.0, 1.0])
         assert len(rows[0]) == 7
     assert {p.name for p in tmp_path.glob("*.png")} == {
@@ -124,12 +127,20 @@ def test_reproduce_writes_errors_by_target_and_association_probabilities(tmp_pat
 def test_reproduce_writes_the_errors_of_a_single_target_whose_noise_grows(tmp_path):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
     assert reproduce.main(["noise-change", "--runs", "40", *out]) == 0
-    found = json.loads((tmp_path / "r.json").read_text())["scans"]
-    assert found["iaukf"]["filtered_range"] < 0.85 * found["ukf"]["filtered_range"]
+    result = json.loads((tmp_path / "r.json").read_text())["scans"]
+    assert result["iaukf"]["filtered_range"] < 0.85 * result["ukf"]["filtered_range"]
     assert [p.name for p in tmp_path.glob("*.png")] == ["noise-change-errors.png"]
 
 
+def test_every_scenario_of_the_catalogue_has_an_experiment():
+    assert reproduce.EXPERIMENTS.keys() == SCENARIOS.keys()
+
+
 def test_reproduce_says_what_is_wrong(capsys):
+    assert reproduce.main(["adsb-turns", "--sizes", "1,2"]) == 2
+    assert "sizes: adsb-turns takes no such option" in capsys.readouterr().err
+    assert reproduce.main(["growth", "--sizes", "large"]) == 2
+    assert "sizes: expected numbers" in capsys.readouterr().err
     assert reproduce.main(["adsb-turns", "--outliers", "std"]) == 2
     assert "adsb-turns takes no such option" in capsys.readouterr().err
     assert reproduce.main(["bearings-outliers", "--filters", "imm5"]) == 2
@@ -140,12 +151,44 @@ def test_reproduce_says_what_is_wrong(capsys):
     assert "kalman" in capsys.readouterr().err
 
 
+@pytest.fixture
+def one_case(monkeypatch):
+    """Regret of one case instead of six."""
+    monkeypatch.setattr(regret, "CASES", {"2, std": regret.CASES["2, std"]})
+
+
+def test_regret_compares_every_filter_of_a_single_motion(one_case, tmp_path, capsys):
+    assert regret.main(["--runs", "2", "--json", str(tmp_path / "r.json")]) == 0
+    of = json.loads((tmp_path / "r.json").read_text())["cases"]["2, std"]
+    assert of["ours"].keys() == {"fra"}
+    assert {"ukf", "rsrckf", "hghckf2", "fra"} <= of["all"].keys()
+    assert "alphabeta" not in of["all"]  # it takes positions, not bearings
+    assert of["best_rmse"] == min(of["all"].values())
+    assert of["ours"]["fra"]["regret"] == pytest.approx(of["all"]["fra"] / of["best_rmse"] - 1)
+    assert f"best {of['best']}" in capsys.readouterr().out
+
+
+def test_regret_of_learned_values_is_against_filters_that_did_not_learn(one_case, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(regret, "filters_for", lambda scenario: ["ukf", "fra"])
+    scenario = scenarios.bearings_manoeuvre()
+    file = tmp_path / "run" / "state_dict.pt"
+    file.parent.mkdir()
+    torch.save(presets.fra(scenario.motion, scenario.sensor).state_dict(), file)
+    assert regret.main([str(file), "--runs", "2", "--json", str(tmp_path / "r.json")]) == 0
+    of = json.loads((tmp_path / "r.json").read_text())["cases"]["2, std"]
+    assert of["ours"][str(file)] == pytest.approx(of["ours"]["fra"])  # these values are those of the preset
+    assert of["best"] != str(file)
+    assert "; run " in capsys.readouterr().out
+    assert regret.main([str(tmp_path / "missing.pt"), "--runs", "2"]) == 2
+    assert "regret: error" in capsys.readouterr().err
+
+
 def test_the_benchmark_times_eager_and_compiled_filters(tmp_path, capsys):
     arguments = ["--what", "tracks,step", "--filters", "srckf", "--batch", "1,8", "--passes", "2", "--json"]
     assert benchmark.main([*arguments, str(tmp_path / "b.json")]) == 0
     result = json.loads((tmp_path / "b.json").read_text())
-    said = {(row["system"], row.get("batch")) for row in result["rows"]}
-    assert said == {(f"srckf, {mode}", batch) for mode in ("compiled", "eager") for batch in (1, 8)} | {
+    timed = {(row["system"], row.get("batch")) for row in result["rows"]}
+    assert timed == {(f"srckf, {mode}", batch) for mode in ("compiled", "eager") for batch in (1, 8)} | {
         (f"srckf.step, {mode}", None) for mode in ("compiled", "eager")
     }
     assert all(0 < row["q1"] <= row["median"] <= row["q3"] for row in result["rows"])
@@ -173,7 +216,7 @@ def test_plain_qr_is_the_same_filter(make, tracks):
     """The baseline of the benchmark computes what it is compared with."""
     f = make("srckf", learn="all")
     loss = f(tracks.z, tracks.prior, u=tracks.u).mean.square().sum()
-    with benchmark.plain_qr():
+    with training.plain_qr():
         other = f(tracks.z, tracks.prior, u=tracks.u).mean.square().sum()
         theirs = torch.autograd.grad(other, list(f.parameters()))
     for a, b in zip(torch.autograd.grad(loss, list(f.parameters())), theirs, strict=True):
@@ -190,5 +233,60 @@ def test_the_benchmark_says_what_is_wrong(capsys):
 @pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning", "ignore::UserWarning")
 def test_an_exported_step_gives_what_the_filter_gives(tmp_path, capsys):
     assert export.main(["--out", str(tmp_path / "step.pt2")]) == 0
-    said = re.search(r"difference from the filter ([\d.e+-]+)", capsys.readouterr().out)
-    assert float(said[1]) < 1e-12
+    difference = re.search(r"difference from the filter ([\d.e+-]+)", capsys.readouterr().out)
+    assert float(difference[1]) < 1e-12
+
+
+def test_a_peer_times_a_call_for_each_line_in_a_process_without_torch(tmp_path, monkeypatch):
+    """A stand-in for a package: a process of its own answers, and torch is not in it."""
+    fake = tmp_path / "filterpy" / "kalman.py"
+    fake.parent.mkdir()
+    fake.with_name("__init__.py").touch()
+    fake.write_text(_FAKE_FILTERPY)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(elsewhere, "PEERS", {"filterpy": "FilterPy UKF"})
+    scenario = scenarios.bearings_outliers(initial="truth")
+    tracks = scenario.simulate(1, 0)
+    with elsewhere.start_peers(scenario, tracks) as peers:
+        peer = peers["FilterPy UKF"]
+        assert peer.first_call() > 0
+        assert 0 < peer.one_pass() < 60
+        assert 0 < peer.one_pass() < 60
+        assert peer.means().tolist() == tracks.prior.mean.tolist()  # the stand-in does not move
+    assert peer.process.returncode == 0
+
+
+_FAKE_FILTERPY = """
+import sys
+
+assert "torch" not in sys.modules
+
+class MerweScaledSigmaPoints:
+    def __init__(self, *arguments): pass
+
+class UnscentedKalmanFilter:
+    def __init__(self, *arguments): pass
+    def predict(self): pass
+    def update(self, z, u): pass
+"""
+
+
+def test_a_peer_that_is_not_installed_is_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(elsewhere, "PEERS", {"filterpy": "FilterPy UKF"})
+    (tmp_path / "filterpy.py").write_text("raise ImportError('no filterpy here')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    scenario = scenarios.bearings_outliers(initial="truth")
+    with elsewhere.start_peers(scenario, scenario.simulate(1, 0)) as peers:
+        assert not peers
+    assert "FilterPy UKF: not installed (no filterpy here)" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_hand_written_program_is_a_peer_where_a_compiler_is(monkeypatch):
+    monkeypatch.setattr(elsewhere, "PEERS", {})
+    scenario = scenarios.bearings_outliers(initial="truth")
+    with elsewhere.start_peers(scenario, scenario.simulate(16, 0)) as peers:
+        if elsewhere.SIMD not in peers:
+            pytest.skip("no C++ compiler")
+        assert 0 < peers[elsewhere.SIMD].one_pass() < 60
+        assert peers[elsewhere.SIMD].means() is None

@@ -1,0 +1,1 @@
+"""The jobs of ``benchmark.py``, one module each."""

@@ -1,0 +1,67 @@
+"""Batches of tracks through filters, eager and compiled, and through what one would use instead."""
+
+from __future__ import annotations
+
+import argparse
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+
+from benchmarks.elsewhere import Peer, start_peers
+from benchmarks.timing import Row, System, calls, timed
+from torchfra import presets
+from torchfra.app.evaluate import run
+from torchfra.catalogue import FILTERS, make_scenario, scenario_filter
+from torchfra.scenarios import Scenario, Tracks
+
+
+def tracks(options: argparse.Namespace) -> list[Row]:
+    """Of each batch size: the filters, and with ``--peers`` the others in the same passes."""
+    scenario = make_scenario(options.scenario, initial=options.initial)
+    rows: list[Row] = []
+    for batch in map(int, (options.batch or "1,1000,10000").split(",")):
+        data = on_device(scenario.simulate(batch, 0), options.device)
+        systems = calls(filter_calls(scenario, data, options), options.device)
+        if not options.peers:
+            rows += timed(systems, options.passes, batch * scenario.steps, batch=batch)
+            continue
+        with start_peers(scenario, data) as peers:
+            every: dict[str, System] = {**systems, **peers}
+            rows += timed(every, options.passes, batch * scenario.steps, batch=batch)
+            report_differences(scenario, data, peers)
+    return rows
+
+
+def filter_calls(scenario: Scenario, data: Tracks, options: argparse.Namespace) -> dict[str, Callable[[], Any]]:
+    """By name of the filter and mode."""
+    systems: dict[str, Callable[[], Any]] = {}
+    for name in options.filters.split(","):
+        f = copy.deepcopy(scenario_filter(name, scenario)).to(options.device)
+        for mode in ("compiled", "eager"):
+            if mode in options.modes:
+                g = copy.deepcopy(f).compile() if mode == "compiled" else f
+                systems[f"{name}, {mode}"] = lambda g=g: run(g, scenario, data)
+        if FILTERS[name].gated and not FILTERS[name].bank:
+            share = run(f, scenario, data).info.abnormal.double().mean().item()
+            print(f"{name}: {share:.0%} of the steps abnormal")
+    return systems
+
+
+def report_differences(scenario: Scenario, data: Tracks, peers: dict[str, Peer]) -> None:
+    """Prints how far the last positions of each peer are from those of ``srckf``."""
+    ours = run(presets.srckf(scenario.motion, scenario.sensor), scenario, data).mean[:, -1].numpy()
+    for name, peer in peers.items():
+        means = peer.means()
+        if means is not None:
+            apart = np.median(np.abs(means - ours)[:, :2].max(-1))
+            print(f"{name}: its last positions differ from those of srckf by {apart:.1e} m in the median")
+
+
+def on_device(x: Any, device: str) -> Any:
+    """Tuples of tensors on another device."""
+    if x is None or isinstance(x, torch.Tensor):
+        return x if x is None else x.to(device)
+    return type(x)(*(on_device(y, device) for y in x))

@@ -1,0 +1,100 @@
+"""Forward and backward through FRA."""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import ctypes
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks.timing import Row, calls, timed
+from torchfra import presets
+from torchfra.catalogue import make_scenario
+from torchfra.filters import Filter
+from torchfra.linalg import triangular
+from torchfra.scenarios import Tracks
+
+Call = Callable[[], None]
+
+
+def training(options: argparse.Namespace) -> list[Row]:
+    """Gradients of all values over 64 tracks (or the first number of ``--batch``), with time and peak memory."""
+    scenario = make_scenario(options.scenario, outliers="std", initial=options.initial)
+    batch = int((options.batch or "64").split(",")[0])
+    data = scenario.simulate(batch, 0)
+    rows: list[Row] = []
+    for kind, temperature in (("hard", 0.0), ("soft", 1.0)):
+        f = presets.fra(scenario.motion, scenario.sensor, learn="all", temperature=temperature)
+        systems: dict[str, Call] = {
+            f"fra {kind}, torch.linalg.qr": with_plain_qr(backward(f, data)),
+            f"fra {kind}, eager": backward(f, data),
+            f"fra {kind}, eager, checkpoints": backward(f, data, checkpoint=10),
+            f"fra {kind}, compiled": backward(copy.deepcopy(f).compile(), data),
+        }
+        of_kind = timed(calls(systems), options.passes, batch * scenario.steps, batch=batch)
+        for row in of_kind:
+            row["peak_mib"] = peak(systems[row["system"]])
+            if row["peak_mib"] is not None:
+                print(f"{row['system']:<32} peak {row['peak_mib']:.0f} MiB")
+        rows += of_kind
+    return rows
+
+
+def backward(f: Filter, data: Tracks, **more: Any) -> Call:
+    """The gradient of the squared error of the position."""
+
+    def call() -> None:
+        f.zero_grad()
+        estimate = f(data.z, data.prior, u=data.u, **more)
+        (estimate.mean - data.truth)[..., :2].square().mean().backward()
+
+    return call
+
+
+def with_plain_qr(call: Call) -> Call:
+    """The same with gradients through ``torch.linalg.qr``."""
+
+    def plain() -> None:
+        with plain_qr():
+            call()
+
+    return plain
+
+
+@contextmanager
+def plain_qr() -> Iterator[None]:
+    """Gradients through ``torch.linalg.qr`` itself, as one would write it without torchfra."""
+
+    class Plain:
+        @staticmethod
+        def apply(a):
+            lower = torch.linalg.qr(a.mT).R.mT
+            return lower * lower.diagonal(dim1=-2, dim2=-1).sign().unsqueeze(-2)
+
+    before, triangular._Tria = triangular._Tria, Plain
+    try:
+        yield
+    finally:
+        triangular._Tria = before
+
+
+def peak(call: Call) -> float | None:
+    """MiB that a call needs on top of what is in use; None where the system does not say."""
+    status = Path("/proc/self/status")
+
+    def read(key: str) -> int:
+        return int(next(line for line in status.read_text().splitlines() if line.startswith(key)).split()[1])
+
+    try:
+        ctypes.CDLL(None).malloc_trim(0)
+        Path("/proc/self/clear_refs").write_text("5")  # resets the peak
+        before = read("VmRSS")
+        call()
+        return (read("VmHWM") - before) / 1024
+    except (OSError, AttributeError, StopIteration):
+        return None

@@ -1,0 +1,96 @@
+"""The numbered examples run, print what they promise, and stay short."""
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from torchfra import presets
+
+FOLDER = Path(__file__).parent.parent / "scripts" / "examples"
+EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py"))}
+
+
+def load(name):
+    """An example as a module; its name begins with a digit, so that ``import`` cannot."""
+    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES[name])
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def numbers(pattern, text):
+    """Numbers in a text, where the pattern has groups."""
+    return [float(x) for match in re.findall(pattern, text) for x in ([match] if isinstance(match, str) else match)]
+
+
+def test_there_are_six_numbered_examples_of_80_lines_or_fewer():
+    assert [int(name[:2]) for name in EXAMPLES] == [1, 2, 3, 4, 5, 6]
+    assert all(len(path.read_text().splitlines()) <= 80 for path in EXAMPLES.values())
+
+
+def test_the_first_filter_is_beaten_by_the_robust_adaptive_one(capsys, tmp_path):
+    load("01_first_filter").main(["--runs", "5", "--plot", str(tmp_path / "first.png")])
+    plain, _, fra = numbers(r"position RMSE +([\d.]+) m", capsys.readouterr().out)
+    assert fra < plain / 2
+    assert (tmp_path / "first.png").stat().st_size > 10_000
+
+
+def test_learning_lowers_the_error_on_unseen_tracks(capsys):
+    load("02_learning").main(["--iterations", "8", "--tracks", "8", "--steps", "20"])
+    before, after = numbers(r"([\d.]+) m before, ([\d.]+) m after", capsys.readouterr().out)
+    assert after < 0.9 * before
+
+
+def test_gradients_reach_the_first_layer_of_the_network():
+    example = load("03_network_in_front")
+    torch.manual_seed(0)
+    model = example.Weighted()
+    model(example.simulate(4, 10, 0))[0].square().mean().backward()
+    assert (model.network[0].weight.grad != 0).all()
+    assert model.network[0].weight.grad.isfinite().all()
+
+
+@pytest.mark.slow
+def test_the_network_learns_what_a_glint_is_and_beats_the_fixed_filter():
+    example = load("03_network_in_front")
+    model, data = example.learn(40), example.simulate(100, 25, 999)
+    with torch.no_grad():
+        learned, std = model(data)
+        fixed = presets.srckf(example.MOTION, example.SENSOR)(data.z, data.prior).mean
+    factor = std / example.STD
+    assert factor[data.glint].median() > 4
+    assert factor[~data.glint].median() < 2
+    error, error_fixed = ((x - data.truth)[..., :2].square().sum(-1).mean().sqrt() for x in (learned, fixed))
+    assert error < 0.6 * error_fixed
+
+
+def test_the_network_in_front_prints_errors_of_three_filters(capsys):
+    load("03_network_in_front").main(["--iterations", "2"])
+    assert len(numbers(r"position RMSE +([\d.]+) m", capsys.readouterr().out)) == 3
+
+
+def test_a_model_of_the_turn_beats_constant_velocity(capsys):
+    load("04_own_model").main(["--steps", "25"])
+    pairs = numbers(r"RMSE +([\d.]+) m with.*, +([\d.]+) m without", capsys.readouterr().out)
+    assert len(pairs) == 6
+    assert all(own < other for own, other in zip(pairs[::2], pairs[1::2], strict=True))
+
+
+def test_streaming_gives_what_one_call_gives(capsys):
+    load("05_streaming").main([])
+    output = capsys.readouterr().out
+    assert output.count("nan") == 7
+    assert numbers(r"from one call: ([\d.e+-]+)", output)[0] < 1e-9
+
+
+def test_the_filter_that_estimates_the_measurement_noise_tracks_crossing_targets_better(capsys):
+    load("06_several_targets").main(["--runs", "6"])
+    output = capsys.readouterr().out
+    fixed, _, estimated, _ = numbers(r"median +([\d.]+) m, largest +([\d.]+) m", output)
+    assert estimated < 0.7 * fixed
+    assert output.count("missed") == 2
