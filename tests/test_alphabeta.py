@@ -119,8 +119,8 @@ def test_what_is_not_stable_is_refused():
 OPTIONS = {"manoeuvre": 3.5, "outlier": 10.0, "degrees": [60 / 70], "margin": 3.6}
 
 
-def wild(seed, steps=80, outliers=6):
-    """A line, a bend, a wild measurement here and there, sometimes many in a row."""
+def with_outliers(seed, steps=80, outliers=6):
+    """A line, a bend, an outlier here and there, sometimes many in a row."""
     g = np.random.default_rng(seed)
     t = np.arange(steps, dtype=float)
     z = 200 * t + 0.5 * g.uniform(-40, 40) * np.maximum(t - 30, 0) ** 2 + 20 * g.standard_normal(steps)
@@ -135,7 +135,7 @@ def wild(seed, steps=80, outliers=6):
     "options", [{}, {"hysteresis": 1.0, "dwell": 1.0}, {"flag_on_reject": "hold"}, {"votes": 4}, {"converged": 3}]
 )
 def test_it_decides_as_the_paper_describes(seed, options):
-    z = wild(seed)
+    z = with_outliers(seed)
     f = presets.alphabeta(LINE, SENSOR, **OPTIONS, **options)
     e = f(torch.from_numpy(z)[:, None], PRIOR)
     pairs = list(zip(f.alpha().tolist(), f.beta().tolist(), strict=True))
@@ -157,7 +157,8 @@ def test_it_decides_as_the_paper_describes(seed, options):
 
 def test_some_of_those_tracks_restart_and_reject():
     infos = [
-        presets.alphabeta(LINE, SENSOR, **OPTIONS)(torch.from_numpy(wild(s))[:, None], PRIOR).info for s in range(12)
+        presets.alphabeta(LINE, SENSOR, **OPTIONS)(torch.from_numpy(with_outliers(s))[:, None], PRIOR).info
+        for s in range(12)
     ]
     assert sum(int(i.restarted.sum()) for i in infos) >= 3
     assert sum(int(i.rejected.sum()) for i in infos) >= 30
@@ -216,7 +217,7 @@ def test_soft_choices_become_hard_ones_and_have_gradients():
 
 def test_gradients_of_the_soft_bank_are_exact():
     f = presets.alphabeta(LINE, SENSOR, temperature=0.5, learn=("alpha", "manoeuvre", "outlier", "limit"), **OPTIONS)
-    z = torch.from_numpy(wild(1)[24:38])[:, None]
+    z = torch.from_numpy(with_outliers(1)[24:38])[:, None]
     parameters = dict(f.named_parameters())
 
     def out(*values):

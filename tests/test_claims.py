@@ -157,9 +157,9 @@ def test_a_linear_motion_carried_by_points_is_the_same(scenario, tracks, name):
 
 def test_a_weight_of_zero_leaves_the_measurement_out(scenario, tracks):
     f = presets.mr_ckf(scenario.motion, scenario.sensor, high=20.0)
-    wild, missing = tracks.z.clone(), tracks.z.clone()
-    wild[:, 30], missing[:, 30] = wild[:, 30] + 1.5, torch.nan
-    same(f(wild, tracks.prior, u=tracks.u).mean[:, :40], f(missing, tracks.prior, u=tracks.u).mean[:, :40])
+    outlying, missing = tracks.z.clone(), tracks.z.clone()
+    outlying[:, 30], missing[:, 30] = outlying[:, 30] + 1.5, torch.nan
+    same(f(outlying, tracks.prior, u=tracks.u).mean[:, :40], f(missing, tracks.prior, u=tracks.u).mean[:, :40])
 
 
 def test_what_is_none_of_the_choices_is_named(scenario):

@@ -92,7 +92,7 @@ def test_single_precision_stays_single(make, tracks):
     close(slow.mean, fast.mean, 1e-4)
 
 
-def test_a_track_that_loses_its_numbers_is_reported_and_leaves_the_others_alone(make, tracks):
+def test_a_track_that_fails_is_reported_and_leaves_the_others_alone(make, tracks):
     z = tracks.z.clone()
     z[1, 4] = torch.inf
     slow, fast = both(make("srckf"), z, tracks.prior, u=tracks.u)

@@ -78,7 +78,7 @@ def test_a_missing_step_is_a_pure_prediction(name, make, tracks):
     assert e.nis[1, 5] == 0
 
 
-def test_a_track_that_loses_its_numbers_is_reported_and_leaves_the_others_alone(name, make, tracks):
+def test_a_track_that_fails_is_reported_and_leaves_the_others_alone(name, make, tracks):
     f = make(name)
     mean = tracks.prior.mean.clone()
     mean[1, 0] = torch.nan

@@ -66,8 +66,8 @@ def test_a_measurement_that_cannot_be_lets_all_others_count(crossing, scans):
     """An elevation beyond the vertical, a range below 0 and one of 0."""
     f, z = make("iaukf_jpda", crossing, learn=("detection", "volume")), scans.z.clone()
     plain = f(torch.cat([z, torch.full((3, STEPS, 1, 3), math.nan).double()], 2), scans.prior).mean
-    for wild in ([1.0, 1.7, 2000.0], [1.0, 0.5, -3.0], [1.0, 0.5, 0.0]):
-        more = torch.tensor(wild).double().expand(3, STEPS, 1, 3)
+    for outlying in ([1.0, 1.7, 2000.0], [1.0, 0.5, -3.0], [1.0, 0.5, 0.0]):
+        more = torch.tensor(outlying).double().expand(3, STEPS, 1, 3)
         estimate = f(torch.cat([z, more], 2), scans.prior)
         torch.testing.assert_close(estimate.mean, plain)
         gradients = torch.autograd.grad(estimate.log_likelihood.sum(), list(f.parameters()))

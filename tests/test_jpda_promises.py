@@ -138,7 +138,7 @@ def test_an_empty_batch_is_a_batch(crossing):
     assert plain(torch.zeros(0, 5, 3).double(), prior).mean.shape == (0, 5, 6)
 
 
-def test_what_had_to_be_mended_and_how_far_robust_filters_trust_is_told(crossing, scans):
+def test_info_counts_repairs_and_holds_the_weights_of_robust_filters(crossing, scans):
     robust = presets.jpda(crossing.motion, crossing.sensor, clutter=crossing.clutter, inner=presets.rsrckf)
     info = robust(scans.z, scans.prior).info
     assert info.weights.shape == (3, 2, STEPS, 8, 3)

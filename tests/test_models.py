@@ -315,7 +315,7 @@ def test_metrics_are_what_numpy_says_and_unknown_truth_does_not_count():
         metrics.nees(estimate, truth, slice(1, 3))
 
 
-def test_an_estimate_that_is_no_number_has_diverged():
+def test_an_estimate_that_is_nan_has_diverged():
     truth = torch.zeros(3, 5, 2).double()
     mean = truth.clone()
     mean[1, 4] = torch.nan

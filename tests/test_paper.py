@@ -94,10 +94,10 @@ def test_a_run_does_not_depend_on_how_many_are_asked_for(make):
 def test_outliers_are_where_the_paper_has_them_and_as_large():
     quiet = scenarios.bearings_outliers("none").simulate(1000, 0)
     for mode, ten, forty in (("covariance", 10**0.5, 40**0.5), ("std", 10.0, 40.0)):
-        wild = scenarios.bearings_outliers(mode).simulate(1000, 0)
-        noise = (wild.z - quiet.z).abs().amax((0, 2))
+        outlying = scenarios.bearings_outliers(mode).simulate(1000, 0)
+        noise = (outlying.z - quiet.z).abs().amax((0, 2))
         assert noise.nonzero().flatten().tolist() == [39, 49, 59, 69]
-        spread = (wild.z - quiet.z).std((0, 2)) / math.radians(1)
+        spread = (outlying.z - quiet.z).std((0, 2)) / math.radians(1)
         assert spread[39].item() == pytest.approx(ten - 1, rel=0.05)
         assert spread[69].item() == pytest.approx(forty - 1, rel=0.05)
     offset = (scenarios.bearings_outliers("offset").simulate(50, 0).z - quiet.z[:50]).abs()

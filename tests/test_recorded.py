@@ -53,10 +53,10 @@ def test_run_i_takes_window_i_and_is_the_same_in_every_call():
 
 
 def test_a_share_of_the_measurements_are_outliers():
-    quiet, wild = (
+    quiet, outlying = (
         scenarios.recorded([circle()], "radar", steps=60, outliers=o).simulate(200, 0) for o in ("none", "std")
     )
-    differs = ((quiet.z - wild.z).abs() > 0).any(-1)
+    differs = ((quiet.z - outlying.z).abs() > 0).any(-1)
     assert 0.04 < differs.double().mean() < 0.06
 
 

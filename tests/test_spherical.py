@@ -100,7 +100,7 @@ def test_from_east_counts_the_other_way_round():
     torch.testing.assert_close(east[[1, 2, 4, 5]], north[[1, 2, 4, 5]])
 
 
-def test_straight_above_the_sensor_there_is_no_number_and_other_tracks_go_on():
+def test_straight_above_the_sensor_states_are_nan_and_other_tracks_go_on():
     states = from_cartesian(tensor([0, 0, 1000, 10, 0, 0], [1, 0, 1000, 10, 0, 0]))
     assert states[0].isnan().any()
     assert states[1].isfinite().all()

@@ -39,6 +39,8 @@ class FilterEntry:
     ``longest`` gap that it bridges."""
     emphasised: bool = False
     """Its lines in figures are bold."""
+    listed: bool = True
+    """Commands name it in their help and run it unless told which; the others must be asked for."""
 
 
 FILTERS: dict[str, FilterEntry] = {
@@ -56,11 +58,14 @@ FILTERS: dict[str, FilterEntry] = {
     "fra_srckf": FilterEntry(presets.fra_srckf, "#55a868", gated=True, emphasised=True),
     "fra": FilterEntry(presets.fra, "#c44e52", gated=True, emphasised=True),
     "imm_srckf": FilterEntry(presets.imm_srckf, "#8c564b", bank=True),
+    "imm_ckf": FilterEntry(presets.imm_ckf, "#8c564b", bank=True, listed=False),  # the same filter as imm_srckf
+    "imm": FilterEntry(presets.imm, "#8c564b", bank=True, listed=False),
     "vsimm_srckf": FilterEntry(presets.vsimm_srckf, "#17becf", bank=True),
     "imm_fra": FilterEntry(presets.imm_fra, "#da8bc3", bank=True, gated=True),
     "alphabeta": FilterEntry(presets.alphabeta, "#76b7b2", constant_gains=True),
     "ukf_jpda": FilterEntry(presets.ukf_jpda, "#999999", scans=True),
     "iaukf_jpda": FilterEntry(presets.iaukf_jpda, "#b07aa1", scans=True),
+    "jpda": FilterEntry(presets.jpda, "#4c72b0", scans=True, listed=False),
 }
 """The filters that commands know by name."""
 
@@ -79,13 +84,13 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
 
 
 def track_filters() -> list[str]:
-    """The filters of single targets."""
-    return [name for name, entry in FILTERS.items() if not entry.scans]
+    """The filters of single targets that commands list."""
+    return [name for name, entry in FILTERS.items() if entry.listed and not entry.scans]
 
 
 def scan_filters() -> list[str]:
-    """The filters of several targets in scans."""
-    return [name for name, entry in FILTERS.items() if entry.scans]
+    """The filters of several targets in scans that commands list."""
+    return [name for name, entry in FILTERS.items() if entry.listed and entry.scans]
 
 
 def reference_filter(scenario: Scenario) -> str:
@@ -111,8 +116,9 @@ def check_names(names: Sequence[str], scenario: Scenario) -> None:
     Raises:
         ValueError: a name that is not in ``FILTERS`` or takes other measurements, or no name at all.
     """
-    known = track_filters() if scenario.clutter is None else scan_filters()
-    unknown = [name for name in names if name not in known]
+    scans = scenario.clutter is not None
+    known = scan_filters() if scans else track_filters()
+    unknown = [name for name in names if name not in FILTERS or FILTERS[name].scans != scans]
     if unknown or not names:
         raise ValueError(f"filters: expected names out of {', '.join(known)}, received {', '.join(unknown) or 'none'}")
 
@@ -130,7 +136,7 @@ def make_filter(name: str, motion: Motion, sensor: Sensor, bank: Bank | None = N
     Raises:
         ValueError: an unknown name, or a filter of several motions where there is no bank.
     """
-    if name not in track_filters():
+    if name not in FILTERS or FILTERS[name].scans:
         raise ValueError(f"filter: expected one of {', '.join(track_filters())}, received {name!r}")
     entry = FILTERS[name]
     if entry.bank and bank is None:

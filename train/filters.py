@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from torchfra.catalogue import filters_for, scenario_filter
+from torchfra.catalogue import FILTERS, scenario_filter
 from torchfra.filters import Filter
 from torchfra.filters.soft import Soft
 from torchfra.hyper import hypers, named, one_of
@@ -27,7 +27,8 @@ def make_filter(config: Config, scenario: Scenario, values: Mapping[str, float],
     Raises:
         ValueError: the filter does not go with the scenario, or has no such hyperparameter.
     """
-    one_of(filter=(config.filter, filters_for(scenario)))
+    scans = scenario.clutter is not None
+    one_of(filter=(config.filter, [name for name, entry in FILTERS.items() if entry.scans == scans]))
     names = ("all" if config.learn == ("all",) else config.learn) if learn else ()
     f = scenario_filter(config.filter, copy.deepcopy(scenario), learn=names, **config.options)
     for name, value in values.items():

@@ -74,9 +74,9 @@ class _Version:
 
     def holds(self) -> bool:
         """Whether nothing has changed since."""
-        for owner, key, found, version in self.watched:
+        for owner, key, seen, version in self.watched:
             x = owner.get(key)
-            if x is not found or (version is not None and x._version != version):
+            if x is not seen or (version is not None and x._version != version):
                 return False
         return all(len(owner) == size for owner, size in self.owners)
 
@@ -85,14 +85,14 @@ class _Version:
     ) -> _Plan:
         """What is to be done with this ``data``, which has an entry for each step where ``timed``."""
         mean, dtype = state.belief.mean, state.belief.mean.dtype
-        own = [(value, value().shape, value().dim() - value.event) for value in self.values]
-        batch = torch.broadcast_shapes(mean.shape[:-1], *(shape[:rank] for _, shape, rank in own))
+        values = [(value, value().shape, value().dim() - value.event) for value in self.values]
+        batch = torch.broadcast_shapes(mean.shape[:-1], *(shape[:rank] for _, shape, rank in values))
         inputs, shapes = {}, []
         for name, x, event, varies in zip(Measurements._fields, data, _RANKS, timed, strict=True):
             if x is not None:
                 inputs[name] = Input(x.shape[x.dim() - event :], varies, False)
                 shapes.append(batch + x.shape[x.dim() - event - varies :])
-        for value, shape, rank in own:
+        for value, shape, rank in values:
             inputs[value.path] = Input(shape[rank:], False, True)
             shapes.append(batch + shape[rank:])
         key = (advance, dtype, tuple(inputs.items()))

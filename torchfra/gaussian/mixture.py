@@ -17,11 +17,11 @@ def moment_match(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
     Args:
         beliefs: ``mean (K, ..., n)`` and ``scale_tril (K, ..., n, n)``, the K beliefs on the first dimension.
         log_weights: ``(K, ...)``, whose exponentials sum to one over the first dimension; minus infinity for a belief
-            that does not count, and may then be no number at all.
+            that does not count, and may then be NaN.
 
     Source: Bar-Shalom, Li & Kirubarajan (2001), section 1.4.16, for the moments.
     """
-    counts = log_weights != -torch.inf  # no number at all does count: it must be seen in the result
+    counts = log_weights != -torch.inf  # NaN does count: it must show in the result
     weight = torch.where(counts, log_weights, 0.0).exp() * counts
     root = torch.where(counts, 0.5 * log_weights, 0.0).exp() * counts  # not sqrt(weight): its gradient at 0 is infinite
     mean = torch.where(counts.unsqueeze(-1), beliefs.mean, 0.0)

@@ -48,8 +48,8 @@ def joint(belief: Gaussian, whitened: Whitened) -> Joint:
     m, n, d = whitened.residual.shape[-1], belief.mean.shape[-1], whitened.reads
     top = pad(_blocks(whitened), (m + n, n - d))  # behind the zeros that tria wants
     root = belief.scale_tril.expand((*top.shape[:-2], n, n))
-    whole = tria(torch.cat([top, pad(root, (top.shape[-1] - n, 0))], -2), padded=True)
-    return Joint(whole[..., :m, :m], whole[..., m:, :m], whole[..., m:, m:])
+    lower = tria(torch.cat([top, pad(root, (top.shape[-1] - n, 0))], -2), padded=True)
+    return Joint(lower[..., :m, :m], lower[..., m:, :m], lower[..., m:, m:])
 
 
 def correct(belief: Gaussian, whitened: Whitened) -> tuple[Gaussian, Tensor, Tensor]:
