@@ -1,4 +1,4 @@
-"""Losses are what their names say, per track, and no track with unknown truth or an end that diverges spoils the others."""
+"""Losses are what their names say, per track; a track with unknown truth or one that diverges spoils no other."""
 
 import math
 
