@@ -483,6 +483,16 @@ def test_truncation_and_checkpoints_go_together(make, tracks):
     close(*grads, 1e-9)
 
 
+def test_with_arguments_it_is_the_compile_of_torch(make, monkeypatch):
+    calls = []
+    monkeypatch.setattr(torch.nn.Module, "compile", lambda self, *args, **options: calls.append((self, args, options)))
+    f = make("srckf")
+    assert f.compile(backend="inductor", dynamic=True) is f
+    assert calls == [(f, (), {"backend": "inductor", "dynamic": True})]
+    assert f.compile() is f
+    assert len(calls) == 1
+
+
 def test_what_is_too_large_to_compile_is_refused_at_once(make, tracks, monkeypatch):
     monkeypatch.setattr(build, "LARGEST", 100)
     f = make("srckf").compile()

@@ -212,6 +212,16 @@ def test_models_that_learn_are_copies():
     fixed.load_state_dict(f.state_dict())
 
 
+def test_the_filter_that_is_handed_in_stays_as_it_was_and_a_copy_of_it_runs():
+    bank = scenarios.bearings_outliers().bank
+    inner = presets.rsrckf(bank, Position(1.0), threshold=torch.tensor([1.0, 2.0]).double())
+    f = IMM(inner, transition=torch.full((3, 3), 1 / 3))
+    assert inner.robust.threshold().shape == (2,)
+    assert f.inner.robust.threshold().shape == (2, 1)  # one for all models of each track
+    f.motion[0].q.set(7.0)
+    assert bank[0].q() != 7.0
+
+
 def test_a_smaller_state_is_put_into_the_larger_one_by_maps():
     into = torch.eye(6, 4, dtype=torch.float64)
     inside = Embedded(ConstantVelocity(0.5), into.mT, into, orders=3)

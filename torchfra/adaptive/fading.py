@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import constraints
 
-from torchfra.hyper import Hyper, Value
+from torchfra.hyper import Hyper, Value, one_of
 from torchfra.linalg.gram import gram_pinv
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.tree import event_ranks
@@ -87,8 +87,7 @@ class Fading(NoFading):
         super().__init__()
         if not 0 <= rcond < 1:
             raise ValueError(f"rcond: expected a value in [0, 1), received {rcond}")
-        if trace not in ("full", "position"):
-            raise ValueError(f"trace: expected 'full' or 'position', received {trace!r}")
+        one_of(trace=(trace, ("full", "position")))
         self.weakening = Hyper(weakening, constraints.greater_than_eq(1.0), name="weakening")
         self.forgetting = Hyper(forgetting, constraints.interval(0.0, 1.0), name="forgetting")
         self.fading_max = Hyper(fading_max, constraints.greater_than_eq(1.0), name="fading_max")
