@@ -39,7 +39,7 @@ def same(a, b, tolerance=1e-9):
     "options",
     [
         {"robust": Huber(math.inf)},
-        {"adaptive": Fading(weakening=1e12)},
+        {"fading": Fading(weakening=1e12)},
         {"robust": ThreeSegment(low=1e9, high=1e10)},
         {"rule": unscented(1.0, 0.0, 0.0)},
     ],

@@ -74,7 +74,7 @@ def test_the_summary_is_a_table_of_names_values_ranges_and_what_learns(make, cap
     assert cells["name"] == ["value", "range", "learning"]
     assert cells["robust.threshold"] == ["1.345, 1.345", "a value above 0", "learnable"]
     assert cells["motion.q"] == ["0.01", "a value of 0 or more", "learnable"]
-    assert cells["adaptive.forgetting"] == ["0.95", "a value in [0, 1]", "fixed"]
+    assert cells["fading.forgetting"] == ["0.95", "a value in [0, 1]", "fixed"]
     assert cells["preference"] == ["0", "a number", "fixed"]
 
 

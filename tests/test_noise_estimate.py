@@ -209,7 +209,7 @@ def test_an_argument_out_of_range_is_named(scenario):
     ):
         with pytest.raises(ValueError, match=message):
             presets.iaukf(motion, sensor, **options)
-    with pytest.raises(ValueError, match="robust: expected none beside"):
+    with pytest.raises(ValueError, match="robust, fading: expected none beside"):
         SRCKF(motion, sensor, robust=Huber(), noise=SageHusa(sensor.blocks))
     with pytest.raises(ValueError, match="blocks: expected those of a sensor of 3"):
         SRCKF(motion, sensor, noise=SageHusa([(0, 1)]))

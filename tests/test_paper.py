@@ -7,7 +7,7 @@ import torch
 
 from torchfra import metrics, presets, scenarios
 from torchfra.adaptive import Fading
-from torchfra.gaussian.inputs import make_frames
+from torchfra.gaussian.inputs import Measurements, make_frames
 from torchfra.gaussian.model import compare, predict
 from torchfra.gaussian.update import correct, down_weight, innovation
 from torchfra.robust import Huber, ThreeSegment
@@ -26,7 +26,7 @@ def first():
     scenario = scenarios.bearings_outliers()
     f = presets.srckf(scenario.motion, scenario.sensor)
     z = torch.tensor([[0.44, -0.02]], dtype=torch.float64)
-    (frame,), _ = make_frames(f.motion, f.sensor, z, 1.0, scenarios.bearings.stations(1), None, None, 0)
+    (frame,), _ = make_frames(Measurements(z, u=scenarios.bearings.stations(1)), f.motion, f.sensor, 0)
     prediction = predict(f.motion, f.motion_rule, f.init(scenario.prior).belief, frame)
     return scenario, frame, prediction, compare(f.sensor, f.sensor_rule, prediction.belief, frame)
 

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchfra.kernel.entries import Entries, entries
+from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import Expressions
 from torchfra.linalg import gram_pinv, hstack, safe_divide, safe_log, safe_sqrt, tria, whiten
 
@@ -166,6 +166,6 @@ def test_safe_functions_run_under_torch_compile_and_in_kernels(name):
     function, arguments, values, _ = SAFE[name]
     x = torch.tensor(arguments, dtype=torch.float64)
     np.testing.assert_allclose(torch.compile(function, backend="eager", fullgraph=True)(x), values)
-    traced = function(entries(book := Expressions(), x))
+    traced = function(as_entries(book := Expressions(), x))
     assert isinstance(traced, Entries)
     np.testing.assert_allclose([book.values[i] for i in traced.ids.tolist()], values)

@@ -29,7 +29,9 @@ class ScanFilter(Filter):
             CompileError: there are no arguments; see ``Filter``.
         """
         if not (args or options):
-            raise CompileError("compile: a scan has too many joint events for a kernel; it runs eagerly, in batches")
+            raise CompileError(
+                "JPDA: a scan has too many joint events for a kernel; run it without compile(), in batches"
+            )
         return super().compile(*args, **options)
 
     def _batch(self, measurements: Measurements, prior: Gaussian) -> torch.Size:

@@ -85,7 +85,7 @@ class SRCKF(GaussianFilter):
         if fading is not None and self.signed:
             raise ValueError("rule: expected one without negative weights beside fading factors")
         if noise is not None and not (robust is None and fading is None):
-            raise ValueError("robust, fading: expected none beside an estimate of the noise, received both")
+            raise ValueError("robust, fading: expected none beside an estimate of the measurement noise, received both")
         if noise is not None and len(noise.element) != sensor.size:
             raise ValueError(
                 f"blocks: expected those of a sensor of {sensor.size} elements, received {len(noise.element)}"

@@ -122,13 +122,14 @@ class SigmaPoints(nn.Module):
 
     def forward(self, function: Function, belief: Gaussian, difference: Difference) -> Linearised:
         """The function's values at the points, in three matrix products for the whole batch."""
-        mean, root = belief
+        mean, root = _same_batch(belief)
         points, combine = self.points.to(mean), self.combine.to(mean)
         values = function(mean + (root @ points.mT).movedim(-1, 0))
         centre = values[0]
         around = difference(values[1:], centre).flatten(1).mT  # a row for each entry of the batch and of the values
-        moments = (around @ combine).reshape(*centre.shape, -1)
-        lost = None if self.minus is None else (around @ self.minus.to(mean)).reshape(*centre.shape, -1)
+        moments = (around @ combine).reshape(*centre.shape, combine.shape[1])
+        minus = self.minus
+        lost = None if minus is None else (around @ minus.to(mean)).reshape(*centre.shape, minus.shape[1])
         return Linearised(centre + moments[..., 0], moments[..., 1:], lost)
 
 
@@ -143,8 +144,14 @@ class Tangent(nn.Module):
 
     def forward(self, function: Function, belief: Gaussian, difference: Difference) -> Linearised:
         """The function's value at the mean, and its derivative along each column of the root."""
-        mean, root = belief
+        mean, root = _same_batch(belief)
         along = root.movedim(-1, 0).contiguous()
         at = mean.expand_as(along).contiguous()  # the mean, once per column
         values, slope = torch.func.jvp(function, (at,), (along,))  # type: ignore[misc]  # three only with has_aux
         return Linearised(values[0], slope.movedim(0, -1))
+
+
+def _same_batch(belief: Gaussian) -> Gaussian:
+    """The belief with a root for each mean, where one root was shared by a batch."""
+    mean, root = belief
+    return belief if root.dim() == mean.dim() + 1 else Gaussian(mean, root.expand(*mean.shape[:-1], *root.shape[-2:]))
