@@ -90,10 +90,14 @@ class SRCKF(GaussianFilter):
             raise ValueError(
                 f"blocks: expected those of a sensor of {sensor.size} elements, received {len(noise.element)}"
             )
-        self.plain = robust is None and fading is None and noise is None
         self.robust = Robust() if robust is None else robust
         self.fading = NoFading() if fading is None else fading
         self.noise = NominalNoise() if noise is None else noise
+
+    @property
+    def plain(self) -> bool:
+        """Whether no side does anything."""
+        return self.robust.plain and type(self.fading) is NoFading and type(self.noise) is NominalNoise
 
     def begin(self, belief: Gaussian) -> State:
         """The state of a belief: nothing remembered yet."""

@@ -47,13 +47,8 @@ def predict(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Predi
 
 def compare(sensor: Sensor, rule: Rule, belief: Gaussian, frame: Frame) -> Whitened:
     """The measurement against a predicted belief, in units of its noise: eqs. (14)-(21)."""
-    d = sensor.reads
+    d, noise = sensor.reads, frame.measurement_noise
     seen = Gaussian(belief.mean[..., :d], belief.scale_tril[..., :d, :d])  # lower triangular: the marginal's root
     value, spread, lost = rule(lambda x: sensor.at_points(x, frame.u), seen, sensor.difference)
-    residual = frame.measurement_noise.whiten(sensor.difference(frame.z, value).unsqueeze(-1)).squeeze(-1)
-    return Whitened(
-        residual,
-        frame.measurement_noise.whiten(spread),
-        d,
-        None if lost is None else frame.measurement_noise.whiten(lost),
-    )
+    residual = noise.whiten(sensor.difference(frame.z, value).unsqueeze(-1)).squeeze(-1)
+    return Whitened(residual, noise.whiten(spread), d, lost if lost is None else noise.whiten(lost))
