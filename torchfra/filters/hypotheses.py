@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 from torchfra import tree
+from torchfra.association.gates import Candidates
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.model import add_counts
 from torchfra.gaussian.update import repaired_root
 from torchfra.linalg.tracing import is_traced
 from torchfra.types import Gaussian, Prediction, Whitened
+
+
+class Scan(NamedTuple):
+    """The measurements of a scan ``(..., N, J)`` against the prediction of each target."""
+
+    whitened: Whitened
+    root: Tensor
+    """``(..., N, J, m, m)`` of the innovation's covariance, in units of the nominal noise."""
+    normalised: Tensor
+    candidates: Candidates
+    log_density: Tensor
+    """``(..., N, J)`` of each measurement if it is the target's."""
 
 
 def missed_or_measured(predicted: Gaussian, each: Gaussian) -> Gaussian:

@@ -18,7 +18,15 @@ from torchfra.association.events import check_exact
 from torchfra.association.gates import Candidates, Gate
 from torchfra.association.joint import associate
 from torchfra.filters.base import Filter, Mix
-from torchfra.filters.hypotheses import combined, gated, likeliest, missed_or_measured, target_repairs, weighted_mean
+from torchfra.filters.hypotheses import (
+    Scan,
+    combined,
+    gated,
+    likeliest,
+    missed_or_measured,
+    target_repairs,
+    weighted_mean,
+)
 from torchfra.filters.lost_tracks import log_miss, missed_scans, search
 from torchfra.filters.records import Record
 from torchfra.filters.scans import ScanFilter
@@ -61,18 +69,6 @@ class JPDAInfo(NamedTuple):
     repaired: Tensor | None
     """``(..., N, T)`` covariances that were not positive definite and were repaired; of rules with negative
     weights."""
-
-
-class _Scan(NamedTuple):
-    """The measurements of a scan ``(..., N, J)`` against the prediction of each target."""
-
-    whitened: Whitened
-    root: Tensor
-    """``(..., N, J, m, m)`` of the innovation's covariance, in units of the nominal noise."""
-    normalised: Tensor
-    candidates: Candidates
-    log_density: Tensor
-    """``(..., N, J)`` of each measurement if it is the target's."""
 
 
 class JPDA(Soft, ScanFilter):
@@ -172,16 +168,19 @@ class JPDA(Soft, ScanFilter):
         widened, known, fading, factor = self.widen(prediction, known, fading, scan, association, frame)
         belief, weights = self.update(widened.belief, known, scan, association, frame)  # (28)-(30)
         if f.noise.adapt == "residual":
-            left = f.compare(tree.insert_batch_dimension(belief), frame)
-            noise = self.learn_noise(noise, left, association, frame, "residual")
+            noise = self.learn_noise(
+                noise, f.compare(tree.insert_batch_dimension(belief), frame), association, frame, "residual"
+            )
         inner = State(belief, *tree.remove_batch_dimension((fading, noise)))
-        missed = missed_scans(state.missed, association.log_weights, frame.seen)
-        repaired = target_repairs(prediction, scan.whitened)
+        missed, repaired = (
+            missed_scans(state.missed, association, frame.seen),
+            target_repairs(prediction, scan.whitened),
+        )
         info = JPDAInfo(association.log_weights.exp(), factor, f.noise.scale(inner.noise), weights, repaired)
-        together = combined(association.probabilities, scan.whitened.residual, scan.root, scan.normalised, frame)
-        return JPDAState(inner, missed, searched), Record(belief, *together, info, association.evidence)
+        innovation = combined(association.probabilities, scan.whitened.residual, scan.root, scan.normalised, frame)
+        return JPDAState(inner, missed, searched), Record(belief, *innovation, info, association.evidence)
 
-    def look(self, belief: Gaussian, noise: Any, frame: Frame) -> _Scan:
+    def look(self, belief: Gaussian, noise: Any, frame: Frame) -> Scan:
         """The measurements of a scan against the prediction of each target."""
         whitened = self.inner.compare(belief, frame)
         root, normalised = innovation(self.inner.noise.known(whitened, noise, frame.seen))
@@ -192,9 +191,9 @@ class JPDA(Soft, ScanFilter):
         predicted = torch.where(seen, frame.z - gap, expected)
         z = torch.where(seen, frame.z, expected)
         candidates = Candidates(z, predicted, frame.seen, normalised.square().sum(-1))
-        return _Scan(whitened, root, normalised, candidates, density(root, normalised) + unit.log_norm)
+        return Scan(whitened, root, normalised, candidates, density(root, normalised) + unit.log_norm)
 
-    def associate(self, scan: _Scan, miss: Tensor) -> Association:
+    def associate(self, scan: Scan, miss: Tensor) -> Association:
         """Which measurement is whose: eqs. (25)-(27)."""
         candidates, fit = scan.candidates, scan.log_density
         odds = self.detection(fit).log() - self.clutter(candidates, self.sensor)
@@ -220,7 +219,7 @@ class JPDA(Soft, ScanFilter):
         return memory._replace(scale=torch.where(enough, mean, memory.scale))
 
     def widen(
-        self, prediction: Prediction, known: Whitened, memory: Memory | None, scan: _Scan, association: Association,
+        self, prediction: Prediction, known: Whitened, memory: Memory | None, scan: Scan, association: Association,
         frame: Frame,
     ) -> tuple[Prediction, Whitened, Memory | None, Tensor | None]:  # fmt: skip
         """Prediction and measurements with fading factors, the innovations remembered, and the factors ``(..., N)``."""
@@ -237,7 +236,7 @@ class JPDA(Soft, ScanFilter):
         return prediction, f.compare(prediction.belief, frame), memory, factor.squeeze(-1)
 
     def update(
-        self, predicted: Gaussian, known: Whitened, scan: _Scan, association: Association, frame: Frame
+        self, predicted: Gaussian, known: Whitened, scan: Scan, association: Association, frame: Frame
     ) -> tuple[Gaussian, Tensor | None]:
         """The Gaussian with the moments of all that may have happened, and the weights of a robust filter."""
         robust, log_weights = self.inner.robust, association.log_weights

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from torchfra.association.clusters import Association
 from torchfra.association.gates import Gate
 from torchfra.hyper import Hyper
 from torchfra.types import Gaussian, Prediction
@@ -24,16 +25,16 @@ def log_miss(detection: Hyper, gate: Gate, like: Tensor) -> Tensor:
     return miss.squeeze(-1) if miss.dim() else miss
 
 
-def missed_scans(before: Tensor, log_weights: Tensor, seen: Tensor) -> Tensor:
+def missed_scans(before: Tensor, association: Association, seen: Tensor) -> Tensor:
     """Expected scans ``(..., N)`` since the last measurement; a scan without any says nothing.
 
     Args:
         before: ``(..., N)``.
-        log_weights: ``(..., N, J + 1)`` of the target being missed, and of each measurement.
+        association: of this scan.
         seen: ``(..., 1, J, m)`` 1 where measured.
     """
     some = (seen.sum((-2, -1)) > 0).expand(before.shape)
-    return torch.where(some, log_weights[..., 0].exp() * (before + 1), before)
+    return torch.where(some, association.log_weights[..., 0].exp() * (before + 1), before)
 
 
 def search(
