@@ -69,7 +69,11 @@ def flatten(tree: Any) -> list[Tensor]:
 
 def unflatten(like: Any, tensors: Iterator[Tensor]) -> Any:
     """A tree of the same form around other tensors."""
-    return map_tensors(lambda _: next(tensors), like)
+    # Not by the map: compiled filters call this in every step, of which it would take a tenth.
+    if isinstance(like, tuple):
+        parts = [unflatten(part, tensors) for part in like]
+        return type(like)(*parts) if hasattr(like, "_fields") else tuple(parts)
+    return next(tensors) if isinstance(like, Tensor) else like
 
 
 def detach(tree: Any) -> Any:

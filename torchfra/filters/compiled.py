@@ -63,6 +63,8 @@ class _Version:
         for path, module in f.named_modules():
             numbers = getattr(module, "kernel_numbers", ())
             parts = (module.__dict__, module._modules, module._parameters, module._buffers)
+            if not any(parts[1:]) and module.__dict__.keys() <= _EMPTY:
+                continue  # a side that does nothing has nothing that could change
             self.owners += [(part, len(part)) for part in parts if not isinstance(module, Hyper)]
             for part in parts:
                 for key, x in part.items():
@@ -125,7 +127,8 @@ def _event(module: nn.Module, part: dict[str, Any], x: Any) -> int | None:
     return x.dim() if read and x is not None else None
 
 
-_PLUMBING = {*nn.Module().__dict__, "_kernels"} - {"training"}
+_EMPTY = nn.Module().__dict__.keys()
+_PLUMBING = {*_EMPTY, "_kernels"} - {"training"}
 _VERSIONS = 4
 """How many are remembered: a filter may go back and forth, between soft decisions and hard ones say."""
 _FORMS = 64
