@@ -7,7 +7,7 @@ fields differ in that says so with ``event_ranks``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any, TypeVar
 
 import torch
@@ -27,13 +27,22 @@ def event_ranks(**ranks: int) -> Callable[[C], C]:
     return register
 
 
+def ranks(cls: type) -> dict[str, int]:
+    """By field, the dimensions of one track's entry in a tuple of this class."""
+    return _RANKS[cls]
+
+
 def map_tensors(function: Callable[..., Any], *trees: Any) -> Any:
     """``function(x, ...)`` of the tensors of one tree, or of those at the same place in several."""
     return _mapped(lambda rank, *tensors: function(*tensors), None, *trees)
 
 
-def map_ranked(function: Callable[..., Any], *trees: Any, rank: int | None = None) -> Any:
+def map_ranked(
+    function: Callable[..., Any], *trees: Any, rank: int | None = None, only: Collection[str] | None = None
+) -> Any:
     """``function(rank, x, ...)`` of all tensors, with the dimensions of one track's entry; a bare tensor has ``rank``.
+
+    With ``only``, the other fields of the tuple stay as they are.
 
     Raises:
         TypeError: a tuple that has not said the ranks of its fields.
@@ -44,7 +53,11 @@ def map_ranked(function: Callable[..., Any], *trees: Any, rank: int | None = Non
             raise TypeError(f"tree: expected tuples with event_ranks, received {type(trees[0]).__name__}")
         return function(rank, *tensors)
 
-    return _mapped(ranked, rank, *trees)
+    if only is None:
+        return _mapped(ranked, rank, *trees)
+    known = ranks(type(trees[0]))
+    mapped = {name: _mapped(ranked, known.get(name), *(getattr(t, name) for t in trees)) for name in only}
+    return trees[0]._replace(**mapped)
 
 
 def _mapped(function: Callable[..., Any], rank: int | None, *trees: Any) -> Any:
@@ -101,9 +114,9 @@ def where(mask: Tensor, yes: Any, no: Any) -> Any:
     return map_tensors(choose, yes, no)
 
 
-def insert_batch_dimension(tree: Any) -> Any:
+def insert_batch_dimension(tree: Any, only: Collection[str] | None = None) -> Any:
     """One more dimension of size 1 at the end of the batch; what has no batch is shared and stays."""
-    return map_ranked(lambda rank, x: x.unsqueeze(-1 - rank) if x.dim() > rank else x, tree)
+    return map_ranked(lambda rank, x: x.unsqueeze(-1 - rank) if x.dim() > rank else x, tree, only=only)
 
 
 def remove_batch_dimension(tree: Any) -> Any:

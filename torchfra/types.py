@@ -44,6 +44,18 @@ class Gaussian(NamedTuple):
         """``P (..., n, n) = scale_tril @ scale_tril.mT``."""
         return self.scale_tril @ self.scale_tril.mT
 
+    @classmethod
+    def from_covariance(cls, mean: Tensor, covariance: Tensor) -> Gaussian:
+        """The belief of this mean ``(..., n)`` and positive definite covariance ``(..., n, n)``.
+
+        Raises:
+            ValueError: a covariance that is not positive definite.
+        """
+        root, failed = torch.linalg.cholesky_ex(covariance)
+        if bool((failed != 0).any()):
+            raise ValueError("covariance: expected positive definite matrices, received one that is not")
+        return cls(mean, root)
+
 
 @event_ranks(spread=2, process_noise=2, repaired=0)
 class Prediction(NamedTuple):

@@ -11,6 +11,7 @@ from torch.distributions import constraints
 
 from torchfra.hyper import Hyper, Value, one_of
 from torchfra.linalg.gram import gram_pinv
+from torchfra.linalg.safe import safe_divide
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.tree import event_ranks
 from torchfra.types import Prediction, Whitened
@@ -28,6 +29,11 @@ class Memory(NamedTuple):
 
 class NoFading(nn.Module):
     """Nothing fades: the motion always holds."""
+
+    @property
+    def plain(self) -> bool:
+        """Whether it does nothing."""
+        return type(self) is NoFading
 
     def begin(self, mean: Tensor, m: int) -> Memory | None:
         """What is remembered before the first step."""
@@ -140,8 +146,8 @@ class Fading(NoFading):
             spread = torch.cat([spread[..., group, :] for group in self.states], -2)
         trace_j = spread.square().sum((-2, -1))  # eq. (33)
         nothing = certain.any(-1) | (trace_j == 0)
-        ratio = trace_n / torch.where(nothing, 1.0, trace_j)
-        ratio = torch.where(nothing | ~ratio.isfinite(), 1.0, ratio)
+        ratio = safe_divide(trace_n, torch.where(nothing, 0.0, trace_j), fill=1.0)
+        ratio = torch.where(ratio.isfinite(), ratio, 1.0)
         return torch.minimum(ratio.clamp_min(1.0), self.fading_max(ratio))  # eq. (34)
 
     def inflate(self, prediction: Prediction, factor: Tensor) -> Prediction:

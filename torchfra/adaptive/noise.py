@@ -33,6 +33,19 @@ class NominalNoise(nn.Module):
     adapt = "never"
     """When it learns: ``"innovation"``, before the update, ``"residual"``, after it, or never."""
 
+    @property
+    def plain(self) -> bool:
+        """Whether it does nothing."""
+        return type(self) is NominalNoise
+
+    def excess(self, whitened: Whitened) -> Tensor:
+        """``(..., m)`` what one measurement says of the variances; nothing here."""
+        return torch.zeros_like(whitened.residual)
+
+    def forward(self, memory: Any, excess: Tensor, weight: Tensor) -> Any:
+        """The memory after one more ``excess (..., m)``, of which ``weight (..., m)`` is the target's probability."""
+        return memory
+
     def begin(self, mean: Tensor) -> NoiseMemory | None:
         """What is remembered before the first step."""
         return None
@@ -65,7 +78,7 @@ class NominalNoise(nn.Module):
 class SageHusa(NominalNoise):
     """Estimates the variance of the measurement noise on line, with forgetting, sensor by sensor.
 
-    What the innovations scatter beyond the prediction's own uncertainty is noise:
+    Scatter of the innovations beyond what the prediction's uncertainty explains is taken for measurement noise:
 
         R <- (1 - g d) R + g d (e e^T - H P H^T),   d = (1 - b) / (1 - b^(k + 2)),
 
@@ -135,7 +148,7 @@ class SageHusa(NominalNoise):
         return self(memory, self.excess(whitened), seen) if when == self.adapt else memory
 
     def excess(self, whitened: Whitened) -> Tensor:
-        """``(..., m)`` what one measurement against its prediction says of the variances, ``e^2 - H P H^T`` say.
+        """One measurement's estimate ``(..., m)`` of the variances, such as ``e^2 - H P H^T``.
 
         For ``"residual"`` it is what was measured against the belief after the update.
         """
@@ -143,7 +156,7 @@ class SageHusa(NominalNoise):
         predicted = predicted if whitened.lost is None else predicted - whitened.lost.square().sum(-1)
         return whitened.residual.square() + (predicted if self.adapt == "residual" else -predicted)
 
-    def forward(self, memory: NoiseMemory, excess: Tensor, weight: Tensor) -> NoiseMemory:
+    def forward(self, memory: Any, excess: Tensor, weight: Tensor) -> Any:
         """The memory after one more ``excess (..., m)``.
 
         ``weight (..., m)`` is how probably it was the target's: below a half it is not used.  0 where missing.

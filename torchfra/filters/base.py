@@ -9,7 +9,8 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor, nn
 
-from torchfra.filters.loop import check_lengths, run
+from torchfra.filters.checks import check_lengths, check_models, check_state
+from torchfra.filters.loop import run
 from torchfra.filters.records import Kept, Record
 from torchfra.gaussian.inputs import Frame, Measurements, Time, batch_rank, check
 from torchfra.linalg.triangular import tria
@@ -45,8 +46,7 @@ class Filter(nn.Module):
         self._kernels: Any = None
         if motion is None or sensor is None:
             return
-        if sensor.reads > motion.size:
-            raise ValueError(f"sensor: expected one that reads at most {motion.size} states, this reads {sensor.reads}")
+        check_models(motion, sensor)
         self.motion, self.sensor = motion, sensor
 
     def compile(self: F, *args: Any, **options: Any) -> F:  # type: ignore[override]  # torch's own returns None
@@ -218,7 +218,9 @@ class Filter(nn.Module):
 
     def _frame(self, state: Any, measurements: Measurements) -> Frame:
         """The frame of a single step, checked."""
+        check_state(state)
         track = measurements.as_track(scans=self.scans)
+        track = track._replace(z=track.z.to(state.belief.mean))
         batch, mean = self._batch(track, state.belief), state.belief.mean
         expected = mean.shape[: mean.dim() - 1 - self.scans]
         if batch != expected:

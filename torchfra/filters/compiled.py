@@ -18,11 +18,8 @@ from torchfra.kernel.run import BUILDING, Kernels
 from torchfra.kernel.source import SCALARS
 from torchfra.kernel.step import Input, Step, frozen
 from torchfra.linalg.tracing import is_traced
-from torchfra.tree import flatten
+from torchfra.tree import flatten, ranks
 from torchfra.types import Gaussian, Innovation
-
-_RANKS = (1, 0, 1, 1, 2)
-"""Event dimensions of the fields of ``Measurements``."""
 
 
 class _Value(NamedTuple):
@@ -90,7 +87,7 @@ class _Version:
         values = [(value, value().shape, value().dim() - value.event) for value in self.values]
         batch = torch.broadcast_shapes(mean.shape[:-1], *(shape[:rank] for _, shape, rank in values))
         inputs, shapes = {}, []
-        for name, x, event, varies in zip(Measurements._fields, data, _RANKS, timed, strict=True):
+        for name, x, event, varies in zip(Measurements._fields, data, ranks(Measurements).values(), timed, strict=True):
             if x is not None:
                 inputs[name] = Input(x.shape[x.dim() - event :], varies, False)
                 shapes.append(batch + x.shape[x.dim() - event - varies :])

@@ -13,6 +13,7 @@ from torch.nn.functional import logsigmoid
 from torchfra import tree
 from torchfra.adaptive.fading import Fading, Memory
 from torchfra.filters.base import Mix
+from torchfra.filters.checks import check_sides
 from torchfra.filters.records import Record
 from torchfra.filters.soft import Soft
 from torchfra.filters.tracks import GaussianFilter
@@ -21,7 +22,7 @@ from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import moment_match
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import correct, down_weight, down_weighted_density, innovation
-from torchfra.hyper import Hyper, Value, hypers, one_of
+from torchfra.hyper import Hyper, Value, one_of
 from torchfra.linalg.tracing import is_traced
 from torchfra.motion.base import Motion
 from torchfra.robust.weights import Weights
@@ -79,15 +80,15 @@ class FRA(Soft, GaussianFilter):
 
     Both choices are hard and pass no gradient to what they rest on.  With a ``temperature`` they are soft, to train by:
     a step is abnormal by the weight ``sigmoid((nis - gate) / temperature)``, the branches share that weight by the
-    softmax of their scores over the temperature, and the estimate has the moments of the mixture of plain, robust and
-    adaptive.  Towards 0 it becomes the hard decision; ``f.temperature = 0`` makes a trained filter hard.
+    softmax of their scores over the temperature, and the estimate has the moments of the mixture of all three.
+    ``f.temperature = 0`` makes a trained filter hard.
 
     Args:
         motion: how targets move.
         sensor: what is measured.
         robust: weights of the robust branch (``torchfra.robust``).
         fading: fading factors of the adaptive branch (``torchfra.adaptive``).
-        rule: see ``SRCKF``.
+        rule: from a number of states to the rule that carries a Gaussian through a function.
         gate: normalised innovation squared above which a step is abnormal.
         preference: log odds of the robust branch before the next measurement has spoken; 0 favours none.
         decision: how the branches' predictions are compared: ``"normalised"`` by the normalised innovation (the
@@ -101,7 +102,7 @@ class FRA(Soft, GaussianFilter):
         ValueError: an argument that is none of those, or a rule with negative weights.
 
     Source: Wang et al. (2021), section 2.2 and fig. 1.  ``preference``, ``temperature``, ``"likelihood"`` and
-    ``"weighted"`` are ours.
+    ``"weighted"`` are additions.
     """
 
     def __init__(
@@ -125,20 +126,19 @@ class FRA(Soft, GaussianFilter):
             memory=(memory, ("plain", "weighted")),
             final=(final, ("robust", "adaptive", "plain")),
         )
-        if self.signed or not isinstance(robust, Weights):
-            raise ValueError("rule, robust: expected one without negative weights, and one that weighs measurements")
+        if self.signed:
+            raise ValueError("rule: expected one without negative weights, received one with some")
+        check_sides(robust=(robust, Weights), fading=(fading, Fading))
         self.robust, self.fading = robust, fading
         self.gate = Hyper(gate, name="gate")
         self.preference = Hyper(preference, constraints.real, name="preference")
         self.decision, self.memory, self.final = decision, memory, final
         self.temperature = temperature
-        self._branching = [h for x in (robust, fading, self.gate, self.preference) for h in hypers(x).values()]
 
     def begin(self, belief: Gaussian) -> FRAState:
         """The state of a belief: a normal step, nothing remembered."""
         normal = torch.full_like(belief.mean[..., 0], -torch.inf)
-        memory = self.fading.begin(belief.mean, self.sensor.size)
-        return FRAState(belief, belief, belief, belief, belief, normal, memory)
+        return FRAState(*[belief] * 5, normal, self.fading.begin(belief.mean, self.sensor.size))
 
     def advance(self, state: FRAState, frame: Frame, mix: Mix | None = None) -> tuple[FRAState, Record]:
         """One step: the one before is settled, then this one is normal or forks."""
@@ -234,7 +234,8 @@ class FRA(Soft, GaussianFilter):
         """``function`` for the tracks in ``mask``: alone if that can be told now, else for all and then chosen."""
         if self.soft:
             return function(*arguments)
-        if is_traced(mask) or any(hyper.batch_rank for hyper in self._branching):
+        sides = (self.robust, self.fading, self.gate, self.preference)
+        if is_traced(mask) or any(isinstance(x, Hyper) and x.batch_rank for side in sides for x in side.modules()):
             return tree.where(mask, function(*arguments), default)
         return tree.where_needed(mask, function, arguments, default)
 

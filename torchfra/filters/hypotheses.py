@@ -12,6 +12,7 @@ from torchfra.association.gates import Candidates
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.model import add_counts
 from torchfra.gaussian.update import repaired_root
+from torchfra.linalg.safe import safe_divide
 from torchfra.linalg.tracing import is_traced
 from torchfra.types import Gaussian, Prediction, Whitened
 
@@ -70,9 +71,7 @@ def weighted_mean(x: Tensor, share: Tensor, seen: Tensor) -> tuple[Tensor, Tenso
     """
     weight = share.unsqueeze(-1) * seen
     total = weight.sum(-2, keepdim=True)
-    likely = total >= 0.5
-    mean = torch.where(likely, (weight * x).sum(-2, keepdim=True), 0.0) / torch.where(likely, total, 1.0)
-    return mean, total
+    return safe_divide((weight * x).sum(-2, keepdim=True), torch.where(total >= 0.5, total, 0.0)), total
 
 
 def combined(

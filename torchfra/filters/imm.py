@@ -21,6 +21,9 @@ from torchfra.linalg.triangular import whiten
 from torchfra.motion.bank import Bank
 from torchfra.types import Gaussian
 
+PER_MODEL = ("transition", "shift", "process_noise", "adaptation")
+"""Of a frame, what a ``Bank`` gives for each model."""
+
 
 class IMMState(NamedTuple):
     """What the models know after a step."""
@@ -176,9 +179,5 @@ def _without_failed(log_density: Tensor) -> Tensor:
 
 def for_each_model(frame: Frame) -> Frame:
     """The same for every model: a batch that ends in the models, which matrices of a ``Bank`` have already."""
-    one_for_all = (frame.z, frame.seen, frame.measurement_noise, frame.dt, frame.u)
-    z, seen, noise, dt, u = (
-        tree.map_ranked(lambda event, x: x.unsqueeze(-1 - event) if x.dim() > event else x, x, rank=rank)
-        for x, rank in zip(one_for_all, (1, 1, None, 0, 1), strict=True)
-    )
-    return frame._replace(z=z, seen=seen, measurement_noise=noise, dt=dt, u=u)
+    wide: Frame = tree.insert_batch_dimension(frame, only=[name for name in Frame._fields if name not in PER_MODEL])
+    return wide

@@ -11,7 +11,6 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.adaptive.fading import Memory
-from torchfra.adaptive.noise import SageHusa
 from torchfra.association.clusters import Association
 from torchfra.association.clutter import Clutter
 from torchfra.association.events import check_exact
@@ -36,6 +35,7 @@ from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import moment_match
 from torchfra.gaussian.update import density, innovation
 from torchfra.hyper import Hyper, Value, hypers
+from torchfra.linalg.safe import safe_divide
 from torchfra.types import Gaussian, Prediction, Whitened
 
 
@@ -85,7 +85,7 @@ class JPDA(Soft, ScanFilter):
         inner: an ``SRCKF``, plain, robust, with fading factors or an estimate of the noise, which learn from the
             combined innovation; copies of it, gate and clutter run here.
             Hyperparameters may differ between targets, ``(N,)``, and between scenes, ``(B, 1)`` or ``(B, N)``.
-        gate: which measurements may be a target's (``torchfra.clutter``).
+        gate: which measurements may be a target's (``torchfra.association.Gate``).
         clutter: how dense false ones are.
         detection: probability that a target is measured, up to 1.
         lost: a track that has been missed so often in a row that chance has at most this probability must have followed
@@ -187,7 +187,7 @@ class JPDA(Soft, ScanFilter):
         root = self.inner.noise.nominal(root, noise, frame.seen)
         seen, unit = frame.seen > 0, frame.measurement_noise
         gap = unit.colour(whitened.residual.unsqueeze(-1)).squeeze(-1)
-        expected = self.sensor(belief.mean, frame.u)
+        expected = self.sensor.at_points(belief.mean, frame.u)
         predicted = torch.where(seen, frame.z - gap, expected)
         z = torch.where(seen, frame.z, expected)
         candidates = Candidates(z, predicted, frame.seen, normalised.square().sum(-1))
@@ -207,16 +207,15 @@ class JPDA(Soft, ScanFilter):
     def learn_noise(self, memory: Any, whitened: Whitened, association: Association, frame: Frame, when: str) -> Any:
         """The memory of the measurement noise after a scan, if ``when`` is when the inner filter learns: eq. (19)."""
         side, share = self.inner.noise, association.probabilities
-        if not isinstance(side, SageHusa) or side.adapt != when:
+        if side.adapt != when:
             return memory
         memory = side(memory, *weighted_mean(side.excess(whitened), share, frame.seen))
         if not self.share_noise:
             return memory
         measured = share.sum(-1)[..., None, None]  # how probably each target was
         total = measured.sum(-3, keepdim=True)
-        enough = total >= 0.5
-        mean = (measured * memory.scale).sum(-3, keepdim=True) / torch.where(enough, total, 1.0)
-        return memory._replace(scale=torch.where(enough, mean, memory.scale))
+        mean = safe_divide((measured * memory.scale).sum(-3, keepdim=True), total)
+        return memory._replace(scale=torch.where(total >= 0.5, mean, memory.scale))
 
     def widen(
         self, prediction: Prediction, known: Whitened, memory: Memory | None, scan: Scan, association: Association,

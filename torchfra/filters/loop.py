@@ -52,14 +52,3 @@ def run(
     needed = [(r.belief, r.root, r.normalised, r.info, r.density) for r in records]
     belief, root, normalised, info, density = tree.stack(needed, rank)
     return state, Record(belief, None, root, normalised, info, density)
-
-
-def check_lengths(**lengths: int | None) -> None:
-    """Whether these are numbers of steps, or None.
-
-    Raises:
-        ValueError: names the first that is not.
-    """
-    for name, length in lengths.items():
-        if length is not None and length < 1:
-            raise ValueError(f"{name}: expected at least 1 step, received {length}")

@@ -29,9 +29,8 @@ class ScanFilter(Filter):
             CompileError: there are no arguments; see ``Filter``.
         """
         if not (args or options):
-            raise CompileError(
-                "JPDA: a scan has too many joint events for a kernel; run it without compile(), in batches"
-            )
+            name = type(self).__name__
+            raise CompileError(f"{name}: a scan has too many joint events for a kernel; run it without compile()")
         return super().compile(*args, **options)
 
     def _batch(self, measurements: Measurements, prior: Gaussian) -> torch.Size:

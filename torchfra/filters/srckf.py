@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torchfra.adaptive.fading import Fading, Memory, NoFading
+from torchfra.adaptive.fading import Memory, NoFading
 from torchfra.adaptive.noise import NoiseMemory, NominalNoise, SageHusa
 from torchfra.filters.base import Mix
+from torchfra.filters.checks import check_sides
 from torchfra.filters.records import Record
 from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.cubature import third_degree
@@ -78,26 +79,28 @@ class SRCKF(GaussianFilter):
         *,
         rule: Callable[[int], Rule] = third_degree,
         robust: Robust | None = None,
-        fading: Fading | None = None,
-        noise: SageHusa | None = None,
+        fading: NoFading | None = None,
+        noise: NominalNoise | None = None,
     ) -> None:
         super().__init__(motion, sensor, rule)
-        if fading is not None and self.signed:
-            raise ValueError("rule: expected one without negative weights beside fading factors")
-        if noise is not None and not (robust is None and fading is None):
-            raise ValueError("robust, fading: expected none beside an estimate of the measurement noise, received both")
-        if noise is not None and len(noise.element) != sensor.size:
-            raise ValueError(
-                f"blocks: expected those of a sensor of {sensor.size} elements, received {len(noise.element)}"
-            )
         self.robust = Robust() if robust is None else robust
         self.fading = NoFading() if fading is None else fading
         self.noise = NominalNoise() if noise is None else noise
+        check_sides(robust=(self.robust, Robust), fading=(self.fading, NoFading), noise=(self.noise, NominalNoise))
+        if self.signed and not self.fading.plain:
+            raise ValueError("rule: expected one without negative weights beside fading factors")
+        others = [name for name in ("robust", "fading") if not getattr(self, name).plain]
+        if others and not self.noise.plain:
+            expected = "none beside an estimate of the measurement noise"
+            raise ValueError(f"robust, fading: expected {expected}, received {' and '.join(others)}")
+        if isinstance(self.noise, SageHusa) and len(self.noise.element) != sensor.size:
+            count = len(self.noise.element)
+            raise ValueError(f"blocks: expected those of a sensor of {sensor.size} elements, received {count}")
 
     @property
     def plain(self) -> bool:
         """Whether no side does anything."""
-        return self.robust.plain and type(self.fading) is NoFading and type(self.noise) is NominalNoise
+        return self.robust.plain and self.fading.plain and self.noise.plain
 
     def begin(self, belief: Gaussian) -> State:
         """The state of a belief: nothing remembered yet."""

@@ -46,6 +46,8 @@ class GaussianFilter(TrackFilter):
 
     def __init__(self, motion: Motion, sensor: Sensor, rule: Callable[[int], Rule] = third_degree) -> None:
         super().__init__(motion, sensor)
+        if not callable(rule):
+            raise ValueError(f"rule: expected torchfra.gaussian.third_degree or the like, received {rule!r}")
         self.motion_rule = rule(motion.size)
         self.sensor_rule = self.motion_rule.marginal(sensor.reads)
 

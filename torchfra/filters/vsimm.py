@@ -12,7 +12,7 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.base import Filter, Mix
-from torchfra.filters.imm import Around, cycle, for_each_model, repeated
+from torchfra.filters.imm import PER_MODEL, Around, cycle, for_each_model, repeated
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value
@@ -165,11 +165,8 @@ def _of_active(frame: Frame, active: Tensor) -> Frame:
         chosen: Tensor = (active @ rows).unflatten(-1, x.shape[-rank:])
         return chosen
 
-    models = (frame.transition, frame.shift, frame.process_noise, frame.adaptation)
-    transition, shift, process_noise, adaptation = (
-        tree.map_ranked(pick, x, rank=rank) for x, rank in zip(models, (2, 1, 2, None), strict=True)
-    )
-    return frame._replace(transition=transition, shift=shift, process_noise=process_noise, adaptation=adaptation)
+    chosen: Frame = tree.map_ranked(pick, frame, only=PER_MODEL)
+    return chosen
 
 
 def _check_thresholds(unlikely: Value, principal: Value) -> None:

@@ -78,18 +78,17 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
 
     ``rank`` is the number of batch dimensions, those of the hyperparameters included.
     """
-    varying = measurements.varying_dt
-    z, dt, u, std, noise = measurements
+    varying, like = measurements.varying_dt, measurements.z
 
-    def time_first(x: Tensor, event: int) -> Tensor:
+    def time_first(event: int, x: Tensor) -> Tensor:
         """Time in front of the batch, the batch filled up to its rank."""
-        x = x.to(z).movedim(-1 - event, 0)
+        x = x.to(like).movedim(-1 - event, 0)
         return x.reshape(x.shape[:1] + (1,) * (rank + 1 + event - x.dim()) + x.shape[1:])
 
-    u, std, noise = (x if x is None else time_first(x, event) for x, event in ((u, 1), (std, 1), (noise, 2)))
-    z = time_first(z, 1).contiguous()
-    dt = torch.as_tensor(dt if varying else measurements.common_dt, dtype=z.dtype, device=z.device)
-    dt = time_first(dt, 0) if varying else dt
+    timed = measurements if varying else measurements._replace(dt=None)  # type: ignore[arg-type]  # has no time
+    z, dt, u, std, noise = tree.map_ranked(time_first, timed)
+    z = z.contiguous()
+    dt = dt if varying else torch.as_tensor(measurements.common_dt, dtype=z.dtype, device=z.device)
     missing = z.isnan()
     measurement_noise = sensor.measurement_noise(z, std, noise)
     shift = motion.shift(dt, u)
@@ -114,7 +113,7 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
 
 def batch_rank(module: nn.Module) -> int:
     """Batch dimensions that the hyperparameters of a filter bring."""
-    return max(hyper.batch_rank for hyper in hypers(module).values())
+    return max([0, *(hyper.batch_rank for hyper in hypers(module).values())])
 
 
 def check(
@@ -133,6 +132,14 @@ def check(
         ValueError: names the argument, the shape that was expected and the one that came.
     """
     z, dt = measurements.z, measurements.dt
+    if not isinstance(prior, Gaussian):
+        raise ValueError(f"prior: expected a Gaussian, received {type(prior).__name__}")
+    if not isinstance(dt, (int, float, Tensor)):
+        raise ValueError(f"dt: expected a number or a tensor, received {type(dt).__name__}: take torch.as_tensor(dt)")
+    for name in ("z", "u", "std", "noise"):
+        x = getattr(measurements, name)
+        if not (isinstance(x, Tensor) or (x is None and name != "z")):
+            raise ValueError(f"{name}: expected a tensor, received {type(x).__name__}: take torch.as_tensor({name})")
     batch = _batches(measurements, prior, motion.size, sensor.size, scans)
     if scans and prior.scale_tril.dim() > 2 and prior.scale_tril.shape[-3] != prior.mean.shape[-2]:
         count = prior.mean.shape[-2]
@@ -144,7 +151,8 @@ def check(
         if dt.dim() and dt.shape[-1] not in (1, steps):
             raise ValueError(f"dt: expected a number or (..., {steps}) or (..., 1), received {tuple(dt.shape)}")
         batch["dt"] = dt.shape[:-1]
-    if not (isinstance(dt, Tensor) and is_traced(dt)) and not bool((torch.as_tensor(dt) > 0).all()):
+    positive = dt > 0 if not isinstance(dt, Tensor) else is_traced(dt) or bool((dt > 0).all())
+    if not positive:
         raise ValueError(f"dt: expected seconds above 0, received {dt}")
     try:
         return torch.Size(torch.broadcast_shapes(*batch.values()))

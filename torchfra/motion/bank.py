@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
+from torchfra import tree
 from torchfra.hyper import Value
 from torchfra.linalg.triangular import apply
 from torchfra.motion.base import Adaptation, Motion
@@ -114,8 +115,9 @@ class Bank(Motion):
             return None
         one = dt.new_ones(2)
         none = Adaptation(dt.new_zeros(self.size, self.dims), one, 0 * one)
-        columns = zip(*(none if part is None else part for part in parts), strict=True)
-        return Adaptation(*(_stack(column, event) for column, event in zip(columns, (2, 1, 1), strict=True)))
+        every = [none if part is None else part for part in parts]
+        stacked: Adaptation = tree.map_ranked(lambda rank, *xs: _stack(xs, rank), *every)
+        return stacked
 
     @property
     def _motions(self) -> list[Motion]:

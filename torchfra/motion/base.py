@@ -134,7 +134,11 @@ class Motion(nn.Module):
         """
         if self.linear:
             return self.forward(x, dt, u)
-        return self.forward(x, dt.expand(x.shape[:-1]), u if u is None else u.expand(*x.shape[:-1], -1))
+        after = self.forward(x, dt.expand(x.shape[:-1]), u if u is None else u.expand(*x.shape[:-1], -1))
+        if after.shape != x.shape:
+            expected, received = tuple(x.shape), tuple(after.shape)
+            raise ValueError(f"{type(self).__name__}.forward: expected states {expected}, received {received}")
+        return after
 
     def transition(self, dt: Tensor) -> Tensor:
         """``F (..., n, n)`` for ``dt (...)``, of linear motions."""

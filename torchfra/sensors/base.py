@@ -66,6 +66,8 @@ class Sensor(nn.Module):
 
     size: int
     """Elements of a measurement, ``m``."""
+    dims: int | None = None
+    """Dimensions of space that it measures in, where it needs a motion of as many or more."""
     reads: int
     """Leading state components that the sensor looks at, ``d``."""
     angles: Tensor
@@ -112,7 +114,11 @@ class Sensor(nn.Module):
 
         Rules call this.
         """
-        return self.forward(x, u if u is None else u.expand(*x.shape[:-1], -1))
+        z = self.forward(x, u if u is None else u.expand(*x.shape[:-1], -1))
+        if z.shape != (*x.shape[:-1], self.size):
+            expected, received = (*x.shape[:-1], self.size), tuple(z.shape)
+            raise ValueError(f"{type(self).__name__}.forward: expected measurements {expected}, received {received}")
+        return z
 
     def difference(self, a: Tensor, b: Tensor) -> Tensor:
         """``a - b`` of measurements ``(..., m)``, angles wrapped."""

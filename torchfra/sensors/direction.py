@@ -46,12 +46,11 @@ class Bearings(Sensor):
         """The bearing ``(..., m)`` of states from each station."""
         if self.stations is not None:
             stations = self.stations.to(x)
-        elif u is not None:
-            stations = u[..., : 2 * self.size].unflatten(-1, (self.size, 2))
         else:
-            raise ValueError(
-                f"u: expected the positions of {self.size} stations, (..., {2 * self.size}), received None"
-            )
+            if u is None or u.shape[-1] < 2 * self.size:
+                expected = f"the positions of {self.size} stations, (..., {2 * self.size})"
+                raise ValueError(f"u: expected {expected}, received {None if u is None else tuple(u.shape)}")
+            stations = u[..., : 2 * self.size].unflatten(-1, (self.size, 2))
         offset = x[..., None, :2] - stations
         return torch.atan2(offset[..., 0], offset[..., 1])
 
@@ -76,6 +75,7 @@ class RangeBearing(Sensor):
         if dims not in (2, 3):
             raise ValueError(f"dims: expected 2 or 3, received {dims}")
         super().__init__(dims, [False, True, True][:dims], std, noise)
+        self.dims = dims
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """Range, bearing and, in space, elevation ``(..., dims)`` of states."""

@@ -22,6 +22,7 @@ class Position(Sensor):
 
     def __init__(self, std: Value | None = None, *, dims: int = 2, noise: Tensor | None = None) -> None:
         super().__init__(dims, [False] * dims, std, noise)
+        self.dims = dims
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The first ``dims`` components of the states."""

@@ -1,0 +1,163 @@
+"""What is handed in wrongly is named before any work; what may be handed in, works."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from torchfra import Gaussian, presets, scenarios
+from torchfra.adaptive import Fading, NoFading, NominalNoise, SageHusa
+from torchfra.association import Clutter, Euclidean
+from torchfra.filters import FRA, SRCKF
+from torchfra.gaussian import fifth_degree
+from torchfra.motion import ConstantVelocity, Motion
+from torchfra.robust import Huber, HuberScore, Robust, Weights
+from torchfra.sensors import Bearings, Position, RangeBearing, Sensor
+
+MOTION, SENSOR = ConstantVelocity(1.0), Position(2.0)
+PRIOR = Gaussian(torch.zeros(4).double(), torch.eye(4).double())
+Z = torch.zeros(6, 2).double()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda f: f(Z, PRIOR, dt=np.ones(6)), r"dt: expected a number or a tensor, received ndarray"),
+        (lambda f: f(Z, PRIOR, dt=[1.0] * 6), r"dt: expected a number or a tensor, received list"),
+        (lambda f: f(Z.numpy(), PRIOR), r"z: expected a tensor, received ndarray"),
+        (lambda f: f(Z, PRIOR, std=[1.0, 1.0]), r"std: expected a tensor, received list"),
+        (lambda f: f(Z, tuple(PRIOR)), r"prior: expected a Gaussian, received tuple"),
+        (lambda f: f.step(PRIOR, Z[0]), r"state: expected what init or step has returned, received Gaussian"),
+        (lambda f: SRCKF(SENSOR, MOTION), r"motion: expected an instance of torchfra's Motion, received Position"),
+        (lambda f: SRCKF(ConstantVelocity, SENSOR), r"motion: expected an instance .*, received ConstantVelocity"),
+        (lambda f: SRCKF(MOTION, Position(2.0, dims=3)), r"sensor: expected one of at most 2 dimensions of space"),
+        (lambda f: SRCKF(MOTION, SENSOR, rule="ckf"), r"rule: expected torchfra.gaussian.third_degree or the like"),
+        (lambda f: SRCKF(MOTION, SENSOR, robust=torch.nn.Identity()), r"robust: expected Robust .*received Identity"),
+        (lambda f: SRCKF(MOTION, SENSOR, robust=Fading()), r"robust: expected Robust .*received Fading"),
+        (lambda f: FRA(MOTION, SENSOR, robust=HuberScore(), fading=Fading()), r"robust: .*received HuberScore"),
+        (lambda f: Gaussian.from_covariance(torch.zeros(2), -torch.eye(2)), r"covariance: expected positive definite"),
+    ],
+)  # fmt: skip
+def test_what_is_not_of_its_kind_is_named(call, message):
+    with pytest.raises(ValueError, match=message):
+        call(presets.srckf(MOTION, SENSOR))
+
+
+def test_too_few_numbers_for_the_stations_are_named():
+    f = presets.srckf(MOTION, Bearings(0.1))
+    with pytest.raises(ValueError, match=r"u: expected the positions of 2 stations, \(..., 4\), received"):
+        f(Z, PRIOR, u=torch.zeros(6, 2).double())
+
+
+def test_a_belief_from_a_covariance_has_that_covariance():
+    covariance = torch.tensor([[4.0, 1.0], [1.0, 9.0]])
+    torch.testing.assert_close(Gaussian.from_covariance(torch.zeros(2), covariance).covariance, covariance)
+
+
+def test_a_measurement_of_another_dtype_is_taken_in_that_of_the_state():
+    f = presets.srckf(MOTION, SENSOR)
+    state, _ = f.step(f.init(PRIOR), torch.ones(2))
+    assert state.belief.mean.dtype == torch.float64
+    torch.testing.assert_close(state.belief.mean, f.step(f.init(PRIOR), torch.ones(2).double())[0].belief.mean)
+
+
+def test_sides_that_do_nothing_go_with_everything():
+    f = SRCKF(MOTION, SENSOR, rule=fifth_degree, robust=Robust(), fading=NoFading(), noise=NominalNoise())
+    assert f.plain
+    assert not SRCKF(MOTION, SENSOR, robust=Robust(), noise=SageHusa(SENSOR.blocks)).plain
+    f = presets.srckf(MOTION, SENSOR)
+    f.robust = Huber(1.0)
+    far = torch.full((6, 2), 50.0).double()
+    torch.testing.assert_close(f(far, PRIOR).mean, presets.rsrckf(MOTION, SENSOR, threshold=1.0)(far, PRIOR).mean)
+
+
+class Unchanging(Motion):
+    """Nothing to learn: its process noise is fixed."""
+
+    linear = True
+
+    def __init__(self):
+        super().__init__(2, 2, None)
+
+    def transition(self, dt):
+        return torch.eye(4, dtype=dt.dtype).expand(*dt.shape, 4, 4)
+
+    def process_noise(self, dt):
+        return torch.eye(4, dtype=dt.dtype).expand(*dt.shape, 4, 4)
+
+
+def test_models_without_any_hyperparameter_filter():
+    estimate = presets.srckf(Unchanging(), Position(noise=torch.eye(2).double()))(Z, PRIOR)
+    assert estimate.mean.isfinite().all()
+
+
+class Short(Sensor):
+    """Declares two elements and gives one."""
+
+    def __init__(self):
+        super().__init__(2, [False, False], 1.0)
+
+    def forward(self, x, u=None):
+        return x[..., :1]
+
+
+class Shrinking(Motion):
+    """Gives back half of its state."""
+
+    def __init__(self):
+        super().__init__(2, 2, 1.0)
+
+    def forward(self, x, dt, u=None):
+        return x[..., :2]
+
+
+class OneForAll(Weights):
+    """One weight for a whole measurement, without the dimension of its elements."""
+
+    def forward(self, residual, nis):
+        return 1 / (1 + nis)
+
+
+@pytest.mark.parametrize(
+    ("f", "message"),
+    [
+        (lambda: presets.srckf(MOTION, Short()), r"Short.forward: expected measurements .*2\), received"),
+        (lambda: presets.srckf(Shrinking(), SENSOR), r"Shrinking.forward: expected states"),
+        (lambda: presets.rsrckf(MOTION, SENSOR, robust=OneForAll()), r"OneForAll.forward: expected weights"),
+    ],
+)  # fmt: skip
+def test_models_that_give_the_wrong_shape_are_named(f, message):
+    with pytest.raises(ValueError, match=message):
+        f()(Z, PRIOR)
+
+
+class Station(RangeBearing):
+    """Asks for what the docstring of a sensor promises: states and what goes with a step have the same batch."""
+
+    def forward(self, x, u=None):
+        assert u.shape[:-1] == x.shape[:-1]
+        return super().forward(x, u)
+
+
+@pytest.mark.parametrize("shape", [(5, 2), (3, 5, 2)])
+def test_in_scans_too_a_sensor_gets_the_shapes_that_it_is_promised(shape):
+    sensor = Station(torch.tensor([5.0, 0.01]).double())
+    pair = presets.jpda(MOTION, sensor, clutter=Clutter(1e6), gate=Euclidean(500.0))
+    mean = torch.tensor([[300.0, 400.0, 0.0, 0.0], [-300.0, 400.0, 0.0, 0.0]]).double().expand(3, 2, 4)
+    z = torch.tensor([[500.0, math.atan2(3, 4)], [500.0, -math.atan2(3, 4)]]).double().expand(3, 5, 2, 2)
+    estimate = pair(z, Gaussian(mean, torch.eye(4).double()), u=torch.zeros(shape).double())
+    assert estimate.mean.isfinite().all()
+
+
+def test_parts_of_fra_may_be_replaced_by_ones_with_a_batch_of_values():
+    scenario = scenarios.bearings_outliers("std", initial="truth")
+    tracks = scenario.simulate(3, 0)
+    thresholds = torch.tensor([1.0, 2.0, 3.0]).double()
+    f = presets.fra(scenario.motion, scenario.sensor)
+    f.robust = Huber(thresholds)
+    whole = f(tracks.z, tracks.prior, u=tracks.u).mean
+    for i, threshold in enumerate(thresholds):
+        one = presets.fra(scenario.motion, scenario.sensor, threshold=threshold)
+        prior = Gaussian(tracks.prior.mean[i], tracks.prior.scale_tril)
+        torch.testing.assert_close(one(tracks.z[i], prior, u=tracks.u).mean, whole[i])
