@@ -138,7 +138,9 @@ class FRA(Soft, GaussianFilter):
     def begin(self, belief: Gaussian) -> FRAState:
         """The state of a belief: a normal step, nothing remembered."""
         normal = torch.full_like(belief.mean[..., 0], -torch.inf)
-        return FRAState(*[belief] * 5, normal, self.fading.begin(belief.mean, self.sensor.size))
+        return FRAState(
+            belief, belief, belief, belief, belief, normal, self.fading.begin(belief.mean, self.sensor.size)
+        )
 
     def advance(self, state: FRAState, frame: Frame, mix: Mix | None = None) -> tuple[FRAState, Record]:
         """One step: the one before is settled, then this one is normal or forks."""
