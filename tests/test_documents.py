@@ -1,10 +1,12 @@
 """Every README is held to its word: its code runs, its command lines run, with small arguments, and its links exist."""
 
+import ast
 import contextlib
 import functools
 import importlib.util
 import io
 import json
+import pkgutil
 import re
 import shlex
 import shutil
@@ -118,6 +120,46 @@ def test_links_and_images_lead_to_what_is_there(name):
 
 def test_the_readme_is_one_page():
     assert len((ROOT / "README.md").read_text().split()) <= WORDS
+
+
+# ---------------------------------------------------------------- docstrings
+
+
+def strings_that_stand_alone(path):
+    """The docstrings of a module: of itself, its classes and functions, and those under attributes."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield node.value.value
+
+
+def paths_of(text):
+    """The dotted paths into the library that a docstring writes in double backticks, with or without a call."""
+    return re.findall(r"``(torchfra(?:\.\w+)+)(?:\([^`]*\))?``", text)
+
+
+def resolves(path):
+    try:
+        pkgutil.resolve_name(path)
+    except (ImportError, AttributeError):
+        return False
+    return True
+
+
+MODULES = sorted((ROOT / "torchfra").rglob("*.py"))
+
+
+@pytest.mark.parametrize("module", MODULES, ids=[str(path.relative_to(ROOT)) for path in MODULES])
+def test_paths_in_docstrings_lead_to_what_is_there(module):
+    paths = {path for text in strings_that_stand_alone(module) for path in paths_of(text)}
+    assert not (broken := sorted(path for path in paths if not resolves(path))), broken
+
+
+def test_paths_in_docstrings_are_found_and_wrong_ones_are_told():
+    paths = paths_of(
+        "``torchfra.losses``, torchfra.no, ``torchfra.gains.levels`` and ``torchfra.summary(f)``; ``torch.nn``"
+    )
+    assert paths == ["torchfra.losses", "torchfra.gains.levels", "torchfra.summary"]
+    assert [resolves(path) for path in paths] == [True, False, True]
 
 
 # ---------------------------------------------------------------- command lines

@@ -4,8 +4,8 @@ Each loss is one number per track, ``(...)``, the mean over its steps, so that a
 and left out; take ``.mean()`` for a batch.  Only ``calibration`` is a property of many tracks together and gives one
 number.  Steps whose truth is NaN do not count.
 
-``states`` are the components that count, the same in estimate and truth, ``scenario.truth_position`` say (for
-estimates in other coordinates see ``scenarios.Scenario``); ``angles`` are those of the state's components that are
+``states`` are the components that count, the same in estimate and truth, ``scenario.position`` say; where that raises,
+``scenario.truth_position`` after ``scenario.cartesian``.  ``angles`` are those of the state's components that are
 angles, rad: their differences are taken within half a turn.
 """
 

@@ -20,8 +20,7 @@ class UnknownTurn(Motion):
     """States ``[x, y, vx, vy, rate]``: the velocity turns by ``rate``, rad/s, which drifts by ``drift`` rad/s per s."""
 
     def __init__(self, q: float, drift: float) -> None:
-        super().__init__(dims=2, orders=2, q=q)  # positions come first, then velocities
-        self.size = 5
+        super().__init__(dims=2, orders=2, q=q, size=5)  # positions come first, then velocities
         self.drift = Hyper(drift, name="drift")  # constrained to be positive; learn="drift" would learn it
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
@@ -43,7 +42,7 @@ class DopplerRadar(Sensor):
     """Range, m, bearing clockwise from +y, rad, and range rate, m/s."""
 
     def __init__(self, std: Tensor) -> None:
-        super().__init__(reads=4, angles=[False, True, False], std=std, noise=None)  # residuals of angles wrap
+        super().__init__(reads=4, angles=[False, True, False], std=std)  # residuals of angles wrap
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """Measurements ``(..., 3)`` of states ``(..., 4 or more)``."""
@@ -71,8 +70,8 @@ def main(arguments: list[str] | None = None) -> None:
     straight = Gaussian(prior.mean[:4], prior.scale_tril[:4, :4])
     with torch.no_grad():
         for name, preset in (("srckf", presets.srckf), ("rsrckf", presets.rsrckf), ("fra", presets.fra)):
-            mine, theirs = preset(motion, radar)(z, prior), preset(ConstantVelocity(1.0), radar)(z, straight)
-            error, other = (metrics.rmse(e.mean, truth, motion.position).mean() for e in (mine, theirs))
+            turning, straight_on = preset(motion, radar)(z, prior), preset(ConstantVelocity(1.0), radar)(z, straight)
+            error, other = (metrics.rmse(e.mean, truth, motion.position).mean() for e in (turning, straight_on))
             print(f"{name:<7} position RMSE {error:6.1f} m with a turn of unknown rate, {other:6.1f} m without")
 
 

@@ -16,7 +16,8 @@ def error(mean: Tensor, truth: Tensor, states: slice) -> Tensor:
         mean: the estimate.
         truth: the true states; NaN where unknown, where the error is NaN too.  Where the truth is known and the
             estimate is NaN, the error is infinite.
-        states: the components to compare, ``scenario.truth_position`` say.
+        states: the components to compare, ``scenario.position`` say; where that raises, ``scenario.truth_position``
+            after ``scenario.cartesian``.
     """
     distance = (mean[..., states] - truth[..., states]).square().sum(-1).sqrt()
     failed = distance.isnan() & ~truth[..., states].isnan().any(-1)
@@ -45,7 +46,8 @@ def nees(estimate: Estimate, truth: Tensor, states: slice | None = None) -> Tens
     Args:
         estimate: of tracks ``(..., T, n)``.
         truth: ``(..., T, n)``.
-        states: leading components, ``scenario.truth_position`` say; all if None.
+        states: leading components, ``scenario.position`` say; where that raises, ``scenario.truth_position`` after
+            ``scenario.cartesian``; all if None.
 
     Raises:
         ValueError: ``states`` does not begin with the first component.

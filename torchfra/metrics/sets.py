@@ -38,7 +38,8 @@ def ospa(mean: Tensor, truth: Tensor, states: slice, *, cutoff: float = 100.0, o
     Args:
         mean: ``(..., N, T, n)`` estimates; NaN for one that does not exist.
         truth: ``(..., M, T, n)``; NaN for one that does not exist.
-        states: the components to compare, ``scenario.truth_position`` say.
+        states: the components to compare, ``scenario.position`` say; where that raises, ``scenario.truth_position``
+            after ``scenario.cartesian``.
         cutoff: distance that an estimate without a target, or a target without an estimate, counts as, m.
         order: exponent of the mean; with a high one the largest distances count more.
 
@@ -64,7 +65,8 @@ def gospa(mean: Tensor, truth: Tensor, states: slice, *, cutoff: float = 100.0, 
     Args:
         mean: ``(..., N, T, n)`` estimates; NaN for one that does not exist.
         truth: ``(..., M, T, n)``; NaN for one that does not exist.
-        states: the components to compare, ``scenario.truth_position`` say.
+        states: the components to compare, ``scenario.position`` say; where that raises, ``scenario.truth_position``
+            after ``scenario.cartesian``.
         cutoff: distance, m, from which on an estimate is false and its target missed; each then counts as
             ``cutoff / 2^(1 / order)``.
         order: exponent of the sum.

@@ -41,7 +41,7 @@ class Adaptation(NamedTuple):
 class Motion(nn.Module):
     """Abstract: how a state evolves over ``dt`` seconds, and with what process noise.
 
-    A motion of one's own is a subclass that gives
+    To write your own motion, subclass this and give
 
     - if it is linear, ``linear = True`` and ``transition(dt)``, with ``shift(dt, u)`` for a known change on top:
       filters then carry means and covariances exactly, without sigma points;

@@ -1,9 +1,8 @@
 """The filters that papers name, ready made: each is a choice of arguments to the classes of ``torchfra.filters``.
 
 Every preset takes ``motion`` (how targets move; for interacting models a ``Bank`` or several motions of one state) and
-``sensor`` (what is measured), then keywords.  ``help(presets.fra)`` lists the keywords of a preset; what a keyword does
-in full is told by the class that it goes to, which its line names.  A value out of its range is a ``ValueError`` that
-names the argument.
+``sensor`` (what is measured), then keywords.  ``help(presets.fra)`` lists the keywords of a preset; for each, its line
+names the class whose docstring has the details.  A value out of its range is a ``ValueError`` that names the argument.
 
 ``learn`` is the same everywhere: the names of the hyperparameters that gradient descent may change, wherever in the
 filter they are, or ``"all"``.  ``torchfra.hyper.summary(f)`` prints the names that a filter has:
@@ -17,7 +16,8 @@ filter they are, or ``"all"``.  ``torchfra.hyper.summary(f)`` prints the names t
 - of motions and sensors: ``q``, ``std``, ``rate``, ``alpha``, ``limit``.
 
 A motion or sensor whose values learn is copied first, so that the one handed in stays as it is; one whose values do not
-learn is shared.  A robust side that is handed in is copied if anything learns.
+learn is shared.  A robust side that is handed in is copied if anything learns.  Filters around another one
+(``imm``, ``vsimm_srckf``, ``jpda``) always work on copies.
 
 A filter around another (``imm``, ``vsimm_srckf``, ``jpda``) takes that other as ``inner``: a preset, or any callable
 ``(motion, sensor) -> Filter``.  Options of the inner filter are bound with ``functools.partial``::

@@ -38,7 +38,7 @@ def alphabeta(
     Args:
         motion: constant velocity or constant acceleration.
         sensor: a ``Position``.
-        gains: of the levels, the fastest first; ``gains.levels`` if None.
+        gains: of the levels, the fastest first; ``torchfra.filters.alphabeta.gains.levels`` if None.
         manoeuvre: residual that raises a flag, in std; 3 times the slowest filter's own if None (3.5).
         outlier: residual that is rejected outside manoeuvres, in std; 3 times ``manoeuvre`` if None (18).
         degrees: shares of ``manoeuvre`` that choose the level in a manoeuvre; evenly from 0.9 down if None (0.25).

@@ -60,7 +60,7 @@ def fra(
     preference: Value = 0.0, decision: str = "likelihood", temperature: float = 0.0, memory: str = "weighted",
     final: str = "robust", rule: Callable[[int], Rule] = third_degree, learn: Collection[str] = (),
 ) -> FRA:  # fmt: skip
-    """Ours: ``fra_srckf`` with other defaults for ``decision``, ``memory`` and ``rcond``.
+    """This package's filter: ``fra_srckf`` with other defaults for ``decision``, ``memory`` and ``rcond``.
 
     Args:
         motion: how targets move.

@@ -61,7 +61,7 @@ def adsb_turns(turns: str = "acceleration", *, std: float = 30.0) -> Scenario:
 def adsb_models() -> Bank:
     """Constant velocity and acceleration, current statistical, slow turn and fast turn, in one state of six.
 
-    Source: Du & Zhang (2020), section 1; the values and ``Bank.neighbours`` are ours.
+    Source: Du & Zhang (2020), section 1; the values and ``Bank.neighbours`` are additions.
     """
     models: list[Motion] = [
         ConstantVelocity(0.01**2, orders=3),

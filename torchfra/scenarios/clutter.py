@@ -51,7 +51,7 @@ def clutter_straight(
         ValueError: an argument out of its range.
 
     Source: Chen, Zou & Wu, scenario 1.  Differs: the initial states are those of their scenario 2; the
-    measurement noise and its change, the clutter region and the detection are ours, as theirs are lost.
+    measurement noise and its change, the clutter region and the detection are chosen here, as theirs are lost.
     """
     motion = ConstantVelocity(Q, 3)
     conditions = Conditions(noise_scale, change, tuple(std), truth_noise, clutter, region, detection)

@@ -68,7 +68,8 @@ def growth(outliers: str = "covariance", *, size: float = 15.0, share: float = 0
     Raises:
         ValueError: an argument that is none of those.
 
-    Source: Qin et al. (2018), section 4.1.  The filters' initial belief is ours; it does not matter over 500 steps.
+    Source: Qin et al. (2018), section 4.1.  The filters' initial belief is chosen here; over 500 steps
+    it does not matter.
     """
     motion, sensor = Growth(), Square()
     numbers = torch.arange(1, STEPS + 1, dtype=torch.float64).unsqueeze(-1)

@@ -101,7 +101,7 @@ def reentry(
     Raises:
         ValueError: an argument that is none of those.
 
-    Source: Qin et al. (2018), section 4.2.  The duration and the integration are ours.
+    Source: Qin et al. (2018), section 4.2.  The duration and the integration are chosen here.
     """
     one_of(radar=(radar, tuple(_RADARS)))
     motion, std = Reentry(q_parameter=q_parameter, method=method), torch.tensor(_RADARS[radar], dtype=torch.float64)

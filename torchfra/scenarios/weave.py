@@ -31,7 +31,7 @@ def level_then_weave(outliers: str = "planted", *, noise: str = "cartesian") -> 
     Raises:
         ValueError: an argument that is none of those.
 
-    Source: Xu et al., section 4.  Numbers of the track that the paper lost are ours.
+    Source: Xu et al., section 4.  Numbers of the track that the paper lost are chosen here.
     """
     one_of(
         outliers=(outliers, ("planted", "none")),

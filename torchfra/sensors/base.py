@@ -43,7 +43,7 @@ class MeasurementNoise(NamedTuple):
 class Sensor(nn.Module):
     """Abstract: what is measured of a state, and with what noise.
 
-    A sensor of one's own is a subclass that gives ``forward(x, u)`` and hands its sizes and noise to this class.  All
+    To write your own sensor, subclass this, give ``forward(x, u)`` and hand sizes and noise to this class.  All
     else is optional: ``blocks`` where several devices measure; ``locates`` with ``locate``, and
     ``measures_each_direction`` with ``units_per_metre``, for gates in metres and clutter that is even in space.
 

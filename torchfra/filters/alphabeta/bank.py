@@ -51,7 +51,7 @@ class AlphaBetaBank(Decisions):
             dimensions and orders count.
         sensor: a ``Position``; its std is the unit of the thresholds.
         gains: of the levels, the fastest first, ``(N,)``; ``gamma`` is 0 for levels that take the acceleration for 0.
-            ``torchfra.gains.levels`` unless given.
+            ``torchfra.filters.alphabeta.gains.levels`` unless given.
         manoeuvre: residual that raises a flag, in std; None for 3 times the slowest filter's own.
         outlier: residual that is rejected outside manoeuvres, in std; None for 3 times ``manoeuvre``.
         degrees: ``(N - 2,)`` shares of ``manoeuvre``, falling: which level a residual in a manoeuvre chooses.
@@ -71,8 +71,9 @@ class AlphaBetaBank(Decisions):
         expect: what residuals are compared with: ``"paper"``: always the same threshold; ``"level"``: one that grows
             with what the level in use expects of its residuals.
         temperature: 0 for hard choices, above for soft ones; an attribute that may be changed at any time.
-        initiation: see ``AlphaBeta``.
-        period: see ``AlphaBeta``.
+        initiation: position and velocity from the first two measurements, ``"two-point"``, or from the ``"prior"``.
+        period: seconds between measurements that the gains are meant for: those of shorter steps are smaller; None
+            for steps that hardly differ.
 
     Raises:
         ValueError: gains that are not stable or whose levels do not slow down, or an argument out of its range.

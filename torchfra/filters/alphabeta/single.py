@@ -60,7 +60,7 @@ class AlphaBeta(ConstantGainFilter):
         motion: constant velocity (two gains) or acceleration (three; with two the acceleration stays 0); only its
             dimensions and orders count.
         sensor: a ``Position``.
-        gains: see ``torchfra.gains`` for how to choose them.
+        gains: ``torchfra.filters.alphabeta.gains`` has how to choose them.
         expanding: use the gains of a least-squares line until they have fallen to ``gains`` (two gains only).
         initiation: ``"two-point"`` takes position and velocity from the first two measurements, ``"prior"`` from the
             prior.
