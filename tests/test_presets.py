@@ -64,7 +64,7 @@ def test_the_defaults_of_presets_are_those_of_the_classes_but_for_what_they_chan
 
 
 @pytest.mark.parametrize("name", ["rsrckf", "rmckf", "fra_srckf", "fra"])
-def test_a_robust_side_takes_the_place_of_huber_weights(scenario, tracks, name):
+def test_a_robust_update_takes_the_place_of_huber_weights(scenario, tracks, name):
     preset = partial(getattr(presets, name), scenario.motion, scenario.sensor)
 
     def estimate(f):
@@ -74,11 +74,11 @@ def test_a_robust_side_takes_the_place_of_huber_weights(scenario, tracks, name):
     other = estimate(preset(robust=ThreeSegment()))
     assert (other.mean - estimate(preset()).mean).abs().max() > 1e-3
     for options in ({"threshold": 1.345}, {"per_element": True}):
-        with pytest.raises(ValueError, match="robust, threshold, per_element: expected a robust side or options of"):
+        with pytest.raises(ValueError, match="robust, threshold, per_element: expected a robust update or options of"):
             preset(robust=Huber(), **options)
 
 
-def test_a_robust_side_that_learns_is_a_copy(scenario):
+def test_a_robust_update_that_learns_is_a_copy(scenario):
     side = HuberScore(2.0)
     f = presets.rsrckf(scenario.motion, scenario.sensor, robust=side, learn=("threshold",))
     assert f.robust.threshold.raw.requires_grad

@@ -76,7 +76,7 @@ class Fading(NoFading):
 
     Source: Wang et al. (2021), eqs. (29)-(34); Zhou, Xi & Zhang (1990) for the strong tracking filter.
     Differs: singular values are compared in units of the measurement noise, so that metres and radians mix; with equal
-    noise on all elements, as in the paper, that changes nothing.  ``fading_max``, ``rcond`` and ``share`` are ours.
+    noise on all elements, as in the paper, that changes nothing.  ``fading_max``, ``rcond``, ``share`` are additions.
     """
 
     def __init__(

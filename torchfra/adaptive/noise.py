@@ -100,7 +100,7 @@ class SageHusa(NominalNoise):
         ValueError: a value out of its range, or not one confidence for each block.
 
     Source: Sage & Husa (1969); Chen, Zou & Wu, eq. (19), whose form is lost: the weight ``g`` is our reading.
-    Differs: diagonal, the bounds and the warm-up are ours.
+    Differs: diagonal, the bounds and the warm-up are additions.
     """
 
     element: Tensor

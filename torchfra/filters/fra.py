@@ -78,10 +78,9 @@ class FRA(Soft, GaussianFilter):
     ``step`` hands out the provisional one as ``state.belief`` and the final one of the step before as
     ``state.settled``.
 
-    Both choices are hard and pass no gradient to what they rest on.  With a ``temperature`` they are soft, to train by:
-    a step is abnormal by the weight ``sigmoid((nis - gate) / temperature)``, the branches share that weight by the
-    softmax of their scores over the temperature, and the estimate has the moments of the mixture of all three.
-    ``f.temperature = 0`` makes a trained filter hard.
+    Hard choices pass no gradient to what they rest on.  With a ``temperature`` they are soft, to train by: a step is
+    abnormal by the weight ``sigmoid((nis - gate) / temperature)``, the branches share it by the softmax of their scores
+    over the temperature, and the estimate has the moments of all three.  Set it to 0 when the filter is trained.
 
     Args:
         motion: how targets move.
@@ -90,7 +89,7 @@ class FRA(Soft, GaussianFilter):
         fading: fading factors of the adaptive branch (``torchfra.adaptive``).
         rule: from a number of states to the rule that carries a Gaussian through a function.
         gate: normalised innovation squared above which a step is abnormal.
-        preference: log odds of the robust branch before the next measurement has spoken; 0 favours none.
+        preference: log odds of the robust branch before the next measurement; 0 favours none.
         decision: how the branches' predictions are compared: ``"normalised"`` by the normalised innovation (the
             paper's; it favours the branch that expects more error), ``"likelihood"`` by the predictive likelihood.
         temperature: 0 for hard decisions, above for soft ones; an attribute that may be changed at any time.
@@ -121,11 +120,8 @@ class FRA(Soft, GaussianFilter):
         final: str = "robust",
     ) -> None:
         super().__init__(motion, sensor, rule)
-        one_of(
-            decision=(decision, ("normalised", "likelihood")),
-            memory=(memory, ("plain", "weighted")),
-            final=(final, ("robust", "adaptive", "plain")),
-        )
+        one_of(decision=(decision, ("normalised", "likelihood")), memory=(memory, ("plain", "weighted")))
+        one_of(final=(final, ("robust", "adaptive", "plain")))
         if self.signed:
             raise ValueError("rule: expected one without negative weights, received one with some")
         check_sides(robust=(robust, Weights), fading=(fading, Fading))
@@ -198,7 +194,7 @@ class FRA(Soft, GaussianFilter):
         Args:
             excess: ``(...)`` of the normalised innovation squared over the gate.
             plain: for normal steps.
-            branches: for abnormal ones; with a hard decision exactly one, equal to ``plain`` where the step is normal.
+            branches: for abnormal ones; exactly one with a hard decision.
             shares: ``(branches, ...)`` logs of their weights, if there are several.
         """
         if not self.soft:

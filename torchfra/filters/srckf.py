@@ -40,10 +40,10 @@ class Info(NamedTuple):
     fading: Tensor | None = None
     """``(..., T)`` fading factors."""
     iterations: Tensor | None = None
-    """``(..., T)`` of a robust side that iterates; as many as it may where it did not settle."""
+    """``(..., T)`` of a robust update that iterates; as many as it may where it did not settle."""
     repaired: Tensor | None = None
     """``(..., T)`` covariances that were not positive definite and were repaired; of rules with negative weights, or a
-    robust side that may take off more than there is."""
+    robust update that may take off more than there is."""
     noise: Tensor | None = None
     """``(..., T, m)`` estimated variances of the measurement noise, as multiples of the nominal ones."""
 

@@ -7,7 +7,7 @@ names the class whose docstring has the details.  A value out of its range is a 
 ``learn`` is the same everywhere: the names of the hyperparameters that gradient descent may change, wherever in the
 filter they are, or ``"all"``.  ``torchfra.hyper.summary(f)`` prints the names that a filter has:
 
-- of the robust side: ``threshold``, ``low``, ``high``, ``eps``;
+- of the robust update: ``threshold``, ``low``, ``high``, ``eps``;
 - of the fading factors: ``weakening``, ``forgetting``, ``fading_max``, ``share``;
 - of the estimated measurement noise: ``forgetting``, ``confidence``;
 - of the feedback decision: ``gate``, ``preference``;
@@ -16,7 +16,7 @@ filter they are, or ``"all"``.  ``torchfra.hyper.summary(f)`` prints the names t
 - of motions and sensors: ``q``, ``std``, ``rate``, ``alpha``, ``limit``.
 
 A motion or sensor whose values learn is copied first, so that the one handed in stays as it is; one whose values do not
-learn is shared.  A robust side that is handed in is copied if anything learns.  Filters around another one
+learn is shared.  A robust update that is handed in is copied if anything learns.  Filters around another one
 (``imm``, ``vsimm_srckf``, ``jpda``) always work on copies.
 
 A filter around another (``imm``, ``vsimm_srckf``, ``jpda``) takes that other as ``inner``: a preset, or any callable

@@ -49,7 +49,7 @@ def rmckf(
         sensor: what is measured.
         threshold: in standard deviations of the measurement noise, 1.345 if None: ``robust.Huber``.
         per_element: whether each element of a measurement has its own threshold.
-        robust: another robust side instead of Huber weights: ``torchfra.robust``.
+        robust: another robust update instead of Huber weights: ``torchfra.robust``.
         weakening: above 1 the fading factors react less: ``adaptive.Fading``.
         forgetting: memory of the innovations, in [0, 1]: ``adaptive.Fading``.
         fading_max: largest factor: ``adaptive.Fading``.

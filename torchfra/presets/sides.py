@@ -1,4 +1,4 @@
-"""The robust side and the fading factors of a preset, from its keywords."""
+"""The robust update and the fading factors of a preset, from its keywords."""
 
 from __future__ import annotations
 
@@ -23,15 +23,17 @@ R = TypeVar("R", bound=Robust)
 def robust_side(
     sensor: Sensor, robust: R | None, threshold: Value | None, per_element: bool, learn: Collection[str]
 ) -> R | Huber:
-    """The robust side that was handed in (a copy, if anything learns), or Huber weights with this threshold.
+    """The robust update that was handed in (a copy, if anything learns), or Huber weights with this threshold.
 
     Raises:
-        ValueError: a robust side together with options of Huber weights.
+        ValueError: a robust update together with options of Huber weights.
     """
     if robust is None:
         return Huber(1.345 if threshold is None else threshold, elements=sensor.size if per_element else None)
     if threshold is not None or per_element:
-        raise ValueError("robust, threshold, per_element: expected a robust side or options of Huber weights, not both")
+        raise ValueError(
+            "robust, threshold, per_element: expected a robust update or options of Huber weights, not both"
+        )
     return copy.deepcopy(robust) if learn else robust
 
 

@@ -79,7 +79,7 @@ def rsrckf(
         sensor: what is measured.
         threshold: in standard deviations of the measurement noise, 1.345 if None: ``robust.Huber``.
         per_element: whether each element of a measurement has its own threshold.
-        robust: another robust side instead of Huber weights: ``torchfra.robust``.
+        robust: another robust update instead of Huber weights: ``torchfra.robust``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What a robust side is: from a measurement and its prediction to the belief after it."""
+"""What a robust update is: from a measurement and its prediction to the belief after it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torchfra.types import Gaussian, Whitened
 
 
 class Corrected(NamedTuple):
-    """What a robust side makes of a measurement."""
+    """What a robust update makes of a measurement."""
 
     belief: Gaussian
     weights: Tensor | None
