@@ -43,6 +43,16 @@ def check_list(parser: argparse.ArgumentParser, option: str, value: str, known: 
         parser.error(f"--{option}: expected names out of {', '.join(known)}, received {', '.join(unknown)}")
 
 
+def check_folder(option: str, path: Path | None) -> None:
+    """Checks that files can be written below a folder, which need not exist yet.
+
+    Raises:
+        ValueError: it is a file.
+    """
+    if path is not None and path.is_file():
+        raise ValueError(f"{option}: expected a folder, received the file {path}")
+
+
 def exit_status(program: str, work: Callable[[], object]) -> int:
     """Runs ``work``, with memory kept for reuse.
 
@@ -58,6 +68,13 @@ def exit_status(program: str, work: Callable[[], object]) -> int:
         work()
     except (ValueError, OSError, ImportError, CompileError) as error:
         if distributed.rank() == 0:
-            print(f"{program}: error: {' '.join(str(error).split())}", file=sys.stderr)
+            print(f"{program}: error: {' '.join(_message(error).split())}", file=sys.stderr)
         return 2
     return 0
+
+
+def _message(error: Exception) -> str:
+    """What a user reads: of a file that cannot be opened, the reason and its name."""
+    if isinstance(error, FileNotFoundError) and error.filename is not None:
+        return f"file not found: {error.filename}"
+    return str(error)
