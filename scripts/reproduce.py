@@ -7,7 +7,8 @@
     python scripts/reproduce.py reentry                 position, velocity and parameter over time
     python scripts/reproduce.py alpha-beta              Xu et al.: errors by axis, levels, decisions around two outliers
     python scripts/reproduce.py clutter-straight        Chen, Zou & Wu: errors by target, association, lost tracks
-    python scripts/reproduce.py clutter-crossing        targets that turn and meet (--noise-scale 4: measurement noise four times larger)
+    python scripts/reproduce.py clutter-crossing        targets that turn and meet
+                                                        (--noise-scale 4: measurement noise four times larger)
     python scripts/reproduce.py noise-change            one aircraft alone: errors of range, azimuth, elevation
     python scripts/reproduce.py bearings-outliers --outliers std --runs 500 --json out/std.json
 

@@ -91,18 +91,13 @@ def table(rows: Sequence[Row]) -> str:
     present = dict.fromkeys(key for row in rows for key, value in row.items() if value is not None)
     measured = [key for key in _MEASURED if key in present]
     labels = [key for key in present if key not in ("system", *_MEASURED)]
-    header = ["system", *labels, *(_MEASURED[key][0] for key in measured)]
-    cells = [
-        [
-            *(_cell(row.get(key)) for key in ("system", *labels)),
-            *(_cell(row.get(key), _MEASURED[key][1]) for key in measured),
-        ]
-        for row in rows
-    ]
-    return text_table(header, cells)
+    titles = [_MEASURED[key][0] for key in measured]
+    forms = {key: _MEASURED[key][1] for key in measured}
+    cells = [[_cell(row.get(key), forms.get(key, "")) for key in ("system", *labels, *measured)] for row in rows]
+    return text_table(["system", *labels, *titles], cells)
 
 
-def _cell(value: Any, form: str = "") -> str:
+def _cell(value: Any, form: str) -> str:
     return "" if value is None else f"{value:{form}}"
 
 
