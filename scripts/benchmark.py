@@ -85,7 +85,7 @@ def benchmark(options: argparse.Namespace) -> None:
     for kind in options.what.split(","):
         with torch.set_grad_enabled(kind == "training"):
             done = KINDS[kind](options)
-        print(table(done), flush=True)
+        print(f"\n{kind}, microseconds per track and step:\n{table(done)}", flush=True)
         rows += done
     if options.json is not None:
         settings = {key: str(value) if isinstance(value, Path) else value for key, value in vars(options).items()}

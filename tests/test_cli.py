@@ -253,6 +253,8 @@ def test_compare_runs_recorded_tracks_through_filters(noisy_track, tmp_path, sen
         (["track", "{file}", "--dt", "0"], "error: dt: expected seconds above 0, received 0.0\n"),
         (["track", "{file}", "--dt", "inf"], "error: dt: expected seconds above 0, received inf\n"),
         (["track", "{file}", "--out", "flight.csv"], "out: expected a folder, received the file flight.csv\n"),
+        (["track", "{file}", "--out", "flight.csv/a"], "out: expected a folder, received the file flight.csv\n"),
+        (["track", "."], "error: is a directory: .\n"),
     ],
 )
 def test_bad_arguments_are_answered_with_one_line_and_code_2(

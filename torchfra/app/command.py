@@ -47,10 +47,11 @@ def check_folder(option: str, path: Path | None) -> None:
     """Checks that files can be written below a folder, which need not exist yet.
 
     Raises:
-        ValueError: it is a file.
+        ValueError: it is a file, or below one.
     """
-    if path is not None and path.is_file():
-        raise ValueError(f"{option}: expected a folder, received the file {path}")
+    for place in (path, *path.parents) if path is not None else ():
+        if place.is_file():
+            raise ValueError(f"{option}: expected a folder, received the file {place}")
 
 
 def exit_status(program: str, work: Callable[[], object]) -> int:
@@ -75,6 +76,7 @@ def exit_status(program: str, work: Callable[[], object]) -> int:
 
 def _message(error: Exception) -> str:
     """What a user reads: of a file that cannot be opened, the reason and its name."""
-    if isinstance(error, FileNotFoundError) and error.filename is not None:
-        return f"file not found: {error.filename}"
-    return str(error)
+    if not isinstance(error, OSError) or error.filename is None or error.strerror is None:
+        return str(error)
+    reason = "file not found" if isinstance(error, FileNotFoundError) else error.strerror.lower()
+    return f"{reason}: {error.filename}"
