@@ -6,11 +6,11 @@
     python scripts/benchmark.py --what scaling --figure scaling.png
     python scripts/benchmark.py --what positions                   the alpha-beta bank on 100,000 tracks in space
 
-Prints microseconds per track and step: median and quartiles of several passes, one pass of each system in turn, so that
-a machine whose speed drifts treats them alike.  A pass repeats short calls for 20 ms and takes their median, so that
-caches are warm.  Compile time is apart.  Filters of torchfra return full estimates
-(means, roots, scores at every step); the others the last mean only.  Each of the others runs in a process of its own,
-which sleeps while the others are timed.
+Prints a table for each job when it is done, in microseconds per track and step: median and quartiles of several passes,
+one pass of each system in turn, so that a machine whose speed drifts treats them alike.  A pass repeats short calls for
+20 ms and takes their median, so that caches are warm.  Compile time is apart.  Filters of torchfra return full
+estimates (means, roots, scores at every step); the others the last mean only.  Each of the others runs in a process of
+its own, which sleeps while the others are timed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import torch
 from benchmarks.positions import positions
 from benchmarks.scaling import scaling
 from benchmarks.step import step
-from benchmarks.timing import Row
+from benchmarks.timing import Row, table
 from benchmarks.tracks import tracks
 from benchmarks.training import training
 
@@ -52,6 +52,8 @@ def main(arguments: list[str] | None = None) -> int:
     check_list(p, "what", options.what, KINDS)
     check_list(p, "filters", options.filters, track_filters())
     check_list(p, "modes", options.modes, ("compiled", "eager"))
+    if options.batch is not None and not all(n.isdecimal() and int(n) > 0 for n in options.batch.split(",")):
+        p.error(f"--batch: expected whole numbers of 1 or more, separated by commas, received {options.batch}")
     if options.device == "cuda" and (options.peers or "compiled" in options.modes):
         p.error("--device cuda: expected --modes eager, without --peers")
     return exit_status("benchmark", lambda: benchmark(options))
@@ -82,7 +84,9 @@ def benchmark(options: argparse.Namespace) -> None:
     rows: list[Row] = []
     for kind in options.what.split(","):
         with torch.set_grad_enabled(kind == "training"):
-            rows += KINDS[kind](options)
+            done = KINDS[kind](options)
+        print(f"\n{kind}, microseconds per track and step:\n{table(done)}", flush=True)
+        rows += done
     if options.json is not None:
         settings = {key: str(value) if isinstance(value, Path) else value for key, value in vars(options).items()}
         settings |= {"threads": threads, "keep_memory": keep_memory()}

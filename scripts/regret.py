@@ -4,7 +4,8 @@
 
 Six cases of the bearings experiments: scenario 1 with a poor and a good start, and scenario 2, outliers in covariance
 and in standard deviations.  Regret is the mean position RMSE divided by that of the best filter of a single motion,
-learned values excepted, minus 1.  Several state dictionaries may be given: each becomes a column.
+learned values excepted, minus 1.  Several state dictionaries may be given: each becomes a row of every case, under the
+name of its folder.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from typing import Any
 from torchfra.app.atomic_write import write_json
 from torchfra.app.command import add_json_option, add_quiet_option, add_runs_options, exit_status, make_parser
 from torchfra.app.evaluate import evaluate, versions
+from torchfra.app.progress import progress_bar
 from torchfra.catalogue import FILTERS, filters_for, learned_filter, make_scenario, scenario_filters
+from torchfra.tables import text_table
 
 CASES = {
     f"{number}, {start}{outliers}": (name, outliers, initial)
@@ -42,22 +45,22 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def regret(options: argparse.Namespace) -> None:
-    """All cases, each printed as soon as it is there."""
+    """All cases, as a table when the last one is done."""
     cases: dict[str, Any] = {}
-    for case, (name, outliers, initial) in CASES.items():
+    for case, (name, outliers, initial) in progress_bar(CASES.items(), "case", not options.quiet):
         scenario = make_scenario(name, outliers=outliers, initial=initial)
         single = [name for name in filters_for(scenario) if not FILTERS[name].bank]
         learned = {str(path): learned_filter(path, scenario) for path in options.files}
         filters = scenario_filters(single, scenario) | learned
         results = evaluate(scenario, filters, runs=options.runs, seed=options.seed, progress=not options.quiet)
-        cases[case] = row(results, list(learned))
-        if not options.quiet:
-            print(line(case, cases[case]), flush=True)
+        cases[case] = case_result(results, list(learned))
+    if not options.quiet:
+        print(table(cases))
     if options.json is not None:
         write_json(options.json, {"runs": options.runs, "seed": options.seed, "versions": versions(), "cases": cases})
 
 
-def row(results: dict[str, Any], learned: list[str]) -> dict[str, Any]:
+def case_result(results: dict[str, Any], learned: list[str]) -> dict[str, Any]:
     """One case: the best filter that was not learned, and the regret of ``fra`` and of the learned ones."""
     rmse = {name: of["mean_rmse_position"] for name, of in results.items()}
     best = min((name for name in rmse if name not in learned), key=rmse.__getitem__)
@@ -69,11 +72,15 @@ def row(results: dict[str, Any], learned: list[str]) -> dict[str, Any]:
     return {"best": best, "best_rmse": rmse[best], "all": rmse, "ours": compared}
 
 
-def line(case: str, row: dict[str, Any]) -> str:
-    """A case as a line of text; a state dictionary is called by its folder."""
-    cells = [f"{Path(name).parent.name or name} {of['rmse']:.1f} m ({of['regret']:+.1%}, "
-             f"{of['divergence_rate']:.2%} diverged)" for name, of in row["ours"].items()]  # fmt: skip
-    return f"{case:<26} best {row['best']} {row['best_rmse']:.1f} m; " + "; ".join(cells)
+def table(cases: dict[str, Any]) -> str:
+    """The cases as text: a line for each compared filter; a state dictionary is called by its folder."""
+    rows = [
+        [case, result["best"], f"{result['best_rmse']:.1f}", Path(name).parent.name or name, f"{of['rmse']:.1f}",
+         f"{of['regret']:+.1%}", f"{of['divergence_rate']:.2%}"]
+        for case, result in cases.items()
+        for name, of in result["ours"].items()
+    ]  # fmt: skip
+    return text_table(["case", "best", "RMSE m", "compared", "RMSE m", "regret", "diverged"], rows, align="<<><>")
 
 
 if __name__ == "__main__":

@@ -7,8 +7,9 @@
     python scripts/reproduce.py reentry                 position, velocity and parameter over time
     python scripts/reproduce.py alpha-beta              Xu et al.: errors by axis, levels, decisions around two outliers
     python scripts/reproduce.py clutter-straight        Chen, Zou & Wu: errors by target, association, lost tracks
-    python scripts/reproduce.py clutter-crossing        targets that turn and meet (--noise-scale 4: measured worse)
-    python scripts/reproduce.py noise-change            one of them alone: range, azimuth, elevation
+    python scripts/reproduce.py clutter-crossing        targets that turn and meet
+                                                        (--noise-scale 4: measurement noise four times larger)
+    python scripts/reproduce.py noise-change            one aircraft alone: errors of range, azimuth, elevation
     python scripts/reproduce.py bearings-outliers --outliers std --runs 500 --json out/std.json
 
 The seed fixes every run of an experiment.  Run times are relative to the UKF on the same runs.
@@ -25,7 +26,14 @@ from papers.experiment import Experiment, Study
 
 from torchfra.app import plotting
 from torchfra.app.atomic_write import write_json
-from torchfra.app.command import add_json_option, add_quiet_option, add_runs_options, exit_status, make_parser
+from torchfra.app.command import (
+    add_json_option,
+    add_quiet_option,
+    add_runs_options,
+    check_folder,
+    exit_status,
+    make_parser,
+)
 from torchfra.app.evaluate import evaluate, report
 from torchfra.catalogue import SCENARIOS, learned_filter, make_scenario, track_filters
 
@@ -78,6 +86,7 @@ def _add_scenario_options(p: argparse.ArgumentParser) -> None:
 
 def experiment(options: argparse.Namespace) -> None:
     """Runs it, writes results and figures, and prints a table."""
+    check_folder("plots", options.plots)
     chosen = EXPERIMENTS[options.experiment]
     study = make_study(chosen, options)
     results = evaluate(study.scenario, study.filters, runs=study.runs, seed=study.seed, compile=study.compile,

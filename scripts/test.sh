@@ -1,5 +1,10 @@
 #!/usr/bin/env bash
 # Lint, types and tests, in an environment of their own.  Arguments go to pytest.
+for argument; do
+  case $argument in
+    -h | --help) echo "usage: bash scripts/test.sh [ARGUMENT ...]    arguments go to pytest"; exit ;;
+  esac
+done
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh" dev
 ruff check .
 ruff format --check .

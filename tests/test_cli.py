@@ -43,6 +43,35 @@ def test_track_writes_a_table_a_figure_and_a_summary(noisy_track, tmp_path, caps
     assert "outliers" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("name", ["srckf", "asrckf", "imm_srckf"])
+def test_track_does_not_say_what_is_an_outlier_where_the_filter_does_not(noisy_track, tmp_path, capsys, name):
+    arguments = ["track", str(noisy_track), "--filter", name, "--no-plots", "--no-compile"]
+    assert cli.main([*arguments, "--out", str(tmp_path / "out"), "--json", str(tmp_path / "s.json")]) == 0
+    (summary,) = json.loads((tmp_path / "s.json").read_text())["tracks"]
+    said = capsys.readouterr().out
+    assert summary["outlier"] + summary["manoeuvre"] > 0
+    assert f" {summary['outlier'] + summary['manoeuvre']} steps above the gate, 0 missing" in said
+    assert "outliers" not in said
+
+
+@pytest.mark.parametrize("name", ["fra", "fra_srckf", "alphabeta"])
+def test_track_says_what_is_an_outlier_where_the_filter_decides(noisy_track, tmp_path, capsys, name):
+    arguments = ["track", str(noisy_track), "--filter", name, "--no-plots", "--no-compile"]
+    assert cli.main([*arguments, "--out", str(tmp_path / "out"), "--json", str(tmp_path / "s.json")]) == 0
+    (summary,) = json.loads((tmp_path / "s.json").read_text())["tracks"]
+    said = capsys.readouterr().out
+    assert f" {summary['outlier']} outliers, {summary['manoeuvre']} manoeuvres, 0 missing" in said
+    assert "above the gate" not in said
+
+
+def test_too_few_runs_for_the_processes_are_refused(monkeypatch):
+    monkeypatch.setattr("torchfra.app.distributed.size", lambda: 3)
+    with pytest.raises(ValueError, match=r"^runs: expected 3 or more, one for each of 3 processes, received 2$"):
+        evaluate(make_scenario("bearings-outliers"), ["ukf"], runs=2)
+    with pytest.raises(ValueError, match=r"^chunk: expected 1 or more, received 0$"):
+        evaluate(make_scenario("bearings-outliers"), ["ukf"], runs=3, chunk=0)
+
+
 def test_track_estimates_between_the_fixes_and_says_that_nothing_was_measured_there(noisy_track):
     (result,) = track(readers.read(noisy_track), dt=1.0)
     assert len(result.time) == 79 * 4 + 1
@@ -209,11 +238,23 @@ def test_compare_runs_recorded_tracks_through_filters(noisy_track, tmp_path, sen
         (["compare", "--scenario", "bearings-outliers", "--filters", "kalman"], "received kalman"),
         (["compare", "--scenario", "bearings-outliers", "--outliers", "wild"], "'wild'"),
         (["compare", "--scenario", "adsb-turns", "--outliers", "std"], "adsb-turns takes no such option"),
-        (["compare", "--scenario", "bearings-outliers", "--runs", "-1"], "received -1"),
-        (["track", "missing.csv"], "missing.csv"),
+        (["compare", "--scenario", "bearings-outliers", "--runs", "-1"], "runs: expected 1 or more, received -1\n"),
+        (["compare", "--scenario", "bearings-outliers", "--sensor", "bearings"], "sensor: goes with files, not with"),
+        (["compare", "--scenario", "bearings-outliers", "--q", "0.25"], "q: goes with files, not with --scenario"),
+        (["compare", "--scenario", "bearings-outliers", "--dt", "5"], "dt: goes with files, not with --scenario"),
+        (["compare", "--scenario", "bearings-outliers", "--steps", "9"], "steps: goes with files, not with --scenario"),
+        (["compare", "{file}", "--dt", "-1"], "dt: expected seconds above 0, received -1.0"),
+        (["compare", "{file}", "--q", "-1"], "q: expected m^2/s^4 of 0 or more, received -1.0"),
+        (["compare", "{file}", "missing.csv"], "error: file not found: missing.csv\n"),
+        (["track", "missing.csv"], "error: file not found: missing.csv\n"),
         (["track", "{file}", "--filter", "kalman"], "kalman"),
-        (["track", "{file}", "--sigma", "-1"], "std"),
-        (["track", "{file}", "--dt", "0"], "dt"),
+        (["track", "{file}", "--sigma", "-3"], "error: sigma: expected metres above 0, received -3.0\n"),
+        (["track", "{file}", "--q", "-1"], "error: q: expected m^2/s^4 of 0 or more, received -1.0\n"),
+        (["track", "{file}", "--dt", "0"], "error: dt: expected seconds above 0, received 0.0\n"),
+        (["track", "{file}", "--dt", "inf"], "error: dt: expected seconds above 0, received inf\n"),
+        (["track", "{file}", "--out", "flight.csv"], "out: expected a folder, received the file flight.csv\n"),
+        (["track", "{file}", "--out", "flight.csv/a"], "out: expected a folder, received the file flight.csv\n"),
+        (["track", "."], "error: is a directory: .\n"),
     ],
 )
 def test_bad_arguments_are_answered_with_one_line_and_code_2(

@@ -21,6 +21,9 @@ from torchfra.readers import Recording, read, resample
 Write = Callable[..., Path]
 CENTRE = (47.0, 8.0, 0.0)
 START = 1_600_000_000
+HEADERS = (
+    r"expected a header with t,x,y\[,z\]; or time,icao24,lat,lon; or timestamp,latitude,longitude, separated by commas"
+)
 
 
 @pytest.fixture(scope="module")
@@ -266,31 +269,49 @@ def test_an_aircraft_without_altitudes_is_flat_beside_others_that_are_not(write:
         ("a.csv", b"t,x,y\n0,1,\xff\n", "expected UTF-8 text"),
         ("a.csv", "t,x\n0,1\n", "missing y, received t, x"),
         ("a.csv", "time,lat,lon\n0,1,2\n", "missing icao24, received"),
-        ("a.csv", "hello\nworld\n", "t, x, y; missing .* received hello"),
+        ("a.csv", "hello\nworld\n", f"{HEADERS}; received hello"),
+        ("a.csv", "Time,X,Y\n0,1,2\n", f"{HEADERS}; received Time, X, Y"),
+        ("a.csv", "t;x;y\n0;1,5;2\n", f"{HEADERS}; received t;x;y"),
+        ("a.csv", "0,10,10\n1,20,30\n", f"{HEADERS}; received 0, 10, 10"),
+        ("a.csv", "time,icao24\n0,abc\n", f"{HEADERS}; received time, icao24"),
+        ("a.csv", "icao24,lat,lon\nabc,1,2\n", "missing time, received icao24, lat, lon"),
         ("a.json", '[{"timestamp": 1, "latitude": 2}]', "missing longitude, received timestamp, latitude"),
-        ("a.json", '{"result": {"request": {}}}', "missing .*, received result"),
+        ("a.json", '{"result": {"request": {}}}', f"{HEADERS}; received result"),
         ("a.csv", "t,x,x,y\n0,1,2,3\n", "every column once, received several named x"),
-        ("a.csv", "t,x,y\n0,1,2\n1,2\n", "expected 3 fields in row 2, received 2"),
-        ("a.csv", "t,x,y\n0,1,2\n1,2,3,4\n", "expected 3 fields in row 2, received 4"),
-        ("a.csv", "t,x,y\n0,1,2\n1,two,3\n", "expected a number in row 2, column x, received 'two'"),
-        ("a.csv", "t,x,y\n0,1,2\n1,inf,3\n", "expected a number in row 2, column x, received 'inf'"),
-        ("a.csv", "t,x,y\nnoon,1,2\n", "expected a number in row 1, column t, received 'noon'"),
-        ("a.json", [record(0), record(1, timestamp="noon")], "ms since 1970 or ISO text in row 2, column timestamp"),
+        ("a.csv", "t,x,y\n0,1,2\n1,2\n", "expected 3 fields in data row 2, received 2"),
+        ("a.csv", "t,x,y\n0,1,2\n1,2,3,4\n", "expected 3 fields in data row 2, received 4"),
+        ("a.csv", "t,x,y\n0,1,2\n1,two,3\n", "expected a number in data row 2, column x, received 'two'"),
+        ("a.csv", "t,x,y\n0,1,2\n1,inf,3\n", "expected a number in data row 2, column x, received 'inf'"),
+        ("a.csv", "t,x,y\nnoon,1,2\n", "expected a number in data row 1, column t, received 'noon'"),
+        (
+            "a.json",
+            [record(0), record(1, timestamp="noon")],
+            "ISO text in data row 2, column timestamp",
+        ),
         (
             "a.json",
             [record(0), record(1, timestamp=START)],
-            "ms since 1970 or ISO text in row 2, .* received 1600000000",
+            "ms since 1970 or ISO text in data row 2, .* received 1600000000",
         ),
-        ("a.json", [record(0, altitude="ground")], "expected a number in row 1, column altitude, received 'ground'"),
-        ("a.json", [record(0, altitude=True)], "expected a number in row 1, column altitude, received True"),
+        (
+            "a.json",
+            [record(0, altitude="ground")],
+            "a number in data row 1, column altitude, received 'ground'",
+        ),
+        ("a.json", [record(0, altitude=True)], "expected a number in data row 1, column altitude, received True"),
         ("a.json", [record(0, [1])], r"column latitude, received \[1\]"),
-        ("a.json", [record(0), record(1, 90.1)], r"within \+-90 in row 2, column latitude, received 90.1"),
-        ("a.json", [record(0), record(1, longitude=-181)], r"within \+-180 in row 2, column longitude, received -181"),
-        ("a.csv", states("0,a,-91,8,,,,"), r"within \+-90 in row 1, column lat, received '-91'"),
-        ("a.csv", states("0,a,9,188,,,,"), r"within \+-180 in row 1, column lon, received '188'"),
-        ("a.csv", "t,x,y\n,,\n,,\n", "with 2 fixes, received none in 2 rows after repairs: .*without time dropped': 2"),
-        ("a.json", [record(0, 47.0), record(1, 47.0)], "with 2 fixes, .*'held positions dropped': 1"),
-        ("a.json", [record(0, icao24="a"), record(1, icao24="b")], "with 2 fixes, received none in 2 rows"),
+        ("a.json", [record(0), record(1, 90.1)], r"within \+-90 in data row 2, column latitude, received 90.1"),
+        (
+            "a.json",
+            [record(0), record(1, longitude=-181)],
+            r"within \+-180 in data row 2, column longitude, .* -181",
+        ),
+        ("a.csv", states("0,a,-91,8,,,,"), r"within \+-90 in data row 1, column lat, received '-91'"),
+        ("a.csv", states("0,a,9,188,,,,"), r"within \+-180 in data row 1, column lon, received '188'"),
+        ("a.csv", "t,x,y\n0,1,2\n", "expected 2 or more rows with time and position, received 1$"),
+        ("a.csv", "t,x,y\n,,\n,,\n", "time and position, received 0 after repairs: 2 rows without time dropped$"),
+        ("a.json", [record(0, 47.0), record(1, 47.0)], "received 1 after repairs: 1 held positions dropped$"),
+        ("a.json", [record(0, icao24="a"), record(1, icao24="b")], "position of the same aircraft, received 1$"),
     ],
 )
 def test_what_is_no_track_is_refused_by_name(write: Write, name: str, content: Any, said: str) -> None:
@@ -491,7 +512,7 @@ def test_resampling_keeps_to_the_fixes(steps: list[int], dt: float, d: int, data
 
 @pytest.mark.parametrize(("dt", "gap"), [(0, 1), (-1, 1), (math.nan, 1), (math.inf, 1), (1, 0), (1, -1), (1, math.nan)])
 def test_a_step_or_a_gap_that_is_not_positive_is_refused(dt: float, gap: float) -> None:
-    with pytest.raises(ValueError, match="above 0 s, received"):
+    with pytest.raises(ValueError, match=f"{'max_gap' if dt == 1 else 'dt'}: expected seconds above 0, received"):
         resample(made([0, 1], [[0, 0], [1, 1]]), dt, max_gap=gap)
 
 

@@ -74,3 +74,8 @@ def test_a_share_of_the_measurements_are_outliers():
 def test_what_does_not_fit_is_named(options, said):
     with pytest.raises(ValueError, match=said):
         scenarios.recorded([circle()], **options)
+
+
+def test_names_of_files_are_not_recordings():
+    with pytest.raises(TypeError, match=r"recordings: expected what torchfra\.readers\.read returns, received str"):
+        scenarios.recorded(["a.csv"])

@@ -2,6 +2,7 @@
 
 import json
 import re
+import subprocess
 from pathlib import Path
 
 import benchmark
@@ -10,7 +11,7 @@ import pytest
 import regret
 import reproduce
 import torch
-from benchmarks import elsewhere, training
+from benchmarks import elsewhere, timing, training
 
 from torchfra import presets, scenarios
 from torchfra.catalogue import SCENARIOS
@@ -144,6 +145,8 @@ def test_reproduce_says_what_is_wrong(capsys):
     assert "sizes: adsb-turns takes no such option" in capsys.readouterr().err
     assert reproduce.main(["growth", "--sizes", "large"]) == 2
     assert "sizes: expected numbers" in capsys.readouterr().err
+    assert reproduce.main(["growth", "--plots", __file__]) == 2
+    assert "plots: expected a folder, received the file" in capsys.readouterr().err
     assert reproduce.main(["adsb-turns", "--outliers", "std"]) == 2
     assert "adsb-turns takes no such option" in capsys.readouterr().err
     assert reproduce.main(["bearings-outliers", "--filters", "imm5"]) == 2
@@ -168,7 +171,9 @@ def test_regret_compares_every_filter_of_a_single_motion(one_case, tmp_path, cap
     assert "alphabeta" not in of["all"]  # it takes positions, not bearings
     assert of["best_rmse"] == min(of["all"].values())
     assert of["ours"]["fra"]["regret"] == pytest.approx(of["all"]["fra"] / of["best_rmse"] - 1)
-    assert f"best {of['best']}" in capsys.readouterr().out
+    head, line = capsys.readouterr().out.splitlines()
+    assert head.split() == ["case", "best", "RMSE", "m", "compared", "RMSE", "m", "regret", "diverged"]
+    assert line.split()[:5] == ["2,", "std", of["best"], f"{of['best_rmse']:.1f}", "fra"]
 
 
 def test_regret_of_learned_values_is_against_filters_that_did_not_learn(one_case, monkeypatch, tmp_path, capsys):
@@ -181,7 +186,7 @@ def test_regret_of_learned_values_is_against_filters_that_did_not_learn(one_case
     of = json.loads((tmp_path / "r.json").read_text())["cases"]["2, std"]
     assert of["ours"][str(file)] == pytest.approx(of["ours"]["fra"])  # these values are those of the preset
     assert of["best"] != str(file)
-    assert "; run " in capsys.readouterr().out
+    assert [line.split()[4] for line in capsys.readouterr().out.splitlines()[1:]] == ["fra", "run"]
     assert regret.main([str(tmp_path / "missing.pt"), "--runs", "2"]) == 2
     assert "regret: error" in capsys.readouterr().err
 
@@ -226,10 +231,41 @@ def test_plain_qr_is_the_same_filter(make, tracks):
         torch.testing.assert_close(a, b, rtol=1e-7, atol=0)
 
 
+def test_the_benchmark_prints_a_table_of_rows_with_different_labels():
+    times = {"median": 1.5, "q1": 1.0, "q3": 2.0, "first_call_s": 12.34}
+    rows = [{"system": "a", "batch": 10, **times, "peak_mib": 7.4}, {"system": "b", "steps": 5, **times}]
+    assert timing.table(rows).splitlines() == [
+        "system  batch  steps  median us  q1 us  q3 us  first call s  peak MiB",
+        "a          10             1.500  1.000  2.000          12.3         7",
+        "b                  5      1.500  1.000  2.000          12.3",
+    ]
+    assert timing.table([{"system": "a", **times, "peak_mib": None}]).splitlines() == [
+        "system  median us  q1 us  q3 us  first call s",
+        "a           1.500  1.000  2.000          12.3",
+    ]
+
+
+@pytest.mark.parametrize(("name", "receiver"), [("demo.sh", "torchfra compare"), ("test.sh", "pytest")])
+@pytest.mark.parametrize("arguments", [["--help"], ["-h"], ["--seed", "1", "--help"]])
+def test_shell_scripts_answer_for_help_before_they_install(name, receiver, arguments, tmp_path):
+    (tmp_path / name).write_text((ROOT / "scripts" / name).read_text())
+    (tmp_path / "setup.sh").write_text("echo installing; exit 3")
+    done = subprocess.run(["bash", tmp_path / name, *arguments], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == f"usage: bash scripts/{name} [ARGUMENT ...]    arguments go to {receiver}\n"
+    assert subprocess.run(["bash", tmp_path / name], capture_output=True, check=False).stdout == b"installing\n"
+
+
 def test_the_benchmark_says_what_is_wrong(capsys):
     with pytest.raises(SystemExit):
         benchmark.main(["--filters", "kalman"])
     assert "--filters: expected names out of" in capsys.readouterr().err
+    for batch in ("a", "0", "1,", "-1"):
+        with pytest.raises(SystemExit):
+            benchmark.main([f"--batch={batch}"])
+        assert f"--batch: expected whole numbers of 1 or more, separated by commas, received {batch}\n" in (
+            capsys.readouterr().err
+        )
 
 
 @pytest.mark.slow

@@ -1,8 +1,8 @@
-"""Times systems in turn, and prints and keeps the results as rows."""
+"""Times systems in turn, keeps the results as rows, and prints them as a table."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -10,8 +10,14 @@ import torch
 
 from benchmarks.clock import once, one_pass
 from torchfra.app.progress import progress_bar
+from torchfra.tables import text_table
 
 Row = dict[str, Any]
+_MEASURED = {
+    "median": ("median us", ".3f"), "q1": ("q1 us", ".3f"), "q3": ("q3 us", ".3f"),
+    "first_call_s": ("first call s", ".1f"), "peak_mib": ("peak MiB", ".0f"),
+}  # fmt: skip
+"""Keys of rows that are not labels: their titles and formats in a table."""
 
 
 class System(Protocol):
@@ -73,9 +79,26 @@ def timed(systems: Mapping[str, System], passes: int, count: int, **labels: Any)
     for name, values in seconds.items():
         q1, median, q3 = (float(x) for x in np.percentile(values, [25, 50, 75]) / count * 1e6)
         rows.append({"system": name, **labels, "median": median, "q1": q1, "q3": q3, "first_call_s": first[name]})
-        where = ", ".join(f"{key} {value}" for key, value in labels.items())
-        print(f"{name:<28} {where}: {median:9.3f} us [{q1:.3f}, {q3:.3f}], first call {first[name]:.1f} s", flush=True)
     return rows
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Rows as text: system, labels, and times in microseconds per track and step; a cell is empty where a row has none.
+
+    Args:
+        rows: from ``timed``, at least one; also with ``peak_mib``.
+    """
+    present = dict.fromkeys(key for row in rows for key, value in row.items() if value is not None)
+    measured = [key for key in _MEASURED if key in present]
+    labels = [key for key in present if key not in ("system", *_MEASURED)]
+    titles = [_MEASURED[key][0] for key in measured]
+    forms = {key: _MEASURED[key][1] for key in measured}
+    cells = [[_cell(row.get(key), forms.get(key, "")) for key in ("system", *labels, *measured)] for row in rows]
+    return text_table(["system", *labels, *titles], cells)
+
+
+def _cell(value: Any, form: str) -> str:
+    return "" if value is None else f"{value:{form}}"
 
 
 def calls(systems: Mapping[str, Callable[[], Any]], device: str = "cpu") -> dict[str, System]:

@@ -52,11 +52,11 @@ def filter_calls(scenario: Scenario, data: Tracks, options: argparse.Namespace) 
 
 def report_differences(scenario: Scenario, data: Tracks, peers: dict[str, Peer]) -> None:
     """Prints how far the last positions of each peer are from those of ``srckf``."""
-    ours = run(presets.srckf(scenario.motion, scenario.sensor), scenario, data).mean[:, -1].numpy()
+    reference = run(presets.srckf(scenario.motion, scenario.sensor), scenario, data).mean[:, -1].numpy()
     for name, peer in peers.items():
         means = peer.means()
         if means is not None:
-            apart = np.median(np.abs(means - ours)[:, :2].max(-1))
+            apart = np.median(np.abs(means - reference)[:, :2].max(-1))
             print(f"{name}: its last positions differ from those of srckf by {apart:.1e} m in the median")
 
 

@@ -39,8 +39,6 @@ def training(options: argparse.Namespace) -> list[Row]:
         of_kind = timed(calls(systems), options.passes, batch * scenario.steps, batch=batch)
         for row in of_kind:
             row["peak_mib"] = peak(systems[row["system"]])
-            if row["peak_mib"] is not None:
-                print(f"{row['system']:<32} peak {row['peak_mib']:.0f} MiB")
         rows += of_kind
     return rows
 

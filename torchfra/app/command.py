@@ -43,6 +43,17 @@ def check_list(parser: argparse.ArgumentParser, option: str, value: str, known: 
         parser.error(f"--{option}: expected names out of {', '.join(known)}, received {', '.join(unknown)}")
 
 
+def check_folder(option: str, path: Path | None) -> None:
+    """Checks that files can be written below a folder, which need not exist yet.
+
+    Raises:
+        ValueError: it is a file, or below one.
+    """
+    for place in (path, *path.parents) if path is not None else ():
+        if place.is_file():
+            raise ValueError(f"{option}: expected a folder, received the file {place}")
+
+
 def exit_status(program: str, work: Callable[[], object]) -> int:
     """Runs ``work``, with memory kept for reuse.
 
@@ -58,6 +69,14 @@ def exit_status(program: str, work: Callable[[], object]) -> int:
         work()
     except (ValueError, OSError, ImportError, CompileError) as error:
         if distributed.rank() == 0:
-            print(f"{program}: error: {' '.join(str(error).split())}", file=sys.stderr)
+            print(f"{program}: error: {' '.join(_message(error).split())}", file=sys.stderr)
         return 2
     return 0
+
+
+def _message(error: Exception) -> str:
+    """What a user reads: of a file that cannot be opened, the reason and its name."""
+    if not isinstance(error, OSError) or error.filename is None or error.strerror is None:
+        return str(error)
+    reason = "file not found" if isinstance(error, FileNotFoundError) else error.strerror.lower()
+    return f"{reason}: {error.filename}"

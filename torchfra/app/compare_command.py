@@ -32,6 +32,8 @@ _EXAMPLES = """examples:
   torchfra compare --scenario bearings-outliers --runs 1000000 --filters srckf
   torchrun --nproc-per-node 2 -m torchfra compare --scenario bearings-outliers --runs 10000"""
 
+_FILE_OPTIONS = ("sensor", "q", "dt", "steps")
+"""Options that a scenario of a paper does not take."""
 WORTHWHILE = 100_000
 """Steps of all runs together from which compiling takes no longer than it saves."""
 
@@ -65,11 +67,12 @@ def add_to(commands: Any) -> None:
 
 
 def _add_file_options(add: Any) -> None:
+    """Those of ``_FILE_OPTIONS``; their defaults are those of ``scenarios.recorded``."""
     q = "for files: variance of the change of acceleration that filters assume per step, m^2/s^4 (default: 0.25)"
-    add("--sensor", default="bearings", help="for files: bearings (default), radar or position")
-    add("--q", type=float, default=0.25, help=q)
-    add("--dt", type=float, default=5.0, metavar="S", help="for files: seconds per step (default: 5)")
-    add("--steps", type=int, default=120, metavar="T", help="for files: steps per window (default: 120)")
+    add("--sensor", help="for files: bearings (default), radar or position")
+    add("--q", type=float, help=q)
+    add("--dt", type=float, metavar="S", help="for files: seconds per step (default: 5)")
+    add("--steps", type=int, metavar="T", help="for files: steps per window (default: 120)")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -97,13 +100,13 @@ def _scenario(options: argparse.Namespace) -> tuple[Scenario, int]:
     if bool(options.files) == (options.scenario is not None):
         received = "both" if options.files else "neither"
         raise ValueError(f"compare: expected either files or --scenario, received {received}")
+    chosen = {name: getattr(options, name) for name in _FILE_OPTIONS if getattr(options, name) is not None}
     if options.scenario is not None:
+        for name in chosen:
+            raise ValueError(f"{name}: goes with files, not with --scenario")
         return make_scenario(options.scenario, outliers=options.outliers), 100 if options.runs is None else options.runs
     recordings = [recording for file in options.files for recording in readers.read(file)]
-    outliers = options.outliers or "covariance"
-    scenario = scenarios.recorded(
-        recordings, options.sensor, dt=options.dt, steps=options.steps, outliers=outliers, q=options.q
-    )
+    scenario = scenarios.recorded(recordings, outliers=options.outliers or "covariance", **chosen)
     windows = int(str(scenario.settings["windows"]))
     return scenario, windows if options.runs is None else options.runs
 

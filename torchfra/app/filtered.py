@@ -32,6 +32,8 @@ class Filtered:
     """``(T,)`` normalised innovation squared."""
     flags: dict[str, NDArray[np.bool_]]
     """``missing``, ``outlier``, ``manoeuvre``: ``(T,)`` each."""
+    decided: bool = True
+    """Whether the filter tells outliers from manoeuvres; the flags of others only say that a step is above the gate."""
     models: tuple[str, ...] = ()
     """Names of the models, where some interact."""
     leading: NDArray[np.intp] | None = None
@@ -47,6 +49,12 @@ class Filtered:
             table |= self._geodetic(self.recording.origin)
         table |= {"nis": self.nis} | {name: flag.astype(int) for name, flag in self.flags.items()}
         return table if self.leading is None else table | {"model": np.array(self.models)[self.leading]}
+
+    def marks(self) -> dict[str, NDArray[np.bool_]]:
+        """The steps to point out, by what they are: ``(T,)`` each."""
+        if self.decided:
+            return {name: self.flags[name] for name in ("outlier", "manoeuvre")}
+        return {"above the gate": self.flags["outlier"] | self.flags["manoeuvre"]}
 
     def csv(self) -> str:
         """The columns as comma-separated text; an empty cell is NaN."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -14,7 +15,7 @@ from torchfra.app.compiling import Fallback, compiled
 from torchfra.app.filtered import Array, Filtered
 from torchfra.app.progress import progress_bar
 from torchfra.catalogue import FILTERS, make_filter
-from torchfra.filters import Filter
+from torchfra.filters import AlphaBetaInfo, Filter, FRAInfo, Info
 from torchfra.hyper import Value
 from torchfra.motion.bank import Bank, aircraft
 from torchfra.motion.polynomial import ConstantAcceleration
@@ -26,6 +27,8 @@ GATE = {2: 13.816, 3: 16.266}
 """Normalised innovation squared that one good fix in 1000 exceeds, by dimensions of space (chi-square)."""
 LONGEST_GAP = 60.0
 """Seconds without a usable fix after which a filter of constant gains restarts."""
+_DECIDING = (AlphaBetaInfo, FRAInfo)
+"""What filters return that tell outliers from manoeuvres."""
 _TOGETHER = 32
 """Recordings that are filtered as one batch."""
 
@@ -74,9 +77,13 @@ def track(
 
 
 def _check(name: str, dt: float | None, sigma: float, q: float) -> None:
-    _make(name, 2, sigma, q)
-    if dt is not None and not dt > 0:
+    if not 0 < sigma < math.inf:
+        raise ValueError(f"sigma: expected metres above 0, received {sigma}")
+    if not 0 <= q < math.inf:
+        raise ValueError(f"q: expected m^2/s^4 of 0 or more, received {q}")
+    if dt is not None and not 0 < dt < math.inf:
         raise ValueError(f"dt: expected seconds above 0, received {dt}")
+    _make(name, 2, sigma, q)
 
 
 def successive_steps(recordings: Sequence[Recording]) -> int:
@@ -141,7 +148,7 @@ def _split(
     """What is known of each recording after they were filtered as one batch."""
     d = grids[0][1].shape[1]
     outlier, manoeuvre = _flags(estimate, GATE[d])
-    std = estimate.scale_tril.square().sum(-1).sqrt()
+    std, decided = estimate.scale_tril.square().sum(-1).sqrt(), isinstance(estimate.info, _DECIDING)
     results = []
     for i, (recording, (time, raw)) in enumerate(zip(recordings, grids, strict=True)):
         k = len(time)
@@ -153,7 +160,8 @@ def _split(
         mean, nis = estimate.mean[i, :k].numpy(), estimate.nis[i, :k].numpy()
         position, velocity, spread = mean[:, :d], mean[:, d : 2 * d], std[i, :k, :d].numpy()
         leading = estimate.info.probabilities[i, :k].argmax(-1).numpy() if models else None
-        results.append(Filtered(recording, time, raw, position, velocity, spread, nis, flags, tuple(models), leading))
+        arrays = (time, raw, position, velocity, spread, nis)
+        results.append(Filtered(recording, *arrays, flags, decided, tuple(models), leading))
     return results
 
 
@@ -176,13 +184,15 @@ def _nearest(time: Array, at: Array) -> NDArray[np.intp]:
     return nearest
 
 
-def _flags(estimate: Estimate, gate: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Outliers and manoeuvres ``(..., T)``: as FRA decided, or by the gate and the fading factors of another filter."""
-    info = estimate.info
-    if hasattr(info, "rejected"):
-        return info.rejected.any(-1), (info.manoeuvre & ~info.rejected).any(-1)
-    if hasattr(info, "abnormal"):
-        return info.abnormal & ~info.adaptive, info.abnormal & info.adaptive
-    abnormal, fading = estimate.nis > gate, getattr(info, "fading", None)
-    adapted = torch.zeros_like(abnormal) if fading is None else abnormal & (fading > 1)
-    return abnormal & ~adapted, adapted
+def _flags(estimate: Estimate, gate: float) -> tuple[Tensor, Tensor]:
+    """Outliers and manoeuvres ``(..., T)``: as the filter decided, or else by the gate and its fading factors."""
+    match estimate.info:
+        case AlphaBetaInfo(rejected=rejected, manoeuvre=manoeuvre):  # of each axis
+            return rejected.any(-1), (manoeuvre & ~rejected).any(-1)
+        case FRAInfo(abnormal=abnormal, adaptive=adaptive):
+            return abnormal & ~adaptive, abnormal & adaptive
+        case Info(fading=Tensor() as fading):
+            adapted = (estimate.nis > gate) & (fading > 1)
+        case _:
+            adapted = torch.zeros_like(estimate.nis, dtype=torch.bool)
+    return (estimate.nis > gate) & ~adapted, adapted

@@ -11,7 +11,7 @@ from typing import Any
 from torchfra import readers
 from torchfra.app import distributed
 from torchfra.app.atomic_write import write_json, write_text
-from torchfra.app.command import add_json_option, add_quiet_option
+from torchfra.app.command import add_json_option, add_quiet_option, check_folder
 from torchfra.app.compiling import add_compile_option, choose, reporters
 from torchfra.app.filtered import Filtered
 from torchfra.app.progress import progress_bar
@@ -19,8 +19,9 @@ from torchfra.app.track import GATE, successive_steps, track
 from torchfra.catalogue import FILTERS, track_filters
 from torchfra.version import __version__
 
-FILES = """FILE is a recorded track, or several: OpenSky state vectors (CSV: time, icao24, lat, lon), gzip-JSON
-tracks (timestamp, latitude, longitude, altitude, ...), or plain CSV with columns t,x,y[,z] in seconds and metres."""
+FILES = """FILE holds one or several recorded tracks: OpenSky state vectors (CSV: time, icao24, lat, lon), gzip-JSON
+tracks (timestamp, latitude, longitude, altitude, ...), or plain CSV with columns t,x,y[,z] in seconds and metres.
+Plain CSV holds one target; other columns are ignored."""
 
 _EXAMPLES = """examples:
   torchfra track flight.json.gz --sigma 30 --out filtered
@@ -60,6 +61,7 @@ def run(options: argparse.Namespace) -> None:
     """Runs the command; in the first process alone, which is enough for a file."""
     if distributed.rank():
         return
+    check_folder("out", options.out)
     recordings = readers.read(options.file)
     tell, fallback = reporters(options.compile, options.quiet)
     entry = FILTERS.get(options.filter)
@@ -78,7 +80,7 @@ def run(options: argparse.Namespace) -> None:
         if not options.no_plots:
             _draw(result, options.filter, path.with_name(f"{path.stem}.png"))
         if not options.quiet:
-            print(_line(result.summary(), path))
+            print(_line(result, path))
     if options.json is not None:
         head = {"file": options.file.name, "version": __version__, "settings": {"filter": options.filter, **settings}}
         rate = sum(len(result.time) for result in results) / seconds
@@ -89,9 +91,8 @@ def run(options: argparse.Namespace) -> None:
 def _draw(result: Filtered, name: str, path: Path) -> None:
     from torchfra.app import plotting  # matplotlib takes long to import
 
-    flags = {name: result.flags[name] for name in ("outlier", "manoeuvre")}
     figure = plotting.filtered(
-        result.time, result.raw, result.position, result.nis, flags, GATE[result.raw.shape[1]],
+        result.time, result.raw, result.position, result.nis, result.marks(), GATE[result.raw.shape[1]],
         f"{result.recording.name}, {name}", result.models, result.leading,
     )  # fmt: skip
     plotting.save(figure, path)
@@ -107,11 +108,13 @@ def _unused(name: str, used: set[str]) -> str:
     return candidate
 
 
-def _line(summary: dict[str, Any], path: Path) -> str:
+def _line(result: Filtered, path: Path) -> str:
+    summary, above = result.summary(), {"above the gate": "steps above the gate"}
+    marked = ", ".join(f"{mark.sum()} {above.get(name, f'{name}s')}" for name, mark in result.marks().items())
     repairs = ", ".join(f"{count} {what}" for what, count in summary["repairs"].items()) or "none"
     failed = ", FAILED: NaN or infinity" if summary["failed"] else ""
     return (
         f"{summary['name']}: {summary['steps']} steps over {summary['seconds'] / 60:.1f} min, "
-        f"{summary['outlier']} outliers, {summary['manoeuvre']} manoeuvres, {summary['missing']} missing, "
+        f"{marked}, {summary['missing']} missing, "
         f"median correction {summary['median_correction']:.1f} m{failed}; repairs: {repairs} -> {path}"
     )

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from torchfra.readers.tables import Table, listed
+from torchfra.readers.tables import HEADERS, Table, listed
 
 Array: TypeAlias = NDArray[np.float64]
 Layout: TypeAlias = tuple[str, str, str, str, str, str]
@@ -29,9 +29,15 @@ def layout_of(table: Table) -> Layout:
     """The format that the columns fit best.
 
     Raises:
-        ValueError: a required column is missing.
+        ValueError: a required column is missing, or half of them or more whatever the format.
     """
-    best = max(_REQUIRED, key=lambda layout: sum(name in table for name in _REQUIRED[layout]) / len(_REQUIRED[layout]))
+
+    def fit(layout: Layout) -> float:
+        return sum(name in table for name in _REQUIRED[layout]) / len(_REQUIRED[layout])
+
+    best = max(_REQUIRED, key=fit)
+    if fit(best) <= 0.5:
+        raise ValueError(f"{HEADERS}; received {listed(table)}")
     if missing := [name for name in _REQUIRED[best] if name not in table]:
         formats = "; or ".join(", ".join(names) for names in _REQUIRED.values())
         raise ValueError(f"expected the columns {formats}; missing {listed(missing)}, received {listed(table)}")
@@ -80,7 +86,7 @@ def column(table: Table, name: str) -> Array:
         try:
             numbers[i] = convert(value)
         except (TypeError, ValueError, OverflowError):
-            raise ValueError(f"expected {kind} in row {i + 1}, column {name}, received {value!r:.60}") from None
+            raise ValueError(f"expected {kind} in data row {i + 1}, column {name}, received {value!r:.60}") from None
     return numbers
 
 

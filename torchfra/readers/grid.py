@@ -24,8 +24,10 @@ def resample(recording: Recording, dt: float, *, max_gap: float) -> list[tuple[A
     Raises:
         ValueError: ``dt`` or ``max_gap`` is not above 0.
     """
-    if not (0 < dt < math.inf and max_gap > 0):
-        raise ValueError(f"expected dt and max_gap above 0 s, received {dt} and {max_gap}")
+    if not 0 < dt < math.inf:
+        raise ValueError(f"dt: expected seconds above 0, received {dt}")
+    if not max_gap > 0:
+        raise ValueError(f"max_gap: expected seconds above 0, received {max_gap}")
     breaks = np.flatnonzero(np.diff(recording.time) > max_gap) + 1
     pieces = []
     for time, position in zip(np.split(recording.time, breaks), np.split(recording.position, breaks), strict=True):

@@ -43,11 +43,19 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
         targets.append(Target(name or stem, _with_altitude(data[rows][index], repairs), repairs))
     good = [target for target in targets if len(target.fixes) >= 2]
     if not good:
-        counts = dict(sum((target.repairs for target in targets), Counter[str]()))
-        raise ValueError(f"expected a target with 2 fixes, received none in {len(data)} rows after repairs: {counts}")
+        raise ValueError(_too_few(targets))
     for target in good:
         target.repairs["aircraft with under 2 fixes dropped"] = len(targets) - len(good)
     return good
+
+
+def _too_few(targets: list[Target]) -> str:
+    """An error message."""
+    same = " of the same aircraft" if len(targets) > 1 else ""
+    received = max(len(target.fixes) for target in targets)
+    repairs = sum((target.repairs for target in targets), Counter[str]())
+    after = " after repairs: " + ", ".join(f"{count} {what}" for what, count in repairs.items()) if repairs else ""
+    return f"expected 2 or more rows with time and position{same}, received {received}{after}"
 
 
 def _rows_to_keep(data: Array) -> tuple[NDArray[np.intp], Counter[str]]:

@@ -13,6 +13,10 @@ from typing import Any, TypeAlias
 
 Table: TypeAlias = dict[str, list[Any]]
 """The cells of each column, by its name."""
+HEADERS = (
+    "expected a header with t,x,y[,z]; or time,icao24,lat,lon; or timestamp,latitude,longitude, separated by commas"
+)
+"""The beginning of an error message."""
 
 
 def read_table(path: Path) -> Table:
@@ -61,9 +65,19 @@ def _from_csv(text: str) -> Table:
     except csv.Error as error:
         raise ValueError(f"expected CSV, received other text ({error})") from error
     header = [name.strip() for name in head]
+    if len(header) == 1 or all(_is_number(name) for name in header):
+        raise ValueError(f"{HEADERS}; received {listed(header)}")
     if repeated := [name for name, count in Counter(header).items() if count > 1 and name]:
         raise ValueError(f"expected every column once, received several named {listed(repeated)}")
     for number, row in enumerate(rows, 1):
         if len(row) != len(header):
-            raise ValueError(f"expected {len(header)} fields in row {number}, received {len(row)}")
+            raise ValueError(f"expected {len(header)} fields in data row {number}, received {len(row)}")
     return {name: [row[i] for row in rows] for i, name in enumerate(header)}
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

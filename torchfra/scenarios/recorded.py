@@ -56,7 +56,9 @@ def recorded(
 
     Raises:
         ValueError: an argument out of its range, or no track long enough.
+        TypeError: recordings that are none, such as names of files.
     """
+    _check(recordings, dt, max_gap, q)
     growth = _growth(outliers, share, size)
     windows = _windows(recordings, dt, steps, max_gap)
     model, places = _observed(sensor, std, windows)
@@ -67,6 +69,19 @@ def recorded(
     block = partial(_block, windows, model, places, share, growth)
     return Scenario("recorded", ConstantAcceleration(q), model, Gaussian(windows[0, 0] * _KNOWN, _ROOT), dt, steps,
                     block, settings, aircraft(q))  # fmt: skip
+
+
+def _check(recordings: Sequence[Recording], dt: float, max_gap: float, q: float) -> None:
+    for recording in recordings:
+        if not isinstance(recording, Recording):
+            raise TypeError(
+                f"recordings: expected what torchfra.readers.read returns, received {type(recording).__name__}"
+            )
+    for name, value in (("dt", dt), ("max_gap", max_gap)):
+        if not value > 0:
+            raise ValueError(f"{name}: expected seconds above 0, received {value}")
+    if not q >= 0:
+        raise ValueError(f"q: expected m^2/s^4 of 0 or more, received {q}")
 
 
 def _growth(outliers: str, share: float, size: float) -> float:

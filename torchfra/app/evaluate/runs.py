@@ -56,13 +56,20 @@ def evaluate(
         filters = scenario_filters(filters, scenario)
     reference = reference_filter(scenario)
     timed = scenario_filters([reference], scenario) | dict(filters)
-    if runs < distributed.size() or chunk < 1:
-        raise ValueError(f"runs, chunk: expected at least {distributed.size()} and 1, received {runs}, {chunk}")
+    _check(runs, chunk)
     if compile:
         one = scenario.simulate(1, seed)
         timed = compiled(timed, lambda f: run(f, scenario, one), fallback=fallback, progress=progress)
     metrics = _merged(_accumulate(scenario, timed, distributed.share(runs), seed, chunk, progress))
     return {name: metrics[name].summary(limit) | _times(metrics, name, reference, runs, scenario) for name in filters}
+
+
+def _check(runs: int, chunk: int) -> None:
+    if runs < (processes := distributed.size()):
+        each = f", one for each of {processes} processes" if processes > 1 else ""
+        raise ValueError(f"runs: expected {processes} or more{each}, received {runs}")
+    if chunk < 1:
+        raise ValueError(f"chunk: expected 1 or more, received {chunk}")
 
 
 def run(f: Filter, scenario: Scenario, tracks: Tracks) -> Estimate:
