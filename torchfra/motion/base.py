@@ -135,7 +135,7 @@ class Motion(nn.Module):
         if self.linear:
             return self.forward(x, dt, u)
         after = self.forward(x, dt.expand(x.shape[:-1]), u if u is None else u.expand(*x.shape[:-1], -1))
-        if after.shape != x.shape:
+        if after.dim() < x.dim() or after.shape[-1] != self.size:
             expected, received = tuple(x.shape), tuple(after.shape)
             raise ValueError(f"{type(self).__name__}.forward: expected states {expected}, received {received}")
         return after

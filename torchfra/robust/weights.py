@@ -17,8 +17,9 @@ class Weights(Robust):
 
     def correct(self, belief: Gaussian, whitened: Whitened, weights: Tensor, noise: MeasurementNoise) -> Corrected:
         """The plain update with the measurement noise divided by ``weights``: Wang et al. (2021), eq. (26)."""
-        if weights.shape != whitened.residual.shape:
-            expected, received = tuple(whitened.residual.shape), tuple(weights.shape)
+        residual = whitened.residual
+        if weights.dim() < residual.dim() or weights.shape[-1] != residual.shape[-1]:
+            expected, received = tuple(residual.shape), tuple(weights.shape)
             raise ValueError(f"{type(self).__name__}.forward: expected weights {expected}, received {received}")
         after, root, normalised = correct(belief, down_weight(whitened, weights))
         return Corrected(after, weights, down_weighted_density(root, normalised, weights))

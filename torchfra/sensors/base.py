@@ -115,7 +115,7 @@ class Sensor(nn.Module):
         Rules call this.
         """
         z = self.forward(x, u if u is None else u.expand(*x.shape[:-1], -1))
-        if z.shape != (*x.shape[:-1], self.size):
+        if z.dim() < x.dim() or z.shape[-1] != self.size:
             expected, received = (*x.shape[:-1], self.size), tuple(z.shape)
             raise ValueError(f"{type(self).__name__}.forward: expected measurements {expected}, received {received}")
         return z
