@@ -58,6 +58,12 @@ def make(scenario):
     return build
 
 
+@pytest.fixture(autouse=True)
+def seeded():
+    """Random numbers of a test are the same in every run."""
+    torch.manual_seed(0)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def kernels(tmp_path_factory):
     """Kernels of this session alone, compiled in a hurry: not optimised, the headers that all include parsed once."""
