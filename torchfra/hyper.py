@@ -150,6 +150,13 @@ def hypers(module: nn.Module) -> dict[str, Hyper]:
     return {path: part for path, part in module.named_modules() if isinstance(part, Hyper)}
 
 
+def brings_batch(module: nn.Module) -> bool:
+    """Whether a hyperparameter of a module has a batch of values; a filter asks in every step, so it is quick."""
+    if isinstance(module, Hyper):
+        return module.batch_rank > 0
+    return any(part is not None and brings_batch(part) for part in module._modules.values())
+
+
 def named(module: nn.Module, names: Collection[str]) -> dict[str, Hyper]:
     """The hyperparameters of a module that have certain names, by their path.
 

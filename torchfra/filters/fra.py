@@ -22,7 +22,7 @@ from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import moment_match
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import correct, down_weight, down_weighted_density, innovation
-from torchfra.hyper import Hyper, Value, one_of
+from torchfra.hyper import Hyper, Value, brings_batch, one_of
 from torchfra.linalg.tracing import is_traced
 from torchfra.motion.base import Motion
 from torchfra.robust.weights import Weights
@@ -232,8 +232,7 @@ class FRA(Soft, GaussianFilter):
         """``function`` for the tracks in ``mask``: alone if that can be told now, else for all and then chosen."""
         if self.soft:
             return function(*arguments)
-        sides = (self.robust, self.fading, self.gate, self.preference)
-        if is_traced(mask) or any(isinstance(x, Hyper) and x.batch_rank for side in sides for x in side.modules()):
+        if is_traced(mask) or any(map(brings_batch, (self.gate, self.preference, self.robust, self.fading))):
             return tree.where(mask, function(*arguments), default)
         return tree.where_needed(mask, function, arguments, default)
 

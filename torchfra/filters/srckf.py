@@ -100,7 +100,8 @@ class SRCKF(GaussianFilter):
     @property
     def plain(self) -> bool:
         """Whether no side does anything."""
-        return self.robust.plain and self.fading.plain and self.noise.plain
+        parts = self._modules  # as attributes they take a while, and this is asked in every step
+        return bool(parts["robust"].plain and parts["fading"].plain and parts["noise"].plain)  # type: ignore[union-attr]
 
     def begin(self, belief: Gaussian) -> State:
         """The state of a belief: nothing remembered yet."""
