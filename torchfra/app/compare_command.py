@@ -32,7 +32,7 @@ _EXAMPLES = """examples:
   torchfra compare --scenario bearings-outliers --runs 1000000 --filters srckf
   torchrun --nproc-per-node 2 -m torchfra compare --scenario bearings-outliers --runs 10000"""
 
-_FILE_OPTIONS = ("sensor", "q", "dt", "steps")
+_FILE_OPTIONS = ("sensor", "q", "dt", "steps", "repair")
 """Options that a scenario of a paper does not take."""
 WORTHWHILE = 100_000
 """Steps of all runs together from which compiling takes no longer than it saves."""
@@ -57,7 +57,8 @@ def add_to(commands: Any) -> None:
     add("--learned", metavar="[NAME=]FILE", help=learned)
     add("--runs", type=int, metavar="M", help="tracks (default: 100; of files, each window once)")
     add("--seed", type=int, default=0, metavar="S", help="seed of the random numbers (default: 0)")
-    add("--outliers", metavar="MODE", help="covariance (default), std, offset (scenarios only) or none")
+    outliers = "covariance (default), std, bursts (files and bearings-*), offset (bearings-*) or none"
+    add("--outliers", metavar="MODE", help=outliers)
     _add_file_options(add)
     add_compile_option(command, f"for {WORTHWHILE:,} steps or more of all tracks together")
     add("--figure", type=Path, metavar="FILE", help="PNG (default: compare-SCENARIO.png)")
@@ -73,6 +74,8 @@ def _add_file_options(add: Any) -> None:
     add("--q", type=float, help=q)
     add("--dt", type=float, metavar="S", help="for files: seconds per step (default: 5)")
     add("--steps", type=int, metavar="T", help="for files: steps per window (default: 120)")
+    repair = "for files: mend time stamps that are off by seconds, so that the tracks can be flown (default: --repair)"
+    add("--repair", action=argparse.BooleanOptionalAction, help=repair)
 
 
 def run(options: argparse.Namespace) -> None:

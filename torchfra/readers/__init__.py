@@ -9,6 +9,7 @@ The columns decide what a file is.  It is CSV with a header or JSON (records or 
 - ``t, x, y`` [``z``]: seconds and metres.
 """
 
+from torchfra.readers.flyable import flyable
 from torchfra.readers.grid import resample
 from torchfra.readers.reading import read
 from torchfra.readers.recording import Origin, Recording
@@ -17,6 +18,7 @@ from torchfra.readers.sample_files import samples
 __all__ = [
     "Origin",
     "Recording",
+    "flyable",
     "read",
     "resample",
     "samples",
