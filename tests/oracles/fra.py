@@ -127,7 +127,9 @@ def soft_fra(
         branches = {"robust": weighted(p, psi), "adaptive": fading, "plain": unweighted(p)}
         abnormal = sigmoid((p.nis - gate) / temperature)
 
-        def mixed(shares: dict[str, float], branches: Any = branches, abnormal: float = abnormal) -> tuple[Array, Array]:
+        def mixed(
+            shares: dict[str, float], branches: Any = branches, abnormal: float = abnormal
+        ) -> tuple[Array, Array]:
             parts = [(1 - abnormal, *branches["plain"][:2])]
             return matched(parts + [(abnormal * w, *branches[name][:2]) for name, w in shares.items()])
 

@@ -187,7 +187,8 @@ class FRA(Soft, GaussianFilter):
         if not self.soft:
             return branches[0]
         normal, abnormal = (logsigmoid(sign * excess / self.heat).unsqueeze(0) for sign in (-1, 1))
-        log_weights = torch.cat([normal, abnormal if shares is None else abnormal + shares])
+        abnormal = abnormal if shares is None else abnormal + shares
+        log_weights = torch.cat([normal.expand_as(abnormal[:1]), abnormal])
         return moment_match(tree.stack([plain, *branches], 0), log_weights)
 
     def fork(
