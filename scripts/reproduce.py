@@ -73,7 +73,8 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _add_scenario_options(p: argparse.ArgumentParser) -> None:
-    p.add_argument("--outliers", help="not of adsb-turns: covariance (default), std, none, of bearings also offset")
+    p.add_argument("--outliers", help="not of adsb-turns: covariance (default), std, none; of bearings also offset "
+                   "and bursts")  # fmt: skip
     p.add_argument("--truth-noise", type=float, help="of bearings, clutter-* and noise-change: variance of the "
                    "process noise of the truth, m^2/s^4")  # fmt: skip
     p.add_argument("--initial", choices=["paper", "truth"], help="of bearings: state to start from")

@@ -57,7 +57,8 @@ def add_to(commands: Any) -> None:
     add("--learned", metavar="[NAME=]FILE", help=learned)
     add("--runs", type=int, metavar="M", help="tracks (default: 100; of files, each window once)")
     add("--seed", type=int, default=0, metavar="S", help="seed of the random numbers (default: 0)")
-    add("--outliers", metavar="MODE", help="covariance (default), std, offset (scenarios only) or none")
+    outliers = "covariance (default), std, bursts (files and bearings-*), offset (bearings-*) or none"
+    add("--outliers", metavar="MODE", help=outliers)
     _add_file_options(add)
     add_compile_option(command, f"for {WORTHWHILE:,} steps or more of all tracks together")
     add("--figure", type=Path, metavar="FILE", help="PNG (default: compare-SCENARIO.png)")

@@ -24,7 +24,7 @@ def evaluate(
     *,
     runs: int,
     seed: int = 0,
-    limit: float = 2000.0,
+    limit: float | None = None,
     chunk: int = 1000,
     compile: bool = False,
     fallback: Fallback | None = None,
@@ -37,7 +37,8 @@ def evaluate(
         filters: names of ``catalogue.FILTERS``, or filters by any names.
         runs: how many.
         seed: of the random numbers; every filter sees the same runs.
-        limit: a run diverges when its position error, root mean square over time, is above this, m.
+        limit: a run diverges when its position error, root mean square over time, is above this, m; None for
+            ``scenario.limit``.
         chunk: runs that are filtered at once; bounds the memory, which does not grow with ``runs`` but for one number
             per run and filter.
         compile: whether to run compiled (``Filter.compile``); needs a C++ compiler.
@@ -61,6 +62,7 @@ def evaluate(
         one = scenario.simulate(1, seed)
         timed = compiled(timed, lambda f: run(f, scenario, one), fallback=fallback, progress=progress)
     metrics = _merged(_accumulate(scenario, timed, distributed.share(runs), seed, chunk, progress))
+    limit = scenario.limit if limit is None else limit
     return {name: metrics[name].summary(limit) | _times(metrics, name, reference, runs, scenario) for name in filters}
 
 
