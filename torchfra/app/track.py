@@ -189,8 +189,8 @@ def _flags(estimate: Estimate, gate: float) -> tuple[Tensor, Tensor]:
     match estimate.info:
         case AlphaBetaInfo(rejected=rejected, manoeuvre=manoeuvre):  # of each axis
             return rejected.any(-1), (manoeuvre & ~rejected).any(-1)
-        case FRAInfo(abnormal=abnormal, adaptive=adaptive):
-            return abnormal & ~adaptive, abnormal & adaptive
+        case FRAInfo(abnormal=abnormal, adaptive=adaptive, plain=plain):
+            return abnormal & ~adaptive & ~plain, abnormal & adaptive
         case Info(fading=Tensor() as fading):
             adapted = (estimate.nis > gate) & (fading > 1)
         case _:

@@ -4,7 +4,8 @@ from torchfra.filters.alphabeta import AlphaBeta
 from torchfra.filters.alphabeta.bank import AlphaBetaBank
 from torchfra.filters.alphabeta.memory import AlphaBetaInfo
 from torchfra.filters.base import Filter
-from torchfra.filters.fra import FRA, FRAInfo, FRAState
+from torchfra.filters.branches import FRAInfo, FRAState
+from torchfra.filters.fra import FRA
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
 from torchfra.filters.jpda import JPDA, JPDAInfo, JPDAState
 from torchfra.filters.scans import ScanFilter

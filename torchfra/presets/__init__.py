@@ -10,7 +10,7 @@ filter they are, or ``"all"``.  ``torchfra.hyper.summary(f)`` prints the names t
 - of the robust update: ``threshold``, ``low``, ``high``, ``eps``;
 - of the fading factors: ``weakening``, ``forgetting``, ``fading_max``, ``share``;
 - of the estimated measurement noise: ``forgetting``, ``confidence``;
-- of the feedback decision: ``gate``, ``preference``;
+- of the feedback decision: ``gate``, ``preference``, ``plain``;
 - of interacting models: ``transition``, ``initial``, ``unlikely``, ``principal``;
 - of association: ``detection``, ``gate.size``, ``probability``, ``volume``, ``rate``;
 - of motions and sensors: ``q``, ``std``, ``rate``, ``alpha``, ``limit``.
