@@ -11,7 +11,7 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.base import Mix
-from torchfra.filters.gpb.qualities import Qualities
+from torchfra.filters.gpb.qualities import Corrected, Qualities
 from torchfra.filters.gpb.regimes import Regimes
 from torchfra.filters.imm import for_each_model, models_first, repeated
 from torchfra.filters.records import Record
@@ -41,8 +41,8 @@ class GPBState(NamedTuple):
     """``(..., K)`` for each motion, if no block was an outlier."""
     dirty: Gaussian
     """``(..., K)`` for each motion, if one was."""
-    log_ahead: Tensor
-    """``(..., 2, K, R)`` logs of the probabilities of clean and dirty, of the motion, and of the next regime."""
+    log_weights: Tensor
+    """``(..., 2, R, R)`` logs of the probabilities of clean and dirty, of the regime, and of the next one."""
     outlier: Tensor
     """``(..., B)`` of each block that it was an outlier, if the step was dirty."""
 
@@ -54,10 +54,8 @@ class GPBInfo(NamedTuple):
     """``mean (..., T, n)`` and ``scale_tril``: what was known at the step itself."""
     settled: Gaussian
     """The same, with the step's hypotheses weighed by the next measurement; the last step is as filtered."""
-    motions: Tensor
-    """``(..., T, K)`` probabilities of the motions."""
     regimes: Tensor
-    """``(..., T, R)`` of the regimes."""
+    """``(..., T, R)`` probabilities of the regimes."""
     outlier: Tensor
     """``(..., T, B)`` of each block that it is an outlier."""
 
@@ -72,8 +70,6 @@ class GPB(GaussianFilter):
         *,
         regimes: Regimes,
         qualities: Qualities,
-        transition: Value | None = None,
-        initial: Value | None = None,
         poor: Value = 0.1,
         start: Value = 1000.0,
         lag: int = 0,
@@ -84,99 +80,107 @@ class GPB(GaussianFilter):
         self.regimes, self.qualities, self.lag = regimes, qualities, lag
         self.poor = Hyper(poor, constraints.unit_interval, name="poor")
         self.start = Hyper(start, name="start")
-        count = len(self.motion)
-        if count > 1:
-            initial = torch.full((count,), 1 / count) if initial is None else initial
-            transition, initial = (torch.as_tensor(x, dtype=torch.float64) for x in (transition, initial))
-            self.transition = Hyper(transition, constraints.simplex, event_dim=2, name="transition")
-            self.initial = Hyper(initial, constraints.simplex, event_dim=1, name="initial")
 
     def begin(self, belief: Gaussian) -> GPBState:
-        """The state of a belief: the same for clean and dirty, and for every motion."""
-        mean, count = belief.mean, len(self.motion)
-        poor = self.poor(mean)
-        quality = torch.stack([torch.log1p(-poor), poor.log()], -1)[..., None, None]
-        motion = (self.initial(mean).log() if count > 1 else mean.new_zeros(1))[..., None, :, None]
-        log_ahead = quality + motion + self.regimes.first(mean).log()[..., None, None, :]
-        log_ahead = log_ahead.expand(*mean.shape[:-1], *log_ahead.shape[-3:])
-        every = repeated(belief, count)
+        """The state of a belief: as it is, and widened, for every motion."""
+        mean, poor = belief.mean, self.poor(belief.mean)
+        log_start = torch.stack([torch.log1p(-poor), poor.log()], -1)
+        # A chain that has been in each regime with equal odds and is in one of the first now.
+        first = self.regimes.first(mean).log().unsqueeze(-2)
+        count = first.shape[-1]
+        log_weights = log_start[..., None, None] + (first - first.new_tensor(count).log()).unsqueeze(-3)
+        log_weights = log_weights.expand(*mean.shape[:-1], 2, count, count)
+        every = repeated(belief, len(self.motion))
         widened = every._replace(scale_tril=self.start(mean).sqrt()[..., None, None, None] * every.scale_tril)
         outlier = mean.new_zeros(*mean.shape[:-1], len(self.qualities.blocks))
-        return GPBState(belief, belief, every, widened, log_ahead, outlier)
+        return GPBState(belief, belief, every, widened, log_weights, outlier)
 
     def advance(self, state: GPBState, frame: Frame, mix: Mix | None = None) -> tuple[GPBState, Record]:
-        """One step: regimes ahead, qualities of the measurement, and the mixture of both merged."""
-        each = for_each_model(frame)
+        """One step: every regime ahead, every quality of the measurement, and what is left of them merged."""
         before = tree.stack([state.clean, state.dirty], 0)  # (2, ..., K)
-        log_before = state.log_ahead.movedim(-3, 0)
-        mixed, log_ahead, shares = self.interact(before, log_before)
+        pairs = state.log_weights.movedim(-3, 0)  # (2, ..., R, R)
+        mixed, shares = self.interact(before, pairs)
         measured = frame.seen.sum(-1, keepdim=True) > 0
-        log_ahead = self.regimes.possible(log_ahead, measured).movedim(-1, 0)  # (R, 2, ..., K)
-        predicted = self.regimes.predictions(*propagate(self.motion, self.motion_rule, mixed, each)[:3], self.motion.position)
-        log_quality, log_blocks = self.qualities.prior(state.outlier)
-        seen = self.seen(predicted)
-
-        clean = self.qualities.clean(seen, lambda x: self.compare(x, each))
-        dirty = self.qualities.dirty(seen, lambda x: self.compare(x, each), log_blocks, each.seen)
-        log_density = torch.stack([clean.log_density, dirty.log_density])
-        joint = log_quality.unsqueeze(1) + log_ahead + log_density  # (2, R, 2, ..., K): now, regime, before
-        joint = torch.where(joint.isnan(), -torch.inf, joint)
-        total = joint.movedim(-1, 0).flatten(0, 3).logsumexp(0)
-        joint = joint - total.unsqueeze(-1)
-        log_now = joint.flatten(1, 2).logsumexp(1)  # (2, ..., K)
-        after = [
-            moment_match(flat(lifted(predicted, c.belief)), (joint[h] - log_now[h]).flatten(0, 1))
-            for h, c in enumerate((clean, dirty))
-        ]
-        belief = together(tree.stack(after, 0), log_now)
-        log_was = joint.flatten(0, 1).logsumexp(0)  # (2, ..., K)
-        if shares is not None:
-            log_was = (shares + log_was.unsqueeze(-2)).logsumexp(-1)
-        settled = together(before, log_was)
-        outlier = (joint[1].exp().unsqueeze(-1) * dirty.outlier).flatten(0, 1).sum(0).sum(-2)
-        share_dirty = log_now[1].logsumexp(-1, keepdim=True).exp()
-        by_regime = joint.logsumexp(2).movedim(1, -1)  # (2, ..., K, R)
-        log_next = self.regimes.ahead(by_regime).movedim(0, -3)
-        new = GPBState(belief, settled, *after, log_next, outlier / share_dirty)
-        info = _Step(settled, log_now.exp().sum(0), by_regime.exp().sum(0).sum(-2), outlier)
-        merged = together(seen.__class__(seen.mean.flatten(0, 1), seen.scale_tril.flatten(0, 1)), log_ahead.flatten(0, 1) - log_ahead.movedim(-1, 0).flatten(0, 2).logsumexp(0).unsqueeze(-1))
-        whitened = self.compare(merged, frame)
+        log_ahead = self.regimes.possible(pairs.logsumexp(-2), measured).movedim(-1, 0)  # (R, 2, ...)
+        parts = propagate(self.motion, self.motion_rule, mixed, for_each_model(frame))
+        predicted = self.regimes.predictions(*parts[:3], self.motion.position)  # (R, 2, ..., n)
+        seen = Gaussian(*self.read(predicted))
+        log_quality, prior = self.qualities.ahead(state.outlier)
+        both = self.qualities(seen, lambda x: self.compare(x, frame), prior, 1 - frame.seen)
+        joint = log_quality.unsqueeze(1) + log_ahead + torch.stack([x.log_density for x in both])
+        joint = torch.where(joint.isnan(), -torch.inf, joint)  # (2, R, 2, ...): now, regime, before
+        total = joint.flatten(0, 2).logsumexp(0)
+        joint = joint - total
+        after, log_motions = self.merge(predicted, both, joint)
+        belief = together(after, log_motions)
+        settled = together(before, self.hindsight(joint, shares))
+        outlier = (joint[1].exp().unsqueeze(-1) * both[1].outlier).sum((0, 1))
+        by_regime = joint.logsumexp(2).movedim(1, -1)  # (2, ..., R)
+        dirty = by_regime[1].logsumexp(-1, keepdim=True).exp()
+        pairs = self.regimes.ahead(by_regime).movedim(0, -3)
+        new = GPBState(belief, settled, *tree.unbind(after, 2), pairs, outlier / dirty)
+        info = _Step(settled, by_regime.exp().sum(0), outlier)
+        whitened = self.compare(self.expected(seen, log_ahead), frame)
         root, normalised = innovation(whitened)
         return new, Record(belief, whitened.residual, root, normalised, info, total)
 
-    def seen(self, predicted: Gaussian) -> Gaussian:
+    def read(self, predicted: Gaussian) -> tuple[Tensor, Tensor]:
+        """Of states, what the sensor reads."""
         d = self.sensor.reads
-        return Gaussian(predicted.mean[..., :d], predicted.scale_tril[..., :d, :d])
+        return predicted.mean[..., :d], predicted.scale_tril[..., :d, :d]
 
-    def interact(self, before: Gaussian, log_before: Tensor) -> tuple[Gaussian, Tensor, Tensor | None]:
+    def expected(self, seen: Gaussian, log_ahead: Tensor) -> Gaussian:
+        """One prediction for all hypotheses ``(R, 2, ...)``."""
+        flat = log_ahead.flatten(0, 1)
+        return moment_match(Gaussian(*(x.flatten(0, 1) for x in seen)), flat - flat.logsumexp(0))
+
+    def interact(self, before: Gaussian, pairs: Tensor) -> tuple[Gaussian, Tensor | None]:
+        """The motions mixed, and ``(2, ..., K, K)`` logs of the share of each ``[was, now]``."""
         if len(self.motion) == 1:
-            return before, log_before, None
-        matrix = self.transition(log_before).log()  # (..., K, K)
-        log_motion = log_before.logsumexp(-1)  # (2, ..., K)
-        joint = log_motion.unsqueeze(-1) + matrix  # (2, ..., was, now)
-        ahead = joint.logsumexp(-2)
-        shares = joint - ahead.unsqueeze(-2)
-        given = (log_before - log_motion.unsqueeze(-1)).unsqueeze(-2)  # (2, ..., was, 1, R)
-        regimes = (joint.unsqueeze(-1) + given).logsumexp(-3)  # (2, ..., now, R)
-        mean, root = models_first(before)
+            return before, None
+        members = self.regimes.members
+        rows = torch.stack([pairs[..., was, :].logsumexp(-2) for was in members], -2)
+        joint = torch.stack([rows[..., now].logsumexp(-1) for now in members], -1)
+        shares = joint - joint.logsumexp(-2, keepdim=True)
+        first = repeated(Gaussian(*models_first(before)), len(members))
+        return moment_match(first, shares.movedim(-2, 0)), shares
+
+    def merge(self, predicted: Gaussian, both: tuple[Corrected, Corrected], joint: Tensor) -> tuple[Gaussian, Tensor]:
+        """Of clean and dirty, and of each motion, what is left ``(2, ..., K)``, and its log weight."""
+        after, weights = [], []
+        for now, corrected in enumerate(both):
+            mean, root = lifted(predicted, corrected.belief)
+            for members in self.regimes.members:
+                own = joint[now, members].flatten(0, 1)
+                weights.append(own.logsumexp(0))
+                beliefs = Gaussian(mean[members].flatten(0, 1), root[members].flatten(0, 1))
+                after.append(moment_match(beliefs, own - weights[-1]))
         count = len(self.motion)
-        mixed = moment_match(repeated(Gaussian(mean, root), count), shares.movedim(-2, 0))
-        return mixed, regimes, shares
+        merged = [tree.stack(after[i : i + count], 0) for i in (0, count)]
+        stacked = tree.stack([Gaussian(x.mean.movedim(0, -2), x.scale_tril.movedim(0, -3)) for x in merged], 0)
+        return stacked, torch.stack(weights).unflatten(0, (2, count)).movedim(1, -1)
+
+    def hindsight(self, joint: Tensor, shares: Tensor | None) -> Tensor:
+        """Log weights ``(2, ..., K)`` of the beliefs before a step, now that it is measured."""
+        was = joint.logsumexp(0)  # (R, 2, ...)
+        if shares is None:
+            return was.logsumexp(0).unsqueeze(-1)
+        now = torch.stack([was[members].logsumexp(0) for members in self.regimes.members], -1)
+        return (shares + now.unsqueeze(-2)).logsumexp(-1)
 
     def finish(self, state: GPBState, belief: Gaussian, info: _Step) -> tuple[Gaussian, GPBInfo]:
-        last = info.motions.dim() - 2
+        """Each step's settled estimate comes with the next."""
+        last = info.regimes.dim() - 2
 
         def one_later(steps: Tensor, end: Tensor) -> Tensor:
             return torch.cat([steps.narrow(last, 1, steps.shape[last] - 1), end.unsqueeze(last)], last)
 
         settled = tree.map_tensors(one_later, info.settled, state.belief)
-        final = settled if self.lag else belief
-        return final, GPBInfo(belief, settled, info.motions, info.regimes, info.outlier)
+        return settled if self.lag else belief, GPBInfo(belief, settled, info.regimes, info.outlier)
 
 
 class _Step(NamedTuple):
     settled: Gaussian
-    motions: Tensor
     regimes: Tensor
     outlier: Tensor
 
@@ -184,17 +188,12 @@ class _Step(NamedTuple):
 def lifted(predicted: Gaussian, belief: Gaussian) -> Gaussian:
     """Beliefs of states, from the components that a sensor reads in units of their predicted root; any root."""
     mean, root = predicted
-    d = belief.mean.shape[-1]
-    gain = root[..., :d]
-    return Gaussian(mean + apply(gain, belief.mean), torch.cat([gain @ belief.scale_tril, root[..., d:]], -1))
-
-
-def flat(beliefs: Gaussian) -> Gaussian:
-    return Gaussian(*(x.flatten(0, 1) for x in beliefs))
+    gain = root[..., : belief.mean.shape[-1]]
+    own = gain @ belief.scale_tril
+    return Gaussian(mean + apply(gain, belief.mean), torch.cat([own, root[..., gain.shape[-1] :]], -1))
 
 
 def together(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
-    """One Gaussian for hypotheses ``(H, ..., K)``."""
-    mean, root = beliefs
-    mean, root = mean.movedim(-2, 0).flatten(0, 1), root.movedim(-3, 0).flatten(0, 1)
-    return moment_match(Gaussian(mean, root), log_weights.movedim(-1, 0).flatten(0, 1))
+    """One Gaussian for hypotheses ``(2, ..., K)``."""
+    mean, root = beliefs.mean.movedim(-2, 0), beliefs.scale_tril.movedim(-3, 0)
+    return moment_match(Gaussian(mean.flatten(0, 1), root.flatten(0, 1)), log_weights.movedim(-1, 0).flatten(0, 1))

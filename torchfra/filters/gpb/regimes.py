@@ -1,6 +1,8 @@
-"""Regimes of a motion: calm, agile, and a jump after which the prediction is worth little."""
+"""Regimes of a motion: calm and agile, or the motions of a bank, and jumps after which the prediction is worth little."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
@@ -12,67 +14,80 @@ from torchfra.types import Gaussian
 
 
 class Regimes(nn.Module):
-    """How uncertain a step is: a Markov chain over levels of process noise, and over jumps.
+    """How a step may go: a Markov chain over ``L`` levels of process noise and ``J`` jumps.
 
     Args:
-        levels: ``(..., L)`` by which the variance of the motion's process noise is multiplied, the calmest first.
-        jumps: ``(..., J)`` by which the covariance of the whole prediction, at the last level, is multiplied.
+        motions: of each level, the number of its motion in a bank.
+        levels: ``(..., L)`` by which the variance of that motion's process noise is multiplied.
+        jumps: ``(..., J)`` by which the covariance of the predicted position is multiplied; its correlations stay.
         chain: ``(..., R, R)`` with ``R = L + J``: ``chain[i, j] = P(now j | was i)``, rows that sum to one.
         first: ``(..., R)`` probabilities of the regimes of the first step.
+        home: the number of the level whose prediction jumps.
 
     Raises:
         ValueError: shapes that do not go together, values that are not positive or do not sum to one.
     """
 
-    def __init__(self, *, levels: Value, jumps: Value, chain: Value, first: Value) -> None:
+    def __init__(
+        self, motions: Sequence[int], *, levels: Value, jumps: Value, chain: Value, first: Value, home: int
+    ) -> None:
         super().__init__()
-        self.levels = Hyper(_vector(levels), event_dim=1, name="levels")
-        self.jumps = Hyper(_vector(jumps), event_dim=1, name="jumps")
-        chain, first = _vector(chain), _vector(first)
-        count = self.levels.raw.shape[-1] + self.jumps.raw.shape[-1]
-        if chain.shape[-2:] != (count, count):
-            raise ValueError(f"regimes: expected ({count}, {count}), received {tuple(chain.shape)}")
-        if first.shape[-1:] != (count,):
-            raise ValueError(f"first: expected ({count},), received {tuple(first.shape)}")
+        levels, jumps, chain, first = (torch.as_tensor(x, dtype=torch.float64) for x in (levels, jumps, chain, first))
+        count = len(motions) + jumps.shape[-1]
+        for name, value, shape in (
+            ("levels", levels, (len(motions),)), ("regimes", chain, (count, count)), ("first", first, (count,)),
+        ):  # fmt: skip
+            if value.shape[-len(shape) :] != shape:
+                raise ValueError(f"{name}: expected {shape}, received {tuple(value.shape)}")
+        self.home = range(len(motions))[home]
+        self.motions = (*motions, *[motions[home]] * jumps.shape[-1])
+        self.levels = Hyper(levels, constraints.nonnegative, event_dim=1, name="levels")
+        self.jumps = Hyper(jumps, event_dim=1, name="jumps")
         self.chain = Hyper(chain, constraints.simplex, event_dim=2, name="regimes")
         self.first = Hyper(first, constraints.simplex, event_dim=1, name="first")
+
+    @property
+    def members(self) -> list[list[int]]:
+        """Of each motion, the numbers of its regimes."""
+        return [[r for r, k in enumerate(self.motions) if k == motion] for motion in range(max(self.motions) + 1)]
 
     def predictions(self, mean: Tensor, spread: Tensor, noise: Tensor, position: slice) -> Gaussian:
         """A prediction for each regime, ``(R, ..., n)``, from the parts that ``gaussian.model.propagate`` gives.
 
         Args:
-            mean: ``(..., K, n)``.
+            mean: ``(..., K, n)`` of each motion.
             spread: ``(..., K, n, p)`` what was uncertain before.
             noise: ``(..., K, n, q)`` process noise.
+            position: which components of a state are its position.
         """
-        rank = spread.dim() - 2
-        levels = in_front(self.levels(mean), rank).sqrt()[..., None, None]
-        still = tria(hstack(*torch.broadcast_tensors(spread.unsqueeze(0)), levels * noise))
+        of = self.motions
+        levels = of[: self.levels.raw.shape[-1]]
+        spread, noise = (torch.stack([x.expand(*mean.shape, -1).select(-3, k) for k in levels]) for x in (spread, noise))
+        level = tria(hstack(spread, in_front(self.levels(mean).sqrt(), mean.dim() - 2)[..., None, None] * noise))
         there = torch.zeros(mean.shape[-1], dtype=mean.dtype, device=mean.device)
         there[position] = 1.0
-        jumps = 1 + (in_front(self.jumps(mean), rank).sqrt()[..., None] - 1) * there
-        jumped = tria(jumps.unsqueeze(-1) * still[-1:])
-        roots = torch.cat([still, jumped])
-        return Gaussian(mean.expand(len(roots), *mean.shape), roots)
+        widened = 1 + (in_front(self.jumps(mean).sqrt(), mean.dim() - 2).unsqueeze(-1) - 1) * there
+        root = torch.cat([level, tria(widened.unsqueeze(-1) * level[self.home])])
+        return Gaussian(torch.stack([mean.select(-2, k) for k in of]), root)
 
     def ahead(self, log_weights: Tensor) -> Tensor:
-        """Logs ``(..., K, R)`` of the next step's regimes, from those of this one's, of any batch in front of ``K``."""
-        return (log_weights.unsqueeze(-1) + self.chain(log_weights).log().unsqueeze(-3)).logsumexp(-2)
+        """Logs ``(..., R, R)`` of the probabilities of this regime and the next, from those ``(..., R)`` of this."""
+        return log_weights.unsqueeze(-1) + self.chain(log_weights).log()
 
     def possible(self, log_weights: Tensor, measured: Tensor) -> Tensor:
-        """Log weights ``(..., K, R)`` without jumps where nothing is ``measured (..., 1)``: the others share theirs."""
-        levels = self.levels.raw.shape[-1]
-        still, jumps = log_weights[..., :levels], log_weights[..., levels:]
-        more = log_weights.logsumexp(-1, keepdim=True) - still.logsumexp(-1, keepdim=True)
-        measured = measured.unsqueeze(-1)
-        return torch.cat([still + torch.where(measured, 0.0, more), torch.where(measured, jumps, -torch.inf)], -1)
+        """Log weights ``(..., R)`` without jumps where nothing is ``measured (..., 1)``: the levels share theirs.
+
+        A jump that no measurement speaks against would widen the estimate without bound.
+        """
+        jumps = self.jumps.raw.shape[-1]
+        if not jumps:
+            return log_weights
+        level, jump = log_weights[..., :-jumps], log_weights[..., -jumps:]
+        more = log_weights.logsumexp(-1, keepdim=True) - level.logsumexp(-1, keepdim=True)
+        return torch.cat([level + torch.where(measured, 0.0, more), torch.where(measured, jump, -torch.inf)], -1)
 
 
 def in_front(values: Tensor, rank: int) -> Tensor:
-    """Values ``(..., C)`` of tracks as ``(C, ...)``, to go before tensors of ``rank`` dimensions that end in models."""
-    values = values.movedim(-1, 0).unsqueeze(-1)
+    """Values ``(..., C)`` of tracks as ``(C, ...)``, to go before tensors of ``rank`` dimensions that end in tracks."""
+    values = values.movedim(-1, 0)
     return values.reshape(values.shape[:1] + (1,) * (rank + 1 - values.dim()) + values.shape[1:])
-
-
-def _vector(value: Value) -> Tensor:
-    return torch.as_tensor(value, dtype=torch.float64)
