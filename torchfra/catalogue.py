@@ -30,6 +30,8 @@ class FilterEntry:
     """Of its lines in figures."""
     bank: bool = False
     """It takes a ``Bank`` of motions instead of one."""
+    either: bool = False
+    """It takes a ``Bank`` where there is one, else one motion."""
     scans: bool = False
     """It takes scans of several targets."""
     gated: bool = False
@@ -44,6 +46,7 @@ class FilterEntry:
 
 
 FILTERS: dict[str, FilterEntry] = {
+    "gpb": FilterEntry(presets.gpb, "#000000", either=True, emphasised=True),
     "ukf": FilterEntry(presets.ukf, "#999999"),
     "ekf": FilterEntry(presets.ekf, "#c7a76c"),
     "srckf": FilterEntry(presets.srckf, "#4c72b0"),
@@ -141,7 +144,8 @@ def make_filter(name: str, motion: Motion, sensor: Sensor, bank: Bank | None = N
     entry = FILTERS[name]
     if entry.bank and bank is None:
         raise ValueError(f"filter: expected one of a single motion, as there is no bank of motions, received {name!r}")
-    return entry.preset(bank if entry.bank else motion, sensor, **options)
+    models = motion if bank is None or not (entry.bank or entry.either) else bank
+    return entry.preset(models, sensor, **options)
 
 
 def scenario_filter(name: str, scenario: Scenario, **options: Any) -> Filter:

@@ -29,6 +29,7 @@ from torchfra.presets.adaptive import asrckf, iaukf, rmckf
 from torchfra.presets.banks import imm, imm_ckf, imm_fra, imm_srckf, vsimm_srckf
 from torchfra.presets.constant_gains import alphabeta
 from torchfra.presets.feedback import fra, fra_srckf
+from torchfra.presets.regimes import gpb
 from torchfra.presets.scans import iaukf_jpda, jpda, ukf_jpda
 from torchfra.presets.single import ekf, ghckf, hghckf1, hghckf2, mr_ckf, rsrckf, srckf, ukf
 
@@ -39,6 +40,7 @@ __all__ = [
     "fra",
     "fra_srckf",
     "ghckf",
+    "gpb",
     "hghckf1",
     "hghckf2",
     "iaukf",

@@ -10,25 +10,27 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 from torch.nn.functional import pad
 
+from torchfra import tree
 from torchfra.filters.gpb.regimes import in_front
 from torchfra.gaussian.mixture import moment_match
 from torchfra.gaussian.update import density
-from torchfra.hyper import Hyper, Value
+from torchfra.hyper import Hyper, Values
 from torchfra.linalg.triangular import apply, hstack, tria, whiten
+from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
 Compare = Callable[[Gaussian], Whitened]
 
 
 class Corrected(NamedTuple):
-    """What a measurement makes of predictions ``(..., d)``."""
+    """What a measurement makes of predictions ``(..., d)``, in a clean step and in a dirty one."""
 
     belief: Gaussian
-    """``(..., d)`` in units of the prediction's root: ``N(0, I)`` where the measurement says nothing."""
+    """``(2, ..., d)`` in units of the prediction's root: ``N(0, I)`` where the measurement says nothing."""
     log_density: Tensor
-    """``(...)`` of the measurement."""
+    """``(2, ...)`` of the measurement."""
     outlier: Tensor
-    """``(..., B)`` probability of each block that it is an outlier."""
+    """``(..., B)`` probability of each block that it is an outlier, if the step is dirty."""
 
 
 class Inside(NamedTuple):
@@ -55,7 +57,7 @@ class Qualities(nn.Module):
         ValueError: shapes that do not go together, values out of their range or that do not sum to one.
     """
 
-    def __init__(self, blocks: Sequence[Sequence[int]], *, chain: Value, sizes: Value, shares: Value) -> None:
+    def __init__(self, blocks: Sequence[Sequence[int]], *, chain: Values, sizes: Values, shares: Values) -> None:
         super().__init__()
         chain, sizes, shares = (torch.as_tensor(x, dtype=torch.float64) for x in (chain, sizes, shares))
         if chain.shape[-2:] != (2, 2):
@@ -66,6 +68,19 @@ class Qualities(nn.Module):
         self.chain = Hyper(chain, constraints.simplex, event_dim=2, name="qualities")
         self.sizes = Hyper(sizes, constraints.greater_than(1.0), event_dim=1, name="sizes")
         self.shares = Hyper(shares, constraints.simplex, event_dim=1, name="shares")
+
+    def check(self, sensor: Sensor) -> None:
+        """Checks that the blocks are those of a sensor.
+
+        Raises:
+            ValueError: an element in no block or in several, or noise that is correlated between blocks.
+        """
+        if sorted(i for block in self.blocks for i in block) != list(range(sensor.size)):
+            raise ValueError(f"blocks: expected each of {sensor.size} elements once, received {self.blocks}")
+        if len(self.blocks) > 1 and sensor.root is not None:
+            raise ValueError(
+                "sensor: expected noise that is independent between blocks, received a root of its covariance"
+            )
 
     def ahead(self, outlier: Tensor) -> tuple[Tensor, Tensor]:
         """What the qualities of a step say of the next.
@@ -82,10 +97,13 @@ class Qualities(nn.Module):
         now = torch.stack([new.expand_as(outlier), new + outlier * (still - new)])
         clean = torch.log1p(-now).sum(-1)
         dirty = -torch.expm1(clean)
-        return torch.stack([clean, dirty.log()]), now / dirty.unsqueeze(-1)
+        share = torch.ones_like(now) if len(self.blocks) == 1 else now / dirty.unsqueeze(-1)
+        return torch.stack([clean, dirty.log()]), share
 
-    def forward(self, seen: Gaussian, compare: Compare, prior: Tensor, missing: Tensor) -> tuple[Corrected, Corrected]:
-        """The measurement taken as the sensor states it, and with outliers in some blocks; one block after the other.
+    def forward(self, seen: Gaussian, compare: Compare, prior: Tensor, missing: Tensor) -> Corrected:
+        """The measurement, ``(2, ...)``: taken as the sensor states it, and with outliers in some blocks.
+
+        Blocks are independent, so they are taken one after the other: what they cost adds up.
 
         Args:
             seen: predictions ``(..., d)`` of what the sensor reads.
@@ -93,45 +111,33 @@ class Qualities(nn.Module):
             prior: ``(..., B)`` of each block that it is an outlier if the step is dirty.
             missing: ``(..., m)`` 1 where missing, 0 where measured.
         """
-        rank, only = seen.mean.dim() - 1, len(self.blocks) == 1
-        one = torch.ones_like(seen.mean[..., 0])
-        sizes, log_shares = in_front(self.sizes(one), rank), in_front(self.shares(one).log(), rank)
-        scales = torch.cat([torch.ones_like(sizes[:1]), sizes])
-        clean = dirty = unit(seen)
-        clean_density = dirty_density = torch.zeros_like(one)
-        outliers = []
+        rank = seen.mean.dim() - 1
+        log_shares, sizes = in_front(self.shares(seen.mean).log(), rank), in_front(self.sizes(seen.mean), rank + 1)
+        sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])  # of a clean one, and of outliers
+        belief, log_density, outliers = (
+            unit(seen),
+            torch.zeros_like(seen.mean[..., 0]).expand(2, *seen.mean.shape[:-1]),
+            [],
+        )
         for b, block in enumerate(self.blocks):
-            gone = sum(missing[..., i] for i in block)
-            inside, residual = measured(seen, dirty, compare, block)
-            answers, log_density = answer(inside, residual, scales, gone)
-            if b == 0:
-                inside_clean, answer_clean, log_clean = inside, tuple(x[0] for x in answers), log_density[0]
-            else:
-                inside_clean, residual = measured(seen, clean, compare, block)
-                answer_clean, log_clean = answer(inside_clean, residual, scales[:1], gone)
-                answer_clean, log_clean = tuple(x[0] for x in answer_clean), log_clean[0]
-            clean = inward(clean, inside_clean, Gaussian(*answer_clean))
-            clean_density = clean_density + log_clean
             share = prior[..., b]
-            if only:
-                joint = log_shares + log_density[1:]
-                answers = Gaussian(*(x[1:] for x in answers))
-            else:
-                log_share = torch.cat([torch.log1p(-share).expand_as(log_density[:1]), share.log() + log_shares.expand_as(log_density[1:])])
-                joint = log_share + log_density
+            inside, residual = measured(seen, belief, compare, block)
+            told, log_told = told_by(inside, residual, sizes, missing[..., list(block)].sum(-1))
+            log_clean, log_outlier = log_told[:1, 1] + torch.log1p(-share), log_told[1:, 1] + share.log() + log_shares
+            joint = torch.cat([log_clean, log_outlier])
             total = joint.logsumexp(0)
-            dirty = inward(dirty, inside, moment_match(answers, joint - total))
-            dirty_density = dirty_density + total
-            outliers.append(one if only else (joint[1:].logsumexp(0) - total).exp())
-        outlier = torch.stack(outliers, -1)
-        return Corrected(clean, clean_density, torch.zeros_like(outlier)), Corrected(dirty, dirty_density, outlier)
+            dirty = moment_match(Gaussian(told.mean[:, 1], told.scale_tril[:, 1]), joint - total)
+            both = tree.stack([Gaussian(told.mean[0, 0], told.scale_tril[0, 0]), dirty], 0)
+            belief, log_density = inward(belief, inside, both), log_density + torch.stack([log_told[0, 0], total])
+            outliers.append((joint[1:].logsumexp(0) - total).exp())
+        return Corrected(belief, log_density, torch.stack(outliers, -1))
 
 
 def unit(seen: Gaussian) -> Gaussian:
-    """``N(0, I)`` for each belief."""
+    """``N(0, I) (2, ..., d)`` for each belief ``(..., d)``."""
     root = seen.scale_tril
     eye = torch.eye(root.shape[-1], dtype=root.dtype, device=root.device)
-    return Gaussian(torch.zeros_like(seen.mean), eye.expand_as(root))
+    return Gaussian(torch.zeros_like(seen.mean).expand(2, *seen.mean.shape), eye.expand(2, *root.shape))
 
 
 def measured(seen: Gaussian, belief: Gaussian, compare: Compare, block: Sequence[int]) -> tuple[Inside, Tensor]:
@@ -143,28 +149,26 @@ def measured(seen: Gaussian, belief: Gaussian, compare: Compare, block: Sequence
         residual = torch.stack([residual[..., i] for i in block], -1)
         spread = torch.stack([spread[..., i, :] for i in block], -2)
     own = pad(belief.scale_tril, (spread.shape[-1] - d, 0))
-    lower = tria(torch.cat([spread, own.expand(*spread.shape[:-2], *own.shape[-2:])], -2))
+    lower = tria(torch.cat([spread, own], -2))
     return Inside(lower[..., :m, :m], lower[..., m:, :m], lower[..., m:, m:]), residual
 
 
-def answer(inside: Inside, residual: Tensor, scales: Tensor, gone: Tensor) -> tuple[Gaussian, Tensor]:
-    """What a measurement says of itself without noise, ``(C, ..., m)``, and its log density, for ``C`` noises.
+def told_by(inside: Inside, residual: Tensor, sizes: Tensor, missing: Tensor) -> tuple[Gaussian, Tensor]:
+    """What a measurement tells of itself without noise, ``(C, ..., m)``, and its log density, for ``C`` noises.
 
     Args:
         inside: of the measurement.
         residual: ``(..., m)``.
-        scales: ``(C, ...)`` of the noise's covariance.
-        gone: ``(...)`` number of missing elements.
+        sizes: ``(C, ...)`` of the noise's covariance.
+        missing: ``(...)`` number of missing elements.
     """
     m = residual.shape[-1]
     eye = torch.eye(m, dtype=residual.dtype, device=residual.device)
-    noise = scales.sqrt()[..., None, None] * eye
-    top = hstack(noise, inside.root.unsqueeze(0))
-    bottom = hstack(torch.zeros_like(eye), eye).expand_as(top)
-    lower = tria(torch.cat([top, bottom], -2))
+    top = hstack(sizes.sqrt()[..., None, None] * eye, inside.root.unsqueeze(0))
+    lower = tria(torch.cat([top, hstack(torch.zeros_like(eye), eye).expand_as(top)], -2))
     root, cross, left = lower[..., :m, :m], lower[..., m:, :m], lower[..., m:, m:]
     normalised = whiten(root, residual.expand(root.shape[:-1]))
-    return Gaussian(apply(cross, normalised), left), density(root, normalised) + 0.5 * gone * scales.log()
+    return Gaussian(apply(cross, normalised), left), density(root, normalised) + 0.5 * missing * sizes.log()
 
 
 def inward(belief: Gaussian, inside: Inside, told: Gaussian) -> Gaussian:
