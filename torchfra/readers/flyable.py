@@ -20,8 +20,8 @@ _HARDEST = 15.0
 """Turning acceleration of a path by more than a right angle at one fix: beyond it fixes are out of order, m/s^2."""
 _KNOT = 5.0
 """Longest distance between the times of a result, s."""
-_SLOWEST = 10.0
-"""Speed below which none is taken for the usual one, m/s."""
+_SLOWEST, _FASTEST = 10.0, 1000.0
+"""Bounds on what is taken for the usual speed, m/s."""
 _EXACT = 0.01
 """Standard deviation of positions along the track where time stamps are right, m."""
 
@@ -65,9 +65,11 @@ def flyable(
     pieces = []
     for part in np.split(np.arange(len(recording.time)), _breaks(recording, max_gap, seconds)):
         kept = part[_in_order(recording.time[part], recording.position[part, :2])]
-        if len(kept) >= 2:
-            time, position = _mended(recording.time[kept], recording.position[kept], seconds, along, limit)
-            dropped = {"fixes out of order dropped": len(part) - len(kept)} if len(kept) < len(part) else {}
+        if len(kept) < 2:
+            continue
+        time, position = _mended(recording.time[kept], recording.position[kept], seconds, along, limit)
+        dropped = {"fixes out of order dropped": len(part) - len(kept)} if len(kept) < len(part) else {}
+        if len(time) >= 2:
             pieces.append(Recording(recording.name, time, position, recording.origin, recording.repairs | dropped))
     return pieces
 
@@ -75,7 +77,7 @@ def flyable(
 def _breaks(recording: Recording, max_gap: float, seconds: float) -> NDArray[np.intp]:
     """Indices of the fixes that start a piece."""
     step, leg = np.diff(recording.time), _legs(recording.position)
-    usual = _running_median(leg / step, 15).clip(_SLOWEST)
+    usual = _running_median(leg / step, 15).clip(_SLOWEST, _FASTEST)
     return np.flatnonzero((step > max_gap) | (leg > usual * (step + 2 * seconds))) + 1
 
 
@@ -121,8 +123,8 @@ def _flown(time: Array, arc: Array, knots: Array, seconds: float, along: float) 
     recorded, fixes = np.interp(knots, time, arc), np.isin(knots, time)
     speed = np.full(len(knots), mean)
     for last in (False, False, True):  # the first rounds are for the speed
-        doubt = _stamp_error(time, arc, np.interp(time, knots, speed))
-        weight = np.where(fixes, 1 / ((doubt * speed.clip(_SLOWEST)) ** 2 + _EXACT**2), 0.0)
+        doubt = min(_stamp_error(time, arc, np.interp(time, knots, speed)), seconds)
+        weight = np.where(fixes, 1 / ((doubt * speed.clip(_SLOWEST, _FASTEST)) ** 2 + _EXACT**2), 0.0)
         limits = {"limit": along, "bounds": bounds} if last else {"limit": math.inf}
         flown = smoothed(knots, recorded[:, None], weight, roughness=1 / _JERK, **limits)[:, 0]
         speed = np.gradient(flown, knots).clip(0.0)
