@@ -68,7 +68,8 @@ def solve(bands: Array, right: Array) -> Array:
     """Solves a symmetric, positive definite, banded system by elimination in blocks.
 
     Args:
-        bands: ``(b + 1, k)``, the diagonal first; element i of row j couples unknowns i and i + j.
+        bands: ``(b + 1, k)``, the diagonal first; element i of row j couples unknowns i and i + j, and is 0 where there
+            is no such unknown.
         right: ``(k, d)``.
     """
     size = len(right)
