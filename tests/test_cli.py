@@ -243,6 +243,7 @@ def test_compare_runs_recorded_tracks_through_filters(noisy_track, tmp_path, sen
         (["compare", "--scenario", "bearings-outliers", "--q", "0.25"], "q: goes with files, not with --scenario"),
         (["compare", "--scenario", "bearings-outliers", "--dt", "5"], "dt: goes with files, not with --scenario"),
         (["compare", "--scenario", "bearings-outliers", "--steps", "9"], "steps: goes with files, not with --scenario"),
+        (["compare", "--scenario", "bearings-outliers", "--no-repair"], "repair: goes with files, not with --scenario"),
         (["compare", "{file}", "--dt", "-1"], "dt: expected seconds above 0, received -1.0"),
         (["compare", "{file}", "--q", "-1"], "q: expected m^2/s^4 of 0 or more, received -1.0"),
         (["compare", "{file}", "missing.csv"], "error: file not found: missing.csv\n"),

@@ -20,8 +20,8 @@ _HARDEST = 15.0
 """Turning acceleration of a path by more than a right angle at one fix: beyond it fixes are out of order, m/s^2."""
 _KNOT = 5.0
 """Longest distance between the times of a result, s."""
-_SLOWEST = 10.0
-"""Speed below which none is taken for the usual one, m/s."""
+_SLOWEST, _FASTEST = 10.0, 1000.0
+"""Bounds on what is taken for the usual speed, m/s."""
 _EXACT = 0.01
 """Standard deviation of positions along the track where time stamps are right, m."""
 
@@ -34,9 +34,9 @@ def flyable(
     Such recordings jump along the track while the path itself, with its turns, is right: positions arrive late, are
     held, or are interpolated between others.  So positions move along the path:
 
-    1. The recording is split at gaps, and where the next fix is farther than the aircraft flies at its usual speed with
-       both stamps off by ``seconds``.  A fix that turns the path back on itself faster than any aircraft turns is out
-       of order and dropped.
+    1. A fix that turns the path back on itself faster than any aircraft turns is out of order and dropped.  The
+       recording is split at gaps, and where the next fix is farther than the aircraft flies at its usual speed with
+       both stamps off by ``seconds``.
     2. The distance flown along the path is smoothed over time: the more, the rougher it is, by no more than the path
        covers in ``seconds``, and with at most ``along`` of acceleration.  Where nine in ten fixes show no more than
        1 m/s^2 of it, distances stay as they are.
@@ -54,7 +54,8 @@ def flyable(
         limit: of the whole horizontal acceleration, m/s^2; 9 is that of a turn with 43 degrees of bank.
 
     Returns:
-        The pieces in order of time; none where there is nothing but single fixes.
+        The pieces in order of time, each with the repairs of the whole recording; none where there are only single
+        fixes.
 
     Raises:
         ValueError: an argument that is not above 0.
@@ -62,20 +63,22 @@ def flyable(
     for name, value in (("max_gap", max_gap), ("seconds", seconds), ("along", along), ("limit", limit)):
         if not value > 0:
             raise ValueError(f"{name}: expected a value above 0, received {value}")
-    pieces = []
-    for part in np.split(np.arange(len(recording.time)), _breaks(recording, max_gap, seconds)):
-        kept = part[_in_order(recording.time[part], recording.position[part, :2])]
-        if len(kept) >= 2:
-            time, position = _mended(recording.time[kept], recording.position[kept], seconds, along, limit)
-            dropped = {"fixes out of order dropped": len(part) - len(kept)} if len(kept) < len(part) else {}
-            pieces.append(Recording(recording.name, time, position, recording.origin, recording.repairs | dropped))
+    kept = _in_order(recording.time, recording.position[:, :2])
+    dropped = {"fixes out of order dropped": len(recording.time) - len(kept)}
+    repairs = recording.repairs | {what: count for what, count in dropped.items() if count}
+    time, position = recording.time[kept], recording.position[kept]
+    breaks, pieces = _breaks(time, position, max_gap, seconds), []
+    for part in zip(np.split(time, breaks), np.split(position, breaks), strict=True):
+        mended = _mended(*part, seconds, along, limit) if len(part[0]) >= 2 else part
+        if len(mended[0]) >= 2:
+            pieces.append(Recording(recording.name, *mended, recording.origin, repairs))
     return pieces
 
 
-def _breaks(recording: Recording, max_gap: float, seconds: float) -> NDArray[np.intp]:
+def _breaks(time: Array, position: Array, max_gap: float, seconds: float) -> NDArray[np.intp]:
     """Indices of the fixes that start a piece."""
-    step, leg = np.diff(recording.time), _legs(recording.position)
-    usual = _running_median(leg / step, 15).clip(_SLOWEST)
+    step, leg = np.diff(time), _legs(position)
+    usual = _running_median(leg / step, 15).clip(_SLOWEST, _FASTEST)
     return np.flatnonzero((step > max_gap) | (leg > usual * (step + 2 * seconds))) + 1
 
 
@@ -121,8 +124,8 @@ def _flown(time: Array, arc: Array, knots: Array, seconds: float, along: float) 
     recorded, fixes = np.interp(knots, time, arc), np.isin(knots, time)
     speed = np.full(len(knots), mean)
     for last in (False, False, True):  # the first rounds are for the speed
-        doubt = _stamp_error(time, arc, np.interp(time, knots, speed))
-        weight = np.where(fixes, 1 / ((doubt * speed.clip(_SLOWEST)) ** 2 + _EXACT**2), 0.0)
+        doubt = min(_stamp_error(time, arc, np.interp(time, knots, speed)), seconds)
+        weight = np.where(fixes, 1 / ((doubt * speed.clip(_SLOWEST, _FASTEST)) ** 2 + _EXACT**2), 0.0)
         limits = {"limit": along, "bounds": bounds} if last else {"limit": math.inf}
         flown = smoothed(knots, recorded[:, None], weight, roughness=1 / _JERK, **limits)[:, 0]
         speed = np.gradient(flown, knots).clip(0.0)

@@ -8,7 +8,7 @@ from torchfra.readers.columns import Array
 
 _BLOCK = 32
 """Unknowns that are eliminated together."""
-_ROUNDS, _START, _LEAST, _MOST = 30, 0.03, 1e-6, 1e6
+_ROUNDS, _START, _LEAST, _MOST = 30, 0.03, 1e-6, 1e9
 """Rounds of the multipliers; what they grow from, and their bounds, where 1 moves a lone jump by its own size."""
 
 
@@ -33,22 +33,25 @@ def smoothed(
         ``(k, d)``.
     """
     bend, third = differences(time, 2), differences(time, 3)
-    rough = _normal_bands(third, roughness * (time[3:] - time[:-3]) / 3, len(time))
+    share = roughness * (time[3:] - time[:-3]) / 3
+    rough = _normal_bands(third, share, len(time))
+    force = _returned(third, share[:, None] * _applied(third, x), len(time))
     scale = np.median(weight[weight > 0]) * ((time[2:] - time[:-2]) / 2) ** 4
     stiff, tight = _LEAST * scale, np.ones_like(weight)
     result = x
     for number in range(_ROUNDS):
-        if number or roughness or _applied(bend, x).max(initial=0.0) > limit:
+        if number or roughness or _lengths(bend, x).max(initial=0.0) > limit:
             bands = rough.copy()
             bands[:3] += _normal_bands(bend, stiff, len(time))
             bands[0] += weight * tight
-            result = solve(bands, (weight * tight)[:, None] * x)
-        excess, outside = _applied(bend, result) / limit, _outside(x, result, bounds)
+            # Moves instead of values: they are small, so that little is lost to rounding where times are close.
+            result = x - solve(bands, force + _returned(bend, stiff[:, None] * _applied(bend, x), len(time)))
+        excess, outside = _lengths(bend, result) / limit, _outside(x, result, bounds)
         if max(excess.max(initial=0.0), outside.max(initial=0.0)) < 1.01:
             break
         stiff = np.where(excess > 1, np.maximum(stiff, _START * scale), stiff)
-        stiff = (stiff * excess.clip(0.1, 10.0) ** 2).clip(_LEAST * scale, _MOST * scale)
-        tight = (tight * outside.clip(0.1, 10.0) ** 2).clip(1.0, _MOST)
+        stiff = (stiff * excess.clip(0.1, 10.0) ** 1.5).clip(_LEAST * scale, _MOST * scale)
+        tight = (tight * outside.clip(0.1, 10.0) ** 1.5).clip(1.0, _MOST)
     return result
 
 
@@ -65,7 +68,8 @@ def solve(bands: Array, right: Array) -> Array:
     """Solves a symmetric, positive definite, banded system by elimination in blocks.
 
     Args:
-        bands: ``(b + 1, k)``, the diagonal first; element i of row j couples unknowns i and i + j.
+        bands: ``(b + 1, k)``, the diagonal first; element i of row j couples unknowns i and i + j, and is 0 where there
+            is no such unknown.
         right: ``(k, d)``.
     """
     size = len(right)
@@ -108,9 +112,20 @@ def _normal_bands(rows: Array, weight: Array, size: int) -> Array:
 
 
 def _applied(rows: Array, x: Array) -> Array:
-    """Lengths ``(k - width + 1,)`` of the derivatives."""
-    terms = (rows[:, [i]] * x[i : i + len(rows)] for i in range(rows.shape[1]))
-    return np.asarray(np.linalg.norm(sum(terms), axis=1))
+    """Derivatives ``(k - width + 1, d)`` of ``(k, d)``."""
+    return np.asarray(sum(rows[:, [i]] * x[i : i + len(rows)] for i in range(rows.shape[1])))
+
+
+def _returned(rows: Array, x: Array, size: int) -> Array:
+    """The transpose of ``_applied``: ``(k, d)`` of ``(k - width + 1, d)``."""
+    result = np.zeros((size, x.shape[1]))
+    for i in range(rows.shape[1]):
+        result[i : i + len(rows)] += rows[:, [i]] * x
+    return result
+
+
+def _lengths(rows: Array, x: Array) -> Array:
+    return np.asarray(np.linalg.norm(_applied(rows, x), axis=1))
 
 
 def _outside(x: Array, moved: Array, bounds: tuple[Array, Array] | None) -> Array:
