@@ -85,6 +85,14 @@ def test_learning_through_a_filter_has_the_gradient_of_finite_differences():
     assert torch.autograd.gradcheck(loss, [p.detach().clone().requires_grad_() for p in f.parameters()], rtol=1e-4)
 
 
+def test_values_learned_with_some_anchors_go_to_others():
+    learned = presets.rsrckf(ConstantAcceleration(0.3), Ranges(ANCHORS, 0.4, height=0.5))
+    other = presets.rsrckf(ConstantAcceleration(0.1), Ranges(ANCHORS[:3] + 1, 0.1, height=0.0))
+    other.load_state_dict(learned.state_dict())
+    assert other.sensor.std().item() == pytest.approx(0.4)
+    torch.testing.assert_close(other.sensor.anchors, ANCHORS[:3] + 1)
+
+
 @pytest.mark.parametrize("name", ["srckf", "rsrckf", "fra"])
 @pytest.mark.parametrize("moving", [False, True])
 def test_a_compiled_filter_gives_the_same_and_follows_the_target(name, moving):
