@@ -32,7 +32,7 @@ _EXAMPLES = """examples:
   torchfra compare --scenario bearings-outliers --runs 1000000 --filters srckf
   torchrun --nproc-per-node 2 -m torchfra compare --scenario bearings-outliers --runs 10000"""
 
-_FILE_OPTIONS = ("sensor", "q", "dt", "steps")
+_FILE_OPTIONS = ("sensor", "q", "dt", "steps", "repair")
 """Options that a scenario of a paper does not take."""
 WORTHWHILE = 100_000
 """Steps of all runs together from which compiling takes no longer than it saves."""
@@ -74,6 +74,8 @@ def _add_file_options(add: Any) -> None:
     add("--q", type=float, help=q)
     add("--dt", type=float, metavar="S", help="for files: seconds per step (default: 5)")
     add("--steps", type=int, metavar="T", help="for files: steps per window (default: 120)")
+    repair = "for files: mend time stamps that are off by seconds, so that the tracks can be flown (default: --repair)"
+    add("--repair", action=argparse.BooleanOptionalAction, help=repair)
 
 
 def run(options: argparse.Namespace) -> None:

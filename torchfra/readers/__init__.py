@@ -11,6 +11,7 @@ The columns decide what a file is.  It is CSV with a header or JSON (records or 
 ``read_ranges`` reads what was measured instead: ranges from anchors.
 """
 
+from torchfra.readers.flyable import flyable
 from torchfra.readers.grid import resample
 from torchfra.readers.range_files import range_folders, read_ranges
 from torchfra.readers.ranges import RangeGrid, RangeRecording
@@ -23,6 +24,7 @@ __all__ = [
     "RangeGrid",
     "RangeRecording",
     "Recording",
+    "flyable",
     "range_folders",
     "read",
     "read_ranges",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import chain
 
 import numpy as np
 import torch
@@ -13,6 +14,7 @@ from torch import Tensor
 from torchfra.hyper import one_of
 from torchfra.motion.bank import aircraft
 from torchfra.motion.polynomial import ConstantAcceleration
+from torchfra.readers.flyable import flyable
 from torchfra.readers.grid import resample
 from torchfra.readers.recording import Recording
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
@@ -32,9 +34,14 @@ _Sensor = Bearings | RangeBearing | Position
 def recorded(
     recordings: Sequence[Recording], sensor: str = "bearings", *, dt: float = 5.0, steps: int = 120,
     max_gap: float = 30.0, std: float | Sequence[float] | None = None, outliers: str = "covariance",
-    share: float = 0.05, size: float = 10.0, q: float = 0.25,
+    share: float = 0.05, size: float = 10.0, q: float = 0.25, repair: bool = True,
 ) -> Scenario:  # fmt: skip
     """A simulated sensor on recorded tracks, in the horizontal plane.
+
+    The time stamps of recorded flights are off by seconds, so that as recorded they have accelerations that no aircraft
+    flies, and a filter that follows every jump would look best.  So they are mended first, as ``readers.flyable`` says:
+    positions move along the path, its turns stay, and no acceleration is left above about 1 g.  ``repair=False`` takes
+    tracks as they are: for those of vehicles that are recorded exactly, or to see what the repair changes.
 
     Tracks are resampled to a regular step, split at gaps and cut into windows; run i takes window i modulo their
     number (``settings["windows"]``), with other random numbers.  Velocity and acceleration of the truth are differences
@@ -55,6 +62,7 @@ def recorded(
         size: how many times larger.
         q: variance of the change of acceleration per step that filters assume, m^2/s^4; also of the bank
             (``torchfra.motion.aircraft``).
+        repair: mends time stamps.
 
     Raises:
         ValueError: an argument out of its range, or no track long enough.
@@ -62,11 +70,11 @@ def recorded(
     """
     _check(recordings, dt, max_gap, q)
     _check_outliers(outliers, share, size)
-    windows = _windows(recordings, dt, steps, max_gap)
+    windows = _windows(recordings, dt, steps, max_gap, repair)
     model, places = _observed(sensor, std, windows)
     settings = {
         "sensor": sensor, "windows": len(windows), "recordings": len(recordings), "max_gap": max_gap,
-        "std": _std(model).tolist(), "outliers": outliers, "share": share, "size": size, "q": q,
+        "std": _std(model).tolist(), "outliers": outliers, "share": share, "size": size, "q": q, "repair": repair,
     }  # fmt: skip
     factors = partial(_factors, outliers, share, size)
     block = partial(_block, windows, model, places, factors)
@@ -137,12 +145,12 @@ def _std(sensor: _Sensor) -> Tensor:
     return std
 
 
-def _windows(recordings: Sequence[Recording], dt: float, steps: int, max_gap: float) -> Tensor:
+def _windows(recordings: Sequence[Recording], dt: float, steps: int, max_gap: float, repair: bool) -> Tensor:
     """States ``(W, steps + 1, 6)`` of all windows, NaN after the end of a track."""
     if steps < _SHORTEST:
         raise ValueError(f"steps: expected {_SHORTEST} or more, received {steps}")
     windows = []
-    for recording in recordings:
+    for recording in chain(*(flyable(r, max_gap=max_gap) if repair else [r] for r in recordings)):
         for time, position in resample(recording, dt, max_gap=max_gap):
             if len(time) <= _SHORTEST:
                 continue
