@@ -135,8 +135,9 @@ def test_reproduce_writes_the_errors_of_a_single_target_whose_noise_grows(tmp_pa
     assert [p.name for p in tmp_path.glob("*.png")] == ["noise-change-errors.png"]
 
 
-def test_every_scenario_of_the_catalogue_has_an_experiment():
-    assert reproduce.EXPERIMENTS.keys() == SCENARIOS.keys()
+def test_every_scenario_of_a_paper_has_an_experiment():
+    assert SCENARIOS.keys() - reproduce.EXPERIMENTS.keys() == {"ranges-outliers"}
+    assert reproduce.EXPERIMENTS.keys() <= SCENARIOS.keys()
 
 
 def test_reproduce_says_what_is_wrong(capsys):

@@ -79,6 +79,7 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
     "noise-change": scenarios.noise_change,
     "growth": scenarios.growth,
     "reentry": scenarios.reentry,
+    "ranges-outliers": scenarios.ranges_outliers,
 }
 """The simulated scenarios that commands know by name."""
 
