@@ -127,13 +127,14 @@ def test_the_error_of_a_single_run_is_the_root_mean_square_over_time_without_an_
 
 
 def test_estimates_are_told_apart_by_what_the_info_holds():
-    mean, other = torch.zeros(1), torch.ones(1)
+    mean, other, third = torch.zeros(3, 1)
     for info, filtered, settled in (
         (None, mean, None),
         (SimpleNamespace(settled=None), mean, None),
         (SimpleNamespace(provisional=SimpleNamespace(mean=other)), other, mean),
         (SimpleNamespace(filtered=SimpleNamespace(mean=other), settled=None), other, mean),
         (SimpleNamespace(settled=SimpleNamespace(mean=other)), mean, other),
+        (SimpleNamespace(filtered=SimpleNamespace(mean=other), settled=SimpleNamespace(mean=third)), other, third),
     ):
         found = ratios.estimates_of(SimpleNamespace(mean=mean, info=info))
         assert found.pop("filtered") is filtered

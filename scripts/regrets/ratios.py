@@ -28,13 +28,16 @@ _LOST = 1e200
 
 
 def estimates_of(estimate: Estimate) -> dict[str, Tensor]:
-    """Means ``(..., T, n)`` by kind; ``"settled"`` only of a filter that has both."""
-    info = estimate.info
-    for name in ("provisional", "filtered"):
-        if getattr(info, name, None) is not None:
-            return {"filtered": getattr(info, name).mean, "settled": estimate.mean}
-    settled = getattr(info, "settled", None)
-    return {"filtered": estimate.mean} | ({} if settled is None else {"settled": settled.mean})
+    """Means ``(..., T, n)`` by kind; ``"settled"`` only of a filter that has both.
+
+    What ``info`` does not hold of ``filtered`` (or ``provisional``) and ``settled`` is the estimate itself.
+    """
+    held = {name: getattr(estimate.info, name, None) for name in ("provisional", "filtered", "settled")}
+    filtered = held["filtered"] if held["provisional"] is None else held["provisional"]
+    means = {"filtered": estimate.mean if filtered is None else filtered.mean}
+    if filtered is not None or held["settled"] is not None:
+        means["settled"] = estimate.mean if held["settled"] is None else held["settled"].mean
+    return means
 
 
 def draws(runs: int, seed: int, resamples: int = RESAMPLES) -> Tensor:
