@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +17,7 @@ from torchfra.catalogue import make_scenario
 from torchfra.scenarios import Scenario
 from torchfra.types import Gaussian
 from train.config import Config, Task
+from train.regimes import regimes
 
 
 class Batch(NamedTuple):
@@ -42,9 +44,23 @@ def task_scenario(task: Task, config: Config, *, held_out: bool) -> Scenario:
         task: which.
         config: names the files of recorded tracks.
         held_out: of recorded tracks every fifth, which training never sees, instead of the others.
+
+    Raises:
+        ValueError: a bank is asked for where there is none.
     """
-    if task.scenario != "recorded":
-        return make_scenario(task.scenario, **task.options)
+    scenario = _recorded(task, config, held_out) if task.scenario == "recorded" else simulated(task)
+    if task.models == "bank" and scenario.bank is None:
+        raise ValueError(f"models: expected 'motion', as {task.scenario} has no bank of motions, received 'bank'")
+    return dataclasses.replace(scenario, bank=None) if task.models == "motion" else scenario
+
+
+def simulated(task: Task) -> Scenario:
+    """The simulated scenario of a task: one of the catalogue, or ``"regimes"``."""
+    own = {"regimes": regimes}.get(task.scenario)
+    return make_scenario(task.scenario, **task.options) if own is None else own(**task.options)
+
+
+def _recorded(task: Task, config: Config, held_out: bool) -> Scenario:
     files = config.files or readers.samples("calibration", "gliders")
     recordings = [recording for file in files for recording in readers.read(Path(file))]
     kept = [recording for i, recording in enumerate(recordings) if (i % 5 == 4) == held_out]

@@ -9,7 +9,8 @@ from typing import Any, get_type_hints
 
 from torchfra.hyper import one_of
 
-LOSSES = ("mse", "robust", "nll", "innovation", "teacher")
+LOSSES = ("mse", "robust", "nll", "innovation", "teacher", "regret")
+MODELS = ("motion", "bank", "any")
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,10 @@ class Task:
     options: dict[str, Any] = field(default_factory=dict)
     """Arguments of the scenario, such as ``outliers`` and ``truth_noise``."""
     weight: float = 1.0
-    """Weight of this task's mean loss in the loss of the run."""
+    """Weight of this task's mean loss in the loss of the run.  Loss ``"regret"``: 0 for tracks to test on only."""
+    models: str = "any"
+    """What a filter that takes either is given of the scenario: its ``"motion"``, its ``"bank"``, or ``"any"``: the
+    bank if it has one."""
 
 
 @dataclass(frozen=True)
@@ -37,13 +41,20 @@ class Config:
     """A name of ``torchfra.catalogue.FILTERS``."""
     options: dict[str, Any] = field(default_factory=dict)
     """Arguments of the filter's preset."""
-    start: dict[str, float] = field(default_factory=dict)
-    """Initial values, in natural units, instead of the preset's and the scenario's."""
+    start: dict[str, Any] = field(default_factory=dict)
+    """Initial values, in natural units, instead of the preset's and the scenario's.  Loss ``"regret"``: arguments of
+    the preset."""
+    only: dict[str, str] = field(default_factory=dict)
+    """Loss ``"regret"``: of those in ``start`` that not all filters share, whether those of one ``"motion"`` do or
+    those of a ``"bank"``."""
+    rivals: tuple[str, ...] = ("srckf", "rsrckf", "mr_ckf", "fra", "imm_srckf", "imm_fra")
+    """Loss ``"regret"``: filters whose best, on the same task at its defaults, an error is compared with."""
     search: dict[str, list[float]] = field(default_factory=dict)
     """Candidate values of hyperparameters that no gradient reaches.  They are tried after the last iteration, on the
     validation tracks, one hyperparameter after the other."""
     loss: str = "robust"
-    """``"mse"``, ``"robust"``, ``"nll"`` (of the position), ``"innovation"`` or ``"teacher"``."""
+    """``"mse"``, ``"robust"``, ``"nll"`` (of the position), ``"innovation"``, ``"teacher"`` or ``"regret"``: errors as
+    ratios to the best rival's, of several filters that share values (``train/regret.py``)."""
     scale: float = 100.0
     """Position error, m, above which the robust loss flattens."""
     teacher: dict[str, float] = field(default_factory=dict)
@@ -58,7 +69,8 @@ class Config:
     lr: float = 0.05
     """Learning rate of Adam, on the unconstrained values; falls to a tenth along a half cosine."""
     clip: float = 100.0
-    """Largest norm of one track's gradient.  Large, because tracks about to diverge have large gradients."""
+    """Largest norm of one track's gradient.  Large, because tracks about to diverge have large gradients.  Loss
+    ``"regret"``: of the gradient of an iteration."""
     truncate: int = 0
     """Steps after which backpropagation through time is cut; 0 for never."""
     temperature: float = 1.0
@@ -130,6 +142,10 @@ def check(config: Config) -> Config:
         ValueError: a value out of its range.
     """
     one_of(loss=(config.loss, LOSSES))
+    for task in config.tasks:
+        one_of(models=(task.models, MODELS))
+    for models in config.only.values():
+        one_of(only=(models, MODELS[:2]))
     for low, keys in ((1, ("batch", "iterations", "validate_every", "validation_runs", "patience", "checkpoint_every")),
                       (0, ("skip", "truncate", "test_runs", "seed", "validation_seed", "test_seed"))):  # fmt: skip
         for key in keys:

@@ -6,6 +6,7 @@ import copy
 from collections.abc import Mapping
 
 import numpy as np
+from torch import nn
 
 from torchfra.catalogue import FILTERS, scenario_filter
 from torchfra.filters import Filter
@@ -54,14 +55,14 @@ def check_candidates(f: Filter, config: Config) -> None:
             raise ValueError(f"search: expected {expected} ({error})") from None
 
 
-def set_temperature(f: Filter, temperature: float) -> None:
+def set_temperature(f: nn.Module, temperature: float) -> None:
     """Makes the filter's decisions soft, or hard at 0; nothing happens to a filter without decisions."""
     for part in f.modules():
         if isinstance(part, Soft):
             part.temperature = temperature
 
 
-def natural_values(f: Filter) -> dict[str, float]:
+def natural_values(f: nn.Module) -> dict[str, float]:
     """All hyperparameters in natural units by their path; an element of a vector by its index, ``"motion.q[1]"``."""
     values: dict[str, float] = {}
     for path, hyper in hypers(f).items():

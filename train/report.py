@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+import torch
 
 from torchfra.app.evaluate import evaluate, versions
+from torchfra.app.progress import progress_bar
+from torchfra.filters import Filter
 from torchfra.tables import text_table
 from train.filters import make_filter, natural_values, set_temperature
+from train.regret import Regrets
 from train.training import Training
 
 
@@ -26,16 +31,21 @@ def report(training: Training, start: dict[str, float], *, quiet: bool = True) -
     values = {"start": start, "learned": training.learned_values()}
     if training.teacher is not None:
         values["known"] = {path: v for path, v in natural_values(training.teacher).items() if path in start}
-    return {
+    result = {
         "config": dataclasses.asdict(training.config),
         "iterations": training.iteration,
         "best": training.best["iteration"],
         "left_out": sum(int(row["left out"]) for row in training.rows),
         "seconds": sum(row["seconds"] for row in training.rows),
         "values": values,
-        "tasks": _errors(training, quiet) if training.config.test_runs else [],
+        "tasks": [],
         "versions": versions(),
     }
+    if isinstance(training, Regrets):
+        result["presets"] = training.presets()
+    if training.config.test_runs:
+        result["tasks"] = _regrets(training, quiet) if isinstance(training, Regrets) else _errors(training, quiet)
+    return result
 
 
 def _errors(training: Training, quiet: bool) -> list[dict[str, Any]]:
@@ -43,7 +53,7 @@ def _errors(training: Training, quiet: bool) -> list[dict[str, Any]]:
     config, tasks = training.config, []
     filters = {
         "before": make_filter(config, training.scenarios[0], config.start, learn=False).to("cpu"),
-        "after": training.filter.to("cpu"),
+        "after": cast(Filter, training.filter).to("cpu"),
     }
     for task, scenario in zip(config.tasks, training.held_out, strict=True):
         results = evaluate(scenario, filters, runs=config.test_runs, seed=config.test_seed, progress=not quiet)
@@ -56,19 +66,61 @@ def _errors(training: Training, quiet: bool) -> list[dict[str, Any]]:
     return tasks
 
 
+@torch.no_grad()
+def _regrets(training: Regrets, quiet: bool) -> list[dict[str, Any]]:
+    """For each task the best rival on unseen tracks, and errors before and after, filtered and settled."""
+    config, tasks = training.config, []
+    learned = copy.deepcopy(training.filter.state_dict())
+    for i in progress_bar(range(len(config.tasks)), "test", not quiet):
+        task = config.tasks[i]
+        name, best = training.best_rival(i, held_out=True, runs=config.test_runs, seed=config.test_seed)
+        errors: dict[str, Any] = {"scenario": task.scenario, **task.options, "models": task.models,
+                                  "weight": task.weight, "rival": {"filter": name, "rmse_position": best}}  # fmt: skip
+        for when, state in (("before", training.start), ("after", learned)):
+            training.filter.load_state_dict(state)
+            both = training.errors([i], training.held_out, first=0, runs=config.test_runs, seed=config.test_seed)
+            rmses = zip(("filtered", "settled"), both.squeeze(-1).tolist(), strict=True)
+            errors[when] = {kind: {"rmse_position": rmse, "regret": rmse / best - 1} for kind, rmse in rmses}
+        tasks.append(errors)
+    return tasks
+
+
 def report_text(result: dict[str, Any]) -> str:
     """The report as tables."""
     values = result["values"]
     rows = [[path, *(f"{column[path]:.5g}" for column in values.values())] for path in values["start"]]
     text = text_table(["", *values], rows) + "\n"
     rows = []
-    for task in result["tasks"]:
+    for task in [] if "presets" in result else result["tasks"]:
         before, after = task["before"], task["after"]
         diverged = f"{before['divergence_rate']:.2%} -> {after['divergence_rate']:.2%}"
         rows.append([task["scenario"], f"{before['rmse_position']:.1f}", f"{after['rmse_position']:.1f}", diverged])
     if rows:
         text += text_table(("position RMSE, m", "before", "after", "diverged"), rows) + "\n"
+    if "presets" in result:
+        text += _regrets_text(result)
     return text + (
         f"best after {result['best']} of {result['iterations']} iterations, {result['seconds']:.0f} s, "
         f"{result['left_out']} tracks left out"
     )
+
+
+def _regrets_text(result: dict[str, Any]) -> str:
+    """Regrets of all tasks, and the values as arguments of the preset."""
+    rows = []
+    for task in result["tasks"]:
+        known = {"scenario", "models", "weight", "rival", "before", "after"}
+        options = ", ".join(f"{value}" for key, value in task.items() if key not in known)
+        regrets = [f"{task[when][kind]['regret']:+.1%}" for when in ("before", "after") for kind in task["after"]]
+        rival = [task["rival"]["filter"], f"{task['rival']['rmse_position']:.1f}"]
+        rows.append([task["scenario"], options, task["models"], f"{task['weight']:g}", *rival, *regrets])
+    head = ("task", "options", "models", "weight", "best rival", "RMSE m", "before", "settled", "after", "settled")
+    text = text_table(head, rows, align="<<<><>") + "\n" if rows else ""
+    for kind, values in result["presets"].items():
+        text += f"gpb of a {kind}:\n" + "".join(f"  {name} = {_short(value)}\n" for name, value in values.items())
+    return text
+
+
+def _short(value: Any) -> str:
+    """Numbers, also in lists, with four digits."""
+    return f"({', '.join(map(_short, value))})" if isinstance(value, list) else f"{value:.4g}"

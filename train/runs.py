@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from train.config import Config, Task, check, read_changes
@@ -163,8 +164,77 @@ def association() -> Config:
     )
 
 
+def gpb() -> Config:
+    """The defaults of ``gpb``: one set of values over starts, manoeuvres, outliers alone and in bursts, and sensors.
+
+    What is shared learns from filters of one motion and of a bank alike.  Targets of the bearings scenarios move
+    without process noise, which would draw the levels to 0; so the truth of some is disturbed as filters assume.  What
+    does not count in the loss (weight 0) is looked at in the end: recorded flights that nothing learned from.
+    """
+    starts: list[dict[str, Any]] = [
+        {"initial": start, "truth_noise": noise} for noise in (0.0, 0.01) for start in ("paper", "truth")
+    ]
+    tasks = [Task("bearings-outliers", start, models="motion") for start in starts]
+    tasks += [Task("bearings-outliers", start, models="bank") for start in starts[:2]]
+    tasks += [Task("bearings-manoeuvre", models="bank")]
+    tasks += [Task("recorded", {"sensor": sensor}, models="motion") for sensor in ("bearings", "position", "radar")]
+    tasks += [Task("recorded", {"sensor": sensor}, 0.0, "bank") for sensor in ("bearings", "position", "radar")]
+    kinds = ("none", "covariance", "std", "bursts")
+    ranges = [Task("ranges-outliers", {"outliers": kind}, 0.0, "bank") for kind in ("none", "short", "nlos")]
+    return Config(
+        name="gpb",
+        filter="gpb",
+        loss="regret",
+        tasks=(*(replace(task, options=task.options | {"outliers": o}) for task in tasks for o in kinds), *ranges),
+        learn=("all",),
+        start={
+            "levels": [0.1, 10.0],
+            "regimes": [[0.97, 0.029999, 1e-6], [0.1, 0.899999, 1e-6], [0.1, 0.899999, 1e-6]],
+            "first": [0.5, 0.499999, 1e-6],
+            "stay": 0.99,
+            "jump": 1e-6,
+            "jumps": [370.0],
+            "qualities": [[0.98, 0.02], [0.7, 0.3]],
+            "sizes": [10.0, 100.0, 1600.0, 1e8],
+            "shares": [0.5, 0.35, 0.149, 0.001],
+            "poor": 0.25,
+            "start": 340.0,
+        },
+        only={"levels": "motion", "regimes": "motion", "first": "motion", "stay": "bank", "jump": "bank"},
+        batch=24,
+        iterations=60,
+        lr=0.15,
+        clip=1.0,
+        temperature=0.0,
+        validate_every=5,
+        validation_runs=48,
+        patience=12,
+        test_runs=200,
+    )
+
+
+def levels() -> Config:
+    """Levels, sizes and chains of ``gpb`` a factor 3 off, from measurements of tracks that do what it believes."""
+    return Config(
+        name="levels",
+        tasks=(Task("regimes"),),
+        learn=("levels", "qualities.chain", "sizes", "regimes.chain"),
+        filter="gpb",
+        options={"levels": [0.1, 100.0], "jumps": [], "sizes": [100.0], "shares": [1.0], "first": [0.99, 0.01],
+                 "regimes": [[0.97, 0.03], [0.1, 0.9]], "poor": 1e-6},
+        start={"levels": [0.3, 33.3], "qualities.chain": [[0.91, 0.09], [0.8, 0.2]], "sizes": [33.3],
+               "regimes.chain": [[0.91, 0.09], [0.3, 0.7]]},
+        loss="innovation",
+        temperature=0.0,
+        batch=32,
+        lr=0.1,
+        test_runs=0,
+    )  # fmt: skip
+
+
 RUNS: dict[str, Callable[[], Config]] = {
-    f.__name__: f for f in (fra_bearings, fra_recorded, switching, contaminated, association, noise, recover)
+    f.__name__: f
+    for f in (fra_bearings, fra_recorded, gpb, switching, contaminated, association, noise, recover, levels)
 }
 
 

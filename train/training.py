@@ -8,10 +8,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchfra import losses
 from torchfra.app import distributed
+from torchfra.filters import Filter
 from torchfra.hyper import named
 from torchfra.scenarios import Scenario
 from torchfra.types import Estimate
@@ -31,11 +32,8 @@ class Training:
         self.config = config
         self.scenarios = [task_scenario(task, config, held_out=False) for task in config.tasks]
         self.held_out = [task_scenario(task, config, held_out=True) for task in config.tasks]
-        _check(config, self.scenarios)
-        first = self.scenarios[0]
-        self.filter = make_filter(config, first, config.start, learn=True)
-        self.teacher = make_filter(config, first, config.teacher, learn=False) if config.loss == "teacher" else None
-        check_candidates(self.filter, config)
+        self.teacher: Filter | None = None
+        self.filter = self.make()
         self.parameters = dict(self.filter.named_parameters())
         self.optimiser = torch.optim.Adam(self.parameters.values(), lr=config.lr)
         weights = torch.tensor([task.weight for task in config.tasks], dtype=torch.float64, device=config.device)
@@ -46,6 +44,16 @@ class Training:
         self.best: dict[str, Any] = {}
         """Score, iteration and state_dict of the best validation."""
         self.keep(math.inf)
+
+    def make(self) -> nn.Module:
+        """What learns."""
+        config, first = self.config, self.scenarios[0]
+        _check(config, self.scenarios)
+        f = make_filter(config, first, config.start, learn=True)
+        check_candidates(f, config)
+        if config.loss == "teacher":
+            self.teacher = make_filter(config, first, config.teacher, learn=False)
+        return f
 
     def losses(self, values: Mapping[str, Tensor], batch: Batch, temperature: float) -> Tensor:
         """``(B,)`` loss of each track; of several targets in scans their mean.
@@ -67,7 +75,7 @@ class Training:
             counted = self.scenarios[0].cartesian(counted)
         else:  # both estimates are in the coordinates of the motion
             set_temperature(self.teacher, temperature)
-            states = self.filter.motion.position
+            states = self.teacher.motion.position
             with torch.no_grad():
                 target = self.teacher(batch.z, batch.prior, **options).mean
         loss = _loss(self.config, counted, target[..., skip:, :], states)

@@ -38,6 +38,7 @@ from train import checkpoints
 from train.batches import Batch, simulate
 from train.config import Config
 from train.log import Log
+from train.regret import Regrets
 from train.report import report, report_text
 from train.runs import RUNS, configured
 from train.search import search
@@ -52,12 +53,7 @@ def train(training: Training, out: Path, log: Log) -> None:
             break
         begun = time.perf_counter()
         rate, temperature = schedule(config, training.iteration / config.iterations)
-
-        # New tracks in each iteration.  Their numbers follow from the iteration, so a resumed run sees the same ones.
-        first = training.iteration * config.batch
-        batch = simulate(training.scenarios, first=first, runs=config.batch, seed=config.seed, device=config.device)
-        losses, gradients, left_out = task_means(training, batch, *track_gradients(training, batch, temperature))
-        gradient = training.task_weights @ gradients
+        losses, gradient, left_out = whole_gradient(training, temperature)
 
         parameters = list(training.parameters.values())
         for parameter, part in zip(parameters, gradient.split([p.numel() for p in parameters]), strict=True):
@@ -81,6 +77,17 @@ def train(training: Training, out: Path, log: Log) -> None:
         log.show(row)
         if training.iteration % config.checkpoint_every == 0 and distributed.rank() == 0:
             checkpoints.save(training, out)
+
+
+def whole_gradient(training: Training, temperature: float) -> tuple[Tensor, Tensor, int]:
+    """The loss ``(tasks,)`` of an iteration, its gradient ``(P,)``, and how many tracks do not count."""
+    # New tracks in each iteration.  Their numbers follow from the iteration, so a resumed run sees the same ones.
+    c, first = training.config, training.iteration * training.config.batch
+    if isinstance(training, Regrets):
+        return training.gradient(first)
+    batch = simulate(training.scenarios, first=first, runs=c.batch, seed=c.seed, device=c.device)
+    losses, gradients, left_out = task_means(training, batch, *track_gradients(training, batch, temperature))
+    return losses, training.task_weights @ gradients, left_out
 
 
 def schedule(config: Config, progress: float) -> tuple[float, float]:
@@ -131,6 +138,8 @@ def task_means(training: Training, batch: Batch, losses: Tensor, gradients: Tens
 def validate(training: Training) -> float:
     """The weighted loss on tracks that are never trained on, with hard decisions; infinite if it is NaN for one."""
     c = training.config
+    if isinstance(training, Regrets):
+        return training.validation()
     batch = simulate(training.held_out, first=0, runs=c.validation_runs, seed=c.validation_seed, device=c.device)
     # A teacher that decides softly is compared with a filter that does so too.
     losses = training.losses({}, batch, c.temperature if c.loss == "teacher" else 0.0).nan_to_num(nan=math.inf)
@@ -144,7 +153,8 @@ def tune(config: Config, out: Path, *, resume: bool = False, quiet: bool = False
     Raises:
         ValueError: ``out`` holds a run and ``resume`` is not asked for; or see ``Training``.
     """
-    training, first = Training(config), distributed.rank() == 0
+    training = Regrets(config) if config.loss == "regret" else Training(config)
+    first = distributed.rank() == 0
     quiet = quiet or not first
     if not resume and (out / "checkpoint.pt").exists():
         raise ValueError(f"out: {out} holds a run already: --resume continues it, --out DIR writes elsewhere")

@@ -1,0 +1,61 @@
+"""A target that does what ``filters.GPB`` believes: process noise that changes between levels, outliers in runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchfra.motion.polynomial import ConstantAcceleration
+from torchfra.scenarios.base import BLOCK, Scenario, Tracks
+from torchfra.sensors.position import Position
+from torchfra.types import Gaussian
+
+STEPS, DT, Q, STD = 200, 1.0, 0.01, 10.0
+_ROOT = torch.tensor([10.0, 10.0, 1.0, 1.0, 0.1, 0.1], dtype=torch.float64).diag()
+
+
+def regimes(
+    levels: Sequence[float] = (0.1, 100.0),
+    chain: Sequence[Sequence[float]] = ((0.97, 0.03), (0.1, 0.9)),
+    qualities: Sequence[Sequence[float]] = ((0.97, 0.03), (0.4, 0.6)),
+    size: float = 100.0,
+) -> Scenario:
+    """Positions with errors of 10 m, every second for 200 s.
+
+    Args:
+        levels: factors on the variance of the process noise, whose acceleration changes by 0.1 m/s^2 per step.
+        chain: ``(L, L)`` probabilities ``[i, j] = P(now j | was i)`` of these levels; the first step has the first.
+        qualities: ``(2, 2)`` of clean and outlier; the first measurement is clean.
+        size: factor on the covariance of an outlier's noise.
+    """
+    motion, sensor, dt = ConstantAcceleration(Q), Position(STD), torch.tensor(DT, dtype=torch.float64)
+    step, root = motion.transition(dt), motion.process_noise(dt)
+    scales = torch.tensor(levels, dtype=torch.float64).sqrt()
+
+    def block(rng: np.random.Generator, numbers: Tensor) -> Tracks:
+        start, noise = (torch.from_numpy(rng.standard_normal(shape)) for shape in ((BLOCK, 6), (BLOCK, STEPS, 2)))
+        push = torch.from_numpy(rng.standard_normal((STEPS, BLOCK, root.shape[-1])))
+        push = push * scales[_states(rng, chain)].mT.unsqueeze(-1)
+        outlier = _states(rng, qualities).unsqueeze(-1)
+        state, path = start @ _ROOT, []
+        for shock in push:
+            state = state @ step.mT + shock @ root.mT
+            path.append(state)
+        truth = torch.stack(path, 1)
+        z = truth[..., :2] + STD * noise * torch.where(outlier > 0, size**0.5, 1.0)
+        return Tracks(truth, z, None, Gaussian(torch.zeros_like(start), _ROOT))
+
+    settings: dict[str, object] = {"levels": levels, "chain": chain, "qualities": qualities, "size": size}
+    return Scenario("regimes", motion, sensor, Gaussian(torch.zeros_like(_ROOT[0]), _ROOT), DT, STEPS, block, settings)
+
+
+def _states(rng: np.random.Generator, chain: Sequence[Sequence[float]]) -> Tensor:
+    """``(BLOCK, STEPS)`` numbers of the states of a Markov chain, from the first state on."""
+    upper, draw = np.cumsum(np.asarray(chain), -1)[:, :-1], rng.random((STEPS, BLOCK, 1))
+    states = [np.zeros(BLOCK, dtype=np.int64)]
+    for u in draw[1:]:
+        states.append((u > upper[states[-1]]).sum(-1))
+    return torch.from_numpy(np.stack(states, -1))
