@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -61,10 +62,18 @@ def simulated(task: Task) -> Scenario:
 
 
 def _recorded(task: Task, config: Config, held_out: bool) -> Scenario:
-    files = config.files or readers.samples("calibration", "gliders")
-    recordings = [recording for file in files for recording in readers.read(Path(file))]
+    options = {"max_gap": 30.0, "repair": True, **task.options}
+    mended = _mended(config.files, held_out, options["max_gap"] if options.pop("repair") else None)
+    return scenarios.recorded(mended, repair=False, **options)
+
+
+@cache
+def _mended(files: tuple[str, ...], held_out: bool, max_gap: float | None) -> list[readers.Recording]:
+    """Recorded tracks that can be flown, which takes seconds to find out; as they are if there is no ``max_gap``."""
+    paths = [Path(file) for file in files] or readers.samples("calibration", "gliders")
+    recordings = [recording for path in paths for recording in readers.read(path)]
     kept = [recording for i, recording in enumerate(recordings) if (i % 5 == 4) == held_out]
-    return scenarios.recorded(kept, **task.options)
+    return kept if max_gap is None else [part for r in kept for part in readers.flyable(r, max_gap=max_gap)]
 
 
 def simulate(tasks: Sequence[Scenario], *, first: int, runs: int, seed: int, device: str = "cpu") -> Batch:

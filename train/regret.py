@@ -13,12 +13,14 @@ from torch import Tensor, nn
 
 from torchfra.app import distributed
 from torchfra.app.evaluate import evaluate
+from torchfra.app.progress import progress_bar
 from torchfra.catalogue import filters_for, scenario_filter
 from torchfra.filters import Filter
 from torchfra.hyper import Hyper, named
 from torchfra.scenarios import Scenario
 from torchfra.types import Estimate
 from train.batches import simulate, task_scenario
+from train.config import Config
 from train.training import Training
 
 POWER = 4
@@ -35,9 +37,17 @@ class Regrets(Training):
     time of the root mean square position error over the runs: one number for all runs together, whose gradient is not a
     sum over tracks, so that one process has them all.
 
+    Args:
+        config: of the run.
+        quiet: whether to show no progress bar.
+
     Raises:
         ValueError: settings that do not fit each other, several processes, or no task that counts.
     """
+
+    def __init__(self, config: Config, *, quiet: bool = True) -> None:
+        self.quiet = quiet
+        super().__init__(config)
 
     def make(self) -> nn.Module:
         """The values; ``filters`` of the tasks take them."""
@@ -82,7 +92,7 @@ class Regrets(Training):
     def _rivals(self) -> Tensor:
         """``(tasks,)`` errors of the best rivals; 1 of tasks that do not count."""
         config, best = self.config, torch.ones(len(self.filters), dtype=torch.float64)
-        for i in self.counted:
+        for i in progress_bar(self.counted, "best rivals", not self.quiet):
             best[i] = self.best_rival(i, held_out=False, runs=config.validation_runs, seed=config.seed)[1]
         return best
 
@@ -104,9 +114,11 @@ class Regrets(Training):
         batch = simulate([scenarios[i] for i in tasks], first=first, runs=runs, seed=seed, device=self.config.device)
         estimate: Estimate = self.filters[tasks[0]](batch.z, batch.prior, u=batch.u, dt=batch.dt)
         means = torch.stack([estimate.info.filtered.mean, estimate.info.settled.mean])
-        off = (means - batch.truth)[..., self.config.skip :, scenarios[tasks[0]].truth_position]
-        known = batch.truth.isfinite().all(-1)[..., self.config.skip :]
-        square = torch.where(known, off.square().sum(-1), 0.0).unflatten(1, (len(tasks), runs)).sum(2)
+        skip, position = self.config.skip, scenarios[tasks[0]].truth_position
+        truth = batch.truth[..., skip:, position]
+        known = truth.isfinite().all(-1)
+        off = torch.where(known.unsqueeze(-1), means[..., skip:, position] - truth, 0.0)  # squared it would spread NaN
+        square = off.square().sum(-1).unflatten(1, (len(tasks), runs)).sum(2)
         count = known.unflatten(0, (len(tasks), runs)).sum(1)
         rmse = torch.where(count > 0, square / count.clamp_min(1), 1.0).sqrt()
         of_tasks: Tensor = torch.where(count > 0, rmse, 0.0).sum(-1) / (count > 0).sum(-1)
@@ -128,6 +140,7 @@ class Regrets(Training):
             return losses, torch.zeros_like(gradient), len(self.counted) * config.batch
         return losses, gradient * (config.clip / norm).clamp_max(1.0), 0
 
+    @torch.no_grad()
     def validation(self) -> float:
         """The weighted loss on tracks that are never trained on; infinite if it is NaN."""
         config, total = self.config, 0.0

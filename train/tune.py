@@ -153,9 +153,9 @@ def tune(config: Config, out: Path, *, resume: bool = False, quiet: bool = False
     Raises:
         ValueError: ``out`` holds a run and ``resume`` is not asked for; or see ``Training``.
     """
-    training = Regrets(config) if config.loss == "regret" else Training(config)
     first = distributed.rank() == 0
     quiet = quiet or not first
+    training = Regrets(config, quiet=quiet) if config.loss == "regret" else Training(config)
     if not resume and (out / "checkpoint.pt").exists():
         raise ValueError(f"out: {out} holds a run already: --resume continues it, --out DIR writes elsewhere")
     start = training.learned_values()
