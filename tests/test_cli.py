@@ -8,9 +8,10 @@ import sys
 import numpy as np
 import pytest
 import torch
+from matplotlib.figure import Figure
 
 from torchfra import presets, readers
-from torchfra.app import cli
+from torchfra.app import cli, plotting
 from torchfra.app.evaluate import evaluate
 from torchfra.app.track import track
 from torchfra.catalogue import make_scenario
@@ -220,6 +221,24 @@ def test_compare_runs_a_scenario_through_filters(tmp_path, capsys):
     assert "srckf" in capsys.readouterr().out
 
 
+def test_compare_draws_the_filters_and_the_flight_that_it_is_told(tmp_path, monkeypatch):
+    drawn = []
+
+    def comparison(results, shown, dt, limit, title, mapped):
+        drawn.append((list(results), list(shown), list(mapped.estimates), mapped.number))
+        return Figure()
+
+    monkeypatch.setattr(plotting, "comparison", comparison)
+    arguments = ["compare", "--scenario", "bearings-outliers", "--filters", "ukf,rmckf,srckf,mr_ckf,rsrckf", "--quiet"]
+    out = ["--runs", "4", "--figure", str(tmp_path / "f.png")]
+    assert cli.main([*arguments, *out, "--show", "rsrckf,ukf,mr_ckf,rmckf", "--flight", "2"]) == 0
+    assert cli.main([*arguments, *out]) == 0
+    (names, shown, mapped, number), (_, by_itself, _, _) = drawn
+    assert names == ["ukf", "rmckf", "srckf", "mr_ckf", "rsrckf"]
+    assert (shown, mapped, number) == (["rsrckf", "ukf", "mr_ckf", "rmckf"], ["rsrckf", "ukf", "mr_ckf"], 2)
+    assert by_itself[:2] == ["ukf", "srckf"]
+
+
 @pytest.mark.parametrize("sensor", ["bearings", "radar"])
 def test_compare_runs_recorded_tracks_through_filters(noisy_track, tmp_path, sensor):
     arguments = ["compare", str(noisy_track), "--sensor", sensor, "--filters", "ukf,fra", "--steps", "60", "--quiet",
@@ -243,6 +262,14 @@ def test_compare_runs_recorded_tracks_through_filters(noisy_track, tmp_path, sen
         (["compare", "--scenario", "bearings-outliers", "--q", "0.25"], "q: goes with files, not with --scenario"),
         (["compare", "--scenario", "bearings-outliers", "--dt", "5"], "dt: goes with files, not with --scenario"),
         (["compare", "--scenario", "bearings-outliers", "--steps", "9"], "steps: goes with files, not with --scenario"),
+        (
+            ["compare", "--scenario", "growth", "--filters", "ukf,fra", "--show", "ukf,srckf"],
+            "show: expected 1 to 5 names out of ukf, fra, received ukf,srckf\n",
+        ),
+        (
+            ["compare", "--scenario", "growth", "--runs", "9", "--flight", "9"],
+            "flight: expected the number of a run, 0 to 8, received 9\n",
+        ),
         (["compare", "{file}", "--dt", "-1"], "dt: expected seconds above 0, received -1.0"),
         (["compare", "{file}", "--q", "-1"], "q: expected m^2/s^4 of 0 or more, received -1.0"),
         (["compare", "{file}", "missing.csv"], "error: file not found: missing.csv\n"),

@@ -25,17 +25,17 @@ from torchfra.types import Estimate, Gaussian
 
 GATE = {2: 13.816, 3: 16.266}
 """Normalised innovation squared that one good fix in 1000 exceeds, by dimensions of space (chi-square)."""
+DEFAULT = "fra"
+"""The filter that is used unless told otherwise."""
 LONGEST_GAP = 60.0
 """Seconds without a usable fix after which a filter of constant gains restarts."""
-_DECIDING = (AlphaBetaInfo, FRAInfo)
-"""What filters return that tell outliers from manoeuvres."""
 _TOGETHER = 32
 """Recordings that are filtered as one batch."""
 
 
 def track(
     recordings: Sequence[Recording],
-    name: str = "fra",
+    name: str = DEFAULT,
     *,
     dt: float | None = None,
     sigma: float = 25.0,
@@ -147,8 +147,8 @@ def _split(
 ) -> list[Filtered]:
     """What is known of each recording after they were filtered as one batch."""
     d = grids[0][1].shape[1]
-    outlier, manoeuvre = _flags(estimate, GATE[d])
-    std, decided = estimate.scale_tril.square().sum(-1).sqrt(), isinstance(estimate.info, _DECIDING)
+    outlier, manoeuvre, decided = _flags(estimate, GATE[d])
+    std = estimate.scale_tril.square().sum(-1).sqrt()
     results = []
     for i, (recording, (time, raw)) in enumerate(zip(recordings, grids, strict=True)):
         k = len(time)
@@ -184,15 +184,20 @@ def _nearest(time: Array, at: Array) -> NDArray[np.intp]:
     return nearest
 
 
-def _flags(estimate: Estimate, gate: float) -> tuple[Tensor, Tensor]:
-    """Outliers and manoeuvres ``(..., T)``: as the filter decided, or else by the gate and its fading factors."""
+def _flags(estimate: Estimate, gate: float) -> tuple[Tensor, Tensor, bool]:
+    """Outliers and manoeuvres ``(..., T)``, and whether the filter tells one from the other.
+
+    As it decided, or by the probability of an outlier in any block, or else by the gate and its fading factors.
+    """
+    abnormal, adapted = estimate.nis > gate, torch.zeros_like(estimate.nis, dtype=torch.bool)
     match estimate.info:
         case AlphaBetaInfo(rejected=rejected, manoeuvre=manoeuvre):  # of each axis
-            return rejected.any(-1), (manoeuvre & ~rejected).any(-1)
+            return rejected.any(-1), (manoeuvre & ~rejected).any(-1), True
         case FRAInfo(abnormal=abnormal, adaptive=adaptive):
-            return abnormal & ~adaptive, abnormal & adaptive
+            return abnormal & ~adaptive, abnormal & adaptive, True
+        case object(outlier=Tensor() as probability):
+            outlier = (probability > 0.5).any(-1)
+            return outlier, abnormal & ~outlier, True
         case Info(fading=Tensor() as fading):
-            adapted = (estimate.nis > gate) & (fading > 1)
-        case _:
-            adapted = torch.zeros_like(estimate.nis, dtype=torch.bool)
-    return (estimate.nis > gate) & ~adapted, adapted
+            adapted = abnormal & (fading > 1)
+    return abnormal & ~adapted, adapted, False

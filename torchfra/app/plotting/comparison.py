@@ -91,10 +91,10 @@ def _draw_time(
     """A line for each of the filters in ``colours``; returns the height of its end by name."""
     curves = {name: np.array(results[name]["rmse_position"], dtype=float) for name in colours}
     low, high = _limits(np.array(list(curves.values())), limit)
-    for name, curve in reversed(curves.items()):
-        axes.plot(dt * np.arange(1, len(curve) + 1), curve, color=colours[name], linewidth=1.4)
     steps = max(len(curve) for curve in curves.values())
     axes.set(yscale="log", ylim=(low, high), xlim=(0, dt * steps), xlabel="time, s", ylabel="RMSE of the position, m")
+    for name, curve in reversed(curves.items()):
+        axes.plot(dt * np.arange(1, len(curve) + 1), curve, color=colours[name], linewidth=1.4)
     plain_ticks(axes.yaxis)
     axes.set_title("over time, all runs", fontsize=10)
     axes.grid(alpha=0.25)

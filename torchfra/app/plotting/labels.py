@@ -18,6 +18,8 @@ _ANCHORS = 30
 """Places along a line among which that is chosen that its label points to."""
 _DISTANCES = (9.0, 16.0, 26.0, 40.0, 60.0)
 """How far a label may be from that place, points."""
+_POINTS = 500
+"""Of a line or of marks that are looked at, evenly chosen."""
 _SEPARATE = 25.0
 """Points of distance to everything else beyond which a line is told apart no better."""
 
@@ -50,9 +52,9 @@ def at_ends(axes: Axes, ends: Mapping[str, float], colours: Mapping[str, str]) -
         ends: by name, where the line ends along y; outside of the limits its name is at the edge.
         colours: by name.
     """
-    x = axes.get_xlim()[1]
-    heights = [axes.transAxes.inverted().transform(axes.transData.transform((x, y)))[1] for y in ends.values()]
-    level = np.clip(heights, 0.0, 1.0).tolist()
+    x, inside = axes.get_xlim()[1], np.clip(list(ends.values()), *axes.get_ylim())
+    to_axes = axes.transData + axes.transAxes.inverted()
+    level = [float(to_axes.transform((x, y))[1]) for y in inside]
     gap = _HIGH * axes.figure.dpi / 72 / axes.get_window_extent().height
     for name, y, place in zip(ends, level, spread_apart(level, gap, 0.0, 1.0), strict=True):
         axes.annotate(name, (1.0, y), (1.025, place), xycoords="axes fraction", textcoords="axes fraction", va="center",
@@ -78,7 +80,7 @@ def in_free_places(axes: Axes, points: Mapping[str, Array], colours: Mapping[str
         place = axes.transData.transform(of) * scale - corner
         place = place[((place >= 0) & (place <= size)).all(1)]
         if len(place):
-            drawn[name] = place
+            drawn[name] = place[:: -(-len(place) // _POINTS)]
     taken: list[Array] = []
     for name, own in drawn.items():
         others = np.concatenate([of for other, of in drawn.items() if other != name] or [np.empty((0, 2))])
