@@ -55,7 +55,7 @@ def test_track_does_not_say_what_is_an_outlier_where_the_filter_does_not(noisy_t
     assert "outliers" not in said
 
 
-@pytest.mark.parametrize("name", ["fra", "fra_srckf", "alphabeta"])
+@pytest.mark.parametrize("name", ["gpb", "fra", "fra_srckf", "alphabeta"])
 def test_track_says_what_is_an_outlier_where_the_filter_decides(noisy_track, tmp_path, capsys, name):
     arguments = ["track", str(noisy_track), "--filter", name, "--no-plots", "--no-compile"]
     assert cli.main([*arguments, "--out", str(tmp_path / "out"), "--json", str(tmp_path / "s.json")]) == 0
@@ -96,6 +96,20 @@ def test_track_says_which_of_the_interacting_models_leads(tmp_path):
     assert sum(summary["steps_led"].values()) == 120
     assert summary["steps_led"]["turn +3 deg/s"] == leads.count("turn +3 deg/s")
     assert (tmp_path / "turn.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_track_says_where_the_target_jumps_by_default(tmp_path):
+    time = np.arange(60) * 4.0
+    xy = np.stack([100 * time + 30_000 * (time > 100), 0 * time], 1) + np.random.default_rng(0).normal(0, 5, (60, 2))
+    path = tmp_path / "jump.csv"
+    path.write_text("t,x,y\n" + "".join(f"{t},{x},{y}\n" for t, (x, y) in zip(time, xy, strict=True)))
+    out = ["--out", str(tmp_path), "--json", str(tmp_path / "s.json"), "--quiet", "--sigma", "5"]
+    assert cli.main(["track", str(path), *out]) == 0
+    found = json.loads((tmp_path / "s.json").read_text())
+    assert found["settings"]["filter"] == "gpb"
+    assert sum(found["tracks"][0]["steps_led"].values()) == 60
+    rows = list(csv.DictReader((tmp_path / "jump.csv").read_text().splitlines()))
+    assert abs(float(rows[-1]["x"]) - xy[-1, 0]) < 30
 
 
 def test_compare_runs_interacting_models(tmp_path):
@@ -148,9 +162,10 @@ def test_commands_compile_when_it_is_worthwhile_and_say_so(noisy_track, tmp_path
     track_it = ["track", str(noisy_track), "--no-plots", "--quiet", "--out", str(tmp_path / "out")]
     assert cli.main(track_it) == 0
     monkeypatch.setattr("torchfra.app.track_command.WORTHWHILE", 80)
-    assert cli.main([*track_it, "--compile"]) == 0
+    assert cli.main([*track_it, "--filter", "fra", "--compile"]) == 0
     assert cli.main([*track_it, "--filter", "imm_srckf"]) == 0
-    assert calls == [(None, False), (False, True), (None, False), (True, True), (None, False)]
+    assert cli.main(track_it) == 0
+    assert calls == [(None, False), (False, True), (None, False), (True, True), (None, False), (None, False)]
 
 
 def test_without_a_compiler_commands_run_interpreted_unless_told_to_compile(tmp_path, capsys, monkeypatch):
@@ -249,18 +264,94 @@ def test_compare_runs_recorded_tracks_through_filters(noisy_track, tmp_path, sen
     assert result["filters"]["ukf"]["relative_time"] == pytest.approx(1.0)
 
 
+@pytest.fixture
+def walks(tmp_path):
+    """Two recordings of ranges from four anchors to someone on a circle, the second with a range 9 m short."""
+    time = np.arange(60) * 0.1
+    path = np.stack([3 + 2 * np.cos(time / 2), 4 + 2 * np.sin(time / 2)], 1)
+    for name, wrong in (("a", 0.0), ("b", 9.0)):
+        folder = tmp_path / "walks" / name
+        folder.mkdir(parents=True)
+        lines = [f"{t},{x},{y},0.5" for t, (x, y) in zip(time, path, strict=True)]
+        (folder / "path.csv").write_text("\n".join(["t,x,y,z", *lines]))
+        for i, place in enumerate(((0, 0, 2), (9, 0, 2), (9, 8, 1), (0, 8, 1))):
+            away = np.sqrt(np.square(path - place[:2]).sum(1) + (place[2] - 0.5) ** 2)
+            away[30 if i == 1 else 0] += wrong if i == 1 else 0.0
+            lines = [f"{t},{r},{place[0]},{place[1]},{place[2]}" for t, r in zip(time, away, strict=True)]
+            (folder / f"A{i}.csv").write_text("\n".join(["t,range,x,y,z", *lines]))
+    return tmp_path / "walks"
+
+
+def test_compare_runs_recorded_ranges_and_shows_the_error_on_each(walks, tmp_path, capsys):
+    out = ["--json", str(tmp_path / "r.json"), "--figure", str(tmp_path / "f.png")]
+    assert cli.main(["compare", "--ranges", str(walks), "--filters", "srckf,rsrckf,imm_srckf", *out]) == 0
+    report = json.loads((tmp_path / "r.json").read_text())
+    assert report["settings"]["recordings"] == [(walks / name).as_posix() for name in "ab"]
+    error = {name: of["rmse_of_runs"] for name, of in report["filters"].items()}
+    assert error["rsrckf"][0] < error["rsrckf"][1] < 0.3 < error["srckf"][1]
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:3] == [
+        "recorded-ranges: 2 of 2 recordings, up to 60 steps", f"1: {walks}/a", f"2: {walks}/b"
+    ]  # fmt: skip
+    (line,) = (line.split() for line in lines if line.startswith("srckf"))
+    assert line[1:4] == [f"{x:.2f}" for x in (*error["srckf"], sum(error["srckf"]) / 2)]
+    assert (tmp_path / "f.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_compare_takes_one_recording_in_files(walks, tmp_path):
+    apart = tmp_path / "apart"
+    apart.mkdir()
+    (apart / "path.csv").write_bytes((walks / "b/path.csv").read_bytes())
+    (apart / "anchors.csv").write_text("anchor,x,y,z\nA0,0,0,2\nA1,9,0,2\nA2,9,8,1\nA3,0,8,1\n")
+    files = [str(walks / f"b/A{i}.csv") for i in range(4)]
+    more = ["--anchors", str(apart / "anchors.csv"), "--reference", str(apart / "path.csv")]
+    found = []
+    for arguments in (
+        [str(walks / "b")],
+        [*files, *more],
+        [*files, *more, "--height", "0.5"],
+        [*files, *more, "--dt", ".2"],
+    ):
+        out = ["--json", str(tmp_path / "r.json"), "--figure", str(tmp_path / "f.png"), "--quiet"]
+        assert cli.main(["compare", "--ranges", *arguments, "--filters", "rsrckf", *out]) == 0
+        found.append(json.loads((tmp_path / "r.json").read_text())["filters"]["rsrckf"]["rmse_position"])
+    assert found[0] == pytest.approx(found[1])
+    assert found[0] == pytest.approx(found[2])
+    assert (len(found[0]), len(found[3])) == (60, 30)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--runs", "3"], "runs: expected at most one for each of 2 recordings, received 3"),
+        (["--reference", "{walks}/a/path.csv"], "reference: goes with one recording, received 2"),
+        (["--anchors", "{walks}/a/path.csv"], "a/path.csv: expected rows with the columns anchor,x,y[,z]"),
+        (["--q", "-1"], "q: expected"),
+    ],
+)
+def test_what_does_not_go_with_recorded_ranges_is_refused(walks, capsys, options, said):
+    assert cli.main(["compare", "--ranges", str(walks), *(o.format(walks=walks) for o in options)]) == 2
+    assert said in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["compare"], "files or --scenario"),
+        (["compare"], "compare: expected one of files, --scenario and --ranges, received none\n"),
         (["compare", "--scenario", "nowhere"], "bearings-outliers"),
         (["compare", "--scenario", "bearings-outliers", "--filters", "kalman"], "received kalman"),
         (["compare", "--scenario", "bearings-outliers", "--outliers", "wild"], "'wild'"),
         (["compare", "--scenario", "adsb-turns", "--outliers", "std"], "adsb-turns takes no such option"),
         (["compare", "--scenario", "bearings-outliers", "--runs", "-1"], "runs: expected 1 or more, received -1\n"),
         (["compare", "--scenario", "bearings-outliers", "--sensor", "bearings"], "sensor: goes with files, not with"),
-        (["compare", "--scenario", "bearings-outliers", "--q", "0.25"], "q: goes with files, not with --scenario"),
-        (["compare", "--scenario", "bearings-outliers", "--dt", "5"], "dt: goes with files, not with --scenario"),
+        (
+            ["compare", "--scenario", "bearings-outliers", "--q", "0.25"],
+            "q: goes with files or --ranges, not with",
+        ),
+        (
+            ["compare", "--scenario", "bearings-outliers", "--dt", "5"],
+            "dt: goes with files or --ranges, not with",
+        ),
         (["compare", "--scenario", "bearings-outliers", "--steps", "9"], "steps: goes with files, not with --scenario"),
         (
             ["compare", "--scenario", "growth", "--filters", "ukf,fra", "--show", "ukf,srckf"],
@@ -270,6 +361,13 @@ def test_compare_runs_recorded_tracks_through_filters(noisy_track, tmp_path, sen
             ["compare", "--scenario", "growth", "--runs", "9", "--flight", "9"],
             "flight: expected the number of a run, 0 to 8, received 9\n",
         ),
+        (["compare", "--scenario", "bearings-outliers", "--no-repair"], "repair: goes with files, not with --scenario"),
+        (["compare", "{file}", "--ranges", "{file}"], "received files and --ranges\n"),
+        (["compare", "--ranges", "{file}", "--outliers", "none"], "outliers: goes with files or --scenario, not with"),
+        (["compare", "{file}", "--anchors", "a.csv"], "anchors: goes with --ranges, not with files\n"),
+        (["compare", "--ranges", "missing"], "error: file not found: missing\n"),
+        (["compare", "--ranges", "{file}"], "expected ranges above 0 with their times, received none\n"),
+        (["compare", "--ranges", "{file}", "."], "ranges: expected either folders or the files of one recording"),
         (["compare", "{file}", "--dt", "-1"], "dt: expected seconds above 0, received -1.0"),
         (["compare", "{file}", "--q", "-1"], "q: expected m^2/s^4 of 0 or more, received -1.0"),
         (["compare", "{file}", "missing.csv"], "error: file not found: missing.csv\n"),

@@ -1,11 +1,14 @@
 """Figures of comparisons hold what a reader asks for, whatever the filters did; labels never cover each other."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.text import Text
+from scipy.optimize import least_squares
 
 from torchfra import presets
 from torchfra.app import plotting
@@ -203,6 +206,17 @@ def test_a_flight_is_the_run_of_that_number(bearings):
     torch.testing.assert_close(mapped.estimates["srckf"][0], estimate.mean[3, part, :2].detach())
 
 
+def test_what_is_lost_is_said_by_the_scenario():
+    scenario = make_scenario("ranges-outliers", share=0.0, missing=0.0)
+    filters = scenario_filters(["srckf"], scenario)
+    metrics = measure(scenario, filters, runs=3)
+    errors = metrics["srckf"].errors()
+    lost = {limit: results_of(metrics, filters, scenario, 3, limit)["srckf"]["diverged"] for limit in (None, 1e-9)}
+    assert lost == {None: int((errors > scenario.limit).sum()), 1e-9: 3}
+    strict = replace(scenario, limit=float(errors.median()))
+    assert results_of(metrics, filters, strict, 3)["srckf"]["diverged"] == 1
+
+
 # ---------------------------------------------------------------- positions that measurements imply
 
 
@@ -229,6 +243,28 @@ def test_range_and_bearing_imply_the_polar_fix_and_a_position_itself():
     torch.testing.assert_close(fixes(radar, tracks)[:, :, 0], tracks.u + radar.sensor.locate(tracks.z))
     tracks = position.simulate(2, 0)
     torch.testing.assert_close(fixes(position, tracks)[:, :, 0], tracks.z)
+
+
+def test_ranges_imply_the_position_of_the_least_squares_whatever_is_missing_or_short():
+    scenario = make_scenario("ranges-outliers")
+    tracks = scenario.simulate(1, 0)
+    z = tracks.z[:, :8].clone()
+    z[0, :, :] = scenario.sensor(tracks.truth[:, :8])[0]
+    z[0, 2, 1] = torch.nan
+    z[0, 3, 2] -= 3.0
+    z[0, 4] = torch.nan
+    found = fixes(scenario, tracks._replace(z=z, truth=tracks.truth[:, :8]))[0, :, 0]
+    assert found[4].isnan().all()
+    exact = [0, 1, 2, 5, 6, 7]
+    torch.testing.assert_close(found[exact], tracks.truth[0, exact, :2])
+    state = tracks.truth[0, 3].numpy()
+
+    def residual(place):
+        return (scenario.sensor(torch.tensor([*place, *state[2:]])) - z[0, 3]).numpy()
+
+    expected = least_squares(residual, state[:2], xtol=1e-12, ftol=1e-12, gtol=1e-12).x
+    np.testing.assert_allclose(found[3].numpy(), expected, atol=1e-4)
+    assert np.linalg.norm(expected - state[:2]) > 0.5
 
 
 def test_what_implies_no_position_is_nan():

@@ -205,6 +205,7 @@ def benign(steps=100):
 
 @pytest.mark.parametrize(("name", "options"), [(name, {}) for name in PRESETS] + [
     ("fra", {"temperature": 1.0}), ("fra_srckf", {"temperature": 1.0}),
+    ("fra", {"temperature": 1.0, "plain": 0.5, "provisional": "likeliest", "final": "likeliest"}),
     ("fra", {"temperature": 1.0, "per_element": True, "states": (slice(0, 2), slice(2, 4)), "share": (1.0, 0.5)}),
 ], ids=str)  # fmt: skip
 def test_gradients_through_a_hundred_steps_are_those_of_finite_differences(name, options, make):

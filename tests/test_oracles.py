@@ -33,6 +33,15 @@ CASES = [
 ] + [
     ("fra", "fra", {"preference": 1.5, "gate": 8.0, "threshold": np.array([0.8, 2.0])}),
     ("fra_srckf", "fra", {"preference": -1.0, "share": (1.0, 0.3), "states": (slice(0, 2), slice(2, 4))}),
+] + [
+    ("fra", "fra", {"preference": p, "plain": q, "provisional": s, "final": f})
+    for p, q, s, f in (
+        (0.0, 0.0, "robust", "robust"), (1.5, 1.0, "likeliest", "plain"), (0.5, 2.0, "likeliest", "likeliest"),
+        (-2.0, -1.0, "likeliest", "likeliest"), (0.0, 0.0, "plain", "likeliest"), (0.0, 3.0, "adaptive", "adaptive"),
+    )
+] + [
+    ("fra_srckf", "fra", {"plain": 0.5, "gate": 4.0, "provisional": "likeliest"}),
+    ("fra_srckf", "fra", {"provisional": "plain", "final": "likeliest"}),
 ]  # fmt: skip
 
 
@@ -86,7 +95,8 @@ def test_a_filter_agrees_with_its_oracle(experiment, preset, oracle, options):
         info = e.info
         if oracle == "fra":
             np.testing.assert_array_equal(info.abnormal[i].numpy(), expected["abnormal"])
-            np.testing.assert_array_equal(info.adaptive[i].numpy(), expected["adaptive"])
+            np.testing.assert_array_equal(info.adaptive[i].numpy(), expected["name"] == "adaptive")
+            np.testing.assert_array_equal(info.plain[i].numpy(), expected["name"] == "plain")
             np.testing.assert_allclose(info.provisional.mean[i].numpy(), expected["provisional"], rtol=1e-7, atol=1e-5)
             kept = np.where(info.adaptive[i], info.fading[i], 1.0)
             np.testing.assert_allclose(kept, expected["fading"], rtol=1e-6)
@@ -100,6 +110,9 @@ def test_a_filter_agrees_with_its_oracle(experiment, preset, oracle, options):
 @pytest.mark.parametrize(("preset", "options"), [
     ("fra", {"decision": "likelihood", "memory": "weighted", "rcond": 0.2, "preference": 0.7}),
     ("fra_srckf", {"decision": "normalised", "memory": "plain", "rcond": 0.1}),
+    ("fra", {"decision": "likelihood", "memory": "weighted", "rcond": 0.2, "preference": 0.7, "plain": 1.2,
+             "provisional": "likeliest"}),
+    ("fra_srckf", {"decision": "normalised", "memory": "plain", "rcond": 0.1, "plain": -0.5, "provisional": "plain"}),
 ])  # fmt: skip
 def test_a_soft_decision_agrees_with_its_oracle(experiment, preset, options, temperature):
     scenario, tracks = experiment
@@ -111,6 +124,8 @@ def test_a_soft_decision_agrees_with_its_oracle(experiment, preset, options, tem
         mean, P = e.mean[i].numpy(), e.covariance[i].numpy()
         np.testing.assert_allclose(mean, expected["mean"], rtol=1e-8, atol=1e-8 * np.abs(mean).max())
         np.testing.assert_allclose(P, expected["P"], rtol=1e-7, atol=1e-8 * np.abs(P).max())
+        shown = e.info.provisional.mean[i].numpy()
+        np.testing.assert_allclose(shown, expected["provisional"], rtol=1e-8, atol=1e-8 * np.abs(shown).max())
 
 
 def test_oracles_never_import_what_they_are_compared_with():

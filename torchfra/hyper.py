@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import TypeVar
 
 import torch
@@ -12,6 +12,7 @@ from torch.distributions import constraints, transform_to
 from torchfra.tables import text_table
 
 Value = float | Tensor
+Values = Value | Sequence[float] | Sequence[Sequence[float]]
 M = TypeVar("M", bound=nn.Module)
 
 

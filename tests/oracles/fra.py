@@ -1,4 +1,4 @@
-"""The feedback decision between a robust and an adaptive branch; Wang et al. (2021), section 2.2, hard and soft."""
+"""The feedback decision among robust, adaptive and plain branches; Wang et al. (2021), section 2.2, hard and soft."""
 
 from __future__ import annotations
 
@@ -14,18 +14,23 @@ from oracles.mixture import matched
 from oracles.robust import Prior, compare, huber, step, unweighted, weighted
 
 
-def lead(robust: Prior, adaptive: Prior, decision: str, preference: float) -> float:
-    """Log odds of the adaptive branch: feedback decision of section 2.2."""
-    if decision == "likelihood":
-        return adaptive.log_likelihood - robust.log_likelihood - preference
-    return 0.5 * (robust.nis - adaptive.nis) - preference
+def prior_odds(preference: float, plain: float | None) -> dict[str, float]:
+    """Log odds of the branches before the next measurement; no plain branch if that is None."""
+    return {"robust": preference, "adaptive": 0.0} | ({} if plain is None else {"plain": plain})
 
 
-def adaptive_wins(robust: Prior, adaptive: Prior, decision: str, preference: float) -> bool:
-    """A tie and a broken-down adaptive branch select the robust one."""
-    if not (math.isfinite(robust.nis) and math.isfinite(adaptive.nis)):
-        return math.isfinite(adaptive.nis)
-    return lead(robust, adaptive, decision, preference) > 0
+def scores(ahead: dict[str, Prior], odds: dict[str, float], decision: str) -> dict[str, float]:
+    """How well each branch predicts the next measurement: feedback decision of section 2.2."""
+    found = {}
+    for name, odd in odds.items():
+        score = ahead[name].log_likelihood if decision == "likelihood" else -0.5 * ahead[name].nis
+        found[name] = score + odd if math.isfinite(score) else -math.inf
+    return found
+
+
+def winner(scored: dict[str, float]) -> str:
+    """A tie selects the robust branch, and of the others the adaptive one."""
+    return max(scored, key=scored.__getitem__)
 
 
 def memories(V: Array, p: Prior, psi: Array, memory: str, forgetting: float) -> tuple[Array, Array]:
@@ -42,37 +47,39 @@ def fra(
     threshold: float | Array = 1.345,
     gate: float = 5.991,
     preference: float = 0.0,
+    plain: float | None = None,
     decision: str = "normalised",
     memory: str = "plain",
+    provisional: str = "robust",
     final: str = "robust",
     **fade: Any,
 ) -> Result:
-    """Feedback decision between the robust and the adaptive branch of an abnormal step, section 2.2.
+    """Feedback decision among the branches of an abnormal step, section 2.2.
 
-    decision "normalised" or "likelihood"; memory "plain" or "weighted"; final (an abnormal last step) "robust",
-    "adaptive" or "plain"; options of `Fade`. Besides the usual keys (weights and fading are those of what was kept):
-    abnormal (T,), adaptive (T,) True where the adaptive branch was kept, provisional (T,n).
+    decision "normalised" or "likelihood"; memory "plain" or "weighted"; provisional, and final (an abnormal last step),
+    "robust", "adaptive", "plain" or "likeliest"; options of `Fade`. Besides the usual keys (weights and fading are
+    those of what was kept): abnormal (T,), name (T,) of the branch that was kept, provisional (T,n).
     """
+    odds = prior_odds(preference, plain)
     rule, options, V = third_degree(len(mean0)), Fade(**fade), no_memory(z)
     steps: list[dict[str, Any]] = []
     p = compare(np.array(mean0, dtype=float), np.array(P0, dtype=float), z[0], model, 0, rule)
     for k in range(len(z)):
         psi = huber(p.v, np.broadcast_to(threshold, z.shape[1])[p.seen])
         V_now, V = memories(V, p, psi, memory, options.forgetting)
-        kept = provisional = unweighted(p)
-        abnormal, adaptive, following = bool(p.seen) and not p.nis <= gate, False, None
+        kept = shown = unweighted(p)
+        abnormal, name, following = bool(p.seen) and not p.nis <= gate, "", None
         if abnormal:
-            provisional = robust = weighted(p, psi)
             fading = faded(p, V_now, np.ones(len(p.seen)), z[k], model, k, rule, options)
+            branches = {"robust": weighted(p, psi), "adaptive": fading, "plain": kept}
+            shown = branches[winner(odds) if provisional == "likeliest" else provisional]
+            name = winner(odds) if final == "likeliest" else final
             if k + 1 < len(z):
-                after_robust = compare(*robust[:2], z[k + 1], model, k + 1, rule)
-                after_fading = compare(*fading[:2], z[k + 1], model, k + 1, rule)
-                adaptive = adaptive_wins(after_robust, after_fading, decision, preference)
-                kept, following = (fading, after_fading) if adaptive else (robust, after_robust)
-            else:
-                adaptive = final == "adaptive"
-                kept = {"robust": robust, "adaptive": fading, "plain": kept}[final]
-        flags = {"abnormal": abnormal, "adaptive": adaptive, "provisional": provisional[0]}
+                ahead = {b: compare(*branches[b][:2], z[k + 1], model, k + 1, rule) for b in odds}
+                name = winner(scores(ahead, odds, decision))
+                following = ahead[name]
+            kept = branches[name]
+        flags = {"abnormal": abnormal, "name": name, "provisional": shown[0]}
         steps.append(step(p, kept, z.shape[1]) | flags)
         if k + 1 < len(z):
             p = following or compare(*kept[:2], z[k + 1], model, k + 1, rule)
@@ -84,6 +91,13 @@ def sigmoid(x: float) -> float:
     return 1 / (1 + math.exp(-x)) if x > -700 else 0.0
 
 
+def softmax(scored: dict[str, float], temperature: float) -> dict[str, float]:
+    """Weights that sum to one."""
+    top = max(scored.values())
+    weights = {name: math.exp((score - top) / temperature) for name, score in scored.items()}
+    return {name: w / sum(weights.values()) for name, w in weights.items()}
+
+
 def soft_fra(
     z: Array,
     mean0: Array,
@@ -93,12 +107,15 @@ def soft_fra(
     threshold: float = 1.345,
     gate: float = 5.991,
     preference: float = 0.0,
+    plain: float | None = None,
     decision: str = "likelihood",
     memory: str = "weighted",
+    provisional: str = "robust",
     **fade: Any,
 ) -> Result:
-    """As `fra`, but every step is a mixture: abnormal by sigmoid((nis - gate) / temperature), and of that the adaptive
-    branch by the sigmoid of its log odds over the temperature. An abnormal last step is robust. mean and P only."""
+    """As `fra`, but every step is a mixture: abnormal by sigmoid((nis - gate) / temperature), and of that each branch
+    by the softmax of the scores over the temperature. An abnormal last step is robust. mean, P, provisional only."""
+    odds = prior_odds(preference, plain)
     rule, options, V = third_degree(len(mean0)), Fade(**fade), no_memory(z)
     steps: list[dict[str, Any]] = []
     mean, P = np.array(mean0, dtype=float), np.array(P0, dtype=float)
@@ -106,14 +123,21 @@ def soft_fra(
         p = compare(mean, P, z[k], model, k, rule)
         psi = huber(p.v, threshold)
         V_now, V = memories(V, p, psi, memory, options.forgetting)
-        robust = weighted(p, psi)
         fading = faded(p, V_now, np.ones(len(p.seen)), z[k], model, k, rule, options)
-        abnormal, adaptive = sigmoid((p.nis - gate) / temperature), 0.0
+        branches = {"robust": weighted(p, psi), "adaptive": fading, "plain": unweighted(p)}
+        abnormal = sigmoid((p.nis - gate) / temperature)
+
+        def mixed(
+            shares: dict[str, float], branches: Any = branches, abnormal: float = abnormal
+        ) -> tuple[Array, Array]:
+            parts = [(1 - abnormal, *branches["plain"][:2])]
+            return matched(parts + [(abnormal * w, *branches[name][:2]) for name, w in shares.items()])
+
+        shown, _ = mixed(softmax(odds, temperature) if provisional == "likeliest" else {provisional: 1.0})
+        shares = {"robust": 1.0}
         if k + 1 < len(z):
-            ahead = [compare(*branch[:2], z[k + 1], model, k + 1, rule) for branch in (robust, fading)]
-            adaptive = sigmoid(lead(*ahead, decision, preference) / temperature)
-        shares = (1 - abnormal, abnormal * (1 - adaptive), abnormal * adaptive)
-        branches = (unweighted(p), robust, fading)
-        mean, P = matched([(w, *branch[:2]) for w, branch in zip(shares, branches, strict=True)])
-        steps.append({"mean": mean, "P": P})
+            ahead = {name: compare(*branches[name][:2], z[k + 1], model, k + 1, rule) for name in odds}
+            shares = softmax(scores(ahead, odds, decision), temperature)
+        mean, P = mixed(shares)
+        steps.append({"mean": mean, "P": P, "provisional": shown})
     return collect(steps)

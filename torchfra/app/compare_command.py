@@ -7,34 +7,35 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from torchfra import readers, scenarios
 from torchfra.app import distributed
 from torchfra.app.atomic_write import write_json
 from torchfra.app.command import add_json_option, add_quiet_option
 from torchfra.app.compiling import add_compile_option, choose, reporters
-from torchfra.app.evaluate import BASELINE, LIMIT, flight, leaders, measure, report, results_of, table
-from torchfra.app.running_metrics import RunningMetrics
-from torchfra.app.track_command import FILES
-from torchfra.catalogue import (
-    SCENARIOS,
-    filters_for,
-    learned_filter,
-    make_scenario,
-    scan_filters,
-    scenario_filters,
-    track_filters,
+from torchfra.app.evaluate import (
+    BASELINE,
+    flight,
+    leaders,
+    measure,
+    recordings_table,
+    report,
+    results_of,
+    table,
 )
+from torchfra.app.running_metrics import RunningMetrics
+from torchfra.app.sources import RANGES, add_source_options, scenario_of
+from torchfra.app.track_command import FILES
+from torchfra.catalogue import filters_for, learned_filter, scan_filters, scenario_filters, track_filters
 from torchfra.filters import Filter
 from torchfra.scenarios import Scenario
 
 _EXAMPLES = """examples:
   torchfra compare flights/*.json.gz --sensor radar --json radar.json
   torchfra compare --scenario bearings-outliers --runs 500 --filters srckf,rmckf,fra
+  torchfra compare --ranges walks --json walks.json
+  torchfra compare --ranges a1.csv a2.csv a3.csv a4.csv --anchors anchors.csv --reference path.csv --dt 0.2
   torchfra compare --scenario bearings-outliers --runs 1000000 --filters srckf
   torchrun --nproc-per-node 2 -m torchfra compare --scenario bearings-outliers --runs 10000"""
 
-_FILE_OPTIONS = ("sensor", "q", "dt", "steps")
-"""Options that a scenario of a paper does not take."""
 MOST_SHOWN, MOST_ON_MAP = 5, 3
 """Filters whose errors are drawn over time, and estimates on the map."""
 WORTHWHILE = 100_000
@@ -48,21 +49,24 @@ def add_to(commands: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         help="run a batch of tracks through several filters",
         description="Run many tracks through several filters: one table, and one figure with a flight on a map, the\n"
-        "errors of all runs, and errors over time.  The tracks are recorded ones seen by a simulated sensor (FILES),\n"
-        f"or those of a paper's scenario.\n\n{FILES}",
+        "errors of all runs, and errors over time.  The tracks are recorded ones seen by a simulated sensor (FILE),\n"
+        "those of a scenario, or recorded together with ranges from anchors.\n\n"
+        f"{FILES}\n\n{RANGES}",
         epilog=_EXAMPLES,
     )
     add = command.add_argument
-    add("files", metavar="FILE", type=Path, nargs="*")
-    add("--scenario", metavar="NAME", help=f"instead of files, one of {', '.join(SCENARIOS)}")
+    add_source_options(add)
     names = f"{', '.join(track_filters())}, of clutter-* {', '.join(scan_filters())}"
     add("--filters", metavar="A,B", help=f"out of {names} (default: all)")
     learned = "also the filter NAME (default: fra) with values that training wrote, as 'learned'"
     add("--learned", metavar="[NAME=]FILE", help=learned)
-    add("--runs", type=int, metavar="M", help="tracks (default: 100; of files, each window once)")
+    add(
+        "--runs",
+        type=int,
+        metavar="M",
+        help="tracks (default: 100; of files each window once, of ranges each recording)",
+    )
     add("--seed", type=int, default=0, metavar="S", help="seed of the random numbers (default: 0)")
-    add("--outliers", metavar="MODE", help="covariance (default), std, offset (scenarios only) or none")
-    _add_file_options(add)
     add_compile_option(command, f"for {WORTHWHILE:,} steps or more of all tracks together")
     add("--figure", type=Path, metavar="FILE", help="PNG (default: compare-SCENARIO.png)")
     best = f"the first of them, {BASELINE} and the best others"
@@ -73,18 +77,9 @@ def add_to(commands: Any) -> None:
     command.set_defaults(run=run)
 
 
-def _add_file_options(add: Any) -> None:
-    """Those of ``_FILE_OPTIONS``; their defaults are those of ``scenarios.recorded``."""
-    q = "for files: variance of the change of acceleration that filters assume per step, m^2/s^4 (default: 0.25)"
-    add("--sensor", help="for files: bearings (default), radar or position")
-    add("--q", type=float, help=q)
-    add("--dt", type=float, metavar="S", help="for files: seconds per step (default: 5)")
-    add("--steps", type=int, metavar="T", help="for files: steps per window (default: 120)")
-
-
 def run(options: argparse.Namespace) -> None:
     """Runs the command; under ``torchrun`` in every process, of which the first writes."""
-    scenario, runs = _scenario(options)
+    scenario, runs = scenario_of(options)
     filters = _filters(options, scenario)
     first = distributed.rank() == 0
     quiet = options.quiet or not first
@@ -101,22 +96,6 @@ def run(options: argparse.Namespace) -> None:
     )
     if first:
         _write(options, scenario, runs, metrics, filters, shown)
-
-
-def _scenario(options: argparse.Namespace) -> tuple[Scenario, int]:
-    """What is tracked, and how many runs of it."""
-    if bool(options.files) == (options.scenario is not None):
-        received = "both" if options.files else "neither"
-        raise ValueError(f"compare: expected either files or --scenario, received {received}")
-    chosen = {name: getattr(options, name) for name in _FILE_OPTIONS if getattr(options, name) is not None}
-    if options.scenario is not None:
-        for name in chosen:
-            raise ValueError(f"{name}: goes with files, not with --scenario")
-        return make_scenario(options.scenario, outliers=options.outliers), 100 if options.runs is None else options.runs
-    recordings = [recording for file in options.files for recording in readers.read(file)]
-    scenario = scenarios.recorded(recordings, outliers=options.outliers or "covariance", **chosen)
-    windows = int(str(scenario.settings["windows"]))
-    return scenario, windows if options.runs is None else options.runs
 
 
 def _filters(options: argparse.Namespace, scenario: Scenario) -> dict[str, Filter]:
@@ -154,11 +133,19 @@ def _write(
     errors = [metrics[name].errors() for name in shown[:2]]
     on_map = {name: filters[name] for name in shown[:MOST_ON_MAP]}
     mapped = flight(scenario, on_map, errors, options.seed, options.flight)
-    settings = ", ".join(f"{key} {value}" for key, value in scenario.settings.items() if isinstance(value, str))
-    title = f"{scenario.name}: {runs} runs of {scenario.steps} steps, seed {options.seed}, {settings}"
+    title = _title(scenario, runs, options.seed)
     path = options.figure or Path(f"compare-{scenario.name}.png")
-    plotting.save(plotting.comparison(results, shown, scenario.dt, LIMIT, title, mapped), path)
+    plotting.save(plotting.comparison(results, shown, scenario.dt, scenario.limit, title, mapped), path)
     if options.json is not None:
         write_json(options.json, report(scenario, results, runs=runs, seed=options.seed))
     if not options.quiet:
-        print(f"{title}\n{table(results)}\nfigure: {path}")
+        numbers = recordings_table(results, scenario) if scenario.recordings else table(results)
+        print(f"{title}\n{numbers}\nfigure: {path}")
+
+
+def _title(scenario: Scenario, runs: int, seed: int) -> str:
+    """What was tracked, and how often."""
+    if scenario.recordings:
+        return f"{scenario.name}: {runs} of {len(scenario.recordings)} recordings, up to {scenario.steps} steps"
+    settings = ", ".join(f"{key} {value}" for key, value in scenario.settings.items() if isinstance(value, str))
+    return f"{scenario.name}: {runs} runs of {scenario.steps} steps, seed {seed}, {settings}"

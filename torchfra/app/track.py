@@ -15,7 +15,7 @@ from torchfra.app.compiling import Fallback, compiled
 from torchfra.app.filtered import Array, Filtered
 from torchfra.app.progress import progress_bar
 from torchfra.catalogue import FILTERS, make_filter
-from torchfra.filters import AlphaBetaInfo, Filter, FRAInfo, Info
+from torchfra.filters import GPB, AlphaBetaInfo, Filter, FRAInfo, GPBInfo, Info
 from torchfra.hyper import Value
 from torchfra.motion.bank import Bank, aircraft
 from torchfra.motion.polynomial import ConstantAcceleration
@@ -25,7 +25,7 @@ from torchfra.types import Estimate, Gaussian
 
 GATE = {2: 13.816, 3: 16.266}
 """Normalised innovation squared that one good fix in 1000 exceeds, by dimensions of space (chi-square)."""
-DEFAULT = "fra"
+DEFAULT = "gpb"
 """The filter that is used unless told otherwise."""
 LONGEST_GAP = 60.0
 """Seconds without a usable fix after which a filter of constant gains restarts."""
@@ -71,8 +71,7 @@ def track(
             few = partial(_run, z=z[:, :2], gaps=gaps[:, :2], prior=prior)  # makes the kernel
             interpreted, f = f, compiled({name: f}, few, fallback=fallback)[name]
             compile = f is not interpreted  # a kernel that is refused once is not tried again
-        models = f.motion.names if isinstance(f.motion, Bank) else ()
-        done |= zip(group, _split(part, grids, _run(f, z, gaps, prior), models), strict=True)
+        done |= zip(group, _split(part, grids, _run(f, z, gaps, prior), _models(f)), strict=True)
     return [done[i] for i in range(len(recordings))]
 
 
@@ -142,6 +141,12 @@ def _make(name: str, d: int, sigma: float, q: float, period: Value = 1.0) -> Fil
     return make_filter(name, ConstantAcceleration(q, d), Position(sigma, dims=d), aircraft(q, d), **options)
 
 
+def _models(f: Filter) -> tuple[str, ...]:
+    """Names of what the filter weighs at each step: motions, and jumps; none if it has one motion."""
+    motions = tuple(f.motion.names) if isinstance(f.motion, Bank) else ()
+    return (*motions, *["jump"] * (len(f.regimes.motions) - len(motions))) if isinstance(f, GPB) else motions
+
+
 def _split(
     recordings: Sequence[Recording], grids: Sequence[tuple[Array, Array]], estimate: Estimate, models: Sequence[str]
 ) -> list[Filtered]:
@@ -149,6 +154,8 @@ def _split(
     d = grids[0][1].shape[1]
     outlier, manoeuvre, decided = _flags(estimate, GATE[d])
     std = estimate.scale_tril.square().sum(-1).sqrt()
+    info = estimate.info
+    weights = info.regimes if isinstance(info, GPBInfo) else info.probabilities if models else None
     results = []
     for i, (recording, (time, raw)) in enumerate(zip(recordings, grids, strict=True)):
         k = len(time)
@@ -159,7 +166,7 @@ def _split(
         }
         mean, nis = estimate.mean[i, :k].numpy(), estimate.nis[i, :k].numpy()
         position, velocity, spread = mean[:, :d], mean[:, d : 2 * d], std[i, :k, :d].numpy()
-        leading = estimate.info.probabilities[i, :k].argmax(-1).numpy() if models else None
+        leading = None if weights is None else weights[i, :k].argmax(-1).numpy()
         arrays = (time, raw, position, velocity, spread, nis)
         results.append(Filtered(recording, *arrays, flags, decided, tuple(models), leading))
     return results
@@ -193,8 +200,8 @@ def _flags(estimate: Estimate, gate: float) -> tuple[Tensor, Tensor, bool]:
     match estimate.info:
         case AlphaBetaInfo(rejected=rejected, manoeuvre=manoeuvre):  # of each axis
             return rejected.any(-1), (manoeuvre & ~rejected).any(-1), True
-        case FRAInfo(abnormal=abnormal, adaptive=adaptive):
-            return abnormal & ~adaptive, abnormal & adaptive, True
+        case FRAInfo(abnormal=abnormal, adaptive=adaptive, plain=plain):
+            return abnormal & ~adaptive & ~plain, abnormal & adaptive, True
         case object(outlier=Tensor() as probability):
             outlier = (probability > 0.5).any(-1)
             return outlier, abnormal & ~outlier, True

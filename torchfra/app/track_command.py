@@ -25,7 +25,7 @@ Plain CSV holds one target; other columns are ignored."""
 
 _EXAMPLES = """examples:
   torchfra track flight.json.gz --sigma 30 --out filtered
-  torchfra track flight.json.gz --filter vsimm_srckf    # interacting models: the figure shades the most probable one
+  torchfra track flight.json.gz --filter vsimm_srckf    # another filter, here one of interacting models
   torchfra track long.csv --filter alphabeta --compile --no-plots    # the fastest way through a large file"""
 
 WORTHWHILE, WORTHWHILE_OF_BANKS = 5_000, 50_000
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> None:
     recordings = readers.read(options.file)
     tell, fallback = reporters(options.compile, options.quiet)
     entry = FILTERS.get(options.filter)
-    least = WORTHWHILE_OF_BANKS if entry is not None and entry.bank else WORTHWHILE
+    least = WORTHWHILE_OF_BANKS if entry is not None and (entry.bank or entry.either) else WORTHWHILE
     compile = choose(options.compile, successive_steps(recordings) >= least, tell)
     settings = {"dt": options.dt, "sigma": options.sigma, "q": options.q}
     start = time.perf_counter()

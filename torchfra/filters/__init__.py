@@ -4,7 +4,9 @@ from torchfra.filters.alphabeta import AlphaBeta
 from torchfra.filters.alphabeta.bank import AlphaBetaBank
 from torchfra.filters.alphabeta.memory import AlphaBetaInfo
 from torchfra.filters.base import Filter
-from torchfra.filters.fra import FRA, FRAInfo, FRAState
+from torchfra.filters.branches import FRAInfo, FRAState
+from torchfra.filters.fra import FRA
+from torchfra.filters.gpb import GPB, EvenChain, GPBInfo, GPBState, Qualities, Regimes
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
 from torchfra.filters.jpda import JPDA, JPDAInfo, JPDAState
 from torchfra.filters.scans import ScanFilter
@@ -14,6 +16,7 @@ from torchfra.filters.vsimm import VSIMM, VSIMMInfo, VSIMMState
 
 __all__ = [
     "FRA",
+    "GPB",
     "IMM",
     "JPDA",
     "SRCKF",
@@ -21,15 +24,20 @@ __all__ = [
     "AlphaBeta",
     "AlphaBetaBank",
     "AlphaBetaInfo",
+    "EvenChain",
     "FRAInfo",
     "FRAState",
     "Filter",
+    "GPBInfo",
+    "GPBState",
     "GaussianFilter",
     "IMMInfo",
     "IMMState",
     "Info",
     "JPDAInfo",
     "JPDAState",
+    "Qualities",
+    "Regimes",
     "ScanFilter",
     "State",
     "TrackFilter",

@@ -1,9 +1,9 @@
-"""FRA: a robust and an adaptive branch where a step is abnormal, and the next measurement decides between them."""
+"""FRA: robust, adaptive and plain branches where a step is abnormal, and the next measurement decides among them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,6 +13,7 @@ from torch.nn.functional import logsigmoid
 from torchfra import tree
 from torchfra.adaptive.fading import Fading, Memory
 from torchfra.filters.base import Mix
+from torchfra.filters.branches import UNDECIDED, Branches, FRAInfo, FRAState, Kept, Step, best, chosen
 from torchfra.filters.checks import check_sides
 from torchfra.filters.records import Record
 from torchfra.filters.soft import Soft
@@ -30,57 +31,19 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Prediction, Whitened
 
 
-class FRAState(NamedTuple):
-    """What FRA knows after a step."""
-
-    belief: Gaussian
-    """Provisional estimate of this step: the robust branch where it was abnormal."""
-    robust: Gaussian
-    """That branch; equal to ``plain`` where the step was normal (but for a soft decision)."""
-    adaptive: Gaussian
-    """The other branch, likewise."""
-    plain: Gaussian
-    """The estimate with neither remedy."""
-    settled: Gaussian
-    """Final estimate of the step before, now that its branches have met a measurement."""
-    excess: Tensor
-    """``(...)`` how far the normalised innovation squared is above the gate."""
-    memory: Memory
-
-    @property
-    def abnormal(self) -> Tensor:
-        """``(...)`` bool: this step waits for the next measurement."""
-        return self.excess > 0  # eq. (36)
-
-
-class FRAInfo(NamedTuple):
-    """Per step and track."""
-
-    abnormal: Tensor
-    """``(..., T)`` bool: the innovation failed the gate and the filter forked."""
-    adaptive: Tensor
-    """``(..., T)`` bool: the adaptive branch was kept (with a soft decision: had the larger weight)."""
-    fading: Tensor
-    """``(..., T)`` fading factor of the adaptive branch, 1 at normal steps (but for a soft decision)."""
-    weights: Tensor
-    """``(..., T, m)`` Huber weights of the robust branch, 1 at normal steps."""
-    provisional: Gaussian
-    """``mean (..., T, n)`` and ``scale_tril``: what was known at the step itself."""
-
-
 class FRA(Soft, GaussianFilter):
     """Feedback-decision robust adaptive filter.
 
     A step whose normalised innovation squared is above the gate is abnormal, be it an outlier or a manoeuvre.  There
-    the filter forks: one branch down-weights the measurement (robust), one widens the prediction (adaptive).  Both
-    predict the next measurement, and the better branch is kept.  So the estimate of an abnormal step is final only with
-    the next measurement: ``Estimate.mean`` holds the final ones and ``info.provisional`` what was known at each step;
-    ``step`` hands out the provisional one as ``state.belief`` and the final one of the step before as
-    ``state.settled``.
+    the filter forks: one branch down-weights the measurement (robust), one widens the prediction (adaptive), and one
+    may do neither (plain): a false alarm.  All predict the next measurement, and the best branch is kept.  So the
+    estimate of an abnormal step is final only with the next measurement: ``Estimate.mean`` holds the final ones and
+    ``info.provisional`` what was known at each step; ``step`` hands out the provisional one as ``state.belief`` and the
+    final one of the step before as ``state.settled``.
 
     Hard choices pass no gradient to what they rest on.  With a ``temperature`` they are soft, to train by: a step is
     abnormal by the weight ``sigmoid((nis - gate) / temperature)``, the branches share it by the softmax of their scores
-    over the temperature, and the estimate has the moments of all three.  Set it to 0 when the filter is trained.
+    over the temperature, and the estimate has the moments of all.  Set it to 0 when the filter is trained.
 
     Args:
         motion: how targets move.
@@ -89,19 +52,22 @@ class FRA(Soft, GaussianFilter):
         fading: fading factors of the adaptive branch (``torchfra.adaptive``).
         rule: from a number of states to the rule that carries a Gaussian through a function.
         gate: normalised innovation squared above which a step is abnormal.
-        preference: log odds of the robust branch before the next measurement; 0 favours none.
+        preference: log odds of the robust branch over the adaptive one before the next measurement; 0 favours neither.
+        plain: log odds of a plain branch, likewise; None for no such branch (the paper's).
         decision: how the branches' predictions are compared: ``"normalised"`` by the normalised innovation (the
             paper's; it favours the branch that expects more error), ``"likelihood"`` by the predictive likelihood.
         temperature: 0 for hard decisions, above for soft ones; an attribute that may be changed at any time.
         memory: innovations that fading remembers: ``"plain"`` as they are (the paper's), ``"weighted"`` by the robust
             weights from the step after on.
-        final: the branch of an abnormal last step, which nothing can decide: ``"robust"``, ``"adaptive"``, ``"plain"``.
+        provisional: the branch of an abnormal step until the next measurement decides: ``"robust"`` (the paper's),
+            ``"adaptive"``, ``"plain"``, or ``"likeliest"``, the one of the largest odds.
+        final: the branch of an abnormal last step, which nothing can decide: as ``provisional``.
 
     Raises:
         ValueError: an argument that is none of those, or a rule with negative weights.
 
-    Source: Wang et al. (2021), section 2.2 and fig. 1.  ``preference``, ``temperature``, ``"likelihood"`` and
-    ``"weighted"`` are additions.
+    Source: Wang et al. (2021), section 2.2 and fig. 1; Chang (2014) for the plain branch.  ``preference``,
+    ``provisional``, ``temperature``, ``"likelihood"`` and ``"weighted"`` are additions.
     """
 
     def __init__(
@@ -114,21 +80,24 @@ class FRA(Soft, GaussianFilter):
         rule: Callable[[int], Rule] = third_degree,
         gate: Value = 5.991,
         preference: Value = 0.0,
+        plain: Value | None = None,
         decision: str = "normalised",
         temperature: float = 0.0,
         memory: str = "plain",
+        provisional: str = "robust",
         final: str = "robust",
     ) -> None:
         super().__init__(motion, sensor, rule)
         one_of(decision=(decision, ("normalised", "likelihood")), memory=(memory, ("plain", "weighted")))
-        one_of(final=(final, ("robust", "adaptive", "plain")))
+        one_of(provisional=(provisional, UNDECIDED), final=(final, UNDECIDED))
         if self.signed:
             raise ValueError("rule: expected one without negative weights, received one with some")
         check_sides(robust=(robust, Weights), fading=(fading, Fading))
         self.robust, self.fading = robust, fading
         self.gate = Hyper(gate, name="gate")
         self.preference = Hyper(preference, constraints.real, name="preference")
-        self.decision, self.memory, self.final = decision, memory, final
+        self.plain = None if plain is None else Hyper(plain, constraints.real, name="plain")
+        self.decision, self.memory, self.provisional, self.final = decision, memory, provisional, final
         self.temperature = temperature
 
     def begin(self, belief: Gaussian) -> FRAState:
@@ -140,7 +109,7 @@ class FRA(Soft, GaussianFilter):
 
     def advance(self, state: FRAState, frame: Frame, mix: Mix | None = None) -> tuple[FRAState, Record]:
         """One step: the one before is settled, then this one is normal or forks."""
-        settled, adaptive_kept = self.settle(state, frame)
+        settled, kept = self.settle(state, frame)
         prediction, whitened = self.look(settled if mix is None else mix(settled), frame)
         plain, root, normalised = correct(prediction.belief, whitened)
         nis = normalised.square().sum(-1)  # eq. (35)
@@ -151,9 +120,10 @@ class FRA(Soft, GaussianFilter):
         )  # eq. (36)
         if self.memory == "weighted":
             memory = self.fading.remember(state.memory, weights * whitened.residual, frame.seen)
-        state = FRAState(self.mix(excess, plain, robust), robust, adaptive, plain, settled, excess, memory)
+        belief = self.undecided(self.provisional, excess, (robust, adaptive, plain))
+        state = FRAState(belief, robust, adaptive, plain, settled, excess, memory)
         weights = tree.where(state.abnormal, weights, torch.ones_like(weights))
-        info = _Step(settled, adaptive_kept, state.abnormal, factor, weights)
+        info = Step(settled, kept, state.abnormal, factor, weights)
         evidence = None if mix is None else down_weighted_density(*innovation(down_weight(whitened, weights)), weights)
         return state, Record(state.belief, whitened.residual, root, normalised, info, evidence=evidence)
 
@@ -162,31 +132,48 @@ class FRA(Soft, GaussianFilter):
         prediction = self.predict(belief, frame)
         return prediction, self.compare(prediction.belief, frame)
 
-    def settle(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Tensor]:
-        """The step before, decided by this measurement, and ``(...)`` bool: its adaptive branch was kept."""
+    def settle(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Kept]:
+        """The step before, decided by this measurement, and which of its branches was kept."""
         if self.soft:
-            scores = self.score(state.robust, state.adaptive, frame) / self.heat
-            shares = torch.log_softmax(scores, 0)
-            settled = self.mix(state.excess, state.plain, state.robust, state.adaptive, shares=shares)
-            return settled, state.abnormal & (scores[1] > scores[0])
-        branches = (state.robust, state.adaptive, frame)
-        adaptive_kept = self.where_abnormal(state.abnormal, self.prefer_adaptive, branches, state.abnormal)
-        return tree.where(adaptive_kept, state.adaptive, state.belief), adaptive_kept
+            scores = self.score(*state.branches, frame)
+            kept = best(scores)
+            return self.shared(scores, state.excess, state.branches), Kept(*(state.abnormal & x for x in kept))
+        normal = Kept(state.abnormal, state.abnormal)
+        kept = self.where_abnormal(state.abnormal, self.decide, (*state.branches, frame), normal)
+        return chosen(kept, state.branches), kept
 
-    def prefer_adaptive(self, robust: Gaussian, adaptive: Gaussian, frame: Frame) -> Tensor:
-        """``(...)`` bool: the adaptive branch predicts this measurement better; a tie goes to the robust one."""
-        scores = self.score(robust, adaptive, frame)
-        return scores[1] > scores[0]
+    def decide(self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, frame: Frame) -> Kept:
+        """The branch that predicts this measurement best; a tie goes to the robust one."""
+        return best(self.score(robust, adaptive, plain, frame))
 
-    def score(self, robust: Gaussian, adaptive: Gaussian, frame: Frame) -> Tensor:
-        """``(2, ...)`` how well each branch predicts this measurement, minus infinity for one that failed."""
-        _, whitened = self.look(tree.stack([robust, adaptive], 0), frame)
+    def score(self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, frame: Frame) -> Tensor:
+        """``(branches, ...)`` how well each predicts this measurement, minus infinity for one that failed."""
+        branches = [robust, adaptive] if self.plain is None else [robust, adaptive, plain]
+        _, whitened = self.look(tree.stack(branches, 0), frame)
         root, normalised = innovation(whitened)
         score = -0.5 * normalised.square().sum(-1)
         if self.decision == "likelihood":
             score = score - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-        score = torch.stack([score[0] + self.preference(score), score[1]])
+        score = score + self.odds(score[0])
         return torch.where(score.isfinite(), score, -torch.inf)
+
+    def odds(self, like: Tensor) -> Tensor:
+        """``(branches, ...)`` log odds over the adaptive branch before the next measurement, for tracks ``(...)``."""
+        even = torch.zeros_like(like)
+        odds = [self.preference(like), even] if self.plain is None else [self.preference(like), even, self.plain(like)]
+        return torch.stack(torch.broadcast_tensors(*odds))
+
+    def undecided(self, branch: str, excess: Tensor, branches: Branches) -> Gaussian:
+        """The estimate of a step before a measurement has decided: one branch, or the likeliest."""
+        if branch != "likeliest":
+            return self.mix(excess, branches[-1], branches[UNDECIDED.index(branch)])
+        odds = self.odds(excess)
+        return self.shared(odds, excess, branches) if self.soft else chosen(best(odds), branches)
+
+    def shared(self, scores: Tensor, excess: Tensor, branches: Branches) -> Gaussian:
+        """With a soft decision: the moments of all branches by their ``scores (branches, ...)``."""
+        shares = torch.log_softmax(scores / self.heat, 0)
+        return self.mix(excess, branches[-1], *branches[: len(scores)], shares=shares)
 
     def mix(self, excess: Tensor, plain: Gaussian, *branches: Gaussian, shares: Tensor | None = None) -> Gaussian:
         """Plain and abnormal together: a choice, or their moments where the decision is soft.
@@ -200,7 +187,8 @@ class FRA(Soft, GaussianFilter):
         if not self.soft:
             return branches[0]
         normal, abnormal = (logsigmoid(sign * excess / self.heat).unsqueeze(0) for sign in (-1, 1))
-        log_weights = torch.cat([normal, abnormal if shares is None else abnormal + shares])
+        abnormal = abnormal if shares is None else abnormal + shares
+        log_weights = torch.cat([normal.expand_as(abnormal[:1]), abnormal])
         return moment_match(tree.stack([plain, *branches], 0), log_weights)
 
     def fork(
@@ -213,35 +201,31 @@ class FRA(Soft, GaussianFilter):
         adaptive, _, _ = correct(faded, self.compare(faded, frame))
         return robust, adaptive, factor
 
-    def finish(self, state: FRAState, belief: Gaussian, info: _Step) -> tuple[Gaussian, FRAInfo]:
+    def finish(self, state: FRAState, belief: Gaussian, info: Step) -> tuple[Gaussian, FRAInfo]:
         """Each step's estimate is settled in the next, the last one by ``final``."""
-        last = {"robust": state.robust, "adaptive": state.adaptive, "plain": state.plain}[self.final]
-        last = self.mix(state.excess, state.plain, last)
-        adaptive_last = state.abnormal & torch.full_like(state.abnormal, self.final == "adaptive")
-        rank = adaptive_last.dim()
+        last, kept = self.undecided(self.final, state.excess, state.branches), self.kept_last(state)
+        rank = state.excess.dim()
 
         def one_later(steps: Tensor, end: Tensor) -> Tensor:
             """Of each step what the next one says of it."""
             return torch.cat([steps.narrow(rank, 1, steps.shape[rank] - 1), end.unsqueeze(rank)], rank)
 
         settled = tree.map_tensors(one_later, info.settled, last)
-        kept = one_later(info.adaptive_kept, adaptive_last)
-        return settled, FRAInfo(info.abnormal, kept, info.fading, info.weights, belief)
+        kept = tree.map_tensors(one_later, info.kept, kept)
+        return settled, FRAInfo(info.abnormal, kept.adaptive, kept.plain, info.fading, info.weights, belief)
+
+    def kept_last(self, state: FRAState) -> Kept:
+        """What ``final`` keeps of a last step that is abnormal."""
+        abnormal = state.abnormal
+        if self.final == "likeliest":
+            return Kept(*(abnormal & x for x in best(self.odds(state.excess))))
+        return Kept(*(abnormal & torch.full_like(abnormal, self.final == name) for name in Kept._fields))
 
     def where_abnormal(self, mask: Tensor, function: Callable[..., Any], arguments: Any, default: Any) -> Any:
         """``function`` for the tracks in ``mask``: alone if that can be told now, else for all and then chosen."""
         if self.soft:
             return function(*arguments)
-        if is_traced(mask) or any(map(brings_batch, (self.gate, self.preference, self.robust, self.fading))):
+        parts = (self.gate, self.preference, self.plain, self.robust, self.fading)
+        if is_traced(mask) or any(part is not None and brings_batch(part) for part in parts):
             return tree.where(mask, function(*arguments), default)
         return tree.where_needed(mask, function, arguments, default)
-
-
-class _Step(NamedTuple):
-    """What one step knows: about itself, and now for good about the one before."""
-
-    settled: Gaussian
-    adaptive_kept: Tensor
-    abnormal: Tensor
-    fading: Tensor
-    weights: Tensor

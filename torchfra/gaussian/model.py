@@ -29,20 +29,30 @@ def add_counts(*counts: Tensor | None) -> Tensor | None:
 
 def predict(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Prediction:
     """Time update: eqs. (8)-(13)."""
+    mean, spread, noise, lost = propagate(motion, rule, belief, frame)
+    if lost is None:
+        return Prediction(Gaussian(mean, tria(hstack(spread, noise))), spread, noise)
+    root, repaired = downdate(tria(hstack(spread, noise)), lost)
+    return Prediction(Gaussian(mean, root), spread, noise, repaired)
+
+
+def propagate(
+    motion: Motion, rule: Rule, belief: Gaussian, frame: Frame
+) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
+    """The predicted mean ``(..., n)``, and what its covariance is made of.
+
+    Columns ``(..., n, p)`` of what was uncertain before, ``(..., n, q)`` of the process noise, and ``(..., n, k)`` of
+    what a rule with negative weights takes off.
+    """
     mean, root = belief
     if frame.transition is not None:
         shift, noise = frame.shift, frame.process_noise
         if frame.adaptation is not None:
             shift, noise = frame.adaptation(mean, shift, noise)
         mean, spread = apply(frame.transition, mean), frame.transition @ root
-        mean = mean if shift is None else mean + shift
-    else:
-        mean, spread, lost = rule(lambda x: motion.at_points(x, frame.dt, frame.u), belief, motion.difference)
-        noise = motion.process_noise_at(frame.process_noise, mean)
-        if lost is not None:
-            root, repaired = downdate(tria(hstack(spread, noise)), lost)
-            return Prediction(Gaussian(mean, root), spread, noise, repaired)
-    return Prediction(Gaussian(mean, tria(hstack(spread, noise))), spread, noise)
+        return mean if shift is None else mean + shift, spread, noise, None
+    mean, spread, lost = rule(lambda x: motion.at_points(x, frame.dt, frame.u), belief, motion.difference)
+    return mean, spread, motion.process_noise_at(frame.process_noise, mean), lost
 
 
 def compare(sensor: Sensor, rule: Rule, belief: Gaussian, frame: Frame) -> Whitened:

@@ -10,7 +10,7 @@ filter they are, or ``"all"``.  ``torchfra.hyper.summary(f)`` prints the names t
 - of the robust update: ``threshold``, ``low``, ``high``, ``eps``;
 - of the fading factors: ``weakening``, ``forgetting``, ``fading_max``, ``share``;
 - of the estimated measurement noise: ``forgetting``, ``confidence``;
-- of the feedback decision: ``gate``, ``preference``;
+- of the feedback decision: ``gate``, ``preference``, ``plain``;
 - of interacting models: ``transition``, ``initial``, ``unlikely``, ``principal``;
 - of association: ``detection``, ``gate.size``, ``probability``, ``volume``, ``rate``;
 - of motions and sensors: ``q``, ``std``, ``rate``, ``alpha``, ``limit``.
@@ -29,6 +29,7 @@ from torchfra.presets.adaptive import asrckf, iaukf, rmckf
 from torchfra.presets.banks import imm, imm_ckf, imm_fra, imm_srckf, vsimm_srckf
 from torchfra.presets.constant_gains import alphabeta
 from torchfra.presets.feedback import fra, fra_srckf
+from torchfra.presets.regimes import gpb
 from torchfra.presets.scans import iaukf_jpda, jpda, ukf_jpda
 from torchfra.presets.single import ekf, ghckf, hghckf1, hghckf2, mr_ckf, rsrckf, srckf, ukf
 
@@ -39,6 +40,7 @@ __all__ = [
     "fra",
     "fra_srckf",
     "ghckf",
+    "gpb",
     "hghckf1",
     "hghckf2",
     "iaukf",

@@ -93,8 +93,9 @@ def imm_fra(
     initial: Value | None = None, threshold: Value | None = None, per_element: bool = False,
     robust: Weights | None = None, weakening: Value = 2.0, forgetting: Value = 0.95, fading_max: Value = 1e3,
     rcond: float = 0.2, states: States = None, share: Share = None, trace: str = "full", gate: Value = 5.991,
-    preference: Value = 5.0, decision: str = "likelihood", temperature: float = 0.0, memory: str = "weighted",
-    final: str = "robust", rule: Callable[[int], Rule] = third_degree, learn: Collection[str] = (),
+    preference: Value = 5.0, plain: Value | None = None, decision: str = "likelihood", temperature: float = 0.0,
+    memory: str = "weighted", provisional: str = "robust", final: str = "robust",
+    rule: Callable[[int], Rule] = third_degree, learn: Collection[str] = (),
 ) -> IMM:  # fmt: skip
     """``imm`` with ``fra`` for each model: for manoeuvring targets and sensors with outliers.
 
@@ -116,17 +117,20 @@ def imm_fra(
         trace: ``"full"``, or ``"position"`` to compare traces of the faded components only.
         gate: normalised innovation squared above which a step is abnormal.
         preference: log odds of the robust branch; high, as the bank explains manoeuvres and leaves the outliers.
+        plain: log odds of a plain branch, None for no such branch.
         decision: branches are compared by the predictive ``"likelihood"`` or the ``"normalised"`` innovation.
         temperature: 0 for hard decisions, above for soft ones, to train by.
         memory: innovations count ``"weighted"`` by the robust weights, or ``"plain"``.
-        final: branch of an abnormal last step: ``"robust"``, ``"adaptive"`` or ``"plain"``.
+        provisional: branch of an abnormal step until it is decided, ``"robust"`` or ``"likeliest"``.
+        final: branch of an abnormal last step: ``"robust"``, ``"adaptive"``, ``"plain"`` or ``"likeliest"``.
         rule: makes the points for a number of states.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
     inner = partial(
         fra, threshold=threshold, per_element=per_element, robust=robust, weakening=weakening, forgetting=forgetting,
         fading_max=fading_max, rcond=rcond, states=states, share=share, trace=trace, gate=gate, preference=preference,
-        decision=decision, temperature=temperature, memory=memory, final=final, rule=rule,
+        plain=plain, decision=decision, temperature=temperature, memory=memory, provisional=provisional, final=final,
+        rule=rule,
     )  # fmt: skip
     return imm(models, sensor, inner=inner, stay=stay, transition=transition, initial=initial, learn=learn)
 

@@ -19,8 +19,9 @@ def fra_srckf(
     motion: Motion, sensor: Sensor, *, threshold: Value | None = None, per_element: bool = False,
     robust: Weights | None = None, weakening: Value = 2.0, forgetting: Value = 0.95, fading_max: Value = 1e3,
     rcond: float = 0.1, states: States = None, share: Share = None, trace: str = "full", gate: Value = 5.991,
-    preference: Value = 0.0, decision: str = "normalised", temperature: float = 0.0, memory: str = "plain",
-    final: str = "robust", rule: Callable[[int], Rule] = third_degree, learn: Collection[str] = (),
+    preference: Value = 0.0, plain: Value | None = None, decision: str = "normalised", temperature: float = 0.0,
+    memory: str = "plain", provisional: str = "robust", final: str = "robust",
+    rule: Callable[[int], Rule] = third_degree, learn: Collection[str] = (),
 ) -> FRA:  # fmt: skip
     """Robust or adaptive at abnormal steps, as the next measurement decides.  Source: Wang et al. (2021), section 2.2.
 
@@ -39,17 +40,20 @@ def fra_srckf(
         trace: ``"full"``, or ``"position"`` to compare traces of the faded components only.
         gate: normalised innovation squared above which a step is abnormal: ``filters.FRA``.
         preference: log odds of the robust branch before the next measurement: ``filters.FRA``.
+        plain: log odds of a plain branch, None for no such branch: ``filters.FRA``.
         decision: branches are compared by the ``"normalised"`` innovation or the ``"likelihood"``.
         temperature: 0 for hard decisions, above for soft ones, to train by: ``filters.FRA``.
         memory: innovations count ``"plain"``, or ``"weighted"`` by the robust weights: ``filters.FRA``.
-        final: branch of an abnormal last step: ``"robust"``, ``"adaptive"`` or ``"plain"``.
+        provisional: branch of an abnormal step until it is decided, ``"robust"`` or ``"likeliest"``: ``filters.FRA``.
+        final: branch of an abnormal last step: ``"robust"``, ``"adaptive"``, ``"plain"`` or ``"likeliest"``.
         rule: makes the points for a number of states: ``torchfra.gaussian.cubature``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
     side = robust_side(sensor, robust, threshold, per_element, learn)
     fading = fading_factors(motion, weakening, forgetting, fading_max, rcond, states, share, trace)
     f = FRA(motion, sensor, robust=side, fading=fading, rule=rule, gate=gate, preference=preference,
-            decision=decision, temperature=temperature, memory=memory, final=final)  # fmt: skip
+            plain=plain, decision=decision, temperature=temperature, memory=memory, provisional=provisional,
+            final=final)  # fmt: skip
     return with_learning(f, learn)
 
 
@@ -57,8 +61,9 @@ def fra(
     motion: Motion, sensor: Sensor, *, threshold: Value | None = None, per_element: bool = False,
     robust: Weights | None = None, weakening: Value = 2.0, forgetting: Value = 0.95, fading_max: Value = 1e3,
     rcond: float = 0.2, states: States = None, share: Share = None, trace: str = "full", gate: Value = 5.991,
-    preference: Value = 0.0, decision: str = "likelihood", temperature: float = 0.0, memory: str = "weighted",
-    final: str = "robust", rule: Callable[[int], Rule] = third_degree, learn: Collection[str] = (),
+    preference: Value = 0.0, plain: Value | None = None, decision: str = "likelihood", temperature: float = 0.0,
+    memory: str = "weighted", provisional: str = "robust", final: str = "robust",
+    rule: Callable[[int], Rule] = third_degree, learn: Collection[str] = (),
 ) -> FRA:  # fmt: skip
     """This package's filter: ``fra_srckf`` with other defaults for ``decision``, ``memory`` and ``rcond``.
 
@@ -77,16 +82,18 @@ def fra(
         trace: ``"full"``, or ``"position"`` to compare traces of the faded components only.
         gate: normalised innovation squared above which a step is abnormal: ``filters.FRA``.
         preference: log odds of the robust branch before the next measurement: ``filters.FRA``.
+        plain: log odds of a plain branch, None for no such branch: ``filters.FRA``.
         decision: branches are compared by the predictive ``"likelihood"`` or the ``"normalised"`` innovation.
         temperature: 0 for hard decisions, above for soft ones, to train by: ``filters.FRA``.
         memory: innovations count ``"weighted"`` by the robust weights, or ``"plain"``: ``filters.FRA``.
-        final: branch of an abnormal last step: ``"robust"``, ``"adaptive"`` or ``"plain"``.
+        provisional: branch of an abnormal step until it is decided, ``"robust"`` or ``"likeliest"``: ``filters.FRA``.
+        final: branch of an abnormal last step: ``"robust"``, ``"adaptive"``, ``"plain"`` or ``"likeliest"``.
         rule: makes the points for a number of states: ``torchfra.gaussian.cubature``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
     return fra_srckf(
         motion, sensor, threshold=threshold, per_element=per_element, robust=robust, weakening=weakening,
         forgetting=forgetting, fading_max=fading_max, rcond=rcond, states=states, share=share, trace=trace, gate=gate,
-        preference=preference, decision=decision, temperature=temperature, memory=memory, final=final, rule=rule,
-        learn=learn,
+        preference=preference, plain=plain, decision=decision, temperature=temperature, memory=memory,
+        provisional=provisional, final=final, rule=rule, learn=learn,
     )  # fmt: skip

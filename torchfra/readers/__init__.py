@@ -7,17 +7,27 @@ The columns decide what a file is.  It is CSV with a header or JSON (records or 
 - ``time, icao24, lat, lon`` [``baroaltitude, geoaltitude, callsign, lastposupdate``]: the state vectors of OpenSky, in
   seconds since 1970, degrees, metres.  A missing baroaltitude gives way to geoaltitude.
 - ``t, x, y`` [``z``]: seconds and metres.
+
+``read_ranges`` reads what was measured instead: ranges from anchors.
 """
 
+from torchfra.readers.flyable import flyable
 from torchfra.readers.grid import resample
+from torchfra.readers.range_files import range_folders, read_ranges
+from torchfra.readers.ranges import RangeGrid, RangeRecording
 from torchfra.readers.reading import read
 from torchfra.readers.recording import Origin, Recording
 from torchfra.readers.sample_files import samples
 
 __all__ = [
     "Origin",
+    "RangeGrid",
+    "RangeRecording",
     "Recording",
+    "flyable",
+    "range_folders",
     "read",
+    "read_ranges",
     "resample",
     "samples",
 ]

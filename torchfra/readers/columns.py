@@ -44,33 +44,33 @@ def layout_of(table: Table) -> Layout:
     return best
 
 
-def _number(value: Any, limit: float = 1e15, unit: float = 1.0) -> float:
+def number(value: Any, limit: float = 1e15, unit: float = 1.0) -> float:
     """A cell as a number, NaN if empty; above ``limit``, far from all that moves, it is an error."""
     if value is None or (isinstance(value, str) and not value.strip()):
         return math.nan
-    number = math.inf if isinstance(value, bool) else float(value)
-    if abs(number) > limit:
+    parsed = math.inf if isinstance(value, bool) else float(value)
+    if abs(parsed) > limit:
         raise ValueError
-    return number * unit
+    return parsed * unit
 
 
 def _instant(value: Any) -> float:
     """Ms since 1970, or ISO text, as s since 1970."""
     try:
-        number = _number(value)
+        milliseconds = number(value)
     except ValueError:
         moment = datetime.fromisoformat(str(value).strip().replace("Z", "+00:00"))
         return ((moment if moment.tzinfo else moment.replace(tzinfo=_EPOCH.tzinfo)) - _EPOCH).total_seconds()
-    if 1e9 < number < 1e10:  # seconds since 1970 of this century, not ms
+    if 1e9 < milliseconds < 1e10:  # seconds since 1970 of this century, not ms
         raise ValueError
-    return number / 1e3
+    return milliseconds / 1e3
 
 
 _CELLS: dict[str, tuple[str, Callable[[Any], float]]] = {
     "timestamp": ("ms since 1970 or ISO text", _instant),
-    "altitude": ("a number", partial(_number, unit=0.3048)),
-    **dict.fromkeys(("latitude", "lat"), ("degrees within +-90", partial(_number, limit=90.0))),
-    **dict.fromkeys(("longitude", "lon"), ("degrees within +-180", partial(_number, limit=180.0))),
+    "altitude": ("a number", partial(number, unit=0.3048)),
+    **dict.fromkeys(("latitude", "lat"), ("degrees within +-90", partial(number, limit=90.0))),
+    **dict.fromkeys(("longitude", "lon"), ("degrees within +-180", partial(number, limit=180.0))),
 }
 
 
@@ -80,7 +80,15 @@ def column(table: Table, name: str) -> Array:
     Raises:
         ValueError: a cell that is not a number of its kind.
     """
-    kind, convert = _CELLS.get(name, ("a number", _number))
+    return converted(table, name, *_CELLS.get(name, ("a number", number)))
+
+
+def converted(table: Table, name: str, kind: str, convert: Callable[[Any], float]) -> Array:
+    """A column ``(rows,)`` of cells of some ``kind``; NaN where absent.
+
+    Raises:
+        ValueError: a cell that ``convert`` refuses.
+    """
     numbers = np.full(len(next(iter(table.values()))), math.nan)
     for i, value in enumerate(table.get(name, ())):
         try:

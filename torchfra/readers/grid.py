@@ -34,11 +34,11 @@ def resample(recording: Recording, dt: float, *, max_gap: float) -> list[tuple[A
         steps = math.floor((time[-1] - time[0]) / dt + 1e-5)  # times since 1970 are exact to 1e-6 s
         if steps >= 1:
             grid = time[0] + dt * np.arange(steps + 1)
-            pieces.append((grid, _hermite(time, position, grid)))
+            pieces.append((grid, hermite(time, position, grid)))
     return pieces
 
 
-def _hermite(time: Array, position: Array, grid: Array) -> Array:
+def hermite(time: Array, position: Array, grid: Array) -> Array:
     """``(k, d)`` on the grid ``(k,)``; the slope at a fix is that of the parabola through it and its neighbours."""
     slope = np.gradient(position, time, axis=0, edge_order=2 if len(time) > 2 else 1)
     i = (np.searchsorted(time, grid, "right") - 1).clip(0, len(time) - 2)

@@ -19,8 +19,14 @@ HEADERS = (
 """The beginning of an error message."""
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path, headers: str = HEADERS, repairs: Counter[str] | None = None) -> Table:
     """The columns of a CSV or JSON file, gzipped or not.
+
+    Args:
+        path: the file.
+        headers: beginning of the error message where there is no header.
+        repairs: where to count rows of CSV with more or fewer fields than the header, whose cells become empty; None
+            refuses them, and tables without rows.
 
     Raises:
         ValueError: the file is empty, broken or neither.
@@ -34,8 +40,8 @@ def read_table(path: Path) -> Table:
         raise ValueError("expected a track, received an empty file")
     suffix = Path(path.name.removesuffix(".gz")).suffix
     is_json = suffix == ".json" or (suffix != ".csv" and text.lstrip()[0] in "[{")
-    table = _from_json(text) if is_json else _from_csv(text)
-    if not any(table.values()):
+    table = _from_json(text) if is_json else _from_csv(text, headers, repairs)
+    if repairs is None and not any(table.values()):
         raise ValueError(f"expected rows, received none under the columns {listed(table)}")
     return table
 
@@ -59,16 +65,19 @@ def _from_json(text: str) -> Table:
     return {name: [record.get(name) for record in data] for name in dict.fromkeys(k for record in data for k in record)}
 
 
-def _from_csv(text: str) -> Table:
+def _from_csv(text: str, headers: str, repairs: Counter[str] | None) -> Table:
     try:
         head, *rows = [row for row in csv.reader(io.StringIO(text, newline=""), strict=True) if row]
     except csv.Error as error:
         raise ValueError(f"expected CSV, received other text ({error})") from error
     header = [name.strip() for name in head]
     if len(header) == 1 or all(_is_number(name) for name in header):
-        raise ValueError(f"{HEADERS}; received {listed(header)}")
+        raise ValueError(f"{headers}; received {listed(header)}")
     if repeated := [name for name, count in Counter(header).items() if count > 1 and name]:
         raise ValueError(f"expected every column once, received several named {listed(repeated)}")
+    if repairs is not None:
+        repairs["rows with too many or too few fields emptied"] += sum(len(row) != len(header) for row in rows)
+        rows = [row if len(row) == len(header) else [""] * len(header) for row in rows]
     for number, row in enumerate(rows, 1):
         if len(row) != len(header):
             raise ValueError(f"expected {len(header)} fields in data row {number}, received {len(row)}")

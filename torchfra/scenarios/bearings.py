@@ -17,6 +17,7 @@ from torchfra.motion.bank import Bank
 from torchfra.motion.polynomial import ConstantAcceleration
 from torchfra.motion.turn import CoordinatedTurn
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
+from torchfra.scenarios.outliers import burst_factors
 from torchfra.sensors.direction import Bearings
 from torchfra.types import Gaussian
 
@@ -31,7 +32,8 @@ def bearings_outliers(outliers: str = "covariance", *, truth_noise: float = 0.0,
 
     Args:
         outliers: reading of "10 sigma": ``"covariance"`` or ``"std"`` times 10, or an ``"offset"`` of 10 std of random
-            sign; ``"none"`` for none.
+            sign; ``"bursts"`` for others instead: runs of four steps with 10 times the std, at any time, about 5 % of
+            all steps; ``"none"`` for none.
         truth_noise: variance of the targets' random acceleration, m^2/s^4; the paper has 0.
         initial: ``"paper"`` for its initial state, 2.5 km off; ``"truth"`` for one drawn around the true state.
 
@@ -88,7 +90,7 @@ def _constant_acceleration(state: Tensor, steps: int) -> Tensor:
 def _scenario(name: str, path: Tensor, sizes: dict[int, float], outliers: str, truth_noise: float,
               initial: str) -> Scenario:  # fmt: skip
     one_of(
-        outliers=(outliers, ("covariance", "std", "offset", "none")),
+        outliers=(outliers, ("covariance", "std", "offset", "bursts", "none")),
         initial=(initial, ("paper", "truth")),
     )
     if not truth_noise >= 0:
@@ -107,6 +109,8 @@ def _scenario(name: str, path: Tensor, sizes: dict[int, float], outliers: str, t
         noise = STD * bearing * {"covariance": size.sqrt(), "std": size}.get(outliers, torch.ones_like(size))
         if outliers == "offset":
             noise = noise + STD * torch.where(size > 1, size, 0.0) * sign.sign()
+        elif outliers == "bursts":
+            noise = noise * burst_factors(rng, BLOCK, STEPS)
         mean = centre.expand(BLOCK, -1) if initial == "paper" else centre + start @ _ROOT
         return Tracks(truth, sensor(truth, u) + noise, u, Gaussian(mean, _ROOT))
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import chain
 
 import numpy as np
 import torch
@@ -13,9 +14,11 @@ from torch import Tensor
 from torchfra.hyper import one_of
 from torchfra.motion.bank import aircraft
 from torchfra.motion.polynomial import ConstantAcceleration
+from torchfra.readers.flyable import flyable
 from torchfra.readers.grid import resample
 from torchfra.readers.recording import Recording
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
+from torchfra.scenarios.outliers import burst_factors
 from torchfra.sensors.direction import Bearings, RangeBearing
 from torchfra.sensors.position import Position
 from torchfra.types import Gaussian
@@ -31,9 +34,14 @@ _Sensor = Bearings | RangeBearing | Position
 def recorded(
     recordings: Sequence[Recording], sensor: str = "bearings", *, dt: float = 5.0, steps: int = 120,
     max_gap: float = 30.0, std: float | Sequence[float] | None = None, outliers: str = "covariance",
-    share: float = 0.05, size: float = 10.0, q: float = 0.25,
+    share: float = 0.05, size: float = 10.0, q: float = 0.25, repair: bool = True,
 ) -> Scenario:  # fmt: skip
     """A simulated sensor on recorded tracks, in the horizontal plane.
+
+    The time stamps of recorded flights are off by seconds, so that as recorded they have accelerations that no aircraft
+    flies, and a filter that follows every jump would look best.  So they are mended first, as ``readers.flyable`` says:
+    positions move along the path, its turns stay, and no acceleration is left above about 1 g.  ``repair=False`` takes
+    tracks as they are: for those of vehicles that are recorded exactly, or to see what the repair changes.
 
     Tracks are resampled to a regular step, split at gaps and cut into windows; run i takes window i modulo their
     number (``settings["windows"]``), with other random numbers.  Velocity and acceleration of the truth are differences
@@ -48,25 +56,28 @@ def recorded(
         max_gap: seconds without a position that split a track.
         std: of the sensor: rad for bearings (0.1 degrees unless given), (m, rad) for the radar (50 m, 0.1 degrees), m
             for the position (30 m).
-        outliers: what is ``size`` times larger in an outlier: ``"covariance"``, ``"std"``, or ``"none"``.
+        outliers: what is ``size`` times larger in an outlier: ``"covariance"``, ``"std"``, or ``"none"``;
+            ``"bursts"`` for outliers in standard deviation that come in runs of four steps.
         share: of the measurements that are outliers.
         size: how many times larger.
         q: variance of the change of acceleration per step that filters assume, m^2/s^4; also of the bank
             (``torchfra.motion.aircraft``).
+        repair: mends time stamps.
 
     Raises:
         ValueError: an argument out of its range, or no track long enough.
         TypeError: recordings that are none, such as names of files.
     """
     _check(recordings, dt, max_gap, q)
-    growth = _growth(outliers, share, size)
-    windows = _windows(recordings, dt, steps, max_gap)
+    _check_outliers(outliers, share, size)
+    windows = _windows(recordings, dt, steps, max_gap, repair)
     model, places = _observed(sensor, std, windows)
     settings = {
         "sensor": sensor, "windows": len(windows), "recordings": len(recordings), "max_gap": max_gap,
-        "std": _std(model).tolist(), "outliers": outliers, "share": share, "size": size, "q": q,
+        "std": _std(model).tolist(), "outliers": outliers, "share": share, "size": size, "q": q, "repair": repair,
     }  # fmt: skip
-    block = partial(_block, windows, model, places, share, growth)
+    factors = partial(_factors, outliers, share, size)
+    block = partial(_block, windows, model, places, factors)
     return Scenario("recorded", ConstantAcceleration(q), model, Gaussian(windows[0, 0] * _KNOWN, _ROOT), dt, steps,
                     block, settings, aircraft(q))  # fmt: skip
 
@@ -84,12 +95,18 @@ def _check(recordings: Sequence[Recording], dt: float, max_gap: float, q: float)
         raise ValueError(f"q: expected m^2/s^4 of 0 or more, received {q}")
 
 
-def _growth(outliers: str, share: float, size: float) -> float:
-    """The factor on the standard deviation of an outlier."""
-    one_of(outliers=(outliers, ("covariance", "std", "none")))
+def _check_outliers(outliers: str, share: float, size: float) -> None:
+    one_of(outliers=(outliers, ("covariance", "std", "bursts", "none")))
     if not 0 <= share <= 1 or not size >= 1:
         raise ValueError(f"share, size: expected a share in [0, 1], and 1 or more, received {share}, {size}")
-    return {"covariance": math.sqrt(size), "std": size, "none": 1.0}[outliers]
+
+
+def _factors(outliers: str, share: float, size: float, rng: np.random.Generator, steps: int) -> Tensor:
+    """Factors ``(BLOCK, steps, 1)`` on the standard deviation of the measurements."""
+    if outliers == "bursts":
+        return burst_factors(rng, BLOCK, steps, share=share, size=size)
+    growth = {"covariance": math.sqrt(size), "std": size, "none": 1.0}[outliers]
+    return torch.where(torch.from_numpy(rng.random((BLOCK, steps, 1))) < share, growth, 1.0)
 
 
 def _observed(sensor: str, std: float | Sequence[float] | None, windows: Tensor) -> tuple[_Sensor, Tensor | None]:
@@ -108,17 +125,16 @@ def _observed(sensor: str, std: float | Sequence[float] | None, windows: Tensor)
 
 
 def _block(
-    windows: Tensor, sensor: _Sensor, places: Tensor | None, share: float, growth: float,
-    rng: np.random.Generator, numbers: Tensor,
+    windows: Tensor, sensor: _Sensor, places: Tensor | None,
+    factors: Callable[[np.random.Generator, int], Tensor], rng: np.random.Generator, numbers: Tensor,
 ) -> Tracks:  # fmt: skip
-    """Runs of these numbers; an outlier's standard deviation is ``growth`` times larger."""
+    """Runs of these numbers; ``factors`` draws those on the standard deviation of each measurement."""
     window, steps = numbers % len(windows), windows.shape[1] - 1
     draw = torch.from_numpy(rng.standard_normal((BLOCK, 6 + steps * sensor.size)))
-    outlying = torch.from_numpy(rng.random((BLOCK, steps, 1))) < share
     truth = windows[window]
     start, truth = truth[:, 0] * _KNOWN, truth[:, 1:]
     u = None if places is None else places[window].unsqueeze(1).expand(-1, steps, -1)
-    noise = draw[:, 6:].unflatten(1, (steps, sensor.size)) * torch.where(outlying, growth, 1.0)
+    noise = draw[:, 6:].unflatten(1, (steps, sensor.size)) * factors(rng, steps)
     z = sensor(truth, u) + _std(sensor) * noise
     return Tracks(truth, z, u, Gaussian(start + draw[:, :6] @ _ROOT, _ROOT))
 
@@ -129,12 +145,12 @@ def _std(sensor: _Sensor) -> Tensor:
     return std
 
 
-def _windows(recordings: Sequence[Recording], dt: float, steps: int, max_gap: float) -> Tensor:
+def _windows(recordings: Sequence[Recording], dt: float, steps: int, max_gap: float, repair: bool) -> Tensor:
     """States ``(W, steps + 1, 6)`` of all windows, NaN after the end of a track."""
     if steps < _SHORTEST:
         raise ValueError(f"steps: expected {_SHORTEST} or more, received {steps}")
     windows = []
-    for recording in recordings:
+    for recording in chain(*(flyable(r, max_gap=max_gap) if repair else [r] for r in recordings)):
         for time, position in resample(recording, dt, max_gap=max_gap):
             if len(time) <= _SHORTEST:
                 continue

@@ -4,6 +4,7 @@ from torchfra.sensors.base import MeasurementNoise, Sensor
 from torchfra.sensors.direction import Bearings, RangeBearing
 from torchfra.sensors.infrared import InfraredLaser
 from torchfra.sensors.position import Position
+from torchfra.sensors.ranges import Ranges
 
 __all__ = [
     "Bearings",
@@ -11,5 +12,6 @@ __all__ = [
     "MeasurementNoise",
     "Position",
     "RangeBearing",
+    "Ranges",
     "Sensor",
 ]

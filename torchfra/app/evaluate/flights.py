@@ -30,6 +30,8 @@ class Flight(NamedTuple):
 
     number: int
     """Of the run."""
+    name: str
+    """Of the recording, or the number in words."""
     time: Tensor
     """``(T,)`` seconds since the first measurement of the run was due."""
     truth: Tensor
@@ -73,7 +75,9 @@ def flight(
     part = _part(truth, torch.stack(list(paths.values())), off)
     time = scenario.dt * torch.arange(1, scenario.steps + 1)
     paths = {name: path[:, part] for name, path in paths.items()}
-    return Flight(number, time[part], truth[:, part], fixes(scenario, tracks)[0, part, :, :2], off[part] > FAR, paths)
+    name = scenario.recordings[number] if scenario.recordings else f"run {number}"
+    places, outlying = fixes(scenario, tracks)[0, part, :, :2], off[part] > FAR
+    return Flight(number, name, time[part], truth[:, part], places, outlying, paths)
 
 
 def typical_run(scenario: Scenario, rmse: Sequence[Tensor], seed: int) -> int:

@@ -17,9 +17,6 @@ from torchfra.filters.base import Filter
 from torchfra.scenarios import Scenario, Tracks
 from torchfra.types import Estimate
 
-LIMIT = 2000.0
-"""Root mean square position error above which a run has diverged, unless told otherwise, m."""
-
 
 def evaluate(
     scenario: Scenario,
@@ -27,7 +24,7 @@ def evaluate(
     *,
     runs: int,
     seed: int = 0,
-    limit: float = LIMIT,
+    limit: float | None = None,
     chunk: int = 1000,
     compile: bool = False,
     fallback: Fallback | None = None,
@@ -40,7 +37,8 @@ def evaluate(
         filters: names of ``catalogue.FILTERS``, or filters by any names.
         runs: how many.
         seed: of the random numbers; every filter sees the same runs.
-        limit: a run diverges when its position error, root mean square over time, is above this, m.
+        limit: a run diverges when its position error, root mean square over time, is above this, m; None for
+            ``scenario.limit``.
         chunk: runs that are filtered at once; bounds the memory, which does not grow with ``runs`` but for one number
             per run and filter.
         compile: whether to run compiled (``Filter.compile``); needs a C++ compiler.
@@ -87,15 +85,28 @@ def measure(
 
 
 def results_of(
-    metrics: Mapping[str, RunningMetrics], names: Iterable[str], scenario: Scenario, runs: int, limit: float = LIMIT
+    metrics: Mapping[str, RunningMetrics],
+    names: Iterable[str],
+    scenario: Scenario,
+    runs: int,
+    limit: float | None = None,
 ) -> dict[str, Result]:
-    """The ``Result`` of each named filter, from what ``measure`` returned of so many runs."""
+    """The ``Result`` of each named filter, from what ``measure`` returned of so many runs.
+
+    Other arguments are those of ``evaluate``.
+    """
     reference = metrics[reference_filter(scenario)].seconds
+    limit = scenario.limit if limit is None else limit
 
-    def times(seconds: float) -> dict[str, float]:
-        return {"microseconds": seconds / (runs * scenario.steps) * 1e6, "relative_time": seconds / reference}
+    def result(of: RunningMetrics) -> Result:
+        times = {
+            "microseconds": of.seconds / (runs * scenario.steps) * 1e6,
+            "relative_time": of.seconds / reference,
+        }
+        each = {"rmse_of_runs": of.errors().tolist()} if scenario.recordings else {}
+        return of.summary(limit) | times | each
 
-    return {name: metrics[name].summary(limit) | times(metrics[name].seconds) for name in names}
+    return {name: result(metrics[name]) for name in names}
 
 
 def _check(runs: int, chunk: int) -> None:

@@ -7,6 +7,7 @@ from torchfra.app.plotting.comparison import comparison
 from torchfra.app.plotting.curves import against, by_coordinate, innovations, rmse_curves, scaling
 from torchfra.app.plotting.models import probabilities
 from torchfra.app.plotting.paths import in_space, tracks
+from torchfra.app.plotting.ratios import ratios
 from torchfra.app.plotting.recordings import filtered
 from torchfra.app.plotting.style import save
 from torchfra.app.plotting.targets import by_target, raw_and_filtered
@@ -22,6 +23,7 @@ __all__ = [
     "innovations",
     "learning_curve",
     "probabilities",
+    "ratios",
     "raw_and_filtered",
     "rmse_curves",
     "save",

@@ -15,6 +15,9 @@ _OUTLIER = "#000000"
 _ROOM = 1.5
 """How far fixes may widen the map of the true path, as a factor; those further away are left out."""
 
+_LONGEST = 40
+"""Characters of a recording's name in the title; of longer ones it has the end."""
+
 
 def draw_map(axes: Axes, flight: Flight, colours: Mapping[str, str]) -> None:
     """The true path, what was measured, and what filters made of it, in km, or in m if it is small.
@@ -37,7 +40,8 @@ def draw_map(axes: Axes, flight: Flight, colours: Mapping[str, str]) -> None:
     axes.set_xlim(left / factor, right / factor, auto=True)  # may be widened, so that both axes have the same scale
     axes.set_ylim(bottom / factor, top / factor, auto=True)
     axes.set(xlabel=f"x, {unit}", ylabel=f"y, {unit}", aspect="equal", adjustable="datalim")
-    axes.set_title(f"run {flight.number}, {flight.time[0]:g} to {flight.time[-1]:g} s{_outside(flight)}", fontsize=10)
+    name = flight.name if len(flight.name) <= _LONGEST else f"...{flight.name[3 - _LONGEST :]}"
+    axes.set_title(f"{name}, {flight.time[0]:g} to {flight.time[-1]:g} s{_outside(flight)}", fontsize=10)
     axes.grid(alpha=0.25)
     without_box(axes)
 
@@ -58,10 +62,10 @@ def _fixes(flight: Flight) -> dict[str, Array]:
 
 
 def _outside(flight: Flight) -> str:
-    """How many of the measurements are not on the map."""
+    """How many of the measurements are not on the map; outliers that imply no place among them."""
     low, high = _corners(flight)
-    fixes = flight.fixes.flatten(0, 1).numpy()
-    count = int(((fixes < low) | (fixes > high)).any(1).sum())
+    fixes, outlying = flight.fixes.flatten(0, 1).numpy(), flight.outlying.flatten().numpy()
+    count = int((((fixes < low) | (fixes > high)).any(1) | (outlying & np.isnan(fixes).any(1))).sum())
     return f", {count} measured elsewhere" if count else ""
 
 

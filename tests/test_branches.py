@@ -1,0 +1,209 @@
+"""The plain branch of FRA and the odds of the branches: what they do, and that they keep every promise of a filter."""
+
+import copy
+
+import pytest
+import torch
+from conftest import STEPS
+from test_compile import close
+
+from torchfra import metrics, presets, scenarios
+from torchfra.hyper import hypers
+from torchfra.types import Gaussian
+
+NEVER, ALWAYS = -1e6, 1e6
+"""Log odds that no measurement outweighs."""
+THREE = {"plain": 1.0, "preference": 0.5, "provisional": "likeliest", "final": "likeliest"}
+HOW = [{"temperature": 0.0}, {"temperature": 1.0}]
+
+
+def estimate(f, tracks):
+    return f(tracks.z, tracks.prior, u=tracks.u)
+
+
+@pytest.fixture(scope="module")
+def poor():
+    """A poor start: many steps are abnormal, and every branch wins some."""
+    return scenarios.bearings_outliers("std").simulate(8, 3)
+
+
+# ---------------------------------------------------------------- what it does
+
+
+@pytest.mark.parametrize("how", HOW, ids=str)
+def test_a_plain_branch_that_nothing_speaks_for_is_none(make, poor, how):
+    none, never = (estimate(make("fra", plain=plain, **how), poor) for plain in (None, NEVER))
+    torch.testing.assert_close(never.mean, none.mean, rtol=1e-9, atol=1e-6)
+    torch.testing.assert_close(never.covariance, none.covariance, rtol=1e-7, atol=1e-7)
+    assert (never.info.adaptive == none.info.adaptive).all()
+    assert not never.info.plain.any()
+    assert not none.info.plain.any()
+
+
+def test_a_plain_branch_that_always_wins_makes_the_plain_filter(make, poor):
+    f = make("fra", plain=ALWAYS, provisional="likeliest", final="likeliest")
+    e, expected = estimate(f, poor), estimate(make("srckf"), poor)
+    torch.testing.assert_close(e.mean, expected.mean, rtol=1e-9, atol=1e-6)
+    torch.testing.assert_close(e.info.provisional.mean, expected.mean, rtol=1e-9, atol=1e-6)
+    assert e.info.abnormal.any()
+    assert (e.info.plain == e.info.abnormal).all()
+
+
+def test_odds_move_the_decision_to_their_side(make, poor):
+    odds = (NEVER, -2.0, 0.0, 2.0, ALWAYS)
+    infos = [estimate(make("fra", plain=plain), poor).info for plain in odds]
+    kept = [info.plain.sum().item() for info in infos]
+    assert kept == sorted(kept)
+    assert 0 == kept[0] < kept[2] < kept[4]
+    for info in infos:
+        assert not (info.plain & info.adaptive).any()
+        assert not ((info.plain | info.adaptive) & ~info.abnormal).any()
+
+
+@pytest.mark.parametrize("how", HOW, ids=str)
+@pytest.mark.parametrize(("odds", "branch"), [
+    ((0.0, -1.0), "robust"), ((-1.0, -2.0), "adaptive"), ((1.0, 2.0), "plain"), ((0.0, 0.0), "robust"),
+])  # fmt: skip
+def test_with_nothing_measured_after_it_the_largest_odds_decide(make, poor, odds, branch, how):
+    preference, plain = (60 * x for x in odds) if how["temperature"] else odds  # soft: no weight left for the others
+    f = make("fra", preference=preference, plain=plain, provisional="likeliest", final="likeliest", **how)
+    z = poor.z[:, :12].clone()
+    z[:, 10] += 1.0
+    z[:, 11] = torch.nan
+    e = f(z, poor.prior, u=poor.u[:12])
+    last = f(z[:, :11], poor.prior, u=poor.u[:11])  # here that step is the last one
+    assert e.info.abnormal[:, 10].all()
+    for x in (e, last):
+        assert (x.info.adaptive[:, 10] == (branch == "adaptive")).all()
+        assert (x.info.plain[:, 10] == (branch == "plain")).all()
+    if odds != (0.0, 0.0):
+        torch.testing.assert_close(e.info.provisional.mean[:, 10], e.mean[:, 10], rtol=1e-9, atol=1e-6)
+        torch.testing.assert_close(last.mean[:, 10], e.mean[:, 10], rtol=1e-9, atol=1e-6)
+
+
+def test_a_false_alarm_is_plain_and_then_the_plain_branch_helps():
+    """No outliers, a good start: what the gate finds abnormal is neither an outlier nor a manoeuvre."""
+    scenario = scenarios.bearings_outliers("none", initial="truth")
+    tracks = scenario.simulate(60, 8)
+
+    def error(**options):
+        e = estimate(presets.fra(scenario.motion, scenario.sensor, **options), tracks)
+        return metrics.rmse(e.info.provisional.mean, tracks.truth, scenario.position).mean()
+
+    srckf = estimate(presets.srckf(scenario.motion, scenario.sensor), tracks)
+    least = metrics.rmse(srckf.mean, tracks.truth, scenario.position).mean()
+    excess = [error(**options) / least - 1 for options in ({}, {"plain": 4.0, "provisional": "likeliest"})]
+    assert excess[1] < 0.5 * excess[0]
+
+
+def test_a_soft_decision_among_three_becomes_the_hard_one_as_its_temperature_falls(make, poor):
+    hard, soft = (estimate(make("fra", temperature=t, **THREE), poor) for t in (0.0, 1e-7))
+    assert hard.info.plain.any()
+    assert hard.info.adaptive.any()
+    torch.testing.assert_close(soft.mean, hard.mean, rtol=1e-9, atol=1e-6)
+    torch.testing.assert_close(soft.info.provisional.mean, hard.info.provisional.mean, rtol=1e-9, atol=1e-6)
+    assert (soft.info.plain == hard.info.plain).all()
+    assert (soft.info.adaptive == hard.info.adaptive).all()
+
+
+def test_a_branch_that_lost_its_numbers_is_not_kept(make, tracks):
+    f = make("fra", plain=ALWAYS)
+    state = f.init(tracks.prior)
+    for k in range(4):
+        state, _ = f.step(state, tracks.z[:, k], u=tracks.u[k])
+    lost = Gaussian(*(torch.full_like(x, torch.nan) for x in state.plain))
+    state = state._replace(plain=lost, excess=torch.full_like(state.excess, 1e9))  # surely abnormal
+    after, _ = f.step(state, tracks.z[:, 4], u=tracks.u[4])
+    assert after.settled.mean.isfinite().all()
+
+
+def test_models_that_interact_take_it_too():
+    scenario = scenarios.bearings_manoeuvre("std")
+    tracks = scenario.simulate(4, 1)
+    none, never, some = (
+        estimate(presets.imm_fra(scenario.bank, scenario.sensor, plain=plain), tracks) for plain in (None, NEVER, 4.0)
+    )
+    torch.testing.assert_close(never.mean, none.mean, rtol=1e-9, atol=1e-6)
+    assert some.mean.isfinite().all()
+    assert (some.mean - none.mean).abs().max() > 1e-3
+
+
+@pytest.mark.parametrize("name", ["provisional", "final"])
+def test_an_unknown_branch_is_refused(make, name):
+    with pytest.raises(ValueError, match=rf"{name}: expected one of .*'plain', 'likeliest'\), received 'best'"):
+        make("fra", **{name: "best"})
+
+
+def test_odds_that_are_no_number_are_refused(make):
+    with pytest.raises(ValueError, match="plain: expected a number, received nan"):
+        make("fra", plain=torch.nan)
+
+
+# ---------------------------------------------------------------- promises
+
+
+@pytest.mark.parametrize("how", HOW, ids=str)
+@pytest.mark.parametrize("provisional", ["plain", "likeliest"])
+def test_streaming_gives_what_whole_sequences_give(make, tracks, provisional, how):
+    f = make("fra", **THREE | {"provisional": provisional}, **how)
+    e, state = estimate(f, tracks), f.init(tracks.prior)
+    for k in range(STEPS):
+        state, _ = f.step(state, tracks.z[:, k], u=tracks.u[k])
+        torch.testing.assert_close(state.belief.mean, e.info.provisional.mean[:, k], rtol=1e-9, atol=1e-9)
+        if k:
+            torch.testing.assert_close(state.settled.mean, e.mean[:, k - 1], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("how", HOW, ids=str)
+def test_compiled_kernels_give_the_same_and_read_the_odds_when_they_run(make, poor, how):
+    f = make("fra", **THREE, **how)
+    fast = copy.deepcopy(f).compile()
+    for plain in (1.0, -2.0):
+        f.plain.set(plain)
+        fast.plain.set(plain)
+        close(estimate(f, poor), estimate(fast, poor))
+
+
+def test_gradients_of_all_odds_are_the_same_compiled_and_are_none_of_a_hard_decision(make, tracks):
+    found = []
+    for compiled in (False, True):
+        f = make("fra", learn=("plain", "preference", "gate"), temperature=1.0, **THREE)
+        e = estimate(f.compile() if compiled else f, tracks)
+        (e.mean.square().mean() + e.info.provisional.mean.square().mean()).backward()
+        found.append(torch.stack([p.grad for p in f.parameters()]))
+        assert (found[-1] != 0).all()
+    torch.testing.assert_close(*found, rtol=1e-9, atol=0)
+    assert not estimate(make("fra", learn=("plain", "preference", "gate"), **THREE), tracks).mean.requires_grad
+
+
+@pytest.mark.parametrize("how", HOW, ids=str)
+def test_a_batch_of_odds_and_an_ensemble_under_vmap_are_a_loop_over_them(make, tracks, how):
+    odds = torch.tensor([-3.0, 0.0, 2.0], dtype=torch.float64)
+    batch = estimate(make("fra", **THREE | {"plain": odds.unsqueeze(-1)}, **how), tracks)
+    f = make("fra", **THREE, **how)
+    call = ((tracks.z, tracks.prior), {"u": tracks.u})
+    mapped = torch.func.vmap(lambda raw: torch.func.functional_call(f, {"plain.raw": raw}, *call).mean)(odds)
+    for i, plain in enumerate(odds):
+        alone = estimate(make("fra", **THREE | {"plain": plain.item()}, **how), tracks).mean
+        torch.testing.assert_close(batch.mean[i], alone, rtol=1e-9, atol=1e-6)
+        torch.testing.assert_close(mapped[i], alone, rtol=1e-9, atol=1e-6)
+
+
+def test_torch_compile_sees_one_graph(make, tracks):
+    f = make("fra", **THREE)
+    torch._dynamo.reset()
+    graph = torch.compile(lambda z: f(z, tracks.prior, u=tracks.u[:3]).mean, backend="eager", fullgraph=True)
+    z = tracks.z[:, :3]
+    torch.testing.assert_close(graph(z), f(z, tracks.prior, u=tracks.u[:3]).mean, rtol=1e-9, atol=1e-9)
+
+
+def test_learned_odds_load_and_those_of_two_branches_stay_as_they_were(make, tracks):
+    learned, fixed = make("fra", learn=("plain",), temperature=1.0, **THREE), make("fra", **THREE | {"plain": 0.0})
+    with torch.no_grad():
+        learned.plain.raw += 0.7
+    learned.temperature = 0.0
+    fixed.load_state_dict(learned.state_dict())
+    assert fixed.plain().item() == pytest.approx(1.7)
+    torch.testing.assert_close(estimate(fixed, tracks).mean, estimate(learned, tracks).mean, rtol=0, atol=0)
+    assert "plain" not in hypers(make("fra"))
+    make("fra").load_state_dict({k: x for k, x in fixed.state_dict().items() if k != "plain.raw"})

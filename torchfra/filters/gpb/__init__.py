@@ -1,0 +1,7 @@
+"""GPB: regimes of the motion and qualities of the measurement as hypotheses of every step."""
+
+from torchfra.filters.gpb.filter import GPB, GPBInfo, GPBState
+from torchfra.filters.gpb.qualities import Qualities
+from torchfra.filters.gpb.regimes import EvenChain, Regimes
+
+__all__ = ["GPB", "EvenChain", "GPBInfo", "GPBState", "Qualities", "Regimes"]

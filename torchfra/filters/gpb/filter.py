@@ -1,0 +1,249 @@
+"""GPB: every step as a mixture of hypotheses, merged by generalised pseudo-Bayes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.distributions import constraints
+
+from torchfra import tree
+from torchfra.filters.base import Mix
+from torchfra.filters.checks import check_models
+from torchfra.filters.gpb.qualities import Qualities
+from torchfra.filters.gpb.regimes import Regimes
+from torchfra.filters.imm import for_each_model, models_first, repeated
+from torchfra.filters.records import Record
+from torchfra.filters.tracks import GaussianFilter
+from torchfra.gaussian.cubature import third_degree
+from torchfra.gaussian.inputs import Frame
+from torchfra.gaussian.mixture import moment_match
+from torchfra.gaussian.model import propagate
+from torchfra.gaussian.rules import Rule
+from torchfra.gaussian.update import innovation
+from torchfra.hyper import Hyper, Value
+from torchfra.linalg.triangular import apply, hstack
+from torchfra.motion.bank import Bank
+from torchfra.motion.base import Motion
+from torchfra.sensors.base import Sensor
+from torchfra.types import Gaussian
+
+
+class GPBState(NamedTuple):
+    """What GPB knows after a step."""
+
+    belief: Gaussian
+    """All hypotheses together."""
+    settled: Gaussian
+    """Of the step before, now that its hypotheses have met a measurement."""
+    clean: Gaussian
+    """``(..., K)`` for each motion, if no block was an outlier."""
+    dirty: Gaussian
+    """``(..., K)`` for each motion, if one was."""
+    log_pairs: Tensor
+    """``(..., 2, R, R)`` logs of the probabilities of clean and dirty, of the regime, and of the next one."""
+    outlier: Tensor
+    """``(..., B)`` of each block that it was an outlier, if the step was dirty."""
+
+
+class GPBInfo(NamedTuple):
+    """Per step and track."""
+
+    filtered: Gaussian
+    """``mean (..., T, n)`` and ``scale_tril``: what was known at the step itself."""
+    settled: Gaussian
+    """The same, with the step's hypotheses weighed by the next measurement; the last step is as filtered."""
+    regimes: Tensor
+    """``(..., T, R)`` probabilities of the regimes."""
+    outlier: Tensor
+    """``(..., T, B)`` of each block that it is an outlier."""
+
+
+class GPB(GaussianFilter):
+    """Generalised pseudo-Bayes over regimes of the motion and qualities of the measurement.
+
+    A step's regime is a Markov chain: calm, agile or a jump of one motion, or the motions of a bank and a jump.  The
+    quality of what each block of the sensor's elements measures is a Markov chain too: clean, or an outlier of one of
+    some sizes.  Every combination is a hypothesis with a prediction, a correction and a likelihood.  After a step they
+    are merged into one Gaussian for each motion and for clean and dirty (a step with an outlier in any block); these
+    two are kept apart until the next measurement has said which of them was right.  So nothing is decided by a gate,
+    and all is smooth: the next measurement weighs an outlier against a manoeuvre.
+
+    Merging, in square-root form, happens where hypotheses differ: outlier sizes in the space of the measurement,
+    regimes and qualities in that of states.  Motions interact as in ``IMM``.
+
+    Before the first step there are two beliefs too: the prior as given, and the same widened, should it be poor.
+
+    ``Estimate.nis`` and the innovation are those of the Gaussian with the moments of all predictions, with the noise as
+    the sensor states it; ``log_likelihood`` is that of the mixture.
+
+    Args:
+        motion: how targets move; a ``Bank`` of several.
+        sensor: what is measured; ``Sensor.blocks`` says which elements come from the same device.
+        regimes: the Markov chain of the motion, whose numbers of motions are those of the bank.
+        qualities: the Markov chain of outliers, of the sensor's blocks.
+        poor: probability that the prior is worth little.
+        start: factor on the prior's covariance then.
+        lag: 0 for the filtered estimate, 1 for the one that the next measurement has settled; the other is in ``info``.
+        rule: from a number of states to the rule that carries a Gaussian through a function.
+
+    Raises:
+        ValueError: a motion whose state has angles (its beliefs cannot be merged), regimes of other motions, blocks
+            that do not cover the measurement once, correlated noise between blocks, or a rule with negative weights.
+
+    Source: Harrison & Stevens (1976), Kirkendall (1992) for regimes and outliers as hypotheses; Bar-Shalom, Li &
+    Kirubarajan (2001), section 11.6, for GPB2 and IMM; Daeipour & Bar-Shalom (1995) for modes of the noise.
+    """
+
+    def __init__(
+        self,
+        motion: Motion,
+        sensor: Sensor,
+        *,
+        regimes: Regimes,
+        qualities: Qualities,
+        poor: Value = 0.25,
+        start: Value = 340.0,
+        lag: int = 0,
+        rule: Callable[[int], Rule] = third_degree,
+    ) -> None:
+        check_models(motion, sensor)
+        if motion.angles:
+            raise ValueError(f"motion: expected a state without angles, received {motion.describe()}")
+        super().__init__(motion if isinstance(motion, Bank) else Bank([motion]), sensor, rule)
+        if lag not in (0, 1):
+            raise ValueError(f"lag: expected 0 or 1 steps, received {lag!r}")
+        if self.signed:
+            raise ValueError("rule: expected one without negative weights, received one with some")
+        if set(regimes.motions) != set(range(len(self.bank))):
+            raise ValueError(f"regimes: expected some of each of {len(self.bank)} motions, received {regimes.motions}")
+        qualities.check(sensor)
+        self.regimes, self.qualities, self.lag = regimes, qualities, lag
+        self.poor = Hyper(poor, constraints.unit_interval, name="poor")
+        self.start = Hyper(start, constraints.greater_than_eq(1.0), name="start")
+
+    @property
+    def bank(self) -> Bank:
+        """The motions."""
+        return self.motion  # type: ignore[return-value]
+
+    def begin(self, belief: Gaussian) -> GPBState:
+        """The state of a belief: as it is, and widened, for every motion."""
+        mean, poor = belief.mean, self.poor(belief.mean)
+        log_start = torch.stack([torch.log1p(-poor), poor.log()], -1)
+        log_first = self.regimes.first(mean).log().unsqueeze(-2)  # of the next regime; this one may be any
+        count = log_first.shape[-1]
+        log_pairs = log_start[..., None, None] + log_first.unsqueeze(-3) - math.log(count)
+        log_pairs = log_pairs.expand(*mean.shape[:-1], 2, count, count)
+        every = repeated(belief, len(self.bank))
+        widened = every._replace(scale_tril=self.start(mean).sqrt()[..., None, None, None] * every.scale_tril)
+        outlier = mean.new_zeros(*mean.shape[:-1], len(self.qualities.blocks))
+        return GPBState(belief, belief, every, widened, log_pairs, outlier)
+
+    def advance(self, state: GPBState, frame: Frame, mix: Mix | None = None) -> tuple[GPBState, Record]:
+        """One step; ``mix`` is not looked at, as this filter mixes itself."""
+        before = tree.stack([state.clean, state.dirty], 0)  # (2, ..., K)
+        predicted, log_ahead, shares = self.look_ahead(before, state.log_pairs.movedim(-3, 0), frame)
+        seen = self.read(predicted)
+        log_quality, prior = self.qualities.ahead(state.outlier)
+        corrected = self.qualities(seen, lambda belief: self.compare(belief, frame), prior, 1 - frame.seen)
+        joint = log_quality.unsqueeze(1) + log_ahead + corrected.log_density  # (2, R, 2, ...): now, regime, before
+        joint = torch.where(joint.isnan(), -torch.inf, joint)  # nothing speaks for a hypothesis that failed
+        log_likelihood = joint.flatten(0, 2).logsumexp(0)
+        joint = joint - log_likelihood
+
+        after, log_after = self.merge(lifted(predicted, corrected.belief), joint)
+        belief, settled = together(after, log_after), together(before, self.hindsight(joint, shares))
+        outlier = (joint[1].exp().unsqueeze(-1) * corrected.outlier).sum((0, 1))
+        log_regimes = joint.logsumexp(2).movedim(1, -1)  # (2, ..., R)
+        if_dirty = outlier / log_regimes[1].logsumexp(-1, keepdim=True).exp()
+        log_pairs = self.regimes.ahead(log_regimes).movedim(0, -3)
+        expected = moment_match(tree.map_tensors(lambda x: x.flatten(0, 1), seen), log_share(log_ahead.flatten(0, 1)))
+        whitened = self.compare(expected, frame)
+        info = _Step(settled, log_regimes.exp().sum(0), outlier)
+        record = Record(belief, whitened.residual, *innovation(whitened), info, log_likelihood)
+        clean, dirty = tree.unbind(after, 2)
+        return GPBState(belief, settled, clean, dirty, log_pairs, if_dirty), record
+
+    def look_ahead(self, before: Gaussian, log_pairs: Tensor, frame: Frame) -> tuple[Gaussian, Tensor, Tensor | None]:
+        """Predictions ``(R, 2, ..., n)`` of all regimes, their log weights, and who contributed (``interact``)."""
+        mixed, shares = self.interact(before, log_pairs)
+        measured = frame.seen.sum(-1, keepdim=True) > 0
+        log_ahead = self.regimes.possible(log_pairs.logsumexp(-2), measured).movedim(-1, 0)
+        mean, spread, noise, _ = propagate(self.motion, self.motion_rule, mixed, for_each_model(frame))
+        return self.regimes.predictions(mean, spread, noise, self.motion.position), log_ahead, shares
+
+    def read(self, predicted: Gaussian) -> Gaussian:
+        """Of states, what the sensor reads."""
+        d = self.sensor.reads
+        return Gaussian(predicted.mean[..., :d], predicted.scale_tril[..., :d, :d])
+
+    def interact(self, before: Gaussian, log_pairs: Tensor) -> tuple[Gaussian, Tensor | None]:
+        """The motions mixed, and ``(2, ..., K, K)`` logs of what each contributed, ``[was, now]``."""
+        if len(self.bank) == 1:
+            return before, None
+        members = self.regimes.members
+        rows = torch.stack([log_pairs[..., was, :].logsumexp(-2) for was in members], -2)
+        joint = torch.stack([rows[..., now].logsumexp(-1) for now in members], -1)
+        shares = joint - joint.logsumexp(-2, keepdim=True)
+        return moment_match(repeated(models_first(before), len(members)), shares.movedim(-2, 0)), shares
+
+    def merge(self, beliefs: Gaussian, joint: Tensor) -> tuple[Gaussian, Tensor]:
+        """What is left of hypotheses ``(2, R, 2, ...)``: for clean and dirty and each motion, ``(2, ..., K)``."""
+        mean, root = (x.transpose(0, 1) for x in beliefs)
+        merged, weights = [], []
+        for members in self.regimes.members:
+            own = joint[:, members].movedim(2, 1).flatten(1, 2).transpose(0, 1)  # (hypotheses, 2, ...)
+            weights.append(own.logsumexp(0))
+            hypotheses = (x[members].movedim(2, 0).flatten(0, 1) for x in (mean, root))
+            merged.append(moment_match(Gaussian(*hypotheses), own - weights[-1]))
+        stacked = Gaussian(torch.stack([x.mean for x in merged], -2), torch.stack([x.scale_tril for x in merged], -3))
+        return stacked, torch.stack(weights, -1)
+
+    def hindsight(self, joint: Tensor, shares: Tensor | None) -> Tensor:
+        """Log weights ``(2, ..., K)`` of the beliefs before a step, now that it is measured."""
+        was = joint.logsumexp(0)  # (R, 2, ...)
+        if shares is None:
+            return was.logsumexp(0).unsqueeze(-1)
+        now = torch.stack([was[members].logsumexp(0) for members in self.regimes.members], -1)
+        return (shares + now.unsqueeze(-2)).logsumexp(-1)
+
+    def finish(self, state: GPBState, belief: Gaussian, info: _Step) -> tuple[Gaussian, GPBInfo]:
+        """Each step's settled estimate comes with the next."""
+        last = info.regimes.dim() - 2
+
+        def one_later(steps: Tensor, end: Tensor) -> Tensor:
+            return torch.cat([steps.narrow(last, 1, steps.shape[last] - 1), end.unsqueeze(last)], last)
+
+        settled = tree.map_tensors(one_later, info.settled, state.belief)
+        return settled if self.lag else belief, GPBInfo(belief, settled, info.regimes, info.outlier)
+
+
+class _Step(NamedTuple):
+    """What one step knows: about itself, and now for good about the one before."""
+
+    settled: Gaussian
+    regimes: Tensor
+    outlier: Tensor
+
+
+def lifted(predicted: Gaussian, belief: Gaussian) -> Gaussian:
+    """Beliefs of states, from the components that a sensor reads in units of their predicted root; any root."""
+    mean, root = predicted
+    gain = root[..., : belief.mean.shape[-1]]
+    own = gain @ belief.scale_tril
+    return Gaussian(mean + apply(gain, belief.mean), hstack(own, root[..., gain.shape[-1] :]))
+
+
+def together(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
+    """One Gaussian for hypotheses ``(2, ..., K)``."""
+    mean, root = beliefs.mean.movedim(-2, 0), beliefs.scale_tril.movedim(-3, 0)
+    return moment_match(Gaussian(mean.flatten(0, 1), root.flatten(0, 1)), log_weights.movedim(-1, 0).flatten(0, 1))
+
+
+def log_share(log_weights: Tensor) -> Tensor:
+    """The same, so that the exponentials sum to one over the first dimension."""
+    return log_weights - log_weights.logsumexp(0)

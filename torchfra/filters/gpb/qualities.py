@@ -1,0 +1,177 @@
+"""Qualities of a measurement: each block of elements from one device is as stated, or an outlier of some size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.distributions import constraints
+from torch.nn.functional import pad
+
+from torchfra import tree
+from torchfra.filters.gpb.regimes import in_front
+from torchfra.gaussian.mixture import moment_match
+from torchfra.gaussian.update import density
+from torchfra.hyper import Hyper, Values
+from torchfra.linalg.triangular import apply, hstack, tria, whiten
+from torchfra.sensors.base import Sensor
+from torchfra.types import Gaussian, Whitened
+
+Compare = Callable[[Gaussian], Whitened]
+
+
+class Corrected(NamedTuple):
+    """What a measurement makes of predictions ``(..., d)``, in a clean step and in a dirty one."""
+
+    belief: Gaussian
+    """``(2, ..., d)`` in units of the prediction's root: ``N(0, I)`` where the measurement says nothing."""
+    log_density: Tensor
+    """``(2, ...)`` of the measurement."""
+    outlier: Tensor
+    """``(..., B)`` probability of each block that it is an outlier, if the step is dirty."""
+
+
+class Inside(NamedTuple):
+    """``tria`` of what is measured, without its noise, and of the belief: ``[[root, 0], [cross, left]]``."""
+
+    root: Tensor
+    """``(..., m, m)``."""
+    cross: Tensor
+    """``(..., d, m)``."""
+    left: Tensor
+    """``(..., d, d)``, what no measurement of this block can tell."""
+
+
+class Qualities(nn.Module):
+    """Whether measurements are outliers: a Markov chain for each block of elements.
+
+    Args:
+        blocks: numbers of the elements of each block: those of a device fail together.
+        chain: ``(..., 2, 2)``, ``chain[i, j] = P(now j | was i)`` of clean and outlier, rows that sum to one.
+        sizes: ``(..., C)`` by which an outlier's measurement noise is multiplied, as a covariance.
+        shares: ``(..., C)`` of the outliers that have each size, which sum to one.
+
+    Raises:
+        ValueError: shapes that do not go together, values out of their range or that do not sum to one.
+    """
+
+    def __init__(self, blocks: Sequence[Sequence[int]], *, chain: Values, sizes: Values, shares: Values) -> None:
+        super().__init__()
+        chain, sizes, shares = (torch.as_tensor(x, dtype=torch.float64) for x in (chain, sizes, shares))
+        if chain.shape[-2:] != (2, 2):
+            raise ValueError(f"qualities: expected (2, 2), received {tuple(chain.shape)}")
+        if sizes.shape[-1:] != shares.shape[-1:]:
+            raise ValueError(f"shares: expected one for each of the sizes, received {tuple(shares.shape)}")
+        self.blocks = tuple(tuple(block) for block in blocks)
+        self.chain = Hyper(chain, constraints.simplex, event_dim=2, name="qualities")
+        self.sizes = Hyper(sizes, constraints.greater_than(1.0), event_dim=1, name="sizes")
+        self.shares = Hyper(shares, constraints.simplex, event_dim=1, name="shares")
+
+    def check(self, sensor: Sensor) -> None:
+        """Checks that the blocks are those of a sensor.
+
+        Raises:
+            ValueError: an element in no block or in several, or noise that is correlated between blocks.
+        """
+        if sorted(i for block in self.blocks for i in block) != list(range(sensor.size)):
+            raise ValueError(f"blocks: expected each of {sensor.size} elements once, received {self.blocks}")
+        if len(self.blocks) > 1 and sensor.root is not None:
+            raise ValueError(
+                "sensor: expected noise that is independent between blocks, received a root of its covariance"
+            )
+
+    def ahead(self, outlier: Tensor) -> tuple[Tensor, Tensor]:
+        """What the qualities of a step say of the next.
+
+        Args:
+            outlier: ``(..., B)`` of each block that it was an outlier, if the step was dirty.
+
+        Returns:
+            Logs ``(2, 2, ...)`` of the probability that the next step is clean or dirty, ``[next, this]``, and
+            ``(2, ..., B)`` of each block that it is an outlier if the next step is dirty.
+        """
+        chain = self.chain(outlier)
+        new, still = chain[..., 0, 1].unsqueeze(-1), chain[..., 1, 1].unsqueeze(-1)
+        now = torch.stack([new.expand_as(outlier), new + outlier * (still - new)])
+        clean = torch.log1p(-now).sum(-1)
+        dirty = -torch.expm1(clean)
+        share = torch.ones_like(now) if len(self.blocks) == 1 else now / dirty.unsqueeze(-1)
+        return torch.stack([clean, dirty.log()]), share
+
+    def forward(self, seen: Gaussian, compare: Compare, prior: Tensor, missing: Tensor) -> Corrected:
+        """The measurement, ``(2, ...)``: taken as the sensor states it, and with outliers in some blocks.
+
+        Blocks are independent, so they are taken one after the other: what they cost adds up.
+
+        Args:
+            seen: predictions ``(..., d)`` of what the sensor reads.
+            compare: the measurement against such.
+            prior: ``(..., B)`` of each block that it is an outlier if the step is dirty.
+            missing: ``(..., m)`` 1 where missing, 0 where measured.
+        """
+        rank = seen.mean.dim() - 1
+        log_shares, sizes = in_front(self.shares(seen.mean).log(), rank), in_front(self.sizes(seen.mean), rank + 1)
+        sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])  # of a clean one, and of outliers
+        belief, log_density, outliers = (
+            unit(seen),
+            torch.zeros_like(seen.mean[..., 0]).expand(2, *seen.mean.shape[:-1]),
+            [],
+        )
+        for b, block in enumerate(self.blocks):
+            share = prior[..., b]
+            inside, residual = measured(seen, belief, compare, block)
+            told, log_told = told_by(inside, residual, sizes, missing[..., list(block)].sum(-1))
+            log_clean, log_outlier = log_told[:1, 1] + torch.log1p(-share), log_told[1:, 1] + share.log() + log_shares
+            joint = torch.cat([log_clean, log_outlier])
+            total = joint.logsumexp(0)
+            dirty = moment_match(Gaussian(told.mean[:, 1], told.scale_tril[:, 1]), joint - total)
+            both = tree.stack([Gaussian(told.mean[0, 0], told.scale_tril[0, 0]), dirty], 0)
+            belief, log_density = inward(belief, inside, both), log_density + torch.stack([log_told[0, 0], total])
+            outliers.append((joint[1:].logsumexp(0) - total).exp())
+        return Corrected(belief, log_density, torch.stack(outliers, -1))
+
+
+def unit(seen: Gaussian) -> Gaussian:
+    """``N(0, I) (2, ..., d)`` for each belief ``(..., d)``."""
+    root = seen.scale_tril
+    eye = torch.eye(root.shape[-1], dtype=root.dtype, device=root.device)
+    return Gaussian(torch.zeros_like(seen.mean).expand(2, *seen.mean.shape), eye.expand(2, *root.shape))
+
+
+def measured(seen: Gaussian, belief: Gaussian, compare: Compare, block: Sequence[int]) -> tuple[Inside, Tensor]:
+    """What one block measures of a belief in units of ``seen``'s root, and its residual ``(..., m)``."""
+    (mean, root), (m, d) = seen, (len(block), seen.mean.shape[-1])
+    whitened = compare(Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril))
+    residual, spread = whitened.residual, whitened.spread
+    if m < residual.shape[-1]:
+        residual = torch.stack([residual[..., i] for i in block], -1)
+        spread = torch.stack([spread[..., i, :] for i in block], -2)
+    own = pad(belief.scale_tril, (spread.shape[-1] - d, 0))
+    lower = tria(torch.cat([spread, own], -2))
+    return Inside(lower[..., :m, :m], lower[..., m:, :m], lower[..., m:, m:]), residual
+
+
+def told_by(inside: Inside, residual: Tensor, sizes: Tensor, missing: Tensor) -> tuple[Gaussian, Tensor]:
+    """What a measurement tells of itself without noise, ``(C, ..., m)``, and its log density, for ``C`` noises.
+
+    Args:
+        inside: of the measurement.
+        residual: ``(..., m)``.
+        sizes: ``(C, ...)`` of the noise's covariance.
+        missing: ``(...)`` number of missing elements.
+    """
+    m = residual.shape[-1]
+    eye = torch.eye(m, dtype=residual.dtype, device=residual.device)
+    top = hstack(sizes.sqrt()[..., None, None] * eye, inside.root.unsqueeze(0))
+    lower = tria(torch.cat([top, hstack(torch.zeros_like(eye), eye).expand_as(top)], -2))
+    root, cross, left = lower[..., :m, :m], lower[..., m:, :m], lower[..., m:, m:]
+    normalised = whiten(root, residual.expand(root.shape[:-1]))
+    return Gaussian(apply(cross, normalised), left), density(root, normalised) + 0.5 * missing * sizes.log()
+
+
+def inward(belief: Gaussian, inside: Inside, told: Gaussian) -> Gaussian:
+    """The belief after what a measurement has told of itself."""
+    root = tria(hstack(inside.cross @ told.scale_tril, inside.left))
+    return Gaussian(belief.mean + apply(inside.cross, told.mean), root)

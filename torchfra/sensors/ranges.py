@@ -1,0 +1,109 @@
+"""Ranges from anchors: ultra-wideband, acoustic or radio beacons."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra.hyper import Value
+from torchfra.sensors.base import Sensor
+
+
+class Ranges(Sensor):
+    """Distances of the target from anchors that stand still during a step, m.
+
+    Every range comes from a device of its own: ``blocks`` has one block for each.  A range that did not come is NaN.
+
+    Args:
+        anchors: ``(m, dims)`` where the anchors are, m; or ``(m, 3)`` in space for states in the plane, with
+            ``height``.  None with ``count``.
+        std: of the measurement noise, m; a number or ``(..., m)`` with one per anchor.
+        count: instead of ``anchors``, how many there are whose positions come with each step: ``u (..., m c)`` is
+            ``[x1, y1, x2, y2, ...]`` with the ``c`` coordinates of each, m.
+        dims: dimensions of space of the states.  Unless given, 2 with a ``height`` or a ``count``, and otherwise those
+            of the anchors.
+        height: of the target, m, where states are in the plane and anchors in space; a known number.
+        noise: instead of ``std``, a root of the covariance of correlated measurement noise.
+
+    A measurement does not locate the target: fewer ranges than it takes may have come, and from anchors on a line a
+    target and its mirror image have the same ranges.
+
+    Raises:
+        ValueError: both or neither of ``anchors`` and ``count``, positions of another shape or not finite, a height
+            where states and anchors have the same dimensions, or none where they have not.
+    """
+
+    anchors: Tensor | None
+
+    def __init__(
+        self,
+        anchors: Any = None,
+        std: Value | None = None,
+        *,
+        count: int | None = None,
+        dims: int | None = None,
+        height: float | None = None,
+        noise: Tensor | None = None,
+    ) -> None:
+        places = None if anchors is None else _places(anchors)
+        if (places is None) == (count is None):
+            raise ValueError(f"anchors, count: expected exactly one of the two, received {anchors}, {count}")
+        if count is not None and count < 1:
+            raise ValueError(f"count: expected 1 or more anchors, received {count}")
+        if dims is None:
+            dims = 2 if places is None or height is not None else places.shape[-1]
+        self._check_height(dims, height, None if places is None else places.shape[-1])
+        super().__init__(dims, [False] * (len(places) if places is not None else count or 0), std, noise)
+        self.blocks = tuple((i,) for i in range(self.size))
+        self.dims, self.height = dims, None if height is None else float(height)
+        self.register_buffer("anchors", places, persistent=False)  # values learned at one place go to another
+
+    @staticmethod
+    def _check_height(dims: int, height: float | None, given: int | None) -> None:
+        """Checks that states of ``dims`` dimensions, with that height, go with anchors of ``given`` coordinates."""
+        if dims not in (1, 2, 3):
+            raise ValueError(f"dims: expected 1, 2 or 3, received {dims}")
+        if height is not None and not (dims == 2 and math.isfinite(height)):
+            raise ValueError(f"height: expected finite metres, for states in the plane, received {height}, dims {dims}")
+        expected = dims if height is None else 3
+        if given is not None and given != expected:
+            also = " of anchors in space with a height" if height is not None else ""
+            raise ValueError(f"anchors: expected (m, {expected}){also}, received (m, {given}) and height {height}")
+
+    def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
+        """The distance ``(..., m)`` of states from each anchor.  On an anchor it has the gradient 0."""
+        places = self._where(u).to(x)
+        squared = (x[..., None, : self.reads] - places[..., : self.reads]).square().sum(-1)
+        if self.height is not None:
+            squared = squared + (self.height - places[..., 2]).square()
+        touching = squared == 0
+        return torch.where(touching, 0.0, torch.where(touching, 1.0, squared).sqrt())
+
+    def _where(self, u: Tensor | None) -> Tensor:
+        """The anchors' positions ``(..., m, c)``."""
+        if self.anchors is not None:
+            return self.anchors
+        each = self.reads if self.height is None else 3
+        if u is None or u.shape[-1] < each * self.size:
+            expected = f"the positions of {self.size} anchors, (..., {each * self.size})"
+            raise ValueError(f"u: expected {expected}, received {None if u is None else tuple(u.shape)}")
+        places: Tensor = u[..., : each * self.size].unflatten(-1, (self.size, each))
+        return places
+
+    def describe(self) -> str:
+        """How many ranges, and the target's height if it is known."""
+        known = "" if self.height is None else f" at a height of {self.height:g} m"
+        return f"ranges from {self.size} anchor{'s' * (self.size > 1)}{known}"
+
+
+def _places(anchors: Any) -> Tensor:
+    """Positions ``(m, c)`` as a tensor; numbers that are in none become doubles."""
+    places = anchors if isinstance(anchors, Tensor) else torch.as_tensor(anchors, dtype=torch.float64)
+    places = places if places.is_floating_point() else places.double()
+    if places.dim() != 2 or len(places) < 1 or places.shape[-1] not in (1, 2, 3) or not bool(places.isfinite().all()):
+        received = tuple(places.shape) if bool(places.isfinite().all()) else places.tolist()
+        raise ValueError(f"anchors: expected finite positions (m, 2) or (m, 3), received {received}")
+    return places
