@@ -98,7 +98,7 @@ def test_track_says_which_of_the_interacting_models_leads(tmp_path):
     assert (tmp_path / "turn.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_track_says_where_the_target_jumps_by_default(tmp_path):
+def test_track_uses_the_filter_of_regimes_by_default_and_says_which_leads(tmp_path):
     time = np.arange(60) * 4.0
     xy = np.stack([100 * time + 30_000 * (time > 100), 0 * time], 1) + np.random.default_rng(0).normal(0, 5, (60, 2))
     path = tmp_path / "jump.csv"
@@ -107,8 +107,12 @@ def test_track_says_where_the_target_jumps_by_default(tmp_path):
     assert cli.main(["track", str(path), *out]) == 0
     found = json.loads((tmp_path / "s.json").read_text())
     assert found["settings"]["filter"] == "gpb"
-    assert sum(found["tracks"][0]["steps_led"].values()) == 60
+    led = found["tracks"][0]["steps_led"]
+    assert sum(led.values()) == 60
+    assert led.keys() >= {"calm constant velocity", "agile constant velocity", "turn +3 deg/s", "jump"}
+    assert led["calm constant velocity"] > 20
     rows = list(csv.DictReader((tmp_path / "jump.csv").read_text().splitlines()))
+    assert {row["model"] for row in rows} <= led.keys()
     assert abs(float(rows[-1]["x"]) - xy[-1, 0]) < 30
 
 

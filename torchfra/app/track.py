@@ -142,9 +142,12 @@ def _make(name: str, d: int, sigma: float, q: float, period: Value = 1.0) -> Fil
 
 
 def _models(f: Filter) -> tuple[str, ...]:
-    """Names of what the filter weighs at each step: motions, and jumps; none if it has one motion."""
+    """Names of what the filter weighs at each step: motions, or the regimes of these; none if it has one motion."""
     motions = tuple(f.motion.names) if isinstance(f.motion, Bank) else ()
-    return (*motions, *["jump"] * (len(f.regimes.motions) - len(motions))) if isinstance(f, GPB) else motions
+    if not isinstance(f, GPB):
+        return motions
+    first, *others = motions
+    return f"calm {first}", f"agile {first}", *others, "jump"
 
 
 def _split(

@@ -15,7 +15,7 @@ _OUTLIER = "#000000"
 _ROOM = 1.5
 """How far fixes may widen the map of the true path, as a factor; those further away are left out."""
 
-_LONGEST = 40
+_LONGEST = 30
 """Characters of a recording's name in the title; of longer ones it has the end."""
 
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from torchfra.app.plotting.style import CYCLE
 
-_COLOURS = ("#bbbbbb", *CYCLE)
+_COLOURS = ("#bbbbbb", *CYCLE, "#000000")
 """The first model is the usual one, straight flight: grey."""
 
 
