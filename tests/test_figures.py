@@ -7,6 +7,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 from matplotlib.text import Text
 from scipy.optimize import least_squares
 
@@ -16,6 +17,7 @@ from torchfra.app.evaluate import evaluate, flight, leaders, measure, results_of
 from torchfra.app.evaluate.fixes import deviations, fixes
 from torchfra.app.evaluate.flights import FAR, typical_run
 from torchfra.app.plotting.labels import spread_apart
+from torchfra.app.plotting.models import shade
 from torchfra.app.plotting.style import APART
 from torchfra.app.track import _flags
 from torchfra.catalogue import make_scenario, scenario_filters
@@ -333,3 +335,12 @@ def test_an_outlier_is_marked_where_it_was_measured_and_a_manoeuvre_where_the_ta
     np.testing.assert_allclose(marks["manoeuvre"], [[4.0, 0.0]])
     (certain,) = [line for line in residual.lines if line.get_label().startswith("2 std")]
     np.testing.assert_allclose(certain.get_ydata(), 60 * np.sqrt(2))
+
+
+def test_a_model_that_leads_for_one_step_is_shaded_until_the_next():
+    time, leading = np.arange(6.0), np.array([0, 0, 2, 0, 1, 1])
+    axes = Figure().subplots()
+    shade(axes, time, leading, ["straight", "turn", "jump"])
+    spans = {bars.get_label(): [(p.vertices[:, 0].min(), p.vertices[:, 0].max()) for p in bars.get_paths()]
+             for bars in axes.collections}  # fmt: skip
+    assert spans == {"straight": [(0.0, 2.0), (3.0, 4.0)], "turn": [(4.0, 5.0)], "jump": [(2.0, 3.0)]}
