@@ -173,7 +173,7 @@ def test_labels_are_pushed_apart_no_more_than_they_must(places, gap):
     assert max(spread) <= 1 + 1e-9
     wide = np.diff(np.array(places)[order])
     if (wide >= gap).all() and min(places) >= 0 and max(places) <= 1:
-        np.testing.assert_allclose(spread, places)
+        np.testing.assert_allclose(spread, places, atol=1e-12)
 
 
 # ---------------------------------------------------------------- which filters, which run
