@@ -1,86 +1,145 @@
-"""How far learned values and ``fra`` are from the best filter of each case.
+"""How far filters and learned values are from the best other filter of each case.
 
-    python scripts/regret.py out/train/fra_bearings/state_dict.pt --runs 500 --seed 3 --json out/regret.json
+    python scripts/regret.py --filters fra --json out/regret.json --figure out/regret.png
+    python scripts/regret.py --filters fra --cells '1-*-std,2-std' out/train/fra_bearings/state_dict.pt
+    python scripts/regret.py --filters fra,imm_srckf --cells 'flights-*' --flights a.json.gz b.json.gz
 
-Six cases of the bearings experiments: scenario 1 with a poor and a good start, and scenario 2, outliers in covariance
-and in standard deviations.  Regret is the mean position RMSE divided by that of the best filter of a single motion,
-learned values excepted, minus 1.  Several state dictionaries may be given: each becomes a row of every case, under the
-name of its folder.
+Cells: scenario 1 of the bearings experiments with the paper's start and with a good one, and scenario 2; recorded
+flights by bearings, position and radar; each with outliers none, covariance, std and bursts; simulated ranges with
+outliers, and recorded ranges, where folders of them are given.  Regret is the mean position RMSE divided by that of the
+best filter of the catalogue that is not compared, at its defaults, a bank of motions among them, minus 1.  There are
+two tables: of filtered estimates, and of settled ones, where every filter that waits for a measurement before it
+decides has its later estimate, and the others the only one they have.  The 95 % interval is of a bootstrap over the
+runs, which are the same for all filters; a run is lost above 2000 m, of ranges above 20 m.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from regrets.cells import all_cells, chosen_cells
+from regrets.ratios import KINDS, RESAMPLES, both_kinds, errors
+from regrets.show import panels, summary, summary_lines, table
+
 from torchfra.app.atomic_write import write_json
 from torchfra.app.command import add_json_option, add_quiet_option, add_runs_options, exit_status, make_parser
-from torchfra.app.evaluate import evaluate, versions
+from torchfra.app.compare_command import WORTHWHILE
+from torchfra.app.compiling import add_compile_option, choose, compiled, reporters
+from torchfra.app.evaluate import run, versions
 from torchfra.app.progress import progress_bar
-from torchfra.catalogue import FILTERS, filters_for, learned_filter, make_scenario, scenario_filters
-from torchfra.tables import text_table
+from torchfra.catalogue import FILTERS, filters_for, learned_filter, scenario_filters, track_filters
+from torchfra.filters import Filter
+from torchfra.scenarios import Scenario
 
-CASES = {
-    f"{number}, {start}{outliers}": (name, outliers, initial)
-    for number, name, starts in (
-        (1, "bearings-outliers", {"poor start, ": "paper", "good start, ": "truth"}),
-        (2, "bearings-manoeuvre", {"": "truth"}),
-    )
-    for start, initial in starts.items()
-    for outliers in ("covariance", "std")
-}
+USUAL_STEPS = 100
+"""Of a run, to tell before any is made whether compiling pays."""
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Prints the table; returns 0, or 2 after one line on standard error if an argument or a file was wrong."""
-    p = make_parser(__doc__)
-    p.add_argument("files", metavar="STATE_DICT", nargs="*", type=Path, help="learned values of fra")
-    add_runs_options(p, 500, seed=3)
-    add_json_option(p)
-    add_quiet_option(p)
-    options = p.parse_args(arguments)
+    """Prints the tables; returns 0, or 2 after one line on standard error if an argument or a file was wrong."""
+    options = parser().parse_args(arguments)
     return exit_status("regret", lambda: regret(options))
 
 
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = make_parser(__doc__)
+    first = track_filters()[0]
+    learned = "learned values of the filter NAME, or of the first of --filters, are compared too"
+    p.add_argument("learned", metavar="[NAME=]STATE_DICT", nargs="*", help=learned)
+    p.add_argument("--filters", metavar="A,B", default=first, help=f"compared with all others (default: {first})")
+    p.add_argument("--cells", metavar="A,B", default="*", help="names, or patterns such as '1-*-std' (default: all)")
+    p.add_argument("--flights", metavar="FILE", nargs="+", type=Path, help="recorded flights (default: samples)")
+    ranges = "with recorded ranges and the path that was taken: a cell for each recording there or below"
+    p.add_argument("--ranges", metavar="FOLDER", nargs="+", type=Path, default=[], help=ranges)
+    p.add_argument("--own-models", action="store_true", help="learned values leave motion and sensor of a cell alone")
+    add_runs_options(p, 500, seed=3)
+    add_compile_option(p, f"in cells of {WORTHWHILE:,} steps or more")
+    p.add_argument("--figure", type=Path, metavar="FILE", help="PNG: cells by filters, coloured by the ratio")
+    add_json_option(p)
+    add_quiet_option(p)
+    return p
+
+
 def regret(options: argparse.Namespace) -> None:
-    """All cases, as a table when the last one is done."""
-    cases: dict[str, Any] = {}
-    for case, (name, outliers, initial) in progress_bar(CASES.items(), "case", not options.quiet):
-        scenario = make_scenario(name, outliers=outliers, initial=initial)
-        single = [name for name in filters_for(scenario) if not FILTERS[name].bank]
-        learned = {str(path): learned_filter(path, scenario) for path in options.files}
-        filters = scenario_filters(single, scenario) | learned
-        results = evaluate(scenario, filters, runs=options.runs, seed=options.seed, progress=not options.quiet)
-        cases[case] = case_result(results, list(learned))
-    if not options.quiet:
-        print(table(cases))
+    """All cells; tables when the last one is done."""
+    names = compared_filters(options.filters)
+    learned = {file.rpartition("=")[2]: file.rpartition("=")[0] or names[0] for file in options.learned}
+    cells = chosen_cells(all_cells(options.flights, options.ranges), options.cells.split(","))
+    tell, _ = reporters(options.compile, options.quiet)
+    compile = choose(options.compile, options.runs * USUAL_STEPS >= WORTHWHILE, tell)
+    results = {}
+    for name, cell in progress_bar(cells.items(), "cell", not options.quiet):
+        scenario, runs = cell.make(), options.runs if cell.runs is None else cell.runs
+        filters = cell_filters(name, scenario, names, learned, own_models=options.own_models)
+        if compile and (options.compile or runs * scenario.steps >= WORTHWHILE):
+            filters = with_kernels(filters, scenario, options)
+        found = errors(scenario, filters, runs=runs, seed=options.seed, progress=not options.quiet)
+        settings = {"dt": scenario.dt, "steps": scenario.steps, "limit": scenario.limit, **scenario.settings}
+        results[name] = {"scenario": scenario.name, "runs": runs, "settings": settings}
+        results[name] |= both_kinds(found, {*names, *learned}, scenario.limit)
+    write(results, names, learned, options)
+
+
+def compared_filters(listed: str) -> list[str]:
+    """The names in a comma-separated list.
+
+    Raises:
+        ValueError: one that is no filter of single targets, or none at all.
+    """
+    names = [name for name in listed.split(",") if name]
+    if not names or not all(name in FILTERS and not FILTERS[name].scans for name in names):
+        raise ValueError(f"filters: expected names out of {', '.join(track_filters())}, received {listed!r}")
+    return names
+
+
+def cell_filters(
+    cell: str, scenario: Scenario, names: list[str], learned: Mapping[str, str], *, own_models: bool
+) -> dict[str, Filter]:
+    """All filters of a cell: those that are compared, by name or file, and all others that go with it.
+
+    Raises:
+        ValueError: a filter that does not go with it, or values that do not fit.
+    """
+    others = filters_for(scenario)
+    for name in names:
+        if FILTERS[name].listed and name not in others:
+            raise ValueError(f"filters: expected some that go with {cell}, received {name}")
+    filters = scenario_filters(list(dict.fromkeys([*others, *names])), scenario)
+    for path, name in learned.items():
+        filters[path] = learned_filter(path, scenario, name, models=not own_models)
+    return filters
+
+
+def with_kernels(filters: dict[str, Filter], scenario: Scenario, options: argparse.Namespace) -> dict[str, Filter]:
+    """The filters, compiled where that can be."""
+    _, fallback = reporters(options.compile, options.quiet)
+    one = scenario.simulate(1, options.seed)
+    return compiled(filters, lambda f: run(f, scenario, one), fallback=fallback, progress=not options.quiet)
+
+
+def write(
+    results: dict[str, dict[str, Any]], names: list[str], learned: Mapping[str, str], options: argparse.Namespace
+) -> None:
+    """Prints both tables, and writes files."""
+    compared = [*names, *learned]
+    of = summary(results, compared)
     if options.json is not None:
-        write_json(options.json, {"runs": options.runs, "seed": options.seed, "versions": versions(), "cases": cases})
+        head = {"runs": options.runs, "seed": options.seed, "resamples": RESAMPLES, "versions": versions()}
+        head |= {"compared": compared, "learned": learned, "own_models": options.own_models}
+        write_json(options.json, {**head, "summary": of, "cells": results})
+    if options.figure is not None:
+        from torchfra.app import plotting  # matplotlib takes long to import
 
-
-def case_result(results: dict[str, Any], learned: list[str]) -> dict[str, Any]:
-    """One case: the best filter that was not learned, and the regret of ``fra`` and of the learned ones."""
-    rmse = {name: of["mean_rmse_position"] for name, of in results.items()}
-    best = min((name for name in rmse if name not in learned), key=rmse.__getitem__)
-    compared = {
-        name: {"rmse": rmse[name], "regret": rmse[name] / rmse[best] - 1,
-               "divergence_rate": results[name]["divergence_rate"]}
-        for name in ("fra", *learned)
-    }  # fmt: skip
-    return {"best": best, "best_rmse": rmse[best], "all": rmse, "ours": compared}
-
-
-def table(cases: dict[str, Any]) -> str:
-    """The cases as text: a line for each compared filter; a state dictionary is called by its folder."""
-    rows = [
-        [case, result["best"], f"{result['best_rmse']:.1f}", Path(name).parent.name or name, f"{of['rmse']:.1f}",
-         f"{of['regret']:+.1%}", f"{of['divergence_rate']:.2%}"]
-        for case, result in cases.items()
-        for name, of in result["ours"].items()
-    ]  # fmt: skip
-    return text_table(["case", "best", "RMSE m", "compared", "RMSE m", "regret", "diverged"], rows, align="<<><>")
+        title = f"{options.runs} runs, seed {options.seed}"
+        plotting.save(plotting.ratios(panels(results, compared), list(results), title), options.figure)
+    if not options.quiet:
+        for kind in KINDS:
+            print(f"{table(results, compared, kind)}\n{summary_lines(of, kind)}\n")
 
 
 if __name__ == "__main__":

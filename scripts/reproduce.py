@@ -35,7 +35,7 @@ from torchfra.app.command import (
     make_parser,
 )
 from torchfra.app.evaluate import evaluate, report
-from torchfra.catalogue import SCENARIOS, learned_filter, make_scenario, track_filters
+from torchfra.catalogue import learned_filter, make_scenario, track_filters
 
 EXPERIMENTS: dict[str, Experiment] = (
     bearings.EXPERIMENTS | adsb.EXPERIMENTS | huber.EXPERIMENTS | alphabeta.EXPERIMENTS | clutter.EXPERIMENTS
@@ -52,7 +52,7 @@ def main(arguments: list[str] | None = None) -> int:
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     p = make_parser(__doc__)
-    p.add_argument("experiment", choices=list(SCENARIOS))
+    p.add_argument("experiment", choices=list(EXPERIMENTS))
     add_runs_options(p, 100)
     _add_scenario_options(p)
     p.add_argument("--sizes", metavar="A,B", help="of growth and reentry: how many times contaminated noise grows, for "

@@ -230,20 +230,102 @@ def test_compare_runs_recorded_tracks_through_filters(noisy_track, tmp_path, sen
     assert result["filters"]["ukf"]["relative_time"] == pytest.approx(1.0)
 
 
+@pytest.fixture
+def walks(tmp_path):
+    """Two recordings of ranges from four anchors to someone on a circle, the second with a range 9 m short."""
+    time = np.arange(60) * 0.1
+    path = np.stack([3 + 2 * np.cos(time / 2), 4 + 2 * np.sin(time / 2)], 1)
+    for name, wrong in (("a", 0.0), ("b", 9.0)):
+        folder = tmp_path / "walks" / name
+        folder.mkdir(parents=True)
+        lines = [f"{t},{x},{y},0.5" for t, (x, y) in zip(time, path, strict=True)]
+        (folder / "path.csv").write_text("\n".join(["t,x,y,z", *lines]))
+        for i, place in enumerate(((0, 0, 2), (9, 0, 2), (9, 8, 1), (0, 8, 1))):
+            away = np.sqrt(np.square(path - place[:2]).sum(1) + (place[2] - 0.5) ** 2)
+            away[30 if i == 1 else 0] += wrong if i == 1 else 0.0
+            lines = [f"{t},{r},{place[0]},{place[1]},{place[2]}" for t, r in zip(time, away, strict=True)]
+            (folder / f"A{i}.csv").write_text("\n".join(["t,range,x,y,z", *lines]))
+    return tmp_path / "walks"
+
+
+def test_compare_runs_recorded_ranges_and_shows_the_error_on_each(walks, tmp_path, capsys):
+    out = ["--json", str(tmp_path / "r.json"), "--figure", str(tmp_path / "f.png")]
+    assert cli.main(["compare", "--ranges", str(walks), "--filters", "srckf,rsrckf,imm_srckf", *out]) == 0
+    report = json.loads((tmp_path / "r.json").read_text())
+    assert report["settings"]["recordings"] == [(walks / name).as_posix() for name in "ab"]
+    error = {name: of["rmse_of_runs"] for name, of in report["filters"].items()}
+    assert error["rsrckf"][0] < error["rsrckf"][1] < 0.3 < error["srckf"][1]
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:3] == [
+        "recorded-ranges: 2 of 2 recordings, up to 60 steps", f"1: {walks}/a", f"2: {walks}/b"
+    ]  # fmt: skip
+    (line,) = (line.split() for line in lines if line.startswith("srckf"))
+    assert line[1:4] == [f"{x:.2f}" for x in (*error["srckf"], sum(error["srckf"]) / 2)]
+    assert (tmp_path / "f.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_compare_takes_one_recording_in_files(walks, tmp_path):
+    apart = tmp_path / "apart"
+    apart.mkdir()
+    (apart / "path.csv").write_bytes((walks / "b/path.csv").read_bytes())
+    (apart / "anchors.csv").write_text("anchor,x,y,z\nA0,0,0,2\nA1,9,0,2\nA2,9,8,1\nA3,0,8,1\n")
+    files = [str(walks / f"b/A{i}.csv") for i in range(4)]
+    more = ["--anchors", str(apart / "anchors.csv"), "--reference", str(apart / "path.csv")]
+    found = []
+    for arguments in (
+        [str(walks / "b")],
+        [*files, *more],
+        [*files, *more, "--height", "0.5"],
+        [*files, *more, "--dt", ".2"],
+    ):
+        out = ["--json", str(tmp_path / "r.json"), "--figure", str(tmp_path / "f.png"), "--quiet"]
+        assert cli.main(["compare", "--ranges", *arguments, "--filters", "rsrckf", *out]) == 0
+        found.append(json.loads((tmp_path / "r.json").read_text())["filters"]["rsrckf"]["rmse_position"])
+    assert found[0] == pytest.approx(found[1])
+    assert found[0] == pytest.approx(found[2])
+    assert (len(found[0]), len(found[3])) == (60, 30)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--runs", "3"], "runs: expected at most one for each of 2 recordings, received 3"),
+        (["--reference", "{walks}/a/path.csv"], "reference: goes with one recording, received 2"),
+        (["--anchors", "{walks}/a/path.csv"], "a/path.csv: expected rows with the columns anchor,x,y[,z]"),
+        (["--q", "-1"], "q: expected"),
+    ],
+)
+def test_what_does_not_go_with_recorded_ranges_is_refused(walks, capsys, options, said):
+    assert cli.main(["compare", "--ranges", str(walks), *(o.format(walks=walks) for o in options)]) == 2
+    assert said in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["compare"], "files or --scenario"),
+        (["compare"], "compare: expected one of files, --scenario and --ranges, received none\n"),
         (["compare", "--scenario", "nowhere"], "bearings-outliers"),
         (["compare", "--scenario", "bearings-outliers", "--filters", "kalman"], "received kalman"),
         (["compare", "--scenario", "bearings-outliers", "--outliers", "wild"], "'wild'"),
         (["compare", "--scenario", "adsb-turns", "--outliers", "std"], "adsb-turns takes no such option"),
         (["compare", "--scenario", "bearings-outliers", "--runs", "-1"], "runs: expected 1 or more, received -1\n"),
         (["compare", "--scenario", "bearings-outliers", "--sensor", "bearings"], "sensor: goes with files, not with"),
-        (["compare", "--scenario", "bearings-outliers", "--q", "0.25"], "q: goes with files, not with --scenario"),
-        (["compare", "--scenario", "bearings-outliers", "--dt", "5"], "dt: goes with files, not with --scenario"),
+        (
+            ["compare", "--scenario", "bearings-outliers", "--q", "0.25"],
+            "q: goes with files or --ranges, not with",
+        ),
+        (
+            ["compare", "--scenario", "bearings-outliers", "--dt", "5"],
+            "dt: goes with files or --ranges, not with",
+        ),
         (["compare", "--scenario", "bearings-outliers", "--steps", "9"], "steps: goes with files, not with --scenario"),
         (["compare", "--scenario", "bearings-outliers", "--no-repair"], "repair: goes with files, not with --scenario"),
+        (["compare", "{file}", "--ranges", "{file}"], "received files and --ranges\n"),
+        (["compare", "--ranges", "{file}", "--outliers", "none"], "outliers: goes with files or --scenario, not with"),
+        (["compare", "{file}", "--anchors", "a.csv"], "anchors: goes with --ranges, not with files\n"),
+        (["compare", "--ranges", "missing"], "error: file not found: missing\n"),
+        (["compare", "--ranges", "{file}"], "expected ranges above 0 with their times, received none\n"),
+        (["compare", "--ranges", "{file}", "."], "ranges: expected either folders or the files of one recording"),
         (["compare", "{file}", "--dt", "-1"], "dt: expected seconds above 0, received -1.0"),
         (["compare", "{file}", "--q", "-1"], "q: expected m^2/s^4 of 0 or more, received -1.0"),
         (["compare", "{file}", "missing.csv"], "error: file not found: missing.csv\n"),

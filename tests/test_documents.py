@@ -37,11 +37,12 @@ SETUP = ("pip install ", "python -m pip install ", "git clone ", "cd ", "python3
 
 SMALL = {
     "torchfra compare": ({"--runs": "2"}, {"--filters": "srckf,fra"}),
+    "torchfra compare --ranges": ({"--runs": "1"}, {"--filters": "srckf,fra"}),
     "scripts/reproduce.py": ({"--runs": "2"}, {}),
     "scripts/reproduce.py growth": ({"--runs": "2", "--sizes": "1"}, {"--filters": "ghckf"}),
     "scripts/reproduce.py reentry": ({"--runs": "2", "--sizes": "1"}, {"--filters": "ghckf"}),
     "scripts/reproduce.py clutter": ({"--runs": "2"}, {"--filters": "ukf_jpda_safe"}),
-    "scripts/regret.py": ({"--runs": "2"}, {}),
+    "scripts/regret.py": ({"--runs": "2", "--cells": "2-std"}, {}),
     "scripts/benchmark.py": ({"--batch": "1", "--passes": "1", "--modes": "eager"}, {"--filters": "srckf"}),
     "scripts/examples/": ({}, {}),
     "scripts/": ({"--iterations": "2", "--tracks": "4", "--steps": "10"}, {}),
@@ -185,6 +186,18 @@ def learned(path):
     torch.save(scenario_filters([name], scenario)[name].state_dict(), path)
 
 
+def walked(folder):
+    """Writes a short recording of ranges from three anchors, with the path."""
+    Path(folder).mkdir()
+    time = np.arange(30) * 0.1
+    path = np.stack([2 + time, 3 + time], 1)
+    for i, place in enumerate(((0, 0), (9, 0), (0, 9))):
+        rows = [f"{t},{r},{place[0]},{place[1]}" for t, r in zip(time, np.hypot(*(path - place).T), strict=True)]
+        Path(folder, f"a{i}.csv").write_text("\n".join(["t,range,x,y", *rows]))
+    rows = [f"{t},{x},{y}" for t, (x, y) in zip(time, path, strict=True)]
+    Path(folder, "path.csv").write_text("\n".join(["t,x,y", *rows]))
+
+
 def filled(words, flights):
     """The words of a command with files in place of placeholders."""
     for word in words:
@@ -195,6 +208,9 @@ def filled(words, flights):
             yield word[: match.start()] + path
         elif word in ("FILE", "FILES", "FILE..."):
             yield from flights[: 1 if word == "FILE" else 2]
+        elif word == "FOLDER":
+            walked(word)
+            yield word
         elif re.fullmatch(r"[\w-]+\.(csv|csv\.gz|json\.gz)", word):
             yield flights[0]
         else:
@@ -218,8 +234,6 @@ def script(path):
         spec = importlib.util.spec_from_file_location(name, ROOT / path)
         sys.modules[name] = module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
-        if hasattr(module, "CASES"):  # of regret.py: the first of them is enough here
-            module.CASES = dict([next(iter(module.CASES.items()))])
     return sys.modules[name].main
 
 
@@ -287,7 +301,7 @@ def understood(line, flights):
     words = list(filled(words, flights))
     if main is cli.main and words and words[0] in ("track", "compare"):
         named = [w for w in words if w.endswith(".csv")]
-        words += [] if named or "--scenario" in words else flights[:1]
+        words += [] if named or {"--scenario", "--ranges"} & set(words) else flights[:1]
     return main, small(line, main, words, known), False
 
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from torchfra import metrics, presets, readers, scenarios
+from torchfra.app.evaluate import evaluate
 from torchfra.catalogue import filters_for, scenario_filters
 from torchfra.motion import ConstantAcceleration, ConstantVelocity
 from torchfra.sensors import Ranges
@@ -84,6 +85,14 @@ def test_learning_through_a_filter_has_the_gradient_of_finite_differences():
     assert torch.autograd.gradcheck(loss, [p.detach().clone().requires_grad_() for p in f.parameters()], rtol=1e-4)
 
 
+def test_values_learned_with_some_anchors_go_to_others():
+    learned = presets.rsrckf(ConstantAcceleration(0.3), Ranges(ANCHORS, 0.4, height=0.5))
+    other = presets.rsrckf(ConstantAcceleration(0.1), Ranges(ANCHORS[:3] + 1, 0.1, height=0.0))
+    other.load_state_dict(learned.state_dict())
+    assert other.sensor.std().item() == pytest.approx(0.4)
+    torch.testing.assert_close(other.sensor.anchors, ANCHORS[:3] + 1)
+
+
 @pytest.mark.parametrize("name", ["srckf", "rsrckf", "fra"])
 @pytest.mark.parametrize("moving", [False, True])
 def test_a_compiled_filter_gives_the_same_and_follows_the_target(name, moving):
@@ -139,6 +148,90 @@ def test_what_does_not_fit_a_filter_is_named():
     for u, said in ((None, "None"), (torch.zeros(5, 8, dtype=torch.float64), r"\(.*8\)")):
         with pytest.raises(ValueError, match=rf"u: expected .* of 4 anchors, \(\.\.\., 12\), received {said}"):
             f(torch.ones(5, 4, dtype=torch.float64), PRIOR, u=u)
+
+
+# ---------------------------------------------------------------- the simulated walks
+
+
+def test_walks_are_those_of_someone_who_walks():
+    scenario = scenarios.ranges_outliers()
+    truth = scenario.simulate(64, 3).truth
+    position, velocity, push = truth.split(2, -1)
+    assert (position.amin((0, 1)) > tensor(-1, -6)).all()
+    assert (position.amax((0, 1)) < tensor(51, 6)).all()
+    speed = velocity.norm(dim=-1)
+    assert 0.8 < speed.median() < 1.2
+    assert speed.max() <= 1.6
+    assert (speed < 0.05).double().mean() > 0.01
+    assert push.norm(dim=-1).max() <= 2 + 1e-9
+    moved = scenario.motion(truth[:, :-1], torch.tensor(scenario.dt).double().expand(64, 999))
+    torch.testing.assert_close(moved[..., :4], truth[:, 1:, :4])
+
+
+@pytest.mark.parametrize(("outliers", "side"), [("short", {-1.0}), ("nlos", {1.0}), ("both", {-1.0, 1.0})])
+def test_outliers_come_in_runs_of_one_anchor_with_the_same_offset(outliers, side):
+    calm, wild = (scenarios.ranges_outliers(o, missing=0.0).simulate(100, 5) for o in ("none", outliers))
+    offset = wild.z - calm.z
+    off = offset != 0
+    assert off.double().mean() == pytest.approx(0.005, rel=0.1)
+    assert set(offset[off].sign().tolist()) == side
+    whole = wild.z > 0.1
+    assert offset[off & whole].abs().mean() == pytest.approx(8.0, rel=0.15)
+    inside = (off[:, 1:] & off[:, :-1]) & whole[:, 1:] & whole[:, :-1]
+    same = (offset[:, 1:] - offset[:, :-1]).abs()[inside] < 1e-9
+    assert same.double().mean() > 0.97  # else another run follows at once
+    begins = off & ~torch.nn.functional.pad(off[:, :-1], (0, 0, 1, 0))
+    assert off.sum() / begins.sum() == pytest.approx(3.0, rel=0.05)
+
+
+def test_a_share_of_the_ranges_is_missing_and_the_others_have_the_stated_noise():
+    scenario = scenarios.ranges_outliers("none")
+    tracks = scenario.simulate(50, 5)
+    assert tracks.z.isnan().double().mean() == pytest.approx(0.1, rel=0.1)
+    error = tracks.z - scenario.sensor(tracks.truth)
+    seen = ~error.isnan()
+    assert error[seen].std().item() == pytest.approx(0.15, rel=0.02)
+    off = (tracks.prior.mean - tracks.truth[:, 0])[:, :4]  # of which a step moves 2 cm and 0.2 m/s at most
+    assert off.std().item() == pytest.approx(1.0, rel=0.2)
+
+
+@pytest.mark.parametrize("anchors", ["together", "around"])
+def test_a_robust_filter_keeps_the_walker_where_the_plain_one_is_thrown_off(anchors):
+    scenario = scenarios.ranges_outliers(anchors=anchors)
+    tracks = scenario.simulate(20, 1)
+    error = {}
+    for name, f in scenario_filters(["srckf", "rsrckf", "imm_srckf"], scenario).items():
+        with torch.no_grad():
+            mean = f(tracks.z, tracks.prior, dt=scenario.dt).mean
+        error[name] = metrics.track_rmse(mean, tracks.truth, scenario.position)
+    assert error["rsrckf"].max() < 2.0
+    assert error["srckf"].mean() > 2 * error["rsrckf"].mean()
+    assert error["imm_srckf"].isfinite().all()
+
+
+def test_losses_count_from_20_metres():
+    scenario = scenarios.recorded_ranges([recording()])
+    assert scenario.limit == scenarios.ranges_outliers().limit == 20.0
+    assert scenarios.bearings_outliers().limit == 2000.0
+    far = presets.rsrckf(scenario.motion, Ranges(ANCHORS + 30, 0.15, height=0.5))  # thinks that it is elsewhere
+    assert evaluate(scenario, {"far": far}, runs=1)["far"]["divergence_rate"] == 1.0
+    assert evaluate(scenario, {"far": far}, runs=1, limit=1e6)["far"]["divergence_rate"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"outliers": "std"}, r"outliers: expected one of \('short', 'nlos', 'both', 'none'\), received 'std'"),
+        ({"anchors": "far"}, r"anchors: expected one of \('together', 'around'\), received 'far'"),
+        ({"share": 1.0}, "share: expected a share from 0 to below 1, received 1.0"),
+        ({"missing": -0.1}, "missing: expected a share from 0 to below 1, received -0.1"),
+        ({"size": 0.0}, "size, length: expected metres above 0 and 1 or more steps, received 0.0, 3"),
+        ({"length": 0}, "size, length: expected metres above 0 and 1 or more steps, received 8.0, 0"),
+    ],
+)
+def test_what_does_not_fit_the_simulated_walks_is_named(options, said):
+    with pytest.raises(ValueError, match=said):
+        scenarios.ranges_outliers(**options)
 
 
 # ---------------------------------------------------------------- recorded ranges
@@ -217,6 +310,14 @@ def test_a_path_without_height_needs_one_given():
     with pytest.raises(ValueError, match=r"height: expected metres, as the path of a has no z, received None"):
         scenarios.recorded_ranges([recording(reference=flat)])
     scenarios.recorded_ranges([recording(reference=flat)], height=0.5)
+
+
+def test_what_was_repaired_is_among_the_settings():
+    first = recording()
+    times = (np.sort(np.append(first.times[0], first.times[0][5] + 0.001)), *first.times[1:])
+    ranges = (np.insert(first.ranges[0], 5, 3.0), *first.ranges[1:])
+    scenario = scenarios.recorded_ranges([first, recording("b", times=times, ranges=ranges)])
+    assert scenario.settings["repairs"] == [{}, {"ranges dropped for a later one in the same step": 1}]
 
 
 @pytest.mark.parametrize("wrong", [["a.csv"], "a.csv", recording()])

@@ -82,6 +82,7 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
     "noise-change": scenarios.noise_change,
     "growth": scenarios.growth,
     "reentry": scenarios.reentry,
+    "ranges-outliers": scenarios.ranges_outliers,
 }
 """The simulated scenarios that commands know by name."""
 
@@ -171,7 +172,7 @@ def scenario_filters(names: Sequence[str], scenario: Scenario) -> dict[str, Filt
     return {name: scenario_filter(name, scenario) for name in names}
 
 
-def learned_filter(path: str | Path, scenario: Scenario, name: str = "fra") -> Filter:
+def learned_filter(path: str | Path, scenario: Scenario, name: str = "fra", *, models: bool = True) -> Filter:
     """The filter ``name`` with values that were learned.
 
     Args:
@@ -179,6 +180,7 @@ def learned_filter(path: str | Path, scenario: Scenario, name: str = "fra") -> F
             training run with this filter, says what the filter was made with.
         scenario: whose models the filter gets, in copies with learned values.
         name: of the filter whose values they are.
+        models: whether motion and sensor take their values too; False leaves them those of the scenario.
 
     Raises:
         ValueError: an unknown filter, or a file that is no state dictionary of it.
@@ -188,13 +190,24 @@ def learned_filter(path: str | Path, scenario: Scenario, name: str = "fra") -> F
     options = settings.get("options", {}) if settings.get("filter") == name else {}
     f = scenario_filter(name, copy.deepcopy(scenario), **options)
     try:
-        f.load_state_dict(torch.load(path, weights_only=True))
+        values = torch.load(path, weights_only=True)
+        f.load_state_dict(values if models else _with_own_models(f, values))
     except OSError:
         raise
     except Exception as error:  # torch.load raises errors of many kinds
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ValueError(f"learned: expected {path} to hold a state dictionary of {name}: {reason}") from None
     return f
+
+
+def _with_own_models(f: Filter, values: dict[str, Any]) -> dict[str, Any]:
+    """Values of a state dictionary, but those of motion and sensor from the filter itself."""
+
+    def of_models(state: dict[str, Any]) -> set[str]:
+        return {key for key in state if {"motion", "sensor"} & set(key.split("."))}
+
+    own = f.state_dict()
+    return {key: values[key] for key in values.keys() - of_models(values)} | {key: own[key] for key in of_models(own)}
 
 
 def make_scenario(name: str, **options: Any) -> Scenario:

@@ -5,8 +5,9 @@ from torchfra.scenarios.base import Scenario, Tracks
 from torchfra.scenarios.bearings import bearings_manoeuvre, bearings_outliers
 from torchfra.scenarios.clutter import clutter_crossing, clutter_straight, noise_change
 from torchfra.scenarios.growth import growth
-from torchfra.scenarios.ranges import recorded_ranges
+from torchfra.scenarios.ranges import ranges_outliers
 from torchfra.scenarios.recorded import recorded
+from torchfra.scenarios.recorded_ranges import recorded_ranges
 from torchfra.scenarios.reentry import reentry
 from torchfra.scenarios.weave import level_then_weave
 
@@ -22,6 +23,7 @@ __all__ = [
     "growth",
     "level_then_weave",
     "noise_change",
+    "ranges_outliers",
     "recorded",
     "recorded_ranges",
     "reentry",

@@ -55,7 +55,7 @@ class Scenario:
         prior: the belief all runs start from, or the centre of what they start from (each run's own: ``Tracks.prior``).
         dt: seconds per step.
         steps: measurements per run.
-        block: simulates the runs of these numbers, ``(block_size,)``, from a generator.
+        block: simulates the runs of these numbers, ``(BLOCK,)`` or one for each recording, from a generator.
         settings: what to write beside results.
         bank: motions for interacting models, which may know more of the targets than ``motion`` does.
         extra_quantities: components of the truth besides position and velocity whose errors are of interest, by name.
@@ -64,7 +64,7 @@ class Scenario:
         conversion: from estimates in the motion's coordinates to ``[position, velocity]`` in Cartesian ones, which are
             the truth's; None if the motion's coordinates are the truth's.
         limit: position error, root mean square over time, above which a run has diverged, m.
-        block_size: runs that are always simulated together.
+        recordings: where measurements are recorded, what the runs are called; after the last comes the first again.
     """
 
     name: str
@@ -81,7 +81,7 @@ class Scenario:
     detection: float = 1.0
     conversion: Callable[[Estimate], Estimate] | None = None
     limit: float = 2000.0
-    block_size: int = BLOCK
+    recordings: tuple[str, ...] = ()
 
     def cartesian(self, estimate: Estimate) -> Estimate:
         """The estimate in the truth's coordinates; unchanged where filters estimate in these anyway."""
@@ -143,7 +143,7 @@ class Scenario:
         """
         if runs < 1 or seed < 0 or first < 0:
             raise ValueError(f"runs, seed, first: expected at least 1, 0, 0, received {runs}, {seed}, {first}")
-        size = self.block_size
+        size = len(self.recordings) or BLOCK
         numbers = range(first // size, -(-(first + runs) // size))
         blocks = [self.block(np.random.default_rng([seed, n]), torch.arange(n * size, (n + 1) * size)) for n in numbers]
         cut = slice(first - numbers[0] * size, first - numbers[0] * size + runs)

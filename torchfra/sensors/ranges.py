@@ -59,7 +59,7 @@ class Ranges(Sensor):
         super().__init__(dims, [False] * (len(places) if places is not None else count or 0), std, noise)
         self.blocks = tuple((i,) for i in range(self.size))
         self.dims, self.height = dims, None if height is None else float(height)
-        self.register_buffer("anchors", places)
+        self.register_buffer("anchors", places, persistent=False)  # values learned at one place go to another
 
     @staticmethod
     def _check_height(dims: int, height: float | None, given: int | None) -> None:

@@ -17,21 +17,25 @@ Result = dict[str, Any]
 
 ``rmse_position`` and so on for all ``Scenario.quantities`` over time ``[T]``, their means ``mean_rmse_*``,
 ``median_error_position`` over all steps and runs (to 0.05 %), ``median_track_rmse`` and ``worst_track`` of the root
-mean square errors of single runs, ``divergence_rate``, ``nees_position`` (median, to 0.05 %; 1.39 of a consistent
-filter, in the plane), by coordinate and over time the signed ``mean_error_x``, ``rmse_x`` and ``mape_x`` (mean relative
-error, %, of coordinates of 100 m or more), the models' mean ``probabilities`` ``[T][K]`` if there are some,
+mean square errors of single runs, all of these in ``rmse_of_runs`` if the runs are recordings, ``divergence_rate``,
+``nees_position`` (median, to 0.05 %; 1.39 of a consistent filter, in the plane), by coordinate and over time the signed
+``mean_error_x``, ``rmse_x`` and ``mape_x`` (mean relative error, %, of coordinates of 100 m or more), the models' mean
+``probabilities`` ``[T][K]`` if there are some,
 ``microseconds`` per run and step, and ``relative_time`` to the UKF (``ukf_jpda`` on scans) on the same runs.
 """
 
 _COLUMNS = (
-    ("RMSE m", "mean_rmse_position", ".1f"),
-    ("RMSE m/s", "mean_rmse_velocity", ".2f"),
-    ("median m", "median_error_position", ".1f"),
-    ("worst run m", "worst_track", ".0f"),
-    ("diverged %", "divergence_rate", ".2f"),
-    ("NEES", "nees_position", ".2f"),
-    ("time / UKF", "relative_time", ".2f"),
+    ("RMSE m", "mean_rmse_position", 1),
+    ("RMSE m/s", "mean_rmse_velocity", 2),
+    ("median m", "median_error_position", 1),
+    ("worst run m", "worst_track", 0),
+    ("diverged %", "divergence_rate", 2),
+    ("NEES", "nees_position", 2),
+    ("time / UKF", "relative_time", 2),
 )
+"""Title, key and least decimals of each column."""
+_POSITION = ("mean_rmse_position", "median_error_position", "worst_track")
+"""Columns in metres."""
 
 
 def report(scenario: Scenario, results: dict[str, Result], *, runs: int, seed: int) -> dict[str, Any]:
@@ -66,8 +70,18 @@ def versions() -> dict[str, str]:
 
 def table(results: dict[str, Result]) -> str:
     """The results as text, one line per filter."""
-    rows = [[name, *(_cell(result[key], key, form) for _, key, form in _COLUMNS)] for name, result in results.items()]
+    forms = [f".{_decimals(results, key, decimals)}f" for _, key, decimals in _COLUMNS]
+    rows = [
+        [name, *(_cell(result[key], key, form) for (_, key, _), form in zip(_COLUMNS, forms, strict=True))]
+        for name, result in results.items()
+    ]
     return text_table(["filter", *(title for title, _, _ in _COLUMNS)], rows)
+
+
+def _decimals(results: dict[str, Result], key: str, least: int) -> int:
+    """How many decimals a column gets: more than ``least`` where errors of positions are below 10 m."""
+    smallest = min(result[key] for result in results.values())
+    return max(least, 2 if smallest >= 1 else 3) if key in _POSITION and smallest < 10 else least
 
 
 def _cell(value: float, key: str, form: str) -> str:

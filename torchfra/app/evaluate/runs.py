@@ -63,7 +63,13 @@ def evaluate(
         timed = compiled(timed, lambda f: run(f, scenario, one), fallback=fallback, progress=progress)
     metrics = _merged(_accumulate(scenario, timed, distributed.share(runs), seed, chunk, progress))
     limit = scenario.limit if limit is None else limit
-    return {name: metrics[name].summary(limit) | _times(metrics, name, reference, runs, scenario) for name in filters}
+    results = {
+        name: metrics[name].summary(limit) | _times(metrics, name, reference, runs, scenario) for name in filters
+    }
+    if scenario.recordings:
+        for name, of in results.items():
+            of["rmse_of_runs"] = torch.cat(metrics[name].track_rmse).tolist()
+    return results
 
 
 def _check(runs: int, chunk: int) -> None:

@@ -6,6 +6,7 @@ Each function returns a figure that pyplot does not know of, so that nothing has
 from torchfra.app.plotting.curves import against, by_coordinate, innovations, rmse_curves, scaling
 from torchfra.app.plotting.models import probabilities
 from torchfra.app.plotting.paths import in_space, tracks
+from torchfra.app.plotting.ratios import ratios
 from torchfra.app.plotting.recordings import filtered
 from torchfra.app.plotting.style import save
 from torchfra.app.plotting.targets import by_target, raw_and_filtered
@@ -20,6 +21,7 @@ __all__ = [
     "innovations",
     "learning_curve",
     "probabilities",
+    "ratios",
     "raw_and_filtered",
     "rmse_curves",
     "save",

@@ -1,0 +1,79 @@
+"""Cells of the regret table: each is a scenario, an error it makes, and how many runs it has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from fnmatch import fnmatchcase
+from functools import cache, partial
+from pathlib import Path
+from typing import NamedTuple
+
+from torchfra import readers, scenarios
+from torchfra.catalogue import make_scenario
+from torchfra.readers.recording import Recording
+from torchfra.scenarios import Scenario
+
+OUTLIERS = ("none", "covariance", "std", "bursts")
+SAMPLES = ("calibration", "gliders")
+"""Recorded flights, of those that come with the package ``traffic``, unless others are given."""
+
+
+class Cell(NamedTuple):
+    """One line of the table."""
+
+    make: Callable[[], Scenario]
+    """Reads its files only when it is called."""
+    runs: int | None = None
+    """How many there are; None for as many as one likes."""
+
+
+def all_cells(flights: Sequence[Path] | None = None, ranges: Iterable[Path] = ()) -> dict[str, Cell]:
+    """The cells by name.
+
+    Args:
+        flights: files of recorded flights; None for ``SAMPLES``.
+        ranges: folders with recorded ranges; each recording in or below them is a cell of one run.
+
+    Raises:
+        ValueError: a folder without recorded ranges.
+    """
+    cells: dict[str, Cell] = {}
+    for name, scenario, initial in (
+        ("1-paper", "bearings-outliers", "paper"), ("1-good", "bearings-outliers", "truth"),
+        ("2", "bearings-manoeuvre", "truth"),
+    ):  # fmt: skip
+        for kind in OUTLIERS:
+            cells[f"{name}-{kind}"] = Cell(partial(make_scenario, scenario, outliers=kind, initial=initial))
+    files = None if flights is None else tuple(flights)
+    for sensor in ("bearings", "position", "radar"):
+        cells |= {f"flights-{sensor}-{kind}": Cell(partial(_flights, files, sensor, kind)) for kind in OUTLIERS}
+    cells["ranges"] = Cell(partial(make_scenario, "ranges-outliers"))
+    for folder in ranges:
+        cells |= {str(place): Cell(partial(_ranges, place), 1) for place in readers.range_folders(folder)}
+    return cells
+
+
+def chosen_cells(cells: dict[str, Cell], patterns: Sequence[str]) -> dict[str, Cell]:
+    """The cells whose names match one of the patterns, such as ``1-*-std``.
+
+    Raises:
+        ValueError: a pattern that no name matches.
+    """
+    for pattern in patterns:
+        if not any(fnmatchcase(name, pattern) for name in cells):
+            raise ValueError(f"cells: expected names, or patterns, out of {', '.join(cells)}, received {pattern!r}")
+    return {name: cell for name, cell in cells.items() if any(fnmatchcase(name, pattern) for pattern in patterns)}
+
+
+def _flights(files: tuple[Path, ...] | None, sensor: str, outliers: str) -> Scenario:
+    return scenarios.recorded(_recordings(files), sensor, outliers=outliers)
+
+
+@cache
+def _recordings(files: tuple[Path, ...] | None) -> list[Recording]:
+    paths = readers.samples(*SAMPLES) if files is None else files
+    return [recording for path in paths for recording in readers.read(path)]
+
+
+def _ranges(folder: Path) -> Scenario:
+    return scenarios.recorded_ranges([readers.read_ranges(folder)])

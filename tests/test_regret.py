@@ -1,0 +1,303 @@
+"""The regret table: errors, ratios and intervals are those of plain loops, and the command says what it compared."""
+
+import json
+import math
+from fnmatch import fnmatchcase
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import regret
+import torch
+from regrets import cells, ratios, show
+
+from torchfra import metrics, presets, scenarios
+from torchfra.app import plotting
+from torchfra.app.evaluate import evaluate
+from torchfra.catalogue import filters_for, learned_filter, make_scenario
+
+RUNS, STEPS = 7, 5
+FEW = ["--cells", "2-std", "--runs", "3", "--no-compile"]
+
+
+def table_of(errors, weights, chunk=3):
+    """An ``Errors`` that has seen them in blocks."""
+    found = ratios.Errors(len(errors))
+    for first in range(0, len(errors), chunk):
+        found.add(torch.from_numpy(errors[first : first + chunk]), weights[:, first : first + chunk])
+    return found
+
+
+def drawn_runs(weights):
+    """For each resample the numbers of its runs."""
+    return [[i for i, count in enumerate(counts) for _ in range(count)] for counts in weights.tolist()]
+
+
+def mean_rmse(errors, runs):
+    """Mean over time of the root mean square over these runs, some of them several times; NaN does not count."""
+    over_time = []
+    for k in range(errors.shape[1]):
+        squares = [errors[i, k] ** 2 for i in runs if not math.isnan(errors[i, k])]
+        if squares:
+            over_time.append(math.sqrt(sum(squares) / len(squares)))
+    return sum(over_time) / len(over_time)
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """Errors of two filters, with unknown truth at some steps of both."""
+    rng = np.random.default_rng(1)
+    one = rng.exponential(10.0, (RUNS, STEPS))
+    one[2, 3:] = one[5, 1] = np.nan
+    return {"one": one, "other": one * rng.uniform(0.9, 1.7, one.shape)}
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    """The JSON of a small run, and the picture it made."""
+    folder = tmp_path_factory.mktemp("regret")
+    files = ["--json", str(folder / "r.json"), "--figure", str(folder / "r.png")]
+    assert regret.main(["--filters", "fra,rsrckf", *FEW, "--quiet", *files]) == 0
+    assert (folder / "r.png").stat().st_size > 1000
+    return json.loads((folder / "r.json").read_text())
+
+
+# ---------------------------------------------------------------- errors, ratios, intervals
+
+
+def test_errors_of_blocks_are_those_of_loops_over_all_runs_and_over_each_resample(noisy):
+    weights = ratios.draws(RUNS, seed=5, resamples=20)
+    found = table_of(noisy["one"], weights).rmse()
+    runs = drawn_runs(weights)
+    assert runs[0] == list(range(RUNS))
+    np.testing.assert_allclose(found, [mean_rmse(noisy["one"], drawn) for drawn in runs], rtol=1e-12)
+
+
+def test_a_resample_draws_as_many_runs_as_there_are_and_a_seed_always_the_same():
+    weights = ratios.draws(50, seed=4)
+    assert weights.shape == (1 + ratios.RESAMPLES, 50)
+    assert (weights[0] == 1).all()
+    assert (weights.sum(-1) == 50).all()
+    assert (weights[1:] == 0).double().mean().item() == pytest.approx((1 - 1 / 50) ** 50, abs=0.01)
+    assert torch.equal(weights, ratios.draws(50, seed=4))
+    assert not torch.equal(weights, ratios.draws(50, seed=5))
+
+
+def test_the_interval_holds_the_middle_95_percent_of_ratios_over_the_same_runs(noisy):
+    weights = ratios.draws(RUNS, seed=5, resamples=200)
+    of = ratios.ratios({name: table_of(errors, weights) for name, errors in noisy.items()}, ["other"], 15.0)
+    expected = [mean_rmse(noisy["other"], runs) / mean_rmse(noisy["one"], runs) for runs in drawn_runs(weights)]
+    other, ordered = of["filters"]["other"], sorted(expected[1:])
+    assert of["best"] == "one"
+    assert other["ratio"] == pytest.approx(expected[0])
+    assert other["interval"] == pytest.approx([ordered[4], ordered[194]])  # the 5th and the 195th of 200
+    assert of["filters"]["one"]["interval"] == [1.0, 1.0]
+    lost = sum(math.sqrt(np.nanmean(errors**2)) > 15.0 for errors in noisy["other"]) / RUNS
+    assert other["lost"] == pytest.approx(lost)
+    assert 0 < lost < 1
+
+
+def test_the_best_is_never_one_of_those_compared(noisy):
+    weights = ratios.draws(RUNS, seed=0, resamples=10)
+    found = {name: table_of(errors, weights) for name, errors in noisy.items()}
+    of = ratios.ratios(found, ["one"], 15.0)
+    assert of["best"] == "other"
+    assert of["filters"]["one"]["ratio"] < 1
+
+
+def test_a_run_without_an_estimate_is_infinitely_far_off_in_the_resamples_that_draw_it(noisy):
+    weights = ratios.draws(RUNS, seed=2, resamples=30)
+    errors = noisy["one"].copy()
+    errors[4, 2] = np.inf
+    found = table_of(errors, weights).rmse()
+    assert found[0] == np.inf
+    assert (np.isinf(found) == (weights[:, 4] > 0).numpy()).all()
+    of = ratios.ratios({"failed": table_of(errors, weights), "one": table_of(noisy["one"], weights)}, ["failed"], 15.0)
+    assert of["filters"]["failed"]["interval"][1] == of["filters"]["failed"]["ratio"] == np.inf
+    assert table_of(errors, weights).lost(1e6) == pytest.approx(1 / RUNS)
+
+
+def test_the_error_of_a_single_run_is_the_root_mean_square_over_time_without_an_interval():
+    error = np.array([[3.0, 4.0, np.nan, 5.0]])
+    found = {"a": table_of(error, ratios.draws(1, 0, 0)), "b": table_of(2 * error, ratios.draws(1, 0, 0))}
+    of = ratios.ratios(found, ["b"], 5.0)["filters"]
+    assert of["a"] == {"rmse": pytest.approx(math.sqrt(50 / 3)), "lost": 0.0, "ratio": 1.0, "interval": None}
+    assert of["b"]["ratio"] == pytest.approx(2.0)
+    assert of["b"]["lost"] == 1.0
+
+
+def test_estimates_are_told_apart_by_what_the_info_holds():
+    mean, other, third = torch.zeros(3, 1)
+    for info, filtered, settled in (
+        (None, mean, None),
+        (SimpleNamespace(settled=None), mean, None),
+        (SimpleNamespace(provisional=SimpleNamespace(mean=other)), other, mean),
+        (SimpleNamespace(filtered=SimpleNamespace(mean=other), settled=None), other, mean),
+        (SimpleNamespace(settled=SimpleNamespace(mean=other)), mean, other),
+        (SimpleNamespace(filtered=SimpleNamespace(mean=other), settled=SimpleNamespace(mean=third)), other, third),
+    ):
+        found = ratios.estimates_of(SimpleNamespace(mean=mean, info=info))
+        assert found.pop("filtered") is filtered
+        assert found.get("settled") is settled
+
+
+# ---------------------------------------------------------------- the command
+
+
+def test_a_file_holds_every_filter_of_a_cell_and_what_it_was_compared_with(result):
+    assert result.keys() == {"runs", "seed", "resamples", "versions", "compared", "learned", "own_models", "summary",
+                             "cells"}  # fmt: skip
+    assert (result["runs"], result["seed"], result["compared"]) == (3, 3, ["fra", "rsrckf"])
+    assert {"torchfra", "torch", "numpy", "python"} <= result["versions"].keys()
+    (cell,) = result["cells"].values()
+    scenario = make_scenario("bearings-manoeuvre", outliers="std")
+    assert (cell["scenario"], cell["runs"], cell["settings"]["limit"]) == (scenario.name, 3, 2000.0)
+    assert cell["settings"]["outliers"] == "std"
+    assert cell["settling"] == ["fra_srckf", "fra"]
+    for kind in ("filtered", "settled"):
+        of = cell[kind]["filters"]
+        assert of.keys() == set(filters_for(scenario))
+        best = min((name for name in of if name not in ("fra", "rsrckf")), key=lambda name: of[name]["rmse"])
+        assert cell[kind]["best"] == best
+        for one in of.values():
+            assert one["ratio"] == pytest.approx(one["rmse"] / of[best]["rmse"])
+            low, high = one["interval"]
+            assert low <= high
+        assert result["summary"][kind]["fra"]["worst"] == pytest.approx(of["fra"]["ratio"] - 1)
+
+
+def test_errors_are_those_of_evaluate_and_the_provisional_estimates_are_the_filtered_ones(result):
+    scenario = make_scenario("bearings-manoeuvre", outliers="std")
+    expected = evaluate(scenario, ["srckf", "fra", "imm_srckf"], runs=3, seed=3)
+    (cell,) = result["cells"].values()
+    for name, of in expected.items():
+        one = cell["settled"]["filters"][name]
+        assert one["rmse"] == pytest.approx(of["mean_rmse_position"], rel=1e-9)
+        assert one["lost"] == pytest.approx(of["divergence_rate"])
+    assert cell["filtered"]["filters"]["srckf"]["rmse"] == cell["settled"]["filters"]["srckf"]["rmse"]
+    tracks = scenario.simulate(3, 3)
+    info = presets.fra(scenario.motion, scenario.sensor)(tracks.z, tracks.prior, u=tracks.u).info
+    provisional = metrics.rmse(info.provisional.mean, tracks.truth, scenario.position).mean().item()
+    assert cell["filtered"]["filters"]["fra"]["rmse"] == pytest.approx(provisional, rel=1e-9)
+
+
+def test_tables_have_a_line_for_each_compared_filter_and_a_summary(capsys):
+    assert regret.main(["--filters", "fra,srckf", *FEW]) == 0
+    filtered, settled = (block.splitlines() for block in capsys.readouterr().out.strip().split("\n\n"))
+    for kind, lines in (("filtered", filtered), ("settled", settled)):
+        assert lines[0].split("  ")[0] == f"{kind}: cell"
+        assert [line.split()[3] for line in lines[1:3]] == ["fra", "srckf"]
+        assert [line.split(",")[0] for line in lines[3:]] == ["fra", "srckf"]
+        assert all(f", {kind}: median regret " in line for line in lines[3:])
+
+
+def test_learned_values_are_compared_and_are_no_candidates_for_the_best(tmp_path, capsys):
+    scenario = scenarios.bearings_manoeuvre()
+    same, other = tmp_path / "same" / "state_dict.pt", tmp_path / "other" / "state_dict.pt"
+    for file, q in ((same, 0.01), (other, 0.5)):
+        file.parent.mkdir()
+        f = presets.rsrckf(scenario.motion, scenario.sensor, learn=("q",))
+        f.motion.q.set(q)
+        torch.save(f.state_dict(), file)
+    learned = [f"rsrckf={same}", f"rsrckf={other}"]
+    assert regret.main(["--filters", "fra", *learned, *FEW, "--json", str(tmp_path / "r.json")]) == 0
+    (cell,) = json.loads((tmp_path / "r.json").read_text())["cells"].values()
+    of = cell["filtered"]["filters"]
+    assert of[str(same)]["rmse"] == pytest.approx(of["rsrckf"]["rmse"])
+    assert of[str(other)]["rmse"] != pytest.approx(of["rsrckf"]["rmse"], rel=1e-3)
+    assert cell["filtered"]["best"] not in (str(same), str(other), "fra")
+    assert [line.split()[3] for line in capsys.readouterr().out.splitlines()[1:4]] == ["fra", "same", "other"]
+    assert (
+        regret.main(["--filters", "rsrckf", str(other), "--own-models", *FEW, "--json", str(tmp_path / "o.json")]) == 0
+    )
+    (cell,) = json.loads((tmp_path / "o.json").read_text())["cells"].values()
+    assert cell["filtered"]["filters"][str(other)]["rmse"] == pytest.approx(of["rsrckf"]["rmse"])
+
+
+def test_values_learned_with_another_sensor_fit_where_models_stay_a_cells_own(tmp_path):
+    scenario = scenarios.adsb_turns()
+    file = tmp_path / "state_dict.pt"
+    torch.save(presets.rsrckf(scenario.motion, scenario.sensor, threshold=0.5).state_dict(), file)
+    bearings = scenarios.bearings_outliers()
+    f = learned_filter(file, bearings, "rsrckf", models=False)
+    assert f.robust.threshold().item() == pytest.approx(0.5)
+    assert f.sensor.std().item() == pytest.approx(bearings.sensor.std().item())
+    assert f.motion.q().item() == pytest.approx(bearings.motion.q().item())
+
+
+def test_recorded_ranges_are_cells_of_one_run(tmp_path):
+    rng, time = np.random.default_rng(0), 0.1 * np.arange(60)
+    path = np.stack([time, 0.2 * time**2], 1)
+    anchors = np.array([[-5.0, -5.0], [9.0, -4.0], [2.0, 9.0]])
+    for place in ("a", "b"):
+        (tmp_path / "ranges" / place).mkdir(parents=True)
+        rows = [f"{t:.1f},{x},{y}" for t, (x, y) in zip(time, path, strict=True)]
+        (tmp_path / "ranges" / place / "path.csv").write_text("\n".join(["t,x,y", *rows]))
+        for i, (x, y) in enumerate(anchors):
+            distance = np.linalg.norm(path - (x, y), axis=1) + 0.1 * rng.standard_normal(60)
+            rows = [f"{t:.1f},{r},{x},{y}" for t, r in zip(time, distance, strict=True)]
+            (tmp_path / "ranges" / place / f"{i}.csv").write_text("\n".join(["t,range,x,y", *rows]))
+    known = cells.all_cells(ranges=[tmp_path / "ranges"])
+    places = [str(tmp_path / "ranges" / place) for place in ("a", "b")]
+    assert [name for name, cell in known.items() if cell.runs == 1] == places
+    arguments = ["--ranges", str(tmp_path / "ranges"), "--cells", f"{tmp_path}*", "--filters", "fra", "--quiet"]
+    assert regret.main([*arguments, "--json", str(tmp_path / "r.json")]) == 0
+    found = json.loads((tmp_path / "r.json").read_text())["cells"]
+    assert list(found) == places
+    for cell in found.values():
+        assert (cell["runs"], cell["settings"]["limit"]) == (1, 20.0)
+        srckf = cell["filtered"]["filters"]["srckf"]
+        assert 0.01 < srckf["rmse"] < 1
+        assert srckf["interval"] is None
+
+
+def test_cells_are_chosen_by_names_and_patterns():
+    known = cells.all_cells()
+    assert len(known) == 6 * len(cells.OUTLIERS) + 1
+    for patterns in (["*"], ["2-std"], ["1-*", "flights-radar-none"], ["*-bursts"]):
+        chosen = list(cells.chosen_cells(known, patterns))
+        assert chosen == [name for name in known if any(fnmatchcase(name, pattern) for pattern in patterns)]
+        assert chosen
+    for name in ("1-paper-std", "2-bursts", "ranges"):
+        scenario = known[name].make()
+        assert scenario.settings["outliers"] in (name.rpartition("-")[2], "short")
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["--cells", "3-std"], "cells: expected names, or patterns, out of 1-paper-none, "),
+    (["--filters", "kalman"], "filters: expected names out of "),
+    (["--filters", ""], "filters: expected names out of "),
+    (["--filters", "jpda"], "filters: expected names out of "),
+    (["--filters", "alphabeta", *FEW], "filters: expected some that go with 2-std, received alphabeta"),
+    (["--filters", "fra", "missing.pt", *FEW], "file not found: missing.pt"),
+    (["--filters", "fra", "kalman=missing.pt", *FEW], "expected names out of "),
+    (["--filters", "fra", "--ranges", "missing", *FEW], "missing: expected CSV or JSON files there or below"),
+    (["--filters", "fra", *FEW, "--runs", "0"], "runs"),
+])  # fmt: skip
+def test_a_wrong_argument_is_one_line_that_names_it(arguments, message, capsys):
+    assert regret.main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("regret: error: ")
+    assert message in error
+    assert error.count("\n") == 1
+
+
+# ---------------------------------------------------------------- the picture
+
+
+def test_the_picture_has_every_ratio_in_its_place_and_leaves_what_is_missing_empty():
+    panels = {"filtered": (["a", "b"], [[1.0, 0.87], [math.nan, 123.4]]), "settled": (["a"], [[math.inf], [4567890.0]])}
+    figure = plotting.ratios(panels, ["first", "second"], "title")
+    filtered, settled, _ = figure.axes
+    written = {(text.get_position(), text.get_text()) for text in filtered.texts}
+    assert written == {((0, 0), "1.00"), ((1, 0), "0.87"), ((1, 1), "123")}
+    assert [text.get_text() for text in settled.texts] == [r"$\infty$", "$10^{7}$"]
+    assert [label.get_text() for label in filtered.get_yticklabels()] == ["first", "second"]
+    assert [label.get_text() for label in filtered.get_xticklabels()] == ["a", "b"]
+
+
+def test_learned_values_are_called_by_their_folder_and_large_numbers_are_short():
+    assert show.label("out/train/fra_bearings/state_dict.pt") == "fra_bearings"
+    assert show.label("fra") == "fra"
+    assert [show.metres(x) for x in (0.5123, 59.23, 3e8)] == ["0.512", "59.2", "3e+08"]
+    assert [show.regret(x) for x in (0.9, 1.0, 3.5, 4e5)] == ["-10.0%", "+0.0%", "+250.0%", "+4e+07%"]
