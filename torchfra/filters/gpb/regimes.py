@@ -12,6 +12,9 @@ from torchfra.hyper import Hyper, Value, Values
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian
 
+NEVER = -1e30
+"""Log weight of what cannot be; not minus infinity, as the gradient of a sum of nothing else would be NaN."""
+
 
 class EvenChain(nn.Module):
     """The chain in which every level stays with one probability, and every regime jumps with another.
@@ -103,15 +106,14 @@ class Regimes(nn.Module):
         """
         of, rank = self.motions, mean.dim() - 2
         levels = of[: self.levels.raw.shape[-1]]
-        spread, noise = (
-            torch.stack([x.expand(*mean.shape, -1).select(-3, k) for k in levels]) for x in (spread, noise)
-        )
+        every = torch.broadcast_shapes(mean.shape, noise.shape[:-1])  # values of motions may bring a batch
+        spread, noise = (torch.stack([x.expand(*every, -1).select(-3, k) for k in levels]) for x in (spread, noise))
         level = tria(hstack(spread, in_front(self.levels(mean).sqrt(), rank)[..., None, None] * noise))
         there = torch.zeros(mean.shape[-1], dtype=mean.dtype, device=mean.device)
         there[position] = 1.0
         widened = 1 + (in_front(self.jumps(mean).sqrt(), rank).unsqueeze(-1) - 1) * there
         root = torch.cat([level, tria(widened.unsqueeze(-1) * level[self.home])])
-        return Gaussian(torch.stack([mean.select(-2, k) for k in of]), root)
+        return Gaussian(torch.stack([mean.expand(every).select(-2, k) for k in of]), root)
 
     def ahead(self, log_weights: Tensor) -> Tensor:
         """Logs ``(..., R, R)`` of the probabilities of this regime and the next, from those ``(..., R)`` of this."""
@@ -128,7 +130,7 @@ class Regimes(nn.Module):
             return log_weights
         level, jump = log_weights[..., :-jumps], log_weights[..., -jumps:]
         more = log_weights.logsumexp(-1, keepdim=True) - level.logsumexp(-1, keepdim=True)
-        return torch.cat([level + torch.where(measured, 0.0, more), torch.where(measured, jump, -torch.inf)], -1)
+        return torch.cat([level + torch.where(measured, 0.0, more), torch.where(measured, jump, NEVER)], -1)
 
 
 def in_front(values: Tensor, rank: int) -> Tensor:
