@@ -320,7 +320,12 @@ def test_what_was_repaired_is_among_the_settings():
     assert scenario.settings["repairs"] == [{}, {"ranges dropped for a later one in the same step": 1}]
 
 
-@pytest.mark.parametrize("wrong", [["a.csv"], "a.csv", recording()])
-def test_names_of_files_are_not_recorded_ranges(wrong):
-    with pytest.raises(TypeError, match=r"recordings: expected a list of what torchfra\.readers\.read_ranges returns"):
+@pytest.mark.parametrize(
+    ("wrong", "kind"),
+    [(["a.csv"], "str"), ("a.csv", "str"), (recording(), "RangeRecording")],
+    ids=["files", "file", "one"],
+)
+def test_what_is_no_list_of_recorded_ranges_is_refused(wrong, kind):
+    said = rf"recordings: expected a list of what torchfra\.readers\.read_ranges returns, received {kind}"
+    with pytest.raises(TypeError, match=said):
         scenarios.recorded_ranges(wrong)

@@ -44,8 +44,11 @@ def recorded_ranges(
         ValueError: no recording, one without a reference path or without its height, or an argument out of its range.
         TypeError: recordings that are none, such as names of files.
     """
-    if isinstance(recordings, RangeRecording) or not all(isinstance(one, RangeRecording) for one in recordings):
-        raise TypeError("recordings: expected a list of what torchfra.readers.read_ranges returns")
+    alone = isinstance(recordings, RangeRecording)
+    wrong = [recordings] if alone else [one for one in recordings if not isinstance(one, RangeRecording)]
+    if wrong:
+        expected = "a list of what torchfra.readers.read_ranges returns"
+        raise TypeError(f"recordings: expected {expected}, received {type(wrong[0]).__name__}")
     if not recordings:
         raise ValueError("recordings: expected one or more, received none")
     grids = [recording.on_grid(dt) for recording in recordings]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -186,8 +186,8 @@ class GPB(GaussianFilter):
         if len(self.bank) == 1:
             return before, None
         members = self.regimes.members
-        rows = torch.stack([log_pairs[..., was, :].logsumexp(-2) for was in members], -2)
-        joint = torch.stack([rows[..., now].logsumexp(-1) for now in members], -1)
+        rows = torch.stack([chosen(log_pairs, -2, was).logsumexp(-2) for was in members], -2)
+        joint = torch.stack([chosen(rows, -1, now).logsumexp(-1) for now in members], -1)
         shares = joint - joint.logsumexp(-2, keepdim=True)
         return moment_match(repeated(models_first(before), len(members)), shares.movedim(-2, 0)), shares
 
@@ -196,9 +196,9 @@ class GPB(GaussianFilter):
         mean, root = (x.transpose(0, 1) for x in beliefs)
         merged, weights = [], []
         for members in self.regimes.members:
-            own = joint[:, members].movedim(2, 1).flatten(1, 2).transpose(0, 1)  # (hypotheses, 2, ...)
+            own = chosen(joint, 1, members).movedim(2, 1).flatten(1, 2).transpose(0, 1)  # (hypotheses, 2, ...)
             weights.append(own.logsumexp(0))
-            hypotheses = (x[members].movedim(2, 0).flatten(0, 1) for x in (mean, root))
+            hypotheses = (chosen(x, 0, members).movedim(2, 0).flatten(0, 1) for x in (mean, root))
             merged.append(moment_match(Gaussian(*hypotheses), own - weights[-1]))
         stacked = Gaussian(torch.stack([x.mean for x in merged], -2), torch.stack([x.scale_tril for x in merged], -3))
         return stacked, torch.stack(weights, -1)
@@ -208,7 +208,7 @@ class GPB(GaussianFilter):
         was = joint.logsumexp(0)  # (R, 2, ...)
         if shares is None:
             return was.logsumexp(0).unsqueeze(-1)
-        now = torch.stack([was[members].logsumexp(0) for members in self.regimes.members], -1)
+        now = torch.stack([chosen(was, 0, members).logsumexp(0) for members in self.regimes.members], -1)
         return (shares + now.unsqueeze(-2)).logsumexp(-1)
 
     def finish(self, state: GPBState, belief: Gaussian, info: _Step) -> tuple[Gaussian, GPBInfo]:
@@ -242,6 +242,11 @@ def together(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
     """One Gaussian for hypotheses ``(2, ..., K)``."""
     mean, root = beliefs.mean.movedim(-2, 0), beliefs.scale_tril.movedim(-3, 0)
     return moment_match(Gaussian(mean.flatten(0, 1), root.flatten(0, 1)), log_weights.movedim(-1, 0).flatten(0, 1))
+
+
+def chosen(x: Tensor, dim: int, numbers: Sequence[int]) -> Tensor:
+    """Some entries along a dimension; unlike an index, in a way that kernels can differentiate."""
+    return torch.stack([x.select(dim, i) for i in numbers], dim)
 
 
 def log_share(log_weights: Tensor) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -20,6 +20,7 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
 Compare = Callable[[Gaussian], Whitened]
+C = TypeVar("C", bound=tuple)  # type: ignore[type-arg]
 
 
 class Corrected(NamedTuple):
@@ -112,32 +113,34 @@ class Qualities(nn.Module):
             missing: ``(..., m)`` 1 where missing, 0 where measured.
         """
         rank = seen.mean.dim() - 1
-        log_shares, sizes = in_front(self.shares(seen.mean).log(), rank), in_front(self.sizes(seen.mean), rank + 1)
-        sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])  # of a clean one, and of outliers
-        belief, log_density, outliers = (
-            unit(seen),
-            torch.zeros_like(seen.mean[..., 0]).expand(2, *seen.mean.shape[:-1]),
-            [],
-        )
+        sizes, log_shares = in_front(self.sizes(seen.mean), rank), in_front(self.shares(seen.mean).log(), rank)
+        sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])  # of a clean block, and of an outlier
+        belief, log_density, outliers = unit(seen), torch.zeros_like(seen.mean[..., 0]), []
         for b, block in enumerate(self.blocks):
-            share = prior[..., b]
+            share, gone = prior[..., b], missing[..., list(block)].sum(-1)
             inside, residual = measured(seen, belief, compare, block)
-            told, log_told = told_by(inside, residual, sizes, missing[..., list(block)].sum(-1))
-            log_clean, log_outlier = log_told[:1, 1] + torch.log1p(-share), log_told[1:, 1] + share.log() + log_shares
-            joint = torch.cat([log_clean, log_outlier])
+            if_clean, log_clean = entry(told_by(entry(inside, 0), residual[0], sizes[:1], gone), 0)
+            told, log_told = told_by(entry(inside, -1), residual[-1], sizes, gone)
+            joint = torch.cat([log_told[:1] + torch.log1p(-share), log_told[1:] + share.log() + log_shares])
             total = joint.logsumexp(0)
-            dirty = moment_match(Gaussian(told.mean[:, 1], told.scale_tril[:, 1]), joint - total)
-            both = tree.stack([Gaussian(told.mean[0, 0], told.scale_tril[0, 0]), dirty], 0)
-            belief, log_density = inward(belief, inside, both), log_density + torch.stack([log_told[0, 0], total])
+            if_dirty = moment_match(told, joint - total)
+            belief = inward(belief, inside, tree.stack([if_clean, if_dirty], 0))
+            log_density = log_density + torch.stack([log_clean, total])
             outliers.append((joint[1:].logsumexp(0) - total).exp())
         return Corrected(belief, log_density, torch.stack(outliers, -1))
 
 
 def unit(seen: Gaussian) -> Gaussian:
-    """``N(0, I) (2, ..., d)`` for each belief ``(..., d)``."""
+    """``N(0, I) (1, ..., d)`` for each belief ``(..., d)``."""
     root = seen.scale_tril
     eye = torch.eye(root.shape[-1], dtype=root.dtype, device=root.device)
-    return Gaussian(torch.zeros_like(seen.mean).expand(2, *seen.mean.shape), eye.expand(2, *root.shape))
+    return Gaussian(torch.zeros_like(seen.mean).unsqueeze(0), eye.expand_as(root).unsqueeze(0))
+
+
+def entry(tuples: C, i: int) -> C:
+    """One entry along the first dimension of all tensors."""
+    chosen: C = tree.map_tensors(lambda x: x[i], tuples)
+    return chosen
 
 
 def measured(seen: Gaussian, belief: Gaussian, compare: Compare, block: Sequence[int]) -> tuple[Inside, Tensor]:

@@ -112,7 +112,7 @@ class Regimes(nn.Module):
         there = torch.zeros(mean.shape[-1], dtype=mean.dtype, device=mean.device)
         there[position] = 1.0
         widened = 1 + (in_front(self.jumps(mean).sqrt(), rank).unsqueeze(-1) - 1) * there
-        root = torch.cat([level, tria(widened.unsqueeze(-1) * level[self.home])])
+        root = torch.cat([level, widened.unsqueeze(-1) * level[self.home]])  # scaled rows: still a lower root
         return Gaussian(torch.stack([mean.expand(every).select(-2, k) for k in of]), root)
 
     def ahead(self, log_weights: Tensor) -> Tensor:
