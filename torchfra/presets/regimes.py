@@ -53,18 +53,27 @@ def gpb(
         ValueError: motions that do not mix, probabilities that do not sum to one, or blocks of the sensor that do not
             cover its elements.
     """
+    if not isinstance(motion, Motion | Sequence):
+        raise ValueError(f"motion: expected one, several or a Bank, received {type(motion).__name__}")
     bank = isinstance(motion, Bank) or not isinstance(motion, Motion)
     models = motion if isinstance(motion, Motion) else Bank(motion)
     count = len(models) if isinstance(models, Bank) else 2
-    levels = ((1.0,) * count if bank else (0.1, 10.0)) if levels is None else levels
-    motions = range(count) if bank else [0] * len(torch.as_tensor(levels))
-    jumps = torch.as_tensor(jumps, dtype=torch.float64)
+    levels = _several("levels", ((1.0,) * count if bank else (0.1, 10.0)) if levels is None else levels)
+    jumps = _several("jumps", jumps)
+    motions = range(count) if bank else [0] * levels.shape[-1]
     chain = EvenChain(len(motions), jumps.shape[-1], stay=stay, jump=jump) if regimes is None else regimes
     odds = _even(len(motions), jumps.shape[-1], jump) if first is None else first
     chances = Regimes(motions, levels=levels, jumps=jumps, chain=chain, first=odds, home=0 if bank else -1)
     doubts = Qualities(sensor.blocks, chain=qualities, sizes=sizes, shares=shares)
     f = GPB(models, sensor, regimes=chances, qualities=doubts, poor=poor, start=start, lag=lag, rule=rule)
     return with_learning(f, learn)
+
+
+def _several(name: str, value: Values) -> Tensor:
+    several = torch.as_tensor(value, dtype=torch.float64)
+    if several.dim() == 0:
+        raise ValueError(f"{name}: expected several, received {several.item():g}")
+    return several
 
 
 def _even(levels: int, jumps: int, jump: Value) -> Tensor:

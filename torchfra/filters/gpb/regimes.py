@@ -36,6 +36,8 @@ class EvenChain(nn.Module):
         self.stay = Hyper(stay, constraints.unit_interval, name="stay")
         self.jump = Hyper(jump, constraints.unit_interval, name="jump")
         self.levels, self.jumps = levels, jumps
+        if bool((jumps * self.jump() >= 1).any()):
+            raise ValueError(f"jump: expected that {jumps} jumps leave something for levels, received {jump}")
 
     def forward(self, like: Tensor) -> Tensor:
         """``(..., R, R)``, rows that sum to one."""
