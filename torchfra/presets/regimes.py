@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 import torch
 from torch import Tensor
 
+from torchfra.filters.checks import check_models
 from torchfra.filters.gpb import GPB, EvenChain, Qualities, Regimes
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.rules import Rule
@@ -57,6 +58,7 @@ def gpb(
         raise ValueError(f"motion: expected one, several or a Bank, received {type(motion).__name__}")
     bank = isinstance(motion, Bank) or not isinstance(motion, Motion)
     models = motion if isinstance(motion, Motion) else Bank(motion)
+    check_models(models, sensor)
     count = len(models) if isinstance(models, Bank) else 2
     levels = _several("levels", ((1.0,) * count if bank else (0.1, 10.0)) if levels is None else levels)
     jumps = _several("jumps", jumps)
