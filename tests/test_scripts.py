@@ -7,8 +7,10 @@ from pathlib import Path
 
 import benchmark
 import export
+import numpy as np
 import pytest
 import reproduce
+import time_stamps
 import torch
 from benchmarks import elsewhere, timing, training
 
@@ -155,6 +157,25 @@ def test_reproduce_says_what_is_wrong(capsys):
     assert "_paper or _safe" in capsys.readouterr().err
     assert reproduce.main(["bearings-outliers", "--filters", "kalman"]) == 2
     assert "kalman" in capsys.readouterr().err
+
+
+def test_time_stamps_says_what_mending_them_changes(tmp_path, capsys):
+    late = 5 * np.arange(100) - np.random.default_rng(0).uniform(0, 3, 100)
+    np.savetxt(
+        tmp_path / "a.csv", np.c_[5 * np.arange(100), 80 * late, 0 * late], "%.6f", ",", header="t,x,y", comments=""
+    )
+    assert time_stamps.main([str(tmp_path / "a.csv"), "--json", str(tmp_path / "r.json")]) == 0
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert result["acceleration along, m/s^2, recorded"][-1] > 9 > 3 > result["acceleration along, m/s^2, mended"][-1]
+    assert 10 < result["moved, m"][0] < 240
+    assert result["off the recorded path, m"][-1] < 0.1
+    assert "off the recorded path, m" in capsys.readouterr().out
+
+
+def test_time_stamps_of_a_track_too_short_to_judge_are_an_error(tmp_path, capsys):
+    (tmp_path / "a.csv").write_text("t,x,y\n0,0,0\n5,100,0\n")
+    assert time_stamps.main([str(tmp_path / "a.csv")]) == 2
+    assert "files: expected a track of 105 s or longer" in capsys.readouterr().err
 
 
 def test_the_benchmark_times_eager_and_compiled_filters(tmp_path, capsys):

@@ -76,8 +76,11 @@ class Errors:
             counts: ``(1 + resamples, B)`` how often each of them counts.
         """
         square, weights = error.square().clamp(max=_LOST), counts.to(error)
-        self.squares = self.squares + weights @ square.nan_to_num()
-        self.counts = self.counts + weights @ (~square.isnan()).to(error)
+        known = ~square.isnan()
+        squares = weights @ square.nan_to_num()
+        every = weights.sum(-1, keepdim=True).expand_as(squares)
+        self.squares = self.squares + squares
+        self.counts = self.counts + (every if known.all() else weights @ known.to(error))
         self.tracks.append(square.nanmean(-1).sqrt())
 
     def rmse(self) -> NDArray[np.float64]:
