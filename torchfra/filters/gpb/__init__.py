@@ -2,6 +2,6 @@
 
 from torchfra.filters.gpb.filter import GPB, GPBInfo, GPBState
 from torchfra.filters.gpb.qualities import Qualities
-from torchfra.filters.gpb.regimes import EvenChain, Regimes
+from torchfra.filters.gpb.regimes import Regimes
 
-__all__ = ["GPB", "EvenChain", "GPBInfo", "GPBState", "Qualities", "Regimes"]
+__all__ = ["GPB", "GPBInfo", "GPBState", "Qualities", "Regimes"]
