@@ -31,12 +31,13 @@ SENSORS = {
 }
 VALUES = {
     "levels": (0.1, 30.0), "qualities": ((0.95, 0.05), (0.6, 0.4)), "sizes": (9.0, 400.0, 1e6),
-    "shares": (0.6, 0.3, 0.1), "poor": 0.3, "start": 50.0, "stay": 0.9, "jump": 0.01, "jumps": (200.0,),
+    "shares": (0.6, 0.3, 0.1), "poor": 0.3, "start": 50.0, "stay": (0.9, 0.8, 0.7, 0.1), "jumps": (200.0,),
+    "renew": (0.5, 0.3, 0.15, 0.05),
 }  # fmt: skip
 TINY = 1e-13
 ALMOST_NONE = {
     "qualities": ((1 - TINY, TINY), (1 - TINY, TINY)), "sizes": (10.0,), "shares": (1.0,), "poor": TINY, "start": 10.0,
-    "jump": TINY, "jumps": (10.0,),
+    "levels": (1.0,), "jumps": (10.0,), "stay": (0.6, 0.8, TINY), "renew": (0.5, 0.5 - TINY, TINY),
 }  # fmt: skip
 """Outliers, jumps and poor starts hardly ever happen."""
 
@@ -77,7 +78,7 @@ def same(one, other, tolerance=1e-9):
 @pytest.mark.parametrize("name", ["position", "bearings"])
 def test_without_outliers_jumps_and_poor_starts_one_level_is_srckf(name):
     z = measured(name, outliers=False)
-    e = presets.gpb(MOTION, SENSORS[name], levels=(1.0,), **ALMOST_NONE)(z, PRIOR)
+    e = presets.gpb(MOTION, SENSORS[name], **ALMOST_NONE)(z, PRIOR)
     expected = presets.srckf(MOTION, SENSORS[name])(z, PRIOR)
     close(e.mean, expected.mean)
     close(e.covariance, expected.covariance)
@@ -88,7 +89,7 @@ def test_without_outliers_jumps_and_poor_starts_one_level_is_srckf(name):
 
 def test_blocks_of_a_sensor_that_bends_linearise_anew_and_that_matters_little():
     z = measured("ranges", outliers=False)
-    e = presets.gpb(MOTION, SENSORS["ranges"], levels=(1.0,), **ALMOST_NONE)(z, PRIOR)
+    e = presets.gpb(MOTION, SENSORS["ranges"], **ALMOST_NONE)(z, PRIOR)
     expected = presets.srckf(MOTION, SENSORS["ranges"])(z, PRIOR)
     std = expected.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
     assert ((e.mean - expected.mean).abs() < 0.5 * std).all()
@@ -98,27 +99,18 @@ def test_blocks_of_a_sensor_that_bends_linearise_anew_and_that_matters_little():
 def test_blocks_of_a_linear_sensor_one_after_the_other_are_all_at_once():
     together, apart, z = Position(5.0), Position(5.0), measured(outliers=False)
     apart.blocks = ((1,), (0,))
-    e, expected = (presets.gpb(MOTION, s, levels=(1.0,), **ALMOST_NONE)(z, PRIOR) for s in (apart, together))
+    e, expected = (presets.gpb(MOTION, s, **ALMOST_NONE)(z, PRIOR) for s in (apart, together))
     close(e.mean, expected.mean)
     close(e.covariance, expected.covariance)
     close(e.log_likelihood, expected.log_likelihood)
 
 
-MATRIX = tensor([[0.8, 0.1, 0.1], [0.2, 0.7, 0.1], [0.1, 0.3, 0.6]])
-
-
-@pytest.mark.parametrize("chain", ["even", "matrix"])
-def test_without_outliers_and_jumps_a_bank_is_imm_srckf(chain):
+def test_without_outliers_and_jumps_a_bank_is_imm_srckf():
     motions = [MOTION, ConstantVelocity(0.1, orders=3), CoordinatedTurn(math.pi / 20, 0.1, orders=3)]
-    rows = torch.cat([MATRIX, torch.full((1, 3), 1 / 3).double()])
-    rows = torch.cat([(1 - TINY) * rows, torch.full((4, 1), TINY).double()], -1)
-    imm, call = {
-        "even": ({"stay": 0.8}, {"stay": 0.8}),
-        "matrix": ({"transition": MATRIX}, {"regimes": rows, "first": rows[:3].mean(0)}),
-    }[chain]
-    z = measured(outliers=False)
-    e = presets.gpb(motions, SENSORS["position"], **ALMOST_NONE, **call)(z, PRIOR)
-    expected = presets.imm_srckf(motions, SENSORS["position"], **imm)(z, PRIOR)
+    stay, renew = tensor([0.6, 0.8, 0.8]), tensor([0.5, 0.25, 0.25])
+    matrix, z = stay.diag() + (1 - stay).unsqueeze(-1) * renew, measured(outliers=False)
+    e = presets.gpb(motions, SENSORS["position"], **ALMOST_NONE)(z, PRIOR)
+    expected = presets.imm_srckf(motions, SENSORS["position"], transition=matrix, initial=renew)(z, PRIOR)
     close(e.mean, expected.mean)
     close(e.covariance, expected.covariance)
     close(e.info.regimes[..., :3], expected.info.probabilities)
@@ -126,9 +118,10 @@ def test_without_outliers_and_jumps_a_bank_is_imm_srckf(chain):
 
 
 def test_a_bank_of_one_is_the_motion_itself():
-    z, options = measured(), VALUES | {"levels": (2.0,)}
-    one, bank = (presets.gpb(m, SENSORS["position"], **options)(z, PRIOR) for m in (MOTION, Bank([MOTION])))
-    same(one, bank)
+    z = measured()
+    one, *banks = (presets.gpb(m, SENSORS["position"], **VALUES)(z, PRIOR) for m in (MOTION, [MOTION], Bank([MOTION])))
+    for bank in banks:
+        same(one, bank)
 
 
 # ---------------------------------------------------------------- what it knows
@@ -136,14 +129,14 @@ def test_a_bank_of_one_is_the_motion_itself():
 
 @given(
     seed=st.integers(0, 1000), name=st.sampled_from(sorted(SENSORS)), spread=st.floats(1.0, 1e4),
-    outlier=st.floats(0.001, 0.5), jump=st.floats(1e-8, 0.3),
+    outlier=st.floats(0.001, 0.5), jump=st.floats(1e-8, 0.05),
 )  # fmt: skip
 @settings(deadline=None, max_examples=20)
 def test_probabilities_are_probabilities(seed, name, spread, outlier, jump):
     noise = torch.randn(2, STEPS, 1, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
     z = measured(name, seed=seed)
     z = z + spread * SENSORS[name].std() * noise * (noise > 1)
-    options = VALUES | {"jump": jump, "qualities": ((1 - outlier, outlier), (0.6, 0.4))}
+    options = VALUES | {"renew": (0.5, 0.3, 0.2 - jump, jump), "qualities": ((1 - outlier, outlier), (0.6, 0.4))}
     e = presets.gpb(MOTION, SENSORS[name], **options)(z, PRIOR)
     for of in (e.info.regimes, e.info.outlier):
         assert ((of >= 0) & (of <= 1 + 1e-12)).all()
@@ -225,16 +218,13 @@ def test_lag_chooses_between_the_filtered_and_the_settled_estimate():
 # ---------------------------------------------------------------- values
 
 
-def test_values_learn_under_the_names_of_their_arguments_or_the_whole_path():
+def test_every_value_learns():
     f = presets.gpb(MOTION, SENSORS["position"], learn="all", **VALUES)
     paths = set(hypers(f))
     assert {p.removesuffix(".raw") for p, _ in f.named_parameters()} == paths
-    names = {"q", "std", "levels", "jumps", "stay", "jump", "first", "sizes", "shares", "poor", "start"}
-    assert names <= {path.rpartition(".")[2] for path in paths}
-    f = presets.gpb(MOTION, SENSORS["position"], learn=("poor", "qualities.chain"), **VALUES)
-    assert {p for p, _ in f.named_parameters()} == {"poor.raw", "qualities.chain.raw"}
-    f = presets.gpb(MOTION, SENSORS["position"], learn=("regimes.chain",), regimes=tensor([[0.5, 0.3, 0.2]] * 3))
-    assert {p for p, _ in f.named_parameters()} == {"regimes.chain.raw"}
+    assert {path.rpartition(".")[2] for path in paths} == {"q", "std", "chain", *VALUES} - {"qualities"}
+    f = presets.gpb(MOTION, SENSORS["position"], learn=("poor", "stay"), **VALUES)
+    assert {p for p, _ in f.named_parameters()} == {"poor.raw", "regimes.stay.raw"}
     assert not list(MOTION.parameters())
 
 

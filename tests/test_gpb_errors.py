@@ -5,17 +5,14 @@ import torch
 from test_gpb import ANCHORS, MOTION, PRIOR, SENSORS, STEPS, VALUES, measured, same, tensor
 
 from torchfra import presets
-from torchfra.filters import GPB, EvenChain, Qualities, Regimes
+from torchfra.filters import GPB, Qualities, Regimes
 from torchfra.gaussian import fifth_degree
 from torchfra.motion import ConstantVelocity, Spherical
 from torchfra.sensors import Position, RangeBearing, Ranges
 
 
 def test_the_parts_make_the_filter_that_the_preset_makes():
-    regimes = Regimes(
-        [0, 0], levels=(0.1, 30.0), jumps=(200.0,), chain=EvenChain(2, 1, stay=0.9, jump=0.01),
-        first=(0.495, 0.495, 0.01), home=1,
-    )  # fmt: skip
+    regimes = Regimes(1, levels=(0.1, 30.0), jumps=(200.0,), stay=VALUES["stay"], renew=VALUES["renew"])
     qualities = Qualities([[0, 1]], chain=VALUES["qualities"], sizes=VALUES["sizes"], shares=VALUES["shares"])
     f = GPB(MOTION, SENSORS["position"], regimes=regimes, qualities=qualities, poor=0.3, start=50.0)
     same(f(measured(), PRIOR), presets.gpb(MOTION, SENSORS["position"], **VALUES)(measured(), PRIOR))
@@ -31,13 +28,12 @@ def test_the_parts_make_the_filter_that_the_preset_makes():
     ({"levels": 3.0}, "levels: expected several, received 3"),
     ({"jumps": 300.0}, "jumps: expected several, received 300"),
     ({"jumps": (-1.0,)}, "jumps: expected a value above 0"),
-    ({"stay": 1.5}, r"stay: expected a value in \[0, 1\]"),
-    ({"jump": -0.1}, r"jump: expected a value in \[0, 1\]|first: expected"),
-    ({"jumps": (9.0, 99.0), "jump": 0.5, "first": (0.5, 0.3, 0.1, 0.1)}, "jump: expected that 2 jumps leave something"),
-    ({"regimes": torch.eye(2)}, r"regimes: expected \(..., 3, 3\), received \(2, 2\)"),
-    ({"regimes": torch.ones(3, 3)}, "regimes: expected"),
-    ({"first": (0.5, 0.5)}, r"first: expected \(..., 3\), received \(2,\)"),
-    ({"first": (0.5, 0.5, 0.5)}, "first: expected"),
+    ({"stay": (0.5, 0.5, 0.5, 1.5)}, r"stay: expected a value in \[0, 1\]"),
+    ({"stay": (0.5, 0.5, 0.5)}, r"stay: expected \(..., 4\), received \(3,\)"),
+    ({"stay": 0.9}, r"stay: expected \(..., 4\), received \(\)"),
+    ({"renew": (0.5, 0.3, 0.2)}, r"renew: expected \(..., 4\), received \(3,\)"),
+    ({"renew": (0.5, 0.3, 0.2, 0.1)}, "renew: expected"),
+    ({"renew": (0.5, 0.3, 0.3, -0.1)}, "renew: expected"),
     ({"poor": 2.0}, r"poor: expected a value in \[0, 1\]"),
     ({"start": 0.5}, "start: expected a value of 1 or more"),
     ({"lag": 2}, "lag: expected 0 or 1 steps, received 2"),
@@ -80,10 +76,9 @@ def test_models_that_do_not_fit_are_named(motion, sensor, said):
 
 
 def test_regimes_of_other_motions_are_refused():
-    regimes = Regimes([0, 1], levels=(1.0, 1.0), jumps=(9.0,), chain=EvenChain(2, 1, stay=0.9, jump=0.01),
-                      first=(0.4, 0.4, 0.2), home=0)  # fmt: skip
+    regimes = Regimes(2, levels=(0.1, 30.0), jumps=(200.0,), stay=VALUES["stay"], renew=VALUES["renew"])
     qualities = Qualities([[0, 1]], chain=VALUES["qualities"], sizes=(9.0,), shares=(1.0,))
-    with pytest.raises(ValueError, match=r"regimes: expected some of each of 1 motions"):
+    with pytest.raises(ValueError, match=r"regimes: expected those of 1 motions, received of 2"):
         GPB(MOTION, SENSORS["position"], regimes=regimes, qualities=qualities)
 
 

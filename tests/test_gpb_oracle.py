@@ -23,7 +23,7 @@ from torchfra.types import Gaussian
 STEPS = 14
 VALUES = {
     "qualities": ((0.9, 0.1), (0.6, 0.4)), "sizes": (9.0, 400.0, 1e6), "shares": (0.6, 0.3, 0.1), "poor": 0.3,
-    "start": 50.0, "stay": 0.9, "jump": 0.01, "jumps": (200.0,),
+    "start": 50.0,
 }  # fmt: skip
 """None of them a default, so that the tests hold whatever those are."""
 
@@ -111,11 +111,21 @@ def expected(case, motions, regimes, prior=PRIOR):
     )
 
 
-def even(count, jumps=1):
-    """The chain and the first regimes that the preset makes of `stay` and `jump`."""
-    chain = oracle.even_chain(count, jumps, VALUES["stay"], VALUES["jump"])
-    first = [(1 - jumps * VALUES["jump"]) / count] * count + [VALUES["jump"]] * jumps
-    return chain, np.array(first)
+def regimes(stay, renew, levels, jumps=(200.0,), motions=1):
+    """Options of the preset, and regimes of the oracle: levels of the first motion, other motions, jumps."""
+    options = {"levels": levels, "jumps": jumps, "stay": stay, "renew": renew}
+    count, others = len(levels), motions - 1
+    stay, renew = ([*x[:count], *[x[count]] * others, *x[count + 1 :]] for x in (stay, renew))
+    renew[count : count + others] = [x / others for x in renew[count : count + others]]
+    odds = np.array(renew) / sum(renew)
+    chain = oracle.renewing_chain(stay, odds)
+    factors = [*levels, *[1.0] * others]
+    which = [0] * count + list(range(1, motions))
+    return options | VALUES, oracle.Regimes(which, factors, list(jumps), chain, odds, count - 1)
+
+
+TWO = ((0.9, 0.8, 0.7, 0.1), (0.5, 0.3, 0.15, 0.05), (0.1, 30.0))
+"""Two levels, other motions if any, and a jump: how they stay, how they are drawn anew, and what the levels are."""
 
 
 def same(estimate, r, tolerance=1e-9):
@@ -138,44 +148,36 @@ def same(estimate, r, tolerance=1e-9):
 
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_two_levels_and_a_jump_of_one_motion(sensor):
-    case, motion, levels = sensor(), ConstantAcceleration(0.05), (0.1, 30.0)
-    chain, first = even(2)
-    f = presets.gpb(motion, case.sensor, levels=levels, **VALUES)
-    r = expected(case, [carried(motion, 1.0)], oracle.Regimes([0, 0], levels, [200.0], chain, first, 1))
-    same(f(tensor(case.z), PRIOR), r)
+    case, motion, (options, r) = sensor(), ConstantAcceleration(0.05), regimes(*TWO)
+    f = presets.gpb(motion, case.sensor, **options)
+    same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0)], r))
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_three_levels_and_two_jumps_with_a_chain_of_their_own(sensor):
-    case, motion, levels, jumps = sensor(), ConstantAcceleration(0.05), (0.1, 1.0, 60.0), (30.0, 2000.0)
-    chain = np.random.default_rng(3).dirichlet([8, 4, 3, 0.5, 0.5], 5)
-    first = np.array([0.5, 0.2, 0.1, 0.15, 0.05])
-    options = {k: v for k, v in VALUES.items() if k not in ("stay", "jump", "jumps")}
-    f = presets.gpb(motion, case.sensor, levels=levels, jumps=jumps, regimes=tensor(chain), first=first, **options)
-    r = expected(case, [carried(motion, 1.0)], oracle.Regimes([0] * 3, levels, jumps, chain, first, 2))
-    same(f(tensor(case.z), PRIOR), r)
+def test_three_levels_and_two_jumps(sensor):
+    case, motion = sensor(), ConstantAcceleration(0.05)
+    stay, renew = (0.9, 0.5, 0.6, 0.9, 0.2, 0.1), (0.4, 0.2, 0.1, 0.1, 0.15, 0.05)
+    options, r = regimes(stay, renew, (0.1, 1.0, 60.0), (30.0, 2000.0))
+    f = presets.gpb(motion, case.sensor, **options)
+    same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0)], r))
 
 
 def test_time_steps_of_their_own():
-    case, motion = ranges(), ConstantAcceleration(0.05)
+    case, motion, (options, r) = ranges(), ConstantAcceleration(0.05), regimes(*TWO)
     dt = np.linspace(0.4, 1.7, STEPS)
-    f = presets.gpb(motion, case.sensor, levels=(0.1, 30.0), **VALUES)
-    chain, first = even(2)
-    r = expected(case, [carried(motion, dt)], oracle.Regimes([0, 0], (0.1, 30.0), [200.0], chain, first, 1))
-    same(f(tensor(case.z), PRIOR, dt=tensor(dt)), r)
+    f = presets.gpb(motion, case.sensor, **options)
+    same(f(tensor(case.z), PRIOR, dt=tensor(dt)), expected(case, [carried(motion, dt)], r))
 
 
 def test_stations_that_move_and_a_known_push():
-    case = bearings()
+    case, (options, r) = bearings(), regimes(*TWO)
     places = np.array([STATIONS + 5.0 * np.arange(2)[:, None] * k for k in range(STEPS)])
     u = tensor(places.reshape(STEPS, 4))
     case.model = case.model._replace(h=lambda x, k: oracles.bearings(x, places[k]))
     case.z = measured(case.model.h, np.diag([0.01, 0.02]))
     motion, sensor = Pushed(0.05), Bearings(tensor([0.01, 0.02]))
-    chain, first = even(2)
-    f = presets.gpb(motion, sensor, levels=(0.1, 30.0), **VALUES)
-    r = expected(case, [carried(motion, 1.0, u)], oracle.Regimes([0, 0], (0.1, 30.0), [200.0], chain, first, 1))
-    same(f(tensor(case.z), PRIOR, u=u), r)
+    f = presets.gpb(motion, sensor, **options)
+    same(f(tensor(case.z), PRIOR, u=u), expected(case, [carried(motion, 1.0, u)], r))
 
 
 class Pushed(ConstantAcceleration):
@@ -210,10 +212,8 @@ def curved(mean, P, k):
 
 @pytest.mark.parametrize("sensor", [position, ranges])
 def test_a_motion_that_bends(sensor):
-    case, chain, first = sensor(), *even(2)
-    f = presets.gpb(Curved(), case.sensor, levels=(0.1, 30.0), **VALUES)
-    r = expected(case, [curved], oracle.Regimes([0, 0], (0.1, 30.0), [200.0], chain, first, 1))
-    same(f(tensor(case.z), PRIOR), r)
+    case, (options, r) = sensor(), regimes(*TWO)
+    same(presets.gpb(Curved(), case.sensor, **options)(tensor(case.z), PRIOR), expected(case, [curved], r))
 
 
 # ---------------------------------------------------------------- a bank
@@ -228,19 +228,16 @@ def bank():
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_a_bank_of_three_motions(sensor):
-    case, motions, chain, first = sensor(), bank(), *even(3)
-    f = presets.gpb(Bank(motions), case.sensor, **VALUES)
-    regimes = oracle.Regimes([0, 1, 2], [1.0] * 3, [200.0], chain, first, 0)
-    same(f(tensor(case.z), PRIOR), expected(case, [carried(m, 1.0) for m in motions], regimes))
+def test_a_bank_of_three_motions_the_first_at_two_levels(sensor):
+    case, motions, (options, r) = sensor(), bank(), regimes(*TWO, motions=3)
+    f = presets.gpb(Bank(motions), case.sensor, **options)
+    same(f(tensor(case.z), PRIOR), expected(case, [carried(m, 1.0) for m in motions], r))
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_a_bank_with_a_chain_and_levels_of_its_own(sensor):
-    case, motions, levels = sensor(), bank(), (0.5, 2.0, 4.0)
-    chain = np.random.default_rng(5).dirichlet([6, 3, 3, 0.4], 4)
-    first = np.array([0.2, 0.5, 0.2, 0.1])
+def test_a_bank_with_one_level_two_jumps_and_time_steps_of_their_own(sensor):
+    case, motions = sensor(), bank()
+    options, r = regimes((0.8, 0.6, 0.1, 0.05), (0.3, 0.4, 0.2, 0.1), (2.0,), (30.0, 2000.0), 3)
     dt = np.linspace(0.4, 1.7, STEPS)
-    f = presets.gpb(motions, case.sensor, levels=levels, regimes=tensor(chain), first=first, **VALUES)
-    regimes = oracle.Regimes([0, 1, 2], levels, [200.0], chain, first, 0)
-    same(f(tensor(case.z), PRIOR, dt=tensor(dt)), expected(case, [carried(m, dt) for m in motions], regimes))
+    f = presets.gpb(motions, case.sensor, **options)
+    same(f(tensor(case.z), PRIOR, dt=tensor(dt)), expected(case, [carried(m, dt) for m in motions], r))

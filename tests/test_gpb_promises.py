@@ -13,8 +13,6 @@ from torchfra.motion import ConstantAcceleration, CoordinatedTurn
 from torchfra.sensors import Position, Ranges
 from torchfra.types import Gaussian
 
-BANK = {k: v for k, v in VALUES.items() if k != "levels"}
-
 
 def single(name, **options):
     return presets.gpb(MOTION, SENSORS[name], **VALUES, **options)
@@ -22,7 +20,7 @@ def single(name, **options):
 
 def bank(name, **options):
     motions = [ConstantAcceleration(0.05), CoordinatedTurn(math.pi / 20, 0.1, orders=3)]
-    return presets.gpb(motions, SENSORS[name], **BANK, **options)
+    return presets.gpb(motions, SENSORS[name], **VALUES, **options)
 
 
 FILTERS = {
@@ -74,14 +72,16 @@ def test_time_steps_may_differ_per_step_and_per_track(name):
 
 def batches():
     """Two values of everything."""
-    even = {k: tensor([VALUES[k], 0.8 * VALUES[k]]) for k in ("poor", "start", "stay", "jump")}
+    even = {k: tensor([VALUES[k], 0.8 * VALUES[k]]) for k in ("poor", "start")}
     vectors = {
-        k: torch.stack([tensor(v), 0.9 * tensor(v)]) for k, v in VALUES.items() if k in ("levels", "sizes", "jumps")
+        k: torch.stack([tensor(v), 0.9 * tensor(v)])
+        for k, v in VALUES.items()
+        if k in ("levels", "sizes", "jumps", "stay")
     }
     simplexes = {
         "qualities": tensor([VALUES["qualities"], ((0.9, 0.1), (0.5, 0.5))]),
         "shares": tensor([VALUES["shares"], (0.2, 0.3, 0.5)]),
-        "first": tensor([[0.5, 0.4, 0.1], [0.3, 0.3, 0.4]]),
+        "renew": tensor([VALUES["renew"], (0.2, 0.2, 0.5, 0.1)]),
     }
     return even | vectors | simplexes
 

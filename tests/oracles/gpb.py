@@ -33,7 +33,7 @@ class Regimes(NamedTuple):
     levels: list[float]  # factors on Q
     jumps: list[float]  # factors on the covariance of the position, of the home level's prediction
     chain: Array  # (R,R), [i, j] = P(now j | was i), levels first
-    first: Array  # (R,)
+    first: Array  # (R,) probabilities before the first step
     home: int
 
     @property
@@ -51,19 +51,13 @@ class Qualities(NamedTuple):
     shares: list[float]
 
 
-def even_chain(levels: int, jumps: int, stay: float, jump: float) -> Array:
-    """The chain of levels that stay with one probability, and of jumps that come with another."""
-    chain = np.zeros((levels + jumps, levels + jumps))
-    for i in range(levels + jumps):
-        for j in range(levels):
-            if i >= levels:
-                share = 1 / levels
-            elif levels == 1:
-                share = 1.0
-            else:
-                share = stay if i == j else (1 - stay) / (levels - 1)
-            chain[i, j] = (1 - jumps * jump) * share
-        chain[i, levels:] = jump
+def renewing_chain(stay: list[float], renew: list[float]) -> Array:
+    """The chain of regimes that stay, each with its probability, or are drawn anew from odds that sum to one."""
+    count = len(stay)
+    chain = np.zeros((count, count))
+    for i in range(count):
+        for j in range(count):
+            chain[i, j] = (1 - stay[i]) * renew[j] + (stay[i] if i == j else 0.0)
     return chain
 
 
@@ -192,9 +186,9 @@ class Carried(NamedTuple):
 
 def start(mean: Array, P: Array, regimes: Regimes, q: Qualities, poor: float, factor: float) -> Carried:
     """The prior as given, and the same widened."""
-    R, count = len(regimes.first), max(regimes.motions) + 1
+    count = max(regimes.motions) + 1
     beliefs = {(i, m): (mean, P * (factor if i else 1.0)) for i in QUALITIES for m in range(count)}
-    pairs = np.array([np.tile(share * regimes.first / R, (R, 1)) for share in (1 - poor, poor)])
+    pairs = np.array([share * regimes.first[:, None] * regimes.chain for share in (1 - poor, poor)])
     return Carried(beliefs, np.log(pairs), np.zeros(len(q.blocks)))
 
 
