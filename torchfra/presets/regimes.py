@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 
+from torchfra.filters.checks import check_models
 from torchfra.filters.gpb import GPB, Qualities, Regimes
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.rules import Rule
@@ -47,7 +48,10 @@ def gpb(
         ValueError: motions that do not mix, probabilities that do not sum to one, or blocks of the sensor that do not
             cover its elements.
     """
+    if not isinstance(motion, Motion | Sequence):
+        raise ValueError(f"motion: expected one, several or a Bank, received {type(motion).__name__}")
     models = motion if isinstance(motion, Motion) else Bank(motion)
+    check_models(models, sensor)
     count = len(models) if isinstance(models, Bank) else 1
     regimes = Regimes(count, levels=levels, jumps=jumps, stay=stay, renew=renew)
     doubts = Qualities(sensor.blocks, chain=qualities, sizes=sizes, shares=shares)

@@ -18,7 +18,7 @@ from torchfra.filters.imm import for_each_model, models_first, repeated
 from torchfra.filters.records import Record
 from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.cubature import third_degree
-from torchfra.gaussian.inputs import Frame
+from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.gaussian.mixture import moment_match
 from torchfra.gaussian.model import propagate
 from torchfra.gaussian.rules import Rule
@@ -128,6 +128,11 @@ class GPB(GaussianFilter):
     def bank(self) -> Bank:
         """The motions."""
         return self.motion  # type: ignore[return-value]
+
+    def _batch(self, measurements: Measurements, prior: Gaussian) -> torch.Size:
+        """The batch of all that was handed in, checked."""
+        self.qualities.check_noise("noise", measurements.noise)
+        return super()._batch(measurements, prior)
 
     def begin(self, belief: Gaussian) -> GPBState:
         """The state of a belief: as it is, and widened, for every motion."""

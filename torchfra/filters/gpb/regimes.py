@@ -36,6 +36,9 @@ class Regimes(nn.Module):
     def __init__(self, motions: int, *, levels: Values, jumps: Values, stay: Values, renew: Values) -> None:
         super().__init__()
         levels, jumps, stay, renew = (torch.as_tensor(x, dtype=torch.float64) for x in (levels, jumps, stay, renew))
+        for name, value in (("levels", levels), ("jumps", jumps)):
+            if value.dim() == 0:
+                raise ValueError(f"{name}: expected several, received {value.item():g}")
         self.motions, self.count = motions, levels.shape[-1]
         kinds = levels.shape[-1] + 1 + jumps.shape[-1]
         for name, value in (("stay", stay), ("renew", renew)):
