@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,8 +11,10 @@ from torch.distributions import constraints
 from torchfra import tree
 from torchfra.filters.base import Mix
 from torchfra.filters.checks import check_models
+from torchfra.filters.gpb.merging import lifted, log_share, together
 from torchfra.filters.gpb.qualities import Qualities
 from torchfra.filters.gpb.regimes import Regimes
+from torchfra.filters.gpb.states import GPBInfo, GPBState, Shares, Step
 from torchfra.filters.imm import for_each_model, models_first, repeated
 from torchfra.filters.records import Record
 from torchfra.filters.tracks import GaussianFilter
@@ -24,41 +25,10 @@ from torchfra.gaussian.model import propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import innovation
 from torchfra.hyper import Hyper, Value
-from torchfra.linalg.triangular import apply, hstack
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
-
-
-class GPBState(NamedTuple):
-    """What GPB knows after a step."""
-
-    belief: Gaussian
-    """All hypotheses together."""
-    settled: Gaussian
-    """Of the step before, now that its hypotheses have met a measurement."""
-    clean: Gaussian
-    """``(..., K)`` for each motion, if no block was an outlier."""
-    dirty: Gaussian
-    """``(..., K)`` for each motion, if one was."""
-    log_weights: Tensor
-    """``(..., 2, R)`` logs of the probabilities of clean and dirty, and of the regimes."""
-    outlier: Tensor
-    """``(..., B)`` of each block that it was an outlier, if the step was dirty."""
-
-
-class GPBInfo(NamedTuple):
-    """Per step and track."""
-
-    filtered: Gaussian
-    """``mean (..., T, n)`` and ``scale_tril``: what was known at the step itself."""
-    settled: Gaussian
-    """The same, with the step's hypotheses weighed by the next measurement; the last step is as filtered."""
-    regimes: Tensor
-    """``(..., T, R)`` probabilities of the regimes."""
-    outlier: Tensor
-    """``(..., T, B)`` of each block that it is an outlier."""
 
 
 class GPB(GaussianFilter):
@@ -164,14 +134,12 @@ class GPB(GaussianFilter):
         if_dirty = outlier / log_regimes[1].logsumexp(-1, keepdim=True).exp()
         expected = moment_match(tree.map_tensors(lambda x: x.flatten(0, 1), seen), log_share(log_ahead.flatten(0, 1)))
         whitened = self.compare(expected, frame)
-        info = _Step(settled, log_regimes.exp().sum(0), outlier)
+        info = Step(settled, log_regimes.exp().sum(0), outlier)
         record = Record(belief, whitened.residual, *innovation(whitened), info, log_likelihood)
         clean, dirty = tree.unbind(after, 2)
         return GPBState(belief, settled, clean, dirty, log_regimes.movedim(0, -2), if_dirty), record
 
-    def look_ahead(
-        self, before: Gaussian, log_weights: Tensor, frame: Frame
-    ) -> tuple[Gaussian, Tensor, _Shares | None]:
+    def look_ahead(self, before: Gaussian, log_weights: Tensor, frame: Frame) -> tuple[Gaussian, Tensor, Shares | None]:
         """Predictions ``(R, 2, ..., n)`` of all regimes, their log weights, and who contributed to which motion."""
         mixed, log_ahead, shares = self.interact(before, log_weights)
         measured = frame.seen.sum(-1, keepdim=True) > 0
@@ -184,7 +152,7 @@ class GPB(GaussianFilter):
         d = self.sensor.reads
         return Gaussian(predicted.mean[..., :d], predicted.scale_tril[..., :d, :d])
 
-    def interact(self, before: Gaussian, log_weights: Tensor) -> tuple[Gaussian, Tensor, _Shares | None]:
+    def interact(self, before: Gaussian, log_weights: Tensor) -> tuple[Gaussian, Tensor, Shares | None]:
         """The motions ``(2, ..., K)`` mixed, log weights ``(2, ..., R)`` of the regimes ahead, and who contributed.
 
         As regimes that do not stay are drawn anew, a motion's belief is a mixture of its own and of one that all share.
@@ -197,7 +165,7 @@ class GPB(GaussianFilter):
         if len(self.bank) == 1:
             return before, log_ahead, None
         origin, ahead = of_motion(left) - all_left, of_motion(log_ahead)
-        shares = _Shares(of_motion(stayed) - ahead, of_motion(drawn) - ahead, origin)
+        shares = Shares(of_motion(stayed) - ahead, of_motion(drawn) - ahead, origin)
         common = moment_match(models_first(before), origin.movedim(-1, 0))
         pair = tree.stack([before, repeated(common, len(self.bank))], 0)
         return moment_match(pair, torch.stack([shares.own, shares.common])), log_ahead, shares
@@ -220,7 +188,7 @@ class GPB(GaussianFilter):
         )
         return after, torch.cat([log_own.unsqueeze(-1), log_others.movedim(1, -1)], -1)
 
-    def hindsight(self, joint: Tensor, shares: _Shares | None) -> Tensor:
+    def hindsight(self, joint: Tensor, shares: Shares | None) -> Tensor:
         """Log weights ``(2, ..., K)`` of the beliefs before a step, now that it is measured."""
         now = self.regimes.of_motion(joint.logsumexp(0).movedim(0, -1))
         if shares is None:
@@ -228,7 +196,7 @@ class GPB(GaussianFilter):
         drawn = (now + shares.common).logsumexp(-1, keepdim=True)
         return torch.stack([now + shares.own, drawn + shares.origin]).logsumexp(0)
 
-    def finish(self, state: GPBState, belief: Gaussian, info: _Step) -> tuple[Gaussian, GPBInfo]:
+    def finish(self, state: GPBState, belief: Gaussian, info: Step) -> tuple[Gaussian, GPBInfo]:
         """Each step's settled estimate comes with the next."""
         last = info.regimes.dim() - 2
 
@@ -237,41 +205,3 @@ class GPB(GaussianFilter):
 
         settled = tree.map_tensors(one_later, info.settled, state.belief)
         return settled if self.lag else belief, GPBInfo(belief, settled, info.regimes, info.outlier)
-
-
-class _Shares(NamedTuple):
-    """Logs of what the mixed belief of each motion is made of, ``(2, ..., K)``."""
-
-    own: Tensor
-    """Of its own."""
-    common: Tensor
-    """Of the one that regimes drawn anew share."""
-    origin: Tensor
-    """Of the share that each motion has in that one."""
-
-
-class _Step(NamedTuple):
-    """What one step knows: about itself, and now for good about the one before."""
-
-    settled: Gaussian
-    regimes: Tensor
-    outlier: Tensor
-
-
-def lifted(predicted: Gaussian, belief: Gaussian) -> Gaussian:
-    """Beliefs of states, from the components that a sensor reads in units of their predicted root; any root."""
-    mean, root = predicted
-    gain = root[..., : belief.mean.shape[-1]]
-    own = gain @ belief.scale_tril
-    return Gaussian(mean + apply(gain, belief.mean), hstack(own, root[..., gain.shape[-1] :]))
-
-
-def together(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
-    """One Gaussian for hypotheses ``(2, ..., K)``."""
-    mean, root = beliefs.mean.movedim(-2, 0), beliefs.scale_tril.movedim(-3, 0)
-    return moment_match(Gaussian(mean.flatten(0, 1), root.flatten(0, 1)), log_weights.movedim(-1, 0).flatten(0, 1))
-
-
-def log_share(log_weights: Tensor) -> Tensor:
-    """The same, so that the exponentials sum to one over the first dimension."""
-    return log_weights - log_weights.logsumexp(0)
