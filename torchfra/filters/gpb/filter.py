@@ -95,6 +95,11 @@ class GPB(GaussianFilter):
         self.start = Hyper(start, constraints.greater_than_eq(1.0), name="start")
 
     @property
+    def slow_to_compile(self) -> bool:  # type: ignore[override]  # of this bank, not of the class
+        """Whether its kernel takes a minute or more: that of a bank of more than three motions."""
+        return len(self.bank) > 3
+
+    @property
     def bank(self) -> Bank:
         """The motions."""
         return self.motion  # type: ignore[return-value]
