@@ -13,7 +13,7 @@ import torch
 from torchfra import presets, scenarios
 from torchfra.kernel import build
 
-PRESETS = ["ekf", "ukf", "srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "iaukf", "fra_srckf", "fra"]
+PRESETS = ["ekf", "ukf", "srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "iaukf", "fra_srckf", "fra", "gpb"]
 STEPS = 12
 
 

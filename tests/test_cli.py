@@ -8,9 +8,10 @@ import sys
 import numpy as np
 import pytest
 import torch
+from matplotlib.figure import Figure
 
 from torchfra import presets, readers
-from torchfra.app import cli
+from torchfra.app import cli, plotting
 from torchfra.app.evaluate import evaluate
 from torchfra.app.track import track
 from torchfra.catalogue import make_scenario
@@ -54,7 +55,7 @@ def test_track_does_not_say_what_is_an_outlier_where_the_filter_does_not(noisy_t
     assert "outliers" not in said
 
 
-@pytest.mark.parametrize("name", ["fra", "fra_srckf", "alphabeta"])
+@pytest.mark.parametrize("name", ["gpb", "fra", "fra_srckf", "alphabeta"])
 def test_track_says_what_is_an_outlier_where_the_filter_decides(noisy_track, tmp_path, capsys, name):
     arguments = ["track", str(noisy_track), "--filter", name, "--no-plots", "--no-compile"]
     assert cli.main([*arguments, "--out", str(tmp_path / "out"), "--json", str(tmp_path / "s.json")]) == 0
@@ -95,6 +96,24 @@ def test_track_says_which_of_the_interacting_models_leads(tmp_path):
     assert sum(summary["steps_led"].values()) == 120
     assert summary["steps_led"]["turn +3 deg/s"] == leads.count("turn +3 deg/s")
     assert (tmp_path / "turn.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_track_uses_the_filter_of_regimes_by_default_and_says_which_leads(tmp_path):
+    time = np.arange(60) * 4.0
+    xy = np.stack([100 * time + 30_000 * (time > 100), 0 * time], 1) + np.random.default_rng(0).normal(0, 5, (60, 2))
+    path = tmp_path / "jump.csv"
+    path.write_text("t,x,y\n" + "".join(f"{t},{x},{y}\n" for t, (x, y) in zip(time, xy, strict=True)))
+    out = ["--out", str(tmp_path), "--json", str(tmp_path / "s.json"), "--quiet", "--sigma", "5"]
+    assert cli.main(["track", str(path), *out]) == 0
+    found = json.loads((tmp_path / "s.json").read_text())
+    assert found["settings"]["filter"] == "gpb"
+    led = found["tracks"][0]["steps_led"]
+    assert sum(led.values()) == 60
+    assert led.keys() >= {"calm constant velocity", "agile constant velocity", "turn +3 deg/s", "jump"}
+    assert led["calm constant velocity"] > 20
+    rows = list(csv.DictReader((tmp_path / "jump.csv").read_text().splitlines()))
+    assert {row["model"] for row in rows} <= led.keys()
+    assert abs(float(rows[-1]["x"]) - xy[-1, 0]) < 30
 
 
 def test_compare_runs_interacting_models(tmp_path):
@@ -147,9 +166,10 @@ def test_commands_compile_when_it_is_worthwhile_and_say_so(noisy_track, tmp_path
     track_it = ["track", str(noisy_track), "--no-plots", "--quiet", "--out", str(tmp_path / "out")]
     assert cli.main(track_it) == 0
     monkeypatch.setattr("torchfra.app.track_command.WORTHWHILE", 80)
-    assert cli.main([*track_it, "--compile"]) == 0
+    assert cli.main([*track_it, "--filter", "fra", "--compile"]) == 0
     assert cli.main([*track_it, "--filter", "imm_srckf"]) == 0
-    assert calls == [(None, False), (False, True), (None, False), (True, True), (None, False)]
+    assert cli.main(track_it) == 0
+    assert calls == [(None, False), (False, True), (None, False), (True, True), (None, False), (None, False)]
 
 
 def test_without_a_compiler_commands_run_interpreted_unless_told_to_compile(tmp_path, capsys, monkeypatch):
@@ -218,6 +238,24 @@ def test_compare_runs_a_scenario_through_filters(tmp_path, capsys):
     assert "torch" in result["versions"]
     assert (tmp_path / "f.png").exists()
     assert "srckf" in capsys.readouterr().out
+
+
+def test_compare_draws_the_filters_and_the_flight_that_it_is_told(tmp_path, monkeypatch):
+    drawn = []
+
+    def comparison(results, shown, dt, limit, title, mapped):
+        drawn.append((list(results), list(shown), list(mapped.estimates), mapped.number))
+        return Figure()
+
+    monkeypatch.setattr(plotting, "comparison", comparison)
+    arguments = ["compare", "--scenario", "bearings-outliers", "--filters", "ukf,rmckf,srckf,mr_ckf,rsrckf", "--quiet"]
+    out = ["--runs", "4", "--figure", str(tmp_path / "f.png")]
+    assert cli.main([*arguments, *out, "--show", "rsrckf,ukf,mr_ckf,rmckf", "--flight", "2"]) == 0
+    assert cli.main([*arguments, *out]) == 0
+    (names, shown, mapped, number), (_, by_itself, _, _) = drawn
+    assert names == ["ukf", "rmckf", "srckf", "mr_ckf", "rsrckf"]
+    assert (shown, mapped, number) == (["rsrckf", "ukf", "mr_ckf", "rmckf"], ["rsrckf", "ukf", "mr_ckf"], 2)
+    assert by_itself[:2] == ["ukf", "srckf"]
 
 
 @pytest.mark.parametrize("sensor", ["bearings", "radar"])
@@ -319,6 +357,14 @@ def test_what_does_not_go_with_recorded_ranges_is_refused(walks, capsys, options
             "dt: goes with files or --ranges, not with",
         ),
         (["compare", "--scenario", "bearings-outliers", "--steps", "9"], "steps: goes with files, not with --scenario"),
+        (
+            ["compare", "--scenario", "growth", "--filters", "ukf,fra", "--show", "ukf,srckf"],
+            "show: expected 1 to 5 names out of ukf, fra, received ukf,srckf\n",
+        ),
+        (
+            ["compare", "--scenario", "growth", "--runs", "9", "--flight", "9"],
+            "flight: expected the number of a run, 0 to 8, received 9\n",
+        ),
         (["compare", "--scenario", "bearings-outliers", "--no-repair"], "repair: goes with files, not with --scenario"),
         (["compare", "{file}", "--ranges", "{file}"], "received files and --ranges\n"),
         (["compare", "--ranges", "{file}", "--outliers", "none"], "outliers: goes with files or --scenario, not with"),

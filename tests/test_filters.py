@@ -46,7 +46,7 @@ def test_streaming_gives_what_whole_sequences_give(name, make, tracks):
     f = make(name)
     e = f(tracks.z, tracks.prior, u=tracks.u)
     state = f.init(tracks.prior)
-    late = hasattr(state, "settled")
+    late = hasattr(e.info, "provisional")
     for k in range(STEPS):
         state, innovation = f.step(state, tracks.z[:, k], u=tracks.u[k])
         same(state.belief.mean, (e.info.provisional.mean if late else e.mean)[:, k])
@@ -70,6 +70,8 @@ def test_time_steps_may_differ_per_step_and_per_track(name, make, tracks):
 
 def test_a_missing_step_is_a_pure_prediction(name, make, tracks):
     f = make(name)
+    if name == "gpb":
+        pytest.skip("it predicts with several levels of process noise: test_gpb")
     e = f(tracks.z, tracks.prior, u=tracks.u)
     f_matrix = f.motion.transition(torch.tensor(1.0, dtype=torch.float64))
     noise = f.motion.process_noise(torch.tensor(1.0, dtype=torch.float64))
@@ -179,8 +181,9 @@ def test_it_maps_over_hyperparameters_and_takes_a_batch_of_them(name, make, trac
         alone = preset(ConstantAcceleration(float(q[i])), Bearings(0.01 * (i + 1)))
         same(batch.mean[i], alone(tracks.z, tracks.prior, u=tracks.u).mean, 1e-6)
     f = make(name)
+    (path,) = (path for path in f.state_dict() if path.endswith(".q.raw"))
     mapped = torch.func.vmap(
-        lambda raw: torch.func.functional_call(f, {"motion.q.raw": raw}, (tracks.z, tracks.prior), {"u": tracks.u}).mean
+        lambda raw: torch.func.functional_call(f, {path: raw}, (tracks.z, tracks.prior), {"u": tracks.u}).mean
     )
     same(mapped(q.log())[1], f(tracks.z, tracks.prior, u=tracks.u).mean, 1e-7)
 

@@ -153,7 +153,7 @@ def test_a_file_holds_every_filter_of_a_cell_and_what_it_was_compared_with(resul
     scenario = make_scenario("bearings-manoeuvre", outliers="std")
     assert (cell["scenario"], cell["runs"], cell["settings"]["limit"]) == (scenario.name, 3, 2000.0)
     assert cell["settings"]["outliers"] == "std"
-    assert cell["settling"] == ["fra_srckf", "fra"]
+    assert cell["settling"] == ["gpb", "fra_srckf", "fra"]
     for kind in ("filtered", "settled"):
         of = cell[kind]["filters"]
         assert of.keys() == set(filters_for(scenario))

@@ -46,7 +46,7 @@ class FilterEntry:
 
 
 FILTERS: dict[str, FilterEntry] = {
-    "gpb": FilterEntry(presets.gpb, "#000000", either=True, emphasised=True),
+    "gpb": FilterEntry(presets.gpb, "#d55e00", either=True, emphasised=True),
     "ukf": FilterEntry(presets.ukf, "#999999"),
     "ekf": FilterEntry(presets.ekf, "#c7a76c"),
     "srckf": FilterEntry(presets.srckf, "#4c72b0"),

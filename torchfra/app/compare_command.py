@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,17 @@ from torchfra.app import distributed
 from torchfra.app.atomic_write import write_json
 from torchfra.app.command import add_json_option, add_quiet_option
 from torchfra.app.compiling import add_compile_option, choose, reporters
-from torchfra.app.evaluate import Result, evaluate, recordings_table, report, table
+from torchfra.app.evaluate import (
+    BASELINE,
+    flight,
+    leaders,
+    measure,
+    recordings_table,
+    report,
+    results_of,
+    table,
+)
+from torchfra.app.running_metrics import RunningMetrics
 from torchfra.app.sources import RANGES, add_source_options, scenario_of
 from torchfra.app.track_command import FILES
 from torchfra.catalogue import filters_for, learned_filter, scan_filters, scenario_filters, track_filters
@@ -26,6 +36,8 @@ _EXAMPLES = """examples:
   torchfra compare --scenario bearings-outliers --runs 1000000 --filters srckf
   torchrun --nproc-per-node 2 -m torchfra compare --scenario bearings-outliers --runs 10000"""
 
+MOST_SHOWN, MOST_ON_MAP = 5, 3
+"""Filters whose errors are drawn over time, and estimates on the map."""
 WORTHWHILE = 100_000
 """Steps of all runs together from which compiling takes no longer than it saves."""
 
@@ -36,8 +48,9 @@ def add_to(commands: Any) -> None:
         "compare",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         help="run a batch of tracks through several filters",
-        description="Run many tracks through several filters: one table and one figure.  The tracks are recorded ones\n"
-        "seen by a simulated sensor (FILE), those of a scenario, or recorded together with ranges from anchors.\n\n"
+        description="Run many tracks through several filters: one table, and one figure with a flight on a map, the\n"
+        "errors of all runs, and errors over time.  The tracks are recorded ones seen by a simulated sensor (FILE),\n"
+        "those of a scenario, or recorded together with ranges from anchors.\n\n"
         f"{FILES}\n\n{RANGES}",
         epilog=_EXAMPLES,
     )
@@ -56,6 +69,9 @@ def add_to(commands: Any) -> None:
     add("--seed", type=int, default=0, metavar="S", help="seed of the random numbers (default: 0)")
     add_compile_option(command, f"for {WORTHWHILE:,} steps or more of all tracks together")
     add("--figure", type=Path, metavar="FILE", help="PNG (default: compare-SCENARIO.png)")
+    best = f"the first of them, {BASELINE} and the best others"
+    add("--show", metavar="A,B", help=f"filters to draw over time, the first {MOST_ON_MAP} on a map (default: {best})")
+    add("--flight", type=int, metavar="N", help="number of the run to draw on a map (default: a typical one)")
     add_json_option(command)
     add_quiet_option(command)
     command.set_defaults(run=run)
@@ -68,7 +84,8 @@ def run(options: argparse.Namespace) -> None:
     first = distributed.rank() == 0
     quiet = options.quiet or not first
     tell, fallback = reporters(options.compile, quiet)
-    results = evaluate(
+    shown = _shown(options, filters, runs)
+    metrics = measure(
         scenario,
         filters,
         runs=runs,
@@ -78,35 +95,57 @@ def run(options: argparse.Namespace) -> None:
         progress=not quiet,
     )
     if first:
-        _write(options, scenario, runs, results)
+        _write(options, scenario, runs, metrics, filters, shown)
 
 
-def _filters(options: argparse.Namespace, scenario: Scenario) -> Sequence[str] | dict[str, Filter]:
+def _filters(options: argparse.Namespace, scenario: Scenario) -> dict[str, Filter]:
+    """Those to compare, by name."""
     names = filters_for(scenario) if options.filters is None else [name for name in options.filters.split(",") if name]
+    made = scenario_filters(names, scenario)
     if options.learned is None:
-        return names
+        return made
     name, equals, file = options.learned.rpartition("=")
     learned = learned_filter(file, scenario, name if equals else "fra")
-    return scenario_filters(names, scenario) | {"learned": learned}
+    return made | {"learned": learned}
 
 
-def _write(options: argparse.Namespace, scenario: Scenario, runs: int, results: dict[str, Result]) -> None:
+def _shown(options: argparse.Namespace, filters: Mapping[str, Filter], runs: int) -> list[str] | None:
+    """The filters whose errors are drawn over time, in the order of the user; None to choose them by the results."""
+    if options.flight is not None and not 0 <= options.flight < runs:
+        raise ValueError(f"flight: expected the number of a run, 0 to {runs - 1}, received {options.flight}")
+    if options.show is None:
+        return None
+    names = [name for name in dict.fromkeys(options.show.split(",")) if name]
+    if not 1 <= len(names) <= MOST_SHOWN or not all(name in filters for name in names):
+        known = ", ".join(filters)
+        raise ValueError(f"show: expected 1 to {MOST_SHOWN} names out of {known}, received {options.show}")
+    return names
+
+
+def _write(
+    options: argparse.Namespace, scenario: Scenario, runs: int, metrics: Mapping[str, RunningMetrics],
+    filters: Mapping[str, Filter], shown: Sequence[str] | None,
+) -> None:  # fmt: skip
     from torchfra.app import plotting  # matplotlib takes long to import
 
+    results = results_of(metrics, filters, scenario, runs)
+    shown = shown or leaders(results, MOST_SHOWN)
+    errors = [metrics[name].errors() for name in shown[:2]]
+    on_map = {name: filters[name] for name in shown[:MOST_ON_MAP]}
+    mapped = flight(scenario, on_map, errors, options.seed, options.flight)
+    title = _title(scenario, runs, options.seed)
     path = options.figure or Path(f"compare-{scenario.name}.png")
-    plotting.save(plotting.rmse_curves(results, "position", scenario.dt, f"{scenario.name}, {runs} runs"), path)
+    plotting.save(plotting.comparison(results, shown, scenario.dt, scenario.limit, title, mapped), path)
     if options.json is not None:
         write_json(options.json, report(scenario, results, runs=runs, seed=options.seed))
     if not options.quiet:
-        print(_text(options, scenario, runs, results))
-        print(f"figure: {path}")
+        numbers = recordings_table(results, scenario) if scenario.recordings else table(results)
+        print(f"{title}\n{numbers}\nfigure: {path}")
 
 
-def _text(options: argparse.Namespace, scenario: Scenario, runs: int, results: dict[str, Result]) -> str:
-    """What was tracked, and the table of the results."""
+def _title(scenario: Scenario, runs: int, seed: int) -> str:
+    """What was tracked, and how often."""
     if scenario.recordings:
-        head = f"{scenario.name}: {runs} of {len(scenario.recordings)} recordings, up to {scenario.steps} steps"
-        return f"{head}\n{recordings_table(results, scenario)}"
+        return f"{scenario.name}: {runs} of {len(scenario.recordings)} recordings, up to {scenario.steps} steps"
     settings = ", ".join(f"{key} {value}" for key, value in scenario.settings.items() if isinstance(value, str))
-    head = f"{scenario.name}: {runs} runs of {scenario.steps} steps, seed {options.seed}, {settings}"
-    return f"{head}\n{table(results)}"
+    return f"{scenario.name}: {runs} runs of {scenario.steps} steps, seed {seed}, {settings}"

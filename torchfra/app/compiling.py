@@ -77,7 +77,8 @@ def compiled(
     Args:
         filters: by name.
         first_call: calls a filter in the way it will be called, so that its kernel is made.
-        fallback: called for each filter that has no kernel, which is then returned as it is; None raises the error.
+        fallback: called for each filter that has no kernel, or one that is slow to compile, which is then returned as
+            it is; with None they are all compiled, and one without a kernel raises the error.
         progress: whether to show a bar.
 
     Raises:
@@ -85,6 +86,8 @@ def compiled(
     """
 
     def attempt(f: Filter) -> Filter | CompileError | NotImplementedError:
+        if fallback is not None and f.slow_to_compile:
+            return CompileError("its kernel takes a minute or more; --compile makes it")
         try:
             with torch.no_grad():  # which holds for this thread only
                 g = copy.copy(f).compile()

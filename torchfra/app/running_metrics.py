@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -47,6 +48,15 @@ class RunningMedian:
             return low
         inside = int(self.counts[middle])
         return low + (rank - 0.5 - int(below[middle]) + inside) / inside * (high - low)
+
+
+def _quantiles(track_rmse: Tensor) -> dict[str, float]:
+    """Errors of single tracks by their rank, so that infinite ones need no mean; tracks without truth do not count."""
+    ordered = track_rmse[~track_rmse.isnan()].sort().values
+    ranks = {"p05_track_rmse": 0.05, "median_track_rmse": 0.5, "p95_track_rmse": 0.95, "worst_track": 1.0}
+    if not len(ordered):
+        return dict.fromkeys(ranks, torch.nan)
+    return {name: ordered[max(math.ceil(share * len(ordered)), 1) - 1].item() for name, share in ranks.items()}
 
 
 class RunningMetrics:
@@ -108,21 +118,25 @@ class RunningMetrics:
         self.nees.merge(other.nees)
         self.seconds += other.seconds
 
+    def errors(self) -> Tensor:
+        """Position errors of all tracks, root mean square over time, in the order in which they came."""
+        return torch.cat(self.track_rmse)
+
     def summary(self, limit: float) -> dict[str, Any]:
         """The metrics of all tracks, by the names that ``evaluate`` documents.
 
         Args:
             limit: root mean square position error from which a track has diverged, m.
         """
-        track_rmse = torch.cat(self.track_rmse)
+        track_rmse = self.errors()
         over_time = {name: (self.squares[name] / self.counts[name]).sqrt() for name in self.states}
         return {
             **{f"rmse_{name}": values.tolist() for name, values in over_time.items()},
             **{f"mean_rmse_{name}": values.nanmean().item() for name, values in over_time.items()},
             **self._coordinates(),
             "median_error_position": self.error(),
-            "median_track_rmse": track_rmse.nanmedian().item(),
-            "worst_track": track_rmse.max().item(),
+            **_quantiles(track_rmse),
+            "diverged": int((track_rmse > limit).sum()),
             "divergence_rate": (track_rmse > limit).double().mean().item(),
             "nees_position": self.nees(),
         }
@@ -136,5 +150,5 @@ class RunningMetrics:
             over_time[f"rmse_{axis}"] = means["square"][:, i].sqrt().tolist()
             over_time[f"mape_{axis}"] = (100 * means["share"][:, i]).tolist()
         if "probabilities" in self.sums:
-            over_time["probabilities"] = (self.sums["probabilities"] / len(torch.cat(self.track_rmse))).tolist()
+            over_time["probabilities"] = (self.sums["probabilities"] / len(self.errors())).tolist()
         return over_time

@@ -15,7 +15,7 @@ from torchfra.app.compiling import Fallback, compiled
 from torchfra.app.filtered import Array, Filtered
 from torchfra.app.progress import progress_bar
 from torchfra.catalogue import FILTERS, make_filter
-from torchfra.filters import AlphaBetaInfo, Filter, FRAInfo, Info
+from torchfra.filters import GPB, AlphaBetaInfo, Filter, FRAInfo, GPBInfo, Info
 from torchfra.hyper import Value
 from torchfra.motion.bank import Bank, aircraft
 from torchfra.motion.polynomial import ConstantAcceleration
@@ -25,17 +25,17 @@ from torchfra.types import Estimate, Gaussian
 
 GATE = {2: 13.816, 3: 16.266}
 """Normalised innovation squared that one good fix in 1000 exceeds, by dimensions of space (chi-square)."""
+DEFAULT = "gpb"
+"""The filter that is used unless told otherwise."""
 LONGEST_GAP = 60.0
 """Seconds without a usable fix after which a filter of constant gains restarts."""
-_DECIDING = (AlphaBetaInfo, FRAInfo)
-"""What filters return that tell outliers from manoeuvres."""
 _TOGETHER = 32
 """Recordings that are filtered as one batch."""
 
 
 def track(
     recordings: Sequence[Recording],
-    name: str = "fra",
+    name: str = DEFAULT,
     *,
     dt: float | None = None,
     sigma: float = 25.0,
@@ -71,8 +71,7 @@ def track(
             few = partial(_run, z=z[:, :2], gaps=gaps[:, :2], prior=prior)  # makes the kernel
             interpreted, f = f, compiled({name: f}, few, fallback=fallback)[name]
             compile = f is not interpreted  # a kernel that is refused once is not tried again
-        models = f.motion.names if isinstance(f.motion, Bank) else ()
-        done |= zip(group, _split(part, grids, _run(f, z, gaps, prior), models), strict=True)
+        done |= zip(group, _split(part, grids, _run(f, z, gaps, prior), _models(f)), strict=True)
     return [done[i] for i in range(len(recordings))]
 
 
@@ -142,13 +141,24 @@ def _make(name: str, d: int, sigma: float, q: float, period: Value = 1.0) -> Fil
     return make_filter(name, ConstantAcceleration(q, d), Position(sigma, dims=d), aircraft(q, d), **options)
 
 
+def _models(f: Filter) -> tuple[str, ...]:
+    """Names of what the filter weighs at each step: motions, or the regimes of these; none if it has one motion."""
+    motions = tuple(f.motion.names) if isinstance(f.motion, Bank) else ()
+    if not isinstance(f, GPB):
+        return motions
+    first, *others = motions
+    return f"calm {first}", f"agile {first}", *others, "jump"
+
+
 def _split(
     recordings: Sequence[Recording], grids: Sequence[tuple[Array, Array]], estimate: Estimate, models: Sequence[str]
 ) -> list[Filtered]:
     """What is known of each recording after they were filtered as one batch."""
     d = grids[0][1].shape[1]
-    outlier, manoeuvre = _flags(estimate, GATE[d])
-    std, decided = estimate.scale_tril.square().sum(-1).sqrt(), isinstance(estimate.info, _DECIDING)
+    outlier, manoeuvre, decided = _flags(estimate, GATE[d])
+    std = estimate.scale_tril.square().sum(-1).sqrt()
+    info = estimate.info
+    weights = info.regimes if isinstance(info, GPBInfo) else info.probabilities if models else None
     results = []
     for i, (recording, (time, raw)) in enumerate(zip(recordings, grids, strict=True)):
         k = len(time)
@@ -159,7 +169,7 @@ def _split(
         }
         mean, nis = estimate.mean[i, :k].numpy(), estimate.nis[i, :k].numpy()
         position, velocity, spread = mean[:, :d], mean[:, d : 2 * d], std[i, :k, :d].numpy()
-        leading = estimate.info.probabilities[i, :k].argmax(-1).numpy() if models else None
+        leading = None if weights is None else weights[i, :k].argmax(-1).numpy()
         arrays = (time, raw, position, velocity, spread, nis)
         results.append(Filtered(recording, *arrays, flags, decided, tuple(models), leading))
     return results
@@ -184,15 +194,20 @@ def _nearest(time: Array, at: Array) -> NDArray[np.intp]:
     return nearest
 
 
-def _flags(estimate: Estimate, gate: float) -> tuple[Tensor, Tensor]:
-    """Outliers and manoeuvres ``(..., T)``: as the filter decided, or else by the gate and its fading factors."""
+def _flags(estimate: Estimate, gate: float) -> tuple[Tensor, Tensor, bool]:
+    """Outliers and manoeuvres ``(..., T)``, and whether the filter tells one from the other.
+
+    As it decided, or by the probability of an outlier in any block, or else by the gate and its fading factors.
+    """
+    abnormal, adapted = estimate.nis > gate, torch.zeros_like(estimate.nis, dtype=torch.bool)
     match estimate.info:
         case AlphaBetaInfo(rejected=rejected, manoeuvre=manoeuvre):  # of each axis
-            return rejected.any(-1), (manoeuvre & ~rejected).any(-1)
+            return rejected.any(-1), (manoeuvre & ~rejected).any(-1), True
         case FRAInfo(abnormal=abnormal, adaptive=adaptive, plain=plain):
-            return abnormal & ~adaptive & ~plain, abnormal & adaptive
+            return abnormal & ~adaptive & ~plain, abnormal & adaptive, True
+        case object(outlier=Tensor() as probability):
+            outlier = (probability > 0.5).any(-1)
+            return outlier, abnormal & ~outlier, True
         case Info(fading=Tensor() as fading):
-            adapted = (estimate.nis > gate) & (fading > 1)
-        case _:
-            adapted = torch.zeros_like(estimate.nis, dtype=torch.bool)
-    return (estimate.nis > gate) & ~adapted, adapted
+            adapted = abnormal & (fading > 1)
+    return abnormal & ~adapted, adapted, False

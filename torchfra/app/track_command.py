@@ -15,7 +15,7 @@ from torchfra.app.command import add_json_option, add_quiet_option, check_folder
 from torchfra.app.compiling import add_compile_option, choose, reporters
 from torchfra.app.filtered import Filtered
 from torchfra.app.progress import progress_bar
-from torchfra.app.track import GATE, successive_steps, track
+from torchfra.app.track import DEFAULT, GATE, successive_steps, track
 from torchfra.catalogue import FILTERS, track_filters
 from torchfra.version import __version__
 
@@ -25,7 +25,7 @@ Plain CSV holds one target; other columns are ignored."""
 
 _EXAMPLES = """examples:
   torchfra track flight.json.gz --sigma 30 --out filtered
-  torchfra track flight.json.gz --filter vsimm_srckf    # interacting models: the figure shades the most probable one
+  torchfra track flight.json.gz --filter vsimm_srckf    # another filter, here one of interacting models
   torchfra track long.csv --filter alphabeta --compile --no-plots    # the fastest way through a large file"""
 
 WORTHWHILE, WORTHWHILE_OF_BANKS = 5_000, 50_000
@@ -43,7 +43,7 @@ def add_to(commands: Any) -> None:
     )
     add = command.add_argument
     add("file", metavar="FILE", type=Path)
-    add("--filter", default="fra", metavar="NAME", help=f"one of {', '.join(track_filters())} (default: fra)")
+    add("--filter", default=DEFAULT, metavar="NAME", help=f"one of {', '.join(track_filters())} (default: {DEFAULT})")
     add("--dt", type=float, metavar="S", help="also estimate every S seconds between the fixes")
     add("--sigma", type=float, default=25.0, metavar="M", help="std of a recorded position, m (default: 25)")
     add("--q", type=float, default=1.0, help="variance of the change of acceleration per step, m^2/s^4 (default: 1)")
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> None:
     recordings = readers.read(options.file)
     tell, fallback = reporters(options.compile, options.quiet)
     entry = FILTERS.get(options.filter)
-    least = WORTHWHILE_OF_BANKS if entry is not None and entry.bank else WORTHWHILE
+    least = WORTHWHILE_OF_BANKS if entry is not None and (entry.bank or entry.either) else WORTHWHILE
     compile = choose(options.compile, successive_steps(recordings) >= least, tell)
     settings = {"dt": options.dt, "sigma": options.sigma, "q": options.q}
     start = time.perf_counter()
@@ -92,8 +92,8 @@ def _draw(result: Filtered, name: str, path: Path) -> None:
     from torchfra.app import plotting  # matplotlib takes long to import
 
     figure = plotting.filtered(
-        result.time, result.raw, result.position, result.nis, result.marks(), GATE[result.raw.shape[1]],
-        f"{result.recording.name}, {name}", result.models, result.leading,
+        result.time, result.raw, result.position, result.std, result.nis, result.marks(),
+        GATE[result.raw.shape[1]], f"{result.recording.name}, {name}", result.models, result.leading,
     )  # fmt: skip
     plotting.save(figure, path)
 

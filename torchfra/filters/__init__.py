@@ -6,7 +6,7 @@ from torchfra.filters.alphabeta.memory import AlphaBetaInfo
 from torchfra.filters.base import Filter
 from torchfra.filters.branches import FRAInfo, FRAState
 from torchfra.filters.fra import FRA
-from torchfra.filters.gpb import GPB, EvenChain, GPBInfo, GPBState, Qualities, Regimes
+from torchfra.filters.gpb import GPB, GPBInfo, GPBState, Qualities, Regimes
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
 from torchfra.filters.jpda import JPDA, JPDAInfo, JPDAState
 from torchfra.filters.scans import ScanFilter
@@ -24,7 +24,6 @@ __all__ = [
     "AlphaBeta",
     "AlphaBetaBank",
     "AlphaBetaInfo",
-    "EvenChain",
     "FRAInfo",
     "FRAState",
     "Filter",

@@ -37,7 +37,8 @@ class Filter(nn.Module):
     """
 
     kernel_numbers: tuple[str, ...] = ()
-    """Attributes that are plain numbers and that compiled kernels read when they run."""
+    """Attributes that are plain numbers, which compiled kernels read when they run."""
+    slow_to_compile = False  # a minute or more: commands compile such a filter only when told to
     scans = False
     """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
 
@@ -87,8 +88,7 @@ class Filter(nn.Module):
         Raises:
             ValueError: a shape that does not fit.
         """
-        n = self.motion.size
-        mean, root = prior
+        n, (mean, root) = self.motion.size, prior
         if mean.shape[-1:] != (n,) or root.shape[-2:] != (n, n):
             raise ValueError(
                 f"prior: expected (..., {n}) and (..., {n}, {n}), received {tuple(mean.shape)} and {tuple(root.shape)}"

@@ -23,6 +23,8 @@ class CompileError(RuntimeError):
     """There is no compiler, it failed, or there is too much to compile."""
 
 
+LARGE = 30_000
+"""Lines of a source from which the compiler optimises less: in half the time, for steps of many models."""
 LARGEST = 120_000
 """Operations in a step; more would take the compiler many minutes and gigabytes."""
 
@@ -50,7 +52,8 @@ def load(source: str) -> Any:
         CompileError: there is no compiler, or it fails.
     """
     compiler, version = _compiler()
-    flags = FLAGS.split() + shlex.split(os.environ.get("CXXFLAGS", ""))
+    less = ["-O1"] if source.count("\n") > LARGE else []
+    flags = FLAGS.split() + less + shlex.split(os.environ.get("CXXFLAGS", ""))
     key = "\n".join((source, *compiler, version, *flags, torch.__version__, _processor()))
     library = _folder() / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
     if not library.exists():

@@ -1,7 +1,22 @@
 """Monte-Carlo evaluation: runs of a scenario through filters, and what is written and printed of them."""
 
+from torchfra.app.evaluate.flights import Flight, flight
 from torchfra.app.evaluate.recordings import recordings_table
-from torchfra.app.evaluate.results import Result, report, table, versions
-from torchfra.app.evaluate.runs import evaluate, run
+from torchfra.app.evaluate.results import BASELINE, Result, leaders, report, table, versions
+from torchfra.app.evaluate.runs import evaluate, measure, results_of, run
 
-__all__ = ["Result", "evaluate", "recordings_table", "report", "run", "table", "versions"]
+__all__ = [
+    "BASELINE",
+    "Flight",
+    "Result",
+    "evaluate",
+    "flight",
+    "leaders",
+    "measure",
+    "recordings_table",
+    "report",
+    "results_of",
+    "run",
+    "table",
+    "versions",
+]

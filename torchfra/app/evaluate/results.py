@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import platform
 from typing import Any
 
 import numpy as np
 import torch
 
+from torchfra.catalogue import FILTERS
 from torchfra.scenarios import Scenario
 from torchfra.tables import text_table
 from torchfra.version import __version__
@@ -16,13 +18,17 @@ Result = dict[str, Any]
 """The figures of one filter; each target of a run of several counts as a track.
 
 ``rmse_position`` and so on for all ``Scenario.quantities`` over time ``[T]``, their means ``mean_rmse_*``,
-``median_error_position`` over all steps and runs (to 0.05 %), ``median_track_rmse`` and ``worst_track`` of the root
-mean square errors of single runs, all of these in ``rmse_of_runs`` if the runs are recordings, ``divergence_rate``,
-``nees_position`` (median, to 0.05 %; 1.39 of a consistent filter, in the plane), by coordinate and over time the signed
-``mean_error_x``, ``rmse_x`` and ``mape_x`` (mean relative error, %, of coordinates of 100 m or more), the models' mean
-``probabilities`` ``[T][K]`` if there are some,
-``microseconds`` per run and step, and ``relative_time`` to the UKF (``ukf_jpda`` on scans) on the same runs.
+``median_error_position`` over all steps and runs (to 0.05 %), of the root mean square errors of single runs the 5th
+percentile ``p05_track_rmse``, ``median_track_rmse``, ``p95_track_rmse`` and ``worst_track`` (each that of a run), all
+of them in ``rmse_of_runs`` if the runs are recordings, ``diverged`` and ``divergence_rate``, how many and which share
+of the runs, ``nees_position`` (median, to 0.05 %; 1.39 of a consistent filter, in the plane), by coordinate and over
+time the signed ``mean_error_x``, ``rmse_x`` and ``mape_x`` (mean relative error, %, of coordinates of 100 m or more),
+the models' mean ``probabilities`` ``[T][K]`` if there are some, ``microseconds`` per run and step, and
+``relative_time`` to the UKF (``ukf_jpda`` on scans) on the same runs.
 """
+
+BASELINE = "srckf"
+"""The plain filter that others are compared with."""
 
 _COLUMNS = (
     ("RMSE m", "mean_rmse_position", 1),
@@ -87,3 +93,26 @@ def _decimals(results: dict[str, Result], key: str, least: int) -> int:
 def _cell(value: float, key: str, form: str) -> str:
     value *= 100 if key == "divergence_rate" else 1
     return f"{value:{form}}" if value < 1e6 else f"{value:.0e}"
+
+
+def leaders(results: dict[str, Result], most: int = 5) -> list[str]:
+    """The filters to look at first, at most ``most``.
+
+    They are the first one, the plain baseline, those that are none of the catalogue's (learned values, say), and the
+    best of the others by ``mean_rmse_position``, but none whose errors over time are those of one before it.
+    """
+    own = [name for name in results if name not in FILTERS]
+    chosen = list(dict.fromkeys([next(iter(results)), *([BASELINE] if BASELINE in results else []), *own]))
+    for name in sorted(results, key=lambda name: _rank(results[name]["mean_rmse_position"])):
+        if name not in chosen and not any(_alike(results[name], results[other]) for other in chosen):
+            chosen.append(name)
+    return chosen[:most]
+
+
+def _rank(error: float) -> float:
+    return math.inf if math.isnan(error) else error
+
+
+def _alike(one: Result, other: Result) -> bool:
+    """Whether two filters have the same errors over time, to a hundredth."""
+    return np.allclose(one["rmse_position"], other["rmse_position"], rtol=1e-2, atol=0.0, equal_nan=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import torch
 
@@ -53,23 +53,60 @@ def evaluate(
         ValueError: an unknown filter, or fewer runs than processes.
         CompileError: ``compile`` without ``fallback``, and there is no compiler or a filter has no kernel.
     """
+    metrics = measure(
+        scenario, filters, runs=runs, seed=seed, chunk=chunk, compile=compile, fallback=fallback, progress=progress
+    )
+    return results_of(metrics, filters, scenario, runs, limit)
+
+
+def measure(
+    scenario: Scenario,
+    filters: Sequence[str] | Mapping[str, Filter],
+    *,
+    runs: int,
+    seed: int = 0,
+    chunk: int = 1000,
+    compile: bool = False,
+    fallback: Fallback | None = None,
+    progress: bool = False,
+) -> dict[str, RunningMetrics]:
+    """What ``evaluate`` sums up: the metrics of the filters, and of the reference for run times, with an error per run.
+
+    Arguments and errors are those of ``evaluate``.
+    """
     if not isinstance(filters, Mapping):
         filters = scenario_filters(filters, scenario)
-    reference = reference_filter(scenario)
-    timed = scenario_filters([reference], scenario) | dict(filters)
+    timed = scenario_filters([reference_filter(scenario)], scenario) | dict(filters)
     _check(runs, chunk)
     if compile:
         one = scenario.simulate(1, seed)
         timed = compiled(timed, lambda f: run(f, scenario, one), fallback=fallback, progress=progress)
-    metrics = _merged(_accumulate(scenario, timed, distributed.share(runs), seed, chunk, progress))
+    return _merged(_accumulate(scenario, timed, distributed.share(runs), seed, chunk, progress))
+
+
+def results_of(
+    metrics: Mapping[str, RunningMetrics],
+    names: Iterable[str],
+    scenario: Scenario,
+    runs: int,
+    limit: float | None = None,
+) -> dict[str, Result]:
+    """The ``Result`` of each named filter, from what ``measure`` returned of so many runs.
+
+    Other arguments are those of ``evaluate``.
+    """
+    reference = metrics[reference_filter(scenario)].seconds
     limit = scenario.limit if limit is None else limit
-    results = {
-        name: metrics[name].summary(limit) | _times(metrics, name, reference, runs, scenario) for name in filters
-    }
-    if scenario.recordings:
-        for name, of in results.items():
-            of["rmse_of_runs"] = torch.cat(metrics[name].track_rmse).tolist()
-    return results
+
+    def result(of: RunningMetrics) -> Result:
+        times = {
+            "microseconds": of.seconds / (runs * scenario.steps) * 1e6,
+            "relative_time": of.seconds / reference,
+        }
+        each = {"rmse_of_runs": of.errors().tolist()} if scenario.recordings else {}
+        return of.summary(limit) | times | each
+
+    return {name: result(metrics[name]) for name in names}
 
 
 def _check(runs: int, chunk: int) -> None:
@@ -112,13 +149,3 @@ def _merged(metrics: dict[str, RunningMetrics]) -> dict[str, RunningMetrics]:
         for name, of in other.items():
             first[name].merge(of)
     return first
-
-
-def _times(
-    metrics: dict[str, RunningMetrics], name: str, reference: str, runs: int, scenario: Scenario
-) -> dict[str, float]:
-    seconds = metrics[name].seconds
-    return {
-        "microseconds": seconds / (runs * scenario.steps) * 1e6,
-        "relative_time": seconds / metrics[reference].seconds,
-    }

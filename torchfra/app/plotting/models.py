@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from torchfra.app.plotting.style import CYCLE
 
-_COLOURS = ("#bbbbbb", *CYCLE)
+_COLOURS = ("#bbbbbb", *CYCLE, "#000000")
 """The first model is the usual one, straight flight: grey."""
 
 
@@ -50,7 +50,11 @@ def shade(axes: Axes, time: Any, leading: Any, models: Sequence[str]) -> None:
         leading: ``(T,)`` number of the most probable model.
         models: their names.
     """
+    time, leading = np.asarray(time), np.asarray(leading)
+    begins = np.flatnonzero(np.diff(leading, prepend=-1))
+    widths = np.diff(time[begins], append=time[-1])
     for k, (name, colour) in enumerate(zip(models, cycle(_COLOURS), strict=False)):
-        if (leading == k).any():
-            axes.fill_between(time, 0, 1, where=leading == k, step="post", color=colour, alpha=0.35, linewidth=0,
-                              transform=axes.get_xaxis_transform(), label=name)  # fmt: skip
+        if (own := leading[begins] == k).any():
+            spans = list(zip(time[begins][own], widths[own], strict=True))
+            axes.broken_barh(spans, (0, 1), color=colour, alpha=0.35, linewidth=0, label=name,
+                             transform=axes.get_xaxis_transform())  # fmt: skip

@@ -13,15 +13,18 @@ from torchfra.app.plotting.style import BLUE, ORANGE, RED, without_box
 
 
 def filtered(
-    time: Any, raw: Any, mean: Any, nis: Any, flags: dict[str, Any], gate: float, title: str,
+    time: Any, raw: Any, mean: Any, std: Any, nis: Any, flags: dict[str, Any], gate: float, title: str,
     models: Sequence[str] = (), leading: Any = None,
 ) -> Figure:  # fmt: skip
     """A recorded track after filtering: path, distance of the fixes from it, innovations, and flagged steps.
+
+    On the path a manoeuvre is marked where the target was, and all else (an outlier, say) where it was measured.
 
     Args:
         time: ``(T,)`` seconds.
         raw: ``(T, d)`` positions as recorded, NaN where missing.
         mean: ``(T, d)`` filtered positions, m.
+        std: ``(T, d)`` standard deviations of these, m.
         nis: ``(T,)`` normalised innovation squared.
         flags: by name, ``(T,)`` bool each.
         gate: above which an innovation is abnormal.
@@ -36,17 +39,20 @@ def filtered(
     path.plot(mean[:, 0] / 1000, mean[:, 1] / 1000, color=BLUE, linewidth=1.2, label="filtered")
     path.plot(raw[:, 0] / 1000, raw[:, 1] / 1000, ".", color="black", markersize=2, label="recorded")
     residual.plot(time, distance, color=BLUE, linewidth=0.8)
+    certain = 2 * np.linalg.norm(std, axis=-1)
+    residual.plot(time, certain, color="black", linestyle=":", linewidth=1.2, label="2 std of the estimate")
     innovation.plot(time, np.maximum(nis, 1e-3), color=BLUE, linewidth=0.8)
     innovation.axhline(gate, color="black", linestyle="--", linewidth=1)
     for (name, flag), mark, colour in zip(flags.items(), "x+", (RED, ORANGE), strict=False):
-        path.plot(mean[flag, 0] / 1000, mean[flag, 1] / 1000, mark, color=colour, label=f"{name} ({int(flag.sum())})")
+        place = (mean if name == "manoeuvre" else raw)[flag] / 1000
+        path.plot(place[:, 0], place[:, 1], mark, color=colour, label=f"{name} ({int(flag.sum())})")
         residual.plot(time[flag], distance[flag], mark, color=colour)
         innovation.plot(time[flag], nis[flag], mark, color=colour)
     _label(panels, title)
     if leading is not None:
         for axes in (residual, innovation):
             shade(axes, time, leading, models)
-        residual.legend(frameon=False, fontsize=7, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    residual.legend(frameon=False, fontsize=7, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return figure
 
 

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from torchfra.app.atomic_write import write
 from torchfra.catalogue import FILTERS
@@ -16,6 +18,11 @@ from torchfra.catalogue import FILTERS
 GREY, BLUE, ORANGE, RED = "#999999", "#4c72b0", "#dd8452", "#c44e52"
 CYCLE = (BLUE, ORANGE, "#55a868", RED, "#8172b3", "#ccb974", "#64b5cd")
 """For whatever is no filter of the catalogue: targets, models, filters by other names."""
+APART = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00")
+"""Colours that people who see colours differently tell apart too.
+
+Source: Okabe & Ito (2008), "Color universal design": without their black, yellow and sky blue.
+"""
 
 
 def save(figure: Figure, path: str | Path) -> Path:
@@ -54,3 +61,15 @@ def finish(axes: Axes) -> None:
 def without_box(axes: Axes) -> None:
     """Takes the upper and the right spine away."""
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def plain_ticks(axis: Axis) -> None:
+    """Gives a logarithmic axis, with its limits, ticks at round numbers that are written out."""
+    low, high = axis.get_view_interval()
+    if high < 6 * low:
+        axis.set_major_locator(MaxNLocator(5))
+    else:
+        digits = (1.0, 2.0, 3.0, 5.0, 7.0) if high < 30 * low else (1.0, 2.0, 5.0) if high < 300 * low else (1.0,)
+        axis.set_major_locator(LogLocator(subs=digits))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -13,61 +11,32 @@ from torch.distributions import constraints
 from torchfra import tree
 from torchfra.filters.base import Mix
 from torchfra.filters.checks import check_models
+from torchfra.filters.gpb.merging import lifted, log_share, together
 from torchfra.filters.gpb.qualities import Qualities
 from torchfra.filters.gpb.regimes import Regimes
+from torchfra.filters.gpb.states import GPBInfo, GPBState, Shares, Step
 from torchfra.filters.imm import for_each_model, models_first, repeated
 from torchfra.filters.records import Record
 from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.cubature import third_degree
-from torchfra.gaussian.inputs import Frame
+from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.gaussian.mixture import moment_match
 from torchfra.gaussian.model import propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import innovation
 from torchfra.hyper import Hyper, Value
-from torchfra.linalg.triangular import apply, hstack
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
 
-class GPBState(NamedTuple):
-    """What GPB knows after a step."""
-
-    belief: Gaussian
-    """All hypotheses together."""
-    settled: Gaussian
-    """Of the step before, now that its hypotheses have met a measurement."""
-    clean: Gaussian
-    """``(..., K)`` for each motion, if no block was an outlier."""
-    dirty: Gaussian
-    """``(..., K)`` for each motion, if one was."""
-    log_pairs: Tensor
-    """``(..., 2, R, R)`` logs of the probabilities of clean and dirty, of the regime, and of the next one."""
-    outlier: Tensor
-    """``(..., B)`` of each block that it was an outlier, if the step was dirty."""
-
-
-class GPBInfo(NamedTuple):
-    """Per step and track."""
-
-    filtered: Gaussian
-    """``mean (..., T, n)`` and ``scale_tril``: what was known at the step itself."""
-    settled: Gaussian
-    """The same, with the step's hypotheses weighed by the next measurement; the last step is as filtered."""
-    regimes: Tensor
-    """``(..., T, R)`` probabilities of the regimes."""
-    outlier: Tensor
-    """``(..., T, B)`` of each block that it is an outlier."""
-
-
 class GPB(GaussianFilter):
     """Generalised pseudo-Bayes over regimes of the motion and qualities of the measurement.
 
-    A step's regime is a Markov chain: calm, agile or a jump of one motion, or the motions of a bank and a jump.  The
-    quality of what each block of the sensor's elements measures is a Markov chain too: clean, or an outlier of one of
-    some sizes.  Every combination is a hypothesis with a prediction, a correction and a likelihood.  After a step they
+    A step's regime is a Markov chain: calm, agile or a jump of a motion, and the other motions of a bank.  The quality
+    of what each block of the sensor's elements measures is a Markov chain too: clean, or an outlier of one of some
+    sizes.  Every combination is a hypothesis with a prediction, a correction and a likelihood.  After a step they
     are merged into one Gaussian for each motion and for clean and dirty (a step with an outlier in any block); these
     two are kept apart until the next measurement has said which of them was right.  So nothing is decided by a gate,
     and all is smooth: the next measurement weighs an outlier against a manoeuvre.
@@ -83,7 +52,7 @@ class GPB(GaussianFilter):
     Args:
         motion: how targets move; a ``Bank`` of several.
         sensor: what is measured; ``Sensor.blocks`` says which elements come from the same device.
-        regimes: the Markov chain of the motion, whose numbers of motions are those of the bank.
+        regimes: the Markov chain of the motion, of as many motions as the bank has.
         qualities: the Markov chain of outliers, of the sensor's blocks.
         poor: probability that the prior is worth little.
         start: factor on the prior's covariance then.
@@ -118,35 +87,43 @@ class GPB(GaussianFilter):
             raise ValueError(f"lag: expected 0 or 1 steps, received {lag!r}")
         if self.signed:
             raise ValueError("rule: expected one without negative weights, received one with some")
-        if set(regimes.motions) != set(range(len(self.bank))):
-            raise ValueError(f"regimes: expected some of each of {len(self.bank)} motions, received {regimes.motions}")
+        if regimes.motions != len(self.bank):
+            raise ValueError(f"regimes: expected those of {len(self.bank)} motions, received of {regimes.motions}")
         qualities.check(sensor)
         self.regimes, self.qualities, self.lag = regimes, qualities, lag
         self.poor = Hyper(poor, constraints.unit_interval, name="poor")
         self.start = Hyper(start, constraints.greater_than_eq(1.0), name="start")
 
     @property
+    def slow_to_compile(self) -> bool:  # type: ignore[override]  # of this bank, not of the class
+        """Whether its kernel takes a minute or more: that of a bank of more than three motions."""
+        return len(self.bank) > 3
+
+    @property
     def bank(self) -> Bank:
         """The motions."""
         return self.motion  # type: ignore[return-value]
+
+    def _batch(self, measurements: Measurements, prior: Gaussian) -> torch.Size:
+        """The batch of all that was handed in, checked."""
+        self.qualities.check_noise("noise", measurements.noise)
+        return super()._batch(measurements, prior)
 
     def begin(self, belief: Gaussian) -> GPBState:
         """The state of a belief: as it is, and widened, for every motion."""
         mean, poor = belief.mean, self.poor(belief.mean)
         log_start = torch.stack([torch.log1p(-poor), poor.log()], -1)
-        log_first = self.regimes.first(mean).log().unsqueeze(-2)  # of the next regime; this one may be any
-        count = log_first.shape[-1]
-        log_pairs = log_start[..., None, None] + log_first.unsqueeze(-3) - math.log(count)
-        log_pairs = log_pairs.expand(*mean.shape[:-1], 2, count, count)
+        log_weights = log_start.unsqueeze(-1) + self.regimes.log_renew(mean).unsqueeze(-2)
+        log_weights = log_weights.expand(*mean.shape[:-1], *log_weights.shape[-2:])
         every = repeated(belief, len(self.bank))
         widened = every._replace(scale_tril=self.start(mean).sqrt()[..., None, None, None] * every.scale_tril)
         outlier = mean.new_zeros(*mean.shape[:-1], len(self.qualities.blocks))
-        return GPBState(belief, belief, every, widened, log_pairs, outlier)
+        return GPBState(belief, belief, every, widened, log_weights, outlier)
 
     def advance(self, state: GPBState, frame: Frame, mix: Mix | None = None) -> tuple[GPBState, Record]:
         """One step; ``mix`` is not looked at, as this filter mixes itself."""
         before = tree.stack([state.clean, state.dirty], 0)  # (2, ..., K)
-        predicted, log_ahead, shares = self.look_ahead(before, state.log_pairs.movedim(-3, 0), frame)
+        predicted, log_ahead, shares = self.look_ahead(before, state.log_weights.movedim(-2, 0), frame)
         seen = self.read(predicted)
         log_quality, prior = self.qualities.ahead(state.outlier)
         corrected = self.qualities(seen, lambda belief: self.compare(belief, frame), prior, 1 - frame.seen)
@@ -160,58 +137,71 @@ class GPB(GaussianFilter):
         outlier = (joint[1].exp().unsqueeze(-1) * corrected.outlier).sum((0, 1))
         log_regimes = joint.logsumexp(2).movedim(1, -1)  # (2, ..., R)
         if_dirty = outlier / log_regimes[1].logsumexp(-1, keepdim=True).exp()
-        log_pairs = self.regimes.ahead(log_regimes).movedim(0, -3)
         expected = moment_match(tree.map_tensors(lambda x: x.flatten(0, 1), seen), log_share(log_ahead.flatten(0, 1)))
         whitened = self.compare(expected, frame)
-        info = _Step(settled, log_regimes.exp().sum(0), outlier)
+        info = Step(settled, log_regimes.exp().sum(0), outlier)
         record = Record(belief, whitened.residual, *innovation(whitened), info, log_likelihood)
         clean, dirty = tree.unbind(after, 2)
-        return GPBState(belief, settled, clean, dirty, log_pairs, if_dirty), record
+        return GPBState(belief, settled, clean, dirty, log_regimes.movedim(0, -2), if_dirty), record
 
-    def look_ahead(self, before: Gaussian, log_pairs: Tensor, frame: Frame) -> tuple[Gaussian, Tensor, Tensor | None]:
-        """Predictions ``(R, 2, ..., n)`` of all regimes, their log weights, and who contributed (``interact``)."""
-        mixed, shares = self.interact(before, log_pairs)
+    def look_ahead(self, before: Gaussian, log_weights: Tensor, frame: Frame) -> tuple[Gaussian, Tensor, Shares | None]:
+        """Predictions ``(R, 2, ..., n)`` of all regimes, their log weights, and who contributed to which motion."""
+        mixed, log_ahead, shares = self.interact(before, log_weights)
         measured = frame.seen.sum(-1, keepdim=True) > 0
-        log_ahead = self.regimes.possible(log_pairs.logsumexp(-2), measured).movedim(-1, 0)
         mean, spread, noise, _ = propagate(self.motion, self.motion_rule, mixed, for_each_model(frame))
-        return self.regimes.predictions(mean, spread, noise, self.motion.position), log_ahead, shares
+        predicted = self.regimes.predictions(mean, spread, noise, self.motion.position)
+        return predicted, self.regimes.possible(log_ahead, measured).movedim(-1, 0), shares
 
     def read(self, predicted: Gaussian) -> Gaussian:
         """Of states, what the sensor reads."""
         d = self.sensor.reads
         return Gaussian(predicted.mean[..., :d], predicted.scale_tril[..., :d, :d])
 
-    def interact(self, before: Gaussian, log_pairs: Tensor) -> tuple[Gaussian, Tensor | None]:
-        """The motions mixed, and ``(2, ..., K, K)`` logs of what each contributed, ``[was, now]``."""
+    def interact(self, before: Gaussian, log_weights: Tensor) -> tuple[Gaussian, Tensor, Shares | None]:
+        """The motions ``(2, ..., K)`` mixed, log weights ``(2, ..., R)`` of the regimes ahead, and who contributed.
+
+        As regimes that do not stay are drawn anew, a motion's belief is a mixture of its own and of one that all share.
+        """
+        of_motion, (log_stay, log_leave) = self.regimes.of_motion, self.regimes.log_stay(log_weights)
+        left = log_weights + log_leave
+        all_left = left.logsumexp(-1, keepdim=True)
+        stayed, drawn = log_weights + log_stay, all_left + self.regimes.log_renew(log_weights)
+        log_ahead = torch.stack([stayed, drawn]).logsumexp(0)
         if len(self.bank) == 1:
-            return before, None
-        members = self.regimes.members
-        rows = torch.stack([chosen(log_pairs, -2, was).logsumexp(-2) for was in members], -2)
-        joint = torch.stack([chosen(rows, -1, now).logsumexp(-1) for now in members], -1)
-        shares = joint - joint.logsumexp(-2, keepdim=True)
-        return moment_match(repeated(models_first(before), len(members)), shares.movedim(-2, 0)), shares
+            return before, log_ahead, None
+        origin, ahead = of_motion(left) - all_left, of_motion(log_ahead)
+        shares = Shares(of_motion(stayed) - ahead, of_motion(drawn) - ahead, origin)
+        common = moment_match(models_first(before), origin.movedim(-1, 0))
+        pair = tree.stack([before, repeated(common, len(self.bank))], 0)
+        return moment_match(pair, torch.stack([shares.own, shares.common])), log_ahead, shares
 
     def merge(self, beliefs: Gaussian, joint: Tensor) -> tuple[Gaussian, Tensor]:
         """What is left of hypotheses ``(2, R, 2, ...)``: for clean and dirty and each motion, ``(2, ..., K)``."""
-        mean, root = (x.transpose(0, 1) for x in beliefs)
-        merged, weights = [], []
-        for members in self.regimes.members:
-            own = chosen(joint, 1, members).movedim(2, 1).flatten(1, 2).transpose(0, 1)  # (hypotheses, 2, ...)
-            weights.append(own.logsumexp(0))
-            hypotheses = (chosen(x, 0, members).movedim(2, 0).flatten(0, 1) for x in (mean, root))
-            merged.append(moment_match(Gaussian(*hypotheses), own - weights[-1]))
-        stacked = Gaussian(torch.stack([x.mean for x in merged], -2), torch.stack([x.scale_tril for x in merged], -3))
-        return stacked, torch.stack(weights, -1)
+        before_first = Gaussian(*(x.movedim(2, 0) for x in beliefs)), joint.movedim(2, 0)  # (2, 2, R, ...)
+        (mean, root), weight = before_first
+        levels, others = self.regimes.count, slice(self.regimes.count, self.regimes.count + len(self.bank) - 1)
+        own = [torch.cat([x[:, :, :levels], x[:, :, others.stop :]], 2) for x in (mean, root, weight)]
+        mean_own, root_own, weight_own = (x.movedim(1, 2).flatten(0, 1) for x in own)
+        log_own, log_others = weight_own.logsumexp(0), weight[:, :, others].logsumexp(0)
+        first = moment_match(Gaussian(mean_own, root_own), weight_own - log_own)
+        if len(self.bank) == 1:
+            return Gaussian(first.mean.unsqueeze(-2), first.scale_tril.unsqueeze(-3)), log_own.unsqueeze(-1)
+        rest = moment_match(Gaussian(mean[:, :, others], root[:, :, others]), weight[:, :, others] - log_others)
+        after = Gaussian(
+            torch.cat([first.mean.unsqueeze(-2), rest.mean.movedim(1, -2)], -2),
+            torch.cat([first.scale_tril.unsqueeze(-3), rest.scale_tril.movedim(1, -3)], -3),
+        )
+        return after, torch.cat([log_own.unsqueeze(-1), log_others.movedim(1, -1)], -1)
 
-    def hindsight(self, joint: Tensor, shares: Tensor | None) -> Tensor:
+    def hindsight(self, joint: Tensor, shares: Shares | None) -> Tensor:
         """Log weights ``(2, ..., K)`` of the beliefs before a step, now that it is measured."""
-        was = joint.logsumexp(0)  # (R, 2, ...)
+        now = self.regimes.of_motion(joint.logsumexp(0).movedim(0, -1))
         if shares is None:
-            return was.logsumexp(0).unsqueeze(-1)
-        now = torch.stack([chosen(was, 0, members).logsumexp(0) for members in self.regimes.members], -1)
-        return (shares + now.unsqueeze(-2)).logsumexp(-1)
+            return now
+        drawn = (now + shares.common).logsumexp(-1, keepdim=True)
+        return torch.stack([now + shares.own, drawn + shares.origin]).logsumexp(0)
 
-    def finish(self, state: GPBState, belief: Gaussian, info: _Step) -> tuple[Gaussian, GPBInfo]:
+    def finish(self, state: GPBState, belief: Gaussian, info: Step) -> tuple[Gaussian, GPBInfo]:
         """Each step's settled estimate comes with the next."""
         last = info.regimes.dim() - 2
 
@@ -220,35 +210,3 @@ class GPB(GaussianFilter):
 
         settled = tree.map_tensors(one_later, info.settled, state.belief)
         return settled if self.lag else belief, GPBInfo(belief, settled, info.regimes, info.outlier)
-
-
-class _Step(NamedTuple):
-    """What one step knows: about itself, and now for good about the one before."""
-
-    settled: Gaussian
-    regimes: Tensor
-    outlier: Tensor
-
-
-def lifted(predicted: Gaussian, belief: Gaussian) -> Gaussian:
-    """Beliefs of states, from the components that a sensor reads in units of their predicted root; any root."""
-    mean, root = predicted
-    gain = root[..., : belief.mean.shape[-1]]
-    own = gain @ belief.scale_tril
-    return Gaussian(mean + apply(gain, belief.mean), hstack(own, root[..., gain.shape[-1] :]))
-
-
-def together(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
-    """One Gaussian for hypotheses ``(2, ..., K)``."""
-    mean, root = beliefs.mean.movedim(-2, 0), beliefs.scale_tril.movedim(-3, 0)
-    return moment_match(Gaussian(mean.flatten(0, 1), root.flatten(0, 1)), log_weights.movedim(-1, 0).flatten(0, 1))
-
-
-def chosen(x: Tensor, dim: int, numbers: Sequence[int]) -> Tensor:
-    """Some entries along a dimension; unlike an index, in a way that kernels can differentiate."""
-    return torch.stack([x.select(dim, i) for i in numbers], dim)
-
-
-def log_share(log_weights: Tensor) -> Tensor:
-    """The same, so that the exponentials sum to one over the first dimension."""
-    return log_weights - log_weights.logsumexp(0)

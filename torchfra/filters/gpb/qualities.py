@@ -15,6 +15,7 @@ from torchfra.filters.gpb.regimes import in_front
 from torchfra.gaussian.mixture import moment_match
 from torchfra.gaussian.update import density
 from torchfra.hyper import Hyper, Values
+from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import apply, hstack, tria, whiten
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
@@ -76,12 +77,26 @@ class Qualities(nn.Module):
         Raises:
             ValueError: an element in no block or in several, or noise that is correlated between blocks.
         """
-        if sorted(i for block in self.blocks for i in block) != list(range(sensor.size)):
+        if not all(self.blocks) or sorted(i for block in self.blocks for i in block) != list(range(sensor.size)):
             raise ValueError(f"blocks: expected each of {sensor.size} elements once, received {self.blocks}")
-        if len(self.blocks) > 1 and sensor.root is not None:
-            raise ValueError(
-                "sensor: expected noise that is independent between blocks, received a root of its covariance"
-            )
+        self.check_noise("sensor", sensor.root)
+
+    def check_noise(self, name: str, root: Tensor | None) -> None:
+        """Checks that the noise of a root ``(..., m, m)`` of its covariance, if there is one, fits the blocks.
+
+        Raises:
+            ValueError: it is correlated between blocks.
+        """
+        if root is None or len(self.blocks) == 1 or is_traced(root):
+            return
+        covariance = root @ root.mT
+        std = covariance.diagonal(dim1=-2, dim2=-1).sqrt()
+        within = torch.zeros(covariance.shape[-2:], dtype=torch.bool, device=root.device)
+        for block in self.blocks:
+            within[torch.tensor(block).unsqueeze(-1), torch.tensor(block)] = True
+        correlated = covariance.abs() > 1e-6 * std.unsqueeze(-1) * std.unsqueeze(-2)
+        if bool((correlated & ~within).any()):
+            raise ValueError(f"{name}: expected noise that is independent between blocks, received a correlation")
 
     def ahead(self, outlier: Tensor) -> tuple[Tensor, Tensor]:
         """What the qualities of a step say of the next.

@@ -1,14 +1,12 @@
-"""Regimes of a motion: calm and agile, or the motions of a bank, and jumps."""
+"""Regimes of a motion: calm and agile, the other motions of a bank, and jumps."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
 from torch.distributions import constraints
 
-from torchfra.hyper import Hyper, Value, Values
+from torchfra.hyper import Hyper, Values
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian
 
@@ -16,84 +14,66 @@ NEVER = -1e30
 """Log weight of what cannot be; not minus infinity, as the gradient of a sum of nothing else would be NaN."""
 
 
-class EvenChain(nn.Module):
-    """The chain in which every level stays with one probability, and every regime jumps with another.
-
-    What does not stay goes to the other levels evenly, and so does the step after a jump.
-
-    Args:
-        levels: their number, ``L``.
-        jumps: theirs, ``J``.
-        stay: self-transition probability of a level.
-        jump: probability of each jump.
-
-    Raises:
-        ValueError: a value that is no probability.
-    """
-
-    def __init__(self, levels: int, jumps: int, *, stay: Value, jump: Value) -> None:
-        super().__init__()
-        self.stay = Hyper(stay, constraints.unit_interval, name="stay")
-        self.jump = Hyper(jump, constraints.unit_interval, name="jump")
-        self.levels, self.jumps = levels, jumps
-
-    def forward(self, like: Tensor) -> Tensor:
-        """``(..., R, R)``, rows that sum to one."""
-        stay, jump = (x(like)[..., None, None] for x in (self.stay, self.jump))
-        eye = torch.eye(self.levels, dtype=stay.dtype, device=stay.device)
-        other = (1 - eye) / max(self.levels - 1, 1)
-        even = stay * eye + (1 - stay) * other if self.levels > 1 else eye.expand(*stay.shape[:-2], 1, 1)
-        after = eye[:1].new_full((self.jumps, self.levels), 1 / self.levels).expand(*even.shape[:-2], -1, -1)
-        rows = torch.cat([even, after], -2) * (1 - self.jumps * jump)
-        return torch.cat([rows, jump.expand(*rows.shape[:-1], self.jumps)], -1)
-
-
 class Regimes(nn.Module):
-    """How a step may go: a Markov chain over ``L`` levels of process noise and ``J`` jumps.
+    """How a step may go: a Markov chain over motions, levels of their process noise, and jumps.
+
+    The first motion comes at ``L`` levels, the others of a bank as they are, and ``J`` jumps widen the first motion's
+    prediction at its last level.  In this order they are the ``R = L + (K - 1) + J`` regimes.  A regime stays with a
+    probability of its own; else the next one is drawn anew, from the same odds whatever was before.  Values are given
+    by kind, ``(..., L + 1 + J)``: each level, any other motion, each jump; so they fit banks of any size.
 
     Args:
-        motions: of each level, the number of its motion in a bank.
-        levels: ``(..., L)`` by which the variance of that motion's process noise is multiplied.
+        motions: their number, ``K``.
+        levels: ``(..., L)`` by which the variance of the first motion's process noise is multiplied, ascending.
         jumps: ``(..., J)`` by which the covariance of the predicted position is multiplied; its correlations stay.
-        chain: ``(..., R, R)`` with ``R = L + J``: ``chain[i, j] = P(now j | was i)``, rows that sum to one; or an
-            ``EvenChain``.
-        first: ``(..., R)`` probabilities of the regimes of the first step.
-        home: the number of the level whose prediction jumps.
+        stay: self-transition probabilities by kind.
+        renew: odds by kind of the regime that is drawn anew, which sum to one; other motions share theirs evenly.
 
     Raises:
-        ValueError: shapes that do not go together, values that are not positive or do not sum to one.
+        ValueError: shapes that do not go together, values that are out of their range or do not sum to one.
     """
 
-    def __init__(
-        self,
-        motions: Sequence[int],
-        *,
-        levels: Values,
-        jumps: Values,
-        chain: Values | EvenChain,
-        first: Values,
-        home: int,
-    ) -> None:
+    def __init__(self, motions: int, *, levels: Values, jumps: Values, stay: Values, renew: Values) -> None:
         super().__init__()
-        levels, jumps, first = (torch.as_tensor(x, dtype=torch.float64) for x in (levels, jumps, first))
-        count = len(motions) + jumps.shape[-1]
-        if not isinstance(chain, EvenChain):
-            matrix = torch.as_tensor(chain, dtype=torch.float64)
-            _check("regimes", matrix, (count, count))
-            chain = Hyper(matrix, constraints.simplex, event_dim=2, name="regimes")  # type: ignore[assignment]
-        _check("levels", levels, (len(motions),))
-        _check("first", first, (count,))
-        self.home = range(len(motions))[home]
-        self.motions = (*motions, *[motions[home]] * jumps.shape[-1])
-        self.levels = Hyper(levels, constraints.nonnegative, event_dim=1, name="levels")
+        levels, jumps, stay, renew = (torch.as_tensor(x, dtype=torch.float64) for x in (levels, jumps, stay, renew))
+        for name, value in (("levels", levels), ("jumps", jumps)):
+            if value.dim() == 0:
+                raise ValueError(f"{name}: expected several, received {value.item():g}")
+        self.motions, self.count = motions, levels.shape[-1]
+        kinds = levels.shape[-1] + 1 + jumps.shape[-1]
+        for name, value in (("stay", stay), ("renew", renew)):
+            if value.shape[-1:] != (kinds,):
+                raise ValueError(f"{name}: expected (..., {kinds}), received {tuple(value.shape)}")
+        self.levels = Hyper(levels, event_dim=1, name="levels")
         self.jumps = Hyper(jumps, event_dim=1, name="jumps")
-        self.chain: nn.Module = chain  # type: ignore[assignment]
-        self.first = Hyper(first, constraints.simplex, event_dim=1, name="first")
+        self.stay = Hyper(stay, constraints.unit_interval, event_dim=1, name="stay")
+        self.renew = Hyper(renew, constraints.simplex, event_dim=1, name="renew")
 
-    @property
-    def members(self) -> list[list[int]]:
-        """Of each motion, the numbers of its regimes."""
-        return [[r for r, k in enumerate(self.motions) if k == motion] for motion in range(max(self.motions) + 1)]
+    def of_motion(self, log_weights: Tensor) -> Tensor:
+        """Of regimes ``(..., R)`` those of each motion together, ``(..., K)``."""
+        own = torch.cat([log_weights[..., : self.count], log_weights[..., self.count + self.motions - 1 :]], -1)
+        others = log_weights[..., self.count : self.count + self.motions - 1]
+        return torch.cat([own.logsumexp(-1, keepdim=True), others], -1)
+
+    def log_renew(self, like: Tensor) -> Tensor:
+        """Logs ``(..., R)`` of the odds of a regime drawn anew."""
+        log_kinds = self.renew(like).log()
+        others = log_kinds[..., self.count : self.count + 1] - like.new_tensor(max(self.motions - 1, 1)).log()
+        return self._normalised(self._by_regime(log_kinds, others))
+
+    def log_stay(self, like: Tensor) -> tuple[Tensor, Tensor]:
+        """Logs ``(..., R)`` of the probabilities that a regime stays, and that it does not."""
+        stay = self.stay(like)
+        stay = self._by_regime(stay, stay[..., self.count : self.count + 1])
+        return stay.log(), torch.log1p(-stay)
+
+    def _by_regime(self, kinds: Tensor, others: Tensor) -> Tensor:
+        """Values by kind ``(..., L + 1 + J)`` as ``(..., R)``; those of ``others`` ``(..., 1)``."""
+        repeated = others.expand(*others.shape[:-1], self.motions - 1)
+        return torch.cat([kinds[..., : self.count], repeated, kinds[..., self.count + 1 :]], -1)
+
+    def _normalised(self, log_weights: Tensor) -> Tensor:
+        return log_weights - log_weights.logsumexp(-1, keepdim=True)
 
     def predictions(self, mean: Tensor, spread: Tensor, noise: Tensor, position: slice) -> Gaussian:
         """A prediction for each regime, ``(R, ..., n)``, from the parts that ``gaussian.model.propagate`` gives.
@@ -104,41 +84,35 @@ class Regimes(nn.Module):
             noise: ``(..., K, n, q)`` process noise.
             position: which components of a state are its position.
         """
-        of, rank = self.motions, mean.dim() - 2
-        levels = of[: self.levels.raw.shape[-1]]
         every = torch.broadcast_shapes(mean.shape, noise.shape[:-1])  # values of motions may bring a batch
-        spread, noise = (torch.stack([x.expand(*every, -1).select(-3, k) for k in levels]) for x in (spread, noise))
-        level = tria(hstack(spread, in_front(self.levels(mean).sqrt(), rank)[..., None, None] * noise))
+        rank, jumps = mean.dim() - 2, self.jumps.raw.shape[-1]
+        means = mean.expand(every).movedim(-2, 0)
+        spread, noise = (x.expand(*every, -1).movedim(-3, 0) for x in (spread, noise))
+        first = in_front(self.levels(mean).sqrt(), rank)[..., None, None] * noise[:1]
+        noise = torch.cat([first.expand(self.count, *noise.shape[1:]), noise[1:]])
+        roots = tria(hstack(torch.cat([spread[:1].expand(self.count, *spread.shape[1:]), spread[1:]]), noise))
         there = torch.zeros(mean.shape[-1], dtype=mean.dtype, device=mean.device)
         there[position] = 1.0
         widened = 1 + (in_front(self.jumps(mean).sqrt(), rank).unsqueeze(-1) - 1) * there
-        root = torch.cat([level, widened.unsqueeze(-1) * level[self.home]])  # scaled rows: still a lower root
-        return Gaussian(torch.stack([mean.expand(every).select(-2, k) for k in of]), root)
-
-    def ahead(self, log_weights: Tensor) -> Tensor:
-        """Logs ``(..., R, R)`` of the probabilities of this regime and the next, from those ``(..., R)`` of this."""
-        pairs: Tensor = log_weights.unsqueeze(-1) + self.chain(log_weights).log()
-        return pairs
+        jumped = widened.unsqueeze(-1) * roots[self.count - 1]  # scaled rows: still a lower root
+        own = means[:1]
+        means = torch.cat([own.expand(self.count, *own.shape[1:]), means[1:], own.expand(jumps, *own.shape[1:])])
+        return Gaussian(means, torch.cat([roots, jumped]))
 
     def possible(self, log_weights: Tensor, measured: Tensor) -> Tensor:
-        """Log weights ``(..., R)`` without jumps where nothing is ``measured (..., 1)``: the levels share theirs.
+        """Log weights ``(..., R)`` without jumps where nothing is ``measured (..., 1)``: the others share theirs.
 
         A jump that no measurement speaks against would widen the estimate without bound.
         """
         jumps = self.jumps.raw.shape[-1]
         if not jumps:
             return log_weights
-        level, jump = log_weights[..., :-jumps], log_weights[..., -jumps:]
-        more = log_weights.logsumexp(-1, keepdim=True) - level.logsumexp(-1, keepdim=True)
-        return torch.cat([level + torch.where(measured, 0.0, more), torch.where(measured, jump, NEVER)], -1)
+        still, jump = log_weights[..., :-jumps], log_weights[..., -jumps:]
+        more = log_weights.logsumexp(-1, keepdim=True) - still.logsumexp(-1, keepdim=True)
+        return torch.cat([still + torch.where(measured, 0.0, more), torch.where(measured, jump, NEVER)], -1)
 
 
 def in_front(values: Tensor, rank: int) -> Tensor:
     """Values ``(..., C)`` of tracks as ``(C, ...)``, to go before tensors of ``rank`` dimensions that end in tracks."""
     values = values.movedim(-1, 0)
     return values.reshape(values.shape[:1] + (1,) * (rank + 1 - values.dim()) + values.shape[1:])
-
-
-def _check(name: str, value: Tensor, shape: tuple[int, ...]) -> None:
-    if value.shape[-len(shape) :] != shape:
-        raise ValueError(f"{name}: expected (..., {', '.join(map(str, shape))}), received {tuple(value.shape)}")

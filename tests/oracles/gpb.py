@@ -1,0 +1,277 @@
+"""Regimes of the motion and qualities of the measurement as hypotheses, merged after every step (GPB2).
+
+Harrison & Stevens (1976), J. R. Statist. Soc. B 38(3):205-247; Bar-Shalom, Li & Kirubarajan (2001), section 11.6. A
+hypothesis is (clean or dirty before, regime, clean or dirty now); in a dirty step every block of elements is clean or
+an outlier of one of several sizes. Blocks are taken one after the other, each merged at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from oracles.basics import Array, Model, Result, at, collect, measurement_noise
+from oracles.cubature import Measured, measure, third_degree
+from oracles.kalman import fit, update
+from oracles.mixture import matched
+
+Carry = Callable[[Array, Array, int], tuple[Array, Array, Array]]  # mean, P, k -> mean, F P F^T (n,n), Q (n,n)
+Belief = tuple[Array, Array]  # mean, P
+Beliefs = dict[tuple[int, int], Belief]  # by quality (0 clean, 1 dirty), and motion or regime
+
+QUALITIES = (0, 1)
+READS = 2  # sensors read the position alone
+
+
+class Regimes(NamedTuple):
+    """Levels of process noise, each of one motion, and jumps of the position after the prediction of one of them."""
+
+    motions: list[int]  # of each level
+    levels: list[float]  # factors on Q
+    jumps: list[float]  # factors on the covariance of the position, of the home level's prediction
+    chain: Array  # (R,R), [i, j] = P(now j | was i), levels first
+    first: Array  # (R,) probabilities before the first step
+    home: int
+
+    @property
+    def all_motions(self) -> list[int]:
+        """Of levels and jumps."""
+        return self.motions + [self.motions[self.home]] * len(self.jumps)
+
+
+class Qualities(NamedTuple):
+    """Of each block of elements: as stated, or an outlier whose noise covariance is larger."""
+
+    blocks: list[list[int]]
+    chain: Array  # (2,2), [i, j] = P(now j | was i)
+    sizes: list[float]
+    shares: list[float]
+
+
+def renewing_chain(stay: list[float], renew: list[float]) -> Array:
+    """The chain of regimes that stay, each with its probability, or are drawn anew from odds that sum to one."""
+    count = len(stay)
+    chain = np.zeros((count, count))
+    for i in range(count):
+        for j in range(count):
+            chain[i, j] = (1 - stay[i]) * renew[j] + (stay[i] if i == j else 0.0)
+    return chain
+
+
+def carried(F: Any, SQ: Any) -> Carry:
+    """A linear motion; F and SQ may be callables of k."""
+
+    def carry(mean: Array, P: Array, k: int) -> tuple[Array, Array, Array]:
+        f, root = at(F, k), at(SQ, k)
+        return f @ mean, f @ P @ f.T, root @ root.T
+
+    return carry
+
+
+def interacted(beliefs: Beliefs, log_pairs: Array, motion: list[int]) -> tuple[Beliefs, Array]:
+    """What every motion starts from, and the share (2, K, K) that each one has in it, [quality, was, now]."""
+    count, mixed = max(motion) + 1, {}
+    shares = np.zeros((2, count, count))
+    for q in QUALITIES:
+        for now in range(count):
+            to = [j for j, m in enumerate(motion) if m == now]
+            log_from = [
+                log_sum([log_pairs[q, i, j] for i, m in enumerate(motion) if m == was for j in to])
+                for was in range(count)
+            ]
+            shares[q, :, now] = np.exp(np.array(log_from) - log_sum(log_from))
+            mixed[q, now] = matched([(shares[q, was, now], *beliefs[q, was]) for was in range(count)])
+    return mixed, shares
+
+
+def predicted(mixed: Beliefs, motions: list[Carry], regimes: Regimes, position: slice, k: int) -> Beliefs:
+    """The prediction of every regime."""
+    ahead = {}
+    for q in QUALITIES:
+        for r, (motion, level) in enumerate(zip(regimes.motions, regimes.levels, strict=True)):
+            mean, J, Q = motions[motion](*mixed[q, motion], k)
+            ahead[q, r] = mean, J + level * Q
+        mean, P = ahead[q, range(len(regimes.levels))[regimes.home]]
+        for r, jump in enumerate(regimes.jumps, len(regimes.levels)):
+            widen = np.ones(len(mean))
+            widen[position] = math.sqrt(jump)
+            ahead[q, r] = mean, P * np.outer(widen, widen)
+    return ahead
+
+
+def log_odds(log_pairs: Array, regimes: Regimes, measured: bool) -> Array:
+    """Log probabilities (2,R) of quality before and regime now; no jump where nothing is measured."""
+    R, levels = len(regimes.first), len(regimes.levels)
+    chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(R)] for q in QUALITIES])
+    if not measured:
+        for q in QUALITIES:
+            chance[q, :levels] += log_sum(chance[q]) - log_sum(chance[q, :levels])
+            chance[q, levels:] = -math.inf
+    return chance
+
+
+def told(belief: Belief, z: Array, block: list[int], model: Model, k: int, size: float) -> tuple[float, Array, Array]:
+    """The belief after one block, whose noise covariance is `size` times the stated one, and its log density."""
+    alone = np.full(len(z), np.nan)
+    alone[block] = z[block]
+    mean, P = belief
+    m = read(belief, alone, model, k)
+    seen = [i for i in block if not math.isnan(z[i])]
+    Pzz = m.Pzz + (size - 1) * measurement_noise(model, k, seen)
+    Pxz = P[:, :READS] @ np.linalg.inv(P[:READS, :READS]) @ m.Pxz
+    return fit(m.e, Pzz)[1], *update(mean, P, Pzz, Pxz, m.e)
+
+
+def read(belief: Belief, z: Array, model: Model, k: int) -> Measured:
+    """A measurement predicted from the position alone, as the points of the whole state see it."""
+    points, *weights = third_degree(len(belief[0]))
+    mean, P = belief
+    return measure(mean[:READS], P[:READS, :READS], z, model, k, (points[:READS], weights[0], weights[1]))
+
+
+def clean(belief: Belief, z: Array, q: Qualities, model: Model, k: int) -> tuple[float, Belief]:
+    """The measurement taken as stated: its log density, and the belief after it."""
+    total = 0.0
+    for block in q.blocks:
+        score, *after = told(belief, z, block, model, k, 1.0)
+        belief, total = (after[0], after[1]), total + score
+    return total, belief
+
+
+def dirty(
+    belief: Belief, z: Array, q: Qualities, model: Model, k: int, prior: Array
+) -> tuple[float, Belief, list[float]]:
+    """Each block clean or an outlier, of which it is one with probability `prior` (B,); also what it is then."""
+    total, outlier = 0.0, []
+    for block, share in zip(q.blocks, prior, strict=True):
+        chances = [1 - share] + [share * s for s in q.shares]
+        parts = [told(belief, z, block, model, k, size) for size in [1.0, *q.sizes]]
+        scores = [log(c) + part[0] for c, part in zip(chances, parts, strict=True)]
+        score = log_sum(scores)
+        weights = [math.exp(s - score) for s in scores]
+        belief = matched([(w, *part[1:]) for w, part in zip(weights, parts, strict=True)])
+        outlier.append(sum(weights[1:]))
+        total += score
+    return total, belief, outlier
+
+
+def log_sum(logs: Any) -> float:
+    """Log of a sum of exponentials."""
+    top = max(logs)
+    return float(top) if top == -math.inf else float(top) + math.log(sum(math.exp(x - top) for x in logs))
+
+
+def log(x: float) -> float:
+    """Its logarithm, also of nothing."""
+    return math.log(x) if x > 0 else -math.inf
+
+
+def outlier_odds(q: Qualities, was: Array, before: int) -> tuple[Array, Array]:
+    """Probabilities (2,) of a clean and of a dirty step after one of quality `before`, and (B,) of each block."""
+    now = q.chain[0, 1] + (was if before else np.zeros(len(was))) * (q.chain[1, 1] - q.chain[0, 1])
+    ok = float(np.prod(1 - now))
+    return np.array([ok, 1 - ok]), now / (1 - ok)
+
+
+class Carried(NamedTuple):
+    """What goes from step to step."""
+
+    beliefs: Beliefs  # of every motion
+    log_pairs: Array  # (2,R,R) logs of the probabilities of quality, regime, next regime
+    outlier: Array  # (B,) of each block, if the step was dirty
+
+
+def start(mean: Array, P: Array, regimes: Regimes, q: Qualities, poor: float, factor: float) -> Carried:
+    """The prior as given, and the same widened."""
+    count = max(regimes.motions) + 1
+    beliefs = {(i, m): (mean, P * (factor if i else 1.0)) for i in QUALITIES for m in range(count)}
+    pairs = np.array([share * regimes.first[:, None] * regimes.chain for share in (1 - poor, poor)])
+    return Carried(beliefs, np.log(pairs), np.zeros(len(q.blocks)))
+
+
+class Hypothesis(NamedTuple):
+    """One of a step."""
+
+    now: int  # quality
+    regime: int
+    before: int  # quality
+    log_weight: float
+    belief: Belief
+    outlier: Array  # (B,)
+
+
+def hypotheses(
+    ahead: Beliefs, log_chance: Array, was: Array, z: Array, model: Model, q: Qualities, k: int
+) -> list[Hypothesis]:
+    """All of a step, before their weights are made to sum to one."""
+    found = []
+    for before, r in ahead:
+        if log_chance[before, r] == -math.inf:
+            continue
+        quality, prior = outlier_odds(q, was, before)
+        score, belief = clean(ahead[before, r], z, q, model, k)
+        weight = log_chance[before, r]
+        found.append(Hypothesis(0, r, before, weight + log(quality[0]) + score, belief, np.zeros(len(prior))))
+        score, belief, outlier = dirty(ahead[before, r], z, q, model, k, prior)
+        found.append(Hypothesis(1, r, before, weight + log(quality[1]) + score, belief, np.array(outlier)))
+    return found
+
+
+def merged(every: list[Hypothesis]) -> tuple[float, Belief]:
+    """Log weight and moments of some hypotheses together."""
+    total = log_sum([h.log_weight for h in every])
+    return total, matched([(math.exp(h.log_weight - total), *h.belief) for h in every])
+
+
+def step(
+    c: Carried, z: Array, motions: list[Carry], model: Model, regimes: Regimes, q: Qualities, position: slice, k: int
+) -> tuple[Carried, dict[str, Any], Belief]:
+    """One step: what goes on, what is told of it, and the belief of the step before as it is now known."""
+    motion = regimes.all_motions
+    mixed, shares = interacted(c.beliefs, c.log_pairs, motion)
+    ahead = predicted(mixed, motions, regimes, position, k)
+    chance = log_odds(c.log_pairs, regimes, not np.isnan(z).all())
+    every = hypotheses(ahead, chance, c.outlier, z, model, q, k)
+    log_likelihood, (mean, P) = merged(every)
+    every = [h._replace(log_weight=h.log_weight - log_likelihood) for h in every]
+    after = {key: merged([h for h in every if (h.now, motion[h.regime]) == key])[1] for key in c.beliefs}
+    log_regimes = np.array([
+        [log_sum([h.log_weight for h in every if (h.now, h.regime) == (now, r)] or [-math.inf])
+         for r in range(len(motion))]
+        for now in QUALITIES
+    ])  # fmt: skip
+    hindsight = matched([
+        (sum(math.exp(h.log_weight) * shares[i, was, motion[h.regime]] for h in every if h.before == i), *belief)
+        for (i, was), belief in c.beliefs.items()
+    ])  # fmt: skip
+    outlier = np.sum([h.now * math.exp(h.log_weight) * h.outlier for h in every], axis=0)
+    expected = read(matched([(math.exp(chance[key]), *ahead[key]) for key in ahead]), z, model, k)
+    told_of = {
+        "mean": mean, "P": P, "regimes": np.exp(log_regimes).sum(0), "outlier": outlier,
+        "log_likelihood": log_likelihood, "nis": fit(expected.e, expected.Pzz)[0],
+    }  # fmt: skip
+    log_pairs = log_regimes[:, :, None] + np.log(regimes.chain)
+    return Carried(after, log_pairs, outlier / np.exp(log_regimes[1]).sum()), told_of, hindsight
+
+
+def gpb(
+    z: Array, mean0: Array, P0: Array, motions: list[Carry], model: Model, regimes: Regimes, qualities: Qualities,
+    poor: float, widened: float, position: slice = slice(0, 2),
+) -> Result:  # fmt: skip
+    """One track z (T,m), NaN missing; of the model only sensor and noise are used.
+
+    Keys: mean (T,n), P (T,n,n), settled_mean, settled_P (of the last step as filtered), regimes (T,R), outlier (T,B),
+    log_likelihood (T,) of the mixture, nis (T,) of the Gaussian with the moments of all predictions.
+    """
+    c = start(np.array(mean0, dtype=float), np.array(P0, dtype=float), regimes, qualities, poor, widened)
+    steps, settled = [], []
+    for k in range(len(z)):
+        c, told_of, before = step(c, z[k], motions, model, regimes, qualities, position, k)
+        steps.append(told_of)
+        settled.append(before)
+    settled = [*settled[1:], (steps[-1]["mean"], steps[-1]["P"])]
+    late = {"settled_mean": np.array([x for x, _ in settled]), "settled_P": np.array([P for _, P in settled])}
+    return collect(steps) | late

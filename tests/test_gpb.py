@@ -1,0 +1,240 @@
+"""GPB becomes the filters it generalises, weighs hypotheses by what comes after, and names what does not fit."""
+
+import copy
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from torchfra import presets
+from torchfra.hyper import hypers
+from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity, CoordinatedTurn
+from torchfra.sensors import Bearings, Position, Ranges
+from torchfra.types import Gaussian
+
+STEPS = 15
+
+
+def tensor(x):
+    return torch.as_tensor(x, dtype=torch.float64)
+
+
+MOTION = ConstantAcceleration(0.05)
+PRIOR = Gaussian(tensor([0.0, 100, 9, 0, 0, 0]), torch.diag(tensor([20, 20, 8, 8, 0.5, 0.5])))
+ANCHORS = tensor([[-200, -100], [300, -150], [250, 400], [-150, 350]])
+SENSORS = {
+    "position": Position(5.0),
+    "bearings": Bearings(0.01, stations=tensor([[-800, -500], [900, -600]])),
+    "ranges": Ranges(ANCHORS, 2.0),
+}
+VALUES = {
+    "levels": (0.1, 30.0), "qualities": ((0.95, 0.05), (0.6, 0.4)), "sizes": (9.0, 400.0, 1e6),
+    "shares": (0.6, 0.3, 0.1), "poor": 0.3, "start": 50.0, "stay": (0.9, 0.8, 0.7, 0.1), "jumps": (200.0,),
+    "renew": (0.5, 0.3, 0.15, 0.05),
+}  # fmt: skip
+TINY = 1e-13
+ALMOST_NONE = {
+    "qualities": ((1 - TINY, TINY), (1 - TINY, TINY)), "sizes": (10.0,), "shares": (1.0,), "poor": TINY, "start": 10.0,
+    "levels": (1.0,), "jumps": (10.0,), "stay": (0.6, 0.8, TINY), "renew": (0.5, 0.5 - TINY, TINY),
+}  # fmt: skip
+"""Outliers, jumps and poor starts hardly ever happen."""
+
+
+def measured(name="position", batch=2, seed=0, outliers=True):
+    """A target that turns hard, seen by a sensor, with outliers and missing data."""
+    sensor, rng = SENSORS[name], torch.Generator().manual_seed(seed)
+    t = torch.arange(1, STEPS + 1, dtype=torch.float64)
+    x = torch.stack([9 * t, 100 + 1.5 * (t - 6).clamp_min(0) ** 2], -1)
+    z = sensor(torch.cat([x, torch.zeros(STEPS, 4).double()], -1))
+    z = z + sensor.std() * torch.randn(batch, *z.shape, dtype=torch.float64, generator=rng)
+    if outliers:
+        z[0, 4] += 30 * sensor.std()
+        z[-1, 7, 0] += 100 * sensor.std()
+        z[0, 2, 1] = torch.nan
+        z[-1, 9:11] = torch.nan
+    return z
+
+
+def close(a, b, tolerance=1e-9):
+    torch.testing.assert_close(a, b, rtol=tolerance, atol=tolerance * b.detach().abs().max().item())
+
+
+def same(one, other, tolerance=1e-9):
+    """Two estimates with all that they tell."""
+    for a, b in ((one, other), *((getattr(one.info, k), getattr(other.info, k)) for k in ("filtered", "settled"))):
+        close(a.mean, b.mean, tolerance)
+        close(a.scale_tril @ a.scale_tril.mT, b.scale_tril @ b.scale_tril.mT, tolerance)
+    for name in ("regimes", "outlier"):
+        close(getattr(one.info, name), getattr(other.info, name), tolerance)
+    close(one.nis, other.nis, tolerance)
+    close(one.log_likelihood, other.log_likelihood, tolerance)
+
+
+# ---------------------------------------------------------------- what it generalises
+
+
+@pytest.mark.parametrize("name", ["position", "bearings"])
+def test_without_outliers_jumps_and_poor_starts_one_level_is_srckf(name):
+    z = measured(name, outliers=False)
+    e = presets.gpb(MOTION, SENSORS[name], **ALMOST_NONE)(z, PRIOR)
+    expected = presets.srckf(MOTION, SENSORS[name])(z, PRIOR)
+    close(e.mean, expected.mean)
+    close(e.covariance, expected.covariance)
+    close(e.nis, expected.nis)
+    close(e.log_likelihood, expected.log_likelihood)
+    close(e.info.settled.mean, expected.mean, 1e-8)
+
+
+def test_blocks_of_a_sensor_that_bends_linearise_anew_and_that_matters_little():
+    z = measured("ranges", outliers=False)
+    e = presets.gpb(MOTION, SENSORS["ranges"], **ALMOST_NONE)(z, PRIOR)
+    expected = presets.srckf(MOTION, SENSORS["ranges"])(z, PRIOR)
+    std = expected.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
+    assert ((e.mean - expected.mean).abs() < 0.5 * std).all()
+    assert ((e.mean - expected.mean).abs() < 0.15 * std)[:, 5:].all()
+
+
+def test_blocks_of_a_linear_sensor_one_after_the_other_are_all_at_once():
+    together, apart, z = Position(5.0), Position(5.0), measured(outliers=False)
+    apart.blocks = ((1,), (0,))
+    e, expected = (presets.gpb(MOTION, s, **ALMOST_NONE)(z, PRIOR) for s in (apart, together))
+    close(e.mean, expected.mean)
+    close(e.covariance, expected.covariance)
+    close(e.log_likelihood, expected.log_likelihood)
+
+
+def test_without_outliers_and_jumps_a_bank_is_imm_srckf():
+    motions = [MOTION, ConstantVelocity(0.1, orders=3), CoordinatedTurn(math.pi / 20, 0.1, orders=3)]
+    stay, renew = tensor([0.6, 0.8, 0.8]), tensor([0.5, 0.25, 0.25])
+    matrix, z = stay.diag() + (1 - stay).unsqueeze(-1) * renew, measured(outliers=False)
+    e = presets.gpb(motions, SENSORS["position"], **ALMOST_NONE)(z, PRIOR)
+    expected = presets.imm_srckf(motions, SENSORS["position"], transition=matrix, initial=renew)(z, PRIOR)
+    close(e.mean, expected.mean)
+    close(e.covariance, expected.covariance)
+    close(e.info.regimes[..., :3], expected.info.probabilities)
+    close(e.log_likelihood, expected.log_likelihood)
+
+
+def test_a_bank_of_one_is_the_motion_itself():
+    z = measured()
+    one, *banks = (presets.gpb(m, SENSORS["position"], **VALUES)(z, PRIOR) for m in (MOTION, [MOTION], Bank([MOTION])))
+    for bank in banks:
+        same(one, bank)
+
+
+# ---------------------------------------------------------------- what it knows
+
+
+@given(
+    seed=st.integers(0, 1000), name=st.sampled_from(sorted(SENSORS)), spread=st.floats(1.0, 1e4),
+    outlier=st.floats(0.001, 0.5), jump=st.floats(1e-8, 0.05),
+)  # fmt: skip
+@settings(deadline=None, max_examples=20)
+def test_probabilities_are_probabilities(seed, name, spread, outlier, jump):
+    noise = torch.randn(2, STEPS, 1, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+    z = measured(name, seed=seed)
+    z = z + spread * SENSORS[name].std() * noise * (noise > 1)
+    options = VALUES | {"renew": (0.5, 0.3, 0.2 - jump, jump), "qualities": ((1 - outlier, outlier), (0.6, 0.4))}
+    e = presets.gpb(MOTION, SENSORS[name], **options)(z, PRIOR)
+    for of in (e.info.regimes, e.info.outlier):
+        assert ((of >= 0) & (of <= 1 + 1e-12)).all()
+    close(e.info.regimes.sum(-1), torch.ones(2, STEPS).double(), 1e-12)
+    assert e.info.outlier.shape == (2, STEPS, len(SENSORS[name].blocks))
+
+
+def test_the_next_measurement_tells_an_outlier_from_a_manoeuvre():
+    t = torch.arange(1.0, 21.0).double()
+    straight = torch.stack([9 * t, torch.full_like(t, 100)], -1)
+    gone, back = straight.clone(), straight.clone()
+    gone[14:, 1] += 60  # twelve sigma
+    back[14, 1] += 60
+    e = presets.gpb(MOTION, SENSORS["position"], **VALUES)(torch.stack([gone, back]), PRIOR)
+    filtered, settled = e.info.filtered.mean[:, 14, 1], e.info.settled.mean[:, 14, 1]
+    close(filtered[0], filtered[1])
+    assert settled[0] > filtered[0] + 5
+    assert settled[1] < filtered[1]
+    assert abs(settled[1] - 100) < 10
+    assert abs(e.mean[0, 17, 1] - 160) < 15
+
+
+def test_only_the_block_that_is_wrong_is_an_outlier():
+    z = measured("ranges", outliers=False)
+    z[:, 8, 2] += 100
+    outlier = presets.gpb(MOTION, SENSORS["ranges"], **VALUES)(z, PRIOR).info.outlier
+    assert (outlier[:, 8, 2] > 0.99).all()
+    assert (outlier[:, 8, [0, 1, 3]] < 0.2).all()
+
+
+def test_outliers_come_in_runs_where_the_chain_says_so():
+    z = measured(outliers=False)
+    z[:, 8:11] += 50
+    once, runs = (
+        presets.gpb(MOTION, SENSORS["position"], **VALUES | {"qualities": ((0.95, 0.05), (1 - still, still))})(z, PRIOR)
+        for still in (0.05, 0.8)
+    )
+    assert (runs.info.outlier[:, 9] > once.info.outlier[:, 9]).all()
+
+
+def test_blocks_may_come_in_any_order():
+    z = measured("ranges", outliers=False)
+    z[:, 8, 2] += 100
+    order = [2, 0, 3, 1]
+    turned = Ranges(ANCHORS[order], 2.0)
+    cases = ((SENSORS["ranges"], z), (turned, z[..., order]))
+    e, other = (presets.gpb(MOTION, sensor, **VALUES)(x, PRIOR) for sensor, x in cases)
+    std = e.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
+    assert ((e.mean - other.mean).abs() < 0.4 * std).all()
+    assert ((e.info.outlier[..., order] - other.info.outlier).abs() < 0.3).all()
+
+
+def test_nothing_measured_is_a_prediction_that_jumps_nowhere():
+    z = measured()
+    z[:, 10:] = torch.nan
+    f = presets.gpb(MOTION, SENSORS["position"], **VALUES)
+    e, one = f(z, PRIOR), torch.tensor(1.0).double()
+    matrix, noise = MOTION.transition(one), MOTION.process_noise(one)
+    chance = e.info.regimes[:, 10:]
+    assert (chance[..., 2] == 0).all()
+    for k in range(10, STEPS):
+        level = (e.info.regimes[:, k] * tensor([0.1, 30, 0])).sum(-1)[:, None, None]
+        close(e.mean[:, k], e.mean[:, k - 1] @ matrix.mT)
+        close(e.covariance[:, k], matrix @ e.covariance[:, k - 1] @ matrix.mT + level * noise @ noise.mT)
+    assert (e.nis[:, 10:] == 0).all()
+    close(1 + e.log_likelihood[:, 10:], torch.ones(2, 5).double(), 1e-12)
+
+
+def test_lag_chooses_between_the_filtered_and_the_settled_estimate():
+    z = measured()
+    now, later = (presets.gpb(MOTION, SENSORS["position"], lag=lag, **VALUES)(z, PRIOR) for lag in (0, 1))
+    close(now.mean, now.info.filtered.mean, 0)
+    close(later.scale_tril, later.info.settled.scale_tril, 0)
+    close(now.info.settled.mean, later.mean, 0)
+    close(later.info.settled.mean[:, -1], later.info.filtered.mean[:, -1], 0)
+    assert (now.mean - later.mean)[:, :-1].abs().max() > 1
+
+
+# ---------------------------------------------------------------- values
+
+
+def test_every_value_learns():
+    f = presets.gpb(MOTION, SENSORS["position"], learn="all", **VALUES)
+    paths = set(hypers(f))
+    assert {p.removesuffix(".raw") for p, _ in f.named_parameters()} == paths
+    assert {path.rpartition(".")[2] for path in paths} == {"q", "std", "chain", *VALUES} - {"qualities"}
+    f = presets.gpb(MOTION, SENSORS["position"], learn=("poor", "stay"), **VALUES)
+    assert {p for p, _ in f.named_parameters()} == {"poor.raw", "regimes.stay.raw"}
+    assert not list(MOTION.parameters())
+
+
+def test_a_copy_is_the_same_filter_and_a_state_dict_brings_all_values():
+    f, z = presets.gpb(MOTION, SENSORS["position"], learn="all", **VALUES), measured()
+    twin = copy.deepcopy(f)
+    with torch.no_grad():
+        for p in f.parameters():
+            p += 0.2
+    fixed = presets.gpb(MOTION, SENSORS["position"], **VALUES)
+    same(twin(z, PRIOR), fixed(z, PRIOR), 0)
+    fixed.load_state_dict(f.state_dict())
+    same(fixed(z, PRIOR), f(z, PRIOR), 0)

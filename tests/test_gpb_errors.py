@@ -1,0 +1,97 @@
+"""GPB is made of parts, and names what does not fit, before any work."""
+
+import pytest
+import torch
+from test_gpb import ANCHORS, MOTION, PRIOR, SENSORS, STEPS, VALUES, measured, same, tensor
+
+from torchfra import presets
+from torchfra.filters import GPB, Qualities, Regimes
+from torchfra.gaussian import fifth_degree
+from torchfra.motion import ConstantVelocity, Spherical
+from torchfra.sensors import Position, RangeBearing, Ranges
+
+
+def test_the_parts_make_the_filter_that_the_preset_makes():
+    regimes = Regimes(1, levels=(0.1, 30.0), jumps=(200.0,), stay=VALUES["stay"], renew=VALUES["renew"])
+    qualities = Qualities([[0, 1]], chain=VALUES["qualities"], sizes=VALUES["sizes"], shares=VALUES["shares"])
+    f = GPB(MOTION, SENSORS["position"], regimes=regimes, qualities=qualities, poor=0.3, start=50.0)
+    same(f(measured(), PRIOR), presets.gpb(MOTION, SENSORS["position"], **VALUES)(measured(), PRIOR))
+
+
+@pytest.mark.parametrize(("options", "said"), [
+    ({"qualities": ((0.9, 0.2), (0.5, 0.5))}, "qualities: expected"),
+    ({"qualities": (0.9, 0.1)}, r"qualities: expected \(2, 2\), received \(2,\)"),
+    ({"shares": (0.6, 0.3, 0.2)}, "shares: expected"),
+    ({"shares": (0.6, 0.4)}, "shares: expected one for each of the sizes"),
+    ({"sizes": (0.9, 4.0, 100.0)}, "sizes: expected a value above 1"),
+    ({"levels": (-1.0, 10.0)}, "levels: expected"),
+    ({"levels": 3.0}, "levels: expected several, received 3"),
+    ({"jumps": 300.0}, "jumps: expected several, received 300"),
+    ({"jumps": (-1.0,)}, "jumps: expected a value above 0"),
+    ({"stay": (0.5, 0.5, 0.5, 1.5)}, r"stay: expected a value in \[0, 1\]"),
+    ({"stay": (0.5, 0.5, 0.5)}, r"stay: expected \(..., 4\), received \(3,\)"),
+    ({"stay": 0.9}, r"stay: expected \(..., 4\), received \(\)"),
+    ({"renew": (0.5, 0.3, 0.2)}, r"renew: expected \(..., 4\), received \(3,\)"),
+    ({"renew": (0.5, 0.3, 0.2, 0.1)}, "renew: expected"),
+    ({"renew": (0.5, 0.3, 0.3, -0.1)}, "renew: expected"),
+    ({"poor": 2.0}, r"poor: expected a value in \[0, 1\]"),
+    ({"start": 0.5}, "start: expected a value of 1 or more"),
+    ({"lag": 2}, "lag: expected 0 or 1 steps, received 2"),
+    ({"rule": fifth_degree}, "rule: expected one without negative weights"),
+    ({"rule": "ckf"}, "rule: expected torchfra.gaussian.third_degree or the like"),
+    ({"learn": ("gamma",)}, r"learn: expected 'all' or names out of .*received 'gamma'"),
+], ids=str)  # fmt: skip
+def test_values_that_do_not_fit_are_named(options, said):
+    with pytest.raises(ValueError, match=said):
+        presets.gpb(MOTION, SENSORS["position"], **VALUES | options)
+
+
+def with_blocks(*blocks):
+    sensor = Ranges(ANCHORS, 2.0)
+    sensor.blocks = blocks
+    return sensor
+
+
+ROOT = torch.eye(4).double() + 0.2
+
+
+RADAR = RangeBearing(torch.ones(3).double(), dims=3)
+
+
+@pytest.mark.parametrize(("motion", "sensor", "said"), [
+    (Spherical(ConstantVelocity(1.0, 3)), RADAR, "motion: expected a state without angles"),
+    ([MOTION, ConstantVelocity(1.0)], Position(5.0), "models: expected motions of one state"),
+    ([], Position(5.0), "models: expected motions of one state"),
+    (Position(5.0), Position(5.0), "motion: expected one, several or a Bank, received Position"),
+    (MOTION, MOTION, "sensor: expected an instance of torchfra's Sensor"),
+    (MOTION, Position(5.0, dims=3), "sensor: expected one of at most 2 dimensions"),
+    (MOTION, with_blocks((0, 1), (1, 2, 3)), "blocks: expected each of 4 elements once"),
+    (MOTION, with_blocks((0, 1), (2,)), "blocks: expected each of 4 elements once"),
+    (MOTION, with_blocks((0, 1), (2, 3), ()), "blocks: expected each of 4 elements once"),
+    (MOTION, Ranges(ANCHORS, noise=ROOT), "sensor: expected noise that is independent between blocks"),
+], ids=str)  # fmt: skip
+def test_models_that_do_not_fit_are_named(motion, sensor, said):
+    with pytest.raises(ValueError, match=said):
+        presets.gpb(motion, sensor)
+
+
+def test_regimes_of_other_motions_are_refused():
+    regimes = Regimes(2, levels=(0.1, 30.0), jumps=(200.0,), stay=VALUES["stay"], renew=VALUES["renew"])
+    qualities = Qualities([[0, 1]], chain=VALUES["qualities"], sizes=(9.0,), shares=(1.0,))
+    with pytest.raises(ValueError, match=r"regimes: expected those of 1 motions, received of 2"):
+        GPB(MOTION, SENSORS["position"], regimes=regimes, qualities=qualities)
+
+
+def test_noise_that_is_correlated_between_blocks_is_refused_before_any_work():
+    f, z = presets.gpb(MOTION, SENSORS["ranges"], **VALUES), measured("ranges")
+    own = torch.diag_embed(tensor([2.0, 2, 2, 2])).expand(STEPS, 4, 4)
+    same(f(z, PRIOR, noise=own), f(z, PRIOR))
+    same(presets.gpb(MOTION, Ranges(ANCHORS, noise=own[0]), **VALUES)(z, PRIOR), f(z, PRIOR))
+    with pytest.raises(ValueError, match="noise: expected noise that is independent between blocks"):
+        f(z, PRIOR, noise=ROOT.expand(STEPS, 4, 4))
+    with pytest.raises(ValueError, match="noise: expected noise that is independent between blocks"):
+        f.step(f.init(PRIOR), z[0, 0], noise=ROOT)
+    inside = presets.gpb(MOTION, with_blocks((0, 2), (1, 3)), **VALUES)
+    pairs = torch.eye(4).double()
+    pairs[2, 0] = pairs[3, 1] = 0.5
+    assert inside(z, PRIOR, noise=pairs.expand(STEPS, 4, 4)).mean.isfinite().all()

@@ -1,0 +1,183 @@
+"""GPB keeps what every filter promises with several blocks and with a bank of motions, and its gradients are right."""
+
+import copy
+import math
+
+import pytest
+import torch
+from test_compile import close
+from test_gpb import ANCHORS, MOTION, PRIOR, SENSORS, STEPS, VALUES, measured, tensor
+
+from torchfra import presets
+from torchfra.motion import ConstantAcceleration, CoordinatedTurn
+from torchfra.sensors import Position, Ranges
+from torchfra.types import Gaussian
+
+
+def single(name, **options):
+    return presets.gpb(MOTION, SENSORS[name], **VALUES, **options)
+
+
+def bank(name, **options):
+    motions = [ConstantAcceleration(0.05), CoordinatedTurn(math.pi / 20, 0.1, orders=3)]
+    return presets.gpb(motions, SENSORS[name], **VALUES, **options)
+
+
+FILTERS = {
+    "ranges": lambda **options: (single("ranges", **options), measured("ranges", 3)),
+    "bank": lambda **options: (bank("position", **options), measured("position", 3)),
+    "bank of ranges": lambda **options: (bank("ranges", **options), measured("ranges", 3)),
+}
+each = pytest.mark.parametrize("name", FILTERS)
+
+
+# ---------------------------------------------------------------- promises
+
+
+@each
+def test_streaming_gives_what_whole_sequences_give(name):
+    f, z = FILTERS[name]()
+    e, state = f(z, PRIOR), f.init(Gaussian(PRIOR.mean.expand(3, 6), PRIOR.scale_tril))
+    for k in range(STEPS):
+        state, innovation = f.step(state, z[:, k])
+        close(e.info.filtered.mean[:, k], state.belief.mean)
+        close(e.info.filtered.scale_tril[:, k], state.belief.scale_tril)
+        close((e.nis[:, k], e.log_likelihood[:, k]), innovation[2:])
+        if k:
+            close(e.info.settled.mean[:, k - 1], state.settled.mean)
+
+
+@each
+def test_a_batch_and_vmap_are_a_loop_over_tracks_in_any_order(name):
+    f, z = FILTERS[name]()
+    e = f(z, PRIOR)
+    mapped = torch.func.vmap(lambda x: f(x, PRIOR))(z)
+    for i in range(3):
+        close(f(z[i], PRIOR).mean, e.mean[i])
+    close(e.mean, mapped.mean)
+    close(e.log_likelihood, mapped.log_likelihood)
+    turned = f(z[[2, 0, 1]], PRIOR)
+    close(e.mean[[2, 0, 1]], turned.mean, 1e-13)
+
+
+@each
+def test_time_steps_may_differ_per_step_and_per_track(name):
+    f, z = FILTERS[name]()
+    dt = 0.5 + torch.rand(3, STEPS, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    both, per_track = f(z, PRIOR, dt=dt), f(z, PRIOR, dt=dt[:, :1])
+    for i in range(3):
+        close(f(z[i], PRIOR, dt=dt[i]).mean, both.mean[i])
+        close(f(z[i], PRIOR, dt=dt[i, 0].item()).mean, per_track.mean[i])
+
+
+def batches():
+    """Two values of everything."""
+    even = {k: tensor([VALUES[k], 0.8 * VALUES[k]]) for k in ("poor", "start")}
+    vectors = {
+        k: torch.stack([tensor(v), 0.9 * tensor(v)])
+        for k, v in VALUES.items()
+        if k in ("levels", "sizes", "jumps", "stay")
+    }
+    simplexes = {
+        "qualities": tensor([VALUES["qualities"], ((0.9, 0.1), (0.5, 0.5))]),
+        "shares": tensor([VALUES["shares"], (0.2, 0.3, 0.5)]),
+        "renew": tensor([VALUES["renew"], (0.2, 0.2, 0.5, 0.1)]),
+    }
+    return even | vectors | simplexes
+
+
+@pytest.mark.parametrize("sensor", [Position(5.0), Ranges(ANCHORS, 2.0)], ids=["position", "ranges"])
+def test_every_value_may_be_one_of_each_track(sensor):
+    z, given = measured("ranges" if sensor.size == 4 else "position"), batches()
+    every = presets.gpb(ConstantAcceleration(tensor([0.05, 0.2])), sensor, **given)(z, PRIOR)
+    for i, q in enumerate((0.05, 0.2)):
+        alone = presets.gpb(ConstantAcceleration(q), sensor, **{k: v[i] for k, v in given.items()})
+        close(alone(z[i], PRIOR).mean, every.mean[i])
+        close(alone(z[i], PRIOR).info.outlier, every.info.outlier[i])
+    for name, values in given.items():
+        first = presets.gpb(MOTION, sensor, **VALUES | {name: values[0]})(z, PRIOR).mean[0]
+        close(first, presets.gpb(MOTION, sensor, **VALUES | {name: values})(z, PRIOR).mean[0])
+
+
+@each
+def test_a_measurement_without_bounds_fails_its_own_track_only(name):
+    f, z = FILTERS[name]()
+    z[1, 4] = torch.inf
+    e = f(z, PRIOR)
+    assert e.failed.tolist() == [False, True, False]
+    close(f(z[[0, 2]], PRIOR).mean, e.mean[[0, 2]])
+
+
+@each
+def test_single_precision_is_close_to_double(name):
+    f, z = FILTERS[name]()
+    single, double = f(z.float(), PRIOR), f(z, PRIOR)
+    assert single.mean.dtype == single.info.regimes.dtype == torch.float32
+    std = double.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
+    assert ((single.mean - double.mean).abs() < 0.01 * std).all()
+    assert (single.info.outlier - double.info.outlier).abs().max() < 1e-3
+
+
+@each
+def test_torch_compile_sees_one_graph(name):
+    f, z = FILTERS[name]()
+    torch._dynamo.reset()
+    graph = torch.compile(lambda x: f(x, PRIOR).mean, backend="eager", fullgraph=True)
+    close(f(z[:, :2], PRIOR).mean, graph(z[:, :2]))
+
+
+# ---------------------------------------------------------------- gradients
+
+
+@pytest.mark.parametrize("name", ["ranges", "bank"])
+def test_compiled_kernels_give_the_same_and_the_same_gradients(name):
+    f, z = FILTERS[name](learn="all")
+    found = []
+    for g in (f, copy.deepcopy(f).compile()):
+        x, mean, root = (x.clone().requires_grad_() for x in (z, *PRIOR))
+        e = g(x, Gaussian(mean, root))
+        (e.mean.square().mean() + e.info.settled.mean.square().mean() + e.log_likelihood.mean()).backward()
+        found.append((e.mean.detach(), e.info, x.grad, mean.grad, root.grad.tril(), [p.grad for p in g.parameters()]))
+    close(*found, 1e-8)
+
+
+def short(name):
+    """Five steps with an outlier and a missing one, and all that learns of a filter."""
+    make, sensor = (bank, "position") if name == "bank" else (single, name)
+    z = measured(sensor, 1)[0, 2:7]
+    z[3] = torch.nan
+    return make(sensor, learn="all"), z
+
+
+@pytest.mark.parametrize("name", ["position", "bearings", "ranges", "bank"])
+def test_gradients_of_values_measurements_and_prior_are_those_of_finite_differences(name):
+    f, z = short(name)
+    paths, values = zip(*((p, v.detach().clone()) for p, v in f.named_parameters()), strict=True)
+    prior = Gaussian(f(z[:1], PRIOR).mean[0], PRIOR.scale_tril / 5)
+    missing = z.isnan()
+
+    def outcome(x, mean, root, *values):
+        given = (torch.where(missing, torch.nan, x), Gaussian(mean, root.tril()))
+        e = torch.func.functional_call(f, dict(zip(paths, values, strict=True)), given)
+        return e.mean / 10, e.info.settled.mean / 10, e.info.outlier, e.info.regimes, e.log_likelihood
+
+    inputs = [x.detach().clone().requires_grad_() for x in (z.nan_to_num(), *prior, *values)]
+    assert torch.autograd.gradcheck(outcome, inputs, eps=1e-6, rtol=1e-4, atol=1e-5, fast_mode=True)
+
+
+@pytest.mark.parametrize("size", [1e3, 1e6, 1e12])
+@pytest.mark.parametrize("name", SENSORS)
+def test_gradients_are_finite_at_extreme_outliers_and_missing_data(name, size):
+    if name == "bearings":
+        size = min(size, 300)  # half a turn
+    z = measured(name)
+    z[0, 3] += size * SENSORS[name].std()
+    z[1, 6, 1] -= size * SENSORS[name].std()
+    z.requires_grad_()
+    f = single(name, learn="all")
+    e = f(z, PRIOR)
+    assert not e.failed.any()
+    score = e.mean.square().mean() + e.scale_tril.square().mean() + e.info.settled.mean.square().mean()
+    (score + e.log_likelihood.mean() + e.nis.mean() + e.info.outlier.sum() + e.info.regimes[..., 0].sum()).backward()
+    assert z.grad.isfinite().all()
+    assert all(p.grad.isfinite().all() for p in f.parameters())

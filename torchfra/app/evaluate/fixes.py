@@ -1,0 +1,78 @@
+"""Positions that measurements imply, and which measurements are far off: what a map shows beside the estimates."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, vmap
+from torch.func import jacfwd
+
+from torchfra.scenarios import Scenario, Tracks
+from torchfra.sensors.base import Sensor
+
+_ITERATIONS = 40
+_SETTLED = 1e-6
+"""Metres, and as much of a fix's distance from the truth, that the last iteration may move it."""
+_PARALLEL = 1e-6
+"""How much less the weakest direction may be measured than the strongest: lines of sight that do not cross are none."""
+
+
+def fixes(scenario: Scenario, tracks: Tracks) -> Tensor:
+    """The position that each measurement implies, ``(B, T, J, d)``, m; ``J`` is 1 but for scans.
+
+    For two bearings it is where they cross, for range and bearing the polar fix: the position whose measurement is
+    closest to the one that came, in standard deviations, by Gauss-Newton steps from the truth, each shortened until it
+    comes closer.  All other components of the state are the true ones.  It is NaN where fewer elements were measured
+    than the position has, or where there is no such place.  Where filters have other coordinates than the truth, it is
+    what the sensor says (``locate``).
+    """
+    sensor, z, truth = scenario.sensor, tracks.z, tracks.truth
+    if scenario.conversion is not None:
+        place = sensor.locate(z) if sensor.locates else z.new_full((*z.shape[:-1], scenario.motion.dims), torch.nan)
+        return place if z.dim() == 4 else place.unsqueeze(2)
+    places = list(range(*scenario.position.indices(truth.shape[-1]))[: sensor.reads])
+    u = None if tracks.u is None else tracks.u.expand(*truth.shape[:-1], -1)
+    x, step, slope, share = truth, truth[..., places], truth, torch.ones_like(truth[..., :1])
+    for _ in range(_ITERATIONS):
+        step, slope = _gauss_newton(sensor, z, x, u, places)
+        there = x.index_add(-1, torch.tensor(places), share * step)
+        closer = _distance(sensor, z, there, u) <= _distance(sensor, z, x, u)
+        x, share = torch.where(closer, there, x), torch.where(closer, (2 * share).clamp(max=1.0), share / 4)
+    off = (x - truth)[..., places]
+    strength = torch.linalg.svdvals(slope.nan_to_num())
+    crossing = strength[..., len(places) - 1 :].amax(-1) > _PARALLEL * strength[..., 0]
+    settled = step.norm(dim=-1) <= _SETTLED * (1 + off.norm(dim=-1))
+    measured = (~z.isnan()).sum(-1) >= len(places)
+    return torch.where((measured & crossing & settled).unsqueeze(-1), x[..., places], torch.nan).unsqueeze(2)
+
+
+def deviations(scenario: Scenario, tracks: Tracks) -> Tensor:
+    """How far off measurements are, ``(B, T, J)``: the element that is furthest from the true one.
+
+    In standard deviations, as the sensor states them.  0 where nothing was measured or the truth is not known, and
+    where filters have other coordinates than the truth.
+    """
+    if scenario.conversion is not None:
+        return tracks.z.new_zeros(*tracks.z.shape[:2], 1 if tracks.z.dim() == 3 else tracks.z.shape[2])
+    return _residual(scenario.sensor, tracks.z, tracks.truth, tracks.u).nan_to_num(nan=0.0).abs().amax(-1, keepdim=True)
+
+
+def _gauss_newton(sensor: Sensor, z: Tensor, x: Tensor, u: Tensor | None, places: list[int]) -> tuple[Tensor, Tensor]:
+    """The step ``(..., d)`` of the components ``places`` of states ``x``, and what the measurement's slope is there."""
+    inputs = (x.flatten(0, -2),) if u is None else (x.flatten(0, -2), u.flatten(0, -2))
+    slope = vmap(jacfwd(sensor))(*inputs)[..., places].unflatten(0, x.shape[:-1])
+    slope = sensor.measurement_noise(z).whiten(torch.where(z.isnan().unsqueeze(-1), 0.0, slope))
+    residual = _residual(sensor, z, x, u)
+    good = slope.isfinite().flatten(-2).all(-1) & residual.isfinite().all(-1)
+    step = torch.linalg.pinv(torch.where(good[..., None, None], slope, 0.0)) @ residual.unsqueeze(-1)
+    return torch.where(good.unsqueeze(-1), step.squeeze(-1), torch.nan), slope
+
+
+def _distance(sensor: Sensor, z: Tensor, x: Tensor, u: Tensor | None) -> Tensor:
+    """How far states ``x`` are from what was measured, in standard deviations, ``(..., 1)``."""
+    return _residual(sensor, z, x, u).square().sum(-1, keepdim=True).sqrt()
+
+
+def _residual(sensor: Sensor, z: Tensor, x: Tensor, u: Tensor | None) -> Tensor:
+    """Measured minus that of states ``x``, in standard deviations, ``(..., m)``; 0 where missing."""
+    gap = torch.where(z.isnan(), 0.0, sensor.difference(z, sensor(x, u)))
+    return sensor.measurement_noise(z).whiten(gap.unsqueeze(-1)).squeeze(-1)
