@@ -44,17 +44,15 @@ class Config:
     start: dict[str, Any] = field(default_factory=dict)
     """Initial values, in natural units, instead of the preset's and the scenario's.  Loss ``"regret"``: arguments of
     the preset."""
-    only: dict[str, str] = field(default_factory=dict)
-    """Loss ``"regret"``: of those in ``start`` that not all filters share, whether those of one ``"motion"`` do or
-    those of a ``"bank"``."""
     rivals: tuple[str, ...] = ("srckf", "rsrckf", "mr_ckf", "fra", "imm_srckf", "imm_fra")
-    """Loss ``"regret"``: filters whose best, on the same task at its defaults, an error is compared with."""
+    """Loss ``"regret"``: filters whose best in a task, at its defaults, an error is compared with."""
     search: dict[str, list[float]] = field(default_factory=dict)
     """Candidate values of hyperparameters that no gradient reaches.  They are tried after the last iteration, on the
     validation tracks, one hyperparameter after the other."""
     loss: str = "robust"
     """``"mse"``, ``"robust"``, ``"nll"`` (of the position), ``"innovation"``, ``"teacher"`` or ``"regret"``: errors as
-    ratios to the best rival's, of several filters that share values (``train/regret.py``)."""
+    ratios to the best rival's, of several filters that share values.  That one is searched without gradients
+    (``train/regret.py``)."""
     scale: float = 100.0
     """Position error, m, above which the robust loss flattens."""
     teacher: dict[str, float] = field(default_factory=dict)
@@ -67,10 +65,13 @@ class Config:
     """Tracks of each task in an iteration, over all processes."""
     iterations: int = 100
     lr: float = 0.05
-    """Learning rate of Adam, on the unconstrained values; falls to a tenth along a half cosine."""
+    """Learning rate of Adam, on the unconstrained values; falls to a tenth along a half cosine.  Loss ``"regret"``: the
+    first standard deviation of the search on these."""
+    population: int = 10
+    """Loss ``"regret"``: sets of values that are tried in an iteration."""
     clip: float = 100.0
-    """Largest norm of one track's gradient.  Large, because tracks about to diverge have large gradients.  Loss
-    ``"regret"``: of the gradient of an iteration."""
+    """Largest norm of one track's gradient.  Large, because tracks about to diverge have large gradients."""
+
     truncate: int = 0
     """Steps after which backpropagation through time is cut; 0 for never."""
     temperature: float = 1.0
@@ -144,9 +145,8 @@ def check(config: Config) -> Config:
     one_of(loss=(config.loss, LOSSES))
     for task in config.tasks:
         one_of(models=(task.models, MODELS))
-    for models in config.only.values():
-        one_of(only=(models, MODELS[:2]))
-    for low, keys in ((1, ("batch", "iterations", "validate_every", "validation_runs", "patience", "checkpoint_every")),
+    for low, keys in ((4, ("population",)),
+                      (1, ("batch", "iterations", "validate_every", "validation_runs", "patience", "checkpoint_every")),
                       (0, ("skip", "truncate", "test_runs", "seed", "validation_seed", "test_seed"))):  # fmt: skip
         for key in keys:
             if getattr(config, key) < low:

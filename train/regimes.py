@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchfra.motion.polynomial import ConstantAcceleration
@@ -19,7 +20,8 @@ _ROOT = torch.tensor([10.0, 10.0, 1.0, 1.0, 0.1, 0.1], dtype=torch.float64).diag
 
 def regimes(
     levels: Sequence[float] = (0.1, 100.0),
-    chain: Sequence[Sequence[float]] = ((0.97, 0.03), (0.1, 0.9)),
+    stay: Sequence[float] = (0.94, 0.8),
+    renew: Sequence[float] = (5 / 9, 4 / 9),
     qualities: Sequence[Sequence[float]] = ((0.97, 0.03), (0.4, 0.6)),
     size: float = 100.0,
 ) -> Scenario:
@@ -27,10 +29,12 @@ def regimes(
 
     Args:
         levels: factors on the variance of the process noise, whose acceleration changes by 0.1 m/s^2 per step.
-        chain: ``(L, L)`` probabilities ``[i, j] = P(now j | was i)`` of these levels; the first step has the first.
+        stay: self-transition probabilities of these; the first step has the first level.
+        renew: odds of the level after one that does not stay.
         qualities: ``(2, 2)`` of clean and outlier; the first measurement is clean.
         size: factor on the covariance of an outlier's noise.
     """
+    chain = np.diag(stay) + (1 - np.asarray(stay))[:, None] * np.asarray(renew)
     motion, sensor, dt = ConstantAcceleration(Q), Position(STD), torch.tensor(DT, dtype=torch.float64)
     step, root = motion.transition(dt), motion.process_noise(dt)
     scales = torch.tensor(levels, dtype=torch.float64).sqrt()
@@ -48,11 +52,11 @@ def regimes(
         z = truth[..., :2] + STD * noise * torch.where(outlier > 0, size**0.5, 1.0)
         return Tracks(truth, z, None, Gaussian(torch.zeros_like(start), _ROOT))
 
-    settings: dict[str, object] = {"levels": levels, "chain": chain, "qualities": qualities, "size": size}
+    settings: dict[str, object] = {"levels": levels, "stay": stay, "renew": renew, "qualities": qualities, "size": size}
     return Scenario("regimes", motion, sensor, Gaussian(torch.zeros_like(_ROOT[0]), _ROOT), DT, STEPS, block, settings)
 
 
-def _states(rng: np.random.Generator, chain: Sequence[Sequence[float]]) -> Tensor:
+def _states(rng: np.random.Generator, chain: ArrayLike) -> Tensor:
     """``(BLOCK, STEPS)`` numbers of the states of a Markov chain, from the first state on."""
     upper, draw = np.cumsum(np.asarray(chain), -1)[:, :-1], rng.random((STEPS, BLOCK, 1))
     states = [np.zeros(BLOCK, dtype=np.int64)]

@@ -13,6 +13,7 @@ from torchfra.app.evaluate import evaluate, versions
 from torchfra.app.progress import progress_bar
 from torchfra.filters import Filter
 from torchfra.tables import text_table
+from train.batches import simulate
 from train.filters import make_filter, natural_values, set_temperature
 from train.regret import Regrets
 from train.training import Training
@@ -42,7 +43,7 @@ def report(training: Training, start: dict[str, float], *, quiet: bool = True) -
         "versions": versions(),
     }
     if isinstance(training, Regrets):
-        result["presets"] = training.presets()
+        result["preset"] = training.preset()
     if training.config.test_runs:
         result["tasks"] = _regrets(training, quiet) if isinstance(training, Regrets) else _errors(training, quiet)
     return result
@@ -74,11 +75,12 @@ def _regrets(training: Regrets, quiet: bool) -> list[dict[str, Any]]:
     for i in progress_bar(range(len(config.tasks)), "test", not quiet):
         task = config.tasks[i]
         name, best = training.best_rival(i, held_out=True, runs=config.test_runs, seed=config.test_seed)
+        batch = simulate([training.held_out[i]], first=0, runs=config.test_runs, seed=config.test_seed)
         errors: dict[str, Any] = {"scenario": task.scenario, **task.options, "models": task.models,
                                   "weight": task.weight, "rival": {"filter": name, "rmse_position": best}}  # fmt: skip
         for when, state in (("before", training.start), ("after", learned)):
             training.filter.load_state_dict(state)
-            both = training.errors([i], training.held_out, first=0, runs=config.test_runs, seed=config.test_seed)
+            both = training.errors([i], batch)
             rmses = zip(("filtered", "settled"), both.squeeze(-1).tolist(), strict=True)
             errors[when] = {kind: {"rmse_position": rmse, "regret": rmse / best - 1} for kind, rmse in rmses}
         tasks.append(errors)
@@ -91,13 +93,13 @@ def report_text(result: dict[str, Any]) -> str:
     rows = [[path, *(f"{column[path]:.5g}" for column in values.values())] for path in values["start"]]
     text = text_table(["", *values], rows) + "\n"
     rows = []
-    for task in [] if "presets" in result else result["tasks"]:
+    for task in [] if "preset" in result else result["tasks"]:
         before, after = task["before"], task["after"]
         diverged = f"{before['divergence_rate']:.2%} -> {after['divergence_rate']:.2%}"
         rows.append([task["scenario"], f"{before['rmse_position']:.1f}", f"{after['rmse_position']:.1f}", diverged])
     if rows:
         text += text_table(("position RMSE, m", "before", "after", "diverged"), rows) + "\n"
-    if "presets" in result:
+    if "preset" in result:
         text += _regrets_text(result)
     return text + (
         f"best after {result['best']} of {result['iterations']} iterations, {result['seconds']:.0f} s, "
@@ -116,8 +118,7 @@ def _regrets_text(result: dict[str, Any]) -> str:
         rows.append([task["scenario"], options, task["models"], f"{task['weight']:g}", *rival, *regrets])
     head = ("task", "options", "models", "weight", "best rival", "RMSE m", "before", "settled", "after", "settled")
     text = text_table(head, rows, align="<<<><>") + "\n" if rows else ""
-    for kind, values in result["presets"].items():
-        text += f"gpb of a {kind}:\n" + "".join(f"  {name} = {_short(value)}\n" for name, value in values.items())
+    text += "".join(f"{name} = {_short(value)}\n" for name, value in result["preset"].items())
     return text
 
 

@@ -35,7 +35,7 @@ class Training:
         self.teacher: Filter | None = None
         self.filter = self.make()
         self.parameters = dict(self.filter.named_parameters())
-        self.optimiser = torch.optim.Adam(self.parameters.values(), lr=config.lr)
+        self.optimiser: Any = torch.optim.Adam(self.parameters.values(), lr=config.lr)
         weights = torch.tensor([task.weight for task in config.tasks], dtype=torch.float64, device=config.device)
         self.task_weights = weights / weights.sum()
         self.iteration, self.stopped = 0, False

@@ -53,20 +53,13 @@ def train(training: Training, out: Path, log: Log) -> None:
             break
         begun = time.perf_counter()
         rate, temperature = schedule(config, training.iteration / config.iterations)
-        losses, gradient, left_out = whole_gradient(training, temperature)
-
-        parameters = list(training.parameters.values())
-        for parameter, part in zip(parameters, gradient.split([p.numel() for p in parameters]), strict=True):
-            parameter.grad = part.reshape(parameter.shape).clone()
-        training.optimiser.param_groups[0]["lr"] = rate
-        training.optimiser.step()
+        losses, said = iteration(training, rate, temperature)
         training.iteration += 1
 
         row = {"iteration": training.iteration, "loss": float(training.task_weights @ losses)}
         if len(config.tasks) > 1:
             row |= {f"loss {i + 1}": value for i, value in enumerate(losses.tolist())}
-        row |= {"gradient": gradient.norm().item(), "left out": left_out, "lr": rate, "temperature": temperature}
-        row |= training.learned_values() | {"seconds": time.perf_counter() - begun}
+        row |= said | training.learned_values() | {"seconds": time.perf_counter() - begun}
         if training.iteration % config.validate_every == 0 or training.iteration == config.iterations:
             row["validation"] = validate(training)
             if row["validation"] < training.best["score"]:
@@ -79,15 +72,22 @@ def train(training: Training, out: Path, log: Log) -> None:
             checkpoints.save(training, out)
 
 
-def whole_gradient(training: Training, temperature: float) -> tuple[Tensor, Tensor, int]:
-    """The loss ``(tasks,)`` of an iteration, its gradient ``(P,)``, and how many tracks do not count."""
+def iteration(training: Training, rate: float, temperature: float) -> tuple[Tensor, dict[str, float]]:
+    """Changes the values once; the losses ``(tasks,)`` and what else the log says of it."""
     # New tracks in each iteration.  Their numbers follow from the iteration, so a resumed run sees the same ones.
-    c, first = training.config, training.iteration * training.config.batch
     if isinstance(training, Regrets):
-        return training.gradient(first)
+        return training.generation()
+    c, first = training.config, training.iteration * training.config.batch
     batch = simulate(training.scenarios, first=first, runs=c.batch, seed=c.seed, device=c.device)
     losses, gradients, left_out = task_means(training, batch, *track_gradients(training, batch, temperature))
-    return losses, training.task_weights @ gradients, left_out
+    gradient = training.task_weights @ gradients
+    parameters = list(training.parameters.values())
+    for parameter, part in zip(parameters, gradient.split([p.numel() for p in parameters]), strict=True):
+        parameter.grad = part.reshape(parameter.shape).clone()
+    training.optimiser.param_groups[0]["lr"] = rate
+    training.optimiser.step()
+    said = {"gradient": gradient.norm().item(), "left out": left_out, "lr": rate, "temperature": temperature}
+    return losses, said
 
 
 def schedule(config: Config, progress: float) -> tuple[float, float]:
