@@ -138,22 +138,21 @@ def keep(log_weight: Tensor, count: int, rng: torch.Generator) -> tuple[Tensor, 
     if int((weight > 0).sum()) <= count:
         chosen = (weight > 0).nonzero().squeeze(-1)
         return chosen, log_weight[chosen]
-    least, sure = threshold(weight, count)
-    rest = (~sure).nonzero().squeeze(-1)
-    at = (torch.rand(1, dtype=weight.dtype, generator=rng) + torch.arange(count - int(sure.sum()))) * least
+    order = weight.argsort(descending=True)
+    sure, least = threshold(weight[order], count)
+    at = (torch.rand(1, dtype=weight.dtype, generator=rng) + torch.arange(count - sure)) * least
+    rest = order[sure:]
     drawn = rest[torch.searchsorted(weight[rest].cumsum(0), at).clamp_max(len(rest) - 1)]
-    chosen = torch.cat([sure.nonzero().squeeze(-1), drawn])
-    kept = torch.where(sure[chosen], weight[chosen], least)
-    return chosen, (kept / kept.sum()).log()
+    kept = torch.cat([weight[order[:sure]], least.expand(len(drawn))])
+    return torch.cat([order[:sure], drawn]), (kept / kept.sum()).log()
 
 
-def threshold(weight: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """The weight ``c`` with ``sum_i min(1, w_i / c) = count``, and which are above it."""
-    ordered = weight.sort(descending=True).values
+def threshold(ordered: Tensor, count: int) -> tuple[int, Tensor]:
+    """How many of the largest weights are above ``c``, where ``sum_i min(1, w_i / c) = count``, and ``c``."""
     left = 1 - torch.cat([ordered.new_zeros(1), ordered.cumsum(0)[: count - 1]])
     least = left / (count - torch.arange(count))
     sure = int((ordered[:count] >= least).long().cumprod(0).sum())
-    return least[min(sure, count - 1)], weight >= ordered[sure - 1] if sure else torch.zeros_like(weight).bool()
+    return sure, least[min(sure, count - 1)]
 
 
 # ---------------------------------------------------------------- the cells
