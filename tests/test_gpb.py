@@ -234,7 +234,7 @@ def test_a_copy_is_the_same_filter_and_a_state_dict_brings_all_values():
     with torch.no_grad():
         for p in f.parameters():
             p += 0.2
-    fixed = presets.gpb(MOTION, SENSORS["position"], **VALUES)
+    fixed = presets.gpb(*copy.deepcopy((MOTION, SENSORS["position"])), **VALUES)  # or it would share and change them
     same(twin(z, PRIOR), fixed(z, PRIOR), 0)
     fixed.load_state_dict(f.state_dict())
     same(fixed(z, PRIOR), f(z, PRIOR), 0)
