@@ -1,0 +1,221 @@
+"""What better merging could gain: ``gpb`` against a particle filter over whole histories, with the same values.
+
+    python scripts/particles.py --runs 20 --particles 2000 --json out/particles.json
+
+Every particle is a history of regimes and qualities, and carries the Gaussian that belongs to it (Rao-Blackwell).  Each
+step continues all of them in every way; the estimate is the mean over all continuations, of which so many are kept as
+there are particles: likely ones for sure, the others by chance, so that no weight is biased.  Nothing is merged; with
+many particles it is what the values of ``gpb`` imply, but for the cubature of a sensor that bends.
+
+Cells: the first bearings experiment with a good start and outliers in standard deviations; the turns of the second one
+measured by position with outliers in covariance; and the first with bursts.
+
+Source: Chen & Liu (2000), "Mixture Kalman Filters"; Fearnhead & Clifford (2003) for which continuations are kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra import metrics, presets, scenarios
+from torchfra.app.atomic_write import write_json
+from torchfra.app.command import add_json_option, add_quiet_option, add_runs_options, exit_status, make_parser
+from torchfra.app.evaluate import versions
+from torchfra.app.progress import progress_bar
+from torchfra.filters import GPB
+from torchfra.gaussian.inputs import Frame, Measurements, make_frames
+from torchfra.gaussian.model import propagate
+from torchfra.gaussian.update import correct, density, down_weight, innovation
+from torchfra.linalg.triangular import apply
+from torchfra.scenarios import Tracks
+from torchfra.sensors import Position
+from torchfra.tables import text_table
+from torchfra.tree import map_tensors
+from torchfra.types import Gaussian, Whitened
+
+POSITION_STD = 50.0
+"""Of the fixes of the second cell, m."""
+
+
+class Particles(NamedTuple):
+    """Histories, and what each knows."""
+
+    belief: Gaussian
+    """``mean (N, n)`` and root."""
+    regime: Tensor
+    """``(N,)`` number of the last regime."""
+    outlier: Tensor
+    """``(N,)`` bool: the last measurement was an outlier."""
+    log_weight: Tensor
+    """``(N,)``, whose exponentials sum to one."""
+
+
+def particle_filter(f: GPB, z: Tensor, prior: Gaussian, u: Tensor | None, count: int, seed: int, dt: float) -> Tensor:
+    """Estimates ``(T, n)`` of one track ``z (T, m)``, with the values of ``f``.
+
+    Raises:
+        ValueError: a bank, or a sensor of several blocks.
+    """
+    if len(f.bank) > 1 or len(f.qualities.blocks) > 1:
+        raise ValueError("f: expected one motion, and a sensor of one block")
+    rng = torch.Generator().manual_seed(seed)
+    frames, _ = make_frames(Measurements(z, dt, u), f.motion, f.sensor, 0)
+    particles, means = first(f, prior, count, rng), []
+    for frame in frames:
+        mean, particles = step(f, particles, frame, count, rng)
+        means.append(mean)
+    return torch.stack(means)
+
+
+def first(f: GPB, prior: Gaussian, count: int, rng: torch.Generator) -> Particles:
+    """Two for each regime: the prior as given, and widened."""
+    mean, root = prior
+    log_renew, poor = f.regimes.log_renew(mean), f.poor(mean)
+    regimes = len(log_renew)
+    roots = torch.stack([root, f.start(mean).sqrt() * root]).repeat_interleave(regimes, 0)
+    weights = (torch.stack([torch.log1p(-poor), poor.log()]).unsqueeze(-1) + log_renew).flatten()
+    regime = torch.arange(regimes).repeat(2)
+    return Particles(Gaussian(mean.expand(2 * regimes, -1), roots), regime, torch.zeros_like(regime).bool(), weights)
+
+
+def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generator) -> tuple[Tensor, Particles]:
+    """The mean ``(n,)`` over all continuations, and those that are kept."""
+    mean, spread, noise, _ = propagate(f.motion, f.motion_rule, one_motion(before.belief), frame)
+    predicted = f.regimes.predictions(mean, spread, noise.expand(len(mean), *noise.shape[-3:]), f.motion.position)
+    whitened = f.compare(f.read(predicted), frame)  # of (R, N)
+    sizes = f.qualities.sizes(mean)
+    sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])
+    rooted = [innovation(down_weight(whitened, (1 / s).expand_as(whitened.residual))) for s in sizes]
+    told = torch.stack([density(*pair) for pair in rooted])  # (C, R, N)
+    told = told - 0.5 * (frame.seen.sum() * sizes.log())[:, None, None]
+    log_weight = before.log_weight + log_ahead(f, before, frame) + log_quality(f, before).unsqueeze(1) + told
+    log_weight = (log_weight - log_weight.flatten().logsumexp(0)).nan_to_num(nan=-torch.inf)
+    means = [posterior_mean(predicted, whitened, *pair, s) for s, pair in zip(sizes, rooted, strict=True)]
+    estimate = (log_weight.exp().unsqueeze(-1) * torch.stack(means)).sum((0, 1, 2))
+    chosen, kept = keep(log_weight.flatten(), count, rng)
+    c, r, i = torch.unravel_index(chosen, log_weight.shape)
+    belief, own = (map_tensors(lambda x: x[r, i], x) for x in (predicted, whitened._replace(reads=0)))
+    own = down_weight(own._replace(reads=whitened.reads), (1 / sizes[c]).unsqueeze(-1).expand_as(own.residual))
+    return estimate, Particles(correct(belief, own)[0], r, c > 0, kept)
+
+
+def one_motion(belief: Gaussian) -> Gaussian:
+    """Beliefs ``(N,)`` as a bank of one motion wants them, ``(N, 1)``."""
+    return Gaussian(belief.mean.unsqueeze(-2), belief.scale_tril.unsqueeze(-3))
+
+
+def log_ahead(f: GPB, before: Particles, frame: Frame) -> Tensor:
+    """Logs ``(R, N)`` of the odds of each regime after those of the particles."""
+    like = before.belief.mean[0]
+    log_stay, log_leave = f.regimes.log_stay(like)
+    drawn = log_leave.unsqueeze(-1) + f.regimes.log_renew(like)  # (R, R), [was, now]
+    log_chain = torch.logaddexp(drawn, log_stay.exp().diag().log())
+    return f.regimes.possible(log_chain[before.regime], frame.seen.sum(-1, keepdim=True) > 0).mT
+
+
+def log_quality(f: GPB, before: Particles) -> Tensor:
+    """Logs ``(C, N)`` of the odds of a clean measurement, and of an outlier of each size."""
+    log_chain = f.qualities.chain(before.belief.mean[0]).log()[before.outlier.long()]  # (N, 2)
+    shares = f.qualities.shares(before.belief.mean[0]).log()
+    return torch.cat([log_chain[:, :1], log_chain[:, 1:] + shares], -1).mT
+
+
+def posterior_mean(predicted: Gaussian, whitened: Whitened, root: Tensor, normalised: Tensor, size: Tensor) -> Tensor:
+    """Means ``(R, N, n)`` after a measurement whose noise is ``size`` times as large, as a covariance."""
+    gain = predicted.scale_tril[..., : whitened.reads] @ whitened.slope.mT / size.sqrt()
+    weighed = torch.linalg.solve_triangular(root.mT, normalised.unsqueeze(-1), upper=True).squeeze(-1)
+    return predicted.mean + apply(gain, weighed)
+
+
+def keep(log_weight: Tensor, count: int, rng: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Which continuations go on, at most ``count``, and logs of their weights."""
+    weight = log_weight.exp()
+    if int((weight > 0).sum()) <= count:
+        chosen = (weight > 0).nonzero().squeeze(-1)
+        return chosen, log_weight[chosen]
+    order = weight.argsort(descending=True)
+    sure, least = threshold(weight[order], count)
+    at = (torch.rand(1, dtype=weight.dtype, generator=rng) + torch.arange(count - sure)) * least
+    rest = order[sure:]
+    drawn = rest[torch.searchsorted(weight[rest].cumsum(0), at).clamp_max(len(rest) - 1)]
+    kept = torch.cat([weight[order[:sure]], least.expand(len(drawn))])
+    return torch.cat([order[:sure], drawn]), (kept / kept.sum()).log()
+
+
+def threshold(ordered: Tensor, count: int) -> tuple[int, Tensor]:
+    """How many of the largest weights are above ``c``, where ``sum_i min(1, w_i / c) = count``, and ``c``."""
+    left = 1 - torch.cat([ordered.new_zeros(1), ordered.cumsum(0)[: count - 1]])
+    least = left / (count - torch.arange(count))
+    sure = int((ordered[:count] >= least).long().cumprod(0).sum())
+    return sure, least[min(sure, count - 1)]
+
+
+# ---------------------------------------------------------------- the cells
+
+
+def cells(runs: int, seed: int) -> dict[str, tuple[GPB, Tracks]]:
+    """By name the filter and the tracks."""
+    made = {}
+    for name, outliers in (("1, good start, std", "std"), ("1, good start, bursts", "bursts")):
+        scenario = scenarios.bearings_outliers(outliers, initial="truth")
+        made[name] = presets.gpb(scenario.motion, scenario.sensor), scenario.simulate(runs, seed)
+    scenario = scenarios.bearings_manoeuvre("none")
+    tracks, rng = scenario.simulate(runs, seed), torch.Generator().manual_seed(seed)
+    noise = torch.randn(*tracks.truth.shape[:2], 2, dtype=torch.float64, generator=rng)
+    wild = torch.rand(*noise.shape[:2], 1, generator=rng) < 0.1
+    z = tracks.truth[..., :2] + POSITION_STD * torch.where(wild, 10**0.5, 1.0) * noise
+    f = presets.gpb(scenario.motion, Position(POSITION_STD))
+    made["turns by position, covariance"] = f, tracks._replace(z=z, u=None)
+    return made
+
+
+def compare(f: GPB, tracks: Tracks, count: int, seed: int, *, progress: bool) -> dict[str, float]:
+    """Mean position RMSE of ``gpb``, of its settled estimate, and of the particles."""
+    with torch.no_grad():
+        merged = f(tracks.z, tracks.prior, u=tracks.u)
+        roots = tracks.prior.scale_tril.expand(len(tracks.z), *tracks.prior.scale_tril.shape[-2:])
+        priors = (Gaussian(*x) for x in zip(tracks.prior.mean, roots, strict=True))
+        each = [
+            particle_filter(f, z, prior, tracks.u, count, seed + i, 1.0)
+            for i, (z, prior) in enumerate(progress_bar(list(zip(tracks.z, priors, strict=True)), "run", progress))
+        ]
+    found = {"gpb": merged.mean, "settled": merged.info.settled.mean, "particles": torch.stack(each)}
+    return {name: metrics.rmse(mean, tracks.truth, slice(0, 2)).mean().item() for name, mean in found.items()}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Prints the table; returns 0, or 2 after one line on standard error if an argument or a file was wrong."""
+    p = make_parser(__doc__)
+    p.add_argument("--particles", type=int, default=2000, metavar="N", help="histories kept (default: 2000)")
+    add_runs_options(p, 20, seed=3)
+    add_json_option(p)
+    add_quiet_option(p)
+    options = p.parse_args(arguments)
+    return exit_status("particles", lambda: particles(options))
+
+
+def particles(options: argparse.Namespace) -> None:
+    """All cells."""
+    for name in ("particles", "runs"):
+        if getattr(options, name) < 1:
+            raise ValueError(f"{name}: expected 1 or more, received {getattr(options, name)}")
+    results = {
+        name: compare(*cell, options.particles, options.seed, progress=not options.quiet)
+        for name, cell in cells(options.runs, options.seed).items()
+    }
+    if not options.quiet:
+        rows = [[name, *(f"{x:.1f}" for x in of.values()), f"{of['gpb'] / of['particles'] - 1:+.1%}"]
+                for name, of in results.items()]  # fmt: skip
+        print(text_table(["cell", "gpb m", "settled m", "particles m", "gpb above"], rows, align="<>>>>"))
+    if options.json is not None:
+        settings = {"runs": options.runs, "seed": options.seed, "particles": options.particles}
+        write_json(options.json, settings | {"versions": versions(), "cells": results})
+
+
+if __name__ == "__main__":
+    sys.exit(main())
