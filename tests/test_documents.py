@@ -279,8 +279,11 @@ def small_training(words, flights):
     """The arguments of train.tune made small; recorded tracks are the flights."""
     keys = {change.split("=")[0] for change in SMALL_TRAINING} | {"files"}
     words = [word for word in words if word.split("=")[0] not in keys]
-    files = ["files=" + ",".join(flights)] if words[0] == "fra_recorded" else []
-    return [*words, *files, *SMALL_TRAINING]
+    one = {
+        "fra_recorded": ["files=" + ",".join(flights)],
+        "gpb": ['tasks=[{"scenario":"bearings-manoeuvre"}]', "rivals=srckf", "population=4"],
+    }
+    return [*words, *one.get(words[0], []), *SMALL_TRAINING]
 
 
 def understood(line, flights):

@@ -217,9 +217,15 @@ def test_several_processes_are_refused_as_the_loss_is_of_all_runs_together(monke
 
 
 def test_simulated_levels_and_outliers_come_as_often_as_their_chains_say():
-    model = {"stay": (0.94, 0.8), "renew": (0.5, 0.5), "qualities": ((0.9, 0.1), (0.4, 0.6)), "size": 1e6}
+    model = {
+        "levels": (0.1, 100.0),
+        "stay": (0.94, 0.8),
+        "renew": (0.5, 0.5),
+        "qualities": ((0.9, 0.1), (0.4, 0.6)),
+        "size": 1e6,
+    }
     tracks = regimes(**model).simulate(512, 3)
-    outlier = (tracks.z - tracks.truth[..., :2]).norm(dim=-1) > 60
+    outlier = (tracks.z - tracks.truth[..., :2]).norm(dim=-1) > 6
     assert outlier.double().mean().item() == pytest.approx(0.1 / 0.5, abs=0.01)
     share = 0.03 / 0.13  # of the agile level in the long run
     push = tracks.truth[..., 4:].diff(dim=1)[:, 50:]
@@ -227,11 +233,12 @@ def test_simulated_levels_and_outliers_come_as_often_as_their_chains_say():
 
 
 @pytest.mark.slow
-def test_levels_sizes_and_chains_a_factor_three_off_are_found_again(tmp_path):
-    learned = tune.tune(configured("levels"), tmp_path, quiet=True)["values"]["learned"]
-    known = {"regimes.levels[0]": 0.1, "regimes.levels[1]": 100.0, "qualities.sizes[0]": 100.0,
-             "qualities.chain[0,1]": 0.03, "qualities.chain[1,0]": 0.4}  # fmt: skip
-    for path, value in known.items():
-        assert learned[path] == pytest.approx(value, rel=0.3), path
-    for level, stay in enumerate((0.94, 0.8)):
-        assert 1 - learned[f"regimes.stay[{level}]"] == pytest.approx(1 - stay, rel=0.3), level
+def test_levels_chains_and_sizes_a_factor_three_off_are_found_again(tmp_path):
+    """All but the calm level, which the agile one outweighs when both are merged."""
+    values = tune.tune(configured("recover_gpb"), tmp_path, quiet=True)["values"]
+    learned, known = values["learned"], values["known"]
+    for path in ("regimes.levels[1]", "qualities.sizes[0]", "qualities.chain[0,1]", "qualities.chain[1,0]"):
+        assert abs(values["start"][path] / known[path] - 1) > 0.6, path
+        assert learned[path] == pytest.approx(known[path], rel=0.15), path
+    for path in ("regimes.stay[0]", "regimes.stay[1]"):
+        assert 1 - learned[path] == pytest.approx(1 - known[path], rel=0.15), path

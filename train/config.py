@@ -55,7 +55,7 @@ class Config:
     (``train/regret.py``)."""
     scale: float = 100.0
     """Position error, m, above which the robust loss flattens."""
-    teacher: dict[str, float] = field(default_factory=dict)
+    teacher: dict[str, Any] = field(default_factory=dict)
     """Loss ``"teacher"``: values of the filter whose estimates are the targets."""
     skip: int = 0
     """Steps at the start of each track that do not count."""

@@ -14,18 +14,18 @@ from torchfra.scenarios.base import BLOCK, Scenario, Tracks
 from torchfra.sensors.position import Position
 from torchfra.types import Gaussian
 
-STEPS, DT, Q, STD = 200, 1.0, 0.01, 10.0
-_ROOT = torch.tensor([10.0, 10.0, 1.0, 1.0, 0.1, 0.1], dtype=torch.float64).diag()
+STEPS, DT, Q, STD = 200, 1.0, 0.01, 1.0
+_ROOT = torch.tensor([1.0, 1.0, 1.0, 1.0, 0.1, 0.1], dtype=torch.float64).diag()
 
 
 def regimes(
-    levels: Sequence[float] = (0.1, 100.0),
+    levels: Sequence[float] = (1.0, 100.0),
     stay: Sequence[float] = (0.94, 0.8),
     renew: Sequence[float] = (5 / 9, 4 / 9),
     qualities: Sequence[Sequence[float]] = ((0.97, 0.03), (0.4, 0.6)),
     size: float = 100.0,
 ) -> Scenario:
-    """Positions with errors of 10 m, every second for 200 s.
+    """Positions with errors of 1 m, every second for 200 s.
 
     Args:
         levels: factors on the variance of the process noise, whose acceleration changes by 0.1 m/s^2 per step.

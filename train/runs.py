@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 from train.config import Config, Task, check, read_changes
+from train.runs_gpb import gpb, recover_gpb
 
 
 def _bearings(name: str, weight: float = 1.0, **options: Any) -> Task:
@@ -164,77 +164,9 @@ def association() -> Config:
     )
 
 
-def gpb() -> Config:
-    """The defaults of ``gpb``: one set of values over starts, manoeuvres, outliers alone and in bursts, and sensors.
-
-    Filters of a bank count twice as much as those of one motion, and learn the same values.  Targets of the bearings
-    scenarios move without process noise, which would draw the levels to 0; so the truth of some is disturbed as filters
-    assume.  What does not count (weight 0) is looked at in the end.
-    """
-    kinds = ("none", "covariance", "std", "bursts")
-    starts = [Task("bearings-outliers", {"initial": initial}) for initial in ("paper", "truth")]
-    flights = [Task("recorded", {"sensor": sensor}) for sensor in ("bearings", "position", "radar")]
-    tasks = [_task(task, outliers=kind) for task in (*starts, Task("bearings-manoeuvre"), *flights) for kind in kinds]
-    tasks += [_task(task, outliers="std", truth_noise=0.01) for task in starts]
-    tasks += [Task("ranges-outliers", {"outliers": kind}) for kind in ("short", "both")]
-    single = [replace(task, models="motion", weight=0.5) for task in tasks if task.scenario in SINGLE]
-    unseen = [Task("ranges-outliers", {"outliers": "nlos", "anchors": "around"}, weight=0.0)]
-    return Config(
-        name="gpb",
-        filter="gpb",
-        loss="regret",
-        tasks=(*tasks, *single, *unseen),
-        learn=("all",),
-        start={
-            "levels": [0.1, 10.0], "jumps": [370.0], "stay": [0.97, 0.9, 0.99, 0.1],
-            "renew": [0.5, 0.25, 0.249999, 1e-6], "qualities": [[0.98, 0.02], [0.7, 0.3]],
-            "sizes": [10.0, 100.0, 1600.0, 1e8], "shares": [0.5, 0.35, 0.149, 0.001], "poor": 0.25, "start": 340.0,
-        },
-        batch=32,
-        iterations=40,
-        lr=0.3,
-        temperature=0.0,
-        validate_every=4,
-        validation_runs=64,
-        patience=6,
-        test_runs=200,
-    )  # fmt: skip
-
-
-SINGLE = ("bearings-outliers", "ranges-outliers")
-"""Scenarios in which ``gpb`` learns with one motion too; the others need a bank."""
-
-
-def _task(task: Task, **options: Any) -> Task:
-    return replace(task, options=task.options | options)
-
-
-def levels() -> Config:
-    """Levels, sizes and chains of ``gpb`` a factor 3 off, from measurements of tracks that do what it believes.
-
-    Which regime follows one that does not stay is known: of two levels, it and their probabilities to stay are one
-    number too many.
-    """
-    return Config(
-        name="levels",
-        tasks=(Task("regimes"),),
-        learn=("levels", "regimes.stay", "qualities.chain", "sizes"),
-        filter="gpb",
-        options={"jumps": [], "sizes": [100.0], "shares": [1.0], "renew": [0.5, 0.4, 0.1], "poor": 1e-6,
-                 "stay": [0.94, 0.8, 0.5]},
-        start={"levels": [0.3, 33.3], "regimes.stay": [0.82, 0.4, 0.5], "qualities.chain": [[0.91, 0.09], [0.8, 0.2]],
-               "sizes": [33.3]},
-        loss="innovation",
-        temperature=0.0,
-        batch=32,
-        lr=0.1,
-        test_runs=0,
-    )  # fmt: skip
-
-
 RUNS: dict[str, Callable[[], Config]] = {
     f.__name__: f
-    for f in (fra_bearings, fra_recorded, gpb, switching, contaminated, association, noise, recover, levels)
+    for f in (fra_bearings, fra_recorded, gpb, switching, contaminated, association, noise, recover, recover_gpb)
 }
 
 

@@ -16,10 +16,10 @@ from torchfra.sensors.base import Sensor
 
 
 def gpb(
-    motion: Motion | Sequence[Motion], sensor: Sensor, *, levels: Values = (0.092, 14.2), jumps: Values = (450.0,),
-    stay: Values = (0.995, 0.776, 0.99, 0.04), renew: Values = (0.5, 0.25, 0.249999, 1e-6),
-    qualities: Values = ((0.9985, 0.0015), (0.614, 0.386)), sizes: Values = (21.0, 50.0, 25000.0, 2e8),
-    shares: Values = (0.696, 0.2978, 0.0057, 0.0005), poor: Value = 0.04, start: Value = 214.0, lag: int = 0,
+    motion: Motion | Sequence[Motion], sensor: Sensor, *, levels: Values = (0.00371, 0.933), jumps: Values = (650.0,),
+    stay: Values = (0.9929, 0.28, 0.9988, 0.0013), renew: Values = (0.117, 0.38, 0.5029985, 1.5e-06),
+    qualities: Values = ((0.99913, 0.00087), (0.84, 0.16)), sizes: Values = (4.7, 57.0, 1900.0, 200000000.0),
+    shares: Values = (0.47, 0.52366, 0.0061, 0.00024), poor: Value = 0.026, start: Value = 135.0, lag: int = 0,
     rule: Callable[[int], Rule] = third_degree, learn: Collection[str] = (),
 ) -> GPB:  # fmt: skip
     """The filter to reach for first: outliers, manoeuvres, jumps and a poor start as hypotheses of every step.
