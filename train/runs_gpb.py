@@ -38,7 +38,7 @@ def gpb() -> Config:
             "sizes": [10.0, 100.0, 1600.0, 1e8], "shares": [0.5, 0.35, 0.149, 0.001], "poor": 0.25, "start": 340.0,
         },
         batch=32,
-        iterations=40,
+        iterations=60,
         lr=0.3,
         temperature=0.0,
         validate_every=4,
