@@ -9,8 +9,8 @@
 
 Runs (train/runs.py): fra_bearings, fra_recorded, gpb, switching (interacting models), contaminated (the Huber score),
 association (scans of several targets in clutter), noise, recover, recover_gpb.  Written to out/train/RUN: config.json,
-log.csv, checkpoint.pt, the learned state_dict.pt (of the best validation), learning.png and results.json with the errors
-on unseen tracks before and after.  To use the learned values:
+log.csv, checkpoint.pt, the learned state_dict.pt (of the best validation), learning.png and results.json with the
+errors on unseen tracks before and after.  To use the learned values:
 
     fra = torchfra.presets.fra(scenario.motion, scenario.sensor)
     fra.load_state_dict(torch.load("out/train/fra_bearings/state_dict.pt", weights_only=True))
