@@ -12,7 +12,7 @@ SINGLE = ("bearings-outliers", "ranges-outliers")
 
 
 def gpb() -> Config:
-    """The defaults of ``gpb``: one set of values over starts, manoeuvres, outliers alone and in bursts, and sensors.
+    """Values of ``gpb``: one set over starts, manoeuvres, outliers alone and in bursts, and sensors.
 
     Filters of a bank count twice as much as those of one motion, and learn the same values.  Targets of the bearings
     scenarios move without process noise, which would draw the levels to 0; so the truth of some is disturbed as filters

@@ -4,7 +4,7 @@
     python -m train.tune fra_bearings --resume                 continues from the last checkpoint, to the same bits
     python -m train.tune fra_bearings iterations=50 lr=0.1     any field of train.config.Config
     python -m train.tune fra_recorded files=a.csv,b.csv        recorded tracks: needs no truth
-    python -m train.tune gpb                                   the defaults of gpb, by a search without gradients
+    python -m train.tune gpb                                   one set of values for all models, without gradients
     torchrun --nproc-per-node 2 -m train.tune fra_bearings     two processes share each batch
 
 Runs (train/runs.py): fra_bearings, fra_recorded, gpb, switching (interacting models), contaminated (the Huber score),
