@@ -114,7 +114,7 @@ def _regrets_text(result: dict[str, Any]) -> str:
         known = {"scenario", "models", "weight", "rival", "before", "after"}
         options = ", ".join(f"{value}" for key, value in task.items() if key not in known)
         regrets = [f"{task[when][kind]['regret']:+.1%}" for when in ("before", "after") for kind in task["after"]]
-        rival = [task["rival"]["filter"], f"{task['rival']['rmse_position']:.1f}"]
+        rival = [task["rival"]["filter"], f"{task['rival']['rmse_position']:.4g}"]
         rows.append([task["scenario"], options, task["models"], f"{task['weight']:g}", *rival, *regrets])
     head = ("task", "options", "models", "weight", "best rival", "RMSE m", "before", "settled", "after", "settled")
     text = text_table(head, rows, align="<<<><>") + "\n" if rows else ""

@@ -12,7 +12,7 @@ SINGLE = ("bearings-outliers", "ranges-outliers")
 
 
 def gpb() -> Config:
-    """The defaults of ``gpb``: one set of values over starts, manoeuvres, outliers alone and in bursts, and sensors.
+    """Values of ``gpb``: one set over starts, manoeuvres, outliers alone and in bursts, and sensors.
 
     Filters of a bank count twice as much as those of one motion, and learn the same values.  Targets of the bearings
     scenarios move without process noise, which would draw the levels to 0; so the truth of some is disturbed as filters
@@ -38,7 +38,7 @@ def gpb() -> Config:
             "sizes": [10.0, 100.0, 1600.0, 1e8], "shares": [0.5, 0.35, 0.149, 0.001], "poor": 0.25, "start": 340.0,
         },
         batch=32,
-        iterations=40,
+        iterations=60,
         lr=0.3,
         temperature=0.0,
         validate_every=4,
