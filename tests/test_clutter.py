@@ -79,7 +79,7 @@ def test_evaluation_counts_every_target_as_a_track_in_metres():
     assert "iaukf_jpda" in table(results)
     with pytest.raises(ValueError, match="filters: expected names out of ukf_jpda, iaukf_jpda"):
         scenario_filters(["fra"], s)
-    with pytest.raises(ValueError, match="filters: expected names out of ukf"):
+    with pytest.raises(ValueError, match="filters: expected names out of gpb, ukf"):
         scenario_filters(["ukf_jpda"], scenarios.noise_change())
 
 
