@@ -33,7 +33,7 @@ MOTIONS = {"one motion": lambda: ConstantAcceleration(4.0), "bank": aircraft}
 START = torch.diag(tensor([30, 30, 5, 5, 1, 1]))
 
 COVERED = {"one motion": 0.99, "bank": 0.975}
-"""Share of steps whose NEES is below the bound; a bank's calm is so calm that it misses the beginning of some turns."""
+"""Share of steps whose NEES is below the bound, as the values reach it; what is asked of a bank too is a test below."""
 
 SHORT = (
     "a jump of a hundred sigma is wider than its jumps reach, and takes the steps that outliers of that size explain"
@@ -114,6 +114,14 @@ def test_nothing_is_wrong(sensor, motion):
     truth = flight()
     e, usual = check(motion, sensor, truth, measured(SENSORS[sensor], truth), start(truth), 0)
     assert (e.mean - truth)[:, 20:, :2].norm(dim=-1).square().mean().sqrt() < 1.1 * usual
+
+
+@every_sensor
+@pytest.mark.xfail(strict=True, reason="a bank's calm is so calm that it misses the beginning of some turns")
+def test_a_bank_covers_99_percent_of_the_steps(sensor):
+    truth = flight()
+    e = presets.gpb(aircraft(), SENSORS[sensor])(measured(SENSORS[sensor], truth), start(truth))
+    assert (nees(e, truth) < BOUND).double().mean() > COVERED["one motion"]
 
 
 @every_motion

@@ -177,8 +177,7 @@ class GPB(GaussianFilter):
 
     def merge(self, beliefs: Gaussian, joint: Tensor) -> tuple[Gaussian, Tensor]:
         """What is left of hypotheses ``(2, R, 2, ...)``: for clean and dirty and each motion, ``(2, ..., K)``."""
-        before_first = Gaussian(*(x.movedim(2, 0) for x in beliefs)), joint.movedim(2, 0)  # (2, 2, R, ...)
-        (mean, root), weight = before_first
+        mean, root, weight = (x.movedim(2, 0) for x in (*beliefs, joint))  # (2, 2, R, ...): before, now, regime
         levels, others = self.regimes.count, slice(self.regimes.count, self.regimes.count + len(self.bank) - 1)
         own = [torch.cat([x[:, :, :levels], x[:, :, others.stop :]], 2) for x in (mean, root, weight)]
         mean_own, root_own, weight_own = (x.movedim(1, 2).flatten(0, 1) for x in own)

@@ -59,7 +59,8 @@ class Regimes(nn.Module):
         """Logs ``(..., R)`` of the odds of a regime drawn anew."""
         log_kinds = self.renew(like).log()
         others = log_kinds[..., self.count : self.count + 1] - like.new_tensor(max(self.motions - 1, 1)).log()
-        return self._normalised(self._by_regime(log_kinds, others))
+        log_weights = self._by_regime(log_kinds, others)
+        return log_weights - log_weights.logsumexp(-1, keepdim=True)  # one motion has no others
 
     def log_stay(self, like: Tensor) -> tuple[Tensor, Tensor]:
         """Logs ``(..., R)`` of the probabilities that a regime stays, and that it does not."""
@@ -71,9 +72,6 @@ class Regimes(nn.Module):
         """Values by kind ``(..., L + 1 + J)`` as ``(..., R)``; those of ``others`` ``(..., 1)``."""
         repeated = others.expand(*others.shape[:-1], self.motions - 1)
         return torch.cat([kinds[..., : self.count], repeated, kinds[..., self.count + 1 :]], -1)
-
-    def _normalised(self, log_weights: Tensor) -> Tensor:
-        return log_weights - log_weights.logsumexp(-1, keepdim=True)
 
     def predictions(self, mean: Tensor, spread: Tensor, noise: Tensor, position: slice) -> Gaussian:
         """A prediction for each regime, ``(R, ..., n)``, from the parts that ``gaussian.model.propagate`` gives.
