@@ -2,8 +2,9 @@
 
 Shapes: ``...`` any batch, ``T`` time, ``n`` state, ``m`` measurement, ``k`` what models need to know at a step, ``d``
 the leading state components that a sensor reads, ``p`` points of a rule, ``q`` columns of the process noise, ``K``
-motions of a bank, ``N`` targets, ``J`` measurements of a scan.  Batch first, time before the vector, no trailing-one
-columns; SI units and radians.  A NaN in a measurement is missing data.
+motions of a bank, ``N`` targets, ``J`` measurements of a scan, ``R`` regimes, ``B`` blocks of a sensor's elements.
+Batch first, time before the vector, no trailing-one columns; SI units and radians.  A NaN in a measurement is missing
+data.
 
 Words:
 

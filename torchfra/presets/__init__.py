@@ -11,6 +11,8 @@ filter they are, or ``"all"``.  ``torchfra.hyper.summary(f)`` prints the names t
 - of the fading factors: ``weakening``, ``forgetting``, ``fading_max``, ``share``;
 - of the estimated measurement noise: ``forgetting``, ``confidence``;
 - of the feedback decision: ``gate``, ``preference``, ``plain``;
+- of ``gpb``: ``levels``, ``jumps``, ``stay``, ``renew``, ``chain`` (of the qualities), ``sizes``, ``shares``, ``poor``,
+  ``start``;
 - of interacting models: ``transition``, ``initial``, ``unlikely``, ``principal``;
 - of association: ``detection``, ``gate.size``, ``probability``, ``volume``, ``rate``;
 - of motions and sensors: ``q``, ``std``, ``rate``, ``alpha``, ``limit``.
