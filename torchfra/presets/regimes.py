@@ -16,7 +16,7 @@ from torchfra.sensors.base import Sensor
 
 
 def gpb(
-    motion: Motion | Sequence[Motion], sensor: Sensor, *, levels: Values = (0.00371, 0.933), jumps: Values = (650.0,),
+    motion: Motion | Sequence[Motion], sensor: Sensor, *, levels: Values = (0.00371, 0.933), jumps: Values = (6.5,),
     stay: Values = (0.9929, 0.28, 0.9988, 0.0013), renew: Values = (0.117, 0.38, 0.5029985, 1.5e-06),
     qualities: Values = ((0.99913, 0.00087), (0.84, 0.16)), sizes: Values = (4.7, 57.0, 1900.0, 200000000.0),
     shares: Values = (0.47, 0.52366, 0.0061, 0.00024), poor: Value = 0.026, start: Value = 135.0, lag: int = 0,
@@ -29,7 +29,8 @@ def gpb(
             ``Bank``, the first has these regimes, and each of the others is one more.
         sensor: what is measured; outliers come per block of its elements (``Sensor.blocks``).
         levels: factors on the variance of the (first) motion's process noise: of calm and agile.
-        jumps: factors on the covariance of the position after a jump.
+        jumps: factors on the covariance of the position after a jump, per unit of the normalised innovation squared per
+            element.
         stay: self-transition probabilities of the regimes: of each level, any other motion, each jump.
         renew: odds of the regime that follows one that does not stay, in the same order; they sum to one, and other
             motions share theirs evenly.

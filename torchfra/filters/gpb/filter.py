@@ -12,7 +12,7 @@ from torchfra import tree
 from torchfra.filters.base import Mix
 from torchfra.filters.checks import check_models
 from torchfra.filters.gpb.merging import lifted, log_share, together
-from torchfra.filters.gpb.qualities import Qualities
+from torchfra.filters.gpb.qualities import Qualities, entry
 from torchfra.filters.gpb.regimes import Regimes
 from torchfra.filters.gpb.states import GPBInfo, GPBState, Shares, Step
 from torchfra.filters.imm import for_each_model, models_first, repeated
@@ -147,10 +147,13 @@ class GPB(GaussianFilter):
     def look_ahead(self, before: Gaussian, log_weights: Tensor, frame: Frame) -> tuple[Gaussian, Tensor, Shares | None]:
         """Predictions ``(R, 2, ..., n)`` of all regimes, their log weights, and who contributed to which motion."""
         mixed, log_ahead, shares = self.interact(before, log_weights)
-        measured = frame.seen.sum(-1, keepdim=True) > 0
         mean, spread, noise, _ = propagate(self.motion, self.motion_rule, mixed, for_each_model(frame))
-        predicted = self.regimes.predictions(mean, spread, noise, self.motion.position)
-        return predicted, self.regimes.possible(log_ahead, measured).movedim(-1, 0), shares
+        predicted = self.regimes.predictions(mean, spread, noise)
+        agile = entry(predicted, self.regimes.count - 1)
+        whitened = self.compare(self.read(agile), frame)
+        far = innovation(whitened)[1].square().sum(-1) / frame.seen.sum(-1).clamp_min(1.0)
+        jumped = self.regimes.jumped(agile, far, self.motion.position)
+        return Gaussian(*map(torch.cat, zip(predicted, jumped, strict=True))), log_ahead.movedim(-1, 0), shares
 
     def read(self, predicted: Gaussian) -> Gaussian:
         """Of states, what the sensor reads."""

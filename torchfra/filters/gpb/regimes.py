@@ -10,22 +10,23 @@ from torchfra.hyper import Hyper, Values
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian
 
-NEVER = -1e30
-"""Log weight of what cannot be; not minus infinity, as the gradient of a sum of nothing else would be NaN."""
+FURTHEST = 1e5
+"""Largest factor of a jump: a measurement that is wrong beyond all bounds moves no target."""
 
 
 class Regimes(nn.Module):
     """How a step may go: a Markov chain over motions, levels of their process noise, and jumps.
 
     The first motion comes at ``L`` levels, the others of a bank as they are, and ``J`` jumps widen the first motion's
-    prediction at its last level.  In this order they are the ``R = L + (K - 1) + J`` regimes.  A regime stays with a
+    prediction at its last level, as far as the measurement asks for and no further.  In this order they are the ``R = L + (K - 1) + J`` regimes.  A regime stays with a
     probability of its own; else the next one is drawn anew, from the same odds whatever was before.  Values are given
     by kind, ``(..., L + 1 + J)``: each level, any other motion, each jump; so they fit banks of any size.
 
     Args:
         motions: their number, ``K``.
         levels: ``(..., L)`` by which the variance of the first motion's process noise is multiplied, ascending.
-        jumps: ``(..., J)`` by which the covariance of the predicted position is multiplied; its correlations stay.
+        jumps: ``(..., J)`` times the normalised innovation squared per element: by so much, at least 1, the covariance
+            of the predicted position is multiplied; its correlations stay.
         stay: self-transition probabilities by kind.
         renew: odds by kind of the regime that is drawn anew, which sum to one; other motions share theirs evenly.
 
@@ -73,41 +74,40 @@ class Regimes(nn.Module):
         repeated = others.expand(*others.shape[:-1], self.motions - 1)
         return torch.cat([kinds[..., : self.count], repeated, kinds[..., self.count + 1 :]], -1)
 
-    def predictions(self, mean: Tensor, spread: Tensor, noise: Tensor, position: slice) -> Gaussian:
-        """A prediction for each regime, ``(R, ..., n)``, from the parts that ``gaussian.model.propagate`` gives.
+    def predictions(self, mean: Tensor, spread: Tensor, noise: Tensor) -> Gaussian:
+        """A prediction for each level and other motion, ``(L + K - 1, ..., n)``.
 
         Args:
-            mean: ``(..., K, n)`` of each motion.
+            mean: ``(..., K, n)`` of each motion, from ``gaussian.model.propagate``, as what follows.
             spread: ``(..., K, n, p)`` what was uncertain before.
             noise: ``(..., K, n, q)`` process noise.
-            position: which components of a state are its position.
         """
         every = torch.broadcast_shapes(mean.shape, noise.shape[:-1])  # values of motions may bring a batch
-        rank, jumps = mean.dim() - 2, self.jumps.raw.shape[-1]
+        rank = mean.dim() - 2
         means = mean.expand(every).movedim(-2, 0)
         spread, noise = (x.expand(*every, -1).movedim(-3, 0) for x in (spread, noise))
         first = in_front(self.levels(mean).sqrt(), rank)[..., None, None] * noise[:1]
         noise = torch.cat([first.expand(self.count, *noise.shape[1:]), noise[1:]])
         roots = tria(hstack(torch.cat([spread[:1].expand(self.count, *spread.shape[1:]), spread[1:]]), noise))
+        return Gaussian(torch.cat([means[:1].expand(self.count, *means.shape[1:]), means[1:]]), roots)
+
+    def jumped(self, belief: Gaussian, far: Tensor, position: slice) -> Gaussian:
+        """A belief ``(..., n)`` after each jump, ``(J, ..., n)``.
+
+        A jump that is wider than what is measured asks for would never be contradicted where little can be told from
+        the measurement, or nothing at all, and widen the estimate without bound.
+
+        Args:
+            belief: without a jump.
+            far: ``(...)`` normalised innovation squared per element of the belief.
+            position: which components of a state are its position.
+        """
+        mean, root = belief
+        widened = (in_front(self.jumps(mean), mean.dim() - 1) * far).clamp(1.0, FURTHEST).sqrt().unsqueeze(-1)
         there = torch.zeros(mean.shape[-1], dtype=mean.dtype, device=mean.device)
         there[position] = 1.0
-        widened = 1 + (in_front(self.jumps(mean).sqrt(), rank).unsqueeze(-1) - 1) * there
-        jumped = widened.unsqueeze(-1) * roots[self.count - 1]  # scaled rows: still a lower root
-        own = means[:1]
-        means = torch.cat([own.expand(self.count, *own.shape[1:]), means[1:], own.expand(jumps, *own.shape[1:])])
-        return Gaussian(means, torch.cat([roots, jumped]))
-
-    def possible(self, log_weights: Tensor, measured: Tensor) -> Tensor:
-        """Log weights ``(..., R)`` without jumps where nothing is ``measured (..., 1)``: the others share theirs.
-
-        A jump that no measurement speaks against would widen the estimate without bound.
-        """
-        jumps = self.jumps.raw.shape[-1]
-        if not jumps:
-            return log_weights
-        still, jump = log_weights[..., :-jumps], log_weights[..., -jumps:]
-        more = log_weights.logsumexp(-1, keepdim=True) - still.logsumexp(-1, keepdim=True)
-        return torch.cat([still + torch.where(measured, 0.0, more), torch.where(measured, jump, NEVER)], -1)
+        scaled = (1 + (widened - 1) * there).unsqueeze(-1) * root  # scaled rows: still a lower root
+        return Gaussian(mean.expand(scaled.shape[:-1]), scaled)
 
 
 def in_front(values: Tensor, rank: int) -> Tensor:
