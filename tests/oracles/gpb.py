@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from oracles.basics import Array, Model, Result, at, collect, measurement_noise
-from oracles.cubature import Measured, measure, third_degree
+from oracles.basics import Array, Model, Result, at, collect, difference, measurement_noise, present
+from oracles.cubature import Measured, draw, moments, third_degree
 from oracles.kalman import fit, update
 from oracles.mixture import matched
 
@@ -24,6 +24,7 @@ Beliefs = dict[tuple[int, int], Belief]  # by quality (0 clean, 1 dirty), and mo
 
 QUALITIES = (0, 1)
 READS = 2  # sensors read the position alone
+BLIND, NEAR, FURTHEST = 0.1, 0.01, 1e5
 
 
 class Regimes(NamedTuple):
@@ -31,7 +32,7 @@ class Regimes(NamedTuple):
 
     motions: list[int]  # of each level
     levels: list[float]  # factors on Q
-    jumps: list[float]  # factors on the covariance of the position, of the home level's prediction
+    jumps: list[float]  # factors on the covariance of the home level's predicted position, times its NIS per element
     chain: Array  # (R,R), [i, j] = P(now j | was i), levels first
     first: Array  # (R,) probabilities before the first step
     home: int
@@ -87,30 +88,28 @@ def interacted(beliefs: Beliefs, log_pairs: Array, motion: list[int]) -> tuple[B
     return mixed, shares
 
 
-def predicted(mixed: Beliefs, motions: list[Carry], regimes: Regimes, position: slice, k: int) -> Beliefs:
-    """The prediction of every regime."""
+def predicted(mixed: Beliefs, motions: list[Carry], regimes: Regimes, k: int) -> Beliefs:
+    """The prediction of every level."""
     ahead = {}
     for q in QUALITIES:
         for r, (motion, level) in enumerate(zip(regimes.motions, regimes.levels, strict=True)):
             mean, J, Q = motions[motion](*mixed[q, motion], k)
             ahead[q, r] = mean, J + level * Q
-        mean, P = ahead[q, range(len(regimes.levels))[regimes.home]]
-        for r, jump in enumerate(regimes.jumps, len(regimes.levels)):
-            widen = np.ones(len(mean))
-            widen[position] = math.sqrt(jump)
-            ahead[q, r] = mean, P * np.outer(widen, widen)
     return ahead
 
 
-def log_odds(log_pairs: Array, regimes: Regimes, measured: bool) -> Array:
-    """Log probabilities (2,R) of quality before and regime now; no jump where nothing is measured."""
-    R, levels = len(regimes.first), len(regimes.levels)
-    chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(R)] for q in QUALITIES])
-    if not measured:
-        for q in QUALITIES:
-            chance[q, :levels] += log_sum(chance[q]) - log_sum(chance[q, :levels])
-            chance[q, levels:] = -math.inf
-    return chance
+def jumped(ahead: Beliefs, regimes: Regimes, position: slice, z: Array, model: Model, k: int) -> Beliefs:
+    """The same after every jump, which is as wide as the measurement asks for, between 1 and FURTHEST."""
+    after = {}
+    for q in QUALITIES:
+        mean, P = ahead[q, range(len(regimes.levels))[regimes.home]]
+        m = read((mean, P), z, model, k)
+        far = fit(m.e, m.Pzz)[0] / max(len(m.e), 1)
+        for r, jump in enumerate(regimes.jumps, len(regimes.levels)):
+            widen = np.ones(len(mean))
+            widen[position] = math.sqrt(min(max(jump * far, 1.0), FURTHEST))
+            after[q, r] = mean, P * np.outer(widen, widen)
+    return after
 
 
 def told(belief: Belief, z: Array, block: list[int], model: Model, k: int, size: float) -> tuple[float, Array, Array]:
@@ -126,10 +125,33 @@ def told(belief: Belief, z: Array, block: list[int], model: Model, k: int, size:
 
 
 def read(belief: Belief, z: Array, model: Model, k: int) -> Measured:
-    """A measurement predicted from the position alone, as the points of the whole state see it."""
+    """A measurement predicted from the position alone, as the points of the whole state see it.
+
+    An element of whose variance the points explain less than a tenth by the position is seen by points a hundred times
+    as near.
+    """
     points, *weights = third_degree(len(belief[0]))
-    mean, P = belief
-    return measure(mean[:READS], P[:READS, :READS], z, model, k, (points[:READS], weights[0], weights[1]))
+    rule, (mean, P) = (points[:READS], weights[0], weights[1]), (belief[0][:READS], belief[1][:READS, :READS])
+    seen = present(z)
+    zhat, gaps = deviations(mean, P, model, k, rule, seen)
+    near, near_gaps = deviations(mean, P * NEAR**2, model, k, rule, seen)
+    wc = np.diag(rule[2])
+    x = draw(mean, P, rule) - mean
+    for i in range(len(zhat)):
+        across = x.T @ wc @ gaps[:, i]
+        if across @ np.linalg.solve(P, across) < BLIND * (gaps[:, i] @ wc @ gaps[:, i]):
+            zhat[i], gaps[:, i] = near[i], near_gaps[:, i] / NEAR
+    Pxz = x.T @ wc @ gaps
+    angles = np.asarray(model.angles, dtype=bool)[seen]
+    Pzz = measurement_noise(model, k, seen) + gaps.T @ wc @ gaps
+    return Measured(Pzz, Pxz, difference(np.asarray(z)[seen], zhat, angles), Pxz.T @ np.linalg.inv(P))
+
+
+def deviations(mean: Array, P: Array, model: Model, k: int, rule: Any, seen: Any) -> tuple[Array, Array]:
+    """The predicted measurement, and how far that of each point is from it."""
+    angles = np.asarray(model.angles, dtype=bool)[seen]
+    values = np.array([model.h(x, k)[seen] for x in draw(mean, P, rule)])
+    return moments(values, model.h(mean, k)[seen], angles, rule[1])
 
 
 def clean(belief: Belief, z: Array, q: Qualities, model: Model, k: int) -> tuple[float, Belief]:
@@ -209,8 +231,6 @@ def hypotheses(
     """All of a step, before their weights are made to sum to one."""
     found = []
     for before, r in ahead:
-        if log_chance[before, r] == -math.inf:
-            continue
         quality, prior = outlier_odds(q, was, before)
         score, belief = clean(ahead[before, r], z, q, model, k)
         weight = log_chance[before, r]
@@ -232,8 +252,9 @@ def step(
     """One step: what goes on, what is told of it, and the belief of the step before as it is now known."""
     motion = regimes.all_motions
     mixed, shares = interacted(c.beliefs, c.log_pairs, motion)
-    ahead = predicted(mixed, motions, regimes, position, k)
-    chance = log_odds(c.log_pairs, regimes, not np.isnan(z).all())
+    ahead = predicted(mixed, motions, regimes, k)
+    ahead |= jumped(ahead, regimes, position, z, model, k)
+    chance = np.array([[log_sum(c.log_pairs[q, :, r]) for r in range(len(motion))] for q in QUALITIES])
     every = hypotheses(ahead, chance, c.outlier, z, model, q, k)
     log_likelihood, (mean, P) = merged(every)
     every = [h._replace(log_weight=h.log_weight - log_likelihood) for h in every]

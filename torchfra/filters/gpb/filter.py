@@ -28,7 +28,10 @@ from torchfra.hyper import Hyper, Value
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
-from torchfra.types import Gaussian
+from torchfra.types import Gaussian, Whitened
+
+BLIND, NEAR = 0.1, 0.01
+"""Share of a predicted element's variance below which its slope counts for nothing; how wide points are then."""
 
 
 class GPB(GaussianFilter):
@@ -143,6 +146,19 @@ class GPB(GaussianFilter):
         record = Record(belief, whitened.residual, *innovation(whitened), info, log_likelihood)
         clean, dirty = tree.unbind(after, 2)
         return GPBState(belief, settled, clean, dirty, log_regimes.movedim(0, -2), if_dirty), record
+
+    def compare(self, belief: Gaussian, frame: Frame) -> Whitened:
+        """The measurement against a predicted belief; elements that its points tell nothing of, by the slope at the mean.
+
+        Ranges to points on all sides of an anchor hardly depend on where it is: nothing would be learned from them, and
+        a belief as wide as that would widen on.
+        """
+        wide = super().compare(belief, frame)
+        near = super().compare(belief._replace(scale_tril=NEAR * belief.scale_tril), frame)
+        slope, rest = (x.square().sum(-1) for x in (wide.slope, wide.rest))
+        blind = slope < BLIND * (slope + rest)
+        spread = torch.where(blind.unsqueeze(-1), near.spread / NEAR, wide.spread)
+        return Whitened(torch.where(blind, near.residual, wide.residual), spread, wide.reads)
 
     def look_ahead(self, before: Gaussian, log_weights: Tensor, frame: Frame) -> tuple[Gaussian, Tensor, Shares | None]:
         """Predictions ``(R, 2, ..., n)`` of all regimes, their log weights, and who contributed to which motion."""
