@@ -24,7 +24,7 @@ Beliefs = dict[tuple[int, int], Belief]  # by quality (0 clean, 1 dirty), and mo
 
 QUALITIES = (0, 1)
 READS = 2  # sensors read the position alone
-BLIND, NEAR, FURTHEST = 0.1, 0.01, 1e5
+BLIND, NEAR, FURTHEST = 0.02, 0.01, 1e5
 
 
 class Regimes(NamedTuple):
@@ -127,7 +127,7 @@ def told(belief: Belief, z: Array, block: list[int], model: Model, k: int, size:
 def read(belief: Belief, z: Array, model: Model, k: int) -> Measured:
     """A measurement predicted from the position alone, as the points of the whole state see it.
 
-    An element of whose variance the points explain less than a tenth by the position is seen by points a hundred times
+    An element of whose variance the points explain less than a fiftieth by the position is seen by points a hundred times
     as near.
     """
     points, *weights = third_degree(len(belief[0]))

@@ -30,7 +30,7 @@ from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
-BLIND, NEAR = 0.1, 0.01
+BLIND, NEAR = 0.02, 0.01
 """Share of a predicted element's variance below which its slope counts for nothing; how wide points are then."""
 
 
