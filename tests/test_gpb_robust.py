@@ -5,10 +5,11 @@ import math
 import pytest
 import torch
 
-from torchfra import presets
+from torchfra import metrics, presets
 from torchfra.motion import ConstantAcceleration, aircraft
 from torchfra.sensors import Bearings, Position, RangeBearing, Ranges
 from torchfra.types import Gaussian
+from train.regimes import regimes
 
 RUNS, STEPS = 10, 240
 BOUND = 13.816
@@ -184,3 +185,14 @@ def test_bursts_of_four_measurements_at_ten_sigma(sensor, motion):
     error, loose = ((x.mean - truth)[:, 20:, :2].norm(dim=-1).square().mean().sqrt() for x in (e, plain))
     assert error < 0.7 * loose
     assert error < 1.6 * usual
+
+
+def test_covariances_are_honest_where_targets_do_what_it_believes():
+    known = {"levels": (1.0, 100.0), "stay": (0.94, 0.8, 0.5, 0.1), "renew": (5 / 9, 4 / 9 - 2e-9, 1e-9, 1e-9),
+             "qualities": ((0.97, 0.03), (0.4, 0.6)), "sizes": (100.0,), "shares": (1.0,), "poor": 1e-6,
+             "start": 1.0}  # fmt: skip
+    scenario = regimes()
+    tracks = scenario.simulate(runs=200, seed=4242)
+    e = presets.gpb(scenario.motion, scenario.sensor, **known)(tracks.z, tracks.prior)
+    for of, size in ((slice(0, 2), 2), (slice(0, 6), 6)):
+        assert 0.9 * size < metrics.nees(e, tracks.truth, of).mean() < 1.1 * size

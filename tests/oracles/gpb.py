@@ -127,8 +127,8 @@ def told(belief: Belief, z: Array, block: list[int], model: Model, k: int, size:
 def read(belief: Belief, z: Array, model: Model, k: int) -> Measured:
     """A measurement predicted from the position alone, as the points of the whole state see it.
 
-    An element of whose variance the points explain less than a fiftieth by the position is seen by points a hundred times
-    as near.
+    An element of whose variance the points explain less than a fiftieth by the position is seen by points a hundred
+    times as near.
     """
     points, *weights = third_degree(len(belief[0]))
     rule, (mean, P) = (points[:READS], weights[0], weights[1]), (belief[0][:READS], belief[1][:READS, :READS])

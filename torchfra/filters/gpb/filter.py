@@ -148,10 +148,10 @@ class GPB(GaussianFilter):
         return GPBState(belief, settled, clean, dirty, log_regimes.movedim(0, -2), if_dirty), record
 
     def compare(self, belief: Gaussian, frame: Frame) -> Whitened:
-        """The measurement against a predicted belief; elements that its points tell nothing of, by the slope at the mean.
+        """The measurement against a predicted belief; by the slope at its mean where its points show none.
 
-        Ranges to points on all sides of an anchor hardly depend on where it is: nothing would be learned from them, and
-        a belief as wide as that would widen on.
+        From points on all sides of an anchor ranges do not tell where the target is: a belief that wide would learn
+        nothing, and widen on.
         """
         wide = super().compare(belief, frame)
         near = super().compare(belief._replace(scale_tril=NEAR * belief.scale_tril), frame)
