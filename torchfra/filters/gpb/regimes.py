@@ -18,9 +18,9 @@ class Regimes(nn.Module):
     """How a step may go: a Markov chain over motions, levels of their process noise, and jumps.
 
     The first motion comes at ``L`` levels, the others of a bank as they are, and ``J`` jumps widen the first motion's
-    prediction at its last level, as far as the measurement asks for.  In this order they are the
-    ``R = L + (K - 1) + J`` regimes.  A regime stays with a probability of its own; else the next one is drawn anew, from the same odds whatever
-    was before.  Values are given by kind, ``(..., L + 1 + J)``: each level, any other motion, each jump; so they fit
+    prediction at its last level, as far as the measurement asks for. In this order they are the ``R = L + (K - 1) + J``
+    regimes. A regime stays with a probability of its own; else the next one is drawn anew, from the same odds whatever
+    was before. Values are given by kind, ``(..., L + 1 + J)``: each level, any other motion, each jump; so they fit
     banks of any size.
 
     Args:
