@@ -6,7 +6,7 @@ import csv
 import gzip
 import io
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
@@ -19,6 +19,8 @@ MAX_BYTES = 2**30
 """Bytes of text that a file may hold, unless told otherwise."""
 BYTES_OF_A_ROW = 64
 """What a row counts for at least: about what it takes up in memory."""
+BYTES_OF_A_TEXT = 2**12
+"""What each name of a target or an anchor counts for at least: about what it takes to repair and filter a target."""
 LONGEST_ROW = 2**20
 """Characters of a row of CSV, and about as many are in memory at a time."""
 
@@ -72,22 +74,47 @@ class _Bounded(io.RawIOBase):
         return len(data)
 
 
-def rows_in_parts(text: TextIO) -> Iterator[list[list[str]]]:
-    """The rows of CSV that are not blank, some at a time.
+class Rows:
+    """The rows of CSV but the blank ones, read as far as they are asked for.
 
-    Raises:
-        ValueError: a row is too long.
-        csv.Error: it is not CSV.
+    Both methods raise a ``ValueError`` where there are too many rows or one is too long, and ``csv.Error`` where the
+    text is no CSV.
+
+    Args:
+        text: the CSV.
+        max_bytes: a bound, for which each row counts.
     """
-    blocks, part = _Blocks(text), list[list[str]]()
-    for row in csv.reader(chain.from_iterable(blocks), strict=True):
-        if row:
-            part.append(row)
-        if blocks.no_row_yet:
-            blocks.no_row_yet = False
-            yield part
-            part = []
-    yield part
+
+    def __init__(self, text: TextIO, max_bytes: int) -> None:
+        self.blocks, self.max_bytes = _Blocks(text), max_bytes
+        self.reader = csv.reader(chain.from_iterable(self.blocks), strict=True)
+
+    def first(self) -> list[str]:
+        """A row; empty if there is none."""
+        row = next((row for row in self.reader if "".join(row).strip()), [])
+        self.blocks.no_row_yet = False
+        return row
+
+    def parts(self, fields: int, mended: Callable[[list[str], int], list[str]]) -> Iterator[list[str]]:
+        """The cells of further rows, one after the other, some rows at a time.
+
+        Args:
+            fields: of a row.
+            mended: gives a row that has them, from one that has not and the number of rows before it.
+        """
+        cells, rows = list[str](), 0
+        for row in self.reader:
+            if len(row) == fields:
+                cells += row  # and no rows: Python's garbage collector would take longer than all else
+            elif row:
+                cells += mended(row, rows + len(cells) // fields)
+            if self.blocks.no_row_yet:
+                self.blocks.no_row_yet = False
+                yield cells
+                rows, cells = rows + len(cells) // fields, []
+                if self.reader.line_num * BYTES_OF_A_ROW > self.max_bytes:
+                    raise too_large(self.max_bytes, f"of text, of which a row counts for {BYTES_OF_A_ROW} or more")
+        yield cells
 
 
 class _Blocks:

@@ -25,8 +25,8 @@ def read(path: str | Path, *, origin: Origin | None = None, max_bytes: int = MAX
         path: the file.
         origin: latitude, longitude in degrees and altitude in m that become (0, 0, 0); if None, the first fix of the
             first target in the file.
-        max_bytes: of text that the file may hold, unpacked: a row counts for 64 or more, a byte of JSON for 16, a
-            target for 8192.  With 1 GiB, the default, reading takes up 2 GiB of memory or less.
+        max_bytes: of text that the file may hold, unpacked: a row counts for 64 or more, a name for 4096, a byte of
+            JSON for 24.  With 1 GiB, the default, reading takes up 2 GiB of memory or less.
 
     Returns:
         The recordings, sorted by name, all about the same origin.
@@ -41,7 +41,7 @@ def read(path: str | Path, *, origin: Origin | None = None, max_bytes: int = MAX
         layout = layout_of(table.names)
         if layout is PLAIN and origin is not None:
             raise ValueError(f"origin: expected degrees to go with it, received the columns {listed(table.names)}")
-        targets = repaired_targets(table, layout, Path(path.name.removesuffix(".gz")).stem, max_bytes)
+        targets = repaired_targets(table, layout, Path(path.name.removesuffix(".gz")).stem)
         if layout is not PLAIN:
             return _located(targets, origin)
     return [Recording(n, f[:, 0].copy(), np.delete(f, (0, 3), 1), None, dict(+repairs)) for n, f, repairs in targets]

@@ -9,13 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from torchfra.readers.bounded import too_large
 from torchfra.readers.columns import Array, grouped
 from torchfra.readers.layouts import Layout
 from torchfra.readers.tables import Table
-
-_BYTES_OF_A_TARGET = 2**13
-"""What a target counts for at least: about what it takes to repair and to filter."""
 
 
 class Target(NamedTuple):
@@ -27,17 +23,15 @@ class Target(NamedTuple):
     repairs: Counter[str]
 
 
-def repaired_targets(table: Table, layout: Layout, stem: str, max_bytes: int) -> list[Target]:
+def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
     """The targets of a file that have 2 fixes or more left, in the order of the file.
 
     Raises:
-        ValueError: there is none, or there are too many.
+        ValueError: there is none.
     """
     columns = [table.column(name) for name in layout]
     calls, icao24s = table.texts.get("callsign"), table.texts.get("icao24")
     members = {"": np.arange(table.rows)} if icao24s is None else grouped(icao24s)
-    if len(members) * _BYTES_OF_A_TARGET > max_bytes:
-        raise too_large(max_bytes, f"of text, of which a target counts for {_BYTES_OF_A_TARGET} or more")
     targets = []
     for icao24, rows in members.items():
         index, repairs = _rows_to_keep(columns, rows)

@@ -11,18 +11,17 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from torchfra.readers.bounded import (
-    BYTES_OF_A_ROW,
+    BYTES_OF_A_TEXT,
     MAX_BYTES,
+    Rows,
     check_bound,
     open_bounded,
-    rows_in_parts,
     too_large,
 )
 from torchfra.readers.columns import Array, Kind, number, numbers, text
@@ -33,7 +32,7 @@ HEADERS = (
     "expected a header with t,x,y[,z]; or time,icao24,lat,lon; or timestamp,latitude,longitude, separated by commas"
 )
 """The beginning of an error message."""
-_JSON = 16
+_JSON = 24
 """What a byte of JSON counts for: it is read as a whole, and takes up more memory."""
 
 
@@ -69,7 +68,7 @@ def read_table(
         headers: beginning of the error message where there is no header.
         repairs: where to count rows of CSV with more or fewer fields than the header, whose cells become empty; None
             refuses them, and tables without rows.
-        max_bytes: of text; a row counts for 64 bytes or more, and a byte of JSON for 16.
+        max_bytes: of text; a row counts for 64 bytes or more, a name for 4096 and a byte of JSON for 24.
 
     Raises:
         ValueError: the file is empty, broken, too large or neither.
@@ -118,7 +117,7 @@ def _from_json(file: io.BufferedReader, choose: Callable[[list[str]], Wanted], m
     except (ValueError, RecursionError) as error:
         raise ValueError(f"expected JSON, every key of an object once, received other text ({error})") from error
     names, rows, cells = _json_columns(parsed)
-    growing = _Growing(names, choose(names) if names else {})
+    growing = _Growing(names, choose(names) if names else {}, max_bytes)
     if names:
         growing.add(rows, cells)
     return growing.table()
@@ -157,20 +156,18 @@ def _from_csv(
     file: io.BufferedReader, choose: Callable[[list[str]], Wanted], headers: str, repairs: Counter[str] | None,
     max_bytes: int,
 ) -> Table:  # fmt: skip
+    def mended(row: list[str], before: int) -> list[str]:
+        if repairs is None:
+            raise ValueError(f"expected {len(names)} fields in data row {before + 1}, received {len(row)}")
+        repairs["rows with too many or too few fields emptied"] += 1
+        return [""] * len(names)
+
     try:
-        parts = rows_in_parts(io.TextIOWrapper(file, "utf-8-sig", newline=""))
-        first = next(parts, [])
-        while first and not "".join(first[0]).strip():
-            del first[0]
-        if not first:
-            raise ValueError("expected a track, received an empty file")
-        names = _header(first.pop(0), headers)
-        growing, place = _Growing(names, choose(names)), {name: i for i, name in enumerate(names)}
-        for part in chain([first], parts):
-            even = _even(part, len(names), growing.rows, repairs)
-            growing.add(len(even), partial(_cells, even, place))
-            if growing.rows * BYTES_OF_A_ROW > max_bytes:
-                raise too_large(max_bytes, f"of text, of which a row counts for {BYTES_OF_A_ROW} or more")
+        rows = Rows(io.TextIOWrapper(file, "utf-8-sig", newline=""), max_bytes)
+        names = _header(rows.first(), headers)
+        growing, place = _Growing(names, choose(names), max_bytes), {name: i for i, name in enumerate(names)}
+        for cells in rows.parts(len(names), mended):
+            growing.add(len(cells) // len(names), partial(_cells, cells, place))
     except csv.Error as error:
         raise ValueError(f"expected CSV, received other text ({error})") from error
     return growing.table()
@@ -182,6 +179,8 @@ def _header(row: list[str], headers: str) -> list[str]:
     Raises:
         ValueError: they are none, or the same.
     """
+    if not row:
+        raise ValueError("expected a track, received an empty file")
     names = [name.strip() for name in row]
     if len(names) == 1 or all(_is_number(name) for name in names):
         raise ValueError(f"{headers}; received {listed(names)}")
@@ -190,33 +189,16 @@ def _header(row: list[str], headers: str) -> list[str]:
     return names
 
 
-def _even(rows: list[list[str]], fields: int, before: int, repairs: Counter[str] | None) -> list[list[str]]:
-    """Rows of which each has so many fields; ``before`` them are others.
-
-    Raises:
-        ValueError: one has not, and ``repairs`` is None.
-    """
-    uneven = [i for i, row in enumerate(rows) if len(row) != fields]
-    if not uneven:
-        return rows
-    if repairs is None:
-        received = f"data row {before + uneven[0] + 1}, received {len(rows[uneven[0]])}"
-        raise ValueError(f"expected {fields} fields in {received}")
-    repairs["rows with too many or too few fields emptied"] += len(uneven)
-    return [row if len(row) == fields else [""] * fields for row in rows]
-
-
-def _cells(rows: list[list[str]], place: dict[str, int], name: str) -> list[str]:
-    """Of a column."""
-    i = place[name]
-    return [row[i] for row in rows]
+def _cells(cells: list[str], place: dict[str, int], name: str) -> list[str]:
+    """Of a column, out of those of rows one after the other."""
+    return cells[place[name] :: len(place)]
 
 
 class _Growing:
     """A table that grows part by part."""
 
-    def __init__(self, names: list[str], wanted: Wanted) -> None:
-        self.names, self.wanted, self.rows = names, wanted, 0
+    def __init__(self, names: list[str], wanted: Wanted, max_bytes: int) -> None:
+        self.names, self.wanted, self.max_bytes, self.rows = names, wanted, max_bytes, 0
         self.numbers: dict[str, list[Array]] = {
             name: [np.empty(0)] for name, kind in wanted.items() if kind is not None
         }
@@ -231,6 +213,8 @@ class _Growing:
             else:
                 self.numbers[name].append(numbers(cells(name), kind, name, self.rows))
         self.rows += rows
+        if len(self.known) * BYTES_OF_A_TEXT > self.max_bytes:
+            raise too_large(self.max_bytes, f"of text, of which each name counts for {BYTES_OF_A_TEXT} or more")
 
     def table(self) -> Table:
         """All of it; what has grown is then gone."""
