@@ -23,6 +23,8 @@ BYTES_OF_A_TEXT = 2**12
 """What each name of a target or an anchor counts for at least: about what it takes to repair and filter a target."""
 LONGEST_ROW = 2**20
 """Characters of a row of CSV, and about as many are in memory at a time."""
+_CELLS = 2**20
+"""Cells that are in memory at a time, about."""
 
 
 def check_bound(max_bytes: int) -> None:
@@ -108,11 +110,11 @@ class Rows:
                 cells += row  # and no rows: Python's garbage collector would take longer than all else
             elif row:
                 cells += mended(row, rows + len(cells) // fields)
-            if self.blocks.no_row_yet:
+            if self.blocks.no_row_yet or len(cells) > _CELLS:
                 self.blocks.no_row_yet = False
                 yield cells
                 rows, cells = rows + len(cells) // fields, []
-                if self.reader.line_num * BYTES_OF_A_ROW > self.max_bytes:
+                if self.reader.line_num * max(BYTES_OF_A_ROW, fields) > self.max_bytes:
                     raise too_large(self.max_bytes, f"of text, of which a row counts for {BYTES_OF_A_ROW} or more")
         yield cells
 
