@@ -83,7 +83,7 @@ def _recorded_ranges(
     found = [folder for path in folders for folder in readers.range_folders(path)]
     if reference is not None and len(found) > 1:
         raise ValueError(f"reference: goes with one recording, received {len(found)}")
-    sources = found or [paths]
+    sources: list[Path | list[Path]] = [*found] or [paths]
     recordings = [readers.read_ranges(one, anchors=anchors, reference=reference, **bound) for one in sources]
     if runs is not None and runs > len(recordings):
         raise ValueError(f"runs: expected at most one for each of {len(recordings)} recordings, received {runs}")

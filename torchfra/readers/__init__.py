@@ -9,9 +9,9 @@ The columns decide what a file is.  It is CSV with a header or JSON (records or 
 - ``t, x, y`` [``z``]: seconds and metres.
 
 A number is a decimal one in ASCII digits, such as -1.5e3.  Empty cells, null and NaN in any letters are missing.  All
-else is refused, infinite numbers, 1_000 and 0x10 too, and so are times that can only be in another unit, columns or keys
-that come twice, and files that hold more than ``max_bytes`` of text: they are read piece by piece, so that a few
-packed bytes do not fill the memory.
+else is refused, also "inf", 1_000 and 0x10; so are times that can only be in another unit, columns or keys that come
+twice, and files that hold more than ``max_bytes`` of text: they are read piece by piece, so that a few packed bytes do
+not fill the memory.
 
 ``read_ranges`` reads what was measured instead: ranges from anchors.
 """

@@ -22,7 +22,7 @@ BYTES_OF_A_ROW = 64
 BYTES_OF_A_TEXT = 2**12
 """What each name of a target or an anchor counts for at least: about what it takes to repair and filter a target."""
 LONGEST_ROW = 2**20
-"""Characters of a row of CSV, and about as many are in memory at a time."""
+"""Characters of a row of CSV: all such rows are read, and none of twice the length; about as many are in memory."""
 _CELLS = 2**20
 """Cells that are in memory at a time, about."""
 
@@ -112,11 +112,15 @@ class Rows:
                 cells += mended(row, rows + len(cells) // fields)
             if self.blocks.no_row_yet or len(cells) > _CELLS:
                 self.blocks.no_row_yet = False
+                self._count(fields)
                 yield cells
                 rows, cells = rows + len(cells) // fields, []
-                if self.reader.line_num * max(BYTES_OF_A_ROW, fields) > self.max_bytes:
-                    raise too_large(self.max_bytes, f"of text, of which a row counts for {BYTES_OF_A_ROW} or more")
+        self._count(fields)
         yield cells
+
+    def _count(self, fields: int) -> None:
+        if self.reader.line_num * max(BYTES_OF_A_ROW, fields) > self.max_bytes:
+            raise too_large(self.max_bytes, f"of text, of which a row counts for {BYTES_OF_A_ROW} or more")
 
 
 class _Blocks:

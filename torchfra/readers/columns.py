@@ -62,7 +62,7 @@ def number(value: Any) -> float:
         return math.nan
     if isinstance(value, str):
         value = value.strip(" \t\r\n")
-        if value.lower().removeprefix("-") in ("", "nan"):
+        if value.lower() in ("", "nan", "-nan"):
             return math.nan
         if not _DECIMAL.fullmatch(value):
             raise ValueError
