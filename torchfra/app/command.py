@@ -10,6 +10,7 @@ from pathlib import Path
 from torchfra.app import distributed
 from torchfra.app.memory import keep_memory
 from torchfra.kernel.build import CompileError
+from torchfra.readers.bounded import MAX_BYTES
 
 
 def make_parser(description: str | None, program: str | None = None) -> argparse.ArgumentParser:
@@ -26,6 +27,12 @@ def add_json_option(parser: argparse.ArgumentParser) -> None:
 def add_quiet_option(parser: argparse.ArgumentParser) -> None:
     """Adds ``--quiet``."""
     parser.add_argument("--quiet", action="store_true", help="no progress bar, and print nothing but errors")
+
+
+def add_bound_option(add: Callable[..., object], default: int | None = MAX_BYTES) -> None:
+    """Adds ``--max-bytes N`` by a parser's ``add_argument``; without a ``default`` one sees whether it was given."""
+    about = f"text that a file may hold, unpacked: a row counts for 64 or more (default: {MAX_BYTES})"
+    add("--max-bytes", type=int, default=default, metavar="N", help=about)
 
 
 def add_runs_options(parser: argparse.ArgumentParser, runs: int, seed: int = 0) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from torchfra import readers, scenarios
+from torchfra.app.command import add_bound_option
 from torchfra.catalogue import SCENARIOS, make_scenario
 from torchfra.scenarios import Scenario
 
@@ -15,9 +16,9 @@ from anchors and the path that was taken.  The columns say what a file holds: t,
 it is), t,anchor,range of several, anchor,x,y[,z], or t,x,y[,z] of the path; metres, and seconds, or ms, us or ns since
 1970."""
 _TAKEN = {
-    "files": ("outliers", "sensor", "q", "dt", "steps", "repair"),
+    "files": ("outliers", "sensor", "q", "dt", "steps", "repair", "max_bytes"),
     "--scenario": ("outliers",),
-    "--ranges": ("anchors", "reference", "height", "q", "dt"),
+    "--ranges": ("anchors", "reference", "height", "q", "dt", "max_bytes"),
 }
 """Options that go with each source."""
 _OPTIONS = tuple(dict.fromkeys(name for names in _TAKEN.values() for name in names))
@@ -41,6 +42,7 @@ def add_source_options(add: Any) -> None:
     add("--reference", type=Path, metavar="FILE", help="for ranges: the path that was taken")
     height = "for ranges: of the target, m (default: the median of the path's)"
     add("--height", type=float, metavar="M", help=height)
+    add_bound_option(add, default=None)
 
 
 def scenario_of(options: argparse.Namespace) -> tuple[Scenario, int]:
@@ -61,17 +63,19 @@ def scenario_of(options: argparse.Namespace) -> tuple[Scenario, int]:
         raise ValueError(f"{name}: goes with {goes_with}, not with {source}")
     if source == "--scenario":
         return make_scenario(options.scenario, **values), 100 if options.runs is None else options.runs
+    bound = {"max_bytes": values.pop("max_bytes", readers.MAX_BYTES)}
     if source == "--ranges":
-        return _recorded_ranges(options.ranges, options.runs, **values)
-    recordings = [recording for file in options.files for recording in readers.read(file)]
+        return _recorded_ranges(options.ranges, options.runs, bound, **values)
+    recordings = [recording for file in options.files for recording in readers.read(file, **bound)]
     scenario = scenarios.recorded(recordings, **values)
     windows = int(str(scenario.settings["windows"]))
     return scenario, windows if options.runs is None else options.runs
 
 
 def _recorded_ranges(
-    paths: list[Path], runs: int | None, anchors: Path | None = None, reference: Path | None = None, **values: float
-) -> tuple[Scenario, int]:
+    paths: list[Path], runs: int | None, bound: dict[str, int], anchors: Path | None = None,
+    reference: Path | None = None, **values: float,
+) -> tuple[Scenario, int]:  # fmt: skip
     """The scenario of recordings in folders, or of one in files."""
     folders = [path for path in paths if path.is_dir()]
     if folders and len(folders) < len(paths):
@@ -79,11 +83,8 @@ def _recorded_ranges(
     found = [folder for path in folders for folder in readers.range_folders(path)]
     if reference is not None and len(found) > 1:
         raise ValueError(f"reference: goes with one recording, received {len(found)}")
-    places = {"anchors": anchors, "reference": reference}
-    if found:
-        recordings = [readers.read_ranges(folder, **places) for folder in found]
-    else:
-        recordings = [readers.read_ranges(paths, **places)]
+    sources: list[Path | list[Path]] = [*found] or [paths]
+    recordings = [readers.read_ranges(one, anchors=anchors, reference=reference, **bound) for one in sources]
     if runs is not None and runs > len(recordings):
         raise ValueError(f"runs: expected at most one for each of {len(recordings)} recordings, received {runs}")
     scenario = scenarios.recorded_ranges(recordings, **values)

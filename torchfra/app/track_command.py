@@ -11,7 +11,7 @@ from typing import Any
 from torchfra import readers
 from torchfra.app import distributed
 from torchfra.app.atomic_write import write_json, write_text
-from torchfra.app.command import add_json_option, add_quiet_option, check_folder
+from torchfra.app.command import add_bound_option, add_json_option, add_quiet_option, check_folder
 from torchfra.app.compiling import add_compile_option, choose, reporters
 from torchfra.app.filtered import Filtered
 from torchfra.app.progress import progress_bar
@@ -52,6 +52,7 @@ def add_to(commands: Any) -> None:
     )
     add("--out", type=Path, default=Path("out"), metavar="DIR", help="where to write (default: out)")
     add("--no-plots", action="store_true", help="write the tables only")
+    add_bound_option(add)
     add_json_option(command)
     add_quiet_option(command)
     command.set_defaults(run=run)
@@ -62,7 +63,7 @@ def run(options: argparse.Namespace) -> None:
     if distributed.rank():
         return
     check_folder("out", options.out)
-    recordings = readers.read(options.file)
+    recordings = readers.read(options.file, max_bytes=options.max_bytes)
     tell, fallback = reporters(options.compile, options.quiet)
     entry = FILTERS.get(options.filter)
     least = WORTHWHILE_OF_BANKS if entry is not None and (entry.bank or entry.either) else WORTHWHILE

@@ -13,10 +13,10 @@ from torchfra.motion.base import Motion
 from torchfra.presets.learning import with_learning
 from torchfra.sensors.base import Sensor
 
-_PAPER: dict[str, Any] = {"margin": 3.0, "hysteresis": 0.5, "dwell": 3.0, "onset": "shared"}
+_PAPER: dict[str, Any] = {"margin": 3.0, "hysteresis": 0.5, "dwell": 3.0, "onset": "shared", "confirm": False}
 _TUNED: dict[str, Any] = {
     "manoeuvre": 3.5, "outlier": 18.0, "margin": 6.0, "hysteresis": 0.7, "dwell": 20.0, "degrees": [0.25],
-    "onset": "fastest",
+    "onset": "fastest", "confirm": True,
 }  # fmt: skip
 """Of three gains, tuned on ``scenarios.level_then_weave``."""
 
@@ -27,7 +27,8 @@ def alphabeta(
     margin: Value | None = None, hysteresis: Value | None = None, dwell: Value | None = None, votes: int = 2,
     patience: int = 5, longest: float = math.inf, converged: int = 5, flag_on_reject: str = "raw",
     detect: str = "cartesian", onset: str | None = None, expect: str = "paper", temperature: float = 0.0,
-    initiation: str = "two-point", period: Value | None = None, learn: Collection[str] = (),
+    initiation: str = "two-point", period: Value | None = None, confirm: bool | None = None,
+    learn: Collection[str] = (),
 ) -> AlphaBetaBank:  # fmt: skip
     """Alpha-beta filters that switch with the manoeuvre: the cheapest.  Source: Xu et al.; Kalata (1984) for the gains.
 
@@ -57,11 +58,12 @@ def alphabeta(
         temperature: 0 for hard choices, above for soft ones, to train by.
         initiation: from two measurements, ``"two-point"``, or the ``"prior"``.
         period: seconds between measurements that the gains are meant for.
+        confirm: whether it starts and restarts only where three measurements fit; no if None (yes).
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
     thresholds = _thresholds(
         motion.orders == 3 and gains is None, manoeuvre=manoeuvre, outlier=outlier, degrees=degrees, margin=margin,
-        hysteresis=hysteresis, dwell=dwell, onset=onset,
+        hysteresis=hysteresis, dwell=dwell, onset=onset, confirm=confirm,
     )  # fmt: skip
     f = AlphaBetaBank(
         motion, sensor, gains, limit=limit, votes=votes, patience=patience, longest=longest, converged=converged,

@@ -8,9 +8,15 @@ The columns decide what a file is.  It is CSV with a header or JSON (records or 
   seconds since 1970, degrees, metres.  A missing baroaltitude gives way to geoaltitude.
 - ``t, x, y`` [``z``]: seconds and metres.
 
+A number is a decimal one in ASCII digits, such as -1.5e3.  Empty cells, null and NaN in any letters are missing.  All
+else is refused, also "inf", 1_000 and 0x10; so are times that can only be in another unit, columns or keys that come
+twice, and files that hold more than ``max_bytes`` of text: they are read piece by piece, so that a few packed bytes do
+not fill the memory.
+
 ``read_ranges`` reads what was measured instead: ranges from anchors.
 """
 
+from torchfra.readers.bounded import MAX_BYTES
 from torchfra.readers.flyable import flyable
 from torchfra.readers.grid import resample
 from torchfra.readers.range_files import range_folders, read_ranges
@@ -20,6 +26,7 @@ from torchfra.readers.recording import Origin, Recording
 from torchfra.readers.sample_files import samples
 
 __all__ = [
+    "MAX_BYTES",
     "Origin",
     "RangeGrid",
     "RangeRecording",

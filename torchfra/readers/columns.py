@@ -1,104 +1,156 @@
-"""From cells to columns of numbers and of text, and which format the columns are in."""
+"""From cells to columns of numbers and of text."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import re
+import reprlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from datetime import datetime
-from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from torchfra.readers.tables import HEADERS, Table, listed
-
 Array: TypeAlias = NDArray[np.float64]
-Layout: TypeAlias = tuple[str, str, str, str, str, str]
-"""Names of the columns with time, two coordinates, what marks a new position, altitude, and a second altitude."""
 
 _EPOCH = datetime.fromisoformat("1970-01-01T00:00:00+00:00")
-_TRAFFIC: Layout = ("timestamp", "latitude", "longitude", "last_position", "altitude", "")
-_OPENSKY: Layout = ("time", "lat", "lon", "lastposupdate", "baroaltitude", "geoaltitude")
-PLAIN: Layout = ("t", "x", "y", "z", "z", "")
-"""Of files in seconds and metres; all others are in degrees."""
-_REQUIRED = {_TRAFFIC: _TRAFFIC[:3], _OPENSKY: ("time", "icao24", "lat", "lon"), PLAIN: PLAIN[:3]}
+_DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_SIGNS_OF_DECIMALS = re.compile(r"[0-9.eE+\- ,]*")
+"""Of these signs ``float`` makes decimal numbers or nothing."""
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = 60
 
 
-def layout_of(table: Table) -> Layout:
-    """The format that the columns fit best.
+@dataclass(frozen=True)
+class Kind:
+    """What the numbers of a column are."""
+
+    said: str = "a number"
+    """What an error message says is expected."""
+    limit: float = 1e15
+    """The largest, far from all that moves."""
+    unit: float = 1.0
+    """What they are multiplied by."""
+    per_unit: float = 1.0
+    """What they are divided by."""
+    between: tuple[float, float] = (math.inf, math.inf)
+    """Sizes that are not right, the ends excluded."""
+    advice: str = ""
+    """What the error message says of a number that is too large, or between those."""
+
+
+SECONDS = Kind(limit=1e10, advice=", which is too large for seconds: milliseconds must be divided by 1000")
+"""Up to the year 2286; milliseconds since 1970 are above from April 1970 on."""
+INSTANT = Kind(
+    "ms since 1970 or ISO text", limit=1e13, per_unit=1e3, between=(1e9, 1e10),
+    advice="; seconds must be multiplied by 1000, microseconds divided by it",
+)  # fmt: skip
+"""Up to the year 2286; between are seconds since 1970 of this century."""
+
+
+def number(value: Any) -> float:
+    """A cell as a number; NaN if it is empty, null or NaN, whose letters may be small or not.
 
     Raises:
-        ValueError: a required column is missing, or half of them or more whatever the format.
+        ValueError: it is no decimal number in ASCII digits, such as "-1.5e3": ``float`` takes more than that, such as
+            "1_000", digits of other scripts and "inf", which nobody means in a file.
+        OverflowError: it is an integer that is too large.
     """
-
-    def fit(layout: Layout) -> float:
-        return sum(name in table for name in _REQUIRED[layout]) / len(_REQUIRED[layout])
-
-    best = max(_REQUIRED, key=fit)
-    if fit(best) <= 0.5:
-        raise ValueError(f"{HEADERS}; received {listed(table)}")
-    if missing := [name for name in _REQUIRED[best] if name not in table]:
-        formats = "; or ".join(", ".join(names) for names in _REQUIRED.values())
-        raise ValueError(f"expected the columns {formats}; missing {listed(missing)}, received {listed(table)}")
-    return best
-
-
-def number(value: Any, limit: float = 1e15, unit: float = 1.0) -> float:
-    """A cell as a number, NaN if empty; above ``limit``, far from all that moves, it is an error."""
-    if value is None or (isinstance(value, str) and not value.strip()):
+    if value is None:
         return math.nan
-    parsed = math.inf if isinstance(value, bool) else float(value)
-    if abs(parsed) > limit:
+    if isinstance(value, str):
+        value = value.strip(" \t\r\n")
+        if value.lower() in ("", "nan", "-nan"):
+            return math.nan
+        if not _DECIMAL.fullmatch(value):
+            raise ValueError
+    elif isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError
-    return parsed * unit
+    return float(value)
 
 
 def _instant(value: Any) -> float:
-    """Ms since 1970, or ISO text, as s since 1970."""
+    """Ms since 1970, as they are or from ISO text."""
     try:
-        milliseconds = number(value)
+        return number(value)
     except ValueError:
-        moment = datetime.fromisoformat(str(value).strip().replace("Z", "+00:00"))
-        return ((moment if moment.tzinfo else moment.replace(tzinfo=_EPOCH.tzinfo)) - _EPOCH).total_seconds()
-    if 1e9 < milliseconds < 1e10:  # seconds since 1970 of this century, not ms
-        raise ValueError
-    return milliseconds / 1e3
+        text = str(value).strip()
+        if not re.match("[0-9]{4}-[0-9]{2}-[0-9]{2}[T ]", text):
+            raise
+        moment = datetime.fromisoformat(text.replace("Z", "+00:00"))
+        return ((moment if moment.tzinfo else moment.replace(tzinfo=_EPOCH.tzinfo)) - _EPOCH).total_seconds() * 1e3
 
 
-_CELLS: dict[str, tuple[str, Callable[[Any], float]]] = {
-    "timestamp": ("ms since 1970 or ISO text", _instant),
-    "altitude": ("a number", partial(number, unit=0.3048)),
-    **dict.fromkeys(("latitude", "lat"), ("degrees within +-90", partial(number, limit=90.0))),
-    **dict.fromkeys(("longitude", "lon"), ("degrees within +-180", partial(number, limit=180.0))),
-}
+def numbers(cells: Sequence[Any], kind: Kind, name: str, first: int = 0) -> Array:
+    """Cells ``(rows,)`` as numbers, NaN where empty.
 
-
-def column(table: Table, name: str) -> Array:
-    """A column ``(rows,)`` in s, degrees or m; NaN where empty or absent.
+    Args:
+        cells: of a column.
+        kind: of its numbers.
+        name: of the column.
+        first: rows before these.
 
     Raises:
-        ValueError: a cell that is not a number of its kind.
+        ValueError: a cell that is no number of this kind.
     """
-    return converted(table, name, *_CELLS.get(name, ("a number", number)))
+
+    def refused(i: int, advice: str = "") -> ValueError:
+        where = f"in data row {first + i + 1}, column {name}"
+        return ValueError(f"expected {kind.said} {where}, received {_SHORT.repr(cells[i])}{advice}")
+
+    values = _plain_decimals(cells)
+    if values is None:
+        convert: Callable[[Any], float] = _instant if kind is INSTANT else number
+        values = np.empty(len(cells))
+        for i, cell in enumerate(cells):
+            try:
+                values[i] = convert(cell)
+            except (ValueError, OverflowError):
+                raise refused(i) from None
+    size = np.abs(values)
+    wrong = (size > kind.limit) | ((size > kind.between[0]) & (size < kind.between[1]))
+    if wrong.any():
+        raise refused(int(wrong.argmax()), kind.advice)
+    return values * kind.unit / kind.per_unit
 
 
-def converted(table: Table, name: str, kind: str, convert: Callable[[Any], float]) -> Array:
-    """A column ``(rows,)`` of cells of some ``kind``; NaN where absent.
+def _plain_decimals(cells: Sequence[Any]) -> Array | None:
+    """Cells that are all empty or decimal numbers, fast; None for others."""
+    try:
+        if _SIGNS_OF_DECIMALS.fullmatch(",".join(cells)):
+            return np.array([float(cell or "nan") for cell in cells])
+    except (TypeError, ValueError):
+        pass
+    return None
+
+
+def text(cells: Sequence[Any], name: str, known: dict[Any, str], first: int = 0) -> list[str]:
+    """Cells as text; "" where empty.
+
+    Args:
+        cells: of a column.
+        name: of the column.
+        known: texts so far, so that there is one of each in memory.
+        first: rows before these.
 
     Raises:
-        ValueError: a cell that ``convert`` refuses.
+        ValueError: a cell that is neither text nor a number.
     """
-    numbers = np.full(len(next(iter(table.values()))), math.nan)
-    for i, value in enumerate(table.get(name, ())):
-        try:
-            numbers[i] = convert(value)
-        except (TypeError, ValueError, OverflowError):
-            raise ValueError(f"expected {kind} in data row {i + 1}, column {name}, received {value!r:.60}") from None
-    return numbers
+    for i, cell in enumerate(cells):
+        if isinstance(cell, bool | list | dict):
+            where = f"in data row {first + i + 1}, column {name}"
+            raise ValueError(f"expected text {where}, received {_SHORT.repr(cell)}")
+        if cell not in known:
+            known[cell] = "" if cell is None or cell != cell else str(cell).strip()
+    return [known[cell] for cell in cells]
 
 
-def text_column(table: Table, name: str) -> list[str]:
-    """A column as text; "" where empty or absent."""
-    values = table.get(name, [None] * len(next(iter(table.values()))))
-    return ["" if value is None or value != value else str(value).strip() for value in values]
+def grouped(labels: Sequence[str]) -> dict[str, NDArray[np.intp]]:
+    """The rows of each label, in the order of their first rows."""
+    place: dict[str, int] = {}
+    places = np.fromiter((place.setdefault(label, len(place)) for label in labels), np.intp, len(labels))
+    order = np.argsort(places, kind="stable")
+    parts = np.split(order, np.cumsum(np.bincount(places))[:-1]) if len(labels) else []
+    return dict(zip(place, parts, strict=True))

@@ -9,11 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
+from torchfra.readers.bounded import MAX_BYTES
 from torchfra.readers.columns import Array
-from torchfra.readers.range_tables import HEADERS, AnchorRows, anchors_in, columns_of, kind_of, path_in, places_in
+from torchfra.readers.range_tables import (
+    HEADERS,
+    AnchorRows,
+    anchors_in,
+    columns_wanted,
+    kind_of,
+    path_in,
+    places_in,
+)
 from torchfra.readers.ranges import RangeRecording
 from torchfra.readers.recording import Recording
-from torchfra.readers.tables import read_table
+from torchfra.readers.tables import Wanted, naming, read_table
 
 _PATTERNS = ("*.csv", "*.csv.gz", "*.json", "*.json.gz")
 
@@ -33,6 +42,7 @@ def read_ranges(
     *,
     anchors: str | Path | None = None,
     reference: str | Path | None = None,
+    max_bytes: int = MAX_BYTES,
 ) -> RangeRecording:
     """Reads a recording of ranges from anchors that stand still.
 
@@ -54,10 +64,12 @@ def read_ranges(
         source: a folder, a file, or several files of the same recording.
         anchors: a file that says where the anchors are; it goes before what ``source`` says.
         reference: a file with the reference path, instead of one in ``source``.
+        max_bytes: of text that each file may hold, unpacked: a row counts for 64 or more, a name for 4096,
+            a byte of JSON for 24.
 
     Raises:
-        ValueError: a file is broken or of another kind, no range is left, an anchor has no place, two places or two
-            files, or there are two reference paths.
+        ValueError: a file is broken, too large or of another kind, no range is left, an anchor has no place, two places
+            or two files, or there are two reference paths.
     """
     single = isinstance(source, str | Path)
     paths = [Path(source)] if isinstance(source, str | Path) else [Path(path) for path in source]
@@ -67,11 +79,11 @@ def read_ranges(
     folder = single and paths[0].is_dir()
     found = _Found()
     for path in _tables_in(paths[0]) if folder else paths:
-        _add(path, found, any_kind=folder)
+        _add(path, found, max_bytes, any_kind=folder)
     if anchors is not None:
-        found.places.update(_only("places", anchors).places)
+        found.places.update(_only("places", anchors, max_bytes).places)
     if reference is not None:
-        found.paths = _only("paths", reference).paths
+        found.paths = _only("paths", reference, max_bytes).paths
     return _recording(name, found)
 
 
@@ -99,33 +111,42 @@ def _tables_in(folder: Path) -> list[Path]:
     return files
 
 
-def _add(path: Path, found: _Found, *, any_kind: bool = False) -> None:
+class _OtherKindError(Exception):
+    """A file holds neither ranges nor places nor a path."""
+
+
+def _add(path: Path, found: _Found, max_bytes: int, *, any_kind: bool = False) -> None:
     """Adds what a file holds; a file of another kind is counted if ``any_kind`` may come."""
-    stem = Path(path.name.removesuffix(".gz")).stem
-    try:
-        table = read_table(path, HEADERS, found.repairs)
-        columns = columns_of(table)
+
+    def choose(names: list[str]) -> Wanted:
         try:
-            kind = kind_of(table, columns)
-        except ValueError:
-            if not any_kind:
-                raise
+            kind_of(names)
+        except ValueError as error:
+            if any_kind:
+                raise _OtherKindError from error
+            raise
+        return columns_wanted(names)
+
+    stem = Path(path.name.removesuffix(".gz")).stem
+    with naming(path):
+        try:
+            table = read_table(path, choose, headers=HEADERS, repairs=found.repairs, max_bytes=max_bytes)
+            kind = kind_of(table.names)
+        except _OtherKindError:
             found.repairs["files of another kind left out"] += 1
             return
         if kind == "ranges":
-            found.anchors += anchors_in(table, columns, stem, found.repairs)
+            found.anchors += anchors_in(table, stem, found.repairs)
         elif kind == "path":
-            found.paths.append(path_in(table, columns, stem))
+            found.paths.append(path_in(table, stem))
         else:
-            found.places.update(places_in(table, columns))
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+            found.places.update(places_in(table))
 
 
-def _only(kind: str, path: str | Path) -> _Found:
+def _only(kind: str, path: str | Path, max_bytes: int) -> _Found:
     """What a file holds that must hold ``"places"`` or ``"paths"``."""
     found = _Found()
-    _add(Path(path), found)
+    _add(Path(path), found, max_bytes)
     if not getattr(found, kind):
         columns = {"places": "anchor,x,y[,z]", "paths": "t,x,y[,z]"}[kind]
         raise ValueError(f"{path}: expected rows with the columns {columns}, received a file of another kind")
@@ -143,7 +164,7 @@ def _recording(name: str, found: _Found) -> RangeRecording:
     names = [anchor.names[0] for anchor in heard]
     if not heard:
         raise ValueError(f"{name}: expected ranges above 0 with their times, received none")
-    if repeated := sorted({one for one in names if names.count(one) > 1}):
+    if repeated := sorted(one for one, count in Counter(names).items() if count > 1):
         raise ValueError(f"{name}: expected every anchor in one file, received several with {', '.join(repeated)}")
     if len(found.paths) > 1:
         received = ", ".join(path.name for path in found.paths)

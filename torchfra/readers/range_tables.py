@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from torchfra.readers.columns import Array, converted, number, text_column
+from torchfra.readers.columns import Array, Kind, grouped
 from torchfra.readers.recording import Recording
-from torchfra.readers.tables import Table, listed
+from torchfra.readers.tables import Table, Wanted, listed
 
 Columns: TypeAlias = dict[str, str]
 """What the columns of a table are called, by what they hold: of ``_NAMES`` those that are there."""
@@ -27,6 +26,7 @@ _NAMES = {
 """Names of columns, best first, in small letters, without signs and without a leading "field"."""
 _UNITS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (0.0, 1.0))
 """Least time, and how many of its unit are a second: ns, us, ms since 1970, and seconds."""
+_TIME, _METRES = Kind("a time", limit=1e19), Kind("a number of metres")
 _SAME_PLACE = 0.01
 """Metres by which the places of an anchor that stands still may differ."""
 
@@ -44,70 +44,91 @@ class AnchorRows(NamedTuple):
     """``(3,)`` metres, NaN where the table does not say."""
 
 
-def columns_of(table: Table) -> Columns:
-    """Which column holds what."""
-    plain: dict[str, str] = {}
-    for name in table:
-        plain.setdefault(re.sub(r"[^a-z0-9]", "", name.lower()).removeprefix("field"), name)
-    found = {what: plain[name] for what, names in _NAMES.items() for name in reversed(names) if name in plain}
+def columns_of(names: list[str]) -> Columns:
+    """Which of the columns of these names holds what.
+
+    Raises:
+        ValueError: several may be the same.
+    """
+    plain: dict[str, list[str]] = {}
+    for name in names:
+        plain.setdefault(re.sub(r"[^a-z0-9]", "", name.lower()).removeprefix("field"), []).append(name)
+    found = {what: plain[name] for what, known in _NAMES.items() for name in reversed(known) if name in plain}
     longer = [name for name in plain if name.startswith(("range", "distance"))]
-    return found | {"range": plain[longer[0]]} if "range" not in found and len(longer) == 1 else found
+    if "range" not in found and len(longer) == 1:
+        found["range"] = plain[longer[0]]
+    for what, same in found.items():
+        if len(same) > 1:
+            raise ValueError(f"expected one column of {what}, received {listed(same)}")
+    return {what: same[0] for what, same in found.items()}
 
 
-def kind_of(table: Table, columns: Columns) -> str:
-    """What a table holds: ``"ranges"``, a ``"path"`` or ``"places"``.
+def columns_wanted(names: list[str]) -> Wanted:
+    """What is read of a file with these columns.
+
+    Raises:
+        ValueError: see ``columns_of``.
+    """
+    kinds = {"time": _TIME, "anchor": None}
+    return {name: kinds.get(what, _METRES) for what, name in columns_of(names).items()}
+
+
+def kind_of(names: list[str]) -> str:
+    """What a table with columns of these names holds: ``"ranges"``, a ``"path"`` or ``"places"``.
 
     Raises:
         ValueError: none of them.
     """
+    columns = columns_of(names)
     for kind, needed in (("ranges", "time range"), ("path", "time x y"), ("places", "anchor x y")):
         if all(name in columns for name in needed.split()):
             return kind
-    raise ValueError(f"{HEADERS}; received {listed(table)}")
+    raise ValueError(f"{HEADERS}; received {listed(names)}")
 
 
-def anchors_in(table: Table, columns: Columns, stem: str, repairs: Counter[str]) -> list[AnchorRows]:
+def anchors_in(table: Table, stem: str, repairs: Counter[str]) -> list[AnchorRows]:
     """The ranges of each anchor of a table, in the order of their first rows.
 
     Args:
         table: of ranges.
-        columns: of the table.
         stem: of the file's name, which an anchor has that the table does not name or only by its ``id``.
         repairs: where to count them.
 
     Raises:
-        ValueError: a cell that is not a number, or an anchor that moves.
+        ValueError: times that differ in their unit, or an anchor that moves.
     """
+    columns = columns_of(table.names)
     data = np.stack([_seconds(table, columns), _metres(table, columns, "range")], 1)
     places = np.stack([_metres(table, columns, axis) for axis in "xyz"], 1)
-    labels = text_column(table, columns.get("anchor", ""))
-    known = list(dict.fromkeys(label for label in labels if label))
+    rows = grouped(table.texts.get(columns.get("anchor", ""), []))
+    known = [label for label in rows if label]
     if len(known) <= 1:
         named = "anchor" in columns.get("anchor", "").lower()
         names = (*known, stem) if named else (stem, *known)
         return [AnchorRows(names, *_ranges(data, repairs), _place(places, stem))]
-    repairs["rows without anchor dropped"] += labels.count("")
-    rows = {label: np.array([i for i, other in enumerate(labels) if other == label]) for label in known}
+    repairs["rows without anchor dropped"] += len(rows.pop("", ()))
     return [AnchorRows((label,), *_ranges(data[i], repairs), _place(places[i], label)) for label, i in rows.items()]
 
 
-def places_in(table: Table, columns: Columns) -> dict[str, Array]:
+def places_in(table: Table) -> dict[str, Array]:
     """Where the anchors of a table are, ``(3,)`` each with NaN where it does not say, by their names.
 
     Raises:
-        ValueError: a cell that is not a number, or an anchor in several places.
+        ValueError: an anchor in several places.
     """
+    columns = columns_of(table.names)
     places = np.stack([_metres(table, columns, axis) for axis in "xyz"], 1)
-    labels = np.array(text_column(table, columns["anchor"]))
-    return {str(name): _place(places[labels == name], str(name)) for name in dict.fromkeys(labels.tolist()) if name}
+    rows = grouped(table.texts[columns["anchor"]])
+    return {name: _place(places[i], name) for name, i in rows.items() if name}
 
 
-def path_in(table: Table, columns: Columns, stem: str) -> Recording:
+def path_in(table: Table, stem: str) -> Recording:
     """The reference path of a table.
 
     Raises:
-        ValueError: a cell that is not a number, or fewer than 2 rows with time and position.
+        ValueError: times that differ in their unit, or fewer than 2 rows with time and position.
     """
+    columns = columns_of(table.names)
     position = np.stack([_metres(table, columns, axis) for axis in "xyz"], 1)
     if np.isnan(position[:, 2]).all():
         position = position[:, :2]
@@ -119,15 +140,23 @@ def path_in(table: Table, columns: Columns, stem: str) -> Recording:
 
 
 def _metres(table: Table, columns: Columns, what: str) -> Array:
-    return converted(table, columns.get(what, ""), "a number of metres", number)
+    return table.column(columns.get(what, ""))
 
 
 def _seconds(table: Table, columns: Columns) -> Array:
-    """The times of a table, in whichever unit they are."""
-    time = converted(table, columns["time"], "a time", partial(number, limit=1e19))
+    """The times of a table, in whichever unit they are.
+
+    Raises:
+        ValueError: some are in another unit than the others.
+    """
+    time = table.column(columns["time"])
     known = np.abs(time[np.isfinite(time)])
-    middle = float(np.median(known)) if len(known) else 0.0
-    return time / next(unit for least, unit in _UNITS if middle >= least)
+    if not len(known):
+        return time
+    units = [next(unit for least, unit in _UNITS if t >= least) for t in (known.min(), known.max())]
+    if units[0] != units[1]:
+        raise ValueError(f"expected times in one unit, received {known.min():g} to {known.max():g}")
+    return time / units[0]
 
 
 def _ranges(data: Array, repairs: Counter[str]) -> tuple[Array, Array]:

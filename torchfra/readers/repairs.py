@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from torchfra.readers.columns import PLAIN, Array, Layout, column, text_column
+from torchfra.readers.columns import Array, grouped
+from torchfra.readers.layouts import Layout
 from torchfra.readers.tables import Table
 
 
@@ -28,19 +29,15 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
     Raises:
         ValueError: there is none.
     """
-    data = np.stack([column(table, name) for name in layout], 1)
-    icao24s, calls = (
-        [""] * len(data) if layout is PLAIN else text_column(table, name) for name in ("icao24", "callsign")
-    )
-    members: dict[str, list[int]] = {}
-    for i, icao24 in enumerate(icao24s):
-        members.setdefault(icao24, []).append(i)
+    columns = [table.column(name) for name in layout]
+    calls, icao24s = table.texts.get("callsign"), table.texts.get("icao24")
+    members = {"": np.arange(table.rows)} if icao24s is None else grouped(icao24s)
     targets = []
     for icao24, rows in members.items():
-        index, repairs = _rows_to_keep(data[rows])
-        call = next((calls[rows[i]] for i in index if calls[rows[i]]), "")
+        index, repairs = _rows_to_keep(columns, rows)
+        call = "" if calls is None else next((calls[i] for i in index if calls[i]), "")
         name = f"{icao24} {call}".strip()
-        targets.append(Target(name or stem, _with_altitude(data[rows][index], repairs), repairs))
+        targets.append(Target(name or stem, _fixes(columns, index, repairs), repairs))
     good = [target for target in targets if len(target.fixes) >= 2]
     if not good:
         raise ValueError(_too_few(targets))
@@ -58,33 +55,39 @@ def _too_few(targets: list[Target]) -> str:
     return f"expected 2 or more rows with time and position{same}, received {received}{after}"
 
 
-def _rows_to_keep(data: Array) -> tuple[NDArray[np.intp], Counter[str]]:
-    """Which rows ``(rows, 6)`` of a target to keep, in order of time, and the count of the repairs."""
+def _rows_to_keep(columns: list[Array], rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], Counter[str]]:
+    """Which of the rows of a target to keep, in order of time, and the count of the repairs; columns as in a layout."""
     repairs: Counter[str] = Counter()
 
-    def keep(index: NDArray[np.intp], mask: Any, what: str) -> NDArray[np.intp]:
+    def keep(index: NDArray[np.intp], mask: NDArray[np.bool_], what: str) -> NDArray[np.intp]:
         repairs[what] = len(index) - int(mask.sum())
-        return np.asarray(index[mask])
+        return index if mask.all() else index[mask]
 
-    index = keep(np.arange(len(data)), np.isfinite(data[:, 0]), "rows without time dropped")
-    index = keep(index, np.isfinite(data[index, 1:3]).all(1), "rows without position dropped")
-    time = data[index, 0]
+    times, first, second, update, *_ = columns
+    index = keep(rows, np.isfinite(times[rows]), "rows without time dropped")
+    index = keep(index, np.isfinite(first[index]) & np.isfinite(second[index]), "rows without position dropped")
+    time = times[index]
     repairs["rows put in time order"] = int((time < np.maximum.accumulate(time)).sum())
     index = index[np.argsort(time, kind="stable")]
-    index = keep(index, np.diff(data[index, 0], prepend=-math.inf) > 0, "duplicate times dropped")
-    step = np.diff(np.nan_to_num(data[index, 1:4], nan=1e16), axis=0, prepend=2e16)
-    return keep(index, step.any(1), "held positions dropped"), repairs
+    index = keep(index, np.diff(times[index], prepend=-math.inf) > 0, "duplicate times dropped")
+    moved = np.zeros(len(index), dtype=bool)
+    for column in (first, second, update):
+        moved |= np.diff(np.nan_to_num(column[index], nan=1e16), prepend=2e16) != 0
+    return keep(index, moved, "held positions dropped"), repairs
 
 
-def _with_altitude(fixes: Array, repairs: Counter[str]) -> Array:
-    """Fixes ``(k, 6)`` as ``(k, 5)`` with missing altitudes filled, or as ``(k, 4)`` if all altitudes are missing."""
-    known = np.isfinite(fixes[:, 4:])
-    some = known.any(1)
-    if not some.any():
-        return fixes[:, :4]
-    before = np.maximum.accumulate(np.where(some, np.arange(len(fixes)), -1))
-    row = np.where(before < 0, some.argmax(), before)
-    repairs["altitudes taken from geoaltitude"] = int((some & ~known[:, 0]).sum())
-    repairs["altitudes filled from the fix before"] = int((~some & (before >= 0)).sum())
-    repairs["altitudes filled from the fix after"] = int((before < 0).sum())
-    return np.column_stack([fixes[:, :4], fixes[row, 4 + known[row].argmax(1)]])
+def _fixes(columns: list[Array], index: NDArray[np.intp], repairs: Counter[str]) -> Array:
+    """Fixes ``(k, 5)`` with missing altitudes filled, or ``(k, 4)`` if all altitudes are missing."""
+    known = [np.isfinite(column[index]) for column in columns[4:]]
+    some = known[0] | known[1]
+    fixes = np.empty((len(index), 5 if some.any() else 4))
+    for i, column in enumerate(columns[:4]):
+        fixes[:, i] = column[index]
+    if some.any():
+        before = np.maximum.accumulate(np.where(some, np.arange(len(index)), -1))
+        row = np.where(before < 0, some.argmax(), before)
+        repairs["altitudes taken from geoaltitude"] = int((some & ~known[0]).sum())
+        repairs["altitudes filled from the fix before"] = int((~some & (before >= 0)).sum())
+        repairs["altitudes filled from the fix after"] = int((before < 0).sum())
+        fixes[:, 4] = np.where(known[0], *(column[index] for column in columns[4:]))[row]
+    return fixes

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import reduce
+from typing import TypeAlias
 
 import torch
 from torch import Tensor
 
 from torchfra.filters.alphabeta import gains as design
 from torchfra.hyper import Hyper
+from torchfra.linalg.safe import safe_divide, safe_sqrt
 from torchfra.linalg.tracing import is_traced
+from torchfra.linalg.triangular import tria
+
+Rows: TypeAlias = list[list[Tensor]]
+"""Of the covariance roots of all axes: element i, j of each is ``(..., d)``."""
 
 
 def predicted(parts: tuple[Tensor, ...], dt: Tensor) -> list[Tensor]:
@@ -61,11 +67,60 @@ def three_gain_root(alpha: Tensor, beta: Tensor, gamma: Tensor) -> tuple[list[Te
     return [root[..., i, j] for i in range(3) for j in range(i + 1)], 1 + ahead.square().sum(-1)
 
 
-def scaled_root(entries: Sequence[Tensor], dt: Tensor, std: Tensor) -> Tensor:
-    """Entries ``(..., p, d)`` of the root for this time step and this std of the measurement noise."""
-    rows = [i for i in range(3) for _ in range(i + 1)]
-    rows_scaled = [entry / dt**i * std for i, entry in zip(rows, entries, strict=False)]
-    return torch.stack(torch.broadcast_tensors(*rows_scaled), -2)
+def root_rows(entries: Tensor) -> Rows:
+    """The rows of roots from their entries ``(..., p, d)`` that are not zero, row by row."""
+    size = 2 if entries.shape[-2] == 3 else 3
+    zero = torch.zeros_like(entries[..., 0, :])
+    return [[entries[..., i * (i + 1) // 2 + j, :] if j <= i else zero for j in range(size)] for i in range(size)]
+
+
+def axis_roots(root: Tensor, orders: int, size: int) -> Tensor:
+    """Entries ``(..., p, d)`` of the root of each axis, of its first ``size`` orders, from a whole ``(..., n, n)``."""
+    rows = tria(root.unflatten(-2, (orders, -1)).transpose(-2, -3)[..., :size, :])
+    return torch.stack([rows[..., i, j] for i in range(size) for j in range(i + 1)], -2)
+
+
+def root_ahead(rows: Rows, dt: Tensor) -> Rows:
+    """Rows of a root after ``dt``."""
+    return [list(column) for column in zip(*(predicted(tuple(c), dt) for c in zip(*rows, strict=True)), strict=True)]
+
+
+def corrected_root(rows: Rows, column: list[Tensor], since: Tensor, used: Tensor, std: Tensor) -> Tensor:
+    """Entries ``(..., p, d)`` of ``(I - K H) P (I - K H)^T + K R K^T``: the covariance of errors, whatever the gains.
+
+    Args:
+        rows: of a root of P.
+        column: gains of position, velocity(, acceleration).
+        since: seconds that they are divided by.
+        used: 1 where they are used, 0 where K is 0.
+        std: root of R.
+
+    Source: Bar-Shalom, Li & Kirubarajan (2001), section 5.2 (the form of Joseph).
+    """
+    gains = [used * gain / since**i for i, gain in enumerate(column)]
+    rest = [[*(a - g * b for a, b in zip(row, rows[0], strict=True)), g * std]
+            for g, row in zip(gains, rows, strict=True)]  # fmt: skip
+    entries: list[list[Tensor]] = [[] for _ in rest]
+    for i, row in enumerate(rest):  # modified Gram-Schmidt
+        norm = safe_sqrt(reduce(torch.add, (x.square() for x in row)))
+        unit = [safe_divide(x, norm) for x in row]
+        entries[i].append(norm)
+        for k in range(i + 1, len(rest)):
+            along = reduce(torch.add, (x * u for x, u in zip(rest[k], unit, strict=True)))
+            rest[k] = [x - along * u for x, u in zip(rest[k], unit, strict=True)]
+            entries[k].append(along)
+    return torch.stack(torch.broadcast_tensors(*(x for row in entries for x in row)), -2)
+
+
+def root_spreads(entries: Tensor) -> Tensor:
+    """Standard deviations ``(..., k, d)`` of position, velocity(, acceleration)."""
+    rows = root_rows(entries)
+    return torch.stack([safe_sqrt(reduce(torch.add, (x.square() for x in row))) for row in rows], -2)
+
+
+def residual_spread(rows: Rows, std: Tensor) -> Tensor:
+    """Standard deviation of the residual of a predicted position, in std of the measurement."""
+    return (1 + reduce(torch.add, (x.square() for x in rows[0])) / std.square()).sqrt()
 
 
 def full_root(entries: Tensor, n: int) -> Tensor:

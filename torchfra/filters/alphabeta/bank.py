@@ -11,18 +11,24 @@ from torch.distributions import constraints
 
 from torchfra.filters.alphabeta import gains as design
 from torchfra.filters.alphabeta.axes import (
-    predicted,
-    scaled_root,
-    short_step_gains,
-    startup_gains,
+    residual_spread,
+    root_ahead,
+    root_rows,
+    root_spreads,
     two_gain_root,
-    updated,
 )
 from torchfra.filters.alphabeta.base import record
-from torchfra.filters.alphabeta.decisions import Decisions
 from torchfra.filters.alphabeta.gains import Gains
-from torchfra.filters.alphabeta.levels import all_stable, of_level, one_level
-from torchfra.filters.alphabeta.memory import AlphaBetaBankState, AlphaBetaInfo, Innovation, OutlierTest, Vote, remember
+from torchfra.filters.alphabeta.levels import all_stable, one_level
+from torchfra.filters.alphabeta.memory import (
+    AlphaBetaBankState,
+    AlphaBetaInfo,
+    Earlier,
+    OutlierTest,
+    Vote,
+    remember,
+)
+from torchfra.filters.alphabeta.updates import Updates
 from torchfra.filters.base import Mix
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
@@ -32,15 +38,15 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
 
-class AlphaBetaBank(Decisions):
+class AlphaBetaBank(Updates):
     """Alpha-beta filters that share one state, of which the data choose the gains: the slow ones for straight flight.
 
     A residual above ``manoeuvre`` raises a flag, a majority of the last flags votes for a manoeuvre.  Without one, a
     residual beyond ``outlier`` is rejected and the track extrapolated; in one, only what is out of the target's reach
     is.  After too many rejections the filter restarts from the last two measurements.
 
-    ``Estimate.scale_tril`` is that of the steady state of the level in use for the measurement noise of the sensor, so
-    that it jumps with the level and ignores rejections; ``nis`` and ``log_likelihood`` go with the level before.
+    ``Estimate.scale_tril`` is that of the errors which the prior and the measurement noise of the sensor leave under
+    the gains that were used: it grows while nothing is measured or used.  What a manoeuvre adds is not in it.
 
     All choices are hard.  With a ``temperature`` they are soft, for training: each comparison becomes a sigmoid (in
     units of its threshold), and gains are mixed.  ``f.temperature = 0`` makes a trained filter hard; restarts are
@@ -74,13 +80,16 @@ class AlphaBetaBank(Decisions):
         initiation: position and velocity from the first two measurements, ``"two-point"``, or from the ``"prior"``.
         period: seconds between measurements that the gains are meant for: those of shorter steps are smaller; None
             for steps that hardly differ.
+        confirm: whether it starts and restarts only from two measurements that a third confirms: one that the target
+            reaches from them by ``limit`` and ``margin``.  Until then it starts from the newest one, at no speed, and
+            goes on as it was instead of restarting.
 
     Raises:
         ValueError: gains that are not stable or whose levels do not slow down, or an argument out of its range.
 
     Source: Xu et al., "multilevel combined alpha-beta filter"; reconstructed where its formulas are lost.  Differs:
-    after rejections the gain of the velocity is divided by all of the time that has passed.  ``onset``, ``expect``
-    and the soft choices are additions.
+    after rejections the gain of the velocity is divided by all of the time that has passed.  ``onset``, ``expect``,
+    ``confirm`` and the soft choices are additions.
     """
 
     def __init__(
@@ -107,10 +116,12 @@ class AlphaBetaBank(Decisions):
         temperature: float = 0.0,
         initiation: str = "two-point",
         period: Value | None = None,
+        confirm: bool = False,
     ) -> None:
         super().__init__(motion, sensor, initiation, period)
         self.votes, self.patience, self.longest, self.converged = votes, patience, longest, converged
         self.flag_on_reject, self.detect, self.onset, self.expect = flag_on_reject, detect, onset, expect
+        self.confirm = confirm
         self._check()
         gains = design.levels(motion.orders) if gains is None else gains
         self._set_levels(gains)
@@ -169,12 +180,14 @@ class AlphaBetaBank(Decisions):
     def begin(self, belief: Gaussian) -> AlphaBetaBankState:
         """The state before the first measurement: nothing used, no flags, the fastest level."""
         mean, axes, count = self._first(belief)
+        root = self._first_root(belief)
         polar = self.detect == "polar"
         zero, count = (axes[..., :1], count[..., :1]) if polar else (axes, count)
         channels = axes[..., :2] if polar else axes
         return AlphaBetaBankState(
             mean=mean,
-            root=self._empty_root(axes),
+            root=root,
+            start=root_spreads(root),
             used=count,
             since=zero,
             rejected=zero,
@@ -183,10 +196,10 @@ class AlphaBetaBank(Decisions):
             manoeuvre=zero,
             quiet=zero,
             level=torch.nn.functional.pad(zero.unsqueeze(-1) + 1, (0, self.alpha.raw.shape[-1] - 1)),
-            interval=zero + 1,
             last=axes,
             since_last=axes,
-            fastest=mean if self.onset == "fastest" else None,
+            earlier=Earlier(axes, axes, axes) if self.confirm else None,
+            fastest=Gaussian(mean, root) if self.onset == "fastest" else None,
         )
 
     def advance(
@@ -197,54 +210,18 @@ class AlphaBetaBank(Decisions):
         vote = self.manoeuvre_vote(state, innovation)
         test = self.outlier_test(state, innovation, vote.manoeuvre)
         level = self.choose_level(state, innovation, vote.manoeuvre, test.accepted)
-        mean, fastest = self._update(state, innovation, vote, test, level)
+        belief, fastest = self.update(state, innovation, vote, test, level)
         level = torch.where(test.restarted.unsqueeze(-1) > 0, one_level(0, level), level)
-        entries, variances = self._steady_states(innovation.residual)
         after = remember(state, innovation, vote, test, self._flag_left(vote, test))
-        root = scaled_root([of_level(level, entry) for entry in entries], after.interval, innovation.std)
-        after = after._replace(mean=mean, root=root, level=level, fastest=fastest)
-        spread = of_level(state.level, variances).sqrt()
+        after = after._replace(mean=belief.mean, root=belief.scale_tril, level=level, fastest=fastest)
+        spread = residual_spread(root_ahead(root_rows(state.root), innovation.dt), innovation.std)
         return after, record(after, innovation.residual, frame, spread, _info(vote, test, level))
-
-    def _update(
-        self, state: AlphaBetaBankState, innovation: Innovation, vote: Vote, test: OutlierTest, level: Tensor
-    ) -> tuple[Tensor, Tensor | None]:
-        """The mean after the step, and that of the fastest filter if it runs all the time."""
-        z, dt, since = innovation.z, innovation.dt, innovation.since
-        used = (1 - test.rejected) * innovation.axis_measured
-        mean = self._corrected(level, state.used, innovation.ahead, used * innovation.residual, since)
-        velocity = (test.points - 1) * (z - state.last) / (state.since_last + dt)
-        restart = [z, velocity, *(0 * z for _ in mean[2:])]
-        fastest = state.fastest
-        if fastest is not None:
-            fast = predicted(self._components(fastest), dt)
-            fast = self._corrected(one_level(0, level), state.used, fast, used * (z - fast[0]), since)
-            onset = vote.manoeuvre * (1 - state.manoeuvre)
-            mean = [x + onset * (f - x) for x, f in zip(mean, fast, strict=True)]
-            fastest = _where(test.restarted > 0, restart, fast)
-        return _where(test.restarted > 0, restart, mean), fastest
-
-    def _corrected(
-        self, level: Tensor, used: Tensor, ahead: list[Tensor], residual: Tensor, since: Tensor
-    ) -> list[Tensor]:
-        """Position, velocity(, acceleration) after a residual ``(..., d)``, which is 0 where there is none."""
-        hypers = [self.alpha, self.beta] + ([] if self.gamma is None else [self.gamma])
-        gains = [of_level(level, h(residual)) for h in hypers]
-        if self.gamma is not None:
-            has_gamma = (self.gamma(residual) > 0).to(residual)
-            gains[2], ahead = gains[2] / 2, [*ahead[:2], of_level(level, has_gamma) * ahead[2]]
-        return updated(ahead, startup_gains(short_step_gains(gains, since, self.period), used), since, residual)
 
     def _flag_left(self, vote: Vote, test: OutlierTest) -> Tensor:
         """The flag that this measurement leaves in the history."""
         return vote.flag if self.flag_on_reject == "raw" else vote.flag + test.rejected * (vote.vote - vote.flag)
 
 
-def _where(mask: Tensor, yes: list[Tensor], no: list[Tensor]) -> Tensor:
-    """A mean from the one or the other components."""
-    return torch.cat([torch.where(mask, a, b) for a, b in zip(yes, no, strict=True)], -1)
-
-
 def _info(vote: Vote, test: OutlierTest, level: Tensor) -> AlphaBetaInfo:
     place = reduce(torch.add, (i * level[..., i] for i in range(level.shape[-1])))
-    return AlphaBetaInfo(place, vote.vote > 0.5, vote.manoeuvre > 0.5, test.rejected > 0.5, test.restarted > 0)
+    return AlphaBetaInfo(place, vote.vote > 0.5, vote.manoeuvre > 0.5, test.rejected > 0.5, test.again > 0)

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchfra.filters.alphabeta.axes import full_root
+from torchfra.filters.alphabeta.axes import axis_roots, full_root
 from torchfra.filters.records import Record
 from torchfra.filters.tracks import TrackFilter
 from torchfra.gaussian.inputs import Frame
@@ -44,9 +44,9 @@ class ConstantGainFilter(TrackFilter):
             return belief.mean, zero, zero + 2
         return torch.cat([belief.mean[..., :d], *[zero] * (self.motion.orders - 1)], -1), zero, zero
 
-    def _empty_root(self, zero: Tensor) -> Tensor:
-        """Entries ``(..., p, d)`` of a covariance root of 0."""
-        return zero.unsqueeze(-2).expand(*zero.shape[:-1], 3 if self.gamma is None else 6, -1)
+    def _first_root(self, belief: Gaussian) -> Tensor:
+        """Entries ``(..., p, d)`` of the covariance root of each axis."""
+        return axis_roots(belief.scale_tril, self.motion.orders, 2 if self.gamma is None else 3)
 
     def _components(self, mean: Tensor) -> tuple[Tensor, ...]:
         """Position, velocity(, acceleration) ``(..., d)`` of a mean."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import reduce
 from itertools import pairwise
 
@@ -36,6 +35,7 @@ class Decisions(Soft, ConstantGainFilter):
     converged: int
     detect: str
     expect: str
+    confirm: bool
 
     def innovation(self, state: AlphaBetaBankState, frame: Frame) -> Innovation:
         """The measurement compared with its prediction."""
@@ -65,18 +65,33 @@ class Decisions(Soft, ConstantGainFilter):
     def outlier_test(self, state: AlphaBetaBankState, innovation: Innovation, manoeuvre: Tensor) -> OutlierTest:
         """Whether this is an outlier: above a threshold, or in a manoeuvre out of the target's reach; and restarts."""
         limit = self._largest_residual(state, innovation, manoeuvre)
+        measured, started = innovation.measured, (state.used > 1.5).to(innovation.since)
         rejected = self._any(self._above(innovation.size / limit, 1.0))
-        rejected = rejected * innovation.measured * (state.used > 1.5)  # two points start a track, whatever they are
-        expired = None
-        if math.isfinite(self.longest):
-            expired = (innovation.since > self.longest).to(rejected) * innovation.measured * (state.used > 0.5)
-            rejected = rejected * (1 - expired)
-        in_a_row = state.rejected + rejected
-        restarted = (in_a_row > self.patience).to(rejected) * (rejected > 0.5)
-        accepted = (1 - rejected) * innovation.measured
-        if expired is None:
-            return OutlierTest(rejected, accepted, in_a_row, restarted, torch.full_like(rejected, 2.0))
-        return OutlierTest(rejected, accepted, in_a_row, torch.maximum(restarted, expired), 2 - expired)
+        rejected = rejected * measured * started  # two points start a track, whatever they are
+        begun = (state.used > 0.5).to(rejected)
+        expired = (innovation.since > self.longest).to(rejected) * measured * begun
+        rejected = torch.maximum(rejected, expired * started) if self.confirm else rejected * (1 - expired)
+        in_a_row, accepted = state.rejected + rejected, (1 - rejected) * measured
+        restarted = torch.maximum((in_a_row > self.patience).to(rejected) * (rejected > 0.5), expired)
+        if not self.confirm:
+            return OutlierTest(rejected, accepted, accepted, in_a_row, restarted, 2 - expired, restarted)
+        starting = begun - started
+        restarted = torch.maximum(restarted, starting) * measured * self._confirmed(state, innovation)
+        counted, two = accepted * (1 - starting), torch.full_like(rejected, 2.0)
+        return OutlierTest(rejected, accepted, counted, in_a_row, restarted, two, restarted * started)
+
+    def _confirmed(self, state: AlphaBetaBankState, innovation: Innovation) -> Tensor:
+        """``(..., g)`` 1 where the target can reach this measurement from the last two."""
+        assert state.earlier is not None
+        before, between, seen = state.earlier
+        between = torch.where(seen > 1.5, between, 1.0)
+        since = state.since_last + innovation.dt
+        ratio = since / between
+        bend = innovation.z - state.last - ratio * (state.last - before)
+        limit, margin = (h(bend).unsqueeze(-1) for h in (self.limit, self.margin))
+        noise = innovation.std * (1 + (1 + ratio).square() + ratio.square()).sqrt()
+        near = bend.abs() < 0.5 * limit * since * (between + since) + margin * noise
+        return 1 - self._any(1 - (near & (seen > 1.5)).to(bend))
 
     def _largest_residual(self, state: AlphaBetaBankState, innovation: Innovation, manoeuvre: Tensor) -> Tensor:
         """``(..., d)`` in std: what the target can reach in a manoeuvre, and the threshold of outliers without one."""

@@ -11,12 +11,25 @@ from torchfra.filters.alphabeta.axes import full_root
 from torchfra.types import Gaussian
 
 
+class Earlier(NamedTuple):
+    """What is known of the measurement before the last one, used or not."""
+
+    z: Tensor
+    """``(..., d)``."""
+    between: Tensor
+    """``(..., d)`` seconds between it and the last one."""
+    seen: Tensor
+    """``(..., d)`` how many measurements there were."""
+
+
 class AlphaBetaBankState(NamedTuple):
     """What the bank knows after a step; ``g`` is an axis, or 1 where all axes decide together."""
 
     mean: Tensor
     root: Tensor
-    """``(..., 3, d)``, see ``AlphaBetaState``."""
+    """``(..., p, d)``, see ``AlphaBetaState``."""
+    start: Tensor
+    """``(..., k, d)`` std of position, velocity(, acceleration) of the prior."""
     used: Tensor
     """``(..., g)`` measurements that were used since the (re)start."""
     since: Tensor
@@ -33,18 +46,18 @@ class AlphaBetaBankState(NamedTuple):
     """``(..., g)`` steps since the last vote for one."""
     level: Tensor
     """``(..., g, N)`` the filter that was used last."""
-    interval: Tensor
-    """``(..., g)`` seconds between the last two that were used."""
     last: Tensor
     """``(..., d)`` the last measurement, used or not."""
     since_last: Tensor
     """``(..., d)`` seconds since it."""
-    fastest: Tensor | None
-    """``(..., n)`` mean of the fastest filter, if that runs all the time."""
+    earlier: Earlier | None
+    """What a restart is confirmed by, if it has to be."""
+    fastest: Gaussian | None
+    """Mean ``(..., n)`` and entries of the root of the fastest filter, if that runs all the time."""
 
     @property
     def belief(self) -> Gaussian:
-        """The estimate, with the steady-state covariance of the level in use."""
+        """The estimate."""
         return Gaussian(self.mean, full_root(self.root, self.mean.shape[-1]))
 
 
@@ -103,11 +116,15 @@ class OutlierTest(NamedTuple):
     """``(..., g)`` 1 for a measurement that is not used."""
     accepted: Tensor
     """``(..., g)`` 1 for one that is."""
+    counted: Tensor
+    """``(..., g)`` 1 for one that counts as used."""
     in_a_row: Tensor
     """``(..., g)`` rejections since the last measurement that was used."""
     restarted: Tensor
     points: Tensor
     """``(..., g)`` measurements that a restart begins with."""
+    again: Tensor
+    """``(..., g)`` 1 where the track had started before it restarts."""
 
 
 def remember(
@@ -125,18 +142,23 @@ def remember(
     keep, measured, axis_measured = 1 - test.restarted, innovation.measured, innovation.axis_measured
     voting = measured * (state.used > 1.5)  # the two points that start a track vote for nothing
     change = voting.unsqueeze(-2) * (_pushed(state.flags, flag) - state.flags)
-    used_interval = state.interval + test.accepted * (innovation.since - state.interval)
+    since_last = state.since_last + innovation.dt
+    earlier = state.earlier
+    if earlier is not None:
+        z = earlier.z + axis_measured * (state.last - earlier.z)
+        between = earlier.between + axis_measured * (since_last - earlier.between)
+        earlier = Earlier(z, between, earlier.seen + axis_measured)
     return state._replace(
-        used=keep * (state.used + test.accepted) + test.restarted * test.points,
+        used=keep * (state.used + test.counted) + test.restarted * test.points,
         since=keep * innovation.since * (1 - test.accepted),
         rejected=keep * test.in_a_row * (1 - test.accepted),
         flags=keep.unsqueeze(-2) * (state.flags + change),
         known=keep * (state.known + voting),
         manoeuvre=keep * (state.manoeuvre + measured * (vote.manoeuvre - state.manoeuvre)),
         quiet=keep * vote.quiet,
-        interval=torch.where(test.restarted > 0, innovation.dt, used_interval),
         last=state.last + axis_measured * (innovation.z - state.last),
-        since_last=(state.since_last + innovation.dt) * (1 - axis_measured),
+        since_last=since_last * (1 - axis_measured),
+        earlier=earlier,
     )
 
 

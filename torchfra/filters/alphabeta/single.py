@@ -10,13 +10,14 @@ from torch.distributions import constraints
 
 from torchfra.filters.alphabeta import gains as design
 from torchfra.filters.alphabeta.axes import (
+    corrected_root,
     full_root,
     predicted,
-    scaled_root,
+    residual_spread,
+    root_ahead,
+    root_rows,
     short_step_gains,
     startup_gains,
-    three_gain_root,
-    two_gain_root,
     updated,
 )
 from torchfra.filters.alphabeta.base import ConstantGainFilter, record
@@ -41,20 +42,19 @@ class AlphaBetaState(NamedTuple):
     """``(..., d)`` measurements that were used."""
     since: Tensor
     """``(..., d)`` seconds since the last of them."""
-    interval: Tensor
-    """``(..., d)`` seconds between the last two."""
 
     @property
     def belief(self) -> Gaussian:
-        """The estimate, with the steady-state covariance of its gains."""
+        """The estimate."""
         return Gaussian(self.mean, full_root(self.root, self.mean.shape[-1]))
 
 
 class AlphaBeta(ConstantGainFilter):
     """Alpha-beta filter, or alpha-beta-gamma with a motion of constant acceleration.
 
-    The first two measurements give position and velocity.  ``Estimate.scale_tril`` is that of the steady state for the
-    measurement noise of the sensor, whatever the track has seen so far; velocities follow the time step.
+    The first two measurements give position and velocity.  ``Estimate.scale_tril`` is that of the errors which the
+    prior and the measurement noise of the sensor leave: it grows while nothing is measured, and comes to a steady
+    state.  What a manoeuvre adds is not in it.
 
     Args:
         motion: constant velocity (two gains) or acceleration (three; with two the acceleration stays 0); only its
@@ -97,29 +97,25 @@ class AlphaBeta(ConstantGainFilter):
     def begin(self, belief: Gaussian) -> AlphaBetaState:
         """The state before the first measurement."""
         mean, zero, count = self._first(belief)
-        return AlphaBetaState(mean, self._empty_root(zero), count, zero, zero + 1)
+        return AlphaBetaState(mean, self._first_root(belief), count, zero)
 
     def advance(self, state: AlphaBetaState, frame: Frame, mix: Mix | None = None) -> tuple[AlphaBetaState, Record]:
         """One step: prediction, residual, update by the gains."""
         dt, since = frame.dt.unsqueeze(-1), state.since + frame.dt.unsqueeze(-1)
         ahead = predicted(self._components(state.mean), dt)
         residual = frame.seen * (frame.z - ahead[0])
-        gains, entries, variance = self._gains(residual)
-        interval = torch.where(frame.seen > 0, since, state.interval)
-        root, spread = scaled_root(entries, interval, frame.measurement_noise.std), variance.sqrt()
-        gains = self._gains_now(gains, since, state.used)
+        gains = self._gains_now(self._gains(residual), since, state.used)
+        std, rows = frame.measurement_noise.std, root_ahead(root_rows(state.root), dt)
         mean = torch.cat(updated(ahead, gains, since, residual), -1)
+        root = corrected_root(rows, gains, since, frame.seen, std)
         root = root.expand(*mean.shape[:-1], *root.shape[-2:])
-        state = AlphaBetaState(mean, root, state.used + frame.seen, since * (1 - frame.seen), interval)
-        return state, record(state, residual, frame, spread, None)
+        state = AlphaBetaState(mean, root, state.used + frame.seen, since * (1 - frame.seen))
+        return state, record(state, residual, frame, residual_spread(rows, std), None)
 
-    def _gains(self, like: Tensor) -> tuple[list[Tensor], list[Tensor], Tensor]:
-        """Gains, and the root and variance that they lead to."""
-        alpha, beta = (h(like).unsqueeze(-1) for h in (self.alpha, self.beta))
-        if self.gamma is None:
-            return [alpha, beta], *two_gain_root(alpha, beta)
-        half = self.gamma(like).unsqueeze(-1) / 2
-        return [alpha, beta, half], *three_gain_root(alpha, beta, 2 * half)
+    def _gains(self, like: Tensor) -> list[Tensor]:
+        """Gains of position, velocity(, acceleration)."""
+        gains = [h(like).unsqueeze(-1) for h in (self.alpha, self.beta)]
+        return gains if self.gamma is None else [*gains, self.gamma(like).unsqueeze(-1) / 2]
 
     def _gains_now(self, gains: list[Tensor], since: Tensor, used: Tensor) -> list[Tensor]:
         """Gains of this step: larger ones for the first measurements, smaller ones for short steps."""

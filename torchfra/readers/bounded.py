@@ -1,0 +1,145 @@
+"""The text of a file, gzipped or not, and its rows, as much of them as is allowed."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import chain
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, TextIO
+
+if TYPE_CHECKING:
+    from _typeshed import WriteableBuffer
+
+MAX_BYTES = 2**30
+"""Bytes of text that a file may hold, unless told otherwise."""
+BYTES_OF_A_ROW = 64
+"""What a row counts for at least: about what it takes up in memory."""
+BYTES_OF_A_TEXT = 2**12
+"""What each name of a target or an anchor counts for at least: about what it takes to repair and filter a target."""
+LONGEST_ROW = 2**20
+"""Characters of a row of CSV: all such rows are read, and none of twice the length; about as many are in memory."""
+_CELLS = 2**20
+"""Cells that are in memory at a time, about."""
+
+
+def check_bound(max_bytes: int) -> None:
+    """Checks that a bound is one.
+
+    Raises:
+        ValueError: it is not.
+    """
+    if not isinstance(max_bytes, int) or isinstance(max_bytes, bool) or max_bytes < 1:
+        raise ValueError(f"max_bytes: expected a whole number above 0, received {max_bytes!r}")
+
+
+def too_large(max_bytes: int, what: str = "of text") -> ValueError:
+    """The error for a file that holds too much.
+
+    Args:
+        max_bytes: the bound.
+        what: it is of.
+    """
+    return ValueError(f"expected at most {max_bytes} bytes {what}, received more; max_bytes (--max-bytes) raises that")
+
+
+@contextmanager
+def open_bounded(path: Path, max_bytes: int) -> Iterator[io.BufferedReader]:
+    """Opens a file, of which only so much can be read: then there is a ``ValueError``."""
+    with path.open("rb") as file:
+        gzipped = file.peek(2)[:2] == b"\x1f\x8b"
+        if not gzipped and os.fstat(file.fileno()).st_size > max_bytes:
+            raise too_large(max_bytes)
+        yield io.BufferedReader(_Bounded(gzip.GzipFile(fileobj=file) if gzipped else file, max_bytes), 2**16)
+
+
+class _Bounded(io.RawIOBase):
+    """The first bytes of a file; an error follows."""
+
+    def __init__(self, file: IO[bytes] | gzip.GzipFile, max_bytes: int) -> None:
+        self.file, self.max_bytes, self.left = file, max_bytes, max_bytes
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: WriteableBuffer, /) -> int:
+        view = memoryview(buffer)
+        data = self.file.read(len(view))
+        self.left -= len(data)
+        if self.left < 0:
+            raise too_large(self.max_bytes)
+        view[: len(data)] = data
+        return len(data)
+
+
+class Rows:
+    """The rows of CSV but the blank ones, read as far as they are asked for.
+
+    Both methods raise a ``ValueError`` where there are too many rows or one is too long, and ``csv.Error`` where the
+    text is no CSV.
+
+    Args:
+        text: the CSV.
+        max_bytes: a bound, for which each row counts.
+    """
+
+    def __init__(self, text: TextIO, max_bytes: int) -> None:
+        self.blocks, self.max_bytes = _Blocks(text), max_bytes
+        self.reader = csv.reader(chain.from_iterable(self.blocks), strict=True)
+
+    def first(self) -> list[str]:
+        """A row; empty if there is none."""
+        row = next((row for row in self.reader if "".join(row).strip()), [])
+        self.blocks.no_row_yet = False
+        return row
+
+    def parts(self, fields: int, mended: Callable[[list[str], int], list[str]]) -> Iterator[list[str]]:
+        """The cells of further rows, one after the other, some rows at a time.
+
+        Args:
+            fields: of a row.
+            mended: gives a row that has them, from one that has not and the number of rows before it.
+        """
+        cells, rows = list[str](), 0
+        for row in self.reader:
+            if len(row) == fields:
+                cells += row  # and no rows: Python's garbage collector would take longer than all else
+            elif row:
+                cells += mended(row, rows + len(cells) // fields)
+            if self.blocks.no_row_yet or len(cells) > _CELLS:
+                self.blocks.no_row_yet = False
+                self._count(fields)
+                yield cells
+                rows, cells = rows + len(cells) // fields, []
+        self._count(fields)
+        yield cells
+
+    def _count(self, fields: int) -> None:
+        if self.reader.line_num * max(BYTES_OF_A_ROW, fields) > self.max_bytes:
+            raise too_large(self.max_bytes, f"of text, of which a row counts for {BYTES_OF_A_ROW} or more")
+
+
+class _Blocks:
+    """Whole lines of a text, some at a time; iterating over each line for itself in Python would take longer."""
+
+    def __init__(self, text: TextIO) -> None:
+        self.text, self.rest, self.no_row_yet = text, "", False
+
+    def __iter__(self) -> Iterator[TextIO]:
+        return self
+
+    def __next__(self) -> TextIO:
+        block = self.text.read(LONGEST_ROW)
+        lines = self.rest + block
+        if not lines:
+            raise StopIteration
+        end = max(lines.rfind("\n"), lines.rfind("\r")) + 1 if block else len(lines)
+        self.rest = lines[end:]
+        if self.no_row_yet or len(self.rest) > LONGEST_ROW:  # quotes may hold a row together over many lines
+            raise ValueError(f"expected rows of at most {LONGEST_ROW} characters, received a longer one")
+        self.no_row_yet = end > 0
+        return io.StringIO(lines[:end], newline="")
