@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -54,12 +54,12 @@ def check_list(parser: argparse.ArgumentParser, option: str, value: str, known: 
 # ---------------------------------------------------------------- outputs
 
 
-def check_files(inputs: Sequence[str | Path] = (), **outputs: Path | None) -> None:
+def check_files(outputs: Mapping[str, Path | None], inputs: Sequence[str | Path] = ()) -> None:
     """Checks, before any work, that output files can be written.
 
     Args:
-        inputs: files that are read, none of which may be written to.
         outputs: by option; None where it is not given.
+        inputs: files that are read, none of which may be written to.
 
     Raises:
         OSError: one cannot be written.

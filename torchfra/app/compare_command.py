@@ -83,10 +83,10 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> None:
     """Runs the command; under ``torchrun`` in every process, of which the first writes."""
     inputs = _inputs(options)
-    check_files(inputs, json=options.json, figure=options.figure)
+    check_files({"json": options.json, "figure": options.figure}, inputs)
     scenario, runs = scenario_of(options)
     options.figure = options.figure or Path(f"compare-{scenario.name}.png")
-    check_files(inputs, json=options.json, figure=options.figure)
+    check_files({"json": options.json, "figure": options.figure}, inputs)
     filters = _filters(options, scenario)
     first = distributed.rank() == 0
     quiet = options.quiet or not first

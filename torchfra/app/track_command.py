@@ -34,8 +34,8 @@ _EXAMPLES = """examples:
 
 WORTHWHILE, WORTHWHILE_OF_BANKS = 5_000, 50_000
 """Steps in sequence that take an interpreted filter about as long as compiling it."""
-_LONGEST_NAME = 200
-"""Bytes of a file's name, of which file systems take 255."""
+_LONGEST_NAME = 100
+"""Bytes of a file's name, of which file systems take 255, and characters of a target's in a line."""
 
 
 def add_to(commands: Any) -> None:
@@ -68,7 +68,7 @@ def run(options: argparse.Namespace) -> None:
     if distributed.rank():
         return
     check_folder("out", options.out)
-    check_files([options.file], json=options.json)
+    check_files({"json": options.json}, [options.file])
     check_settings(options.filter, options.dt, options.sigma, options.q)
     recordings = readers.read(options.file)
     files, failures = _files(recordings, options), Failures()
@@ -95,7 +95,7 @@ def _files(recordings: Sequence[Recording], options: argparse.Namespace) -> dict
     files = {recording: options.out / f"{_unused(recording.name, names)}.csv" for recording in recordings}
     endings = (".csv",) if options.no_plots else (".csv", ".png")
     paths = [path.with_name(f"{path.stem}{ending}") for path in files.values() for ending in endings]
-    check_files(**{f"out, {path.name}": path for path in paths})
+    check_files({f"out, {path.name}": path for path in paths})
     return files
 
 
@@ -163,7 +163,7 @@ def _line(result: Filtered, path: Path) -> str:
     repairs = ", ".join(f"{count} {what}" for what, count in summary["repairs"].items()) or "none"
     failed = ", FAILED: NaN or infinity" if summary["failed"] else ""
     return (
-        f"{printable(summary['name'])}: {summary['steps']} steps over {summary['seconds'] / 60:.1f} min, "
+        f"{printable(summary['name'], _LONGEST_NAME)}: {summary['steps']} steps over {summary['seconds'] / 60:.1f} min, "
         f"{marked}, {summary['missing']} missing, "
         f"median correction {summary['median_correction']:.1f} m{failed}; repairs: {repairs} -> {printable(str(path))}"
     )
