@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> None:
     first = distributed.rank() == 0
     quiet = options.quiet or not first
     tell, fallback = reporters(options.compile, quiet)
-    shown = _shown(options, filters, runs)
+    shown = _shown(options, filters, scenario, runs)
     metrics = measure(
         scenario,
         filters,
@@ -127,8 +127,12 @@ def _inputs(options: argparse.Namespace) -> list[str | Path]:
     return [path for path in paths if path is not None] + learned
 
 
-def _shown(options: argparse.Namespace, filters: Mapping[str, Filter], runs: int) -> list[str] | None:
+def _shown(
+    options: argparse.Namespace, filters: Mapping[str, Filter], scenario: Scenario, runs: int
+) -> list[str] | None:
     """The filters whose errors are drawn over time, in the order of the user; None to choose them by the results."""
+    if options.flight is not None and scenario.motion.dims < 2:
+        raise ValueError(f"flight: goes with positions in two dimensions or more, not with {scenario.name}")
     if options.flight is not None and not 0 <= options.flight < runs:
         raise ValueError(f"flight: expected the number of a run, 0 to {runs - 1}, received {options.flight}")
     if options.show is None:

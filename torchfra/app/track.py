@@ -187,7 +187,7 @@ def _grid(recording: Recording, dt: float | None) -> tuple[Array, Array]:
     time = recording.time - recording.time[0]
     if dt is None:
         return time, recording.position
-    if time[-1] / dt > _MOST_STEPS:
+    if time[-1] > _MOST_STEPS * dt:
         raise ValueError(f"dt: expected at most {_MOST_STEPS:,} steps, received {dt} s in a track of {time[-1]:g} s")
     regular: Array = dt * np.arange(int(time[-1] / dt) + 1, dtype=np.float64)
     between = regular[np.abs(regular - time[_nearest(time, regular)]) > 1e-6 * dt]

@@ -111,9 +111,9 @@ def _tracked(
     try:
         done = track(recordings, options.filter, **settings, progress=not options.quiet)
         return dict(zip(recordings, done, strict=True))
-    except (CompileError, NotImplementedError):
-        raise
-    except Exception:
+    except Exception as error:
+        if len(recordings) == 1 or isinstance(error, CompileError | NotImplementedError):
+            raise
         found = {}
         for recording in recordings:
             with failures.of(printable(recording.name)):
@@ -163,7 +163,7 @@ def _line(result: Filtered, path: Path) -> str:
     repairs = ", ".join(f"{count} {what}" for what, count in summary["repairs"].items()) or "none"
     failed = ", FAILED: NaN or infinity" if summary["failed"] else ""
     return (
-        f"{printable(summary['name'], _LONGEST_NAME)}: {summary['steps']} steps over {summary['seconds'] / 60:.1f} min, "
-        f"{marked}, {summary['missing']} missing, "
+        f"{printable(summary['name'], _LONGEST_NAME)}: {summary['steps']} steps over "
+        f"{summary['seconds'] / 60:.1f} min, {marked}, {summary['missing']} missing, "
         f"median correction {summary['median_correction']:.1f} m{failed}; repairs: {repairs} -> {printable(str(path))}"
     )
