@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from torchfra.app import atomic_write, distributed
+from torchfra.app import atomic_write, distributed, home  # noqa: F401
 from torchfra.app.memory import keep_memory
 from torchfra.kernel.build import CompileError
 from torchfra.tables import printable
@@ -169,9 +169,9 @@ def message(error: Exception) -> str | None:
         return f"not enough memory: {error}"
     if isinstance(error, OverflowError):
         return f"a number is too large: {error}"
-    if isinstance(error, OSError) and error.filename is not None and error.strerror is not None:
+    if isinstance(error, OSError) and error.strerror is not None:
         reason = "file not found" if isinstance(error, FileNotFoundError) else error.strerror.lower()
-        return f"{reason}: {error.filename}"
+        return reason if error.filename is None else f"{reason}: {error.filename}"
     known = (ValueError, OSError, ImportError, CompileError, NotImplementedError)
     return str(error) if isinstance(error, known) else None
 

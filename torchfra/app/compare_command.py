@@ -131,10 +131,10 @@ def _shown(
     options: argparse.Namespace, filters: Mapping[str, Filter], scenario: Scenario, runs: int
 ) -> list[str] | None:
     """The filters whose errors are drawn over time, in the order of the user; None to choose them by the results."""
-    if options.flight is not None and scenario.motion.dims < 2:
-        raise ValueError(f"flight: goes with positions in two dimensions or more, not with {scenario.name}")
     if options.flight is not None and not 0 <= options.flight < runs:
         raise ValueError(f"flight: expected the number of a run, 0 to {runs - 1}, received {options.flight}")
+    if options.flight is not None and scenario.motion.dims < 2:
+        raise ValueError(f"flight: goes with positions in two dimensions or more, not with {scenario.name}")
     if options.show is None:
         return None
     names = [name for name in dict.fromkeys(options.show.split(",")) if name]
