@@ -79,7 +79,7 @@ def load(training: Training, out: Path) -> bool:
             _continue(training, _read(path, training))
         except OtherSettingsError:
             raise
-        except ValueError as error:
+        except (ValueError, OSError) as error:
             _say(f"{path} is damaged and is not used: {error}")
             continue
         if path.name != NEWEST:
@@ -131,7 +131,7 @@ def _continue(training: Training, state: dict[str, Any]) -> None:
         state_files.load_values(training.filter, values)
     try:
         training.optimiser.load_state_dict(state["optimiser"])
-    except (KeyError, TypeError, AttributeError, RuntimeError) as error:
+    except Exception as error:  # torch raises errors of many types
         raise ValueError(f"expected the state of the optimiser, received something else ({error})") from None
     training.iteration, training.stopped = state["iteration"], state["stopped"]
     training.best, training.rows = state["best"], state["rows"]

@@ -14,6 +14,8 @@ from torchfra.app.memory import keep_memory
 from torchfra.kernel.build import CompileError
 from torchfra.tables import printable
 
+_STATUS = """exit status: 0; 1 if a part of the work failed or a result is not finite, and the rest is done; 2 if an
+argument or a file was wrong; 130 after Ctrl-C; 141 if what reads the output has closed it"""
 _LONGEST = 1000
 """Characters of an error message."""
 _NO_MEMORY = ("can't allocate memory", "out of memory", "Storage size calculation overflowed")
@@ -21,9 +23,9 @@ _NO_MEMORY = ("can't allocate memory", "out of memory", "Storage size calculatio
 
 
 def make_parser(description: str | None, program: str | None = None) -> argparse.ArgumentParser:
-    """A parser whose help keeps the lines of the description as they are."""
+    """A parser whose help keeps the lines of the description as they are, and says what the exit status means."""
     form = argparse.RawDescriptionHelpFormatter
-    return argparse.ArgumentParser(program, description=description, formatter_class=form)
+    return argparse.ArgumentParser(program, description=description, epilog=_STATUS, formatter_class=form)
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:

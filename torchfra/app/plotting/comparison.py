@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from torchfra.app.evaluate import Flight
 from torchfra.app.plotting.labels import SIZE, Array, at_ends
 from torchfra.app.plotting.maps import draw_map, label_map
-from torchfra.app.plotting.style import APART, GREY, any_letters, plain_ticks, without_box, words
+from torchfra.app.plotting.style import APART, GREY, TITLE, any_letters, plain_ticks, without_box, words
 
 _ROW = 0.27
 """Height of a filter's row, inches."""
@@ -47,7 +47,7 @@ def comparison(
         draw_map(panels["map"], flight, colours)
     _draw_runs(panels["runs"], results, limit, colours)
     ends = _draw_time(panels["time"], results, dt, limit, colours)
-    figure.suptitle(words(title))
+    figure.suptitle(words(title, TITLE))
     with any_letters():
         figure.draw_without_rendering()  # labels are put where there is room, which the layout decides
         at_ends(panels["time"], ends, colours)

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torchfra.app.plotting.style import CYCLE, words
+from torchfra.app.plotting.style import CYCLE, TITLE, words
 
 _COLOURS = ("#bbbbbb", *CYCLE, "#000000")
 """The first model is the usual one, straight flight: grey."""
@@ -37,7 +37,7 @@ def probabilities(of: dict[str, Any], models: Sequence[str], start: float, dt: f
     place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
     rows[0].legend(*most.get_legend_handles_labels(), frameon=False, fontsize=8, ncols=4, **place)
     rows[-1].set(xlabel="time, s")
-    figure.suptitle(words(title))
+    figure.suptitle(words(title, TITLE))
     return figure
 
 

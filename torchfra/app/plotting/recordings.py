@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from torchfra.app.plotting.models import shade
-from torchfra.app.plotting.style import BLUE, ORANGE, RED, without_box, words
+from torchfra.app.plotting.style import BLUE, ORANGE, RED, TITLE, without_box, words
 
 
 def filtered(
@@ -57,7 +57,9 @@ def filtered(
 
 
 def _label(panels: dict[str, Any], title: str) -> None:
-    panels["path"].set(xlabel="east, km", ylabel="north, km", title=words(title), aspect="equal", adjustable="datalim")
+    panels["path"].set(
+        xlabel="east, km", ylabel="north, km", title=words(title, TITLE), aspect="equal", adjustable="datalim"
+    )
     panels["path"].legend(frameon=False, fontsize=8)
     panels["residual"].set(ylabel="recorded to filtered, m", yscale="symlog")
     panels["innovation"].set(xlabel="time, s", ylabel="normalised innovation squared", yscale="log")

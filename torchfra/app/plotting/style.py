@@ -49,9 +49,14 @@ def any_letters() -> Iterator[None]:
         yield
 
 
-def words(text: str, longest: int = 100) -> str:
+TITLE = 100
+"""Characters of a title."""
+
+
+def words(text: str, longest: int = 50) -> str:
     """Text from outside, a name or a title that has one, as figures draw it: ``$`` is no mathematics there."""
-    return printable(text, longest).replace("$", r"\$")
+    drawn = printable(text, longest).replace("$", r"\$")
+    return f" {drawn}" if drawn.startswith("_") else drawn  # a legend leaves out what begins with it
 
 
 def line_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:

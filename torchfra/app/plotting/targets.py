@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from torchfra.app.plotting.style import CYCLE, RED, finish, without_box, words
+from torchfra.app.plotting.style import CYCLE, RED, TITLE, finish, without_box, words
 
 _QUANTITIES = (("range", "m", 1.0), ("azimuth", "mrad", 1e3), ("elevation", "mrad", 1e3))
 
@@ -38,7 +38,7 @@ def by_target(of: dict[str, dict[str, Any]], dt: float, title: str) -> Figure:
         axes.set(xlabel="time, s")
     legend = figure.axes[0].get_legend_handles_labels()
     figure.legend(*legend, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
-    figure.suptitle(f"root mean square error, {words(title)}")
+    figure.suptitle(f"root mean square error, {words(title, TITLE)}")
     return figure
 
 
@@ -58,5 +58,5 @@ def raw_and_filtered(ranges: dict[str, tuple[Tensor, Tensor]], dt: float, title:
         axes.plot(time, filtered, color=RED, linewidth=1.4, label="filtered")
         axes.set(xlabel="time, s", ylabel=words(f"{name}: range error, m"))
         finish(axes)
-    figure.suptitle(words(title))
+    figure.suptitle(words(title, TITLE))
     return figure
