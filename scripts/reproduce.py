@@ -18,7 +18,9 @@ The seed fixes every run of an experiment.  Run times are relative to the UKF on
 from __future__ import annotations
 
 import argparse
+import math
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from papers import adsb, alphabeta, bearings, clutter, huber
@@ -105,9 +107,21 @@ def experiment(options: argparse.Namespace) -> None:
     if options.plots is not None:
         with failures.of("plots"):
             for name, figure in chosen.draw(study, results, summary).items():
-                plotting.save(figure, options.plots / f"{name}.png")
-    failures.messages += not_finite(results)
+                with failures.of(name):
+                    plotting.save(figure, options.plots / f"{name}.png")
+    failures.messages += not_finite(results) + [f"{place}: not finite" for place in infinite(summary)]
     failures.end()
+
+
+def infinite(summary: object, place: str = "") -> Iterator[str]:
+    """Where in nested dictionaries and lists there are infinite numbers; NaN stands for what there is none of."""
+    if isinstance(summary, dict):
+        for key, value in summary.items():
+            yield from infinite(value, f"{place} {key}".strip())
+    elif isinstance(summary, list):
+        yield from dict.fromkeys(found for value in summary for found in infinite(value, place))
+    elif isinstance(summary, float) and math.isinf(summary):
+        yield place
 
 
 def make_study(chosen: Experiment, options: argparse.Namespace) -> Study:

@@ -190,6 +190,14 @@ def test_a_filter_whose_result_is_not_finite_is_said_and_shows_in_the_exit_statu
     assert errors == "reproduce: error: srckf: not finite in 1 run\n"
 
 
+def test_an_infinite_number_in_a_summary_of_an_experiment_is_found():
+    summary = {
+        "by_size": {"2": {"ukf": {"mse": [1.0, float("inf"), float("-inf")], "mmse": float("nan")}}},
+        "n": [1, "inf"],
+    }
+    assert list(reproduce.infinite(summary)) == ["by_size 2 ukf mse"]
+
+
 def test_an_error_of_the_particles_that_is_not_finite_shows_in_the_exit_status(monkeypatch, capsys):
     of = {"gpb": 1.0, "settled": 1.0, "particles": float("nan")}
     monkeypatch.setattr(particles, "cells", lambda runs, seed: {"a": (), "b": ()})
