@@ -95,7 +95,7 @@ def _files(recordings: Sequence[Recording], options: argparse.Namespace) -> dict
     files = {recording: options.out / f"{_unused(recording.name, names)}.csv" for recording in recordings}
     endings = (".csv",) if options.no_plots else (".csv", ".png")
     paths = [path.with_name(f"{path.stem}{ending}") for path in files.values() for ending in endings]
-    check_files({f"out, {path.name}": path for path in paths})
+    check_files({"json": options.json} | {f"out, {path.name}": path for path in paths})
     return files
 
 
