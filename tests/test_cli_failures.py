@@ -302,6 +302,12 @@ def test_output_on_a_full_disk_is_an_error_in_a_line(monkeypatch, capsys):
     assert capsys.readouterr().err == "program: error: no space left on device\n"
 
 
+def test_without_standard_output_an_error_is_still_a_line(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "stdout", None)
+    assert cli.main(["compare"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
 def test_letters_that_a_terminal_does_not_have_are_escaped(monkeypatch):
     written = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, "ascii"))

@@ -145,8 +145,7 @@ def exit_status(program: str, work: Callable[[], object]) -> int:
         try:
             work()
         finally:
-            if sys.stdout is not None:
-                sys.stdout.flush()
+            _flush()
     except IncompleteError as failures:
         _complain(program, *failures.args)
         return 1
@@ -185,10 +184,15 @@ def _complain(program: str, *messages: str) -> None:
             print(f"{program}: error: {printable(' '.join(said.split()), _LONGEST)}", file=sys.stderr)
 
 
+def _flush() -> None:
+    if sys.stdout is not None:  # it may be closed from the start
+        sys.stdout.flush()
+
+
 def _discard_output() -> None:
     """Keeps Python from trying to write the rest of the output when it ends."""
     try:
-        sys.stdout.flush()
+        _flush()
     except (OSError, ValueError):
         with suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
