@@ -284,5 +284,5 @@ def test_the_table_is_printed_and_the_other_files_tried_if_one_cannot_be_written
     said, errors = capsys.readouterr()
     assert "srckf" in said or "ghckf" in said
     assert f"json: no space left on device: {tmp_path}/r.json\n" in errors
-    assert errors.count("no space left on device") == 2
+    assert errors.count("no space left on device") == errors.count("\n") >= 2
     assert list(tmp_path.iterdir()) == []
