@@ -23,7 +23,7 @@ from pathlib import Path
 
 import torch
 from benchmarks.positions import positions
-from benchmarks.scaling import scaling
+from benchmarks.scaling import draw, scaling
 from benchmarks.step import step
 from benchmarks.timing import Row, table
 from benchmarks.tracks import tracks
@@ -31,7 +31,7 @@ from benchmarks.training import training
 
 from torchfra import keep_memory
 from torchfra.app.atomic_write import write_json
-from torchfra.app.command import add_json_option, check_list, exit_status, make_parser
+from torchfra.app.command import add_json_option, check_files, check_list, exit_status, make_parser
 from torchfra.app.evaluate import versions
 from torchfra.catalogue import SCENARIOS, track_filters
 
@@ -46,8 +46,12 @@ KINDS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the benchmark; returns 0, or 2 after one line on standard error if an argument was wrong."""
-    p = parser()
+    """Runs the benchmark; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    return exit_status("benchmark", lambda: benchmark(checked(parser(), arguments)))
+
+
+def checked(p: argparse.ArgumentParser, arguments: list[str] | None) -> argparse.Namespace:
+    """The options, or the end of the program with a message if they make no sense."""
     options = p.parse_args(arguments)
     check_list(p, "what", options.what, KINDS)
     check_list(p, "filters", options.filters, track_filters())
@@ -56,7 +60,9 @@ def main(arguments: list[str] | None = None) -> int:
         p.error(f"--batch: expected whole numbers of 1 or more, separated by commas, received {options.batch}")
     if options.device == "cuda" and (options.peers or "compiled" in options.modes):
         p.error("--device cuda: expected --modes eager, without --peers")
-    return exit_status("benchmark", lambda: benchmark(options))
+    if options.figure is not None and "scaling" not in options.what.split(","):
+        p.error(f"--figure: goes with --what scaling, not with {options.what}")
+    return options
 
 
 def parser() -> argparse.ArgumentParser:
@@ -79,6 +85,7 @@ def parser() -> argparse.ArgumentParser:
 
 def benchmark(options: argparse.Namespace) -> None:
     """Times what the options say, prints the results and writes them."""
+    check_files({"json": options.json, "figure": options.figure})
     threads = torch.get_num_threads()
     print(f"torch {torch.__version__}, {threads} threads, {platform.machine()}, {options.device}")
     rows: list[Row] = []
@@ -86,6 +93,8 @@ def benchmark(options: argparse.Namespace) -> None:
         with torch.set_grad_enabled(kind == "training"):
             done = KINDS[kind](options)
         print(f"\n{kind}, microseconds per track and step:\n{table(done)}", flush=True)
+        if kind == "scaling" and options.figure is not None:
+            draw(done, options.figure)
         rows += done
     if options.json is not None:
         settings = {key: str(value) if isinstance(value, Path) else value for key, value in vars(options).items()}

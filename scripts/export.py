@@ -11,19 +11,23 @@ torch::inductor::AOTIModelPackageLoader.  For streaming from Python, Filter.comp
 from __future__ import annotations
 
 import argparse
+import math
 import statistics
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
 from benchmarks.clock import once
 from torch import Tensor, nn
 
-from torchfra.app.command import check_list, exit_status, make_parser
+from torchfra.app.atomic_write import write
+from torchfra.app.command import IncompleteError, check_files, check_list, exit_status, make_parser
 from torchfra.catalogue import SCENARIOS, scenario_filter, track_filters
 from torchfra.filters import Filter
 from torchfra.scenarios import Scenario
+from torchfra.tables import printable
 from torchfra.tree import flatten, unflatten
 from torchfra.types import Gaussian
 
@@ -47,33 +51,47 @@ class Step(nn.Module):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the example; returns 0, or 2 after one line on standard error if an argument was wrong."""
+    """Runs the example; returns its exit status: see ``torchfra.app.command.exit_status``."""
     p = make_parser(__doc__)
     p.add_argument("--filter", default="srckf", help=f"one of {', '.join(track_filters())} (default: srckf)")
     p.add_argument("--out", type=Path, metavar="FILE", help="the package (default: out/FILTER.pt2)")
-    options = p.parse_args(arguments)
-    check_list(p, "filter", options.filter, track_filters())
-    return exit_status("export", lambda: example(options))
+
+    def work() -> None:
+        options = p.parse_args(arguments)
+        check_list(p, "filter", options.filter, track_filters())
+        example(options)
+
+    return exit_status("export", work)
 
 
 def example(options: argparse.Namespace) -> None:
-    """Writes the package, and compares it with the filter along a track."""
+    """Writes the package, and compares it with the filter along a track.
+
+    Raises:
+        IncompleteError: they differ by a number that is not finite.
+    """
+    path = options.out or Path("out") / f"{options.filter}.pt2"
+    check_files({"out": path})
     scenario = SCENARIOS["bearings-outliers"]()
     f = scenario_filter(options.filter, scenario)
-    path = export(f, scenario, options.out or Path("out") / f"{options.filter}.pt2")
-    seconds, difference = compare(f, torch._inductor.aoti_load_package(str(path)), scenario)
-    print(f"{path}: {path.stat().st_size / 1024:.0f} kB, {seconds * 1e6:.0f} us per step, "
-          f"relative difference from the filter {difference:.1e}")  # fmt: skip
+    with TemporaryDirectory() as folder:
+        package = export(f, scenario, Path(folder) / "step.pt2")
+        seconds, difference = compare(f, torch._inductor.aoti_load_package(str(package)), scenario)
+        data = package.read_bytes()
+    print(f"{printable(str(path))}: {len(data) / 1024:.0f} kB, {seconds * 1e6:.0f} us per step, "
+          f"relative difference from the filter {difference:.1e}", flush=True)  # fmt: skip
+    write(path, lambda file: file.write(data))
+    if not math.isfinite(difference):
+        raise IncompleteError(f"{options.filter}: a step is not finite")
 
 
 def export(f: Filter, scenario: Scenario, path: Path) -> Path:
-    """Writes the package of one step of one track."""
+    """Makes the package of one step of one track."""
     state = f.init(scenario.prior)
     z = torch.zeros(f.sensor.size, dtype=torch.float64)
     u = torch.zeros(4, dtype=torch.float64)
     with torch.no_grad():
         program = torch.export.export(Step(f, state), ([x.clone() for x in flatten(state)], z, u))
-        path.parent.mkdir(parents=True, exist_ok=True)
         return Path(torch._inductor.aoti_compile_and_package(program, package_path=str(path)))
 
 
@@ -82,14 +100,13 @@ def compare(f: Filter, step: Any, scenario: Scenario) -> tuple[float, float]:
     """Median seconds of an exported step, and the largest difference of its means relative to their size."""
     tracks = scenario.simulate(1, 0)
     state = f.init(Gaussian(tracks.prior.mean[0], tracks.prior.scale_tril))
-    leaves, difference, seconds = flatten(state), 0.0, []
+    leaves, gaps, seconds = flatten(state), [], []
     for z, u in zip(tracks.z[0], tracks.u, strict=True):
         state, _ = f.step(state, z, u=u)
         seconds.append(once(lambda leaves=leaves, z=z, u=u: step(leaves, z, u)))
         *leaves, _ = step(leaves, z, u)
-        gap = (leaves[0] - state.belief.mean).abs().max() / state.belief.mean.abs().max()
-        difference = max(difference, gap.item())
-    return statistics.median(seconds), difference
+        gaps.append((leaves[0] - state.belief.mean).abs().max() / state.belief.mean.abs().max())
+    return statistics.median(seconds), torch.stack(gaps).max().item()
 
 
 if __name__ == "__main__":

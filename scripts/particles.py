@@ -16,6 +16,7 @@ Source: Chen & Liu (2000), "Mixture Kalman Filters"; Fearnhead & Clifford (2003)
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from typing import NamedTuple
 
@@ -24,7 +25,15 @@ from torch import Tensor
 
 from torchfra import metrics, presets, scenarios
 from torchfra.app.atomic_write import write_json
-from torchfra.app.command import add_json_option, add_quiet_option, add_runs_options, exit_status, make_parser
+from torchfra.app.command import (
+    Failures,
+    add_json_option,
+    add_quiet_option,
+    add_runs_options,
+    check_files,
+    exit_status,
+    make_parser,
+)
 from torchfra.app.evaluate import versions
 from torchfra.app.progress import progress_bar
 from torchfra.filters import GPB
@@ -189,18 +198,18 @@ def compare(f: GPB, tracks: Tracks, count: int, seed: int, *, progress: bool) ->
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Prints the table; returns 0, or 2 after one line on standard error if an argument or a file was wrong."""
+    """Prints the table; returns its exit status: see ``torchfra.app.command.exit_status``."""
     p = make_parser(__doc__)
     p.add_argument("--particles", type=int, default=2000, metavar="N", help="histories kept (default: 2000)")
     add_runs_options(p, 20, seed=3)
     add_json_option(p)
     add_quiet_option(p)
-    options = p.parse_args(arguments)
-    return exit_status("particles", lambda: particles(options))
+    return exit_status("particles", lambda: particles(p.parse_args(arguments)))
 
 
 def particles(options: argparse.Namespace) -> None:
     """All cells."""
+    check_files({"json": options.json})
     for name in ("particles", "runs"):
         if getattr(options, name) < 1:
             raise ValueError(f"{name}: expected 1 or more, received {getattr(options, name)}")
@@ -211,10 +220,14 @@ def particles(options: argparse.Namespace) -> None:
     if not options.quiet:
         rows = [[name, *(f"{x:.1f}" for x in of.values()), f"{of['gpb'] / of['particles'] - 1:+.1%}"]
                 for name, of in results.items()]  # fmt: skip
-        print(text_table(["cell", "gpb m", "settled m", "particles m", "gpb above"], rows, align="<>>>>"))
+        print(text_table(["cell", "gpb m", "settled m", "particles m", "gpb above"], rows, align="<>>>>"), flush=True)
     if options.json is not None:
         settings = {"runs": options.runs, "seed": options.seed, "particles": options.particles}
         write_json(options.json, settings | {"versions": versions(), "cells": results})
+    failures = Failures()
+    failures.messages += [f"{name}: an error that is not finite" for name, of in results.items()
+                          if not all(map(math.isfinite, of.values()))]  # fmt: skip
+    failures.end()
 
 
 if __name__ == "__main__":

@@ -23,10 +23,18 @@ from typing import Any
 
 from regrets.cells import all_cells, chosen_cells
 from regrets.ratios import KINDS, RESAMPLES, both_kinds, errors
-from regrets.show import panels, summary, summary_lines, table
+from regrets.show import not_finite, panels, summary, summary_lines, table
 
 from torchfra.app.atomic_write import write_json
-from torchfra.app.command import add_json_option, add_quiet_option, add_runs_options, exit_status, make_parser
+from torchfra.app.command import (
+    Failures,
+    add_json_option,
+    add_quiet_option,
+    add_runs_options,
+    check_files,
+    exit_status,
+    make_parser,
+)
 from torchfra.app.compare_command import WORTHWHILE
 from torchfra.app.compiling import add_compile_option, choose, compiled, reporters
 from torchfra.app.evaluate import run, versions
@@ -40,9 +48,8 @@ USUAL_STEPS = 100
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Prints the tables; returns 0, or 2 after one line on standard error if an argument or a file was wrong."""
-    options = parser().parse_args(arguments)
-    return exit_status("regret", lambda: regret(options))
+    """Prints the tables; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    return exit_status("regret", lambda: regret(parser().parse_args(arguments)))
 
 
 def parser() -> argparse.ArgumentParser:
@@ -69,6 +76,8 @@ def regret(options: argparse.Namespace) -> None:
     """All cells; tables when the last one is done."""
     names = compared_filters(options.filters)
     learned = {file.rpartition("=")[2]: file.rpartition("=")[0] or names[0] for file in options.learned}
+    inputs = [*learned, *(options.flights or []), *options.ranges]
+    check_files({"json": options.json, "figure": options.figure}, inputs)
     cells = chosen_cells(all_cells(options.flights, options.ranges), options.cells.split(","))
     tell, _ = reporters(options.compile, options.quiet)
     compile = choose(options.compile, options.runs * USUAL_STEPS >= WORTHWHILE, tell)
@@ -127,19 +136,23 @@ def write(
 ) -> None:
     """Prints both tables, and writes files."""
     compared = [*names, *learned]
-    of = summary(results, compared)
+    of, failures = summary(results, compared), Failures()
+    if not options.quiet:
+        for kind in KINDS:
+            print(f"{table(results, compared, kind)}\n{summary_lines(of, kind)}\n", flush=True)
     if options.json is not None:
         head = {"runs": options.runs, "seed": options.seed, "resamples": RESAMPLES, "versions": versions()}
         head |= {"compared": compared, "learned": learned, "own_models": options.own_models}
-        write_json(options.json, {**head, "summary": of, "cells": results})
+        with failures.of("json"):
+            write_json(options.json, {**head, "summary": of, "cells": results})
     if options.figure is not None:
         from torchfra.app import plotting  # matplotlib takes long to import
 
         title = f"{options.runs} runs, seed {options.seed}"
-        plotting.save(plotting.ratios(panels(results, compared), list(results), title), options.figure)
-    if not options.quiet:
-        for kind in KINDS:
-            print(f"{table(results, compared, kind)}\n{summary_lines(of, kind)}\n")
+        with failures.of("figure"):
+            plotting.save(plotting.ratios(panels(results, compared), list(results), title), options.figure)
+    failures.messages += not_finite(results)
+    failures.end()
 
 
 if __name__ == "__main__":

@@ -18,7 +18,9 @@ The seed fixes every run of an experiment.  Run times are relative to the UKF on
 from __future__ import annotations
 
 import argparse
+import math
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from papers import adsb, alphabeta, bearings, clutter, huber
@@ -27,14 +29,16 @@ from papers.experiment import Experiment, Study
 from torchfra.app import plotting
 from torchfra.app.atomic_write import write_json
 from torchfra.app.command import (
+    Failures,
     add_json_option,
     add_quiet_option,
     add_runs_options,
+    check_files,
     check_folder,
     exit_status,
     make_parser,
 )
-from torchfra.app.evaluate import evaluate, report
+from torchfra.app.evaluate import evaluate, not_finite, report
 from torchfra.catalogue import learned_filter, make_scenario, track_filters
 
 EXPERIMENTS: dict[str, Experiment] = (
@@ -44,9 +48,8 @@ _SCENARIO_OPTIONS = ("outliers", "truth_noise", "initial", "turns", "radar", "no
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs an experiment; returns 0, or 2 after one line on standard error if an argument was wrong."""
-    options = parser().parse_args(arguments)
-    return exit_status("reproduce", lambda: experiment(options))
+    """Runs an experiment; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    return exit_status("reproduce", lambda: experiment(parser().parse_args(arguments)))
 
 
 def parser() -> argparse.ArgumentParser:
@@ -86,21 +89,39 @@ def _add_scenario_options(p: argparse.ArgumentParser) -> None:
 
 
 def experiment(options: argparse.Namespace) -> None:
-    """Runs it, writes results and figures, and prints a table."""
+    """Runs it, prints a table, and writes results and figures."""
     check_folder("plots", options.plots)
+    check_files({"json": options.json})
     chosen = EXPERIMENTS[options.experiment]
     study = make_study(chosen, options)
     results = evaluate(study.scenario, study.filters, runs=study.runs, seed=study.seed, compile=study.compile,
                        progress=study.progress)  # fmt: skip
     summary, table = chosen.summarise(study, results)
-    if options.json is not None:
-        write_json(options.json, report(study.scenario, results, runs=study.runs, seed=study.seed) | summary)
-    if options.plots is not None:
-        for name, figure in chosen.draw(study, results, summary).items():
-            plotting.save(figure, options.plots / f"{name}.png")
+    failures = Failures()
     if not options.quiet:
         settings = ", ".join(f"{key} {value}" for key, value in study.scenario.settings.items())
-        print(f"{study.title}, seed {study.seed}, {settings}\n{table}")
+        print(f"{study.title}, seed {study.seed}, {settings}\n{table}", flush=True)
+    if options.json is not None:
+        with failures.of("json"):
+            write_json(options.json, report(study.scenario, results, runs=study.runs, seed=study.seed) | summary)
+    if options.plots is not None:
+        with failures.of("plots"):
+            for name, figure in chosen.draw(study, results, summary).items():
+                with failures.of(name):
+                    plotting.save(figure, options.plots / f"{name}.png")
+    failures.messages += not_finite(results) + [f"{place}: not finite" for place in infinite(summary)]
+    failures.end()
+
+
+def infinite(summary: object, place: str = "") -> Iterator[str]:
+    """Where in nested dictionaries and lists there are infinite numbers; NaN stands for what there is none of."""
+    if isinstance(summary, dict):
+        for key, value in summary.items():
+            yield from infinite(value, f"{place} {key}".strip())
+    elif isinstance(summary, list):
+        yield from dict.fromkeys(found for value in summary for found in infinite(value, place))
+    elif isinstance(summary, float) and math.isinf(summary):
+        yield place
 
 
 def make_study(chosen: Experiment, options: argparse.Namespace) -> Study:

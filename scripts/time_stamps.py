@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from torchfra.app.atomic_write import write_json
-from torchfra.app.command import add_json_option, add_quiet_option, exit_status, make_parser
+from torchfra.app.command import add_json_option, add_quiet_option, check_files, exit_status, make_parser
 from torchfra.readers import Recording, flyable, read, resample
 from torchfra.readers.columns import Array
 from torchfra.tables import text_table
@@ -27,13 +27,12 @@ QUANTILES = (0.5, 0.9, 0.99, 1.0)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Prints the table; returns 0, or 2 after one line on standard error if a file was wrong."""
+    """Prints the table; returns its exit status: see ``torchfra.app.command.exit_status``."""
     p = make_parser(__doc__)
     p.add_argument("files", metavar="FILE", nargs="+", type=Path, help="recorded tracks")
     add_json_option(p)
     add_quiet_option(p)
-    options = p.parse_args(arguments)
-    return exit_status("time_stamps", lambda: compare(options))
+    return exit_status("time_stamps", lambda: compare(p.parse_args(arguments)))
 
 
 def compare(options: argparse.Namespace) -> None:
@@ -42,6 +41,7 @@ def compare(options: argparse.Namespace) -> None:
     Raises:
         ValueError: no track is long enough.
     """
+    check_files({"json": options.json}, options.files)
     before = [recording for file in options.files for recording in read(file)]
     after = [flyable(recording, max_gap=MAX_GAP) for recording in before]
     raw, mended = motion(before), motion([piece for pieces in after for piece in pieces])

@@ -13,8 +13,8 @@ import train
 
 LIBRARY, RECIPES = Path(torchfra.__file__).parent, Path(train.__file__).parent
 LEVELS = [
-    {"version"}, {"tables"}, {"angles"}, {"tree"}, {"linalg"}, {"types"}, {"hyper"}, {"coordinates"}, {"readers"},
-    {"losses"}, {"metrics"},
+    {"version"}, {"tables"}, {"angles"}, {"tree"}, {"linalg"}, {"types"}, {"hyper"}, {"state_files"}, {"coordinates"},
+    {"readers"}, {"losses"}, {"metrics"},
     {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"kernel"}, {"filters"},
     {"presets"},
     {"scenarios"}, {"catalogue"}, {"app"}, {"__init__", "__main__"},

@@ -5,14 +5,12 @@ from __future__ import annotations
 import copy
 import inspect
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from torchfra import presets, scenarios
+from torchfra import presets, scenarios, state_files
 from torchfra.filters.base import Filter
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
@@ -183,30 +181,42 @@ def learned_filter(path: str | Path, scenario: Scenario, name: str = "fra", *, m
         models: whether motion and sensor take their values too; False leaves them those of the scenario.
 
     Raises:
-        ValueError: an unknown filter, or a file that is no state dictionary of it.
+        OSError: the file cannot be read.
+        ValueError: an unknown filter, a file that is damaged or no state dictionary of it, a value that is not finite
+            or out of its range, or a ``config.json`` with other content.
     """
-    config = Path(path).with_name("config.json")  # what train.tune writes beside it
-    settings = json.loads(config.read_text()) if config.exists() else {}
-    options = settings.get("options", {}) if settings.get("filter") == name else {}
-    f = scenario_filter(name, copy.deepcopy(scenario), **options)
+    f = _as_configured(Path(path).with_name("config.json"), scenario, name)
     try:
-        values = torch.load(path, weights_only=True)
-        f.load_state_dict(values if models else _with_own_models(f, values))
-    except OSError:
-        raise
-    except Exception as error:  # torch.load raises errors of many kinds
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ValueError(f"learned: expected {path} to hold a state dictionary of {name}: {reason}") from None
+        values = state_files.read(path)
+        state_files.load_values(f, values if models else _with_own_models(f, values))
+    except ValueError as error:
+        raise ValueError(f"learned: expected {path} to hold a state dictionary of {name}: {error}") from None
     return f
 
 
-def _with_own_models(f: Filter, values: dict[str, Any]) -> dict[str, Any]:
+def _as_configured(config: Path, scenario: Scenario, name: str) -> Filter:
+    """The filter, made with the options of a training run with it, if this is one."""
+    f = scenario_filter(name, copy.deepcopy(scenario))
+    if not config.exists():
+        return f
+    try:
+        settings = json.loads(config.read_text())
+        options = settings.get("options", {}) if settings.get("filter") == name else {}
+        return scenario_filter(name, copy.deepcopy(scenario), **options) if options != {} else f
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        expected = f"expected the settings of a training run, received others ({error})"
+        raise ValueError(f"learned: {config}: {expected}") from None
+
+
+def _with_own_models(f: Filter, values: Any) -> dict[str, Any]:
     """Values of a state dictionary, but those of motion and sensor from the filter itself."""
 
-    def of_models(state: dict[str, Any]) -> set[str]:
-        return {key for key in state if {"motion", "sensor"} & set(key.split("."))}
+    def of_models(state: Mapping[str, Any]) -> set[str]:
+        return {key for key in state if {"motion", "sensor"} & set(str(key).split("."))}
 
     own = f.state_dict()
+    if not isinstance(values, Mapping):
+        raise ValueError(f"expected tensors by name, received {type(values).__name__}")
     return {key: values[key] for key in values.keys() - of_models(values)} | {key: own[key] for key in of_models(own)}
 
 

@@ -1,8 +1,23 @@
-"""Tables as text, for terminals."""
+"""Names and tables as text, for terminals."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+
+LONGEST = 200
+"""Characters of a name that are shown."""
+
+
+def printable(name: str, longest: int = LONGEST) -> str:
+    """A name from outside, a file's or a target's, such that it does nothing but be read.
+
+    What cannot be printed, such as the sequences that command a terminal, is written as in a Python string, and of a
+    longer name the middle is left out.
+    """
+    if len(name) > longest:
+        half = (longest - 3) // 2
+        name = f"{name[:half]}...{name[-half:]}"
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in name)
 
 
 def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, align: str = "<>", gap: int = 2) -> str:
@@ -10,7 +25,7 @@ def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, align: s
 
     Args:
         header: a title for each column.
-        rows: a cell for each column, already formatted.
+        rows: a cell for each column, already formatted; see ``printable`` for what is left of names.
         align: ``"<"`` (left) or ``">"`` (right) for each column; the last one holds for all columns that follow, so
             that the default is names on the left and numbers on the right.
         gap: spaces between columns.
@@ -28,7 +43,7 @@ def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, align: s
         srckf    131.2
         fra       98.7
     """
-    lines = [list(header), *map(list, rows)]
+    lines = [[printable(cell) for cell in line] for line in (header, *rows)]
     for number, line in enumerate(lines[1:], 1):
         if len(line) != len(header):
             raise ValueError(f"rows: expected {len(header)} cells in each, row {number} has {len(line)}")

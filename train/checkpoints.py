@@ -9,18 +9,39 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import torch
-
+from torchfra import state_files
 from torchfra.app import distributed
 from torchfra.app.atomic_write import write, write_text
 from train.training import Training
+
+_BEST: dict[str, type] = {"score": float, "iteration": int, "filter": dict}
+_KINDS: dict[str, type] = {"config": dict, "iteration": int, "stopped": bool, "filter": dict, "optimiser": dict,
+                           "best": dict, "rows": list}  # fmt: skip
+"""What a checkpoint holds, and its best values."""
+NEWEST, PREVIOUS, BEST, LOG = FILES = "checkpoint.pt", "checkpoint-previous.pt", "state_dict.pt", "log.csv"
+
+
+def found(out: Path) -> list[Path]:
+    """The checkpoints in a folder, the newest first."""
+    return [path for path in (out / NEWEST, out / PREVIOUS) if path.exists()]
 
 
 def save(training: Training, out: Path) -> None:
     """Writes checkpoint.pt, the best values as state_dict.pt, and log.csv.
 
     The checkpoint before stays as checkpoint-previous.pt.
+
+    Raises:
+        OSError: a file cannot be written; the checkpoints are as before, and the message says so.
     """
+    try:
+        _write(training, out)
+    except OSError as error:
+        kept = "the checkpoint before is as it was" if found(out) else "there is no checkpoint yet"
+        raise OSError(error.errno, f"{error.strerror}, {kept}", error.filename) from None
+
+
+def _write(training: Training, out: Path) -> None:
     state = {
         "config": dataclasses.asdict(training.config),
         "iteration": training.iteration,
@@ -30,17 +51,17 @@ def save(training: Training, out: Path) -> None:
         "best": training.best,
         "rows": training.rows,
     }
-    newest = out / "checkpoint.pt"
-    if newest.exists():
-        newest.replace(out / "checkpoint-previous.pt")
-    write(newest, lambda file: torch.save(state, file))
-    write(out / "state_dict.pt", lambda file: torch.save(training.best["filter"], file))
+    if (newest := out / NEWEST).exists():
+        before = newest.read_bytes()
+        write(out / PREVIOUS, lambda file: file.write(before))
+    write(newest, lambda file: file.write(state_files.pack(state)))
+    write(out / BEST, lambda file: file.write(state_files.pack(training.best["filter"])))
     text = io.StringIO()
     columns = dict.fromkeys(key for row in training.rows for key in row)
     table = csv.DictWriter(text, columns, lineterminator="\n")
     table.writeheader()
     table.writerows(training.rows)
-    write_text(out / "log.csv", text.getvalue())
+    write_text(out / LOG, text.getvalue())
 
 
 def load(training: Training, out: Path) -> bool:
@@ -52,34 +73,70 @@ def load(training: Training, out: Path) -> bool:
     Raises:
         ValueError: none of them can be read, or it belongs to other settings.
     """
-    paths = [path for path in (out / "checkpoint.pt", out / "checkpoint-previous.pt") if path.exists()]
+    paths = found(out)
     for path in paths:
-        state = _read(path, training.config.device)
-        if state is None:
+        try:
+            _continue(training, _read(path, training))
+        except OtherSettingsError:
+            raise
+        except (ValueError, OSError) as error:
+            _say(f"{path} is damaged and is not used: {error}")
             continue
-        settings = dataclasses.asdict(training.config)
-        other = [key for key in settings if state["config"].get(key) != settings[key]]
-        if other:
-            raise ValueError(f"resume: expected the settings of {path}, these differ: {', '.join(other)}")
-        training.iteration, training.stopped = state["iteration"], state["stopped"]
-        training.best, training.rows = state["best"], state["rows"]
-        training.filter.load_state_dict(state["filter"])
-        training.optimiser.load_state_dict(state["optimiser"])
-        if path != paths[0] and distributed.rank() == 0:  # or the damaged one would replace the good one when saving
-            paths[0].replace(out / "checkpoint-damaged.pt")
+        if path.name != NEWEST:
+            _say(f"{path} is used")
+            if path != paths[0] and distributed.rank() == 0:  # or saving would put the damaged one in place of the good
+                paths[0].replace(out / "checkpoint-damaged.pt")
         return True
     if paths:
         raise ValueError(f"resume: no checkpoint in {out} can be read")
     return False
 
 
-def _read(path: Path, device: str) -> dict[str, Any] | None:
-    """A checkpoint, or None with a warning if it is damaged."""
+class OtherSettingsError(ValueError):
+    """A checkpoint belongs to other settings."""
+
+
+def _read(path: Path, training: Training) -> dict[str, Any]:
+    """What ``_write`` has put together.
+
+    Raises:
+        OtherSettingsError: with other settings.
+        ValueError: it is damaged, or something else.
+    """
+    state = state_files.read(path, training.config.device)
+    if not _has(state, _KINDS) or not _has(state["best"], _BEST) or len(state["rows"]) != state["iteration"]:
+        raise ValueError(f"expected {', '.join(_KINDS)}, received something else")
+    settings = dataclasses.asdict(training.config)
+    other = [key for key in settings if key not in state["config"] or state["config"][key] != settings[key]]
+    if other:
+        raise OtherSettingsError(f"resume: expected the settings of {path}, these differ: {', '.join(other)}")
+    return dict(state)
+
+
+def _has(data: Any, kinds: dict[str, type]) -> bool:
+    """Whether ``data`` is a dictionary with values of these types, and lists in it have dictionaries."""
+    return isinstance(data, dict) and all(
+        isinstance(data.get(key), kind) and (kind is not list or all(isinstance(part, dict) for part in data[key]))
+        for key, kind in kinds.items()
+    )
+
+
+def _continue(training: Training, state: dict[str, Any]) -> None:
+    """Makes the training what it was.
+
+    Raises:
+        ValueError: values that do not go with it.
+    """
+    for values in (state["best"]["filter"], state["filter"]):
+        state_files.load_values(training.filter, values)
     try:
-        state: dict[str, Any] = torch.load(path, map_location=device, weights_only=True)
-        return state
-    except Exception as error:  # the reader of torch raises errors of many types
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        if distributed.rank() == 0:
-            print(f"train: {path} is damaged and is not used: {reason}", file=sys.stderr)
-        return None
+        training.optimiser.load_state_dict(state["optimiser"])
+    except Exception as error:  # torch raises errors of many types
+        raise ValueError(f"expected the state of the optimiser, received something else ({error})") from None
+    training.iteration, training.stopped = state["iteration"], state["stopped"]
+    training.best, training.rows = state["best"], state["rows"]
+
+
+def _say(line: str) -> None:
+    if distributed.rank() == 0:
+        print(f"train: {line}", file=sys.stderr)

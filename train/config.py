@@ -11,6 +11,8 @@ from torchfra.hyper import one_of
 
 LOSSES = ("mse", "robust", "nll", "innovation", "teacher", "regret")
 MODELS = ("motion", "bank", "any")
+LARGEST = 10**9
+"""Of all numbers that count something, and of seeds."""
 
 
 @dataclass(frozen=True)
@@ -151,6 +153,8 @@ def check(config: Config) -> Config:
         for key in keys:
             if getattr(config, key) < low:
                 raise ValueError(f"{key}: expected at least {low}, received {getattr(config, key)}")
+            if getattr(config, key) > LARGEST:
+                raise ValueError(f"{key}: expected at most {LARGEST:,}, received {getattr(config, key):,}")
     for key in ("lr", "clip", "scale"):
         if not getattr(config, key) > 0:
             raise ValueError(f"{key}: expected a value above 0, received {getattr(config, key)}")

@@ -74,8 +74,16 @@ class Evolution:
         return {key: getattr(self, key) for key in keys}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """What ``state_dict`` gave."""
-        for key, value in state.items():
+        """What ``state_dict`` gave.
+
+        Raises:
+            KeyError: a value is missing.
+            TypeError: one is of another type or shape.
+        """
+        for key, own in self.state_dict().items():
+            value = state[key]
+            if type(value) is not type(own) or (isinstance(own, Tensor) and value.shape != own.shape):
+                raise TypeError(f"{key}: expected what state_dict gives, received {value!s:.100}")
             setattr(self, key, value)
 
 

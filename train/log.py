@@ -8,6 +8,7 @@ from typing import Any
 
 from torchfra.app import distributed
 from torchfra.app.progress import progress_bar
+from torchfra.tables import printable
 from train.config import Config
 
 
@@ -25,9 +26,9 @@ class Log:
     """
 
     def __init__(self, config: Config, out: Path, *, begin: int, quiet: bool) -> None:
-        self.name, self.quiet = config.name, quiet
+        self.name, self.quiet = printable(config.name), quiet
         self.board = _tensorboard(out) if config.tensorboard and distributed.rank() == 0 else None
-        self.bar = progress_bar(range(begin, config.iterations), config.name, not quiet)
+        self.bar = progress_bar(range(begin, config.iterations), self.name, not quiet)
         """The numbers of the iterations, behind a progress bar on a terminal."""
 
     def show(self, row: Mapping[str, float]) -> None:

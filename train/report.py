@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
+from collections.abc import Iterator
 from typing import Any, cast
 
 import numpy as np
@@ -85,6 +87,21 @@ def _regrets(training: Regrets, quiet: bool) -> list[dict[str, Any]]:
             errors[when] = {kind: {"rmse_position": rmse, "regret": rmse / best - 1} for kind, rmse in rmses}
         tasks.append(errors)
     return tasks
+
+
+def not_finite(result: dict[str, Any]) -> list[str]:
+    """A message for each task whose errors with the learned values are not finite."""
+    return [
+        f"task {number}, {task['scenario']}: the errors after learning are not finite"
+        for number, task in enumerate(result["tasks"], 1)
+        if not all(map(math.isfinite, _numbers(task["after"])))
+    ]
+
+
+def _numbers(values: dict[str, Any]) -> Iterator[float]:
+    """All numbers in nested dictionaries."""
+    for value in values.values():
+        yield from _numbers(value) if isinstance(value, dict) else (value,)
 
 
 def report_text(result: dict[str, Any]) -> str:

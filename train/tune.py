@@ -18,7 +18,6 @@ errors on unseen tracks before and after.  To use the learned values:
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import math
 import sys
@@ -29,21 +28,24 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchfra import keep_memory
 from torchfra.app import distributed, plotting
 from torchfra.app.atomic_write import write_json
+from torchfra.app.command import Failures, check_files, check_folder, exit_status, make_parser
 from torchfra.catalogue import FILTERS
 from torchfra.hyper import hypers
 from torchfra.kernel.build import CompileError
+from torchfra.tables import printable
 from train import checkpoints
 from train.batches import Batch, simulate
 from train.config import Config
 from train.log import Log
 from train.regret import Regrets
-from train.report import report, report_text
+from train.report import not_finite, report, report_text
 from train.runs import RUNS, configured
 from train.search import search
 from train.training import Training
+
+WRITTEN = (*checkpoints.FILES, "config.json", "results.json", "learning.png")
 
 
 def train(training: Training, out: Path, log: Log) -> None:
@@ -153,12 +155,16 @@ def tune(config: Config, out: Path, *, resume: bool = False, quiet: bool = False
 
     Raises:
         ValueError: ``out`` holds a run and ``resume`` is not asked for; or see ``Training``.
+        OSError: a file cannot be written, which is found before the first iteration where it can be.
+        IncompleteError: the run is at its end, but a file is missing or a result is not finite.
     """
     first = distributed.rank() == 0
     quiet = quiet or not first
-    training = Regrets(config, quiet=quiet) if config.loss == "regret" else Training(config)
-    if not resume and (out / "checkpoint.pt").exists():
+    if not resume and checkpoints.found(out):
         raise ValueError(f"out: {out} holds a run already: --resume continues it, --out DIR writes elsewhere")
+    check_folder("out", out)
+    check_files({f"out, {name}": out / name for name in WRITTEN})
+    training = Regrets(config, quiet=quiet) if config.loss == "regret" else Training(config)
     start = training.learned_values()
     if resume and checkpoints.load(training, out) and not quiet:
         print(f"resumed after iteration {training.iteration}")
@@ -169,37 +175,51 @@ def tune(config: Config, out: Path, *, resume: bool = False, quiet: bool = False
     search(training, validate)
     if first:
         checkpoints.save(training, out)
-        figure = plotting.learning_curve(training.rows, start, f"{config.name}, seed {config.seed}")
-        plotting.save(figure, out / "learning.png")
     result = report(training, start, quiet=quiet)
-    if first:
-        write_json(out / "results.json", result)
     if not quiet:
-        print(f"{report_text(result)}\nwritten to {out}")
+        print(f"{report_text(result)}\nwritten to {printable(str(out))}", flush=True)
+    if first:
+        _write(training, start, result, out)
     return result
 
 
+def _write(training: Training, start: dict[str, float], result: dict[str, Any], out: Path) -> None:
+    """The results and the figure.
+
+    Raises:
+        IncompleteError: one of them cannot be written, or there is nothing finite to report.
+    """
+    config, failures = training.config, Failures()
+    with failures.of("results.json"):
+        write_json(out / "results.json", result)
+    with failures.of("learning.png"):
+        figure = plotting.learning_curve(training.rows, start, f"{config.name}, seed {config.seed}")
+        plotting.save(figure, out / "learning.png")
+    if not math.isfinite(training.best["score"]):
+        failures.messages.append("no validation was finite: state_dict.pt has the values of the start")
+    failures.messages += not_finite(result)
+    failures.end()
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the command; 0 if it did its work, 2 with one line on standard error if an argument or a file is wrong."""
-    form = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser("python -m train.tune", description=__doc__, formatter_class=form)
+    """Runs the command; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    parser = make_parser(__doc__, "python -m train.tune")
     parser.add_argument("run", metavar="RUN", help=f"one of {', '.join(RUNS)}")
     parser.add_argument("changes", metavar="KEY=VALUE", nargs="*", help="fields of train.config.Config")
     parser.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: out/train/RUN)")
     parser.add_argument("--resume", action="store_true", help="continue from the last checkpoint, if there is one")
     parser.add_argument("--quiet", action="store_true", help="no progress bar, and nothing printed but errors")
-    options = parser.parse_intermixed_args(arguments)
-    keep_memory()
-    with distributed.team():
+
+    def work() -> None:
+        options = parser.parse_intermixed_args(arguments)
+        config = configured(options.run, options.changes)
         try:
-            config = configured(options.run, options.changes)
             tune(config, options.out or Path("out/train") / options.run, resume=options.resume, quiet=options.quiet)
-        except (ValueError, OSError, ImportError, CompileError) as error:
-            if distributed.rank() == 0:
-                hint = "; compile=false trains without" if isinstance(error, CompileError) else ""
-                print(f"train: error: {' '.join(str(error).split())}{hint}", file=sys.stderr)
-            return 2
-    return 0
+        except CompileError as error:
+            raise CompileError(f"{error}; compile=false trains without") from None
+
+    with distributed.team():
+        return exit_status("train", work)
 
 
 if __name__ == "__main__":

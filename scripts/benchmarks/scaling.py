@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -43,13 +44,14 @@ def scaling(options: argparse.Namespace) -> list[Row]:
     for steps in STEPS:
         z = torch.randn(8, steps, 2, dtype=torch.float64, generator=generator)
         measure(on_positions(ConstantAcceleration(1.0), z), z, steps=steps)
-    if options.figure is not None:
-        panels = {
-            key: [(row[key], row["median"]) for row in rows if key in row] for key in ("batch", "states", "steps")
-        }
-        plotting.save(plotting.scaling(panels, "compiled SRCKF, float64"), options.figure)
-        print(f"figure: {options.figure}")
     return rows
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Writes the figure of the series."""
+    panels = {key: [(row[key], row["median"]) for row in rows if key in row] for key in ("batch", "states", "steps")}
+    plotting.save(plotting.scaling(panels, "compiled SRCKF, float64"), path)
+    print(f"figure: {path}")
 
 
 def on_positions(motion: Motion, z: torch.Tensor) -> Callable[[], Any]:

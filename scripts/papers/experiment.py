@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
-from matplotlib.figure import Figure
 
 from torchfra.app.evaluate import run
 from torchfra.catalogue import scenario_filters
@@ -15,9 +14,12 @@ from torchfra.filters import Filter
 from torchfra.scenarios import Scenario, Tracks
 from torchfra.types import Estimate
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 Filters = dict[str, Filter]
 Results = dict[str, dict[str, Any]]
-Figures = dict[str, Figure]
+Figures = dict[str, "Figure"]
 
 
 @dataclass(frozen=True)

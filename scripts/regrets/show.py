@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from regrets.ratios import KINDS
-from torchfra.tables import text_table
+from torchfra.tables import printable, text_table
 
 Cells = Mapping[str, dict[str, Any]]
 
@@ -49,10 +50,21 @@ def summary(cells: Cells, compared: Sequence[str]) -> dict[str, dict[str, Any]]:
 def summary_lines(of: Mapping[str, dict[str, Any]], kind: str) -> str:
     """The summary as text."""
     return "\n".join(
-        f"{label(name)}, {kind}: median regret {one['median']:+.1%}, worst {regret(1 + one['worst'])} "
-        f"({one['worst_cell']}), lost at most {one['most_lost']:.2%}"
+        f"{printable(label(name))}, {kind}: median regret {one['median']:+.1%}, worst {regret(1 + one['worst'])} "
+        f"({printable(one['worst_cell'])}), lost at most {one['most_lost']:.2%}"
         for name, one in of[kind].items()
     )
+
+
+def not_finite(cells: Cells) -> list[str]:
+    """A message for each filter with an error in a cell that is not finite."""
+    return [
+        f"{cell}, {label(name)}, {kind}: an error that is not finite"
+        for cell, result in cells.items()
+        for kind in KINDS
+        for name, of in result[kind]["filters"].items()
+        if not math.isfinite(of["rmse"])
+    ]
 
 
 def panels(cells: Cells, compared: Sequence[str]) -> dict[str, tuple[list[str], list[list[float]]]]:

@@ -16,13 +16,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: of the command line; None for those of this process.
 
     Returns:
-        0, or 2 after one line on standard error if an argument or a file was wrong.
+        The exit status: see ``command.exit_status``.
     """
     parser = make_parser("Robust, adaptive tracking of manoeuvring targets.", "torchfra")
     parser.add_argument("--version", action="version", version=f"torchfra {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     track_command.add_to(commands)
     compare_command.add_to(commands)
-    options = parser.parse_args(arguments)
+
+    def work() -> None:
+        options = parser.parse_args(arguments)
+        options.run(options)
+
     with distributed.team():
-        return exit_status("torchfra", lambda: options.run(options))
+        return exit_status("torchfra", work)

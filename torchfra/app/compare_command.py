@@ -9,13 +9,15 @@ from typing import Any
 
 from torchfra.app import distributed
 from torchfra.app.atomic_write import write_json
-from torchfra.app.command import add_json_option, add_quiet_option
+from torchfra.app.command import Failures, add_json_option, add_quiet_option, check_files
 from torchfra.app.compiling import add_compile_option, choose, reporters
 from torchfra.app.evaluate import (
     BASELINE,
+    Result,
     flight,
     leaders,
     measure,
+    not_finite,
     recordings_table,
     report,
     results_of,
@@ -27,6 +29,7 @@ from torchfra.app.track_command import FILES
 from torchfra.catalogue import filters_for, learned_filter, scan_filters, scenario_filters, track_filters
 from torchfra.filters import Filter
 from torchfra.scenarios import Scenario
+from torchfra.tables import printable
 
 _EXAMPLES = """examples:
   torchfra compare flights/*.json.gz --sensor radar --json radar.json
@@ -79,12 +82,16 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Runs the command; under ``torchrun`` in every process, of which the first writes."""
+    inputs = _inputs(options)
+    check_files({"json": options.json, "figure": options.figure}, inputs)
     scenario, runs = scenario_of(options)
+    options.figure = options.figure or Path(f"compare-{scenario.name}.png")
+    check_files({"json": options.json, "figure": options.figure}, inputs)
     filters = _filters(options, scenario)
     first = distributed.rank() == 0
     quiet = options.quiet or not first
     tell, fallback = reporters(options.compile, quiet)
-    shown = _shown(options, filters, runs)
+    shown = _shown(options, filters, scenario, runs)
     metrics = measure(
         scenario,
         filters,
@@ -104,15 +111,30 @@ def _filters(options: argparse.Namespace, scenario: Scenario) -> dict[str, Filte
     made = scenario_filters(names, scenario)
     if options.learned is None:
         return made
-    name, equals, file = options.learned.rpartition("=")
-    learned = learned_filter(file, scenario, name if equals else "fra")
+    name, equals, _ = options.learned.rpartition("=")
+    learned = learned_filter(_learned_file(options), scenario, name if equals else "fra")
     return made | {"learned": learned}
 
 
-def _shown(options: argparse.Namespace, filters: Mapping[str, Filter], runs: int) -> list[str] | None:
+def _learned_file(options: argparse.Namespace) -> str:
+    return str(options.learned.rpartition("=")[2])
+
+
+def _inputs(options: argparse.Namespace) -> list[str | Path]:
+    """The files that are read."""
+    paths = [*options.files, *(options.ranges or []), options.anchors, options.reference]
+    learned = [] if options.learned is None else [_learned_file(options)]
+    return [path for path in paths if path is not None] + learned
+
+
+def _shown(
+    options: argparse.Namespace, filters: Mapping[str, Filter], scenario: Scenario, runs: int
+) -> list[str] | None:
     """The filters whose errors are drawn over time, in the order of the user; None to choose them by the results."""
     if options.flight is not None and not 0 <= options.flight < runs:
         raise ValueError(f"flight: expected the number of a run, 0 to {runs - 1}, received {options.flight}")
+    if options.flight is not None and scenario.motion.dims < 2:
+        raise ValueError(f"flight: goes with positions in two dimensions or more, not with {scenario.name}")
     if options.show is None:
         return None
     names = [name for name in dict.fromkeys(options.show.split(",")) if name]
@@ -126,21 +148,32 @@ def _write(
     options: argparse.Namespace, scenario: Scenario, runs: int, metrics: Mapping[str, RunningMetrics],
     filters: Mapping[str, Filter], shown: Sequence[str] | None,
 ) -> None:  # fmt: skip
-    from torchfra.app import plotting  # matplotlib takes long to import
-
-    results = results_of(metrics, filters, scenario, runs)
-    shown = shown or leaders(results, MOST_SHOWN)
-    errors = [metrics[name].errors() for name in shown[:2]]
-    on_map = {name: filters[name] for name in shown[:MOST_ON_MAP]}
-    mapped = flight(scenario, on_map, errors, options.seed, options.flight)
+    results, failures = results_of(metrics, filters, scenario, runs), Failures()
     title = _title(scenario, runs, options.seed)
-    path = options.figure or Path(f"compare-{scenario.name}.png")
-    plotting.save(plotting.comparison(results, shown, scenario.dt, scenario.limit, title, mapped), path)
-    if options.json is not None:
-        write_json(options.json, report(scenario, results, runs=runs, seed=options.seed))
     if not options.quiet:
         numbers = recordings_table(results, scenario) if scenario.recordings else table(results)
-        print(f"{title}\n{numbers}\nfigure: {path}")
+        print(f"{title}\n{numbers}", flush=True)  # whatever becomes of the files
+    if options.json is not None:
+        with failures.of("json"):
+            write_json(options.json, report(scenario, results, runs=runs, seed=options.seed))
+    with failures.of("figure"):
+        _draw(options, scenario, results, metrics, filters, shown or leaders(results, MOST_SHOWN), title)
+    failures.messages += not_finite(results)
+    failures.end()
+
+
+def _draw(
+    options: argparse.Namespace, scenario: Scenario, results: dict[str, Result], metrics: Mapping[str, RunningMetrics],
+    filters: Mapping[str, Filter], shown: Sequence[str], title: str,
+) -> None:  # fmt: skip
+    from torchfra.app import plotting  # matplotlib takes long to import
+
+    on_map = {name: filters[name] for name in shown[:MOST_ON_MAP]}
+    errors = [metrics[name].errors() for name in shown[:2]]
+    mapped = flight(scenario, on_map, errors, options.seed, options.flight)
+    plotting.save(plotting.comparison(results, shown, scenario.dt, scenario.limit, title, mapped), options.figure)
+    if not options.quiet:
+        print(f"figure: {printable(str(options.figure))}")
 
 
 def _title(scenario: Scenario, runs: int, seed: int) -> str:

@@ -50,6 +50,12 @@ class Filtered:
         table |= {"nis": self.nis} | {name: flag.astype(int) for name, flag in self.flags.items()}
         return table if self.leading is None else table | {"model": np.array(self.models)[self.leading]}
 
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """``(T,)`` which steps have an estimate that is not finite."""
+        together = np.concatenate([self.position, self.velocity, self.std], 1)
+        return np.asarray(~np.isfinite(together).all(1))
+
     def marks(self) -> dict[str, NDArray[np.bool_]]:
         """The steps to point out, by what they are: ``(T,)`` each."""
         if self.decided:
@@ -70,14 +76,15 @@ class Filtered:
         """Counts and distances: what ``--json`` writes of a track."""
         counts = {name: int(flag.sum()) for name, flag in self.flags.items()}
         off = np.linalg.norm(self.raw - self.position, axis=1)
+        off = off[~np.isnan(off)] if not np.isnan(off).all() else np.array([np.nan])
         return {
             "name": self.recording.name,
             "steps": len(self.time),
             "seconds": float(self.time[-1]),
             **counts,
-            "median_correction": float(np.nanmedian(off)),
-            "largest_correction": float(np.nanmax(off)),
-            "failed": bool(~np.isfinite(self.position).all()),
+            "median_correction": float(np.median(off)),
+            "largest_correction": float(off.max()),
+            "failed": bool(self.failed.any()),
             "repairs": self.recording.repairs,
             **({} if self.leading is None else {"steps_led": self._steps_led(self.leading)}),
         }

@@ -136,6 +136,7 @@ class RunningMetrics:
             **self._coordinates(),
             "median_error_position": self.error(),
             **_quantiles(track_rmse),
+            "failed": int(track_rmse.isposinf().sum()),
             "diverged": int((track_rmse > limit).sum()),
             "divergence_rate": (track_rmse > limit).double().mean().item(),
             "nees_position": self.nees(),

@@ -31,6 +31,8 @@ LONGEST_GAP = 60.0
 """Seconds without a usable fix after which a filter of constant gains restarts."""
 _TOGETHER = 32
 """Recordings that are filtered as one batch."""
+_MOST_STEPS = 10**7
+"""Of a grid between fixes."""
 
 
 def track(
@@ -60,7 +62,7 @@ def track(
         ValueError: an unknown filter, or a value out of its range.
         CompileError: the filter cannot be compiled, and there is no ``fallback``.
     """
-    _check(name, dt, sigma, q)
+    check_settings(name, dt, sigma, q)
     done: dict[int, Filtered] = {}
     for group in progress_bar(_groups(recordings), "group", progress):
         part = [recordings[i] for i in group]
@@ -75,7 +77,12 @@ def track(
     return [done[i] for i in range(len(recordings))]
 
 
-def _check(name: str, dt: float | None, sigma: float, q: float) -> None:
+def check_settings(name: str, dt: float | None, sigma: float, q: float) -> None:
+    """Checks arguments of ``track``.
+
+    Raises:
+        ValueError: an unknown filter, or a value out of its range.
+    """
     if not 0 < sigma < math.inf:
         raise ValueError(f"sigma: expected metres above 0, received {sigma}")
     if not 0 <= q < math.inf:
@@ -180,6 +187,8 @@ def _grid(recording: Recording, dt: float | None) -> tuple[Array, Array]:
     time = recording.time - recording.time[0]
     if dt is None:
         return time, recording.position
+    if time[-1] > _MOST_STEPS * dt:
+        raise ValueError(f"dt: expected at most {_MOST_STEPS:,} steps, received {dt} s in a track of {time[-1]:g} s")
     regular: Array = dt * np.arange(int(time[-1] / dt) + 1, dtype=np.float64)
     between = regular[np.abs(regular - time[_nearest(time, regular)]) > 1e-6 * dt]
     both = np.concatenate([time, between])

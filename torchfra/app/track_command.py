@@ -5,18 +5,29 @@ from __future__ import annotations
 import argparse
 import re
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from torchfra import readers
 from torchfra.app import distributed
 from torchfra.app.atomic_write import write_json, write_text
-from torchfra.app.command import add_bound_option, add_json_option, add_quiet_option, check_folder
+from torchfra.app.command import (
+    Failures,
+    add_bound_option,
+    add_json_option,
+    add_quiet_option,
+    check_files,
+    check_folder,
+)
 from torchfra.app.compiling import add_compile_option, choose, reporters
 from torchfra.app.filtered import Filtered
 from torchfra.app.progress import progress_bar
-from torchfra.app.track import DEFAULT, GATE, successive_steps, track
+from torchfra.app.track import DEFAULT, GATE, check_settings, successive_steps, track
 from torchfra.catalogue import FILTERS, track_filters
+from torchfra.kernel.build import CompileError
+from torchfra.readers import Recording
+from torchfra.tables import printable
 from torchfra.version import __version__
 
 FILES = """FILE holds one or several recorded tracks: OpenSky state vectors (CSV: time, icao24, lat, lon), gzip-JSON
@@ -30,6 +41,8 @@ _EXAMPLES = """examples:
 
 WORTHWHILE, WORTHWHILE_OF_BANKS = 5_000, 50_000
 """Steps in sequence that take an interpreted filter about as long as compiling it."""
+_LONGEST_NAME = 100
+"""Bytes of a file's name, of which file systems take 255, and characters of a target's in a line."""
 
 
 def add_to(commands: Any) -> None:
@@ -63,30 +76,73 @@ def run(options: argparse.Namespace) -> None:
     if distributed.rank():
         return
     check_folder("out", options.out)
+    check_files({"json": options.json}, [options.file])
+    check_settings(options.filter, options.dt, options.sigma, options.q)
     recordings = readers.read(options.file, max_bytes=options.max_bytes)
-    tell, fallback = reporters(options.compile, options.quiet)
-    entry = FILTERS.get(options.filter)
-    least = WORTHWHILE_OF_BANKS if entry is not None and (entry.bank or entry.either) else WORTHWHILE
-    compile = choose(options.compile, successive_steps(recordings) >= least, tell)
-    settings = {"dt": options.dt, "sigma": options.sigma, "q": options.q}
+    files, failures = _files(recordings, options), Failures()
     start = time.perf_counter()
-    results = track(
-        recordings, options.filter, **settings, compile=compile, fallback=fallback, progress=not options.quiet
-    )
+    results = _tracked(recordings, options, failures)
     seconds = time.perf_counter() - start
-    names: set[str] = set()
-    for result in progress_bar(results, "file", not options.quiet):
-        path = options.out / f"{_unused(result.recording.name, names)}.csv"
-        write_text(path, result.csv())
-        if not options.no_plots:
-            _draw(result, options.filter, path.with_name(f"{path.stem}.png"))
-        if not options.quiet:
-            print(_line(result, path))
+    for recording, path in progress_bar(files.items(), "file", not options.quiet):
+        if (result := results.get(recording)) is not None:
+            with failures.of(printable(recording.name)):
+                _write(result, options, path)
     if options.json is not None:
-        head = {"file": options.file.name, "version": __version__, "settings": {"filter": options.filter, **settings}}
-        rate = sum(len(result.time) for result in results) / seconds
-        tracks = [result.summary() for result in results]
-        write_json(options.json, {**head, "steps_per_second": rate, "tracks": tracks})
+        settings = {key: getattr(options, key) for key in ("filter", "dt", "sigma", "q")}
+        head = {"file": options.file.name, "version": __version__, "settings": settings}
+        rate = sum(len(result.time) for result in results.values()) / seconds
+        with failures.of("json"):
+            tracks = [result.summary() for result in results.values()]
+            write_json(options.json, {**head, "steps_per_second": rate, "tracks": tracks})
+    failures.end()
+
+
+def _files(recordings: Sequence[Recording], options: argparse.Namespace) -> dict[Recording, Path]:
+    """The table of each target, once it is known that it can be written."""
+    names: set[str] = set()
+    files = {recording: options.out / f"{_unused(recording.name, names)}.csv" for recording in recordings}
+    endings = (".csv",) if options.no_plots else (".csv", ".png")
+    paths = [path.with_name(f"{path.stem}{ending}") for path in files.values() for ending in endings]
+    check_files({"json": options.json} | {f"out, {path.name}": path for path in paths})
+    return files
+
+
+def _tracked(
+    recordings: Sequence[Recording], options: argparse.Namespace, failures: Failures
+) -> dict[Recording, Filtered]:
+    """All targets filtered at once; or, where that fails, one after the other, without those that cannot be."""
+    tell, fallback = reporters(options.compile, options.quiet)
+    entry = FILTERS[options.filter]
+    least = WORTHWHILE_OF_BANKS if entry.bank or entry.either else WORTHWHILE
+    compile = choose(options.compile, successive_steps(recordings) >= least, tell)
+    settings = {"dt": options.dt, "sigma": options.sigma, "q": options.q, "compile": compile, "fallback": fallback}
+    try:
+        done = track(recordings, options.filter, **settings, progress=not options.quiet)
+        return dict(zip(recordings, done, strict=True))
+    except Exception as error:
+        if len(recordings) == 1 or isinstance(error, CompileError | NotImplementedError):
+            raise
+        found = {}
+        for recording in recordings:
+            with failures.of(printable(recording.name)):
+                (found[recording],) = track([recording], options.filter, **settings)
+        return found
+
+
+def _write(result: Filtered, options: argparse.Namespace, path: Path) -> None:
+    """The files of a target, and its line in any case.
+
+    Raises:
+        OSError: a file cannot be written.
+        ValueError: an estimate is not finite.
+    """
+    if not options.quiet:
+        print(_line(result, path))
+    write_text(path, result.csv())
+    if not options.no_plots:
+        _draw(result, options.filter, path.with_name(f"{path.stem}.png"))
+    if failed := int(result.failed.sum()):
+        raise ValueError(f"NaN or infinity in {failed} of {len(result.time)} steps")
 
 
 def _draw(result: Filtered, name: str, path: Path) -> None:
@@ -100,12 +156,12 @@ def _draw(result: Filtered, name: str, path: Path) -> None:
 
 
 def _unused(name: str, used: set[str]) -> str:
-    """A file name, without its ending, that no other target of this call has."""
-    name = re.sub(r"[^\w.-]+", "_", name).strip("_.") or "track"
+    """A file name, without its ending, that no other target of this call has, not even where case does not count."""
+    name = re.sub(r"[^\w.-]+", "_", name).encode()[:_LONGEST_NAME].decode(errors="ignore").strip("_.") or "track"
     number, candidate = 2, name
-    while candidate in used:
+    while candidate.casefold() in used:
         number, candidate = number + 1, f"{name}-{number}"
-    used.add(candidate)
+    used.add(candidate.casefold())
     return candidate
 
 
@@ -115,7 +171,7 @@ def _line(result: Filtered, path: Path) -> str:
     repairs = ", ".join(f"{count} {what}" for what, count in summary["repairs"].items()) or "none"
     failed = ", FAILED: NaN or infinity" if summary["failed"] else ""
     return (
-        f"{summary['name']}: {summary['steps']} steps over {summary['seconds'] / 60:.1f} min, "
-        f"{marked}, {summary['missing']} missing, "
-        f"median correction {summary['median_correction']:.1f} m{failed}; repairs: {repairs} -> {path}"
+        f"{printable(summary['name'], _LONGEST_NAME)}: {summary['steps']} steps over "
+        f"{summary['seconds'] / 60:.1f} min, {marked}, {summary['missing']} missing, "
+        f"median correction {summary['median_correction']:.1f} m{failed}; repairs: {repairs} -> {printable(str(path))}"
     )

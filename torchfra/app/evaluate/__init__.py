@@ -2,7 +2,7 @@
 
 from torchfra.app.evaluate.flights import Flight, flight
 from torchfra.app.evaluate.recordings import recordings_table
-from torchfra.app.evaluate.results import BASELINE, Result, leaders, report, table, versions
+from torchfra.app.evaluate.results import BASELINE, Result, leaders, not_finite, report, table, versions
 from torchfra.app.evaluate.runs import evaluate, measure, results_of, run
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "flight",
     "leaders",
     "measure",
+    "not_finite",
     "recordings_table",
     "report",
     "results_of",

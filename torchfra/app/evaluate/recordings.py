@@ -6,7 +6,7 @@ from typing import Any
 
 from torchfra.app.evaluate.results import Result
 from torchfra.scenarios import Scenario
-from torchfra.tables import text_table
+from torchfra.tables import printable, text_table
 
 
 def recordings_table(results: dict[str, Result], scenario: Scenario) -> str:
@@ -18,7 +18,7 @@ def recordings_table(results: dict[str, Result], scenario: Scenario) -> str:
     """
     runs = len(next(iter(results.values()))["rmse_of_runs"])
     named = enumerate(scenario.recordings[:runs], 1)
-    lines = [f"{number}: {name}{_repairs(scenario, number)}" for number, name in named]
+    lines = [f"{number}: {printable(name)}{_repairs(scenario, number)}" for number, name in named]
     rows = [
         [name, *(_metres(error) for error in of["rmse_of_runs"]),
          _metres(sum(of["rmse_of_runs"]) / runs), _metres(of["median_error_position"]),

@@ -21,10 +21,11 @@ Result = dict[str, Any]
 ``median_error_position`` over all steps and runs (to 0.05 %), of the root mean square errors of single runs the 5th
 percentile ``p05_track_rmse``, ``median_track_rmse``, ``p95_track_rmse`` and ``worst_track`` (each that of a run), all
 of them in ``rmse_of_runs`` if the runs are recordings, ``diverged`` and ``divergence_rate``, how many and which share
-of the runs, ``nees_position`` (median, to 0.05 %; 1.39 of a consistent filter, in the plane), by coordinate and over
-time the signed ``mean_error_x``, ``rmse_x`` and ``mape_x`` (mean relative error, %, of coordinates of 100 m or more),
-the models' mean ``probabilities`` ``[T][K]`` if there are some, ``microseconds`` per run and step, and
-``relative_time`` to the UKF (``ukf_jpda`` on scans) on the same runs.
+of the runs, ``failed``, how many of them have an estimate or an error that is not finite, ``nees_position`` (median, to
+0.05 %; 1.39 of a consistent filter, in the plane), by coordinate and over time the signed ``mean_error_x``, ``rmse_x``
+and ``mape_x`` (mean relative error, %, of coordinates of 100 m or more), the models' mean ``probabilities``
+``[T][K]`` if there are some, ``microseconds`` per run and step, and ``relative_time`` to the UKF (``ukf_jpda`` on
+scans) on the same runs.
 """
 
 BASELINE = "srckf"
@@ -82,6 +83,15 @@ def table(results: dict[str, Result]) -> str:
         for name, result in results.items()
     ]
     return text_table(["filter", *(title for title, _, _ in _COLUMNS)], rows)
+
+
+def not_finite(results: dict[str, Result]) -> list[str]:
+    """A message for each filter that has infinite errors, or NaN estimates, in some runs."""
+    return [
+        f"{name}: not finite in {count} {'run' if count == 1 else 'runs'}"
+        for name, result in results.items()
+        if (count := result["failed"])
+    ]
 
 
 def _decimals(results: dict[str, Result], key: str, least: int) -> int:

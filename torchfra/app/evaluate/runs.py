@@ -17,6 +17,9 @@ from torchfra.filters.base import Filter
 from torchfra.scenarios import Scenario, Tracks
 from torchfra.types import Estimate
 
+MOST_RUNS = 10**9
+"""More would take years, and more memory than there is."""
+
 
 def evaluate(
     scenario: Scenario,
@@ -113,6 +116,8 @@ def _check(runs: int, chunk: int) -> None:
     if runs < (processes := distributed.size()):
         each = f", one for each of {processes} processes" if processes > 1 else ""
         raise ValueError(f"runs: expected {processes} or more{each}, received {runs}")
+    if runs > MOST_RUNS:
+        raise ValueError(f"runs: expected at most {MOST_RUNS:,}, of each of which there is an error, received {runs:,}")
     if chunk < 1:
         raise ValueError(f"chunk: expected 1 or more, received {chunk}")
 

@@ -3,6 +3,7 @@
 Each function returns a figure that pyplot does not know of, so that nothing has to be closed; ``save`` writes it.
 """
 
+from torchfra.app import home  # noqa: F401  # before matplotlib
 from torchfra.app.plotting.comparison import comparison
 from torchfra.app.plotting.curves import against, by_coordinate, innovations, rmse_curves, scaling
 from torchfra.app.plotting.models import probabilities

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from torchfra.app.evaluate import Flight
 from torchfra.app.plotting.labels import SIZE, Array, at_ends
 from torchfra.app.plotting.maps import draw_map, label_map
-from torchfra.app.plotting.style import APART, GREY, plain_ticks, without_box
+from torchfra.app.plotting.style import APART, GREY, TITLE, any_letters, plain_ticks, without_box, words
 
 _ROW = 0.27
 """Height of a filter's row, inches."""
@@ -47,10 +47,11 @@ def comparison(
         draw_map(panels["map"], flight, colours)
     _draw_runs(panels["runs"], results, limit, colours)
     ends = _draw_time(panels["time"], results, dt, limit, colours)
-    figure.suptitle(title)
-    figure.draw_without_rendering()  # labels are put where there is room, which the layout decides
-    at_ends(panels["time"], ends, colours)
-    figure.draw_without_rendering()
+    figure.suptitle(words(title, TITLE))
+    with any_letters():
+        figure.draw_without_rendering()  # labels are put where there is room, which the layout decides
+        at_ends(panels["time"], ends, colours)
+        figure.draw_without_rendering()
     if flight is not None:
         label_map(panels["map"], flight, colours)
     return figure
@@ -74,7 +75,7 @@ def _draw_runs(axes: Axes, results: Mapping[str, Mapping[str, Any]], limit: floa
                           textcoords="offset points", va="center", fontsize=SIZE, color="black")  # fmt: skip
     if low < limit < high:
         axes.axvline(limit, color="black", linestyle=":", linewidth=1)
-    axes.set_yticks(range(len(names)), names)
+    axes.set_yticks(range(len(names)), map(words, names))
     for label, name in zip(axes.get_yticklabels(), names, strict=True):
         label.set(color=colours.get(name, "black"), fontweight="bold" if name in colours else "normal")
     axes.set(xscale="log", xlim=(low, high), ylim=(-0.6, len(names) - 0.4), xlabel="RMSE of the position in a run, m")

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from torchfra.app.plotting.style import BLUE, finish, line_styles
+from torchfra.app.plotting.style import BLUE, TITLE, finish, line_styles, words
 
 
 def rmse_curves(results: dict[str, dict[str, Any]], quantity: str, dt: float, title: str) -> Figure:
@@ -25,9 +25,9 @@ def rmse_curves(results: dict[str, dict[str, Any]], quantity: str, dt: float, ti
     axes, styles = figure.subplots(), line_styles(results)
     for name, result in results.items():
         curve = np.array(result[f"rmse_{quantity}"], dtype=float)
-        axes.plot(dt * np.arange(1, len(curve) + 1), curve, label=name, **styles[name])
+        axes.plot(dt * np.arange(1, len(curve) + 1), curve, label=words(name), **styles[name])
     unit = {"position": ", m", "velocity": ", m/s"}.get(quantity, "")
-    axes.set(xlabel="time, s", ylabel=f"RMSE of {quantity}{unit}", yscale="log", title=title)
+    axes.set(xlabel="time, s", ylabel=f"RMSE of {quantity}{unit}", yscale="log", title=words(title, TITLE))
     finish(axes)
     return figure
 
@@ -45,8 +45,8 @@ def against(x: Sequence[float], curves: dict[str, list[float]], xlabel: str, yla
     figure = Figure(figsize=(6, 4), layout="constrained")
     axes, styles = figure.subplots(), line_styles(curves)
     for name, values in curves.items():
-        axes.plot(x, values, marker="o", markersize=3, label=name, **styles[name])
-    axes.set(xlabel=xlabel, ylabel=ylabel, title=title)
+        axes.plot(x, values, marker="o", markersize=3, label=words(name), **styles[name])
+    axes.set(xlabel=xlabel, ylabel=ylabel, title=words(title, TITLE))
     finish(axes)
     return figure
 
@@ -63,9 +63,9 @@ def innovations(nis: dict[str, Tensor], gate: float, dt: float, title: str) -> F
     figure = Figure(figsize=(8, 4), layout="constrained")
     axes, styles = figure.subplots(), line_styles(nis)
     for name, values in nis.items():
-        axes.plot(dt * np.arange(1, len(values) + 1), values.clamp_min(1e-3), label=name, **styles[name])
+        axes.plot(dt * np.arange(1, len(values) + 1), values.clamp_min(1e-3), label=words(name), **styles[name])
     axes.axhline(gate, color="black", linestyle="--", linewidth=1, label=f"gate {gate:g}")
-    axes.set(xlabel="time, s", ylabel="normalised innovation squared", yscale="log", title=title)
+    axes.set(xlabel="time, s", ylabel="normalised innovation squared", yscale="log", title=words(title, TITLE))
     finish(axes)
     return figure
 
@@ -87,10 +87,10 @@ def by_coordinate(results: dict[str, dict[str, Any]], quantity: str, start: floa
     for axis, axes in zip(axes_of, panels, strict=True):
         for name, of in results.items():
             curve = np.array(of[f"{quantity}_{axis}"], dtype=float)
-            axes.plot(start + dt * np.arange(len(curve)), curve, label=name, **styles[name])
+            axes.plot(start + dt * np.arange(len(curve)), curve, label=words(name), **styles[name])
         axes.set(xlabel="time, s", ylabel=f"{label}, {axis}")
         finish(axes)
-    figure.suptitle(title)
+    figure.suptitle(words(title, TITLE))
     return figure
 
 
@@ -110,5 +110,5 @@ def scaling(panels: dict[str, list[tuple[float, float]]], title: str) -> Figure:
         if max(pairs)[0] > 100:
             axes.set_xscale("log")
         axes.grid(True, which="both", alpha=0.3)
-    figure.suptitle(title)
+    figure.suptitle(words(title, TITLE))
     return figure

@@ -8,6 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from torchfra.app.plotting.style import words
+
 Array = NDArray[np.float64]
 
 SIZE = 9
@@ -57,8 +59,8 @@ def at_ends(axes: Axes, ends: Mapping[str, float], colours: Mapping[str, str]) -
     level = [float(to_axes.transform((x, y))[1]) for y in inside]
     gap = _HIGH * axes.figure.dpi / 72 / axes.get_window_extent().height
     for name, y, place in zip(ends, level, spread_apart(level, gap, 0.0, 1.0), strict=True):
-        axes.annotate(name, (1.0, y), (1.025, place), xycoords="axes fraction", textcoords="axes fraction", va="center",
-                      fontsize=SIZE, color=colours[name], annotation_clip=False,
+        axes.annotate(words(name), (1.0, y), (1.025, place), xycoords="axes fraction", textcoords="axes fraction",
+                      va="center", fontsize=SIZE, color=colours[name], annotation_clip=False,
                       arrowprops={"arrowstyle": "-", "color": colours[name], "linewidth": 0.7, "shrinkA": 0,
                                   "shrinkB": 0, "relpos": (0.0, 0.5)})  # fmt: skip
 
@@ -88,7 +90,7 @@ def in_free_places(axes: Axes, points: Mapping[str, Array], colours: Mapping[str
         anchor, centre = _best_place(own, others, half, size, taken)
         taken.append(np.concatenate([centre - half, centre + half]))
         at, beside = (tuple((place / size).tolist()) for place in (anchor, centre))
-        axes.annotate(name, at, beside, xycoords="axes fraction", textcoords="axes fraction",
+        axes.annotate(words(name), at, beside, xycoords="axes fraction", textcoords="axes fraction",
                       ha="center", va="center", fontsize=SIZE, color=colours[name], zorder=9,
                       arrowprops={"arrowstyle": "-", "color": colours[name], "linewidth": 0.7, "shrinkA": 0,
                                   "shrinkB": 0, "relpos": (0.5, 0.5)})  # fmt: skip

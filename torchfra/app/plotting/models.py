@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torchfra.app.plotting.style import CYCLE
+from torchfra.app.plotting.style import CYCLE, TITLE, words
 
 _COLOURS = ("#bbbbbb", *CYCLE, "#000000")
 """The first model is the usual one, straight flight: grey."""
@@ -31,13 +31,13 @@ def probabilities(of: dict[str, Any], models: Sequence[str], start: float, dt: f
     for (name, values), axes in zip(of.items(), rows, strict=True):
         values = np.asarray(values, dtype=float)
         time = start + dt * np.arange(len(values))
-        axes.stackplot(time, values.T, colors=_COLOURS, labels=models[: values.shape[1]], linewidth=0)
-        axes.set(ylabel=name, ylim=(0, 1), xlim=(time[0], time[-1]))
+        axes.stackplot(time, values.T, colors=_COLOURS, labels=[*map(words, models[: values.shape[1]])], linewidth=0)
+        axes.set(ylabel=words(name), ylim=(0, 1), xlim=(time[0], time[-1]))
     most = max(rows, key=lambda axes: len(axes.get_legend_handles_labels()[1]))
     place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
     rows[0].legend(*most.get_legend_handles_labels(), frameon=False, fontsize=8, ncols=4, **place)
     rows[-1].set(xlabel="time, s")
-    figure.suptitle(title)
+    figure.suptitle(words(title, TITLE))
     return figure
 
 
@@ -56,5 +56,5 @@ def shade(axes: Axes, time: Any, leading: Any, models: Sequence[str]) -> None:
     for k, (name, colour) in enumerate(zip(models, cycle(_COLOURS), strict=False)):
         if (own := leading[begins] == k).any():
             spans = list(zip(time[begins][own], widths[own], strict=True))
-            axes.broken_barh(spans, (0, 1), color=colour, alpha=0.35, linewidth=0, label=name,
+            axes.broken_barh(spans, (0, 1), color=colour, alpha=0.35, linewidth=0, label=words(name),
                              transform=axes.get_xaxis_transform())  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Any
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from torchfra.app.plotting.style import CYCLE, GREY, finish, line_styles
+from torchfra.app.plotting.style import CYCLE, GREY, TITLE, finish, line_styles, words
 
 
 def tracks(truth: Tensor, estimates: dict[str, Tensor], title: str, stations: Tensor | None = None) -> Figure:
@@ -28,8 +28,8 @@ def tracks(truth: Tensor, estimates: dict[str, Tensor], title: str, stations: Te
             axes.plot(*(path.mT / 1000), color="black", linestyle=":", linewidth=1, label=label)
     axes.plot(*(truth[:, :2].mT / 1000), color="black", linewidth=2.5, label="truth")
     for name, mean in estimates.items():
-        axes.plot(*(mean[:, :2].mT / 1000), label=name, **styles[name])
-    axes.set(xlabel="x, km", ylabel="y, km", title=title, aspect="equal")
+        axes.plot(*(mean[:, :2].mT / 1000), label=words(name), **styles[name])
+    axes.set(xlabel="x, km", ylabel="y, km", title=words(title, TITLE), aspect="equal")
     axes.set_adjustable("datalim")
     finish(axes)
     return figure
@@ -50,6 +50,6 @@ def in_space(truth: Tensor, estimates: Tensor, measured: Tensor, title: str) -> 
     for i, (path, mean, colour) in enumerate(zip(truth, estimates, cycle(CYCLE), strict=False)):
         axes.plot(*(path[:, :3].mT / 1000).numpy(), color="black", linewidth=2.5, label="truth" if i == 0 else None)
         axes.plot(*(mean[:, :3].mT / 1000).numpy(), color=colour, linewidth=1.4, label=f"target {i + 1}, filtered")
-    axes.set(xlabel="east, km", ylabel="north, km", zlabel="up, km", title=title)
+    axes.set(xlabel="east, km", ylabel="north, km", zlabel="up, km", title=words(title, TITLE))
     axes.legend(frameon=False, fontsize=8)
     return figure

@@ -11,6 +11,8 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from torchfra.app.plotting.style import TITLE, words
+
 _WORST = 10.0
 """Ratios above have the same colour."""
 
@@ -25,22 +27,23 @@ def ratios(panels: Mapping[str, tuple[Sequence[str], Sequence[Sequence[float]]]]
         title: of the figure.
     """
     widths = [len(columns) for columns, _ in panels.values()]
-    longest = max(map(len, rows))
-    figure = Figure(figsize=(2 + 0.075 * longest + 0.5 * sum(widths), 1.8 + 0.27 * len(rows)), layout="constrained")
+    beside = 0.075 * max(len(words(row)) for row in rows)
+    below = max(1.8, 0.8 + 0.075 * max(len(words(name)) for columns, _ in panels.values() for name in columns))
+    figure = Figure(figsize=(2 + beside + 0.5 * sum(widths), below + 0.27 * len(rows)), layout="constrained")
     places = figure.subplots(1, len(panels), squeeze=False, sharey=True, gridspec_kw={"width_ratios": widths})[0]
     values = {name: np.asarray(ratio, dtype=float) for name, (_, ratio) in panels.items()}
     lowest = min([1.0, *(x[np.isfinite(x)].min(initial=1.0) for x in values.values())])
     norm = LogNorm(max(lowest, 1 / _WORST), _WORST)
     for axes, (name, (columns, _)) in zip(places, panels.items(), strict=True):
         shown = axes.imshow(np.clip(values[name], norm.vmin, norm.vmax), norm=norm, cmap="cividis_r", aspect="auto")
-        axes.set_title(name, fontsize=9)
-        axes.set_xticks(range(len(columns)), columns, rotation=90, fontsize=8)
+        axes.set_title(words(name), fontsize=9)
+        axes.set_xticks(range(len(columns)), map(words, columns), rotation=90, fontsize=8)
         _write(axes, values[name], norm)
-    places[0].set_yticks(range(len(rows)), rows, fontsize=8)
+    places[0].set_yticks(range(len(rows)), map(words, rows), fontsize=8)
     bar = figure.colorbar(shown, ax=list(places), shrink=0.6, extend="max", ticks=(1, 2, 5, 10))
     bar.ax.set_yticklabels(["1", "2", "5", "10"])
     bar.set_label("error, as a multiple of the best other filter's", fontsize=8)
-    figure.suptitle(title, fontsize=10)
+    figure.suptitle(words(title, TITLE), fontsize=10)
     return figure
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from torchfra.app.plotting.models import shade
-from torchfra.app.plotting.style import BLUE, ORANGE, RED, without_box
+from torchfra.app.plotting.style import BLUE, ORANGE, RED, TITLE, without_box, words
 
 
 def filtered(
@@ -45,7 +45,7 @@ def filtered(
     innovation.axhline(gate, color="black", linestyle="--", linewidth=1)
     for (name, flag), mark, colour in zip(flags.items(), "x+", (RED, ORANGE), strict=False):
         place = (mean if name == "manoeuvre" else raw)[flag] / 1000
-        path.plot(place[:, 0], place[:, 1], mark, color=colour, label=f"{name} ({int(flag.sum())})")
+        path.plot(place[:, 0], place[:, 1], mark, color=colour, label=words(f"{name} ({int(flag.sum())})"))
         residual.plot(time[flag], distance[flag], mark, color=colour)
         innovation.plot(time[flag], nis[flag], mark, color=colour)
     _label(panels, title)
@@ -57,7 +57,9 @@ def filtered(
 
 
 def _label(panels: dict[str, Any], title: str) -> None:
-    panels["path"].set(xlabel="east, km", ylabel="north, km", title=title, aspect="equal", adjustable="datalim")
+    panels["path"].set(
+        xlabel="east, km", ylabel="north, km", title=words(title, TITLE), aspect="equal", adjustable="datalim"
+    )
     panels["path"].legend(frameon=False, fontsize=8)
     panels["residual"].set(ylabel="recorded to filtered, m", yscale="symlog")
     panels["innovation"].set(xlabel="time, s", ylabel="normalised innovation squared", yscale="log")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from io import BytesIO
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -14,6 +17,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from torchfra.app.atomic_write import write
 from torchfra.catalogue import FILTERS
+from torchfra.tables import printable
 
 GREY, BLUE, ORANGE, RED = "#999999", "#4c72b0", "#dd8452", "#c44e52"
 CYCLE = (BLUE, ORANGE, "#55a868", RED, "#8172b3", "#ccb974", "#64b5cd")
@@ -31,7 +35,28 @@ def save(figure: Figure, path: str | Path) -> Path:
     Raises:
         OSError: it cannot be written.
     """
-    return write(path, lambda file: figure.savefig(file, format="png", dpi=140))
+    picture = BytesIO()
+    with any_letters():
+        figure.savefig(picture, format="png", dpi=140)
+    return write(path, lambda file: file.write(picture.getvalue()))
+
+
+@contextmanager
+def any_letters() -> Iterator[None]:
+    """Letters of a name that the font does not have become boxes, without warnings."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
+        yield
+
+
+TITLE = 100
+"""Characters of a title."""
+
+
+def words(text: str, longest: int = 50) -> str:
+    """Text from outside, a name or a title that has one, as figures draw it: ``$`` is no mathematics there."""
+    drawn = printable(text, longest).replace("$", r"\$")
+    return f" {drawn}" if drawn.startswith("_") else drawn  # a legend leaves out what begins with it
 
 
 def line_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:

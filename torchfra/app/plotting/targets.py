@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from torchfra.app.plotting.style import CYCLE, RED, finish, without_box
+from torchfra.app.plotting.style import CYCLE, RED, TITLE, finish, without_box, words
 
 _QUANTITIES = (("range", "m", 1.0), ("azimuth", "mrad", 1e3), ("elevation", "mrad", 1e3))
 
@@ -30,7 +30,7 @@ def by_target(of: dict[str, dict[str, Any]], dt: float, title: str) -> Figure:
             for number, (name, values) in enumerate(of.items()):
                 curve = scale * np.array(values[f"rmse_{key}"][i], dtype=float)
                 style = {"color": CYCLE[number // 2 % len(CYCLE)], "linestyle": ("-", ":")[number % 2]}
-                axes.plot(dt * np.arange(1, len(curve) + 1), curve, label=name, linewidth=1.3, **style)
+                axes.plot(dt * np.arange(1, len(curve) + 1), curve, label=words(name), linewidth=1.3, **style)
             axes.set(ylabel=f"target {i + 1}: {key}, {unit}", yscale="log")
             axes.grid(alpha=0.25)
             without_box(axes)
@@ -38,7 +38,7 @@ def by_target(of: dict[str, dict[str, Any]], dt: float, title: str) -> Figure:
         axes.set(xlabel="time, s")
     legend = figure.axes[0].get_legend_handles_labels()
     figure.legend(*legend, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
-    figure.suptitle(f"root mean square error, {title}")
+    figure.suptitle(f"root mean square error, {words(title, TITLE)}")
     return figure
 
 
@@ -56,7 +56,7 @@ def raw_and_filtered(ranges: dict[str, tuple[Tensor, Tensor]], dt: float, title:
         time = dt * np.arange(1, len(raw) + 1)
         axes.plot(time, raw, ".", color="black", markersize=4, label="measured")
         axes.plot(time, filtered, color=RED, linewidth=1.4, label="filtered")
-        axes.set(xlabel="time, s", ylabel=f"{name}: range error, m")
+        axes.set(xlabel="time, s", ylabel=words(f"{name}: range error, m"))
         finish(axes)
-    figure.suptitle(title)
+    figure.suptitle(words(title, TITLE))
     return figure

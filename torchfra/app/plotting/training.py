@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from torchfra.app.plotting.style import BLUE, RED, finish
+from torchfra.app.plotting.style import BLUE, RED, TITLE, finish, words
 
 _BESIDE = 12
 """Lines of a legend that fit into a figure; more stand beside it."""
@@ -30,8 +30,8 @@ def learning_curve(rows: list[dict[str, float]], start: dict[str, float], title:
         value = np.array([row[name] for row in rows])
         # A value that began at 0 is a logarithm of odds: the odds are compared.
         label, change = (name, value / first) if first else (f"exp({name})", np.exp(value))
-        values.plot([0, *time], [1.0, *change], label=label)
-    loss.set(ylabel="loss", title=title)
+        values.plot([0, *time], [1.0, *change], label=words(label))
+    loss.set(ylabel="loss", title=words(title, TITLE))
     values.set(xlabel="iteration", ylabel="times the start", yscale="log")
     for axes in (loss, values):
         finish(axes)
