@@ -15,6 +15,7 @@ _FOLD: dict[str, Callable[..., float]] = {
     "mul": lambda a, b: a * b,
     "neg": lambda a: -a,
     "abs": abs,
+    "norm": math.hypot,
     "max": max,
     "min": min,
     "lt": lambda a, b: float(a < b),
@@ -126,6 +127,11 @@ class Expressions:
 
     def _neg(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
         return self._argument("neg", args[0])
+
+    def _norm(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
+        if ZERO in args:
+            return self.apply("norm", *(a for a in args if a != ZERO))
+        return self.apply("abs", *args) if len(args) == 1 else None
 
     def _not(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
         return self._argument("not", args[0])
