@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from torchfra.app.compiling import compiled
 from torchfra.kernel import build, cache, workplace
 from torchfra.kernel.build import CompileError
 
@@ -357,6 +358,24 @@ def test_of_a_killed_compilation_nothing_is_left(sent, folder, tmp_path, monkeyp
     wait_until(lambda: not runs(started))
     assert answer() == 42  # another process compiles something
     assert list(temporary.iterdir()) == []
+
+
+def test_an_interruption_ends_compilations_in_other_threads(folder, tmp_path, make, tracks, monkeypatch):
+    pid, script = tmp_path / "pid", tmp_path / "compiler"
+    script.write_text(PATIENT.format(pid=shlex.quote(str(pid))).replace("sh -c", 'test "$1" = --version || sh -c'))
+    script.chmod(0o755)
+
+    def interrupted(made, *_):
+        wait_until(pid.exists)
+        raise KeyboardInterrupt
+
+    monkeypatch.setenv("CXX", str(script))
+    monkeypatch.setattr("torchfra.app.compiling.progress_bar", interrupted)
+    started = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        compiled({"srckf": make("srckf")}, lambda f: f(tracks.z, tracks.prior, u=tracks.u))
+    assert time.monotonic() - started < 30  # not the minute that the compiler takes
+    assert list((tmp_path / "temporary").iterdir()) == []
 
 
 def test_a_compilation_that_is_going_on_is_left_alone(folder, tmp_path):

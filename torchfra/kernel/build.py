@@ -77,6 +77,13 @@ def compiler() -> str:
     return shlex.join(command)
 
 
+def stop() -> None:
+    """Ends all compilations of this process, whose ``load`` then raises a ``CompileError``: for one that ends."""
+    from torchfra.kernel import workplace
+
+    workplace.stop()
+
+
 def _compile(command: list[str], source: str, name: str) -> ctypes.CDLL:
     from torchfra.kernel.workplace import run, workplace  # not on every system, nor are kernels
 
@@ -121,9 +128,10 @@ def _compiler(*command: str) -> tuple[tuple[str, ...], str]:
             errors="replace",
         )  # fmt: skip
     except (OSError, subprocess.CalledProcessError) as error:
+        name = shlex.join(command) or "''"
         raise CompileError(
-            f"compile: expected a C++ compiler, {shlex.join(command) or 'nothing'} does not run ({error}): install "
-            "g++, or name one in the environment variable CXX; without compile() the filter needs none"
+            f"compile: expected a C++ compiler, {name} does not run ({error}): install g++, or name one in the "
+            "environment variable CXX; without compile() the filter needs none"
         ) from None
     return command, version.stdout
 

@@ -51,7 +51,7 @@ inline V max_(const V& a, const V& b) { return (a > b) | (a != a) ? a : b; }
 inline V min_(const V& a, const V& b) { return (a < b) | (a != a) ? a : b; }
 
 inline bool any(const M& m) { return vec((V)m).zero_mask() != (1 << W) - 1; }
-// Sums of squares from LEAST to MOST have lost nothing to under- or overflow; outside, factors of 2 to the SHIFT help.
+// Sums of squares from LEAST to MOST have lost nothing to under- or overflow; outside, factors UP and DOWN bring them there.
 constexpr bool wide = sizeof(Scalar) == 8;
 constexpr Scalar LEAST = wide ? 0x1p-960 : 0x1p-100, MOST = wide ? 0x1p1000 : 0x1p120;
 constexpr Scalar UP = wide ? 0x1p600 : 0x1p90, DOWN = wide ? 0x1p-600 : 0x1p-90;

@@ -23,6 +23,9 @@ exit $status
 """
 """Runs a command; when standard input ends, because who started it has, all of its processes end."""
 
+_running: set[int] = set()
+"""Process groups."""
+
 
 @contextmanager
 def workplace() -> Iterator[Path]:
@@ -47,20 +50,31 @@ def run(command: Sequence[str], folder: Path) -> tuple[int, str]:
         Its exit status, and what it wrote on standard error.
     """
     watched, ours = os.pipe()
-    process = subprocess.Popen(
-        ["/bin/sh", "-c", _WATCHED, "sh", *command], stdin=watched, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-        text=True, errors="replace", env={**os.environ, "TMPDIR": str(folder)}, start_new_session=True,
-    )  # fmt: skip
     try:
-        with process:
-            errors = process.communicate()[1]
-    except BaseException:  # an interruption: nothing may write to the folder when it is removed
-        os.killpg(process.pid, signal.SIGKILL)
-        raise
+        with subprocess.Popen(
+            ["/bin/sh", "-c", _WATCHED, "sh", *command], stdin=watched, stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE, text=True, errors="replace", env={**os.environ, "TMPDIR": str(folder)},
+            start_new_session=True,
+        ) as process:  # fmt: skip
+            _running.add(process.pid)
+            try:
+                errors = process.communicate()[1]
+            except BaseException:  # an interruption: nothing may write to the folder when it is removed
+                stop()
+                raise
+            finally:
+                _running.discard(process.pid)
     finally:
         os.close(watched)
         os.close(ours)
     return process.returncode, errors
+
+
+def stop() -> None:
+    """Ends all compilations of this process, in whichever thread."""
+    for group in list(_running):
+        with suppress(ProcessLookupError):
+            os.killpg(group, signal.SIGKILL)
 
 
 def _locked() -> tuple[Path, int]:
