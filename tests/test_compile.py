@@ -378,6 +378,12 @@ def test_a_minus_sign_that_torch_has_put_off_is_there(make, tracks):
     close(*slopes, 1e-9)
 
 
+def test_zeros_that_torch_has_not_written_are_zeros(make, tracks):
+    """Differentiation makes such tensors; they have no memory at all."""
+    z = torch._efficientzerotensor(tracks.z.shape, dtype=torch.float64)
+    close(*both(make("srckf"), z, tracks.prior, u=tracks.u))
+
+
 @pytest.mark.parametrize(("dtype", "std", "scale"), [(torch.float64, 1e-160, 1.0), (torch.float64, 1e-160, 1e-160),
                                                      (torch.float64, 1e160, 1e160), (torch.float32, 3e19, 3e19),
                                                      (torch.float32, 1e30, 1e30)])  # fmt: skip
