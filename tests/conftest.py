@@ -79,7 +79,7 @@ def parsed_headers(folder):
     """The option that includes a precompiled header, which the first worker makes; none where that fails."""
     header, done = folder / "headers.h", folder / "headers-done"
     try:
-        folder.mkdir()
+        folder.mkdir(mode=0o700)
     except FileExistsError:
         for _ in range(600):
             if done.exists():

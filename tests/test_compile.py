@@ -306,12 +306,8 @@ def test_what_does_not_fit_is_named_as_without(make, tracks):
 
 def test_without_a_compiler_it_says_what_to_install(make, tracks, monkeypatch):
     monkeypatch.setenv("CXX", "no-such-compiler")
-    build._compiler.cache_clear()
-    try:
-        with pytest.raises(RuntimeError, match=r"no-such-compiler does not run.*install g\+\+"):
-            make("srckf").compile()(tracks.z, tracks.prior, u=tracks.u)
-    finally:
-        build._compiler.cache_clear()
+    with pytest.raises(RuntimeError, match=r"no-such-compiler does not run.*install g\+\+"):
+        make("srckf").compile()(tracks.z, tracks.prior, u=tracks.u)
 
 
 def test_a_compiler_that_fails_is_quoted_and_leaves_nothing(make, tracks, monkeypatch, tmp_path):
@@ -357,6 +353,51 @@ def test_what_kernels_cannot_do_is_named_with_a_way_out(sensor, message):
     prior = Gaussian(torch.ones(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64))
     with pytest.raises(NotImplementedError, match=message):
         f(torch.ones(3, 2, dtype=torch.float64), prior)
+
+
+def test_a_minus_sign_that_torch_has_put_off_is_there(make, tracks):
+    """The imaginary part of a conjugate is negative by a bit alone: its memory is that of the number itself."""
+    f = make("srckf", learn=("q",))
+    fast = copy.deepcopy(f).compile()
+
+    def put_off(x):
+        lazy = torch.complex(torch.zeros_like(x), -x).conj().imag
+        assert lazy.is_neg()
+        return lazy
+
+    prior = Gaussian(put_off(tracks.prior.mean), put_off(tracks.prior.scale_tril))
+    expected = f(tracks.z, tracks.prior, u=tracks.u)
+    found = fast(put_off(tracks.z), prior, u=put_off(tracks.u), dt=put_off(torch.ones(STEPS, dtype=torch.float64)))
+    close(expected, found)
+    state, step = f.init(tracks.prior), fast.init(prior)
+    close(
+        f.step(state, tracks.z[:, 0], u=tracks.u[0]), fast.step(step, put_off(tracks.z[:, 0]), u=put_off(tracks.u[0]))
+    )
+    slopes = [torch.autograd.grad(e.mean, g.motion.q.raw, put_off(torch.ones_like(e.mean))) for e, g in
+              ((expected, f), (found, fast))]  # fmt: skip
+    close(*slopes, 1e-9)
+
+
+def test_zeros_that_torch_has_not_written_are_zeros(make, tracks):
+    """Differentiation makes such tensors; they have no memory at all."""
+    z = torch._efficientzerotensor(tracks.z.shape, dtype=torch.float64)
+    close(*both(make("srckf"), z, tracks.prior, u=tracks.u))
+
+
+@pytest.mark.parametrize(("dtype", "std", "scale"), [(torch.float64, 1e-160, 1.0), (torch.float64, 1e-160, 1e-160),
+                                                     (torch.float64, 1e160, 1e160), (torch.float32, 3e19, 3e19),
+                                                     (torch.float32, 1e30, 1e30)])  # fmt: skip
+def test_scales_whose_squares_leave_the_range_of_the_dtype_are_as_good_as_others(dtype, std, scale):
+    f = SRCKF(ConstantVelocity(1.0), Position(std))
+    prior = Gaussian(torch.zeros(4, dtype=dtype), scale * torch.eye(4, dtype=dtype))
+    z = (scale * torch.tensor([[1.0, 2.0], [2.0, 2.5], [3.0, 3.3]], dtype=dtype)).requires_grad_()
+    slow, fast = both(f, z, prior)
+    assert not slow.failed
+    assert not fast.failed
+    tolerance = 100 * torch.finfo(dtype).eps
+    close(slow.mean, fast.mean, tolerance)
+    close(slow.log_likelihood, fast.log_likelihood, tolerance)
+    close(*(torch.autograd.grad(e.mean.sum(), z)[0] for e in (slow, fast)), tolerance)
 
 
 def test_no_tracks_at_all_are_no_tracks(make, tracks):

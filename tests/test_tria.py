@@ -10,7 +10,10 @@ from hypothesis import strategies as st
 
 from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import Expressions
+from torchfra.kernel.run import Program, batch_first
+from torchfra.kernel.source import Port, Scan
 from torchfra.linalg import gram_pinv, hstack, safe_divide, safe_log, safe_sqrt, tria, whiten
+from torchfra.linalg.tracing import elementary
 
 torch.manual_seed(0)
 
@@ -102,6 +105,64 @@ def test_a_matrix_that_contains_nan_does_not_affect_the_others_of_its_batch():
     with_nan = a.clone()
     with_nan[1, 0, 0] = torch.nan
     torch.testing.assert_close(tria(with_nan)[[0, 2]], tria(a)[[0, 2]], rtol=0, atol=0)
+
+
+# ---------------------------------------------------------------- scale
+
+
+def with_gradient(a, weights, root=tria):
+    """The root, and the gradient of its weighted sum."""
+    a = a.clone().requires_grad_()
+    lower = root(a)
+    (gradient,) = torch.autograd.grad((lower * weights).sum(), a)
+    return lower.detach(), gradient
+
+
+def in_a_kernel(a, weights):
+    """The same, computed by a kernel."""
+    book = Expressions()
+    x, w = (Entries.inputs(book, y.shape, a.dtype) for y in (a, weights))
+    x.requires_grad_()
+    with elementary():
+        lower = tria(x)
+        (gradient,) = torch.autograd.grad(lower, x, w)
+    reads = [Port(y.ids.flatten().tolist(), y.shape) for y in (x, w)]
+    writes = [Port(y.ids.flatten().tolist(), y.shape, timed=True) for y in (lower, gradient)]
+    program = Program(Scan(book, [], [], reads, writes, dtype=a.dtype))
+    return [batch_first(y, 1)[0, 0] for y in program(torch.Size([1]), 1, [a, weights])]
+
+
+WAYS = {
+    "eager": with_gradient,
+    "vmap": lambda a, w: with_gradient(a, w, lambda x: torch.func.vmap(tria)(x.unsqueeze(0)).squeeze(0)),
+    "torch.compile": lambda a, w: with_gradient(a, w, torch.compile(tria, backend="eager", fullgraph=True)),
+    "kernel": in_a_kernel,
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(("dtype", "powers"), [(torch.float64, [-1000, -530, 530, 1000]),
+                                               (torch.float32, [-120, -83, 63, 120])])  # fmt: skip
+def test_rows_of_any_scale_have_the_root_and_the_gradient_of_that_scale(way, dtype, powers):
+    """With a diagonal D, the root of D A is D L, and its gradient D^-1 times that of L; powers of 2 change no bit."""
+    a, weights = random(4, 7, dtype=dtype), random(4, 4, dtype=dtype, seed=1).tril()
+    expected, gradient = with_gradient(a, weights)
+    tolerance = 100 * torch.finfo(dtype).eps
+    for power in powers:
+        for rows in ([power] * 4, [0, power, 0, power // 2]):
+            d = torch.tensor([2.0**p for p in rows], dtype=dtype).unsqueeze(-1)
+            found, slope_found = WAYS[way](a * d, weights / d)
+            torch.testing.assert_close(found / d, expected, rtol=tolerance, atol=tolerance)
+            torch.testing.assert_close(slope_found * d, gradient, rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize("power", [-600, 600])
+def test_a_lost_rank_is_seen_at_any_scale(power):
+    a, weights = random(4, 7), random(4, 4, seed=1).tril()
+    a[3] = a[1]
+    _, expected = with_gradient(a, weights)
+    _, found = with_gradient(a * 2.0**power, weights * 2.0**-power)
+    torch.testing.assert_close(found * 2.0**power, expected, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("rcond", [0.0, 0.1, 0.6])

@@ -12,7 +12,7 @@ import torch
 
 from torchfra.app.progress import progress_bar
 from torchfra.filters import Filter
-from torchfra.kernel.build import CompileError, compiler
+from torchfra.kernel.build import CompileError, compiler, stop
 from torchfra.motion.bank import Bank
 
 Fallback = Callable[[str, str], None]
@@ -99,7 +99,12 @@ def compiled(
     order = sorted(filters, key=lambda name: not isinstance(filters[name].motion, Bank))  # what takes longest first
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         made = pool.map(attempt, [filters[name] for name in order])
-        attempts = dict(zip(order, progress_bar(made, "kernel", progress), strict=True))
+        try:
+            attempts = dict(zip(order, progress_bar(made, "kernel", progress), strict=True))
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            stop()
+            raise
     for name, f in attempts.items():
         if not isinstance(f, Filter):
             if fallback is None:

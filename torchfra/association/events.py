@@ -28,7 +28,6 @@ def check_exact(exact: tuple[int, int]) -> None:
         )
 
 
-@torch.compiler.assume_constant_result  # type: ignore[untyped-decorator]  # keeps the loop out of the graph
 def joint_events(targets: int, measurements: int) -> Tensor:
     """All joint association events of ``targets`` and ``measurements``.
 
@@ -40,6 +39,10 @@ def joint_events(targets: int, measurements: int) -> Tensor:
         ValueError: ``(measurements + 1)^targets`` is larger than 300,000.
     """
     return _joint_events(targets, measurements)
+
+
+# Keeps the loop out of the graph: what torch.compiler.assume_constant_result does, which would import torch._dynamo.
+joint_events._dynamo_marked_constant = True  # type: ignore[attr-defined]
 
 
 @lru_cache(maxsize=64)

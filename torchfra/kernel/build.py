@@ -5,14 +5,16 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import os
+import platform
 import shlex
 import subprocess
-import tempfile
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import torch
+
+from torchfra.kernel import cache
 
 FLAGS = "-O2 -march=native -fno-math-errno -fno-trapping-math -fopenmp -shared -fPIC -std=c++20 -w"
 compiled = 0
@@ -46,19 +48,20 @@ def load(source: str) -> Any:
     """The function ``run`` of a translation unit.
 
     It is compiled by ``CXX`` (``g++`` unless set) with ``CXXFLAGS`` behind ``FLAGS``, unless an earlier process has
-    done so: libraries are kept in ``TORCHFRA_CACHE``, or ``~/.cache/torchfra``.
+    done so: libraries are kept in ``TORCHFRA_CACHE``, or ``~/.cache/torchfra`` (see ``cache``).
 
     Raises:
-        CompileError: there is no compiler, or it fails.
+        CompileError: there is no compiler, it fails, or what it makes cannot be loaded.
     """
-    compiler, version = _compiler()
+    compiler, version = _compiler(*_words("CXX", "g++"))
     less = ["-O1"] if source.count("\n") > LARGE else []
-    flags = FLAGS.split() + less + shlex.split(os.environ.get("CXXFLAGS", ""))
-    key = "\n".join((source, *compiler, version, *flags, torch.__version__, _processor()))
-    library = _folder() / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
-    if not library.exists():
-        _compile([*compiler, *flags], source, library)
-    function = ctypes.CDLL(str(library)).run
+    command = [*compiler, *FLAGS.split(), *less, *_words("CXXFLAGS", "")]
+    key = "\n".join((source, *command, version, torch.__version__, *platform.libc_ver(), _processor()))
+    name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
+    try:
+        function = (cache.fetch(name) or _compile(command, source, name)).run
+    except (OSError, AttributeError) as error:
+        raise CompileError(f"compile: no kernel from {_described(command)}: {error}") from None
     function.argtypes = [ctypes.c_int64, ctypes.c_int64, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]
     function.restype = None
     return function
@@ -70,42 +73,67 @@ def compiler() -> str:
     Raises:
         CompileError: it does not run.
     """
-    command, _ = _compiler()
+    command, _ = _compiler(*_words("CXX", "g++"))
     return shlex.join(command)
 
 
-def _compile(command: list[str], source: str, library: Path) -> None:
+def stop() -> None:
+    """Ends all compilations of this process, whose ``load`` then raises a ``CompileError``: for one that ends."""
+    from torchfra.kernel import workplace
+
+    workplace.stop()
+
+
+def _compile(command: list[str], source: str, name: str) -> ctypes.CDLL:
+    from torchfra.kernel.workplace import run, workplace  # not on every system, nor are kernels
+
     global compiled
-    library.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
-        text, result = Path(folder) / "kernel.cpp", Path(folder) / "kernel.so"
+    with workplace() as folder:
+        text, made = folder / "kernel.cpp", folder / "kernel.so"
         text.write_text(source)
         torch_folder = Path(torch.__file__).parent  # its vectors and their mathematics
         link = [f"-L{torch_folder / 'lib'}", f"-Wl,-rpath,{torch_folder / 'lib'}", "-ltorch_cpu"]
-        done = subprocess.run([*command, f"-I{torch_folder / 'include'}", str(text), "-o", str(result), *link],
-                              capture_output=True, text=True, check=False)  # fmt: skip
-        if done.returncode:
-            raise CompileError(f"compile: {shlex.join(command)} failed:\n{done.stderr[-2000:]}")
+        status, errors = run([*command, f"-I{torch_folder / 'include'}", str(text), "-o", str(made), *link], folder)
+        if status or not made.exists():
+            raise CompileError(f"compile: {_described(command)} failed (exit status {status}):\n{errors[-2000:]}")
         compiled += 1
-        os.replace(result, library)  # other processes see all of it or nothing
+        return cache.keep(name, made)
 
 
-def _folder() -> Path:
-    chosen = os.environ.get("TORCHFRA_CACHE")
-    return Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "torchfra"
+def _words(variable: str, default: str) -> list[str]:
+    """The words of an environment variable.
 
-
-@lru_cache(maxsize=1)
-def _compiler() -> tuple[list[str], str]:
-    """The command of the compiler, and the version it reports."""
-    command = shlex.split(os.environ.get("CXX", "g++"))
+    Raises:
+        CompileError: they cannot be told apart.
+    """
+    value = os.environ.get(variable, default)
     try:
-        return command, subprocess.run([*command, "--version"], capture_output=True, text=True, check=True).stdout
+        return shlex.split(value)
+    except ValueError as error:
+        raise CompileError(f"compile: {variable}: expected words as in a shell, received {value!r} ({error})") from None
+
+
+def _described(command: list[str]) -> str:
+    """A command, and which of it the user has set."""
+    own = [f"{name}={os.environ[name]!r}" for name in ("CXX", "CXXFLAGS") if name in os.environ]
+    return shlex.join(command) + (f" (with {' and '.join(own)})" if own else "")
+
+
+@lru_cache(maxsize=8)
+def _compiler(*command: str) -> tuple[tuple[str, ...], str]:
+    """The command of the compiler, and the version it reports."""
+    try:
+        version = subprocess.run(
+            [*command, "--version"], stdin=subprocess.DEVNULL, capture_output=True, check=True, text=True,
+            errors="replace",
+        )  # fmt: skip
     except (OSError, subprocess.CalledProcessError) as error:
+        name = shlex.join(command) or "''"
         raise CompileError(
-            f"compile: expected a C++ compiler, {shlex.join(command)} does not run ({error}): install g++, or name one "
-            "in the environment variable CXX; without compile() the filter needs none"
+            f"compile: expected a C++ compiler, {name} does not run ({error}): install g++, or name one in the "
+            "environment variable CXX; without compile() the filter needs none"
         ) from None
+    return command, version.stdout
 
 
 @lru_cache(maxsize=1)

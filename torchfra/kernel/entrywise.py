@@ -19,7 +19,7 @@ Function = Callable[..., int]
 
 def entrywise(book: Expressions, func: Any, args: Any, kwargs: Any) -> Entries:
     """Applies a function of ``ENTRYWISE`` to each entry of what its arguments broadcast to."""
-    like = func(*map(_meta, args), **kwargs)
+    like = func(*map(_sample, args), **kwargs)
     ids = torch.broadcast_tensors(*(as_entries(book, x).ids for x in args))
     function = ENTRYWISE[func]
     numbers = [function(book, *each, **kwargs) for each in zip(*(i.flatten().tolist() for i in ids), strict=True)]
@@ -28,8 +28,9 @@ def entrywise(book: Expressions, func: Any, args: Any, kwargs: Any) -> Entries:
     return from_numbers(book, numbers, like.shape, like.dtype)
 
 
-def _meta(x: Any) -> Any:
-    return torch.empty(x.shape, dtype=x.dtype, device="meta") if isinstance(x, Tensor) else x
+def _sample(x: Any) -> Any:
+    """A tensor of this form, for the form of a result: not a meta tensor, for which torch may import its compiler."""
+    return torch.ones(x.shape, dtype=x.dtype) if isinstance(x, Tensor) else x
 
 
 def truth_value(book: Expressions, a: int) -> int:

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterable
 ZERO = 0
 """The number of the constant 0, which is also False."""
 
+_LONG = 64
+"""Arguments at most of one operation in C++: some compilers take no more than 256."""
 _BOOL = {"lt", "le", "eq", "and", "or", "not"}
 _FOLD: dict[str, Callable[..., float]] = {
     "add": lambda a, b: a + b,
@@ -15,6 +17,7 @@ _FOLD: dict[str, Callable[..., float]] = {
     "mul": lambda a, b: a * b,
     "neg": lambda a: -a,
     "abs": abs,
+    "norm": math.hypot,
     "max": max,
     "min": min,
     "lt": lambda a, b: float(a < b),
@@ -126,6 +129,13 @@ class Expressions:
 
     def _neg(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
         return self._argument("neg", args[0])
+
+    def _norm(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
+        if ZERO in args:
+            return self.apply("norm", *(a for a in args if a != ZERO))
+        if len(args) > _LONG:
+            return self.apply("norm", self.apply("norm", *args[:_LONG]), *args[_LONG:])
+        return self.apply("abs", *args) if len(args) == 1 else None
 
     def _not(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
         return self._argument("not", args[0])

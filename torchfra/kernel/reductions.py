@@ -22,20 +22,26 @@ def _reduction(op: str, start: float | None = None) -> Callable[..., Entries]:
     convert = truth_value if logical else number
 
     def reduction(book: Expressions, x: Entries, dim: Any = None, keepdim: bool = False, **_: Any) -> Entries:
-        every = list(range(x.dim()))
-        dims = [dim] if isinstance(dim, int) else dim or every
-        dims = sorted({d % x.dim() for d in dims})
-        kept = [d for d in every if d not in dims]
         first = [] if start is None else [book.constant(start)]
-        rows = x.ids.permute(kept + dims).flatten(len(kept)).flatten(0, -2) if kept else x.ids.reshape(1, -1)
-        numbers = [
-            reduce(lambda a, b: book.apply(op, a, b), first + [convert(book, i) for i in row]) for row in rows.tolist()
-        ]
-        shape = [1 if d in dims else x.shape[d] for d in every if keepdim or d in kept]
         counts = torch.int64 if x.dtype == torch.bool and op in ("add", "mul") else x.dtype
-        return from_numbers(book, numbers, shape, torch.bool if logical else counts)
+
+        def combine(row: list[int]) -> int:
+            return reduce(lambda a, b: book.apply(op, a, b), first + [convert(book, i) for i in row])
+
+        return _reduced(x, dim, keepdim, combine, torch.bool if logical else counts)
 
     return reduction
+
+
+def _reduced(x: Entries, dim: Any, keepdim: bool, combine: Callable[[list[int]], int], dtype: torch.dtype) -> Entries:
+    """What ``combine`` makes of the entries along some dimensions, or all."""
+    every = list(range(x.dim()))
+    dims = [dim] if isinstance(dim, int) else dim or every
+    dims = sorted({d % x.dim() for d in dims})
+    kept = [d for d in every if d not in dims]
+    rows = x.ids.permute(kept + dims).flatten(len(kept)).flatten(0, -2) if kept else x.ids.reshape(1, -1)
+    shape = [1 if d in dims else x.shape[d] for d in every if keepdim or d in kept]
+    return from_numbers(x.book, [combine(row) for row in rows.tolist()], shape, dtype)
 
 
 def _maximum_and_place(book: Expressions, x: Entries, dim: int, keepdim: bool = False) -> tuple[Entries, Entries]:
@@ -58,10 +64,10 @@ def _mean(book: Expressions, x: Tensor, dim: Any = None, keepdim: bool = False, 
     return total * (total.numel() / x.numel())
 
 
-def _norm(book: Expressions, x: Tensor, ord: float = 2, dim: Any = None, keepdim: bool = False, **_: Any) -> Tensor:
+def _norm(book: Expressions, x: Entries, ord: float = 2, dim: Any = None, keepdim: bool = False, **_: Any) -> Entries:
     if ord != 2:
         raise unsupported(aten.linalg_vector_norm.default, f"with order {ord}; order 2 can")
-    return torch.sum(x * x, dim, keepdim).sqrt()
+    return _reduced(x, dim, keepdim, lambda row: book.apply("norm", *row), x.dtype)
 
 
 def _matrix_product(book: Expressions, a: Any, b: Any) -> Entries:

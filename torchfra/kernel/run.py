@@ -72,6 +72,8 @@ def batch_first(x: Tensor, rank: int) -> Tensor:
 
 def _strided(x: Tensor, port: Port, rank: int, tracks: int) -> tuple[Tensor, int, int, int]:
     """The tensor, copied if it must be, and its strides from track to track, step to step, entry to entry."""
+    x = x.resolve_neg()  # a sign may be put off, and memory does not tell; a real tensor is its own conjugate
+    x = torch.zeros(x.shape, dtype=x.dtype) if x._is_zerotensor() else x  # which has no memory
     count = len(port.ids)
     if x.is_contiguous():
         return x, count * (x.shape[rank] if port.timed else 1) if tracks > 1 else 0, count, 1

@@ -6,6 +6,7 @@
 #include <ATen/cpu/vec/vec.h>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 
 namespace {
 using Scalar = SCALAR;
@@ -48,6 +49,27 @@ inline V raw(const Vec& a) { V r; a.store(&r); return r; }
 // FUNCTIONS
 inline V max_(const V& a, const V& b) { return (a > b) | (a != a) ? a : b; }
 inline V min_(const V& a, const V& b) { return (a < b) | (a != a) ? a : b; }
+
+inline bool any(const M& m) { return vec((V)m).zero_mask() != (1 << W) - 1; }
+// Sums of squares from LEAST to MOST have lost nothing to under- or overflow; outside, factors UP and DOWN bring them there.
+constexpr bool wide = sizeof(Scalar) == 8;
+constexpr Scalar LEAST = wide ? 0x1p-960 : 0x1p-100, MOST = wide ? 0x1p1000 : 0x1p120;
+constexpr Scalar UP = wide ? 0x1p600 : 0x1p90, DOWN = wide ? 0x1p-600 : 0x1p-90;
+__attribute__((noinline, cold)) V scaled_norm(const V* a, int count, const V& squares) {
+  const V factor = squares < LEAST ? all(UP) : squares > MOST ? all(DOWN) : all(1);
+  V sum = all(0);
+  for (int i = 0; i < count; i++) sum += (a[i] * factor) * (a[i] * factor);
+  const V norm = sqrt_(sum) / factor;
+  return norm < std::numeric_limits<Scalar>::min() ? all(0) : norm;  // its inverse would not be finite
+}
+// The Euclidean norm, scaled where that is needed: hardly ever.
+template <class... A> inline V norm_(const A&... a) {
+  const V squares = (... + (a * a));
+  const M outside = (squares < LEAST) | (squares > MOST);
+  if (!any(outside)) return sqrt_(squares);
+  const V all_of_them[] = {a...};
+  return scaled_norm(all_of_them, sizeof...(a), squares);
+}
 
 void block(const Port* in, const Port* out, int64_t steps, Block at) {
     // FIXED

@@ -22,7 +22,7 @@ def tria(a: Tensor, *, padded: bool = False) -> Tensor:
 
     Returns:
         ``L (..., n, n)`` with ``L L^T = a a^T``.  Where a row of ``a`` is zero, so are that row of ``L`` and the
-        column below its diagonal.
+        column below its diagonal.  Rows may be of any scale, as far apart as the dtype has numbers.
 
     The gradient is exact to any order wherever ``L`` is differentiable.  Where ``a`` does not have full rank (a zero
     row, or no initial uncertainty and process noise of low rank), ``L`` is differentiable only in the directions that
@@ -60,12 +60,22 @@ def _orthogonalise(a: Tensor) -> Tensor:
     columns, rest = [], a[..., a.shape[-2] :]
     for j in range(a.shape[-2]):
         row, rest = rest[..., :1, :], rest[..., 1:, :]
-        norm = row.square().sum(-1, keepdim=True).sqrt()
+        norm = _norms(row)
         unit = safe_divide(row, norm)
         below = (rest * unit).sum(-1, keepdim=True)
         rest = rest - below * unit
         columns.append(pad(torch.cat([norm, below], -2), (0, 0, j, 0)))
     return torch.cat(columns, -1)
+
+
+def _norms(a: Tensor) -> Tensor:
+    """Euclidean norms of rows, ``(..., n, 1)``, scaled as in LAPACK so that no square over- or underflows."""
+    if is_elementary():
+        norms: Tensor = torch.linalg.vector_norm(a, dim=-1, keepdim=True)  # kernels scale where it is needed
+        return norms
+    largest = torch.linalg.vector_norm(a, ord=torch.inf, dim=-1, keepdim=True)
+    norms = largest * torch.linalg.vector_norm(safe_divide(a, largest), dim=-1, keepdim=True)
+    return norms
 
 
 def _reflect(a: Tensor) -> Tensor:
@@ -103,7 +113,7 @@ class _Tria(torch.autograd.Function):
     def backward(ctx: Any, grad: Tensor) -> Tensor:
         a, lower = ctx.saved_tensors
         rounding = 4 * sum(a.shape[-2:]) * torch.finfo(a.dtype).eps
-        nonzero = lower.diagonal(dim1=-2, dim2=-1) > rounding * torch.linalg.vector_norm(a, dim=-1)
+        nonzero = lower.diagonal(dim1=-2, dim2=-1) > rounding * _norms(a).squeeze(-1)
         root = lower + torch.diag_embed((~nonzero).to(a.dtype))
         q = torch.linalg.solve_triangular(root, a, upper=False)
         grad = grad.tril() * nonzero.unsqueeze(-2)

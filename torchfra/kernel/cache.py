@@ -1,0 +1,160 @@
+"""Compiled libraries on disk: in a folder that one user alone can write to, each with a digest of what was compiled.
+
+A library is code that runs with the rights of who loads it.  So none is loaded that another user could have put there
+or changed: the folder and the library belong to this user, and nobody else may write to them.  The digest finds what is
+damaged; it keeps nobody out, as who may write to the folder may write a digest as well.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import secrets
+import stat
+import warnings
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+
+_DIGEST = 32
+"""Bytes at the end of a library, behind all that the loader reads: the SHA-256 of its name and what is before them."""
+_UNFINISHED, _ABANDONED = ".part", 60.0
+"""End of the name of a file that is being written, and the age in seconds from which nobody writes it any more."""
+
+_unkept: dict[str, ctypes.CDLL] = {}
+"""Libraries of this process that could not be kept."""
+
+
+def fetch(name: str) -> ctypes.CDLL | None:
+    """The library of this name; None unless it has been kept, undamaged, in a folder of this user alone.
+
+    Raises:
+        OSError: it cannot be loaded.
+    """
+    if name in _unkept:
+        return _unkept[name]
+    folder = _open()
+    if folder is None:
+        return None
+    try:
+        return _load(folder, name) if _is_intact(folder, name) else None
+    finally:
+        os.close(folder)
+
+
+def keep(name: str, made: Path) -> ctypes.CDLL:
+    """The library that has been made; it is kept for other processes if it can be, otherwise there is a warning.
+
+    Raises:
+        OSError: it cannot be loaded.
+    """
+    folder = _open()
+    if folder is not None:
+        try:
+            obstacle = _store(folder, name, made.read_bytes())
+            if obstacle is None:
+                return _load(folder, name)
+            _warn(chosen(), obstacle)
+        finally:
+            os.close(folder)
+    return _unkept.setdefault(name, ctypes.CDLL(str(made)))
+
+
+def chosen() -> str:
+    """The folder as the user names it: ``TORCHFRA_CACHE``, or ``torchfra`` among the caches of this user."""
+    return os.environ.get("TORCHFRA_CACHE") or os.path.join(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "torchfra")
+
+
+def _open() -> int | None:
+    """The folder, made if need be, as a file descriptor; None after a warning if this user alone cannot have it.
+
+    All that follows goes through the descriptor: what has been checked is what is used, even if someone who may write
+    to a folder above puts another in its place.
+    """
+    try:
+        path = Path(chosen()).expanduser().resolve()
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    except (OSError, RuntimeError) as error:  # a RuntimeError where there is no home
+        _warn(chosen(), _reason(error))
+        return None
+    status = os.fstat(folder)
+    if _is_private(status):
+        return folder
+    os.close(folder)
+    foreign = status.st_uid != os.geteuid()
+    owner, others = f"it belongs to user {status.st_uid}", "other users may write to it, which chmod go-w ends"
+    _warn(chosen(), owner if foreign else others)
+    return None
+
+
+def _is_private(status: os.stat_result) -> bool:
+    """Whether a file or folder belongs to this user, and nobody else may write to it."""
+    return status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+def _is_intact(folder: int, name: str) -> bool:
+    try:
+        status = os.stat(name, dir_fd=folder, follow_symlinks=False)
+        if not (stat.S_ISREG(status.st_mode) and _is_private(status)):
+            return False
+        with open(os.open(name, os.O_RDONLY, dir_fd=folder), "rb") as file:
+            content = file.read()
+    except OSError:
+        return False
+    return content[-_DIGEST:] == _digest(name, content[:-_DIGEST])
+
+
+def _digest(name: str, library: bytes) -> bytes:
+    return hashlib.sha256(name.encode() + library).digest()
+
+
+def _load(folder: int, name: str) -> ctypes.CDLL:
+    """The library, through the descriptor where the system can.
+
+    ``dlopen`` knows libraries by their paths: those of two kernels differ by the name, whatever the descriptor.
+    """
+    opened = Path(f"/proc/self/fd/{folder}")
+    return ctypes.CDLL(str((opened if opened.exists() else Path(chosen()).expanduser().resolve()) / name))
+
+
+def _store(folder: int, name: str, library: bytes) -> str | None:
+    """Writes it, or says why it cannot; others see all of it or nothing, also after a loss of power."""
+    unfinished = f"{secrets.token_hex(8)}{_UNFINISHED}"
+    try:
+        with open(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600, dir_fd=folder), "wb") as file:
+            file.write(library + _digest(name, library))
+            file.flush()
+            os.fsync(file.fileno())
+            now = os.fstat(file.fileno()).st_mtime
+        os.replace(unfinished, name, src_dir_fd=folder, dst_dir_fd=folder)
+    except OSError as error:
+        with suppress(OSError):
+            os.unlink(unfinished, dir_fd=folder)
+        return _reason(error)
+    _remove_abandoned(folder, now)
+    return None
+
+
+def _remove_abandoned(folder: int, now: float) -> None:
+    """What others, who were killed, have left half written."""
+    for left in os.listdir(folder):
+        if left.endswith(_UNFINISHED):
+            with suppress(OSError):  # another has been faster
+                if now - os.stat(left, dir_fd=folder).st_mtime > _ABANDONED:
+                    os.unlink(left, dir_fd=folder)
+
+
+def _reason(error: Exception) -> str:
+    return str(getattr(error, "strerror", None) or error).lower()
+
+
+@lru_cache
+def _warn(folder: str, reason: str) -> None:
+    """Warns, once for each folder and reason."""
+    text = (
+        f"TORCHFRA_CACHE: expected a folder that you alone can write to, received {folder} ({reason}): kernels are "
+        "compiled in a temporary folder, and again by every process"
+    )
+    warnings.warn(text, RuntimeWarning, stacklevel=2)
