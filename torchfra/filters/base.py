@@ -12,7 +12,8 @@ from torch import Tensor, nn
 from torchfra.filters.checks import check_lengths, check_models, check_state
 from torchfra.filters.loop import run
 from torchfra.filters.records import Kept, Record
-from torchfra.gaussian.inputs import Frame, Measurements, Time, batch_rank, check
+from torchfra.gaussian.arguments import check, check_belief, check_kinds
+from torchfra.gaussian.inputs import Frame, Measurements, Time, batch_rank
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
@@ -88,6 +89,7 @@ class Filter(nn.Module):
         Raises:
             ValueError: a shape that does not fit.
         """
+        check_belief(prior)
         n, (mean, root) = self.motion.size, prior
         if mean.shape[-1:] != (n,) or root.shape[-2:] != (n, n):
             raise ValueError(
@@ -95,6 +97,7 @@ class Filter(nn.Module):
             )
         batch = torch.broadcast_shapes(mean.shape[:-1], root.shape[:-2])
         batch = (1,) * (self._rank() - len(batch)) + batch
+        mean = mean.resolve_neg()  # torch cannot make new tensors like one that it has only marked as negated
         return self.begin(Gaussian(mean.expand((*batch, n)), tria(root).expand((*batch, n, n))))  # eq. (7)
 
     def begin(self, belief: Gaussian) -> Any:
@@ -218,10 +221,11 @@ class Filter(nn.Module):
 
     def _frame(self, state: Any, measurements: Measurements) -> Frame:
         """The frame of a single step, checked."""
-        check_state(state)
-        track = measurements.as_track(scans=self.scans)
-        track = track._replace(z=track.z.to(state.belief.mean))
-        batch, mean = self._batch(track, state.belief), state.belief.mean
+        check_state(self, state)
+        check_kinds(measurements)
+        track, mean = measurements.as_track(scans=self.scans), state.belief.mean
+        batch = self._batch(track, state.belief, "state.belief")
+        track = track._replace(z=track.z.to(mean))
         expected = mean.shape[: mean.dim() - 1 - self.scans]
         if batch != expected:
             raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, this is of {tuple(expected)}")
@@ -232,9 +236,12 @@ class Filter(nn.Module):
         """Batch dimensions there are at least."""
         return max(batch_rank(self), int(self.scans))
 
-    def _batch(self, measurements: Measurements, prior: Gaussian) -> torch.Size:
-        """The batch of all that was handed in, checked, with as many dimensions as the hyperparameters have."""
-        batch = check(measurements, prior, self.motion, self.sensor, scans=self.scans)
+    def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
+        """The batch of all that was handed in, checked, with as many dimensions as the hyperparameters have.
+
+        ``name`` is what error messages call the prior.
+        """
+        batch = check(measurements, prior, self.motion, self.sensor, scans=self.scans, name=name)
         return torch.Size((1,) * (self._rank() - self.scans - len(batch))) + batch
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:

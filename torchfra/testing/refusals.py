@@ -112,7 +112,7 @@ def a_state_must_be_of_this_filter_and_these_tracks(case: Case) -> None:
     for state in (case.prior, None, _Own(case.prior), _Own(Gaussian(one[..., :-1], case.prior.scale_tril))):
         _refuse(case, "state", *[lambda c, state=state: c.filter.step(state, z, dt=c.dt, u=u)] * 2)
     few = case.filter.init(Gaussian(*(x[:2] for x in case.prior)))
-    _refuse(case, "state", *[lambda c: c.filter.step(few, z, dt=c.dt, u=u)] * 2)
+    _refuse(case, "batch", *[lambda c: c.filter.step(few, z, dt=c.dt, u=u)] * 2)
 
 
 @check("eager")
