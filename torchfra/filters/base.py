@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from torchfra.filters.checks import check_lengths, check_models, check_state
+from torchfra.filters.failures import diagnose
 from torchfra.filters.loop import run
 from torchfra.filters.records import Kept, Record
 from torchfra.gaussian.arguments import check, check_belief, check_kinds
@@ -89,15 +90,10 @@ class Filter(nn.Module):
         Raises:
             ValueError: a shape that does not fit.
         """
-        check_belief(prior)
-        n, (mean, root) = self.motion.size, prior
-        if mean.shape[-1:] != (n,) or root.shape[-2:] != (n, n):
-            raise ValueError(
-                f"prior: expected (..., {n}) and (..., {n}, {n}), received {tuple(mean.shape)} and {tuple(root.shape)}"
-            )
+        n, (mean, root) = self.motion.size, check_belief(prior, size=self.motion.size)
         batch = torch.broadcast_shapes(mean.shape[:-1], root.shape[:-2])
         batch = (1,) * (self._rank() - len(batch)) + batch
-        mean = mean.resolve_neg()  # torch cannot make new tensors like one that it has only marked as negated
+        mean = mean.resolve_neg()  # torch makes no new tensors like one that it has only marked as negated
         return self.begin(Gaussian(mean.expand((*batch, n)), tria(root).expand((*batch, n, n))))  # eq. (7)
 
     def begin(self, belief: Gaussian) -> Any:
@@ -197,7 +193,8 @@ class Filter(nn.Module):
         else:
             state, kept = self._run(state, measurements, len(batch), checkpoint, truncate)
         belief, info = self.finish(state, kept.belief, kept.info)
-        return Estimate(*belief, kept.nis, kept.log_likelihood, info)
+        failure = diagnose(self, belief, kept.log_likelihood, measurements, prior)
+        return Estimate(*belief, kept.nis, kept.log_likelihood, info, failure)
 
     def keep(self, state: Any, frame: Frame) -> tuple[Any, Kept]:
         """One step on a prepared frame: the next state, and what the estimate holds of it."""

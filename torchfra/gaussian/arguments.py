@@ -63,8 +63,8 @@ def check(
     return whole
 
 
-def check_belief(belief: Any, name: str = "prior") -> None:
-    """Checks that this is a belief in tensors of single or double precision.
+def check_belief(belief: Any, name: str = "prior", *, size: int | None = None) -> Gaussian:
+    """A belief, if this is one, of ``size`` states if that is given, in tensors of single or double precision.
 
     Raises:
         ValueError: it is not.
@@ -74,6 +74,10 @@ def check_belief(belief: Any, name: str = "prior") -> None:
         raise ValueError(f"{name}: expected a Gaussian, received {type(belief).__name__}: {hint}")
     for part, x in zip(belief._fields, belief, strict=True):
         _check_tensor(f"{name}.{part}", x, PRECISIONS)
+    if size is not None and (belief.mean.shape[-1:] != (size,) or belief.scale_tril.shape[-2:] != (size, size)):
+        expected, received = f"(..., {size}) and (..., {size}, {size})", [tuple(x.shape) for x in belief]
+        raise ValueError(f"{name}: expected {expected}, received {received[0]} and {received[1]}")
+    return belief
 
 
 def check_kinds(measurements: Measurements) -> None:

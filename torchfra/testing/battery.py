@@ -61,8 +61,8 @@ def check_filter(
 
     Args:
         filter: any.
-        z: ``(B, T, m)`` measurements to try it on, of scans ``(B, T, J, m)``, of which 3 tracks and 6 steps are used; by
-            default simulated by the filter's own motion and sensor.
+        z: ``(B, T, m)`` measurements to try it on, of scans ``(B, T, J, m)``; 3 tracks and 6 steps of them are used.
+            By default they are simulated by the filter's own motion and sensor.
         prior: the belief before them.
         dt: seconds between steps.
         u: ``(T, k)`` or ``(B, T, k)`` what the models need to know at a step.

@@ -51,7 +51,7 @@ def time_steps_must_be_seconds_above_zero(case: Case) -> None:
 
 @check("eager", "compiled")
 def noise_must_be_positive_and_finite(case: Case) -> None:
-    """``std=`` and ``noise=`` with zero, negative, NaN, infinite, singular and complex values where something is seen."""
+    """``std=`` and ``noise=`` that are zero, negative, NaN, infinite, singular or complex where something is seen."""
     std, seen, z = case.std, case.z[:, 0], case.z
     for bad in (0.0, -1.0, math.nan, math.inf):
         x = std.clone()
