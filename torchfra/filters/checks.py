@@ -72,4 +72,4 @@ def check_lengths(**lengths: int | None) -> None:
     """
     for name, length in lengths.items():
         if length is not None and not (isinstance(length, int) and length >= 1):
-            raise ValueError(f"{name}: expected a whole number of steps, at least 1, received {length!r}")
+            raise ValueError(f"{name}: expected at least 1 step, received {length!r}")
