@@ -15,6 +15,7 @@ from torchfra import (
     robust,
     scenarios,
     sensors,
+    testing,
 )
 from torchfra.app.memory import keep_memory
 from torchfra.hyper import Hyper, learnable, summary
@@ -45,4 +46,5 @@ __all__ = [
     "scenarios",
     "sensors",
     "summary",
+    "testing",
 ]

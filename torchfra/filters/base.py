@@ -74,10 +74,10 @@ class Filter(nn.Module):
         """
         if args or options:
             super().compile(*args, **options)
-            return self
-        from torchfra.filters.compiled import Compiled
+        else:
+            from torchfra.filters.compiled import Compiled
 
-        self._kernels = Compiled()
+            self._kernels = Compiled()
         return self
 
     def init(self, prior: Gaussian) -> Any:
@@ -91,10 +91,9 @@ class Filter(nn.Module):
             ValueError: a shape that does not fit.
         """
         n, (mean, root) = self.motion.size, check_belief(prior, size=self.motion.size)
-        batch = torch.broadcast_shapes(mean.shape[:-1], root.shape[:-2])
-        batch = (1,) * (self._rank() - len(batch)) + batch
-        mean = mean.resolve_neg()  # torch makes no new tensors like one that it has only marked as negated
-        return self.begin(Gaussian(mean.expand((*batch, n)), tria(root).expand((*batch, n, n))))  # eq. (7)
+        batch = torch.broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * self._rank())
+        mean = mean.resolve_neg().expand((*batch, n))  # torch makes no new tensor like one that is marked as negated
+        return self.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # eq. (7)
 
     def begin(self, belief: Gaussian) -> Any:
         """The state that a belief of full batch and triangular root makes; it has a ``belief``."""
@@ -142,12 +141,11 @@ class Filter(nn.Module):
             ValueError: a shape or a value that does not fit.
         """
         measurements = Measurements(z, dt, u, std, noise)
+        frame = partial(self._frame, state, measurements)
         if self._kernels is not None and self._kernels.takes(z):
-            compiled: tuple[Any, Innovation] = self._kernels.step(
-                self, state, measurements, partial(self._frame, state, measurements)
-            )
+            compiled: tuple[Any, Innovation] = self._kernels.step(self, state, measurements, frame)
             return compiled
-        return self.observe(state, self._frame(state, measurements))
+        return self.observe(state, frame())
 
     def forward(
         self,
@@ -226,8 +224,7 @@ class Filter(nn.Module):
         expected = mean.shape[: mean.dim() - 1 - self.scans]
         if batch != expected:
             raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, this is of {tuple(expected)}")
-        (frame,), _ = self._frames(track, mean.dim() - 1)
-        return frame
+        return self._frames(track, mean.dim() - 1)[0][0]
 
     def _rank(self) -> int:
         """Batch dimensions there are at least."""

@@ -45,10 +45,8 @@ def check(
     batch = _batches(measurements, prior, motion.size, sensor.size, scans, name)
     z, dt = measurements.z, measurements.dt
     if scans and prior.scale_tril.dim() > 2 and prior.scale_tril.shape[-3] != prior.mean.shape[-2]:
-        received = tuple(prior.scale_tril.shape)
-        raise ValueError(
-            f"{name}.scale_tril: expected one for each of {prior.mean.shape[-2]} targets, received {received}"
-        )
+        count, shape = prior.mean.shape[-2], tuple(prior.scale_tril.shape)
+        raise ValueError(f"{name}.scale_tril: expected one for each of {count} targets, received {shape}")
     if isinstance(dt, Tensor):
         steps = z.shape[-2 - scans]
         if dt.dim() and dt.shape[-1] not in (1, steps):
@@ -148,12 +146,13 @@ def check_seconds(dt: Time, dtype: torch.dtype) -> None:
 def _singular(noise: Tensor, seen: Tensor) -> Tensor:
     """``(...)`` where the seen elements have no finite covariance ``noise (..., m, m)`` with an inverse."""
     root = torch.where(seen.unsqueeze(-1), noise, 0.0)
-    broken = ~root.isfinite().flatten(-2).all(-1)
+    broken: Tensor = ~root.isfinite().flatten(-2).all(-1)
     least = 10 * torch.finfo(noise.dtype).eps * torch.linalg.vector_norm(root, dim=-1)
     if not bool(root.triu(1).any()) and bool((root.diagonal(dim1=-2, dim2=-1).abs() > least).logical_or(~seen).all()):
         return broken
     lower = tria(hstack(torch.where(broken[..., None, None], 0.0, root), torch.diag_embed(1.0 - seen.to(root))))
-    return broken | ~(lower.diagonal(dim1=-2, dim2=-1) > least).all(-1)
+    singular: Tensor = ~(lower.diagonal(dim1=-2, dim2=-1) > least).all(-1)
+    return broken | singular
 
 
 def _refuse(name: str, expected: str, x: Tensor, bad: Tensor, event: int = 0) -> None:

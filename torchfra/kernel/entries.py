@@ -33,8 +33,9 @@ class Entries(Tensor):
 
     @staticmethod
     def __new__(cls, book: Expressions, ids: Tensor, dtype: torch.dtype) -> Entries:  # noqa: D102
-        layout = {"strides": ids.stride(), "storage_offset": ids.storage_offset()}
-        made: Entries = Tensor._make_wrapper_subclass(cls, ids.shape, dtype=dtype, **layout)
+        made: Entries = Tensor._make_wrapper_subclass(
+            cls, ids.shape, strides=ids.stride(), storage_offset=ids.storage_offset(), dtype=dtype
+        )
         made.book, made.ids = book, ids
         return made
 

@@ -18,7 +18,7 @@ _PLUMBING = (str(Path(torch.__file__).parent), str(Path(__file__).parent))
 
 @contextmanager
 def refusals_of(name: str) -> Iterator[None]:
-    """Inside this context, a ``NotImplementedError`` begins with this name and ends with the line that it comes from."""
+    """Inside this context, a ``NotImplementedError`` begins with this name and ends with the line it comes from."""
     try:
         yield
     except NotImplementedError as error:

@@ -65,10 +65,9 @@ class Case:
     """Whether checks try all combinations that they know."""
     _kept: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
-    def __call__(self, z: Tensor | None = None, prior: Gaussian | None = None, **options: Any) -> Estimate:
-        """The estimate of these tracks, or of others."""
-        given = {"dt": self.dt, "u": self.u} | options
-        estimate: Estimate = self.filter(self.z if z is None else z, self.prior if prior is None else prior, **given)
+    def __call__(self, **given: Any) -> Estimate:
+        """The estimate of these tracks, or of what else is given: ``case(z=z, truncate=2)``."""
+        estimate: Estimate = self.filter(**{"z": self.z, "prior": self.prior, "dt": self.dt, "u": self.u} | given)
         return estimate
 
     @property
@@ -92,10 +91,16 @@ class Case:
         except CompileError as error:
             raise SkipCheck(f"not compiled: {error}") from None
 
-    def step(self, z: Tensor, **options: Any) -> Any:
-        """The state and the innovation after one measurement of each track."""
-        u = self.u if self.u is None else self.u[..., 0, :]
-        return self.filter.step(self.filter.init(self.prior), z, **{"dt": self.dt, "u": u} | options)
+    def step(self, **given: Any) -> Any:
+        """The state and the innovation after the first measurement of each track, or what else is given."""
+        first: dict[str, Any] = {"z": self.z[:, 0], "dt": self.dt, "u": self.u_at(0)}
+        if "state" not in given:
+            first["state"] = self.filter.init(self.prior)
+        return self.filter.step(**first | given)
+
+    def u_at(self, step: int) -> Tensor | None:
+        """``u`` of one step."""
+        return None if self.u is None else self.u[..., step, :]
 
     def alone(self, track: int) -> tuple[Tensor, Gaussian, Tensor | None]:
         """Measurements, prior and ``u`` of one track, without a batch."""
@@ -165,7 +170,7 @@ def gradients(case: Case, dtype: torch.dtype = torch.float64, **options: Any) ->
         for name, x in (("z", case.z), ("prior.mean", case.prior.mean), ("prior.scale_tril", case.prior.scale_tril))
     }
     prior = Gaussian(leaves["prior.mean"], leaves["prior.scale_tril"])
-    y = says(case(leaves["z"], prior, **options), case.prior)
+    y = says(case(z=leaves["z"], prior=prior, **options), case.prior)
     leaves |= case.filter.named_parameters()
     found = torch.autograd.grad(y, list(leaves.values()), allow_unused=True)
     zeros = (torch.zeros_like(x) if g is None else g for x, g in zip(leaves.values(), found, strict=True))

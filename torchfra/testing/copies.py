@@ -18,7 +18,7 @@ def it_maps_over_tracks(case: Case) -> None:
     """``torch.func.vmap`` over tracks gives what the batch gives."""
     if case.u is not None and case.u.dim() > 2:
         case = replace(case, u=case.u[0], _kept={})
-    mapped = torch.func.vmap(lambda z, mean, root: case(z, Gaussian(mean, root)).mean)
+    mapped = torch.func.vmap(lambda z, mean, root: case(z=z, prior=Gaussian(mean, root)).mean)
     with torch.no_grad():
         expect_same(mapped(case.z, *case.prior), case.estimate.mean, "mean of vmap", 1e-7)
 
@@ -29,7 +29,7 @@ def a_state_dict_holds_every_value(case: Case) -> None:
     other = copy.deepcopy(case.filter)
     with torch.no_grad():
         for value in other.parameters():
-            value += 0.1
+            value.add_(0.1)
     missing, unexpected = other.load_state_dict(case.filter.state_dict())
     expect(not (missing or unexpected), "state_dict", "all keys", [*missing, *unexpected])
     expect_same(replace(case, filter=other, _kept={}).estimate, case.estimate, "estimate with a loaded state_dict", 0.0)

@@ -41,7 +41,7 @@ def gradients_are_those_of_small_differences(case: Case) -> None:
         def pushed(step: float, name: str = name, along: Tensor = along) -> Tensor:
             given = {"z": case.z, "prior.mean": case.prior.mean}
             given[name] = given[name] + step * along
-            return says(case(given["z"], Gaussian(given["prior.mean"], case.prior.scale_tril)), case.prior)
+            return says(case(z=given["z"], prior=Gaussian(given["prior.mean"], case.prior.scale_tril)), case.prior)
 
         _expect_slope(pushed, 1e-5 * float(case.std.min()), (found[name] * along).sum(), f"gradient of {name}")
 
@@ -64,7 +64,7 @@ def checkpoints_leave_the_gradient_and_truncation_cuts_it(case: Case) -> None:
     truncated = gradients(case, truncate=STEPS - 1, checkpoint=2)
     expect_finite(truncated, "gradient with truncate")
     z = case.z.clone().requires_grad_()
-    estimate = case(z, truncate=STEPS - 2)
+    estimate = case(z=z, truncate=STEPS - 2)
     expect_same(estimate.mean.detach(), case.estimate.mean, "mean with truncate")
 
 

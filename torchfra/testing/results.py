@@ -12,7 +12,6 @@ from torchfra.testing.case import STEPS, TRACKS, Case, check
 from torchfra.testing.expectations import TOLERANCE, expect, expect_finite, expect_same
 from torchfra.types import Cause, Estimate, Gaussian
 
-
 FIELDS = ("mean", "scale_tril", "nis", "log_likelihood")
 
 
@@ -36,7 +35,7 @@ def a_single_track_needs_no_batch_and_no_company(case: Case) -> None:
     """Every track has the estimate that it has alone."""
     for i in range(TRACKS):
         z, prior, u = case.alone(i)
-        expect_same(case(z, prior, u=u), _track(case.estimate, i), f"estimate of track {i} alone", 1e-7)
+        expect_same(case(z=z, prior=prior, u=u), _track(case.estimate, i), f"estimate of track {i} alone", 1e-7)
 
 
 @check("eager", "compiled")
@@ -45,8 +44,7 @@ def steps_give_what_whole_tracks_give(case: Case) -> None:
     estimate, state = case.estimate, case.filter.init(case.prior)
     now = getattr(estimate.info, "provisional", getattr(estimate.info, "filtered", estimate))
     for k in range(STEPS):
-        u = case.u if case.u is None else case.u[..., k, :]
-        state, innovation = case.filter.step(state, case.z[:, k], dt=case.dt, u=u)
+        state, innovation = case.step(state=state, z=case.z[:, k], u=case.u_at(k))
         expect_same(state.belief.mean, now.mean.select(-2, k), f"mean of step {k}")
         expect_same(innovation.log_likelihood, estimate.log_likelihood[..., k], f"log_likelihood of step {k}")
         expect_same(innovation.nis, estimate.nis[..., k], f"nis of step {k}")
@@ -63,7 +61,9 @@ def time_steps_may_differ_per_step_and_per_track(case: Case) -> None:
         for i in range(TRACKS) if case.thorough else (1,):
             z, prior, u = case.alone(i)
             own = dt if dt.dim() == 1 else dt[i]
-            expect_same(case(z, prior, u=u, dt=own), _track(together, i), f"estimate of track {i} with {name}", 1e-7)
+            expect_same(
+                case(z=z, prior=prior, u=u, dt=own), _track(together, i), f"estimate of track {i} with {name}", 1e-7
+            )
 
 
 @check("eager")
@@ -81,7 +81,7 @@ def noise_may_come_with_the_measurements(case: Case) -> None:
 def no_tracks_are_no_error(case: Case) -> None:
     """An empty batch has an empty estimate."""
     prior, u = Gaussian(*(x[:0] for x in case.prior)), case.u
-    estimate = case(case.z[:0], prior, u=u if u is None or u.dim() == 2 else u[:0])
+    estimate = case(z=case.z[:0], prior=prior, u=u if u is None or u.dim() == 2 else u[:0])
     expected = (0, *case.estimate.mean.shape[1:])
     expect(estimate.mean.shape == expected, "mean", expected, tuple(estimate.mean.shape))
 
@@ -90,7 +90,7 @@ def no_tracks_are_no_error(case: Case) -> None:
 def one_step_is_enough(case: Case) -> None:
     """A track of one step has the scores of the first step of a longer one."""
     u = case.u if case.u is None else case.u[..., :1, :]
-    estimate = case(case.z[:, :1], u=u)
+    estimate = case(z=case.z[:, :1], u=u)
     expect_same(estimate.log_likelihood, case.estimate.log_likelihood[..., :1], "log_likelihood of one step")
 
 
@@ -101,9 +101,9 @@ def memory_layout_does_not_matter(case: Case) -> None:
     wide = torch.stack([case.z, -case.z], -1)[..., 0]
     for name, z in {"transposed": strided, "every second number": wide}.items():
         prior = Gaussian(case.prior.mean.mT.contiguous().mT, case.prior.scale_tril.mT.contiguous().mT)
-        expect_same(case(z, prior), case.estimate, f"estimate of z {name}")
+        expect_same(case(z=z, prior=prior), case.estimate, f"estimate of z {name}")
     expanded, repeated = (
-        case(x, Gaussian(*priors))
+        case(z=x, prior=Gaussian(*priors))
         for x, *priors in (
             [x[2].expand(TRACKS, *x.shape[1:]) for x in (case.z, *case.prior)],
             [x[2].repeat(TRACKS, *[1] * (x.dim() - 1)) for x in (case.z, *case.prior)],
@@ -117,7 +117,7 @@ def lazily_negated_tensors_are_negative(case: Case) -> None:
     """What torch has only marked as negated, such as ``x.conj().imag``, is read as it is meant."""
     z = torch.complex(torch.zeros_like(case.z), -case.z).conj().imag
     mean, root = (torch._neg_view(-x) for x in case.prior)
-    expect_same(case(z, case.prior), case.estimate, "estimate of a lazily negated z")
+    expect_same(case(z=z), case.estimate, "estimate of a lazily negated z")
     expect_same(case(prior=Gaussian(mean, root)), case.estimate, "estimate from a lazily negated prior")
     expect_same(case(std=torch._neg_view(-case.std)), case(std=case.std), "estimate with a lazily negated std")
 
@@ -135,7 +135,7 @@ def nothing_that_is_handed_in_changes(case: Case) -> None:
 @check("eager")
 def single_precision_stays_single(case: Case) -> None:
     """In float32 all is float32, near what float64 gives; ``info`` has the dtypes that it has in float64."""
-    single = case(case.z.float(), u=case.u if case.u is None else case.u.float())
+    single = case(z=case.z.float(), u=case.u if case.u is None else case.u.float())
     for name in FIELDS:
         dtype = getattr(single, name).dtype
         expect(dtype == torch.float32, name, torch.float32, dtype)
@@ -151,7 +151,7 @@ def a_track_that_fails_leaves_the_others_alone(case: Case) -> None:
     mean, z = case.prior.mean.clone(), case.z.clone()
     mean[0].select(-1, 0)[...] = torch.nan
     z[1, 4] = torch.inf
-    estimate = case(z, Gaussian(mean, case.prior.scale_tril))
+    estimate = case(z=z, prior=Gaussian(mean, case.prior.scale_tril))
     failed = estimate.failed.reshape(TRACKS, -1).any(-1).tolist()
     expect(failed[0] and not failed[2], "failed", "the first track and not the third", failed)
     expect_same(_track(estimate, 2), _track(case.estimate, 2), "estimate of the track beside those that fail")
@@ -181,7 +181,7 @@ def compiled_gives_what_eager_gives(case: Case) -> None:
         for options in ways:
             expect_same(case(**options), slow(**options), f"compiled estimate with {', '.join(options)}")
     for options in ways:
-        expected, found = slow(z, u=u, **options), case(z, u=u, **options)
+        expected, found = slow(z=z, u=u, **options), case(z=z, u=u, **options)
         expect_same(_dtypes(found), _dtypes(expected), "dtypes of the compiled estimate")
         expect_same(found.mean, expected.mean, f"compiled mean in float32 with {', '.join(options)}")
 
