@@ -4,16 +4,14 @@ import copy
 
 import pytest
 import torch
-from torch import nn
 
-from torchfra import learnable, presets, scenarios
+from torchfra import presets
 from torchfra.catalogue import FILTERS
 from torchfra.filters import SRCKF
 from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity, Motion
 from torchfra.robust import Weights
 from torchfra.sensors import Position, Sensor
-from torchfra.testing import CHECKS, check_filter
-from torchfra.testing.case import make_case
+from torchfra.testing import check_filter
 
 NAMES = [name for name, entry in FILTERS.items() if entry.preset is not presets.imm_ckf]
 EDGES = {"fra", "fra_srckf"}

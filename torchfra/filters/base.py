@@ -231,10 +231,7 @@ class Filter(nn.Module):
         return max(batch_rank(self), int(self.scans))
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
-        """The batch of all that was handed in, checked, with as many dimensions as the hyperparameters have.
-
-        ``name`` is what error messages call the prior.
-        """
+        """The batch of all, checked, with the dimensions of the hyperparameters; messages call the prior ``name``."""
         batch = check(measurements, prior, self.motion, self.sensor, scans=self.scans, name=name)
         return torch.Size((1,) * (self._rank() - self.scans - len(batch))) + batch
 

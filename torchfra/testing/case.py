@@ -48,7 +48,9 @@ class SkipCheck(Exception):  # noqa: N818  it is no error
 
 @dataclass(frozen=True)
 class Case:
-    """What a check is given.  All tensors are float64; the first track misses an element, the second a whole step."""
+    """What a check is given.  All tensors are float64; the first track misses an element, the second a whole step,
+    the third has an outlier.
+    """
 
     filter: Filter
     """In float64, every value learnable that can be."""
@@ -134,6 +136,8 @@ def make_case(
     mean, root = (x.detach().double() for x in prior)
     mean = (mean[:TRACKS] if mean.dim() > event else mean).expand(TRACKS, *event_shape)
     root = (root[:TRACKS] if root.dim() > event + 1 else root).expand(*mean.shape, mean.shape[-1])
+    with torch.no_grad():
+        z[2, 4] += 20 * f.sensor.measurement_noise(z[2, 4]).std  # an outlier
     z[0, 2].select(-1, 0)[...] = torch.nan
     z[1, 3] = torch.nan
     if u is not None:

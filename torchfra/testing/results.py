@@ -119,7 +119,8 @@ def lazily_negated_tensors_are_negative(case: Case) -> None:
     mean, root = (torch._neg_view(-x) for x in case.prior)
     expect_same(case(z=z), case.estimate, "estimate of a lazily negated z")
     expect_same(case(prior=Gaussian(mean, root)), case.estimate, "estimate from a lazily negated prior")
-    expect_same(case(std=torch._neg_view(-case.std)), case(std=case.std), "estimate with a lazily negated std")
+    if case.eager is None or case.thorough:
+        expect_same(case(std=torch._neg_view(-case.std)), case(std=case.std), "estimate with a lazily negated std")
 
 
 @check("eager")
@@ -169,7 +170,7 @@ def a_track_that_fails_leaves_the_others_alone(case: Case) -> None:
 @check("compiled")
 def compiled_gives_what_eager_gives(case: Case) -> None:
     """Kernels give the same results, ``info`` and its dtypes included, in both precisions and with all options."""
-    std, slow = case.std, case.eager
+    std, slow = torch.where(case.z.isnan(), torch.nan, case.std), case.eager
     assert slow is not None
     expect_same(case.estimate, slow.estimate, "compiled estimate")
     dt = case.dt * torch.linspace(0.8, 1.2, TRACKS * STEPS, dtype=torch.float64).reshape(TRACKS, STEPS)
