@@ -8,13 +8,11 @@ import torch
 from torchfra import presets
 from torchfra.catalogue import FILTERS
 from torchfra.filters import SRCKF
-from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity, Motion
-from torchfra.robust import Weights
+from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity
 from torchfra.sensors import Position, Sensor
-from torchfra.testing import check_filter
+from torchfra.testing import CHECKS, check_filter
 
 NAMES = [name for name, entry in FILTERS.items() if entry.preset is not presets.imm_ckf]
-EDGES = {"fra", "fra_srckf"}
 
 
 def preset(name, scenario, crossing):
@@ -42,13 +40,6 @@ def test_every_filter_keeps_what_filters_promise(name, scenario, crossing, reque
 
 
 # ---------------------------------------------------------------- the battery finds what is broken
-
-
-class Forgetful(Position):
-    """Its value does not follow a copy."""
-
-    def __deepcopy__(self, memo):
-        return Position(3.0)
 
 
 class Deaf(SRCKF):
@@ -82,28 +73,11 @@ class Stuck(Position):
         return super().forward(x).detach()
 
 
-class Short(Motion):
-    """Forgets half of the state."""
-
-    def __init__(self):
-        super().__init__(2, 2, 1.0)
-
-    def forward(self, x, dt, u=None):
-        return x[..., :2]
-
-
 class Looking(Position):
     """Decides in Python by what it sees."""
 
     def forward(self, x, u=None):
         return super().forward(x) if x.sum() > 0 else super().forward(-x)
-
-
-class Double(Weights):
-    """Always in double precision."""
-
-    def forward(self, residual, nis):
-        return torch.ones(residual.shape, dtype=torch.float64)
 
 
 MOTION = ConstantVelocity(1.0)
@@ -125,3 +99,22 @@ def test_a_broken_filter_is_found_and_named(f, name):
     with pytest.raises(AssertionError, match=rf"{type(f()).__name__}: .*checks failed\n{name}, .*: expected"):
         check_filter(f(), only=[name])
     check_filter(SRCKF(MOTION, Position(2.0)), only=[name])
+
+
+def test_a_report_tells_what_passed_and_what_was_skipped_and_why(crossing):
+    names = ["it_maps_over_tracks", "no_tracks_are_no_error"]
+    f, tracks = preset("jpda", None, crossing)
+    report = check_filter(f, **tracks, only=names)
+    assert [(o.check, o.way) for o in report.of("passed")] == [(name, "eager") for name in names]
+    assert all("not compiled" in outcome.reason for outcome in report.of("skipped"))
+    assert str(report).startswith("JPDA\ncheck")
+    assert len(check_filter(f, **tracks, only=names, compiled=False).outcomes) == 2
+
+
+def test_checks_and_tracks_are_checked_themselves():
+    f = SRCKF(MOTION, Position(2.0))
+    with pytest.raises(ValueError, match=r"only, skip: expected names of testing\.CHECKS, received all"):
+        check_filter(f, only=["all"])
+    with pytest.raises(ValueError, match="z, prior: expected both or neither"):
+        check_filter(f, torch.zeros(3, 6, 2))
+    assert all(check.function.__doc__ for check in CHECKS.values())

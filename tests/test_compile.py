@@ -9,7 +9,7 @@ import torch
 from conftest import STEPS
 from torch import nn
 
-from torchfra import presets, scenarios
+from torchfra import Hyper, learnable, presets, scenarios
 from torchfra.filters import SRCKF
 from torchfra.kernel import build
 from torchfra.kernel.entries import Entries, as_entries
@@ -279,6 +279,49 @@ def test_what_does_not_fit_is_named_as_without(make, tracks):
             f.step(state, tracks.z[:, 0].expand(3, 4, 2), u=tracks.u[0])
 
 
+class Writing(Position):
+    """Writes its measurement in place, part by part."""
+
+    def __init__(self):
+        super().__init__(2.0)
+        self.gain = Hyper(2.0, learn=True)
+
+    def forward(self, x, u=None):
+        z = torch.zeros_like(x[..., :2])
+        z[..., 0] = self.gain(x) * x[..., 0]
+        z[..., 1] = x[..., 1]
+        z[..., 1] *= self.gain(x)
+        return z
+
+
+def test_writes_in_place_reach_what_is_viewed_and_have_gradients():
+    f = SRCKF(ConstantVelocity(0.1), Writing())
+    fast = copy.deepcopy(f).compile()
+    prior = Gaussian(torch.ones(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64))
+    z = torch.rand(5, 3, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    slow, quick = f(z, prior), fast(z, prior)
+    close(slow, quick)
+    for e in (slow, quick):
+        e.mean.square().sum().backward()
+    close(f.sensor.gain.raw.grad, fast.sensor.gain.raw.grad)
+
+
+class Exchanging(Position):
+    """Its gradient needs an operation that kernels do not have."""
+
+    def forward(self, x, u=None):
+        return super().forward(x).gather(-1, torch.tensor([1, 0]).expand(*x.shape[:-1], 2))
+
+
+def test_a_gradient_that_kernels_cannot_do_is_named_with_the_filter_the_values_and_the_line():
+    f = learnable(SRCKF(ConstantVelocity(0.1), Exchanging(1.0)), "all").compile()
+    prior = Gaussian(torch.ones(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64))
+    mean = f(torch.ones(3, 2, dtype=torch.float64), prior).mean
+    named, line = "SRCKF, gradient of the state, motion.q.raw, sensor.std.raw: ", r"test_compile.py, line \d+: .*gather"
+    with pytest.raises(NotImplementedError, match=f"{named}.*scatter_add.*{line}"):
+        mean.sum().backward()
+
+
 def test_without_a_compiler_it_says_what_to_install(make, tracks, monkeypatch):
     monkeypatch.setenv("CXX", "no-such-compiler")
     build._compiler.cache_clear()
@@ -323,7 +366,10 @@ class Indexing(Position):
     ("sensor", "message"),
     [
         (Looking(1.0), "torch.where, not by if"),
-        (Exotic(1.0), "bessel_j0.* cannot become part of a kernel.*leave compile"),
+        (
+            Exotic(1.0),
+            "^SRCKF: .*bessel_j0.* cannot become part of a kernel.*leave compile.*test_compile.py, line ",
+        ),
         (Indexing(1.0), "gather.*the index depends on data"),
     ],
 )

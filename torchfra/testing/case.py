@@ -48,14 +48,12 @@ class SkipCheck(Exception):  # noqa: N818  it is no error
 
 @dataclass(frozen=True)
 class Case:
-    """What a check is given.  All tensors are float64; the first track misses an element, the second a whole step,
-    the third has an outlier.
-    """
+    """What a check is given: a filter, and tracks of which one misses an element, one a step, and one has an outlier."""
 
     filter: Filter
-    """In float64, every value learnable that can be."""
+    """Every value learnable that can be."""
     z: Tensor
-    """``(3, 6, m)``, of scans ``(3, 6, J, m)``."""
+    """``(3, 6, m)``, of scans ``(3, 6, J, m)``; float64, as are all tensors."""
     prior: Gaussian
     """``(3, n)`` and ``(3, n, n)``, of several targets ``(3, N, n)`` and ``(3, N, n, n)``."""
     dt: float = 1.0
