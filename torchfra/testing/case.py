@@ -48,7 +48,7 @@ class SkipCheck(Exception):  # noqa: N818  it is no error
 
 @dataclass(frozen=True)
 class Case:
-    """What a check is given: a filter, and tracks of which one misses an element, one a step, and one has an outlier."""
+    """What a check is given: a filter, and tracks, one of which misses an element, one a step; one has an outlier."""
 
     filter: Filter
     """Every value learnable that can be."""
