@@ -17,6 +17,10 @@ PRESETS = ["ekf", "ukf", "srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "iaukf"
 STEPS = 12
 
 
+def pytest_addoption(parser):
+    parser.addoption("--thorough", action="store_true", help="all combinations of options in the battery of filters")
+
+
 @pytest.fixture(scope="session")
 def scenario():
     """Outliers, and an initial state near the truth."""

@@ -4,7 +4,6 @@ import pytest
 import torch
 from conftest import PRESETS, STEPS
 
-import torchfra
 from torchfra import presets
 from torchfra.motion import ConstantAcceleration
 from torchfra.sensors import Bearings
@@ -33,41 +32,6 @@ def test_shapes(name, make, tracks):
     same(e.to_distribution().covariance_matrix, e.covariance)
 
 
-def test_a_batch_is_a_loop_over_tracks_and_a_single_track_needs_no_batch(name, make, tracks):
-    f = make(name)
-    batch = f(tracks.z, tracks.prior, u=tracks.u)
-    for i in range(4):
-        alone = f(tracks.z[i], one(tracks.prior, i), u=tracks.u)
-        same(alone.mean, batch.mean[i], 1e-7)
-        same(alone.log_likelihood, batch.log_likelihood[i], 1e-7)
-
-
-def test_streaming_gives_what_whole_sequences_give(name, make, tracks):
-    f = make(name)
-    e = f(tracks.z, tracks.prior, u=tracks.u)
-    state = f.init(tracks.prior)
-    late = hasattr(e.info, "provisional")
-    for k in range(STEPS):
-        state, innovation = f.step(state, tracks.z[:, k], u=tracks.u[k])
-        same(state.belief.mean, (e.info.provisional.mean if late else e.mean)[:, k])
-        if late and k:
-            same(state.settled.mean, e.mean[:, k - 1])
-        same(innovation.nis, e.nis[:, k])
-        same(innovation.log_likelihood, e.log_likelihood[:, k])
-
-
-def test_time_steps_may_differ_per_step_and_per_track(name, make, tracks):
-    f = make(name)
-    dt = 0.5 + torch.rand(4, STEPS, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    both = f(tracks.z, tracks.prior, u=tracks.u, dt=dt)
-    per_track = f(tracks.z, tracks.prior, u=tracks.u, dt=dt[:, :1])
-    per_step = f(tracks.z, tracks.prior, u=tracks.u, dt=dt[0])
-    for i in range(4):
-        same(both.mean[i], f(tracks.z[i], one(tracks.prior, i), u=tracks.u, dt=dt[i]).mean, 1e-7)
-        same(per_track.mean[i], f(tracks.z[i], one(tracks.prior, i), u=tracks.u, dt=float(dt[i, 0])).mean, 1e-7)
-    same(per_step.mean[0], both.mean[0], 1e-7)
-
-
 def test_a_missing_step_is_a_pure_prediction(name, make, tracks):
     f = make(name)
     if name == "gpb":
@@ -80,31 +44,6 @@ def test_a_missing_step_is_a_pure_prediction(name, make, tracks):
     assert e.nis[1, 5] == 0
 
 
-def test_a_track_that_fails_is_reported_and_leaves_the_others_alone(name, make, tracks):
-    f = make(name)
-    mean = tracks.prior.mean.clone()
-    mean[1, 0] = torch.nan
-    e = f(tracks.z, Gaussian(mean, tracks.prior.scale_tril), u=tracks.u)
-    assert e.failed.tolist() == [False, True, False, False]
-    same(e.mean[[0, 2, 3]], f(tracks.z, tracks.prior, u=tracks.u).mean[[0, 2, 3]])
-
-
-def test_results_have_the_dtype_of_the_measurements(name, make, tracks):
-    f = make(name)
-    single, double = f(tracks.z.float(), tracks.prior, u=tracks.u), f(tracks.z, tracks.prior, u=tracks.u)
-    assert single.mean.dtype == single.scale_tril.dtype == single.nis.dtype == torch.float32
-    assert (single.mean[..., :2] - double.mean[..., :2]).abs().max() < 1
-
-
-def test_nothing_handed_in_is_changed_and_nothing_is_kept(name, make, tracks):
-    f = make(name)
-    before = [x.clone() for x in (tracks.z, *tracks.prior, tracks.u)]
-    first, second = (f(tracks.z, tracks.prior, u=tracks.u) for _ in range(2))
-    for x, y in zip(before, (tracks.z, *tracks.prior, tracks.u), strict=True):
-        torch.testing.assert_close(x, y, rtol=0, atol=0, equal_nan=True)
-    torch.testing.assert_close(first.mean, second.mean, rtol=0, atol=0)
-
-
 def test_learned_values_load_into_a_fixed_filter(name, make, tracks):
     learned = make(name, learn=("q", "std"))
     with torch.no_grad():
@@ -114,36 +53,6 @@ def test_learned_values_load_into_a_fixed_filter(name, make, tracks):
     fixed.load_state_dict(learned.state_dict())
     assert not list(fixed.parameters())
     same(fixed(tracks.z, tracks.prior, u=tracks.u).mean, learned(tracks.z, tracks.prior, u=tracks.u).mean.detach())
-
-
-def test_gradients_of_every_learnable_value_are_those_of_finite_differences(name, make, tracks):
-    names = {path.rpartition(".")[2] for path, part in make(name).named_modules() if isinstance(part, torchfra.Hyper)}
-    f = make(name, learn=names - {"gate"})  # a hard decision has no gradient in its gate
-    paths, values = zip(*((p, v.detach().clone().requires_grad_()) for p, v in f.named_parameters()), strict=True)
-    # Benign tracks, a start 60 m off: the robust and the adaptive side both act, and no step sits on an edge.
-    z = tracks.z.clone()
-    z[2, 4, 1] -= 0.25
-    prior = Gaussian(
-        tracks.prior.mean + torch.tensor([60.0, -60, 0, 0, 0, 0], dtype=torch.float64), tracks.prior.scale_tril
-    )
-
-    def loss(*values):
-        call = dict(zip(paths, values, strict=True))
-        e = torch.func.functional_call(f, call, (z[:, :6], prior), {"u": tracks.u[:6]})
-        return e.mean / 100, e.log_likelihood
-
-    assert torch.autograd.gradcheck(loss, values, eps=1e-6, rtol=1e-4, atol=1e-5)
-
-
-def test_gradients_flow_in_from_missing_data_and_out_to_the_prior(name, make, tracks):
-    f = make(name)
-    z, mean = tracks.z.clone().requires_grad_(), tracks.prior.mean.clone().requires_grad_()
-    e = f(z, Gaussian(mean, tracks.prior.scale_tril), u=tracks.u)
-    (e.mean.square().sum() + e.log_likelihood.sum() + e.scale_tril.square().sum()).backward()
-    assert z.grad.isfinite().all()
-    assert mean.grad.isfinite().all()
-    assert (z.grad[tracks.z.isnan()] == 0).all()
-    assert (mean.grad != 0).any()
 
 
 def test_no_initial_uncertainty_has_finite_gradients(name, make, tracks):
@@ -165,12 +74,6 @@ def test_it_compiles_whole(name, make, tracks):
     same(compiled(z, tracks.prior, u=u).mean, f(z, tracks.prior, u=u).mean)
 
 
-def test_it_maps_over_tracks(name, make, tracks):
-    f = make(name)
-    mapped = torch.func.vmap(lambda z, mean: f(z, Gaussian(mean, tracks.prior.scale_tril), u=tracks.u).mean)
-    same(mapped(tracks.z, tracks.prior.mean), f(tracks.z, tracks.prior, u=tracks.u).mean, 1e-7)
-
-
 def test_it_maps_over_hyperparameters_and_takes_a_batch_of_them(name, make, tracks):
     q = torch.tensor([0.001, 0.01, 0.3], dtype=torch.float64)
     sensor = Bearings(torch.tensor([0.01, 0.02, 0.03], dtype=torch.float64).reshape(3, 1, 1).expand(3, 1, 2))
@@ -186,14 +89,6 @@ def test_it_maps_over_hyperparameters_and_takes_a_batch_of_them(name, make, trac
         lambda raw: torch.func.functional_call(f, {path: raw}, (tracks.z, tracks.prior), {"u": tracks.u}).mean
     )
     same(mapped(q.log())[1], f(tracks.z, tracks.prior, u=tracks.u).mean, 1e-7)
-
-
-def test_noise_may_come_with_the_measurements(name, make, tracks):
-    f, sharp = make(name), getattr(presets, name)(ConstantAcceleration(0.01), Bearings(0.05))
-    std = torch.full_like(tracks.z, 0.05)
-    expected = sharp(tracks.z, tracks.prior, u=tracks.u).mean
-    same(f(tracks.z, tracks.prior, u=tracks.u, std=std).mean, expected, 1e-7)
-    same(f(tracks.z, tracks.prior, u=tracks.u, noise=torch.diag_embed(std)).mean, expected, 1e-7)
 
 
 @pytest.mark.parametrize(

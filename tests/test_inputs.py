@@ -132,6 +132,54 @@ def test_models_that_give_the_wrong_shape_are_named(f, message):
         f()(Z, PRIOR)
 
 
+class Multiplying(Position):
+    """Multiplies by a matrix that does not fit."""
+
+    def forward(self, x, u=None):
+        return x @ torch.ones(3, 2).to(x)
+
+
+class Wide(ConstantVelocity):
+    """Its transition and its process noise are those of other states."""
+
+    def __init__(self, part):
+        super().__init__(1.0)
+        self.part = part
+
+    def transition(self, dt):
+        return torch.eye(6).to(dt) if self.part == "transition" else super().transition(dt)
+
+    def process_noise(self, dt):
+        return torch.eye(6).to(dt) if self.part == "noise" else super().process_noise(dt)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_errors_inside_models_tell_whose_they_are(compiled):
+    for motion, sensor, message in (
+        (MOTION, Multiplying(1.0), r"Multiplying.forward: states \(.*2\), u None: "),
+        (Wide("transition"), SENSOR, r"Wide.transition: expected \(..., 4, 4\), received \(6, 6\)"),
+        (Wide("noise"), SENSOR, r"Wide.process_noise: expected \(..., 4, r\), received \(6, 6\)"),
+    ):
+        f = presets.srckf(motion, sensor)
+        with pytest.raises((ValueError, RuntimeError), match=message):
+            (f.compile() if compiled else f)(Z, PRIOR)
+
+
+def test_values_without_entries_are_refused():
+    with pytest.raises(ValueError, match=r"threshold: expected one value or more, received none, \(0,\)"):
+        presets.rsrckf(MOTION, SENSOR, threshold=torch.zeros(0))
+
+
+def test_noise_of_missing_elements_may_leave_the_others_with_a_singular_root():
+    f = presets.srckf(MOTION, Position(noise=torch.eye(2).double()))
+    root = torch.tensor([[1.0, 2.0], [2.0, 4.0]]).double().expand(6, 2, 2)
+    with pytest.raises(ValueError, match=r"noise: expected roots .* received \[\[1.0, 2.0\], \[2.0, 4.0\]\] at \(0,\)"):
+        f(Z, PRIOR, noise=root)
+    z = Z.clone()
+    z[:, 0] = torch.nan
+    assert not f(z, PRIOR, noise=root).failed
+
+
 class Station(RangeBearing):
     """Asks for what the docstring of a sensor promises: states and what goes with a step have the same batch."""
 

@@ -14,6 +14,7 @@ LEVELS = [
     {"version"}, {"tables"}, {"angles"}, {"tree"}, {"linalg"}, {"types"}, {"hyper"}, {"state_files"}, {"coordinates"},
     {"readers"}, {"losses"}, {"metrics"},
     {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"kernel"}, {"filters"},
+    {"testing"},
     {"presets"},
     {"scenarios"}, {"catalogue"}, {"app"}, {"__init__", "__main__"},
 ]  # fmt: skip

@@ -15,14 +15,17 @@ from torchfra import (
     robust,
     scenarios,
     sensors,
+    testing,
 )
 from torchfra.app.memory import keep_memory
 from torchfra.hyper import Hyper, learnable, summary
-from torchfra.types import Estimate, Gaussian, Innovation
+from torchfra.types import Cause, Estimate, Failure, Gaussian, Innovation
 from torchfra.version import __version__ as __version__
 
 __all__ = [
+    "Cause",
     "Estimate",
+    "Failure",
     "Gaussian",
     "Hyper",
     "Innovation",
@@ -43,4 +46,5 @@ __all__ = [
     "scenarios",
     "sensors",
     "summary",
+    "testing",
 ]

@@ -81,6 +81,8 @@ class Hyper(nn.Module):
     def _unconstrained(self, value: Value, name: str) -> Tensor:
         if not isinstance(value, Tensor) or not value.is_floating_point():
             value = torch.as_tensor(value, dtype=torch.float64)
+        if 0 in value.shape[: value.dim() - self.event_dim]:
+            raise ValueError(f"{name}: expected one value or more, received none, {tuple(value.shape)}")
         if not bool(self.constraint.check(value).all()):
             raise ValueError(f"{name}: expected {_allowed(self.constraint)}, received {value.tolist()}")
         raw: Tensor = transform_to(self.constraint).inv(value.detach().clone())

@@ -25,6 +25,7 @@ Words:
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 import torch
@@ -111,6 +112,39 @@ class Innovation(NamedTuple):
     """``(...)`` log density of the elements that were seen."""
 
 
+class Cause(IntEnum):
+    """Why a track has failed."""
+
+    NONE = 0
+    """It has not."""
+    PRIOR = 1
+    """Its prior holds NaN or infinity."""
+    MEASUREMENT = 2
+    """A measurement is infinite."""
+    INPUT = 3
+    """``u`` holds NaN or infinity."""
+    VALUE = 4
+    """A hyperparameter of the filter is NaN."""
+    ARITHMETIC = 5
+    """None of these: numbers have left the range of their precision."""
+
+
+@event_ranks(step=0, cause=0)
+class Failure(NamedTuple):
+    """When and why tracks have failed."""
+
+    step: Tensor
+    """``(...)`` the first step with NaN or infinity, counted from 0; -1 for tracks that have not failed."""
+    cause: Tensor
+    """``(...)`` the number of a ``Cause``."""
+
+    def describe(self) -> list[str]:
+        """A line for each track that has failed."""
+        failed = self.step >= 0
+        each = zip(failed.nonzero().tolist(), self.step[failed].tolist(), self.cause[failed].tolist(), strict=True)
+        return [f"track {tuple(track)}: {Cause(cause).name.lower()}, step {step}" for track, step, cause in each]
+
+
 class Estimate(NamedTuple):
     """A whole track, filtered."""
 
@@ -124,6 +158,8 @@ class Estimate(NamedTuple):
     """``(..., T)`` log density of the innovation (nominal noise, seen elements)."""
     info: Any
     """What this filter adds, one tuple of ``(..., T, ...)`` tensors: see the filter."""
+    failure: Failure | None = None
+    """When and why tracks have failed; None for an estimate that no filter has made."""
 
     @property
     def covariance(self) -> Tensor:
@@ -132,7 +168,10 @@ class Estimate(NamedTuple):
 
     @property
     def failed(self) -> Tensor:
-        """``(...)`` True for each track with NaN or infinity at some step; the others went on."""
+        """``(...)`` True for each track with NaN or infinity at some step; the others went on.
+
+        ``failure`` says at which step, and why.
+        """
         finite = self.mean.isfinite().all(-1) & self.scale_tril.isfinite().flatten(-2).all(-1)
         return ~finite.all(-1)
 

@@ -137,17 +137,19 @@ class Fading(NoFading):
         h = torch.linalg.solve_triangular(
             root + torch.diag_embed(certain.to(root)), whitened.slope, upper=False, left=False
         )
+        # Both traces in units of the largest entry: in metres their gradients overflow in float32.
+        unit = h.detach().abs().amax((-2, -1))[..., None, None]
+        unit = torch.where((unit > 0) & unit.isfinite(), unit, 1.0)
         noise = h @ prediction.process_noise[..., :d, :]
         excess = memory.moment - noise @ noise.mT
         excess = excess - self.weakening(excess)[..., None, None] * torch.diag_embed(1 / weights)
-        trace_n = (gram_pinv(h, self.rcond) * excess).sum((-2, -1))  # eq. (32)
+        trace_n = (gram_pinv(h / unit, self.rcond) * excess).sum((-2, -1))  # eq. (32)
         spread = prediction.spread
         if self.trace == "position":
             spread = torch.cat([spread[..., group, :] for group in self.states], -2)
-        trace_j = spread.square().sum((-2, -1))  # eq. (33)
-        nothing = certain.any(-1) | (trace_j == 0)
-        ratio = safe_divide(trace_n, torch.where(nothing, 0.0, trace_j), fill=1.0)
-        ratio = torch.where(ratio.isfinite(), ratio, 1.0)
+        trace_j = (unit * spread).square().sum((-2, -1))  # eq. (33)
+        nothing = certain.any(-1) | ~(trace_n / trace_j).isfinite()
+        ratio = safe_divide(torch.where(nothing, 0.0, trace_n), torch.where(nothing, 0.0, trace_j), fill=1.0)
         return torch.minimum(ratio.clamp_min(1.0), self.fading_max(ratio))  # eq. (34)
 
     def inflate(self, prediction: Prediction, factor: Tensor) -> Prediction:

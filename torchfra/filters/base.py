@@ -10,9 +10,11 @@ import torch
 from torch import Tensor, nn
 
 from torchfra.filters.checks import check_lengths, check_models, check_state
+from torchfra.filters.failures import diagnose
 from torchfra.filters.loop import run
 from torchfra.filters.records import Kept, Record
-from torchfra.gaussian.inputs import Frame, Measurements, Time, batch_rank, check
+from torchfra.gaussian.arguments import check, check_belief, check_kinds
+from torchfra.gaussian.inputs import Frame, Measurements, Time, batch_rank
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
@@ -72,10 +74,10 @@ class Filter(nn.Module):
         """
         if args or options:
             super().compile(*args, **options)
-            return self
-        from torchfra.filters.compiled import Compiled
+        else:
+            from torchfra.filters.compiled import Compiled
 
-        self._kernels = Compiled()
+            self._kernels = Compiled()
         return self
 
     def init(self, prior: Gaussian) -> Any:
@@ -88,14 +90,10 @@ class Filter(nn.Module):
         Raises:
             ValueError: a shape that does not fit.
         """
-        n, (mean, root) = self.motion.size, prior
-        if mean.shape[-1:] != (n,) or root.shape[-2:] != (n, n):
-            raise ValueError(
-                f"prior: expected (..., {n}) and (..., {n}, {n}), received {tuple(mean.shape)} and {tuple(root.shape)}"
-            )
-        batch = torch.broadcast_shapes(mean.shape[:-1], root.shape[:-2])
-        batch = (1,) * (self._rank() - len(batch)) + batch
-        return self.begin(Gaussian(mean.expand((*batch, n)), tria(root).expand((*batch, n, n))))  # eq. (7)
+        n, (mean, root) = self.motion.size, check_belief(prior, size=self.motion.size)
+        batch = torch.broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * self._rank())
+        mean = mean.resolve_neg().expand((*batch, n))  # torch makes no new tensor like one that is marked as negated
+        return self.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # eq. (7)
 
     def begin(self, belief: Gaussian) -> Any:
         """The state that a belief of full batch and triangular root makes; it has a ``belief``."""
@@ -143,12 +141,11 @@ class Filter(nn.Module):
             ValueError: a shape or a value that does not fit.
         """
         measurements = Measurements(z, dt, u, std, noise)
+        frame = partial(self._frame, state, measurements)
         if self._kernels is not None and self._kernels.takes(z):
-            compiled: tuple[Any, Innovation] = self._kernels.step(
-                self, state, measurements, partial(self._frame, state, measurements)
-            )
+            compiled: tuple[Any, Innovation] = self._kernels.step(self, state, measurements, frame)
             return compiled
-        return self.observe(state, self._frame(state, measurements))
+        return self.observe(state, frame())
 
     def forward(
         self,
@@ -194,7 +191,8 @@ class Filter(nn.Module):
         else:
             state, kept = self._run(state, measurements, len(batch), checkpoint, truncate)
         belief, info = self.finish(state, kept.belief, kept.info)
-        return Estimate(*belief, kept.nis, kept.log_likelihood, info)
+        failure = diagnose(self, belief, kept.log_likelihood, measurements, prior)
+        return Estimate(*belief, kept.nis, kept.log_likelihood, info, failure)
 
     def keep(self, state: Any, frame: Frame) -> tuple[Any, Kept]:
         """One step on a prepared frame: the next state, and what the estimate holds of it."""
@@ -218,23 +216,23 @@ class Filter(nn.Module):
 
     def _frame(self, state: Any, measurements: Measurements) -> Frame:
         """The frame of a single step, checked."""
-        check_state(state)
-        track = measurements.as_track(scans=self.scans)
-        track = track._replace(z=track.z.to(state.belief.mean))
-        batch, mean = self._batch(track, state.belief), state.belief.mean
+        check_state(self, state)
+        check_kinds(measurements)
+        track, mean = measurements.as_track(scans=self.scans), state.belief.mean
+        batch = self._batch(track, state.belief, "state.belief")
+        track = track._replace(z=track.z.to(mean))
         expected = mean.shape[: mean.dim() - 1 - self.scans]
         if batch != expected:
             raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, this is of {tuple(expected)}")
-        (frame,), _ = self._frames(track, mean.dim() - 1)
-        return frame
+        return self._frames(track, mean.dim() - 1)[0][0]
 
     def _rank(self) -> int:
         """Batch dimensions there are at least."""
         return max(batch_rank(self), int(self.scans))
 
-    def _batch(self, measurements: Measurements, prior: Gaussian) -> torch.Size:
-        """The batch of all that was handed in, checked, with as many dimensions as the hyperparameters have."""
-        batch = check(measurements, prior, self.motion, self.sensor, scans=self.scans)
+    def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
+        """The batch of all, checked, with the dimensions of the hyperparameters; messages call the prior ``name``."""
+        batch = check(measurements, prior, self.motion, self.sensor, scans=self.scans, name=name)
         return torch.Size((1,) * (self._rank() - self.scans - len(batch))) + batch
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from torch import Tensor
+
+from torchfra.gaussian.arguments import check_belief
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
+from torchfra.types import Gaussian
 
 
 def check_models(motion: Motion, sensor: Sensor) -> None:
@@ -36,14 +40,28 @@ def check_sides(**sides: tuple[Any, type]) -> None:
             raise ValueError(f"{name}: expected {expected}, received {type(side).__name__}")
 
 
-def check_state(state: Any) -> None:
-    """Checks that this is the state of a filter.
+def check_state(f: Any, state: Any) -> None:
+    """Checks that this is a state that a filter has made, or one of the same form.
 
     Raises:
-        ValueError: it is something else, a prior say.
+        ValueError: it is something else, a prior or the state of another filter say.
     """
-    if not hasattr(state, "belief"):
+    if not isinstance(getattr(state, "belief", None), Gaussian):
         raise ValueError(f"state: expected what init or step has returned, received {type(state).__name__}")
+    check_belief(state.belief, "state.belief", size=f.motion.size)
+    if not _fits(f.begin(state.belief), state):
+        expected = f"one that init or step of this {type(f).__name__} has returned"
+        raise ValueError(f"state: expected {expected}, received a {type(state).__name__} of another filter")
+
+
+def _fits(made: Any, state: Any) -> bool:
+    """Whether a state has the form of one that a filter has made of the same belief."""
+    if isinstance(made, Tensor):
+        sizes = zip(reversed(made.shape), reversed(getattr(state, "shape", (None,))), strict=False)
+        return isinstance(state, Tensor) and all(a == b or 1 in (a, b) for a, b in sizes)
+    if not isinstance(made, tuple):
+        return made is None or type(state) is type(made)
+    return type(state) is type(made) and len(state) == len(made) and all(map(_fits, made, state))
 
 
 def check_lengths(**lengths: int | None) -> None:
@@ -53,5 +71,5 @@ def check_lengths(**lengths: int | None) -> None:
         ValueError: names the first that is not.
     """
     for name, length in lengths.items():
-        if length is not None and length < 1:
-            raise ValueError(f"{name}: expected at least 1 step, received {length}")
+        if length is not None and not (isinstance(length, int) and length >= 1):
+            raise ValueError(f"{name}: expected at least 1 step, received {length!r}")

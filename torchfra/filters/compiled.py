@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd import forward_ad
 
+from torchfra.gaussian.arguments import check_seconds, check_values
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.hyper import Hyper
 from torchfra.kernel.entries import Entries
@@ -18,7 +19,7 @@ from torchfra.kernel.run import BUILDING, Kernels
 from torchfra.kernel.source import SCALARS
 from torchfra.kernel.step import Input, Step, frozen
 from torchfra.linalg.tracing import is_traced
-from torchfra.tree import flatten, ranks
+from torchfra.tree import flatten, map_tensors, ranks
 from torchfra.types import Gaussian, Innovation
 
 
@@ -45,6 +46,8 @@ class _Plan(NamedTuple):
     batch: torch.Size
     shapes: list[torch.Size]
     """Of what a kernel is given: leaves of the state, data, values, all with the full batch."""
+    counts: bool
+    """Whether some of what is kept of a step are whole numbers."""
 
 
 class _Version:
@@ -98,7 +101,8 @@ class _Version:
         if key not in self.kernels:
             self.kernels[key] = Kernels(Step(self.frozen, _begin, advance, inputs, dtype, timed[0]))
         kernels = self.kernels[key]
-        return _Plan(kernels, batch, [batch + zero.shape for zero in kernels.step.zero] + shapes)
+        counts = any(not (x.is_floating_point() or x.dtype == torch.bool) for x in flatten(kernels.step.record))
+        return _Plan(kernels, batch, [batch + zero.shape for zero in kernels.step.zero] + shapes, counts)
 
     def run(
         self, plan: _Plan, steps: int, state: Any, data: Sequence[Tensor | None], *options: int | None
@@ -110,7 +114,13 @@ class _Version:
             x if x.shape == shape and x.dtype == dtype and x.is_cpu else x.to("cpu", dtype).expand(shape)
             for x, shape in zip(tensors, plan.shapes, strict=True)
         ]
-        return plan.kernels.run(plan.batch, steps, full[: len(leaves)], full[len(leaves) :], *options)
+        state, record = plan.kernels.run(plan.batch, steps, full[: len(leaves)], full[len(leaves) :], *options)
+        return state, map_tensors(_whole, record, plan.kernels.step.record) if plan.counts else record
+
+
+def _whole(x: Tensor, like: Tensor) -> Tensor:
+    """A count, which kernels hold as a floating point number, as the whole number that it is."""
+    return x if like.is_floating_point() else x.to(like.dtype)
 
 
 def _event(module: nn.Module, part: dict[str, Any], x: Any) -> int | None:
@@ -157,10 +167,11 @@ class Compiled:
         return held
 
     @staticmethod
-    def takes(z: Tensor) -> bool:
-        """Whether kernels can work on it: on the CPU, and not inside ``torch.compile`` or a transform."""
+    def takes(z: Any) -> bool:
+        """Whether kernels can work on it: a tensor on the CPU, and not inside ``torch.compile`` or a transform."""
         return (
-            z.is_cpu
+            isinstance(z, Tensor)
+            and z.is_cpu
             and z.dtype in SCALARS
             and not is_traced(z)
             and torch._C._functorch.peek_interpreter_stack() is None
@@ -190,15 +201,15 @@ class Compiled:
         ``check`` is called unless a call of the same shapes has passed it before.
         """
         z, dt, *rest = measurements
-        seconds = dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype)
-        data = (z, seconds, *rest)
         now = self._now(f)
-        mean = state.belief.mean
-        shapes = [None if x is None else x.shape for x in (*data, *(value() for value in now.values))]
-        form = (z.dtype, mean.dtype, mean.shape, *shapes)
+        tensors = (z, dt, *rest, *flatten(state), *(value() for value in now.values))
+        form = (type(state), *((x.shape, x.dtype) if isinstance(x, Tensor) else type(x) for x in tensors))
         plan = now.steps.get(form)
-        if plan is None or not (isinstance(dt, float) and dt > 0):
+        if plan is None:
             check()
+        elif isinstance(dt, Tensor) or measurements.std is not None or measurements.noise is not None:
+            check_values(measurements.as_track())
+        data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype), *rest)
         if plan is None:
             with BUILDING:
                 if len(now.steps) == _FORMS:
@@ -209,6 +220,8 @@ class Compiled:
 
 @lru_cache(maxsize=64)
 def _seconds(dt: float, dtype: torch.dtype) -> Tensor:
+    """A time step that is known to be above 0 and finite."""
+    check_seconds(dt, dtype)
     return torch.tensor(dt, dtype=dtype)
 
 

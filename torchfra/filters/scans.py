@@ -33,9 +33,9 @@ class ScanFilter(Filter):
             raise CompileError(f"{name}: a scan has too many joint events for a kernel; run it without compile()")
         return super().compile(*args, **options)
 
-    def _batch(self, measurements: Measurements, prior: Gaussian) -> torch.Size:
+    def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """The batch of scenes, checked; targets are no part of it."""
-        batch = super()._batch(measurements, prior)
+        batch = super()._batch(measurements, prior, name)
         count = prior.mean.shape[-2]
         for path, hyper in hypers(self).items():
             if hyper.batch_rank and hyper.raw.shape[-1 - hyper.event_dim] not in (1, count):

@@ -1,4 +1,4 @@
-"""What a filter is given: checked once, and turned into what each step needs to know before it has a belief."""
+"""What a filter is given, turned into what each step needs to know before it has a belief."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ from torch import Tensor, nn
 
 from torchfra import tree
 from torchfra.hyper import hypers
-from torchfra.linalg.tracing import is_traced
 from torchfra.motion.base import Adaptation, Motion
 from torchfra.sensors.base import MeasurementNoise, Sensor
 from torchfra.tree import event_ranks
-from torchfra.types import Gaussian
 
 Time = float | Tensor
 
@@ -93,6 +91,7 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
     measurement_noise = sensor.measurement_noise(z, std, noise)
     shift = motion.shift(dt, u)
     models = (motion.transition(dt) if motion.linear else None, motion.process_noise(dt), motion.adaptation(dt))
+    _check_models(motion, shift, *models[:2])
     varying_shift = shift is not None and shift.dim() > rank + 1 + motion.stacked
     steps = len(z)
 
@@ -111,83 +110,23 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
     return frames, measurement_noise.log_norm
 
 
+def _check_models(motion: Motion, shift: Tensor | None, transition: Tensor | None, noise: Tensor) -> None:
+    """Checks the shapes of what a motion gives for a step.
+
+    Raises:
+        ValueError: names the motion, the shape that was expected and the one that came.
+    """
+    n = motion.size
+    given = {"shift": (shift, (n,)), "transition": (transition, (n, n)), "process_noise": (noise, (n, "r"))}
+    for name, (x, shape) in given.items():
+        if x is None:
+            continue
+        received = tuple(x.shape[-len(shape) :])
+        if len(received) < len(shape) or received[0] != n or received[-1] != shape[-1] != "r":
+            expected = ", ".join(map(str, shape))
+            raise ValueError(f"{type(motion).__name__}.{name}: expected (..., {expected}), received {tuple(x.shape)}")
+
+
 def batch_rank(module: nn.Module) -> int:
     """Batch dimensions that the hyperparameters of a filter bring."""
     return max([0, *(hyper.batch_rank for hyper in hypers(module).values())])
-
-
-def check(
-    measurements: Measurements, prior: Gaussian, motion: Motion, sensor: Sensor, *, scans: bool = False
-) -> torch.Size:
-    """The batch of what a user hands in, once shapes and values are known to fit.
-
-    Args:
-        measurements: of whole tracks.
-        prior: ``(..., n)`` and ``(..., n, n)``.
-        motion: gives ``n``.
-        sensor: gives ``m``.
-        scans: whether measurements are ``(..., T, J, m)`` and priors ``(..., N, n)``; targets are no part of the batch.
-
-    Raises:
-        ValueError: names the argument, the shape that was expected and the one that came.
-    """
-    z, dt = measurements.z, measurements.dt
-    if not isinstance(prior, Gaussian):
-        raise ValueError(f"prior: expected a Gaussian, received {type(prior).__name__}")
-    if not isinstance(dt, (int, float, Tensor)):
-        raise ValueError(f"dt: expected a number or a tensor, received {type(dt).__name__}: take torch.as_tensor(dt)")
-    for name in ("z", "u", "std", "noise"):
-        x = getattr(measurements, name)
-        if not (isinstance(x, Tensor) or (x is None and name != "z")):
-            raise ValueError(f"{name}: expected a tensor, received {type(x).__name__}: take torch.as_tensor({name})")
-    batch = _batches(measurements, prior, motion.size, sensor.size, scans)
-    if scans and prior.scale_tril.dim() > 2 and prior.scale_tril.shape[-3] != prior.mean.shape[-2]:
-        count = prior.mean.shape[-2]
-        raise ValueError(
-            f"prior.scale_tril: expected one for each of {count} targets, received {tuple(prior.scale_tril.shape)}"
-        )
-    if isinstance(dt, Tensor):
-        steps = z.shape[-2 - scans]
-        if dt.dim() and dt.shape[-1] not in (1, steps):
-            raise ValueError(f"dt: expected a number or (..., {steps}) or (..., 1), received {tuple(dt.shape)}")
-        batch["dt"] = dt.shape[:-1]
-    positive = dt > 0 if not isinstance(dt, Tensor) else is_traced(dt) or bool((dt > 0).all())
-    if not positive:
-        raise ValueError(f"dt: expected seconds above 0, received {dt}")
-    try:
-        return torch.Size(torch.broadcast_shapes(*batch.values()))
-    except RuntimeError:
-        received = ", ".join(f"{name} {tuple(shape)}" for name, shape in batch.items())
-        raise ValueError(f"batch: expected shapes that broadcast, received {received}") from None
-
-
-def _batches(measurements: Measurements, prior: Gaussian, n: int, m: int, scans: bool) -> dict[str, torch.Size]:
-    """The batch of each argument, once its event is known to fit."""
-    z, _, u, std, noise = measurements
-    if not z.is_floating_point():
-        raise ValueError(f"z: expected floating point numbers, received {z.dtype}")
-    rank = 2 + scans
-    if z.dim() < rank or z.shape[-1] != m or 0 in z.shape[-rank:]:
-        raise ValueError(f"z: expected (..., T, {'J, ' if scans else ''}{m}), received {tuple(z.shape)}")
-    steps, per_scan = z.shape[-rank], tuple(z.shape[-2:-1]) if scans else ()
-    targets = (None,) if scans else ()
-    root = (*targets, n, n) if prior.scale_tril.dim() > 2 else (n, n)
-    batch = {"z": z.shape[:-rank]}
-    for name, x, shape in (
-        ("prior.mean", prior.mean, (*targets, n)),
-        ("prior.scale_tril", prior.scale_tril, root),
-        ("u", u, (steps, None)),
-        ("std", std, (steps, *per_scan, m)),
-        ("noise", noise, (steps, *per_scan, m, m)),
-    ):
-        if x is None:
-            continue
-        fits = x.dim() >= len(shape) and all(
-            wanted is None or size == wanted for size, wanted in zip(x.shape[-len(shape) :], shape, strict=True)
-        )
-        if not fits:
-            unknown = "N" if name.startswith("prior") else "k"
-            wanted = ", ".join(unknown if size is None else str(size) for size in shape)
-            raise ValueError(f"{name}: expected (..., {wanted}), received {tuple(x.shape)}")
-        batch[name] = x.shape[: x.dim() - len(shape)]
-    return batch

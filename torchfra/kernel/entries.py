@@ -23,7 +23,8 @@ class Entries(Tensor):
 
     Args:
         book: where the expressions are written.
-        ids: int64, the numbers of the entries' expressions.
+        ids: int64, the numbers of the entries' expressions.  Views share them, so that a write in place reaches the
+            tensor that is viewed, as in torch.
         dtype: of the tensor they stand for.
     """
 
@@ -32,8 +33,10 @@ class Entries(Tensor):
 
     @staticmethod
     def __new__(cls, book: Expressions, ids: Tensor, dtype: torch.dtype) -> Entries:  # noqa: D102
-        made: Entries = Tensor._make_wrapper_subclass(cls, ids.shape, dtype=dtype)
-        made.book, made.ids = book, ids.contiguous()
+        made: Entries = Tensor._make_wrapper_subclass(
+            cls, ids.shape, strides=ids.stride(), storage_offset=ids.storage_offset(), dtype=dtype
+        )
+        made.book, made.ids = book, ids
         return made
 
     def __init__(self, book: Expressions, ids: Tensor, dtype: torch.dtype) -> None:

@@ -16,7 +16,7 @@ from torch.utils._pytree import tree_flatten, tree_map
 
 from torchfra.kernel.entries import Entries, as_entries, from_numbers, unsupported
 from torchfra.kernel.entrywise import integer, number, truth_value
-from torchfra.kernel.expressions import Expressions
+from torchfra.kernel.expressions import ZERO, Expressions
 
 aten = torch.ops.aten
 
@@ -31,7 +31,7 @@ MOVES = _overloads(
     aten.split_with_sizes, aten.flip, aten.roll, aten.repeat, aten.index, aten.index_select, aten.gather,
     aten.clone, aten.alias, aten.detach, aten.conj_physical, aten._conj, aten.real, aten.broadcast_tensors,
     aten.diagonal, aten.diag_embed, aten.tril, aten.triu, aten.slice_scatter, aten.select_scatter,
-    aten.diagonal_scatter, aten.slice_backward, aten.select_backward, aten.diagonal_backward,
+    aten.diagonal_scatter, aten.as_strided, aten.slice_backward, aten.select_backward, aten.diagonal_backward,
 )  # fmt: skip
 """Operations that only move entries, or put zeros between them."""
 
@@ -59,6 +59,7 @@ def move(book: Expressions, func: Any, args: Any, kwargs: Any) -> Any:
     def ids(x: Any) -> Any:
         return as_entries(book, x).ids if is_moved(x) else x
 
+    func = aten.reshape.default if func in (aten.view.default, aten._unsafe_view.default) else func
     dtype = reduce(torch.promote_types, (x.dtype for x in tree_flatten(args)[0] if is_moved(x)))
     moved = func(*tree_map(ids, args), **{k: v for k, v in kwargs.items() if k not in _LAYOUT})
     return tree_map(lambda x: Entries(book, x, dtype), moved)
@@ -66,7 +67,7 @@ def move(book: Expressions, func: Any, args: Any, kwargs: Any) -> Any:
 
 def shaped(book: Expressions, func: Any, args: Any, kwargs: Any) -> Any:
     """Makes a tensor of known values that needs nothing but the shape of its argument."""
-    return func(*tree_map(_zeros, args), **kwargs)
+    return Entries.constants(book, func(*tree_map(_zeros, args), **kwargs))
 
 
 def _zeros(x: Any) -> Any:
@@ -81,10 +82,21 @@ def _scatter(book: Expressions, x: Tensor, dim: int, index: Tensor, source: Tens
     return torch.stack(parts, dim)
 
 
+def _index_put(book: Expressions, x: Tensor, indices: Any, values: Any, accumulate: bool = False) -> Entries:
+    """Puts entries to known indices, or adds them to what is there."""
+    if any(isinstance(i, Entries) for i in indices):
+        raise unsupported("index_put", "the index depends on data; choose by torch.where")
+    places = torch.arange(x.numel()).reshape(x.shape)[tuple(slice(None) if i is None else i for i in indices)]
+    numbers, new = as_entries(book, x).ids.flatten().tolist(), as_entries(book, values).ids.expand(places.shape)
+    for place, value in zip(places.flatten().tolist(), new.flatten().tolist(), strict=True):
+        numbers[place] = book.apply("add", numbers[place], value) if accumulate else value
+    return from_numbers(book, numbers, x.shape, x.dtype)
+
+
 def cast(book: Expressions, x: Entries, *, dtype: torch.dtype | None = None, **_: Any) -> Entries:
     """Entries in another dtype; all numbers of a kernel have one precision."""
     if dtype is None or dtype == x.dtype or (dtype.is_floating_point and x.dtype.is_floating_point):
-        return Entries(book, x.ids, dtype or x.dtype)
+        return Entries(book, x.ids.clone(), dtype or x.dtype)
     convert = truth_value if dtype == torch.bool else number if dtype.is_floating_point else integer
     return from_numbers(book, [convert(book, i) for i in x.ids.flatten().tolist()], x.shape, dtype)
 
@@ -102,6 +114,21 @@ def _clamp(book: Expressions, x: Tensor, low: Any = None, high: Any = None) -> T
     return x if high is None else x.clamp_max(high)
 
 
+def _laid_out(book: Expressions, x: Tensor, shape: Sequence[int], strides: Sequence[int], **_: Any) -> Entries:
+    """A new tensor of this layout, all 0."""
+    return Entries(book, torch.empty_strided(shape, strides, dtype=torch.int64).fill_(ZERO), x.dtype)
+
+
+def _laid_out_like(book: Expressions, x: Tensor, other: Tensor, **_: Any) -> Entries:
+    """The same with the layout of another tensor."""
+    return _laid_out(book, x, other.shape, other.stride())
+
+
+def _copied(book: Expressions, x: Tensor, source: Tensor, *_: Any) -> Entries:
+    """What ``copy_`` writes into a tensor."""
+    return as_entries(book, source)
+
+
 def _same_shape(book: Expressions, a: Tensor, b: Tensor) -> bool:
     return a.shape == b.shape
 
@@ -111,8 +138,10 @@ def _same_size(book: Expressions, a: Tensor, b: Tensor) -> bool:
 
 
 OTHERS: dict[Any, Callable[..., Any]] = {
-    aten.scatter.src: _scatter, aten.constant_pad_nd.default: _pad, aten.clamp.default: _clamp,
+    aten.scatter.src: _scatter, aten.index_put.default: _index_put, aten.copy.default: _copied,
+    aten.constant_pad_nd.default: _pad, aten.clamp.default: _clamp,
     aten._to_copy.default: cast, aten.to.dtype_layout: cast, aten.to.dtype: _cast_to,
+    aten.new_empty_strided.default: _laid_out, aten._new_zeros_with_same_feature_meta.default: _laid_out_like,
     aten.is_same_size.default: _same_shape, aten._has_same_storage_numel.default: _same_size,
 }  # fmt: skip
 """Operations on entries with a function of their own."""

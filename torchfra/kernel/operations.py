@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch._decomp import decomposition_table
 
-from torchfra.kernel.entries import RULES, Entries, Rule, unsupported
+from torchfra.kernel.entries import RULES, Entries, Rule, as_entries, unsupported
 from torchfra.kernel.entrywise import ENTRYWISE, entrywise
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.moves import MOVES, OTHERS, SHAPES, cast, move, shaped
@@ -38,10 +38,10 @@ def _in_place(functional: Any) -> Rule:
 
     def rule(book: Expressions, func: Any, args: Any, kwargs: Any) -> Entries:
         target = args[0]
-        if not isinstance(target, Entries) or target._is_view():
-            raise unsupported(func, "it changes a view or a tensor of known values in place; make a new one")
-        result = RULES[functional](book, functional, args, kwargs)
-        target.ids = cast(book, result, dtype=target.dtype).ids.expand(target.shape).contiguous()
+        if not isinstance(target, Entries):
+            raise unsupported(func, "it changes a tensor of known values in place; make a new one")
+        result = as_entries(book, RULES[functional](book, functional, args, kwargs))
+        target.ids.copy_(cast(book, result, dtype=target.dtype).ids)
         return target
 
     return rule

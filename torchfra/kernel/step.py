@@ -12,6 +12,7 @@ from torch import Tensor, nn
 import torchfra.kernel.operations  # noqa: F401  fills the table of operations that Entries look up
 from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import ZERO, Expressions
+from torchfra.kernel.refusals import gradient_refusals_of, refusals_of
 from torchfra.kernel.source import Port, Scan
 from torchfra.linalg.tracing import elementary
 from torchfra.tree import flatten, unflatten
@@ -129,7 +130,8 @@ class Step:
         for name in (name for name, kind in self.inputs.items() if kind.value):
             _replace(module, name, inputs[name])
         data = {name: inputs[name] for name, kind in self.inputs.items() if not kind.value}
-        with elementary(), torch.set_grad_enabled(differentiable):
+        name = type(module).__name__
+        with refusals_of(name), elementary(), torch.set_grad_enabled(differentiable):
             state, record = self._advance(module, unflatten(self.state, iter(before)), data)
         after, kept = (tuple(as_entries(book, x) for x in flatten(tree)) for tree in (state, record))
         if [x.shape for x in after] != [x.shape for x in zero]:
@@ -156,6 +158,11 @@ class Step:
         Reads the inputs, the state before each step and the gradients of the record, where ``graded``.  Carries the
         gradients of the state and of the ``needed`` inputs without time, and writes those of the inputs with time.
         """
+        of = f"{type(self._module).__name__}, gradient of {', '.join(['the state', *needed])}"
+        with gradient_refusals_of(of, lambda: self._adjoint(graded, needed)):
+            return self._adjoint(graded, needed)
+
+    def _adjoint(self, graded: Sequence[bool], needed: Sequence[str]) -> Scan:
         trace = self._trace(self.zero, differentiable=True)
         book, states = trace.book, len(trace.before)
         after = _carried(book, self.zero, self.dtype)

@@ -134,7 +134,14 @@ class Motion(nn.Module):
         """
         if self.linear:
             return self.forward(x, dt, u)
-        after = self.forward(x, dt.expand(x.shape[:-1]), u if u is None else u.expand(*x.shape[:-1], -1))
+        u = u if u is None else u.expand(*x.shape[:-1], -1)
+        try:
+            after = self.forward(x, dt.expand(x.shape[:-1]), u)
+        except NotImplementedError:  # of a kernel, which tells by itself
+            raise
+        except (RuntimeError, IndexError) as error:
+            given = f"states {tuple(x.shape)}, u {None if u is None else tuple(u.shape)}"
+            raise type(error)(f"{type(self).__name__}.forward: {given}: {error}") from error
         if after.dim() < x.dim() or after.shape[-1] != self.size:
             expected, received = tuple(x.shape), tuple(after.shape)
             raise ValueError(f"{type(self).__name__}.forward: expected states {expected}, received {received}")

@@ -114,7 +114,14 @@ class Sensor(nn.Module):
 
         Rules call this.
         """
-        z = self.forward(x, u if u is None else u.expand(*x.shape[:-1], -1))
+        u = u if u is None else u.expand(*x.shape[:-1], -1)
+        try:
+            z = self.forward(x, u)
+        except NotImplementedError:  # of a kernel, which tells by itself
+            raise
+        except (RuntimeError, IndexError) as error:
+            given = f"states {tuple(x.shape)}, u {None if u is None else tuple(u.shape)}"
+            raise type(error)(f"{type(self).__name__}.forward: {given}: {error}") from error
         if z.dim() < x.dim() or z.shape[-1] != self.size:
             expected, received = (*x.shape[:-1], self.size), tuple(z.shape)
             raise ValueError(f"{type(self).__name__}.forward: expected measurements {expected}, received {received}")

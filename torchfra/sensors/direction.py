@@ -49,7 +49,7 @@ class Bearings(Sensor):
         else:
             if u is None or u.shape[-1] < 2 * self.size:
                 expected = f"the positions of {self.size} stations, (..., {2 * self.size})"
-                raise ValueError(f"u: expected {expected}, received {None if u is None else tuple(u.shape)}")
+                raise ValueError(f"u: expected {expected}, received {None if u is None else f'(..., {u.shape[-1]})'}")
             stations = u[..., : 2 * self.size].unflatten(-1, (self.size, 2))
         offset = x[..., None, :2] - stations
         return torch.atan2(offset[..., 0], offset[..., 1])

@@ -89,7 +89,7 @@ class Ranges(Sensor):
         each = self.reads if self.height is None else 3
         if u is None or u.shape[-1] < each * self.size:
             expected = f"the positions of {self.size} anchors, (..., {each * self.size})"
-            raise ValueError(f"u: expected {expected}, received {None if u is None else tuple(u.shape)}")
+            raise ValueError(f"u: expected {expected}, received {None if u is None else f'(..., {u.shape[-1]})'}")
         places: Tensor = u[..., : each * self.size].unflatten(-1, (self.size, each))
         return places
 

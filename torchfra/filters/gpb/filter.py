@@ -107,10 +107,11 @@ class GPB(GaussianFilter):
         """The motions."""
         return self.motion  # type: ignore[return-value]
 
-    def _batch(self, measurements: Measurements, prior: Gaussian) -> torch.Size:
+    def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """The batch of all that was handed in, checked."""
+        batch = super()._batch(measurements, prior, name)
         self.qualities.check_noise("noise", measurements.noise)
-        return super()._batch(measurements, prior)
+        return batch
 
     def begin(self, belief: Gaussian) -> GPBState:
         """The state of a belief: as it is, and widened, for every motion."""

@@ -1,0 +1,120 @@
+"""Every filter keeps what filters promise: the battery that users have for their own."""
+
+import copy
+
+import pytest
+import torch
+
+from torchfra import presets
+from torchfra.catalogue import FILTERS
+from torchfra.filters import SRCKF
+from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity
+from torchfra.sensors import Position, Sensor
+from torchfra.testing import CHECKS, check_filter
+
+NAMES = [name for name, entry in FILTERS.items() if entry.preset is not presets.imm_ckf]
+
+
+def preset(name, scenario, crossing):
+    """A filter of the catalogue with tracks for it."""
+    entry = FILTERS[name]
+    if entry.scans:
+        options = {"clutter": crossing.clutter, "detection": crossing.detection}
+        tracks = crossing.simulate(3, 0)
+        return entry.preset(crossing.motion, crossing.sensor, **options), {"z": tracks.z, "prior": tracks.prior}
+    if entry.constant_gains:
+        return entry.preset(ConstantVelocity(1.0), Position(2.0)), {}
+    tracks = scenario.simulate(3, 0)
+    motions = Bank([copy.deepcopy(scenario.motion), ConstantAcceleration(1.0)], neighbours=[[1], [0]], first=[0, 1])
+    f = entry.preset(motions if entry.bank else copy.deepcopy(scenario.motion), copy.deepcopy(scenario.sensor))
+    return f, {"z": tracks.z, "prior": tracks.prior, "u": tracks.u}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_filter_keeps_what_filters_promise(name, scenario, crossing, request):
+    f, tracks = preset(name, scenario, crossing)
+    report = check_filter(f, **tracks, thorough=request.config.getoption("--thorough"))
+    assert len(report.of("passed")) > 15
+    skipped = {outcome.way for outcome in report.of("skipped")}
+    assert skipped == ({"compiled"} if FILTERS[name].scans else set())
+
+
+# ---------------------------------------------------------------- the battery finds what is broken
+
+
+class Deaf(SRCKF):
+    """Does not hear the noise that comes with measurements."""
+
+    def forward(self, z, prior, *, std=None, noise=None, **options):
+        return super().forward(z, prior, **options)
+
+
+class Reckless(SRCKF):
+    """Lets everything in."""
+
+    def _batch(self, measurements, prior, name="prior"):
+        return torch.Size(torch.broadcast_shapes(measurements.z.shape[:-2], prior.mean.shape[:-1]))
+
+
+class Mixing(Sensor):
+    """The tracks of a batch are not independent."""
+
+    def __init__(self):
+        super().__init__(2, [False, False], 2.0)
+
+    def forward(self, x, u=None):
+        return x[..., :2] - x[..., :2].mean()
+
+
+class Stuck(Position):
+    """Its gradient is lost on the way."""
+
+    def forward(self, x, u=None):
+        return super().forward(x).detach()
+
+
+class Looking(Position):
+    """Decides in Python by what it sees."""
+
+    def forward(self, x, u=None):
+        return super().forward(x) if x.sum() > 0 else super().forward(-x)
+
+
+MOTION = ConstantVelocity(1.0)
+
+
+@pytest.mark.parametrize(
+    ("f", "name"),
+    [
+        (lambda: Deaf(MOTION, Position(2.0)), "noise_may_come_with_the_measurements"),
+        (lambda: Reckless(MOTION, Position(2.0)), "time_steps_must_be_seconds_above_zero"),
+        (lambda: Reckless(MOTION, Position(2.0)), "noise_must_be_positive_and_finite"),
+        (lambda: SRCKF(MOTION, Mixing()), "a_single_track_needs_no_batch_and_no_company"),
+        (lambda: SRCKF(MOTION, Stuck(2.0)), "gradients_are_those_of_small_differences"),
+        (lambda: SRCKF(MOTION, Looking(2.0)), "compiled_gives_what_eager_gives"),
+        (lambda: SRCKF(MOTION, Looking(2.0)), "it_maps_over_tracks"),
+    ],
+)
+def test_a_broken_filter_is_found_and_named(f, name):
+    with pytest.raises(AssertionError, match=rf"{type(f()).__name__}: .*checks failed\n{name}, .*: expected"):
+        check_filter(f(), only=[name])
+    check_filter(SRCKF(MOTION, Position(2.0)), only=[name])
+
+
+def test_a_report_tells_what_passed_and_what_was_skipped_and_why(crossing):
+    names = ["it_maps_over_tracks", "no_tracks_are_no_error"]
+    f, tracks = preset("jpda", None, crossing)
+    report = check_filter(f, **tracks, only=names)
+    assert [(o.check, o.way) for o in report.of("passed")] == [(name, "eager") for name in names]
+    assert all("not compiled" in outcome.reason for outcome in report.of("skipped"))
+    assert str(report).startswith("JPDA\ncheck")
+    assert len(check_filter(f, **tracks, only=names, compiled=False).outcomes) == 2
+
+
+def test_checks_and_tracks_are_checked_themselves():
+    f = SRCKF(MOTION, Position(2.0))
+    with pytest.raises(ValueError, match=r"only, skip: expected names of testing\.CHECKS, received all"):
+        check_filter(f, only=["all"])
+    with pytest.raises(ValueError, match="z, prior: expected both or neither"):
+        check_filter(f, torch.zeros(3, 6, 2))
+    assert all(check.function.__doc__ for check in CHECKS.values())

@@ -1,0 +1,63 @@
+"""When and why a track has failed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra.gaussian.inputs import Measurements
+from torchfra.hyper import hypers
+from torchfra.linalg.tracing import is_traced
+from torchfra.types import Cause, Failure, Gaussian
+
+
+def diagnose(f: Any, belief: Gaussian, log_likelihood: Tensor, measurements: Measurements, prior: Gaussian) -> Failure:
+    """At which step each track of a sequence has failed, and why.
+
+    Args:
+        f: the filter.
+        belief: ``(..., T, n)`` estimates.
+        log_likelihood: ``(..., T)``.
+        measurements: that the filter was given.
+        prior: likewise.
+    """
+    mean, root = (x.detach() for x in belief)
+    scores, tracks = log_likelihood.detach(), mean.shape[:-2]
+    if not is_traced(mean, scores):
+        # What is not finite at a step makes that of the next one's score; sums show it without a look at every root.
+        total = scores.sum() + mean[..., -1, :].sum() + root[..., -1, :, :].sum()
+        if bool(total.isfinite()):
+            none = torch.zeros((), dtype=torch.int64, device=mean.device).expand(tracks)
+            return Failure(none - 1, none)
+    bad = _broken(mean, root)
+    step = torch.where(bad.any(-1), bad.to(torch.int64).argmax(-1), -1)
+    reasons = {
+        Cause.PRIOR: _broken(*prior),
+        Cause.MEASUREMENT: _by_then(measurements.z.isinf().flatten(-1 - f.scans).any(-1), step, f.scans),
+        Cause.VALUE: torch.stack([bad.new_zeros(()), *(h().isnan().any() for h in hypers(f).values())]).any(),
+    }
+    if measurements.u is not None:
+        reasons[Cause.INPUT] = _by_then(~measurements.u.isfinite().all(-1), step, f.scans)
+    cause = torch.full_like(step, Cause.ARITHMETIC)
+    for reason in sorted(reasons, reverse=True):
+        cause = torch.where(reasons[reason], int(reason), cause)
+    return Failure(step, torch.where(step < 0, int(Cause.NONE), cause))
+
+
+def _broken(mean: Tensor, root: Tensor) -> Tensor:
+    """``(...)`` where a belief is not finite."""
+    return ~(mean.isfinite().all(-1) & root.isfinite().flatten(-2).all(-1))
+
+
+def _by_then(bad: Tensor, step: Tensor, scans: bool) -> Tensor:
+    """``(...)`` whether anything was bad until the step after ``step``, which may have settled it.
+
+    Args:
+        bad: ``(..., T)``, of scans without the targets that ``step`` has.
+        step: ``(...)``.
+        scans: whether targets are the last dimension of ``step``.
+    """
+    bad = bad.unsqueeze(-2) if scans else bad
+    return (bad & (torch.arange(bad.shape[-1], device=bad.device) <= step.unsqueeze(-1) + 1)).any(-1)

@@ -1,0 +1,194 @@
+"""What a user hands to a filter, checked before any work."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra.gaussian.inputs import Measurements, Time
+from torchfra.linalg.tracing import is_traced
+from torchfra.linalg.triangular import hstack, tria
+from torchfra.motion.base import Motion
+from torchfra.sensors.base import Sensor
+from torchfra.types import Gaussian
+
+PRECISIONS = (torch.float32, torch.float64)
+
+
+def check(
+    measurements: Measurements,
+    prior: Gaussian,
+    motion: Motion,
+    sensor: Sensor,
+    *,
+    scans: bool = False,
+    name: str = "prior",
+) -> torch.Size:
+    """The batch of what a user hands in, once kinds, shapes and values are known to fit.
+
+    Args:
+        measurements: of whole tracks.
+        prior: ``(..., n)`` and ``(..., n, n)``.
+        motion: gives ``n``.
+        sensor: gives ``m``.
+        scans: whether measurements are ``(..., T, J, m)`` and priors ``(..., N, n)``; targets are no part of the batch.
+        name: what error messages call the prior.
+
+    Raises:
+        ValueError: names the argument, what was expected and what came.
+    """
+    check_belief(prior, name)
+    check_kinds(measurements)
+    batch = _batches(measurements, prior, motion.size, sensor.size, scans, name)
+    z, dt = measurements.z, measurements.dt
+    if scans and prior.scale_tril.dim() > 2 and prior.scale_tril.shape[-3] != prior.mean.shape[-2]:
+        count, shape = prior.mean.shape[-2], tuple(prior.scale_tril.shape)
+        raise ValueError(f"{name}.scale_tril: expected one for each of {count} targets, received {shape}")
+    if isinstance(dt, Tensor):
+        steps = z.shape[-2 - scans]
+        if dt.dim() and dt.shape[-1] not in (1, steps):
+            raise ValueError(f"dt: expected a number or (..., {steps}) or (..., 1), received {tuple(dt.shape)}")
+        batch["dt"] = dt.shape[:-1]
+    try:
+        whole = torch.Size(torch.broadcast_shapes(*batch.values()))
+    except RuntimeError:
+        received = ", ".join(f"{name} {tuple(shape)}" for name, shape in batch.items())
+        raise ValueError(f"batch: expected shapes that broadcast, received {received}") from None
+    check_values(measurements)
+    return whole
+
+
+def check_belief(belief: Any, name: str = "prior", *, size: int | None = None) -> Gaussian:
+    """A belief, if this is one, of ``size`` states if that is given, in tensors of single or double precision.
+
+    Raises:
+        ValueError: it is not.
+    """
+    if not isinstance(belief, Gaussian):
+        hint = "take torchfra.Gaussian(mean, scale_tril), a mean and a root of the covariance"
+        raise ValueError(f"{name}: expected a Gaussian, received {type(belief).__name__}: {hint}")
+    for part, x in zip(belief._fields, belief, strict=True):
+        _check_tensor(f"{name}.{part}", x, PRECISIONS)
+    if size is not None and (belief.mean.shape[-1:] != (size,) or belief.scale_tril.shape[-2:] != (size, size)):
+        expected, received = f"(..., {size}) and (..., {size}, {size})", [tuple(x.shape) for x in belief]
+        raise ValueError(f"{name}: expected {expected}, received {received[0]} and {received[1]}")
+    return belief
+
+
+def check_kinds(measurements: Measurements) -> None:
+    """Checks that all are tensors of real numbers, ``dt`` a number or such a tensor.
+
+    Raises:
+        ValueError: names the first that is not, or std and noise are both there.
+    """
+    z, dt, u, std, noise = measurements
+    _check_tensor("z", z, PRECISIONS)
+    for name, x in (("u", u), ("std", std), ("noise", noise)):
+        if x is not None:
+            _check_tensor(name, x)
+    if isinstance(dt, Tensor):
+        _check_tensor("dt", dt)
+    elif not isinstance(dt, (int, float)):
+        raise ValueError(f"dt: expected a number or a tensor, received {type(dt).__name__}: take torch.as_tensor(dt)")
+    if std is not None and noise is not None:
+        raise ValueError("std, noise: expected at most one of the two, received both")
+
+
+def _check_tensor(name: str, x: Any, precisions: Sequence[torch.dtype] = ()) -> None:
+    """Checks that this is a tensor, of one of these precisions or, where there are none, of real numbers."""
+    if not isinstance(x, Tensor):
+        raise ValueError(f"{name}: expected a tensor, received {type(x).__name__}: take torch.as_tensor({name})")
+    if precisions and x.dtype not in precisions:
+        raise ValueError(f"{name}: expected floating point numbers, float32 or float64, received {x.dtype}")
+    if x.is_complex():
+        raise ValueError(f"{name}: expected real numbers, received {x.dtype}")
+
+
+def check_values(measurements: Measurements) -> None:
+    """Checks that time steps and noise are positive and finite, as numbers of the precision of ``z``.
+
+    Noise counts where something is measured.  Code that is traced is not checked.
+
+    Raises:
+        ValueError: names the argument and the first value that is not.
+    """
+    z, dt, _, std, noise = measurements
+    if is_traced(*(x for x in measurements if isinstance(x, Tensor))):
+        return
+    check_seconds(dt, z.dtype)
+    if std is not None:
+        std = std.to(z)
+        bad = ~((std > 0) & (std < torch.inf) | z.isnan())
+        if bool(bad.any()):
+            _refuse("std", "finite numbers above 0 where something is measured", std, bad)
+    if noise is not None:
+        singular = _singular(noise.detach().to(z), ~z.isnan())
+        if bool(singular.any()):
+            expected = "roots of finite covariances that have an inverse, where something is measured"
+            _refuse("noise", expected, noise, singular, event=2)
+
+
+def check_seconds(dt: Time, dtype: torch.dtype) -> None:
+    """Checks that time steps are positive and finite, as numbers of this precision.
+
+    Raises:
+        ValueError: one is not.
+    """
+    seconds = torch.as_tensor(dt).to(dtype)
+    bad = ~((seconds > 0) & (seconds < torch.inf))
+    if bool(bad.any()):
+        _refuse("dt", f"seconds above 0 and finite in {dtype}", torch.as_tensor(dt), bad)
+
+
+def _singular(noise: Tensor, seen: Tensor) -> Tensor:
+    """``(...)`` where the seen elements have no finite covariance ``noise (..., m, m)`` with an inverse."""
+    root = torch.where(seen.unsqueeze(-1), noise, 0.0)
+    broken: Tensor = ~root.isfinite().flatten(-2).all(-1)
+    least = 10 * torch.finfo(noise.dtype).eps * torch.linalg.vector_norm(root, dim=-1)
+    if not bool(root.triu(1).any()) and bool((root.diagonal(dim1=-2, dim2=-1).abs() > least).logical_or(~seen).all()):
+        return broken
+    lower = tria(hstack(torch.where(broken[..., None, None], 0.0, root), torch.diag_embed(1.0 - seen.to(root))))
+    singular: Tensor = ~(lower.diagonal(dim1=-2, dim2=-1) > least).all(-1)
+    return broken | singular
+
+
+def _refuse(name: str, expected: str, x: Tensor, bad: Tensor, event: int = 0) -> None:
+    """Raises the error for the first bad entry of a tensor, whose entries have ``event`` dimensions."""
+    place, split = tuple(bad.nonzero()[0].tolist()), x.dim() - event
+    entry = x.expand(torch.broadcast_shapes(x.shape[:split], bad.shape) + x.shape[split:])[place]
+    raise ValueError(f"{name}: expected {expected}, received {entry.tolist()}{f' at {place}' if place else ''}")
+
+
+def _batches(
+    measurements: Measurements, prior: Gaussian, n: int, m: int, scans: bool, name: str
+) -> dict[str, torch.Size]:
+    """The batch of each argument, once its event is known to fit."""
+    z, _, u, std, noise = measurements
+    rank = 2 + scans
+    if z.dim() < rank or z.shape[-1] != m or 0 in z.shape[-rank:]:
+        raise ValueError(f"z: expected (..., T, {'J, ' if scans else ''}{m}), received {tuple(z.shape)}")
+    steps, per_scan = z.shape[-rank], tuple(z.shape[-2:-1]) if scans else ()
+    targets = (None,) if scans else ()
+    root = (*targets, n, n) if prior.scale_tril.dim() > 2 else (n, n)
+    batch = {"z": z.shape[:-rank]}
+    for argument, x, shape in (
+        (f"{name}.mean", prior.mean, (*targets, n)),
+        (f"{name}.scale_tril", prior.scale_tril, root),
+        ("u", u, (steps, None)),
+        ("std", std, (steps, *per_scan, m)),
+        ("noise", noise, (steps, *per_scan, m, m)),
+    ):
+        if x is None:
+            continue
+        fits = x.dim() >= len(shape) and all(
+            wanted is None or size == wanted for size, wanted in zip(x.shape[-len(shape) :], shape, strict=True)
+        )
+        if not fits:
+            unknown = "N" if x is prior.mean or x is prior.scale_tril else "k"
+            wanted = ", ".join(unknown if size is None else str(size) for size in shape)
+            raise ValueError(f"{argument}: expected (..., {wanted}), received {tuple(x.shape)}")
+        batch[argument] = x.shape[: x.dim() - len(shape)]
+    return batch

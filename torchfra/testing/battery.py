@@ -1,0 +1,106 @@
+"""The battery: every check on a filter, eager and compiled, and what came of it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from torch import Tensor
+
+from torchfra.filters.base import Filter
+from torchfra.tables import text_table
+from torchfra.testing import copies, derivatives, refusals, results  # noqa: F401  they hold the checks
+from torchfra.testing.case import CHECKS, Case, SkipCheck, make_case
+from torchfra.types import Gaussian
+
+
+class Outcome(NamedTuple):
+    """What came of one check."""
+
+    check: str
+    way: str
+    """``"eager"`` or ``"compiled"``."""
+    verdict: str
+    """``"passed"``, ``"skipped"`` or ``"failed"``."""
+    reason: str = ""
+    """Why it was skipped, or what was expected and what came."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What came of all checks; as text, a table."""
+
+    filter: str
+    outcomes: tuple[Outcome, ...]
+
+    def of(self, verdict: str) -> tuple[Outcome, ...]:
+        """The outcomes ``"passed"``, ``"skipped"`` or ``"failed"``."""
+        return tuple(outcome for outcome in self.outcomes if outcome.verdict == verdict)
+
+    def __str__(self) -> str:
+        return f"{self.filter}\n" + text_table(Outcome._fields, self.outcomes, align="<")
+
+
+def check_filter(
+    filter: Filter,
+    z: Tensor | None = None,
+    prior: Gaussian | None = None,
+    *,
+    dt: float = 1.0,
+    u: Tensor | None = None,
+    only: Collection[str] = (),
+    skip: Collection[str] = (),
+    compiled: bool = True,
+    thorough: bool = False,
+    seed: int = 0,
+) -> Report:
+    """Try a filter, or your own motion, sensor or weight inside one, on everything that a filter promises.
+
+    The filter is copied.  Checks run in float64 and float32, eager and compiled.
+
+    Args:
+        filter: any.
+        z: ``(B, T, m)`` measurements to try it on, of scans ``(B, T, J, m)``; 3 tracks and 6 steps of them are used.
+            By default they are simulated by the filter's own motion and sensor.
+        prior: the belief before them.
+        dt: seconds between steps.
+        u: ``(T, k)`` or ``(B, T, k)`` what the models need to know at a step.
+        only: names of checks; by default all of ``testing.CHECKS``.
+        skip: names of checks to leave out: a hard decision has no gradient, say.
+        compiled: whether to try the compiled filter, which takes some seconds of a C++ compiler.
+        thorough: whether to try all combinations of options; compiled this takes several times as long.
+        seed: of the simulated tracks.
+
+    Returns:
+        What passed, and what was skipped and why.
+
+    Raises:
+        AssertionError: names the filter and every check that fails, what it expected and what came.
+        ValueError: an unknown check, or tracks that do not suffice.
+    """
+    unknown = {*only, *skip} - CHECKS.keys()
+    if unknown:
+        raise ValueError(f"only, skip: expected names of testing.CHECKS, received {', '.join(sorted(unknown))}")
+    case = make_case(filter, z, prior, dt, u, seed, thorough)
+    names = [name for name in CHECKS if (not only or name in only) and name not in skip]
+    tried = [(name, way) for name in names for way in CHECKS[name].ways if compiled or way == "eager"]
+    report = Report(type(filter).__name__, tuple(_outcome(case, name, way) for name, way in tried))
+    failed = report.of("failed")
+    if failed:
+        reasons = "\n".join(f"{name}, {way}: {reason}" for name, way, _, reason in failed)
+        raise AssertionError(f"{report.filter}: {len(failed)} of {len(tried)} checks failed\n{reasons}")
+    return report
+
+
+def _outcome(case: Case, name: str, way: str) -> Outcome:
+    """What comes of one check."""
+    try:
+        CHECKS[name].function(case.as_compiled if way == "compiled" else case)
+    except SkipCheck as reason:
+        return Outcome(name, way, "skipped", str(reason))
+    except AssertionError as error:
+        return Outcome(name, way, "failed", str(error))
+    except Exception as error:
+        return Outcome(name, way, "failed", f"expected no error, received {type(error).__name__}: {error}")
+    return Outcome(name, way, "passed")

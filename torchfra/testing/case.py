@@ -1,0 +1,187 @@
+"""A filter with tracks to try it on, and in how many ways they may be handed in."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple, TypeVar
+
+import torch
+from torch import Tensor
+
+from torchfra.filters.base import Filter
+from torchfra.hyper import learnable
+from torchfra.kernel.build import CompileError
+from torchfra.types import Estimate, Gaussian
+
+F = TypeVar("F", bound=Callable[..., None])
+TRACKS, STEPS = 3, 6
+
+
+class Check(NamedTuple):
+    """A check and the ways to run a filter in which it is tried."""
+
+    function: Callable[[Case], None]
+    ways: tuple[str, ...]
+    """Of ``"eager"`` and ``"compiled"``."""
+
+
+CHECKS: dict[str, Check] = {}
+"""All checks by name, in their order."""
+
+
+def check(*ways: str) -> Callable[[F], F]:
+    """Decorates a check: ``@check("eager", "compiled")``; a compiled case has an eager twin to compare with."""
+
+    def register(function: F) -> F:
+        CHECKS[function.__name__] = Check(function, ways)
+        return function
+
+    return register
+
+
+class SkipCheck(Exception):  # noqa: N818  it is no error
+    """A check that does not go with a filter, and why."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What a check is given: a filter, and tracks, one of which misses an element, one a step; one has an outlier."""
+
+    filter: Filter
+    """Every value learnable that can be."""
+    z: Tensor
+    """``(3, 6, m)``, of scans ``(3, 6, J, m)``; float64, as are all tensors."""
+    prior: Gaussian
+    """``(3, n)`` and ``(3, n, n)``, of several targets ``(3, N, n)`` and ``(3, N, n, n)``."""
+    dt: float = 1.0
+    u: Tensor | None = None
+    """``(6, k)`` or ``(3, 6, k)``."""
+    eager: Case | None = None
+    """Of a compiled filter, the same without kernels."""
+    thorough: bool = False
+    """Whether checks try all combinations that they know."""
+    _kept: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def __call__(self, **given: Any) -> Estimate:
+        """The estimate of these tracks, or of what else is given: ``case(z=z, truncate=2)``."""
+        estimate: Estimate = self.filter(**{"z": self.z, "prior": self.prior, "dt": self.dt, "u": self.u} | given)
+        return estimate
+
+    @property
+    def estimate(self) -> Estimate:
+        """The estimate of these tracks; made once, without gradients."""
+        if "estimate" not in self._kept:
+            with torch.no_grad():
+                self._kept["estimate"] = self()
+        found: Estimate = self._kept["estimate"]
+        return found
+
+    @cached_property
+    def as_compiled(self) -> Case:
+        """The same with a compiled copy of the filter.
+
+        Raises:
+            SkipCheck: there are no kernels for this filter, or there is no compiler.
+        """
+        try:
+            return replace(self, filter=copy.deepcopy(self.filter).compile(), eager=self, _kept={})
+        except CompileError as error:
+            raise SkipCheck(f"not compiled: {error}") from None
+
+    def step(self, **given: Any) -> Any:
+        """The state and the innovation after the first measurement of each track, or what else is given."""
+        first: dict[str, Any] = {"z": self.z[:, 0], "dt": self.dt, "u": self.u_at(0)}
+        if "state" not in given:
+            first["state"] = self.filter.init(self.prior)
+        return self.filter.step(**first | given)
+
+    def u_at(self, step: int) -> Tensor | None:
+        """``u`` of one step."""
+        return None if self.u is None else self.u[..., step, :]
+
+    def alone(self, track: int) -> tuple[Tensor, Gaussian, Tensor | None]:
+        """Measurements, prior and ``u`` of one track, without a batch."""
+        u = self.u if self.u is None or self.u.dim() == 2 else self.u[track]
+        return self.z[track], Gaussian(self.prior.mean[track], self.prior.scale_tril[track]), u
+
+    @property
+    def std(self) -> Tensor:
+        """Some std of the measurement noise for each element, near the sensor's own, like ``z``."""
+        noise = self.filter.sensor.measurement_noise(torch.zeros_like(self.z))
+        return noise.std.detach().expand(self.z.shape) * torch.linspace(0.9, 1.2, self.z.shape[-1]).to(self.z)
+
+
+def make_case(
+    f: Filter, z: Tensor | None, prior: Gaussian | None, dt: float, u: Tensor | None, seed: int, thorough: bool
+) -> Case:
+    """The case of a copy of a filter, with the tracks of the user or with simulated ones.
+
+    Raises:
+        ValueError: only one of ``z`` and ``prior``, or tracks that are too few or too short.
+    """
+    if (z is None) != (prior is None):
+        raise ValueError("z, prior: expected both or neither")
+    f = learnable(copy.deepcopy(f), "all")
+    if z is None or prior is None:
+        z, prior = simulate(f, dt, seed)
+    event = 1 + f.scans
+    if z.dim() != 2 + event or z.shape[0] < TRACKS or z.shape[1] < STEPS:
+        raise ValueError(f"z: expected {TRACKS} tracks or more of {STEPS} steps or more, received {tuple(z.shape)}")
+    z, event_shape = z[:TRACKS, :STEPS].detach().double().clone(), prior.mean.shape[prior.mean.dim() - event :]
+    mean, root = (x.detach().double() for x in prior)
+    mean = (mean[:TRACKS] if mean.dim() > event else mean).expand(TRACKS, *event_shape)
+    root = (root[:TRACKS] if root.dim() > event + 1 else root).expand(*mean.shape, mean.shape[-1])
+    with torch.no_grad():
+        z[2, 4] += 20 * f.sensor.measurement_noise(z[2, 4]).std  # an outlier
+    z[0, 2].select(-1, 0)[...] = torch.nan
+    z[1, 3] = torch.nan
+    if u is not None:
+        u = (u[:TRACKS] if u.dim() > 2 else u)[..., :STEPS, :].detach().double()
+    return Case(f, z, Gaussian(mean, root), dt, u, thorough=thorough)
+
+
+def simulate(f: Filter, dt: float, seed: int) -> tuple[Tensor, Gaussian]:
+    """Tracks of the filter's own motion, or the first of its bank, and what its sensor measures of them.
+
+    Raises:
+        ValueError: of the sensor, where it needs a ``u``.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    motion = f.motion[0] if f.motion.stacked else f.motion  # type: ignore[index]  # a bank
+    targets = (2,) if f.scans else ()
+    mean, std = torch.ones(TRACKS, *targets, motion.size, dtype=torch.float64), torch.ones(motion.size).double()
+    mean[..., motion.position], std[motion.position] = 100.0, 10.0
+    if f.scans:
+        mean[:, 1] += 200.0
+    x, measured, seconds = mean, [], torch.tensor(dt, dtype=torch.float64)
+    for _ in range(STEPS):
+        x = motion(x, seconds.expand(x.shape[:-1]))
+        z = f.sensor(x)
+        noise = torch.randn(*z.shape, 1, dtype=torch.float64, generator=generator)
+        measured.append(z + f.sensor.measurement_noise(z).colour(noise).squeeze(-1))
+    return torch.stack(measured, 1).detach(), Gaussian(mean, std.diag())
+
+
+def gradients(case: Case, dtype: torch.dtype = torch.float64, **options: Any) -> dict[str, Tensor]:
+    """The gradients of all that an estimate says, with respect to the data and every value that learns."""
+    leaves: dict[str, Tensor] = {
+        name: x.detach().to(dtype, copy=True).requires_grad_()
+        for name, x in (("z", case.z), ("prior.mean", case.prior.mean), ("prior.scale_tril", case.prior.scale_tril))
+    }
+    prior = Gaussian(leaves["prior.mean"], leaves["prior.scale_tril"])
+    y = says(case(z=leaves["z"], prior=prior, **options), case.prior)
+    leaves |= case.filter.named_parameters()
+    found = torch.autograd.grad(y, list(leaves.values()), allow_unused=True)
+    zeros = (torch.zeros_like(x) if g is None else g for x, g in zip(leaves.values(), found, strict=True))
+    return dict(zip(leaves, zeros, strict=True))
+
+
+def says(estimate: Estimate, prior: Gaussian) -> Tensor:
+    """One number to which everything in an estimate contributes, in units of the prior."""
+    mean, root, scores = estimate.mean, estimate.scale_tril, estimate.log_likelihood
+    unit = prior.covariance.diagonal(dim1=-2, dim2=-1).sqrt().unsqueeze(-2).to(mean)
+    total: Tensor = ((mean - prior.mean.unsqueeze(-2).to(mean)) / unit).square().sum() + scores.sum()
+    return total + (root / unit.unsqueeze(-1)).square().sum()

@@ -1,0 +1,86 @@
+"""Checks of gradients: finite, right, and the same compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from torchfra.testing.case import STEPS, Case, check, gradients, says
+from torchfra.testing.expectations import expect, expect_finite, expect_same
+from torchfra.types import Gaussian
+
+
+@check("eager")
+def gradients_are_finite_and_none_comes_from_missing_data(case: Case) -> None:
+    """With respect to data, prior and every value; exactly 0 where nothing was measured."""
+    found = gradients(case)
+    expect_finite(found, "gradient")
+    missing = found["z"][case.z.isnan()]
+    expect(not bool(missing.any()), "gradient of missing elements", 0, missing.abs().max().item())
+
+
+@check("eager")
+def gradients_are_those_of_small_differences(case: Case) -> None:
+    """For each value that learns, and along the gradient of the data; not where a decision flips within them."""
+    found = gradients(case)
+    for name, value in case.filter.named_parameters():
+        kept = value.detach().clone()
+        along = torch.linspace(1.0, 2.0, value.numel(), dtype=value.dtype).reshape(value.shape)
+
+        def moved(step: float, value: Tensor = value, target: tuple[Tensor, Tensor] = (kept, along)) -> Tensor:
+            value.copy_(target[0] + step * target[1])
+            return says(case(), case.prior)
+
+        _expect_slope(moved, 1e-5, (found[name] * along).sum(), f"gradient of {name}")
+        with torch.no_grad():
+            value.copy_(kept)
+    for name in ("z", "prior.mean"):
+        along = found[name] / found[name].abs().max().clamp_min(1e-12)
+
+        def pushed(step: float, name: str = name, along: Tensor = along) -> Tensor:
+            given = {"z": case.z, "prior.mean": case.prior.mean}
+            given[name] = given[name] + step * along
+            return says(case(z=given["z"], prior=Gaussian(given["prior.mean"], case.prior.scale_tril)), case.prior)
+
+        _expect_slope(pushed, 1e-5 * float(case.std.min()), (found[name] * along).sum(), f"gradient of {name}")
+
+
+@torch.no_grad()
+def _expect_slope(moved: Callable[[float], Tensor], size: float, slope: Tensor, what: str) -> None:
+    """Expects the central difference, but for rounding, or a jump, whose difference grows as the step shrinks."""
+    high, low = moved(size), moved(-size)
+    difference = (high - low) / (2 * size)
+    allowed = 1e-4 * slope.abs() + 1e-12 * high.abs() / size + 1e-6
+    if not bool((difference - slope).abs() <= allowed):
+        finer = (moved(size / 10) - moved(-size / 10)) / (size / 5)
+        expect(bool(finer.abs() > 5 * difference.abs()), what, difference.item(), slope.item())
+
+
+@check("eager", "compiled")
+def checkpoints_leave_the_gradient_and_truncation_cuts_it(case: Case) -> None:
+    """``checkpoint=`` changes no number; with ``truncate=`` the last estimate says nothing of the first steps."""
+    expect_same(gradients(case, checkpoint=2)["z"], gradients(case)["z"], "gradient with checkpoint=2")
+    truncated = gradients(case, truncate=STEPS - 1, checkpoint=2)
+    expect_finite(truncated, "gradient with truncate")
+    z = case.z.clone().requires_grad_()
+    estimate = case(z=z, truncate=STEPS - 2)
+    expect_same(estimate.mean.detach(), case.estimate.mean, "mean with truncate")
+
+
+@check("eager")
+def single_precision_has_finite_gradients(case: Case) -> None:
+    """In float32 too, near those of float64 as far as rounding lets them."""
+    expect_finite(gradients(case, torch.float32), "gradient in float32")
+
+
+@check("compiled")
+def compiled_gradients_are_those_of_eager(case: Case) -> None:
+    """With respect to data, prior and every value."""
+    assert case.eager is not None
+    slow, fast = gradients(case.eager), gradients(case)
+    for name, gradient in slow.items():
+        expect_same(fast[name], gradient, f"compiled gradient of {name}", 1e-7)
+    if case.thorough:
+        expect_finite(gradients(case, torch.float32), "compiled gradient in float32")

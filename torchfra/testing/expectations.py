@@ -1,0 +1,69 @@
+"""What checks expect, and how they say so."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+TOLERANCE = {torch.float64: 1e-8, torch.float32: 2e-2}
+"""Of the largest entry; in float32 rounding is amplified by robust decisions and by short roots."""
+
+
+def expect(holds: bool, what: str, expected: object, received: object) -> None:
+    """Raises an ``AssertionError`` unless it holds."""
+    if not holds:
+        raise AssertionError(f"{what}: expected {expected}, received {received}")
+
+
+def expect_same(found: Any, expected: Any, what: str, tolerance: float | None = None) -> None:
+    """Expects trees of the same form, shapes, dtypes and, up to rounding, values."""
+    if isinstance(expected, Tensor) and isinstance(found, Tensor):
+        form, wanted = (tuple(found.shape), found.dtype), (tuple(expected.shape), expected.dtype)
+        expect(form == wanted, what, wanted, form)
+        gap = difference(found, expected)
+        limit = TOLERANCE.get(expected.dtype, 0.0) if tolerance is None else tolerance
+        expect(gap <= limit, what, f"the same up to {limit:g} of the largest entry", f"a difference of {gap:.3g}")
+    elif isinstance(expected, tuple) and isinstance(found, tuple):
+        names = getattr(expected, "_fields", range(len(expected)))
+        expect(len(found) == len(expected), what, f"{len(expected)} parts", len(found))
+        for name, a, b in zip(names, found, expected, strict=True):
+            expect_same(a, b, f"{what}.{name}", tolerance)
+    else:
+        expect(type(found) is type(expected), what, type(expected).__name__, type(found).__name__)
+
+
+def difference(found: Tensor, expected: Tensor) -> float:
+    """The largest difference as a share of the largest entry; infinity where one is finite and the other is not."""
+    if not expected.numel():
+        return 0.0
+    a, b = found.detach().double(), expected.detach().double()
+    finite = b.isfinite()
+    if not torch.equal(finite, a.isfinite()) or not torch.equal(a[~finite].nan_to_num(), b[~finite].nan_to_num()):
+        return torch.inf
+    scale = b[finite].abs().max().clamp_min(1e-300) if bool(finite.any()) else torch.tensor(1.0)
+    return float(((a - b)[finite].abs() / scale).max()) if bool(finite.any()) else 0.0
+
+
+def expect_finite(tree: dict[str, Tensor], what: str) -> None:
+    """Expects tensors without NaN and infinity."""
+    for name, x in tree.items():
+        expect(bool(x.isfinite().all()), f"{what} of {name}", "finite numbers", f"{int((~x.isfinite()).sum())} others")
+
+
+def refusal(call: Callable[[], Any], argument: str) -> str:
+    """The message of the ``ValueError`` that a call is expected to raise about an argument."""
+    try:
+        call()
+    except ValueError as error:
+        message = str(error)
+        form = rf"(^|, ){re.escape(argument)}.*: expected .*received|^{re.escape(argument)}: "
+        expect(re.search(form, message, re.S) is not None, argument, "an error that names it", repr(message))
+        return message
+    except Exception as error:
+        expect(False, argument, "a ValueError that names it", f"{type(error).__name__}: {error}")
+    expect(False, argument, "a ValueError that names it", "a result")
+    return ""

@@ -1,0 +1,205 @@
+"""Checks of results: the same whichever way tracks are handed in."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra import tree
+from torchfra.testing.case import STEPS, TRACKS, Case, check
+from torchfra.testing.expectations import TOLERANCE, expect, expect_finite, expect_same
+from torchfra.types import Cause, Estimate, Gaussian
+
+FIELDS = ("mean", "scale_tril", "nis", "log_likelihood")
+
+
+@check("eager", "compiled")
+def estimates_are_finite_and_of_the_promised_shape(case: Case) -> None:
+    """Means, roots and scores have the shapes of the tracks, and hold numbers."""
+    estimate, n = case.estimate, case.filter.motion.size
+    batch = case.prior.mean.shape[:-1]
+    scores = batch[: len(batch) - case.filter.scans] if estimate.nis.dim() == 2 else batch
+    shapes = {"mean": (*batch, STEPS, n), "scale_tril": (*batch, STEPS, n, n), "nis": (*scores, STEPS)}
+    for name, shape in shapes.items():
+        expect(getattr(estimate, name).shape == shape, name, shape, tuple(getattr(estimate, name).shape))
+    expect_finite({name: getattr(estimate, name) for name in FIELDS}, "estimate")
+    expect(not bool(estimate.failed.any()), "failed", "no track", estimate.failed.tolist())
+    for leaf in tree.flatten(estimate.info):
+        expect(leaf.shape[: len(batch)] == batch, "info", f"tensors that begin with {tuple(batch)}", tuple(leaf.shape))
+
+
+@check("eager")
+def a_single_track_needs_no_batch_and_no_company(case: Case) -> None:
+    """Every track has the estimate that it has alone."""
+    for i in range(TRACKS):
+        z, prior, u = case.alone(i)
+        expect_same(case(z=z, prior=prior, u=u), _track(case.estimate, i), f"estimate of track {i} alone", 1e-7)
+
+
+@check("eager", "compiled")
+def steps_give_what_whole_tracks_give(case: Case) -> None:
+    """Streaming says what a whole sequence says of its steps."""
+    estimate, state = case.estimate, case.filter.init(case.prior)
+    now = getattr(estimate.info, "provisional", getattr(estimate.info, "filtered", estimate))
+    for k in range(STEPS):
+        state, innovation = case.step(state=state, z=case.z[:, k], u=case.u_at(k))
+        expect_same(state.belief.mean, now.mean.select(-2, k), f"mean of step {k}")
+        expect_same(innovation.log_likelihood, estimate.log_likelihood[..., k], f"log_likelihood of step {k}")
+        expect_same(innovation.nis, estimate.nis[..., k], f"nis of step {k}")
+
+
+@check("eager")
+def time_steps_may_differ_per_step_and_per_track(case: Case) -> None:
+    """``dt`` of ``(T,)``, ``(B, 1)`` and ``(B, T)`` is that of each track and step."""
+    per_step = case.dt * torch.linspace(0.8, 1.2, STEPS, dtype=torch.float64)
+    per_track = torch.linspace(0.9, 1.1, TRACKS, dtype=torch.float64).unsqueeze(-1)
+    ways = {"dt (T,)": per_step, "dt (B, T)": per_track * per_step, "dt (B, 1)": case.dt * per_track}
+    for name, dt in ways.items():
+        together = case(dt=dt)
+        for i in range(TRACKS) if case.thorough else (1,):
+            z, prior, u = case.alone(i)
+            own = dt if dt.dim() == 1 else dt[i]
+            expect_same(
+                case(z=z, prior=prior, u=u, dt=own), _track(together, i), f"estimate of track {i} with {name}", 1e-7
+            )
+
+
+@check("eager")
+def noise_may_come_with_the_measurements(case: Case) -> None:
+    """``std=`` is the noise of its measurements, and ``noise=`` a root of the covariance."""
+    std, plain = case.std, case.estimate.log_likelihood
+    other = case(std=std)
+    expect(not torch.equal(other.log_likelihood, plain), "std", "an estimate that follows it", "the one without")
+    if getattr(case.filter.sensor, "std", None) is None or not _takes(case, noise=torch.diag_embed(std)):
+        return
+    expect_same(case(noise=torch.diag_embed(std)), other, "estimate with noise= for std=", 1e-7)
+
+
+@check("eager", "compiled")
+def no_tracks_are_no_error(case: Case) -> None:
+    """An empty batch has an empty estimate."""
+    prior, u = Gaussian(*(x[:0] for x in case.prior)), case.u
+    estimate = case(z=case.z[:0], prior=prior, u=u if u is None or u.dim() == 2 else u[:0])
+    expected = (0, *case.estimate.mean.shape[1:])
+    expect(estimate.mean.shape == expected, "mean", expected, tuple(estimate.mean.shape))
+
+
+@check("eager", "compiled")
+def one_step_is_enough(case: Case) -> None:
+    """A track of one step has the scores of the first step of a longer one."""
+    u = case.u if case.u is None else case.u[..., :1, :]
+    estimate = case(z=case.z[:, :1], u=u)
+    expect_same(estimate.log_likelihood, case.estimate.log_likelihood[..., :1], "log_likelihood of one step")
+
+
+@check("eager", "compiled")
+def memory_layout_does_not_matter(case: Case) -> None:
+    """Expanded and strided tensors are what they hold."""
+    strided = case.z.transpose(0, 1).contiguous().transpose(0, 1)
+    wide = torch.stack([case.z, -case.z], -1)[..., 0]
+    for name, z in {"transposed": strided, "every second number": wide}.items():
+        prior = Gaussian(case.prior.mean.mT.contiguous().mT, case.prior.scale_tril.mT.contiguous().mT)
+        expect_same(case(z=z, prior=prior), case.estimate, f"estimate of z {name}")
+    expanded, repeated = (
+        case(z=x, prior=Gaussian(*priors))
+        for x, *priors in (
+            [x[2].expand(TRACKS, *x.shape[1:]) for x in (case.z, *case.prior)],
+            [x[2].repeat(TRACKS, *[1] * (x.dim() - 1)) for x in (case.z, *case.prior)],
+        )
+    )
+    expect_same(expanded, repeated, "estimate of expanded tensors")
+
+
+@check("eager", "compiled")
+def lazily_negated_tensors_are_negative(case: Case) -> None:
+    """What torch has only marked as negated, such as ``x.conj().imag``, is read as it is meant."""
+    z = torch.complex(torch.zeros_like(case.z), -case.z).conj().imag
+    mean, root = (torch._neg_view(-x) for x in case.prior)
+    expect_same(case(z=z), case.estimate, "estimate of a lazily negated z")
+    expect_same(case(prior=Gaussian(mean, root)), case.estimate, "estimate from a lazily negated prior")
+    if case.eager is None or case.thorough:
+        expect_same(case(std=torch._neg_view(-case.std)), case(std=case.std), "estimate with a lazily negated std")
+
+
+@check("eager")
+def nothing_that_is_handed_in_changes(case: Case) -> None:
+    """Tensors stay as they were, and a second call gives the same bits."""
+    given: tuple[Any, ...] = (case.z, *case.prior, case.u)
+    before = tree.map_tensors(torch.clone, given)
+    first, second = case(), case()
+    expect_same(given, before, "what was handed in", 0.0)
+    expect_same(second, first, "the second estimate", 0.0)
+
+
+@check("eager")
+def single_precision_stays_single(case: Case) -> None:
+    """In float32 all is float32, near what float64 gives; ``info`` has the dtypes that it has in float64."""
+    single = case(z=case.z.float(), u=case.u if case.u is None else case.u.float())
+    for name in FIELDS:
+        dtype = getattr(single, name).dtype
+        expect(dtype == torch.float32, name, torch.float32, dtype)
+    expected = [torch.float32 if x.is_floating_point() else x.dtype for x in tree.flatten(case.estimate.info)]
+    found = [x.dtype for x in tree.flatten(single.info)]
+    expect(found == expected, "dtypes of info", expected, found)
+    expect_same(single.mean.double(), case.estimate.mean, "mean in float32", TOLERANCE[torch.float32])
+
+
+@check("eager", "compiled")
+def a_track_that_fails_leaves_the_others_alone(case: Case) -> None:
+    """One track with NaN in its prior, one with an infinite measurement: both are reported, the third is as before."""
+    mean, z = case.prior.mean.clone(), case.z.clone()
+    mean[0].select(-1, 0)[...] = torch.nan
+    z[1, 4] = torch.inf
+    estimate = case(z=z, prior=Gaussian(mean, case.prior.scale_tril))
+    failed = estimate.failed.reshape(TRACKS, -1).any(-1).tolist()
+    expect(failed[0] and not failed[2], "failed", "the first track and not the third", failed)
+    expect_same(_track(estimate, 2), _track(case.estimate, 2), "estimate of the track beside those that fail")
+    expect(estimate.failure is not None, "failure", "when and why", None)
+    assert estimate.failure is not None
+    steps, causes = (x.reshape(TRACKS, -1)[:2, 0].tolist() for x in estimate.failure)
+    expect(
+        (steps[0], causes[0]) == (0, Cause.PRIOR), "failure of the first track", "step 0, its prior", (steps, causes)
+    )
+    if failed[1]:
+        settled = steps[1] in (3, 4) and causes[1] == Cause.MEASUREMENT
+        expect(settled, "failure of the second track", "step 4 (or 3), a measurement", (steps, causes))
+
+
+@check("compiled")
+def compiled_gives_what_eager_gives(case: Case) -> None:
+    """Kernels give the same results, ``info`` and its dtypes included, in both precisions and with all options."""
+    std, slow = torch.where(case.z.isnan(), torch.nan, case.std), case.eager
+    assert slow is not None
+    expect_same(case.estimate, slow.estimate, "compiled estimate")
+    dt = case.dt * torch.linspace(0.8, 1.2, TRACKS * STEPS, dtype=torch.float64).reshape(TRACKS, STEPS)
+    z, u = case.z.float(), case.u if case.u is None else case.u.float()
+    ways: list[dict[str, Tensor]] = [{"dt": dt, "std": std}]
+    if case.thorough:
+        ways += [{"dt": dt[0]}, {"dt": dt[:, :1]}, {"std": std}]
+        ways += [{"noise": torch.diag_embed(std)}] if _takes(case, noise=torch.diag_embed(std)) else []
+        for options in ways:
+            expect_same(case(**options), slow(**options), f"compiled estimate with {', '.join(options)}")
+    for options in ways:
+        expected, found = slow(z=z, u=u, **options), case(z=z, u=u, **options)
+        expect_same(_dtypes(found), _dtypes(expected), "dtypes of the compiled estimate")
+        expect_same(found.mean, expected.mean, f"compiled mean in float32 with {', '.join(options)}")
+
+
+def _dtypes(estimate: Estimate) -> Any:
+    return tree.map_tensors(lambda x: x.new_zeros(x.shape), estimate)
+
+
+def _takes(case: Case, **options: Tensor) -> bool:
+    """Whether the filter takes these options; some refuse correlated noise, in words."""
+    try:
+        case(**options)
+    except ValueError:
+        return False
+    return True
+
+
+def _track(estimate: Estimate, i: int) -> Any:
+    """One track of an estimate."""
+    return tree.map_tensors(lambda x: x[i], estimate)
