@@ -7,11 +7,12 @@ from functools import partial
 from typing import Any, TypeVar
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchfra.filters.checks import check_lengths, check_models, check_state
 from torchfra.filters.loop import run
 from torchfra.filters.records import Kept, Record
+from torchfra.filters.smoothing import Smoother
 from torchfra.gaussian.inputs import Frame, Measurements, Time, batch_rank, check
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
@@ -22,7 +23,7 @@ F = TypeVar("F", bound="Filter")
 Mix = Callable[[Gaussian], Gaussian]
 
 
-class Filter(nn.Module):
+class Filter(Smoother):
     """Abstract: ``TrackFilter`` for tracks of one target, ``ScanFilter`` for scans of several.
 
     A subclass gives ``begin`` and ``advance``.  Nothing of a track is ever kept in the module.  All is computed in the
