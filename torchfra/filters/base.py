@@ -46,10 +46,9 @@ class Filter(Smoother):
     def __init__(self, motion: Motion | None = None, sensor: Sensor | None = None) -> None:
         super().__init__()
         self._kernels: Any = None
-        if motion is None or sensor is None:
-            return
-        check_models(motion, sensor)
-        self.motion, self.sensor = motion, sensor
+        if motion is not None and sensor is not None:
+            check_models(motion, sensor)
+            self.motion, self.sensor = motion, sensor
 
     def compile(self: F, *args: Any, **options: Any) -> F:  # type: ignore[override]  # torch's own returns None
         """From here on run as compiled kernels, on the CPU: same results (to rounding), same gradients.
