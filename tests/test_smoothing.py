@@ -7,10 +7,10 @@ import torch
 
 from torchfra import Gaussian, presets, scenarios
 from torchfra.adaptive import Fading
-from torchfra.filters import SRCKF
-from torchfra.gaussian import fifth_degree
 from torchfra.angles import wrap
 from torchfra.coordinates import AZIMUTH, belief_from_cartesian, from_cartesian
+from torchfra.filters import SRCKF
+from torchfra.gaussian import fifth_degree
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, Motion, Spherical
 from torchfra.scenarios.reentry import Reentry
 from torchfra.sensors import InfraredLaser, Position, RangeBearing

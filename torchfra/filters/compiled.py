@@ -168,7 +168,7 @@ class Compiled:
         )
 
     def forward(
-        self, f: Any, state: Any, measurements: Measurements, checkpoint: int | None, truncate: int | None
+        self, f: Any, state: Any, measurements: Measurements, checkpoint: int | None, truncate: int | None, past: bool
     ) -> tuple[Any, Any]:
         """The state after whole tracks, and what ``f.keep`` keeps of each step.
 
@@ -179,7 +179,9 @@ class Compiled:
         data = (z, torch.as_tensor(seconds, dtype=z.dtype), *measurements[2:])
         now = self._now(f)
         with BUILDING:
-            plan = now.plan(_keep, state, data, (True, measurements.varying_dt, True, True, True))
+            plan = now.plan(
+                _keep_past if past else _keep, state, data, (True, measurements.varying_dt, True, True, True)
+            )
         return now.run(plan, z.shape[-2], state, data, checkpoint, truncate)
 
     def step(
@@ -226,6 +228,10 @@ def _frame(f: Any, data: dict[str, Tensor]) -> Frame:
 
 def _keep(f: Any, state: Any, data: dict[str, Tensor]) -> Any:
     return f.keep(state, _frame(f, data))
+
+
+def _keep_past(f: Any, state: Any, data: dict[str, Tensor]) -> Any:
+    return f.keep(state, _frame(f, data), past=True)
 
 
 def _observe(f: Any, state: Any, data: dict[str, Tensor]) -> Any:

@@ -223,7 +223,7 @@ class FRA(Soft, GaussianFilter):
             return best(self.odds(like))
         return Kept(*(torch.full_like(like, branch == name, dtype=torch.bool) for name in Kept._fields))
 
-    def past(self, belief: Gaussian, info: FRAInfo) -> Past:
+    def past(self, belief: Gaussian, info: FRAInfo, state: Any, steps: Any) -> Past:
         """What was settled on, fading factors where the adaptive branch was kept; and what was provisional."""
         adaptive = info.abnormal & self.favoured(self.provisional, info.fading[..., 0]).adaptive.unsqueeze(-1)
         factor, early = (torch.where(kept, info.fading, 1.0) for kept in (info.adaptive, adaptive))

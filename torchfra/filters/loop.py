@@ -20,15 +20,16 @@ def run(
     rank: int,
     checkpoint: int | None,
     truncate: int | None,
+    past: bool = False,
 ) -> tuple[Any, Record]:
     """The state after all steps, and their records stacked over time behind ``rank`` batch dimensions.
 
-    Arguments as in ``scan``, of which a frame is the input of each step.
+    Arguments as in ``scan``, of which a frame is the input of each step; ``past`` is whether there will be a way back.
     """
     state, records = scan(advance, state, frames, checkpoint, truncate)
-    needed = [(r.belief, r.root, r.normalised, r.info, r.density) for r in records]
-    belief, root, normalised, info, density = tree.stack(needed, rank)
-    return state, Record(belief, None, root, normalised, info, density)
+    needed = [r._replace(residual=None, evidence=None, past=r.past if past else None) for r in records]
+    stacked: Record = tree.stack(needed, rank)
+    return state, stacked
 
 
 def scan(

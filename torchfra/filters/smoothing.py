@@ -52,10 +52,16 @@ class Smoother(nn.Module):
     A filter gives ``past``, ``last`` and ``retreat``; one that decides late gives ``fresh`` too.
     """
 
+    keeps_past = False
+    """Whether the way back needs more of a step than an estimate holds of it."""
+
     if TYPE_CHECKING:  # of Filter
         motion: Motion
         scans: bool
 
+        def _forth(
+            self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None, past: bool
+        ) -> tuple[Estimate, Any, Any]: ...
         def _batch(self, measurements: Measurements, prior: Gaussian) -> torch.Size: ...
         def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]: ...
 
@@ -102,16 +108,22 @@ class Smoother(nn.Module):
         """
         check_lengths(lag=lag, truncate=truncate, checkpoint=checkpoint)
         measurements = Measurements(z, dt, u, std, noise)
-        options = {"checkpoint": checkpoint, "truncate": truncate}
-        filtered, past = self._forth(measurements, prior, options, estimate)
+        filtered, past = self._filtered(measurements, prior, checkpoint, truncate, estimate)
         rank = filtered.mean.dim() - 2
         frames, _ = self._frames(measurements, rank)
         told = sweep(self, past, frames, rank, checkpoint, lag)
         info = SmoothInfo(filtered, told.probabilities, told.repaired)
         return Estimate(*told.belief, filtered.nis, filtered.log_likelihood, info)
 
-    def past(self, belief: Gaussian, info: Any) -> Any:
-        """What the way back needs of the beliefs and the info of ``forward``: a tree of ``(..., T, ...)`` tensors."""
+    def past(self, belief: Gaussian, info: Any, state: Any, steps: Any) -> Any:
+        """What the way back needs: a tree of ``(..., T, ...)`` tensors.
+
+        Args:
+            belief: of ``forward``.
+            info: likewise.
+            state: after the last step; None of a filter that keeps no past.
+            steps: ``Record.past`` of all steps; likewise.
+        """
         raise TypeError(f"{type(self).__name__} needs a past, a last and a retreat to smooth")
 
     def fresh(self, past: Any) -> Any:
@@ -129,20 +141,22 @@ class Smoother(nn.Module):
         """
         raise TypeError(f"{type(self).__name__} needs a past, a last and a retreat to smooth")
 
-    def _forth(
-        self, measurements: Measurements, prior: Gaussian, options: dict[str, int | None], estimate: Estimate | None
-    ) -> tuple[Estimate, Any]:
+    def _filtered(
+        self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
+        estimate: Estimate | None,
+    ) -> tuple[Estimate, Any]:  # fmt: skip
         """The filtered estimate, and what the way back needs of it."""
-        z, dt, u, std, noise = measurements
-        if estimate is None:
-            estimate = self(z, prior, dt=dt, u=u, std=std, noise=noise, **options)
-        else:
-            targets, steps = prior.mean.shape[-1 - self.scans : -1], z.shape[-2 - self.scans]
-            expected = (*self._batch(measurements, prior), *targets, steps, self.motion.size)
+        state = steps = None
+        if estimate is not None:
+            z = measurements.z
+            targets, length = prior.mean.shape[-1 - self.scans : -1], z.shape[-2 - self.scans]
+            expected = (*self._batch(measurements, prior), *targets, length, self.motion.size)
             if estimate.mean.shape != expected:
                 received = tuple(estimate.mean.shape)
                 raise ValueError(f"estimate: expected one of these tracks, {expected}, received {received}")
-        return estimate, self.past(Gaussian(estimate.mean, estimate.scale_tril), estimate.info)
+        if estimate is None or self.keeps_past:
+            estimate, state, steps = self._forth(measurements, prior, checkpoint, truncate, self.keeps_past)
+        return estimate, self.past(Gaussian(estimate.mean, estimate.scale_tril), estimate.info, state, steps)
 
 
 def sweep(f: Smoother, past: Any, frames: Sequence[Frame], rank: int, checkpoint: int | None, lag: int | None) -> Told:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -15,7 +14,7 @@ from torchfra.filters.records import Record, scores
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
-from torchfra.gaussian.model import compare, predict
+from torchfra.gaussian.model import Carried, compare, predict, propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.smoothing import reverse
 from torchfra.motion.base import Motion
@@ -83,7 +82,7 @@ class GaussianFilter(TrackFilter):
         """The measurement against a predicted belief."""
         return compare(self.sensor, self.sensor_rule, belief, frame)
 
-    def past(self, belief: Gaussian, info: Any) -> Past:
+    def past(self, belief: Gaussian, info: Any, state: Any, steps: Any) -> Past:
         """What the way back needs: beliefs, and the fading factors that were chosen."""
         return Past(belief, info.fading)
 
@@ -98,13 +97,16 @@ class GaussianFilter(TrackFilter):
 
     def retreat(self, turn: Turn, after: Gaussian) -> tuple[Gaussian, Told]:
         """One step back: Rauch, Tung & Striebel (1965) through the prediction as it was made."""
-        factor = turn.ahead.factor
-        stretch = None if factor is None else partial(self.fading.stretch, factor=factor)
-        step = reverse(self.motion, self.motion_rule, turn.past.belief, turn.frame, stretch)
+        step = reverse(turn.past.belief, self.carry(turn.past.belief, turn.frame, turn.ahead.factor))
         mean, root = step(after, self.motion.difference)
         belief = Gaussian(self.motion.canonical(mean), root)
         repaired = None if step.repaired is None else step.repaired.expand(mean.shape[:-1])
         return belief, Told(belief, repaired=repaired)
+
+    def carry(self, belief: Gaussian, frame: Frame, factor: Tensor | None) -> Carried:
+        """A belief carried over a step, with the fading factor ``(...)`` that was chosen."""
+        ahead = propagate(self.motion, self.motion_rule, belief, frame)
+        return ahead if factor is None else ahead._replace(spread=self.fading.stretch(ahead.spread, factor))
 
     @property
     def _may_repair(self) -> bool:

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.model import propagate
-from torchfra.gaussian.rules import Difference, Rule
+from torchfra.gaussian.model import Carried
+from torchfra.gaussian.rules import Difference
 from torchfra.linalg.gram import downdate
 from torchfra.linalg.triangular import hstack, tria
-from torchfra.motion.base import Motion
 from torchfra.tree import event_ranks
 from torchfra.types import Gaussian
-
-Stretch = Callable[[Tensor], Tensor]
 
 
 @event_ranks(mean=1, predicted=1, root=2, cross=2, left=2, repaired=0)
@@ -51,8 +46,8 @@ class Reversed(NamedTuple):
         return Gaussian(self.mean + told[..., 0], tria(hstack(self.left, told[..., 1:])))
 
 
-def reverse(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame, stretch: Stretch | None = None) -> Reversed:
-    """The step of ``frame`` from a filtered ``belief`` on, seen from its end.
+def reverse(belief: Gaussian, ahead: Carried) -> Reversed:
+    """The step that has carried a filtered ``belief (..., n)`` on, seen from its end.
 
     ``tria([[F S, S_Q], [S, 0]]) = [[S-, 0], [L21, L22]]`` holds all of it: the gain is ``L21 (S-)^-1``, and ``L22`` is
     what the state after the step cannot tell.  Of a nonlinear motion ``F S`` is the rule's slope, and what does not
@@ -61,38 +56,31 @@ def reverse(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame, stretch:
     A direction in which the prediction is certain (a pivot of ``S-`` at the level of rounding errors) tells nothing:
     the gain is that of a pseudo-inverse, and what stands in its column of ``L21`` is left.
 
-    Args:
-        motion: how the target moves.
-        rule: that the filter has carried beliefs by.
-        belief: ``(..., n)`` before the step.
-        frame: of the step.
-        stretch: what fading factors make of the columns ``(..., n, p)`` that come from the belief.
-
     Source: Rauch, Tung & Striebel (1965); Arasaratnam & Haykin (2011), "Cubature Kalman Smoothers"; in this form
     Yaghoobi et al. (2022), "Parallel Square-Root Statistical Linear Regression for Inference in Nonlinear State Space
     Models".  Differs: the rank of the prediction may be lost.
     """
-    mean, spread, noise, lost = propagate(motion, rule, belief, frame)
-    spread = spread if stretch is None else stretch(spread)
-    n, repaired = mean.shape[-1], None
-    ahead = hstack(noise, spread)
-    if lost is not None:
-        own, slope = ahead[..., :-n], ahead[..., -n:]
-        root, repaired = downdate(tria(own), lost)
-        ahead = hstack(root, slope)
-    ahead = pad(ahead, (2 * n, 0))  # behind the zeros that tria wants
-    now = pad(belief.scale_tril.expand(*ahead.shape[:-2], n, n), (ahead.shape[-1] - n, 0))
-    lower = tria(torch.cat([ahead, now], -2), padded=True)
-    root, cross, left = lower[..., :n, :n], lower[..., n:, :n], lower[..., n:, n:]
-    certain = _certain(root.detach(), sum(ahead.shape[-2:]))
-    rows, columns = certain.unsqueeze(-1), certain.unsqueeze(-2)
-    left = hstack(left, torch.where(columns, cross, 0.0))
-    root = torch.where(rows, 0.0, root) + torch.diag_embed(certain.to(root))
-    return Reversed(belief.mean, mean, root, torch.where(columns, 0.0, cross), left, certain, repaired)
+    n, repaired = ahead.mean.shape[-1], None
+    columns = hstack(ahead.process_noise, ahead.spread)
+    if ahead.lost is not None:
+        root, repaired = downdate(tria(columns[..., :-n]), ahead.lost)
+        columns = hstack(root, columns[..., -n:])
+    columns = pad(columns, (2 * n, 0))  # behind the zeros that tria wants
+    now = pad(belief.scale_tril.expand(*columns.shape[:-2], n, n), (columns.shape[-1] - n, 0))
+    lower = tria(torch.cat([columns, now], -2), padded=True)
+    cross, left = lower[..., n:, :n], lower[..., n:, n:]
+    root, certain = invertible(lower[..., :n, :n], sum(columns.shape[-2:]))
+    untold = certain.unsqueeze(-2)
+    left = hstack(left, torch.where(untold, cross, 0.0))
+    return Reversed(belief.mean, ahead.mean, root, torch.where(untold, 0.0, cross), left, certain, repaired)
 
 
-def _certain(root: Tensor, terms: int) -> Tensor:
-    """``(..., n)`` bool: pivots of ``root (..., n, n)`` at the level of the rounding errors of so many terms."""
+def invertible(root: Tensor, terms: int) -> tuple[Tensor, Tensor]:
+    """A lower root ``(..., n, n)`` with the identity in directions that are certain, and which those are.
+
+    These are the pivots, ``(..., n)`` bool, at the level of the rounding errors of sums of so many terms.
+    """
     rounding = 4 * terms * torch.finfo(root.dtype).eps
-    certain: Tensor = root.diagonal(dim1=-2, dim2=-1) <= rounding * root.square().sum(-1).sqrt()
-    return certain
+    held = root.detach()
+    certain = held.diagonal(dim1=-2, dim2=-1) <= rounding * held.square().sum(-1).sqrt()
+    return torch.where(certain.unsqueeze(-1), 0.0, root) + torch.diag_embed(certain.to(root)), certain

@@ -15,12 +15,12 @@ from torchfra.filters.gpb.merging import lifted, log_share, together
 from torchfra.filters.gpb.qualities import Qualities
 from torchfra.filters.gpb.regimes import Regimes
 from torchfra.filters.gpb.states import GPBInfo, GPBState, Shares, Step
-from torchfra.filters.imm import for_each_model, models_first, repeated
+from torchfra.filters.imm import for_each_model
 from torchfra.filters.records import Record
 from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame, Measurements
-from torchfra.gaussian.mixture import moment_match
+from torchfra.gaussian.mixture import models_first, moment_match, repeated
 from torchfra.gaussian.model import propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import innovation
