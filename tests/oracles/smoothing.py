@@ -6,7 +6,8 @@ solution; Arasaratnam & Haykin (2011), Automatica 47(10):2245-2250.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -70,3 +71,93 @@ def through(f: Callable[[Array], Array], SQ: Array, rule: Rule, mean: Array, P: 
     predicted = rule[1] @ values
     gaps = values - predicted
     return predicted, gaps.T @ np.diag(rule[2]) @ gaps + SQ @ SQ.T, (points - mean).T @ np.diag(rule[2]) @ gaps
+
+
+def every_history(z: Array, mean0: Array, P0: Array, models: list[Model], transition: Array, initial: Array) -> Result:
+    """The exact smoothed mixture of linear models that switch: all histories, each as a track of its own.
+
+    Rows of the transition say from which model; the first step's model is drawn by initial @ transition. Q singular or
+    not; P0 not.
+    """
+    T, n, histories = len(z), len(mean0), list(product(range(len(models)), repeat=len(z)))
+    logs, means, Ps = [], [], []
+    for history in histories:
+        log = np.log((initial @ transition)[history[0]]) + sum(np.log(transition[a, b]) for a, b in pairwise(history))
+        middle, rows, A = np.array(mean0, dtype=float), np.linalg.cholesky(P0), []
+        mean = []
+        for k, model in enumerate(models[m] for m in history):
+            middle, rows = at(model.F, k) @ middle, np.hstack([at(model.F, k) @ rows, at(model.SQ, k)])
+            mean.append(middle)
+            A.append(rows)
+        A = np.vstack([np.hstack([a, np.zeros((n, A[-1].shape[1] - a.shape[1]))]) for a in A])
+        seen = [k * n + i for k in range(T) for i in present(z[k])]
+        R = block(at(models[m].SR, k)[np.ix_(present(z[k]), present(z[k]))] for k, m in enumerate(history))
+        S, e = A[seen] @ A[seen].T + R @ R.T, z[~np.isnan(z)] - np.concatenate(mean)[seen]
+        K = A @ A[seen].T @ np.linalg.inv(S)
+        logs.append(log - 0.5 * e @ np.linalg.solve(S, e) - 0.5 * np.linalg.slogdet(S)[1])
+        means.append((np.concatenate(mean) + K @ e).reshape(T, n))
+        P = A @ A.T - K @ S @ K.T
+        Ps.append([P[k * n : k * n + n, k * n : k * n + n] for k in range(T)])
+    weights = np.exp(np.array(logs) - np.max(logs))
+    weights /= weights.sum()
+    mean = np.einsum("h,hti->ti", weights, means)
+    gaps = np.array(means) - mean
+    P = np.einsum("h,htij->tij", weights, np.array(Ps) + gaps[..., :, None] * gaps[..., None, :])
+    which = np.array(histories)
+    probabilities = np.array([[weights[which[:, k] == m].sum() for m in range(len(models))] for k in range(T)])
+    return {"mean": mean, "P": P, "probabilities": probabilities}
+
+
+def block(parts: Iterable[Array]) -> Array:
+    """Matrices along a diagonal."""
+    parts = list(parts)
+    whole, at = np.zeros((sum(map(len, parts)),) * 2), 0
+    for part in parts:
+        whole[at : at + len(part), at : at + len(part)] = part
+        at += len(part)
+    return whole
+
+
+def models_smoother(forth: Result, models: list[Model], transition: Array) -> Result:
+    """Interacting models backwards, in information form, from the filter's means (T,K,n), Ps and weights (T,K).
+
+    What later measurements say to model j after a step is the Gaussian quotient of its smoothed belief and its
+    prediction, without the directions in which that is no density. It is multiplied with what every model i before
+    predicts of the step by the motion of j, and weighs the models by the integral.
+    """
+    mean, P, weights = (np.array(forth[key][-1]) for key in ("means", "Ps", "weights"))
+    K, out = len(models), [(mean, P, weights)]
+    for k in range(len(forth["means"]) - 1, 0, -1):
+        m, C, w = (forth[key][k - 1] for key in ("means", "Ps", "weights"))
+        pair, each, spread = np.zeros((K, K)), np.zeros((K, K, len(m[0]))), np.zeros((K, K, *C[0].shape))
+        for j in range(K):
+            F, SQ = at(models[j].F, k), at(models[j].SQ, k)
+            share = transition[:, j] * w
+            share /= share.sum()
+            middle = share @ m
+            mixed = sum(share[i] * (C[i] + np.outer(m[i] - middle, m[i] - middle)) for i in range(K))
+            L = np.linalg.cholesky(F @ mixed @ F.T + SQ @ SQ.T)
+            inside = np.linalg.solve(L, np.linalg.solve(L, P[j]).T)
+            value, basis = np.linalg.eigh((inside + inside.T) / 2)
+            V = basis[:, value < 1 - 1e-8]
+            value = value[value < 1 - 1e-8]
+            rows = np.diag((1 / value - 1) ** 0.5) @ V.T @ np.linalg.inv(L)
+            told = (1 / value - 1) ** -0.5 / value * (V.T @ np.linalg.solve(L, mean[j] - F @ middle))
+            for i in range(K):
+                H = rows @ F
+                e, S = told - rows @ F @ (m[i] - middle), H @ C[i] @ H.T + rows @ SQ @ (rows @ SQ).T + np.eye(len(rows))
+                G = C[i] @ H.T @ np.linalg.inv(S)
+                each[i, j], spread[i, j] = m[i] + G @ e, C[i] - G @ S @ G.T
+                pair[i, j] = share[i] * np.exp(-0.5 * e @ np.linalg.solve(S, e) - 0.5 * np.linalg.slogdet(S)[1])
+            pair[:, j] *= weights[j] / pair[:, j].sum()
+        weights = pair.sum(1)
+        back = pair / weights[:, None]
+        mean = np.einsum("ij,ijn->in", back, each)
+        gaps = each - mean[:, None]
+        P = np.einsum("ij,ijnm->inm", back, spread + gaps[..., :, None] * gaps[..., None, :])
+        out.append((mean, P, weights))
+    means, Ps, every = (np.array(x[::-1]) for x in zip(*out, strict=True))
+    middle = np.einsum("tk,tkn->tn", every, means)
+    gaps = means - middle[:, None]
+    P = np.einsum("tk,tknm->tnm", every, Ps + gaps[..., :, None] * gaps[..., None, :])
+    return {"mean": middle, "P": P, "probabilities": every}

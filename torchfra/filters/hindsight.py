@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import torch
 from torch import Tensor
 
 from torchfra import tree
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.gaussian.future import future
-from torchfra.gaussian.mixture import models_first, moment_match, repeated
+from torchfra.gaussian.mixture import models_first, moment_match, repeated, without_failed
 from torchfra.gaussian.update import correct, density
 from torchfra.types import Gaussian
 
@@ -93,8 +92,8 @@ def retreat(inner: Any, turn: Turn, matrix: Tensor, after: Models) -> Models:
     predicted, _ = inner.carry(mixed, turn.frame, turn.ahead.factor).belief()
     later = future(predicted, after.belief)
     each, root, normalised = correct(before, later.against(inner.carry(before, turn.frame, turn.ahead.factor)))
-    origin = (share + density(root, normalised).movedim(0, -2)).log_softmax(-2)
-    joint = torch.where(origin.isnan(), -torch.inf, origin) + after.log_weights.unsqueeze(-2)
+    fit = without_failed(density(root, normalised)).movedim(0, -2)
+    joint = without_failed((share + fit).log_softmax(-2)) + after.log_weights.unsqueeze(-2)
     log_weights = joint.logsumexp(-1)
     back = Gaussian(each.mean.transpose(0, -2), each.scale_tril.transpose(0, -3))  # (now, ..., was)
     return Models(moment_match(back, (joint - log_weights.unsqueeze(-1)).movedim(-1, 0)), log_weights)

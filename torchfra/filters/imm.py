@@ -16,7 +16,7 @@ from torchfra.filters.records import Record
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import TrackFilter
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import models_first, moment_match, repeated
+from torchfra.gaussian.mixture import models_first, moment_match, repeated, without_failed
 from torchfra.gaussian.update import density
 from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg.triangular import whiten
@@ -188,8 +188,8 @@ def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame:
 
     state, record = inner.advance(state, frame, interact)
     assert record.residual is not None
-    log_density = _without_failed(density(record.root, record.normalised))
-    log_weights = predicted + (log_density if record.evidence is None else _without_failed(record.evidence))
+    log_density = without_failed(density(record.root, record.normalised))
+    log_weights = predicted + (log_density if record.evidence is None else without_failed(record.evidence))
     log_weights = log_weights - log_weights.logsumexp(-1, keepdim=True)  # eq. (9)
     belief = moment_match(models_first(record.belief), log_weights.movedim(-1, 0))  # eqs. (10), (11)
     innovation = moment_match(models_first(Gaussian(record.residual, record.root)), predicted.movedim(-1, 0))
@@ -197,11 +197,6 @@ def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame:
     log_density = (predicted + log_density).logsumexp(-1)
     past = ModelsStep(record.belief, record.info, log_weights)
     return state, log_weights, Record(belief, *innovation, normalised, None, log_density, past=past)
-
-
-def _without_failed(log_density: Tensor) -> Tensor:
-    """Nothing speaks for a model that failed (NaN); the others go on."""
-    return torch.where(log_density.isnan(), -torch.inf, log_density)
 
 
 def for_each_model(frame: Frame) -> Frame:

@@ -24,7 +24,9 @@ class SmoothInfo(NamedTuple):
     filtered: Estimate
     """What the filter said on its way forward."""
     probabilities: Tensor | None = None
-    """``(..., T, K)`` of the models of a bank."""
+    """``(..., T, K)`` of the models of a bank, or ``(..., T, R)`` of the regimes of ``GPB``."""
+    outlier: Tensor | None = None
+    """``(..., T, B)`` of each block of ``GPB`` that it was an outlier."""
     repaired: Tensor | None = None
     """``(..., T)`` bool, of rules with negative weights and motions that are not linear: the joint covariance of this
     state and the next was not positive definite and was repaired."""
@@ -35,6 +37,7 @@ class Told(NamedTuple):
 
     belief: Gaussian
     probabilities: Tensor | None = None
+    outlier: Tensor | None = None
     repaired: Tensor | None = None
 
 
@@ -112,7 +115,7 @@ class Smoother(nn.Module):
         rank = filtered.mean.dim() - 2
         frames, _ = self._frames(measurements, rank)
         told = sweep(self, past, frames, rank, checkpoint, lag)
-        info = SmoothInfo(filtered, told.probabilities, told.repaired)
+        info = SmoothInfo(filtered, *told[1:])
         return Estimate(*told.belief, filtered.nis, filtered.log_likelihood, info)
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: Any) -> Any:

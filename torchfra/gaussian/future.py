@@ -11,9 +11,11 @@ from torchfra.gaussian.model import Carried
 from torchfra.gaussian.smoothing import invertible
 from torchfra.linalg.gram import gram_information
 from torchfra.linalg.triangular import apply, hstack
+from torchfra.tree import event_ranks
 from torchfra.types import Gaussian, Whitened
 
 
+@event_ranks(origin=1, root=2, certain=1, slope=2, value=1)
 class Future(NamedTuple):
     """``value = slope root^-1 (x - origin) + N(0, I)`` for a state ``x (..., n)``."""
 

@@ -40,3 +40,8 @@ def repeated(belief: Gaussian, count: int) -> Gaussian:
 def models_first(belief: Gaussian) -> Gaussian:
     """``(..., K)`` beliefs as ``(K, ...)``."""
     return Gaussian(belief.mean.movedim(-2, 0), belief.scale_tril.movedim(-3, 0))
+
+
+def without_failed(log_density: Tensor) -> Tensor:
+    """Nothing speaks for a model that failed (NaN); the others go on."""
+    return torch.where(log_density.isnan(), -torch.inf, log_density)

@@ -14,6 +14,7 @@ from torchfra.linalg.gram import downdate
 from torchfra.linalg.triangular import apply, hstack, tria
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
+from torchfra.tree import event_ranks
 from torchfra.types import Gaussian, Prediction, Whitened
 
 
@@ -29,6 +30,7 @@ def add_counts(*counts: Tensor | None) -> Tensor | None:
     return sum(there[1:], there[0]) if there else None
 
 
+@event_ranks(mean=1, spread=2, process_noise=2, lost=2)
 class Carried(NamedTuple):
     """A belief carried through a motion: ``P = spread spread^T + process_noise process_noise^T - lost lost^T``."""
 

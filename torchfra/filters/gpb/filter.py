@@ -11,12 +11,14 @@ from torch.distributions import constraints
 from torchfra import tree
 from torchfra.filters.base import Mix
 from torchfra.filters.checks import check_models
+from torchfra.filters.gpb.hindsight import GPBPast, retreat
 from torchfra.filters.gpb.merging import lifted, log_share, together
 from torchfra.filters.gpb.qualities import Qualities
 from torchfra.filters.gpb.regimes import Regimes
 from torchfra.filters.gpb.states import GPBInfo, GPBState, Shares, Step
 from torchfra.filters.imm import for_each_model
 from torchfra.filters.records import Record
+from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame, Measurements
@@ -66,6 +68,8 @@ class GPB(GaussianFilter):
     Source: Harrison & Stevens (1976), Kirkendall (1992) for regimes and outliers as hypotheses; Bar-Shalom, Li &
     Kirubarajan (2001), section 11.6, for GPB2 and IMM; Daeipour & Bar-Shalom (1995) for modes of the noise.
     """
+
+    keeps_past = True
 
     def __init__(
         self,
@@ -140,9 +144,10 @@ class GPB(GaussianFilter):
         expected = moment_match(tree.map_tensors(lambda x: x.flatten(0, 1), seen), log_share(log_ahead.flatten(0, 1)))
         whitened = self.compare(expected, frame)
         info = Step(settled, log_regimes.exp().sum(0), outlier)
-        record = Record(belief, whitened.residual, *innovation(whitened), info, log_likelihood)
         clean, dirty = tree.unbind(after, 2)
-        return GPBState(belief, settled, clean, dirty, log_regimes.movedim(0, -2), if_dirty), record
+        past = GPBPast(clean, dirty, log_regimes.movedim(0, -2), if_dirty)
+        record = Record(belief, whitened.residual, *innovation(whitened), info, log_likelihood, past=past)
+        return GPBState(belief, settled, *past), record
 
     def look_ahead(self, before: Gaussian, log_weights: Tensor, frame: Frame) -> tuple[Gaussian, Tensor, Shares | None]:
         """Predictions ``(R, 2, ..., n)`` of all regimes, their log weights, and who contributed to which motion."""
@@ -209,3 +214,21 @@ class GPB(GaussianFilter):
 
         settled = tree.map_tensors(one_later, info.settled, state.belief)
         return settled if self.lag else belief, GPBInfo(belief, settled, info.regimes, info.outlier)
+
+    def past(self, belief: Gaussian, info: GPBInfo, state: GPBState, steps: GPBPast) -> GPBPast:  # type: ignore[override]
+        """What is known of all hypotheses after each step."""
+        return steps
+
+    def last(self, past: GPBPast) -> tuple[GPBPast, Told]:  # type: ignore[override]
+        """The last step, which no later measurement speaks of."""
+        return past, past.told(self.regimes)
+
+    def retreat(self, turn: Turn, after: GPBPast) -> tuple[GPBPast, Told]:  # type: ignore[override]
+        """One step back, of all hypotheses."""
+        if after.outlier.dim() > turn.past.outlier.dim():
+            several: tuple[GPBPast, Told] = tree.stack(
+                [self.retreat(turn, x) for x in tree.unbind(after, len(after.outlier))], 0
+            )
+            return several
+        before = retreat(self, turn, after)
+        return before, before.told(self.regimes)
