@@ -219,6 +219,10 @@ class GPB(GaussianFilter):
         """What is known of all hypotheses after each step."""
         return steps
 
+    def fresh(self, past: GPBPast) -> GPBPast:  # type: ignore[override]
+        """The same: nothing is decided later."""
+        return past
+
     def last(self, past: GPBPast) -> tuple[GPBPast, Told]:  # type: ignore[override]
         """The last step, which no later measurement speaks of."""
         return past, past.told(self.regimes)

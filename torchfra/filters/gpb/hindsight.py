@@ -48,7 +48,8 @@ def retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
     """One step back: hypotheses of the step before (2 qualities, K motions) meet those of the step (R regimes, 2).
 
     As in ``torchfra.filters.hindsight``: what comes later is the measurement that makes of a prediction its smoothed
-    belief, here for each quality and motion of the step.
+    belief, here for each quality and motion of the step.  Beliefs of the regimes of one motion have been merged, so
+    that of those later measurements tell what their Markov chain passes on.
 
     Args:
         f: the filter.
