@@ -81,7 +81,7 @@ def test_on_short_tracks_it_is_close_to_the_exact_mixture_of_all_histories():
 
     assert off(smoothed) < 0.06
     assert off(smoothed) < 0.15 * off(filtered)
-    assert wrong(smoothed.info.probabilities) < 0.03
+    assert wrong(smoothed.info.probabilities) < 0.04
     assert wrong(smoothed.info.probabilities) < 0.2 * wrong(filtered.info.probabilities)
     spread = np.trace(smoothed.covariance.numpy()[..., :2, :2], axis1=-2, axis2=-1) / size**2
     assert abs(spread[:, :-1].mean() - 1) < 0.02
