@@ -1,5 +1,7 @@
 """Smoothed hypotheses of GPB are close to the exact mixture of all histories, and keep every promise of a filter."""
 
+from functools import partial
+
 import numpy as np
 import oracles
 import pytest
@@ -114,6 +116,16 @@ def test_batches_vmap_lags_and_reruns_give_the_same(name):
 def test_the_filter_says_the_same_whether_it_will_go_back_or_not():
     f, z = FILTERS["bank"]()
     torch.testing.assert_close(f.smooth(z, PRIOR).info.filtered, f(z, PRIOR), rtol=0, atol=0)
+
+
+def test_values_may_differ_by_track():
+    jumps, z = torch.tensor([[[10.0]], [[1000.0]]]).double(), FILTERS["bank"]()[1]
+    make = partial(presets.gpb, ConstantAcceleration(0.1), Position(STD))
+    together = make(jumps=jumps).smooth(z, PRIOR)
+    assert together.mean.shape == (2, 3, STEPS, 6)
+    for i, values in enumerate(jumps[:, 0]):
+        alone = make(jumps=values).smooth(z, PRIOR)
+        torch.testing.assert_close(together.mean[i], alone.mean, rtol=1e-7, atol=1e-7)
 
 
 def test_gradients_are_exact():

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.filters.gpb.merging import together
-from torchfra.filters.gpb.regimes import Regimes
+from torchfra.filters.gpb.regimes import Regimes, in_front
 from torchfra.filters.imm import for_each_model
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.gaussian.future import Future, future
@@ -59,7 +59,7 @@ def retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
     past, frame = turn.past, turn.frame
     prior = _prior(f, past, frame.seen.sum(-1, keepdim=True) > 0)  # (now, was, ..., regime was, regime now)
     before = _each_motion(past.beliefs())  # (was, motion was, ..., motion now)
-    ahead = f.regimes.carried(f.carry(before, for_each_model(frame), None), f.motion.position)  # (R, was, motion, ...)
+    ahead = _of_regimes(f, f.carry(before, for_each_model(frame), None))  # (R, was, motion was, ...)
     later = future(_predicted(f.regimes, ahead, f.regimes.of_motion(prior.transpose(-1, -2))), after.beliefs())
     each, fit = _corrected(f.regimes, past.beliefs(), ahead, later)  # (R, now, was, motion, ...)
 
@@ -91,6 +91,28 @@ def _each_motion(beliefs: Gaussian) -> Gaussian:
     """Beliefs ``(2, ..., K)`` before every motion, ``(2, K, ..., K)``."""
     mean, root = beliefs
     return repeated(Gaussian(mean.movedim(-2, 1), root.movedim(-3, 1)), mean.shape[-2])
+
+
+def _of_regimes(f: Any, ahead: Carried) -> Carried:
+    """Beliefs carried by every motion, ``(..., K)``, as every regime carries them, ``(R, ...)``.
+
+    These are the parts of ``Regimes.predictions``.
+    """
+    regimes, rank = f.regimes, ahead.mean.dim() - 2
+    mean, spread, noise = (
+        regimes.of_each(x.expand(*ahead.mean.shape[:-1], *x.shape[-event:]).movedim(-1 - event, 0), 0)
+        for x, event in ((ahead.mean, 1), (ahead.spread, 2), (ahead.process_noise, 2))
+    )
+    levels, jumps = (in_front(x(ahead.mean).sqrt(), rank) for x in (regimes.levels, regimes.jumps))
+    batch = torch.broadcast_shapes(levels.shape[1:], jumps.shape[1:])
+    levels, jumps = levels.expand(-1, *batch), jumps.expand(-1, *batch)
+    one = torch.ones_like(levels[:1])
+    level = torch.cat([levels, *[one] * (regimes.motions - 1), *[levels[-1:]] * len(jumps)]).unsqueeze(-1)
+    jump = torch.cat([*[one] * (len(level) - len(jumps)), jumps]).unsqueeze(-1)
+    there = torch.zeros_like(ahead.mean[(0,) * (rank + 1)])
+    there[f.motion.position] = 1.0
+    widened = 1 + (jump - 1) * there
+    return Carried(mean, widened.unsqueeze(-1) * spread, (widened * level).unsqueeze(-1) * noise, None)
 
 
 def _predicted(regimes: Regimes, ahead: Carried, prior: Tensor) -> Gaussian:

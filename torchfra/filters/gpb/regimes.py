@@ -6,7 +6,6 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import constraints
 
-from torchfra.gaussian.model import Carried
 from torchfra.hyper import Hyper, Values
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian
@@ -96,34 +95,20 @@ class Regimes(nn.Module):
             noise: ``(..., K, n, q)`` process noise.
             position: which components of a state are its position.
         """
-        means, columns = self._columns(mean, spread, noise)
-        return Gaussian(means, self._jumping(tria(columns), mean, position))  # scaled rows: still a lower root
-
-    def carried(self, ahead: Carried, position: slice) -> Carried:
-        """The same by their parts, each with its own columns of ``spread`` and ``process_noise``."""
-        means, columns = self._columns(ahead.mean, ahead.spread, ahead.process_noise)
-        spread, noise = self._jumping(columns, ahead.mean, position).tensor_split([ahead.spread.shape[-1]], -1)
-        return Carried(means, spread, noise, None)
-
-    def _columns(self, mean: Tensor, spread: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
-        """Means of all regimes, ``(R, ...)``, and of those that are no jumps the columns of all that is uncertain."""
         every = torch.broadcast_shapes(mean.shape, noise.shape[:-1])  # values of motions may bring a batch
         rank, jumps = mean.dim() - 2, self.jumps.raw.shape[-1]
         means = mean.expand(every).movedim(-2, 0)
         spread, noise = (x.expand(*every, -1).movedim(-3, 0) for x in (spread, noise))
         first = in_front(self.levels(mean).sqrt(), rank)[..., None, None] * noise[:1]
         noise = torch.cat([first.expand(self.count, *noise.shape[1:]), noise[1:]])
-        columns = hstack(torch.cat([spread[:1].expand(self.count, *spread.shape[1:]), spread[1:]]), noise)
-        own = means[:1]
-        means = torch.cat([own.expand(self.count, *own.shape[1:]), means[1:], own.expand(jumps, *own.shape[1:])])
-        return means, columns
-
-    def _jumping(self, roots: Tensor, mean: Tensor, position: slice) -> Tensor:
-        """Roots of all regimes, from those that are no jumps and the means ``(..., K, n)`` of the motions."""
+        roots = tria(hstack(torch.cat([spread[:1].expand(self.count, *spread.shape[1:]), spread[1:]]), noise))
         there = torch.zeros(mean.shape[-1], dtype=mean.dtype, device=mean.device)
         there[position] = 1.0
-        widened = 1 + (in_front(self.jumps(mean).sqrt(), mean.dim() - 2).unsqueeze(-1) - 1) * there
-        return torch.cat([roots, widened.unsqueeze(-1) * roots[self.count - 1]])
+        widened = 1 + (in_front(self.jumps(mean).sqrt(), rank).unsqueeze(-1) - 1) * there
+        jumped = widened.unsqueeze(-1) * roots[self.count - 1]  # scaled rows: still a lower root
+        own = means[:1]
+        means = torch.cat([own.expand(self.count, *own.shape[1:]), means[1:], own.expand(jumps, *own.shape[1:])])
+        return Gaussian(means, torch.cat([roots, jumped]))
 
     def possible(self, log_weights: Tensor, measured: Tensor) -> Tensor:
         """Log weights ``(..., R)`` without jumps where nothing is ``measured (..., 1)``: the others share theirs.
