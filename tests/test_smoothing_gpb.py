@@ -121,7 +121,7 @@ def test_the_filter_says_the_same_whether_it_will_go_back_or_not():
 def test_values_may_differ_by_track():
     jumps, z = torch.tensor([[[10.0]], [[1000.0]]]).double(), FILTERS["bank"]()[1]
     make = partial(presets.gpb, ConstantAcceleration(0.1), Position(STD))
-    together = make(jumps=jumps).smooth(z, PRIOR)
+    together = make(jumps=jumps).smooth(z, Gaussian(PRIOR.mean.expand(2, 3, 6), PRIOR.scale_tril))
     assert together.mean.shape == (2, 3, STEPS, 6)
     for i, values in enumerate(jumps[:, 0]):
         alone = make(jumps=values).smooth(z, PRIOR)
