@@ -97,11 +97,16 @@ class GaussianFilter(TrackFilter):
 
     def retreat(self, turn: Turn, after: Gaussian) -> tuple[Gaussian, Told]:
         """One step back: Rauch, Tung & Striebel (1965) through the prediction as it was made."""
-        step = reverse(turn.past.belief, self.carry(turn.past.belief, turn.frame, turn.ahead.factor))
+        ahead = self.carry(turn.past.belief, turn.frame, turn.ahead.factor)
+        told = self.reverse(turn.past.belief, ahead, after)
+        return told.belief, told
+
+    def reverse(self, belief: Gaussian, ahead: Carried, after: Gaussian) -> Told:
+        """A ``belief`` that was carried ``ahead``, smoothed by the smoothed one ``after`` the step."""
+        step = reverse(belief, ahead)
         mean, root = step(after, self.motion.difference)
-        belief = Gaussian(self.motion.canonical(mean), root)
         repaired = None if step.repaired is None else step.repaired.expand(mean.shape[:-1])
-        return belief, Told(belief, repaired=repaired)
+        return Told(Gaussian(self.motion.canonical(mean), root), repaired=repaired)
 
     def carry(self, belief: Gaussian, frame: Frame, factor: Tensor | None) -> Carried:
         """A belief carried over a step, with the fading factor ``(...)`` that was chosen."""

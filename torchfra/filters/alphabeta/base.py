@@ -16,7 +16,7 @@ from torchfra.motion.base import Motion
 from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.position import Position
-from torchfra.types import Gaussian
+from torchfra.types import Estimate, Gaussian
 
 
 class ConstantGainFilter(TrackFilter):
@@ -52,6 +52,18 @@ class ConstantGainFilter(TrackFilter):
         """Position, velocity(, acceleration) ``(..., d)`` of a mean."""
         components: tuple[Tensor, ...] = mean.unflatten(-1, (self.motion.orders, self.motion.dims)).unbind(-2)
         return components
+
+    def smooth(self, *args: object, **options: object) -> Estimate:
+        """There is no smoother.
+
+        Raises:
+            NotImplementedError: always, and says what to do.
+        """
+        name = type(self).__name__
+        raise NotImplementedError(
+            f"{name}: constant gains state no process noise, and so not how far a state follows from the one after it; "
+            "smooth with presets.srckf, or a bank of motions"
+        )
 
     def finish(self, state: Any, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
         """Beliefs of a sequence with the whole root, of which steps keep the entries that are not zero."""
