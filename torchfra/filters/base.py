@@ -143,12 +143,11 @@ class Filter(Smoother):
             ValueError: a shape or a value that does not fit.
         """
         measurements = Measurements(z, dt, u, std, noise)
+        frame = partial(self._frame, state, measurements)
         if self._kernels is not None and self._kernels.takes(z):
-            compiled: tuple[Any, Innovation] = self._kernels.step(
-                self, state, measurements, partial(self._frame, state, measurements)
-            )
+            compiled: tuple[Any, Innovation] = self._kernels.step(self, state, measurements, frame)
             return compiled
-        return self.observe(state, self._frame(state, measurements))
+        return self.observe(state, frame())
 
     def forward(
         self,
@@ -195,8 +194,8 @@ class Filter(Smoother):
     def observe(self, state: Any, frame: Frame) -> tuple[Any, Innovation]:
         """One step on a prepared frame: the next state, and what the measurement said."""
         state, record = self.advance(state, frame)
-        residual, root = self._innovation(record, frame)
-        return state, Innovation(residual, root, *self._scores(record, frame.measurement_noise.log_norm))
+        log_norm = frame.measurement_noise.log_norm
+        return state, Innovation(*self._innovation(record, frame), *self._scores(record, log_norm))
 
     def _forth(
         self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,

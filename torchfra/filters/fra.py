@@ -227,14 +227,7 @@ class FRA(Soft, GaussianFilter):
         """What was settled on, fading factors where the adaptive branch was kept; and what was provisional."""
         adaptive = info.abnormal & self.favoured(self.provisional, info.fading[..., 0]).adaptive.unsqueeze(-1)
         factor, early = (torch.where(kept, info.fading, 1.0) for kept in (info.adaptive, adaptive))
-        rank, last = info.fading.dim() - 1, info.fading.shape[-1] - 1
-
-        def until_last(early: Tensor, final: Tensor) -> Tensor:
-            """Nothing decides the last step later."""
-            return torch.cat([early.narrow(rank, 0, last), final.narrow(rank, last, 1)], rank)
-
-        fresh = tree.map_tensors(until_last, (info.provisional, early), (belief, factor))
-        return Past(belief, factor, fresh)
+        return Past(belief, factor, (info.provisional, early))
 
     def where_abnormal(self, mask: Tensor, function: Callable[..., Any], arguments: Any, default: Any) -> Any:
         """``function`` for the tracks in ``mask``: alone if that can be told now, else for all and then chosen."""

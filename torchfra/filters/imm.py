@@ -93,6 +93,10 @@ class Around(TrackFilter):
         inner = self.inner.fresh(past.inner)
         return past if inner is past.inner else past._replace(inner=inner)
 
+    def decided(self, past: ModelsPast) -> ModelsPast:
+        """The past of a last step, of which no later measurement will decide anything."""
+        return past._replace(inner=self.inner.decided(past.inner))
+
     def last(self, past: ModelsPast) -> tuple[Models, Told]:
         """The last step, which no later measurement speaks of."""
         models = Models(past.inner.belief, past.log_weights)

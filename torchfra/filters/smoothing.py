@@ -108,15 +108,21 @@ class Smoother(nn.Module):
 
         Raises:
             ValueError: as of ``forward``; ``lag`` below 1, or an estimate of other tracks.
+            NotImplementedError: a filter of constant gains, which do not say how a state follows from the next.
         """
+        self.check_smooths()
         check_lengths(lag=lag, truncate=truncate, checkpoint=checkpoint)
         measurements = Measurements(z, dt, u, std, noise)
         filtered, past = self._filtered(measurements, prior, checkpoint, truncate, estimate)
         rank = filtered.mean.dim() - 2
         frames, _ = self._frames(measurements, rank)
-        told = sweep(self, past, frames, rank, checkpoint, lag)
+        *steps, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(frames))
+        told = sweep(self, [*steps, self.decided(last)], frames, rank, checkpoint, lag)
         info = SmoothInfo(filtered, *told[1:])
         return Estimate(*told.belief, filtered.nis, filtered.log_likelihood, info)
+
+    def check_smooths(self) -> None:
+        """Raises a ``NotImplementedError`` that says why, of a filter that cannot be smoothed."""
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: Any) -> Any:
         """What the way back needs: a tree of ``(..., T, ...)`` tensors.
@@ -131,6 +137,10 @@ class Smoother(nn.Module):
 
     def fresh(self, past: Any) -> Any:
         """Of one step the past as it was at the step itself, before a later measurement decided anything of it."""
+        return past
+
+    def decided(self, past: Any) -> Any:
+        """Of a last step the past as it stays, as no later measurement will decide anything of it."""
         return past
 
     def last(self, past: Any) -> tuple[Any, Told]:
@@ -167,15 +177,14 @@ def sweep(f: Smoother, past: Any, frames: Sequence[Frame], rank: int, checkpoint
 
     Args:
         f: takes the steps.
-        past: of all steps, time behind the batch.
+        past: of each step.
         frames: one for each step.
         rank: batch dimensions.
         checkpoint: steps between states that are kept for gradients.
         lag: steps after which measurements are no longer looked at; None for all there are.
     """
-    steps = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(frames))
-    turns = [Turn(*pair, frame) for pair, frame in zip(pairwise(steps), frames[1:], strict=True)]
-    state, end = f.last(steps[-1])
+    turns = [Turn(*pair, frame) for pair, frame in zip(pairwise(past), frames[1:], strict=True)]
+    state, end = f.last(past[-1])
     if lag is None:
         retreat = partial(_back, f)
     else:

@@ -90,6 +90,10 @@ class GaussianFilter(TrackFilter):
         """The past of a step as it was at the step itself."""
         return past if past.fresh is None else Past(*past.fresh)
 
+    def decided(self, past: Past) -> Past:
+        """The past of a last step, of which no later measurement will decide anything."""
+        return past._replace(fresh=None)
+
     def last(self, past: Past) -> tuple[Gaussian, Told]:
         """The last step, which no later measurement speaks of."""
         repaired = torch.zeros_like(past.belief.mean[..., 0], dtype=torch.bool) if self._may_repair else None

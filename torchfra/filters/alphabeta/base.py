@@ -16,7 +16,7 @@ from torchfra.motion.base import Motion
 from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.position import Position
-from torchfra.types import Estimate, Gaussian
+from torchfra.types import Gaussian
 
 
 class ConstantGainFilter(TrackFilter):
@@ -53,7 +53,7 @@ class ConstantGainFilter(TrackFilter):
         components: tuple[Tensor, ...] = mean.unflatten(-1, (self.motion.orders, self.motion.dims)).unbind(-2)
         return components
 
-    def smooth(self, *args: object, **options: object) -> Estimate:
+    def check_smooths(self) -> None:
         """There is no smoother.
 
         Raises:
