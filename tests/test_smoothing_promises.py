@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from torchfra import Gaussian, presets
+from torchfra import Gaussian, presets, scenarios
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
 
@@ -124,14 +124,34 @@ def test_values_may_differ_by_track(make, tracks):
         close([x[i] for x in smoothed[:2]], f.smooth(tracks.z, tracks.prior, u=tracks.u))
 
 
-@pytest.mark.parametrize("name", ["rsrckf", "fra"])
-def test_a_compiled_filter_smooths_as_one_that_is_not(make, tracks, name):
-    f, fast = make(name), make(name).compile()
-    for lag in LAGS:
-        close(
-            fast.smooth(tracks.z, tracks.prior, u=tracks.u, lag=lag),
-            f.smooth(tracks.z, tracks.prior, u=tracks.u, lag=lag),
-        )
+@pytest.mark.parametrize("options", [{"lag": 3}, {"dt": 0.5 + torch.rand(4, 12).double()}])
+def test_a_compiled_filter_smooths_as_one_that_is_not(make, tracks, options):
+    f, fast = make("rsrckf"), make("rsrckf").compile()
+    slow = f.smooth(tracks.z, tracks.prior, u=tracks.u, **options)
+    close(fast.smooth(tracks.z, tracks.prior, u=tracks.u, **options), slow)
+
+
+@pytest.mark.parametrize(("name", "learn"), [("asrckf", ("weakening", "q")), ("fra", ("q",))])
+def test_gradients_of_a_compiled_filter_are_the_same(make, tracks, name, learn):
+    slow, fast = make(name, learn=learn), make(name, learn=learn).compile()
+    losses, inputs = [], []
+    for f in (slow, fast):
+        z = tracks.z.clone().requires_grad_()
+        smoothed = f.smooth(z, tracks.prior, u=tracks.u)
+        losses.append(smoothed.mean.square().sum() + smoothed.scale_tril.square().sum())
+        inputs.append([z, *f.parameters()])
+    torch.testing.assert_close(*losses, rtol=1e-9, atol=0.0)
+    gradients = [torch.autograd.grad(loss, values) for loss, values in zip(losses, inputs, strict=True)]
+    torch.testing.assert_close(*gradients, rtol=1e-8, atol=1e-8)
+
+
+def test_a_compiled_motion_that_is_not_linear_goes_back_too():
+    scenario = scenarios.growth()
+    tracks = scenario.simulate(3, 0)
+    f = presets.ghckf(scenario.motion, scenario.sensor)
+    given = (tracks.z[:, :10], tracks.prior), {"u": tracks.u[..., :10, :], "dt": scenario.dt}
+    slow, fast = f.smooth(*given[0], **given[1]), f.compile().smooth(*given[0], **given[1])
+    close(fast, slow, tol=1e-7)
 
 
 def test_a_track_of_one_step_is_filtered():

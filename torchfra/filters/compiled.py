@@ -10,6 +10,8 @@ import torch
 from torch import Tensor, nn
 from torch.autograd import forward_ad
 
+from torchfra.filters.compiled_back import Back, given, retreat
+from torchfra.filters.smoothing import Told
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.hyper import Hyper
 from torchfra.kernel.entries import Entries
@@ -80,14 +82,15 @@ class _Version:
         return all(len(owner) == size for owner, size in self.owners)
 
     def plan(
-        self, advance: Callable[..., Any], state: Any, data: Sequence[Tensor | None], timed: Sequence[bool]
-    ) -> _Plan:
-        """What is to be done with this ``data``, which has an entry for each step where ``timed``."""
+        self, advance: Callable[..., Any], state: Any, data: Sequence[Tensor | None], timed: Sequence[bool],
+        kind: type = Measurements,
+    ) -> _Plan:  # fmt: skip
+        """What is to be done with this ``data`` of a kind, which has an entry for each step where ``timed``."""
         mean, dtype = state.belief.mean, state.belief.mean.dtype
         values = [(value, value().shape, value().dim() - value.event) for value in self.values]
         batch = torch.broadcast_shapes(mean.shape[:-1], *(shape[:rank] for _, shape, rank in values))
         inputs, shapes = {}, []
-        for name, x, event, varies in zip(Measurements._fields, data, ranks(Measurements).values(), timed, strict=True):
+        for (name, event), x, varies in zip(ranks(kind).items(), data, timed, strict=True):
             if x is not None:
                 inputs[name] = Input(x.shape[x.dim() - event :], varies, False)
                 shapes.append(batch + x.shape[x.dim() - event - varies :])
@@ -96,7 +99,8 @@ class _Version:
             shapes.append(batch + shape[rank:])
         key = (advance, dtype, tuple(inputs.items()))
         if key not in self.kernels:
-            self.kernels[key] = Kernels(Step(self.frozen, _begin, advance, inputs, dtype, timed[0]))
+            begin = (lambda f: Told(_begin(f).belief)) if kind is Back else _begin
+            self.kernels[key] = Kernels(Step(self.frozen, begin, advance, inputs, dtype, timed[0], kind is Back))
         kernels = self.kernels[key]
         return _Plan(kernels, batch, [batch + zero.shape for zero in kernels.step.zero] + shapes)
 
@@ -183,6 +187,14 @@ class Compiled:
                 _keep_past if past else _keep, state, data, (True, measurements.varying_dt, True, True, True)
             )
         return now.run(plan, z.shape[-2], state, data, checkpoint, truncate)
+
+    def back(self, f: Any, past: Any, measurements: Measurements, rank: int) -> Any:
+        """What the way back says of every step, time behind ``rank`` batch dimensions: see ``Smoother``."""
+        state, data, timed = given(past, measurements, rank)
+        now = self._now(f)
+        with BUILDING:
+            plan = now.plan(retreat, state, data, timed, Back)
+        return now.run(plan, data[0].shape[rank], state, data)[1]
 
     def step(
         self, f: Any, state: Any, measurements: Measurements, check: Callable[[], Frame]

@@ -58,7 +58,11 @@ class Smoother(nn.Module):
     keeps_past = False
     """Whether the way back needs more of a step than an estimate holds of it."""
 
+    kernels_back = False
+    """Whether the way back can run as a kernel."""
+
     if TYPE_CHECKING:  # of Filter
+        _kernels: Any
         motion: Motion
         scans: bool
 
@@ -115,10 +119,13 @@ class Smoother(nn.Module):
         measurements = Measurements(z, dt, u, std, noise)
         filtered, past = self._filtered(measurements, prior, checkpoint, truncate, estimate)
         rank = filtered.mean.dim() - 2
-        frames, _ = self._frames(measurements, rank)
-        *steps, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(frames))
-        told = sweep(self, [*steps, self.decided(last)], frames, rank, checkpoint, lag)
-        info = SmoothInfo(filtered, *told[1:])
+        if lag is None and self.kernels_back and self._kernels is not None and self._kernels.takes(z):
+            told: Told = self._kernels.back(self, past, measurements, rank)
+        else:
+            frames, _ = self._frames(measurements, rank)
+            *steps, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(frames))
+            told = sweep(self, [*steps, self.decided(last)], frames, rank, checkpoint, lag)
+        info = SmoothInfo(filtered, told.probabilities, told.outlier, told.repaired)
         return Estimate(*told.belief, filtered.nis, filtered.log_likelihood, info)
 
     def check_smooths(self) -> None:

@@ -60,6 +60,7 @@ class GaussianFilter(TrackFilter):
         rule: from a number of states to the rule (``torchfra.gaussian``).
     """
 
+    kernels_back = True
     fading: NoFading
 
     def __init__(self, motion: Motion, sensor: Sensor, rule: Callable[[int], Rule] = third_degree) -> None:

@@ -69,7 +69,7 @@ class GPB(GaussianFilter):
     Kirubarajan (2001), section 11.6, for GPB2 and IMM; Daeipour & Bar-Shalom (1995) for modes of the noise.
     """
 
-    keeps_past = True
+    keeps_past, kernels_back = True, False
 
     def __init__(
         self,
