@@ -75,7 +75,7 @@ def parser() -> argparse.ArgumentParser:
 
 def regret(options: argparse.Namespace) -> None:
     """All cells; tables when the last one is done."""
-    names = compared_filters(options.filters or track_filters()[0])
+    names = compared_filters(track_filters()[0] if options.filters is None else options.filters)
     learned = {file.rpartition("=")[2]: file.rpartition("=")[0] or names[0] for file in options.learned}
     cells = chosen_cells(all_cells(options.flights, options.ranges), options.cells.split(","))
     tell, _ = reporters(options.compile, options.quiet)
@@ -101,7 +101,7 @@ def gains(options: argparse.Namespace) -> None:
     """
     if options.learned or options.figure is not None:
         raise ValueError("smooth: expected neither learned values nor --figure beside it")
-    names = compared_filters(options.filters or ",".join(smoothed.FILTERS))
+    names = compared_filters(",".join(smoothed.FILTERS) if options.filters is None else options.filters)
     cells = chosen_cells(all_cells(options.flights, options.ranges), options.cells.split(","))
     results: dict[str, dict[str, Any]] = {}
     for name, cell in progress_bar(cells.items(), "cell", not options.quiet):
