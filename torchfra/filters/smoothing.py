@@ -52,7 +52,8 @@ class Turn(NamedTuple):
 class Smoother(nn.Module):
     """Abstract, a part of ``Filter``: smoothed estimates of whole tracks.
 
-    A filter gives ``past``, ``last`` and ``retreat``; one that decides late gives ``fresh`` too.
+    A filter gives ``past``, ``last`` and ``retreat``; one that decides late gives ``fresh`` and
+    ``decided`` too, one whose estimate does not hold all of that says ``keeps_past`` and puts it into ``Record.past``.
     """
 
     keeps_past = False
