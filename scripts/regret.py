@@ -3,6 +3,7 @@
     python scripts/regret.py --filters fra --json out/regret.json --figure out/regret.png
     python scripts/regret.py --filters fra --cells '1-*-std,2-std' out/train/fra_bearings/state_dict.pt
     python scripts/regret.py --filters fra,imm_srckf --cells 'flights-*' --flights a.json.gz b.json.gz
+    python scripts/regret.py --smooth --cells '2-*' --runs 100
 
 Cells: scenario 1 of the bearings experiments with the paper's start and with a good one, and scenario 2; recorded
 flights by bearings, position and radar; each with outliers none, covariance, std and bursts; simulated ranges with
@@ -11,6 +12,10 @@ best filter of the catalogue that is not compared, at its defaults, a bank of mo
 two tables: of filtered estimates, and of settled ones, where every filter that waits for a measurement before it
 decides has its later estimate, and the others the only one they have.  The 95 % interval is of a bootstrap over the
 runs, which are the same for all filters; a run is lost above 2000 m, of ranges above 20 m.
+
+With --smooth no filter is compared with another: one table has the errors of each as it filters, 1 and 5 steps later,
+and smoothed, the change from the first to the last, and the NEES of positions per dimension, which is 1 where
+covariances are honest.
 """
 
 from __future__ import annotations
@@ -21,6 +26,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from regrets import smoothed
 from regrets.cells import all_cells, chosen_cells
 from regrets.ratios import KINDS, RESAMPLES, both_kinds, errors
 from regrets.show import not_finite, panels, summary, summary_lines, table
@@ -49,16 +55,23 @@ USUAL_STEPS = 100
 
 def main(arguments: list[str] | None = None) -> int:
     """Prints the tables; returns its exit status: see ``torchfra.app.command.exit_status``."""
-    return exit_status("regret", lambda: regret(parser().parse_args(arguments)))
+
+    def run() -> None:
+        options = parser().parse_args(arguments)
+        (gains if options.smooth else regret)(options)
+
+    return exit_status("regret", run)
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     p = make_parser(__doc__)
-    first = track_filters()[0]
+    first, usual = track_filters()[0], ",".join(smoothed.FILTERS)
     learned = "learned values of the filter NAME, or of the first of --filters, are compared too"
     p.add_argument("learned", metavar="[NAME=]STATE_DICT", nargs="*", help=learned)
-    p.add_argument("--filters", metavar="A,B", default=first, help=f"compared with all others (default: {first})")
+    compared = f"compared with all others (default: {first}), or smoothed (default: {usual})"
+    p.add_argument("--filters", metavar="A,B", help=compared)
+    p.add_argument("--smooth", action="store_true", help="what smoothing gains")
     p.add_argument("--cells", metavar="A,B", default="*", help="names, or patterns such as '1-*-std' (default: all)")
     p.add_argument("--flights", metavar="FILE", nargs="+", type=Path, help="recorded flights (default: samples)")
     ranges = "with recorded ranges and the path that was taken: a cell for each recording there or below"
@@ -74,7 +87,7 @@ def parser() -> argparse.ArgumentParser:
 
 def regret(options: argparse.Namespace) -> None:
     """All cells; tables when the last one is done."""
-    names = compared_filters(options.filters)
+    names = compared_filters(track_filters()[0] if options.filters is None else options.filters)
     learned = {file.rpartition("=")[2]: file.rpartition("=")[0] or names[0] for file in options.learned}
     inputs = [*learned, *(options.flights or []), *options.ranges]
     check_files({"json": options.json, "figure": options.figure}, inputs)
@@ -92,6 +105,33 @@ def regret(options: argparse.Namespace) -> None:
         results[name] = {"scenario": scenario.name, "runs": runs, "settings": settings}
         results[name] |= both_kinds(found, {*names, *learned}, scenario.limit)
     write(results, names, learned, options)
+
+
+def gains(options: argparse.Namespace) -> None:
+    """What smoothing gains in all cells, and a table of it when the last one is done.
+
+    Raises:
+        ValueError: arguments that go with comparisons alone.
+    """
+    if options.learned or options.figure is not None:
+        raise ValueError("smooth: expected neither learned values nor --figure beside it")
+    names = compared_filters(",".join(smoothed.FILTERS) if options.filters is None else options.filters)
+    check_files({"json": options.json}, [*(options.flights or []), *options.ranges])
+    cells = chosen_cells(all_cells(options.flights, options.ranges), options.cells.split(","))
+    results: dict[str, dict[str, Any]] = {}
+    for name, cell in progress_bar(cells.items(), "cell", not options.quiet):
+        scenario, runs = cell.make(), options.runs if cell.runs is None else cell.runs
+        filters = scenario_filters(names, scenario)
+        found = smoothed.errors(scenario, filters, runs=runs, seed=options.seed, progress=not options.quiet)
+        results[name] = {"scenario": scenario.name, "runs": runs, "smoothing": smoothed.results(found)}
+    failures = Failures()
+    if not options.quiet:
+        print(smoothed.table(results), flush=True)
+    if options.json is not None:
+        head = {"runs": options.runs, "seed": options.seed, "resamples": RESAMPLES, "versions": versions()}
+        with failures.of("json"):
+            write_json(options.json, {**head, "cells": results})
+    failures.end()
 
 
 def compared_filters(listed: str) -> list[str]:

@@ -23,12 +23,14 @@ from oracles.jpda import jpda
 from oracles.kalman import ekf, kalman
 from oracles.noise import Tuned, iaukf
 from oracles.robust import mr_ckf, rsrckf, srckf, ukf
+from oracles.smoothing import every_history, models_smoother, smoother, through, whole_track
 from oracles.spherical import msc_from_cartesian, msc_jacobian, msc_to_cartesian
 from oracles.vsimm import likely_set, vsimm
 
 __all__ = [
-    "Model", "Tuned", "alphabeta_bank", "asrckf", "bearings", "ca", "cv", "ekf", "every_event", "fra",
-    "huber_regression", "huber_score", "iaukf", "imm", "joint_events", "jpda", "kalman", "likely_set", "mr_ckf",
-    "msc_from_cartesian", "msc_jacobian", "msc_to_cartesian", "rmckf", "rsrckf", "soft_fra", "srckf",
-    "third_degree", "turn", "ukf", "unscented", "vsimm", "wrap",
+    "Model", "Tuned", "alphabeta_bank", "asrckf", "bearings", "ca", "cv", "ekf", "every_event", "every_history",
+    "fra", "huber_regression", "huber_score", "iaukf", "imm", "joint_events", "jpda", "kalman", "likely_set",
+    "models_smoother", "mr_ckf", "msc_from_cartesian", "msc_jacobian", "msc_to_cartesian", "rmckf", "rsrckf",
+    "smoother", "soft_fra", "srckf", "third_degree", "through", "turn", "ukf", "unscented", "vsimm", "whole_track",
+    "wrap",
 ]  # fmt: skip

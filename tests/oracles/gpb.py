@@ -24,7 +24,7 @@ Beliefs = dict[tuple[int, int], Belief]  # by quality (0 clean, 1 dirty), and mo
 
 QUALITIES = (0, 1)
 READS = 2  # sensors read the position alone
-BLIND, NEAR, FURTHEST = 0.02, 0.01, 1e5
+BLIND, NEAR, FURTHEST, USUAL = 0.02, 0.01, 1e5, 1000.0
 
 
 class Regimes(NamedTuple):
@@ -98,18 +98,21 @@ def predicted(mixed: Beliefs, motions: list[Carry], regimes: Regimes, k: int) ->
     return ahead
 
 
-def jumped(ahead: Beliefs, regimes: Regimes, position: slice, z: Array, model: Model, k: int) -> Beliefs:
-    """The same after every jump, which is as wide as the measurement asks for, between 1 and FURTHEST."""
-    after = {}
+def jumped(
+    ahead: Beliefs, regimes: Regimes, position: slice, z: Array, model: Model, k: int
+) -> tuple[Beliefs, list[float]]:
+    """After every jump, which is as wide as the measurement asks for, between 1 and FURTHEST; how much rarer it is."""
+    after, rarer = {}, []
     for q in QUALITIES:
         mean, P = ahead[q, range(len(regimes.levels))[regimes.home]]
         m = read((mean, P), z, model, k)
         far = fit(m.e, m.Pzz)[0] / max(len(m.e), 1)
+        rarer.append(max(far / USUAL, 1.0))
         for r, jump in enumerate(regimes.jumps, len(regimes.levels)):
             widen = np.ones(len(mean))
             widen[position] = math.sqrt(min(max(jump * far, 1.0), FURTHEST))
             after[q, r] = mean, P * np.outer(widen, widen)
-    return after
+    return after, rarer
 
 
 def told(belief: Belief, z: Array, block: list[int], model: Model, k: int, size: float) -> tuple[float, Array, Array]:
@@ -169,8 +172,9 @@ def dirty(
     """Each block clean or an outlier, of which it is one with probability `prior` (B,); also what it is then."""
     total, outlier = 0.0, []
     for block, share in zip(q.blocks, prior, strict=True):
+        furthest = max(q.sizes[-1], asked_for(belief, z, block, model, k))
         chances = [1 - share] + [share * s for s in q.shares]
-        parts = [told(belief, z, block, model, k, size) for size in [1.0, *q.sizes]]
+        parts = [told(belief, z, block, model, k, size) for size in [1.0, *q.sizes[:-1], furthest]]
         scores = [log(c) + part[0] for c, part in zip(chances, parts, strict=True)]
         score = log_sum(scores)
         weights = [math.exp(s - score) for s in scores]
@@ -178,6 +182,14 @@ def dirty(
         outlier.append(sum(weights[1:]))
         total += score
     return total, belief, outlier
+
+
+def asked_for(belief: Belief, z: Array, block: list[int], model: Model, k: int) -> float:
+    """The square of a block's error per element, in units of its noise."""
+    alone = np.full(len(z), np.nan)
+    alone[block] = z[block]
+    seen = [i for i in block if not math.isnan(z[i])]
+    return fit(read(belief, alone, model, k).e, measurement_noise(model, k, seen))[0] / max(len(seen), 1)
 
 
 def log_sum(logs: Any) -> float:
@@ -253,8 +265,10 @@ def step(
     motion = regimes.all_motions
     mixed, shares = interacted(c.beliefs, c.log_pairs, motion)
     ahead = predicted(mixed, motions, regimes, k)
-    ahead |= jumped(ahead, regimes, position, z, model, k)
+    after_jumps, rarer = jumped(ahead, regimes, position, z, model, k)
+    ahead |= after_jumps
     chance = np.array([[log_sum(c.log_pairs[q, :, r]) for r in range(len(motion))] for q in QUALITIES])
+    chance[:, len(regimes.levels) :] -= np.log(rarer)[:, None]
     every = hypotheses(ahead, chance, c.outlier, z, model, q, k)
     log_likelihood, (mean, P) = merged(every)
     every = [h._replace(log_weight=h.log_weight - log_likelihood) for h in every]
@@ -269,7 +283,8 @@ def step(
         for (i, was), belief in c.beliefs.items()
     ])  # fmt: skip
     outlier = np.sum([h.now * math.exp(h.log_weight) * h.outlier for h in every], axis=0)
-    expected = read(matched([(math.exp(chance[key]), *ahead[key]) for key in ahead]), z, model, k)
+    ahead_of = np.exp(chance) / np.exp(chance).sum()
+    expected = read(matched([(ahead_of[key], *ahead[key]) for key in ahead]), z, model, k)
     told_of = {
         "mean": mean, "P": P, "regimes": np.exp(log_regimes).sum(0), "outlier": outlier,
         "log_likelihood": log_likelihood, "nis": fit(expected.e, expected.Pzz)[0],

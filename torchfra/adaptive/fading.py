@@ -51,6 +51,10 @@ class NoFading(nn.Module):
         """The prediction with a fading factor."""
         return prediction
 
+    def stretch(self, spread: Tensor, factor: Tensor) -> Tensor:
+        """``Prediction.spread`` with a fading factor."""
+        return spread
+
 
 class Fading(NoFading):
     """Multiple fading factors: the innovations of late against what the model expects of them.
@@ -159,15 +163,19 @@ class Fading(NoFading):
 
         Source: Wang et al. (2021), eq. (29).
         """
+        spread, noise = self.stretch(prediction.spread, factor), prediction.process_noise
+        root = tria(hstack(spread, noise))
+        return Prediction(prediction.belief._replace(scale_tril=root), spread, noise)
+
+    def stretch(self, spread: Tensor, factor: Tensor) -> Tensor:
+        """``Prediction.spread (..., n, p)`` with ``factor (...)``, or each group's share of it."""
         excess = factor.unsqueeze(-1) - 1
         if self.share is not None:
             excess = self.share(factor) * excess
         # One column per state: the group it belongs to, if any.
-        group = torch.zeros(len(self.states), prediction.spread.shape[-2], dtype=factor.dtype, device=factor.device)
+        group = torch.zeros(len(self.states), spread.shape[-2], dtype=factor.dtype, device=factor.device)
         for row, states in zip(group, self.states, strict=True):
             row[states] = 1
         excess = excess.expand((*factor.shape, len(self.states))).unsqueeze(-2)
         scale = (1 + (excess @ group).squeeze(-2)).sqrt()
-        spread, noise = scale.unsqueeze(-1) * prediction.spread, prediction.process_noise
-        root = tria(hstack(spread, noise))
-        return Prediction(prediction.belief._replace(scale_tril=root), spread, noise)
+        return scale.unsqueeze(-1) * spread

@@ -5,11 +5,13 @@ from torchfra.filters.alphabeta.bank import AlphaBetaBank
 from torchfra.filters.alphabeta.memory import AlphaBetaInfo
 from torchfra.filters.base import Filter
 from torchfra.filters.branches import FRAInfo, FRAState
+from torchfra.filters.fixed_lag import FixedLag, FixedLagState
 from torchfra.filters.fra import FRA
 from torchfra.filters.gpb import GPB, GPBInfo, GPBState, Qualities, Regimes
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
 from torchfra.filters.jpda import JPDA, JPDAInfo, JPDAState
 from torchfra.filters.scans import ScanFilter
+from torchfra.filters.smoothing import SmoothInfo
 from torchfra.filters.srckf import SRCKF, Info, State
 from torchfra.filters.tracks import GaussianFilter, TrackFilter
 from torchfra.filters.vsimm import VSIMM, VSIMMInfo, VSIMMState
@@ -27,6 +29,8 @@ __all__ = [
     "FRAInfo",
     "FRAState",
     "Filter",
+    "FixedLag",
+    "FixedLagState",
     "GPBInfo",
     "GPBState",
     "GaussianFilter",
@@ -38,6 +42,7 @@ __all__ = [
     "Qualities",
     "Regimes",
     "ScanFilter",
+    "SmoothInfo",
     "State",
     "TrackFilter",
     "VSIMMInfo",

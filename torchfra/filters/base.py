@@ -7,12 +7,13 @@ from functools import partial
 from typing import Any, TypeVar
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchfra.filters.checks import check_lengths, check_models, check_state
 from torchfra.filters.failures import diagnose
 from torchfra.filters.loop import run
 from torchfra.filters.records import Kept, Record
+from torchfra.filters.smoothing import Smoother
 from torchfra.gaussian.arguments import check, check_belief, check_kinds
 from torchfra.gaussian.inputs import Frame, Measurements, Time, batch_rank
 from torchfra.linalg.triangular import tria
@@ -24,7 +25,7 @@ F = TypeVar("F", bound="Filter")
 Mix = Callable[[Gaussian], Gaussian]
 
 
-class Filter(nn.Module):
+class Filter(Smoother):
     """Abstract: ``TrackFilter`` for tracks of one target, ``ScanFilter`` for scans of several.
 
     A subclass gives ``begin`` and ``advance``.  Nothing of a track is ever kept in the module.  All is computed in the
@@ -47,10 +48,9 @@ class Filter(nn.Module):
     def __init__(self, motion: Motion | None = None, sensor: Sensor | None = None) -> None:
         super().__init__()
         self._kernels: Any = None
-        if motion is None or sensor is None:
-            return
-        check_models(motion, sensor)
-        self.motion, self.sensor = motion, sensor
+        if motion is not None and sensor is not None:
+            check_models(motion, sensor)
+            self.motion, self.sensor = motion, sensor
 
     def compile(self: F, *args: Any, **options: Any) -> F:  # type: ignore[override]  # torch's own returns None
         """From here on run as compiled kernels, on the CPU: same results (to rounding), same gradients.
@@ -181,38 +181,38 @@ class Filter(nn.Module):
             ValueError: a shape or a value that does not fit.
         """
         check_lengths(truncate=truncate, checkpoint=checkpoint)
-        measurements = Measurements(z, dt, u, std, noise)
-        batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
-        n = self.motion.size
-        mean, root = (x.to(z) for x in prior)
-        state = self.init(Gaussian(mean.expand((*batch, n)), root.expand((*batch, n, n))))
-        if self._kernels is not None and self._kernels.takes(z):
-            state, kept = self._kernels.forward(self, state, measurements, checkpoint, truncate)
-        else:
-            state, kept = self._run(state, measurements, len(batch), checkpoint, truncate)
-        belief, info = self.finish(state, kept.belief, kept.info)
-        failure = diagnose(self, belief, kept.log_likelihood, measurements, prior)
-        return Estimate(*belief, kept.nis, kept.log_likelihood, info, failure)
+        return self._forth(Measurements(z, dt, u, std, noise), prior, checkpoint, truncate)[0]
 
-    def keep(self, state: Any, frame: Frame) -> tuple[Any, Kept]:
-        """One step on a prepared frame: the next state, and what the estimate holds of it."""
+    def keep(self, state: Any, frame: Frame, past: bool = False) -> tuple[Any, Kept]:
+        """One step on a prepared frame: the next state, and what the estimate (and the way back) needs of it."""
         state, record = self.advance(state, frame)
         nis, log_likelihood = self._scores(record, frame.measurement_noise.log_norm)
-        return state, Kept(record.belief, nis, log_likelihood, record.info)
+        return state, Kept(record.belief, nis, log_likelihood, record.info, record.past if past else None)
 
     def observe(self, state: Any, frame: Frame) -> tuple[Any, Innovation]:
         """One step on a prepared frame: the next state, and what the measurement said."""
         state, record = self.advance(state, frame)
-        residual, root = self._innovation(record, frame)
-        return state, Innovation(residual, root, *self._scores(record, frame.measurement_noise.log_norm))
+        log_norm = frame.measurement_noise.log_norm
+        return state, Innovation(*self._innovation(record, frame), *self._scores(record, log_norm))
 
-    def _run(
-        self, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None
-    ) -> tuple[Any, Kept]:
-        """All steps, one after the other, interpreted."""
-        frames, log_norm = self._frames(measurements, rank)
-        state, record = run(self.advance, state, frames, rank, checkpoint, truncate)
-        return state, Kept(record.belief, *self._scores(record, log_norm.movedim(0, -1)), record.info)
+    def _forth(
+        self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
+        past: bool = False,
+    ) -> tuple[Estimate, Any, Any]:  # fmt: skip
+        """The estimate of whole tracks, and where there will be a way back the last state and what steps have kept."""
+        batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
+        n, z = self.motion.size, measurements.z
+        mean, root = (x.to(z) for x in prior)
+        state = self.init(Gaussian(mean.expand((*batch, n)), root.expand((*batch, n, n))))
+        if self._kernels is not None and self._kernels.takes(z):
+            state, kept = self._kernels.forward(self, state, measurements, checkpoint, truncate, past)
+        else:
+            frames, log_norm = self._frames(measurements, len(batch))
+            state, record = run(self.advance, state, frames, len(batch), checkpoint, truncate, past)
+            kept = Kept(record.belief, *self._scores(record, log_norm.movedim(0, -1)), record.info, record.past)
+        belief, info = self.finish(state, kept.belief, kept.info)
+        failure = diagnose(self, belief, kept.log_likelihood, measurements, prior)
+        return Estimate(*belief, kept.nis, kept.log_likelihood, info, failure), state, kept.past
 
     def _frame(self, state: Any, measurements: Measurements) -> Frame:
         """The frame of a single step, checked."""

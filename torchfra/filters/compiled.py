@@ -10,17 +10,18 @@ import torch
 from torch import Tensor, nn
 from torch.autograd import forward_ad
 
+from torchfra.filters import traced
+from torchfra.filters.compiled_back import Back, given, retreat
+from torchfra.filters.smoothing import Told
 from torchfra.gaussian.arguments import check_seconds, check_values
-from torchfra.gaussian.inputs import Frame, Measurements, make_frames
+from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.hyper import Hyper
-from torchfra.kernel.entries import Entries
-from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.run import BUILDING, Kernels
 from torchfra.kernel.source import SCALARS
 from torchfra.kernel.step import Input, Step, frozen
 from torchfra.linalg.tracing import is_traced
 from torchfra.tree import flatten, map_tensors, ranks
-from torchfra.types import Gaussian, Innovation
+from torchfra.types import Innovation
 
 
 class _Value(NamedTuple):
@@ -83,14 +84,15 @@ class _Version:
         return all(len(owner) == size for owner, size in self.owners)
 
     def plan(
-        self, advance: Callable[..., Any], state: Any, data: Sequence[Tensor | None], timed: Sequence[bool]
-    ) -> _Plan:
-        """What is to be done with this ``data``, which has an entry for each step where ``timed``."""
+        self, advance: Callable[..., Any], state: Any, data: Sequence[Tensor | None], timed: Sequence[bool],
+        kind: type = Measurements,
+    ) -> _Plan:  # fmt: skip
+        """What is to be done with this ``data`` of a kind, which has an entry for each step where ``timed``."""
         mean, dtype = state.belief.mean, state.belief.mean.dtype
         values = [(value, value().shape, value().dim() - value.event) for value in self.values]
         batch = torch.broadcast_shapes(mean.shape[:-1], *(shape[:rank] for _, shape, rank in values))
         inputs, shapes = {}, []
-        for name, x, event, varies in zip(Measurements._fields, data, ranks(Measurements).values(), timed, strict=True):
+        for (name, event), x, varies in zip(ranks(kind).items(), data, timed, strict=True):
             if x is not None:
                 inputs[name] = Input(x.shape[x.dim() - event :], varies, False)
                 shapes.append(batch + x.shape[x.dim() - event - varies :])
@@ -99,7 +101,8 @@ class _Version:
             shapes.append(batch + shape[rank:])
         key = (advance, dtype, tuple(inputs.items()))
         if key not in self.kernels:
-            self.kernels[key] = Kernels(Step(self.frozen, _begin, advance, inputs, dtype, timed[0]))
+            begin = (lambda f: Told(traced.begin(f).belief)) if kind is Back else traced.begin
+            self.kernels[key] = Kernels(Step(self.frozen, begin, advance, inputs, dtype, timed[0], kind is Back))
         kernels = self.kernels[key]
         counts = any(not (x.is_floating_point() or x.dtype == torch.bool) for x in flatten(kernels.step.record))
         return _Plan(kernels, batch, [batch + zero.shape for zero in kernels.step.zero] + shapes, counts)
@@ -179,7 +182,7 @@ class Compiled:
         )
 
     def forward(
-        self, f: Any, state: Any, measurements: Measurements, checkpoint: int | None, truncate: int | None
+        self, f: Any, state: Any, measurements: Measurements, checkpoint: int | None, truncate: int | None, past: bool
     ) -> tuple[Any, Any]:
         """The state after whole tracks, and what ``f.keep`` keeps of each step.
 
@@ -189,9 +192,18 @@ class Compiled:
         seconds = measurements.dt if measurements.varying_dt else measurements.common_dt
         data = (z, torch.as_tensor(seconds, dtype=z.dtype), *measurements[2:])
         now = self._now(f)
+        keep, timed = traced.keep_past if past else traced.keep, (True, measurements.varying_dt, True, True, True)
         with BUILDING:
-            plan = now.plan(_keep, state, data, (True, measurements.varying_dt, True, True, True))
+            plan = now.plan(keep, state, data, timed)
         return now.run(plan, z.shape[-2], state, data, checkpoint, truncate)
+
+    def back(self, f: Any, past: Any, measurements: Measurements, rank: int) -> Any:
+        """What the way back says of every step, time behind ``rank`` batch dimensions: see ``Smoother``."""
+        state, data, timed = given(past, measurements, rank)
+        now = self._now(f)
+        with BUILDING:
+            plan = now.plan(retreat, state, data, timed, Back)
+        return now.run(plan, data[0].shape[rank], state, data)[1]
 
     def step(
         self, f: Any, state: Any, measurements: Measurements, check: Callable[[], Frame]
@@ -214,7 +226,7 @@ class Compiled:
             with BUILDING:
                 if len(now.steps) == _FORMS:
                     now.steps.clear()
-                plan = now.steps[form] = now.plan(_observe, state, data, (False,) * 5)
+                plan = now.steps[form] = now.plan(traced.observe, state, data, (False,) * 5)
         return now.run(plan, 1, state, data)
 
 
@@ -223,23 +235,3 @@ def _seconds(dt: float, dtype: torch.dtype) -> Tensor:
     """A time step that is known to be above 0 and finite."""
     check_seconds(dt, dtype)
     return torch.tensor(dt, dtype=dtype)
-
-
-def _begin(f: Any) -> Any:
-    n, dtype, book = f.motion.size, torch.float64, Expressions()
-    root = Entries.inputs(book, (n, n), dtype).ids.tril()
-    return f.begin(Gaussian(Entries.inputs(book, (n,), dtype), Entries(book, root, dtype)))
-
-
-def _frame(f: Any, data: dict[str, Tensor]) -> Frame:
-    """The frame of one step of one track."""
-    (frame,), _ = make_frames(Measurements(**data).as_track(), f.motion, f.sensor, 0)
-    return frame
-
-
-def _keep(f: Any, state: Any, data: dict[str, Tensor]) -> Any:
-    return f.keep(state, _frame(f, data))
-
-
-def _observe(f: Any, state: Any, data: dict[str, Tensor]) -> Any:
-    return f.observe(state, _frame(f, data))

@@ -17,7 +17,7 @@ from torchfra.filters.branches import UNDECIDED, Branches, FRAInfo, FRAState, Ke
 from torchfra.filters.checks import check_sides
 from torchfra.filters.records import Record
 from torchfra.filters.soft import Soft
-from torchfra.filters.tracks import GaussianFilter
+from torchfra.filters.tracks import GaussianFilter, Past
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import moment_match
@@ -69,6 +69,8 @@ class FRA(Soft, GaussianFilter):
     Source: Wang et al. (2021), section 2.2 and fig. 1; Chang (2014) for the plain branch.  ``preference``,
     ``provisional``, ``temperature``, ``"likelihood"`` and ``"weighted"`` are additions.
     """
+
+    fading: Fading
 
     def __init__(
         self,
@@ -203,7 +205,8 @@ class FRA(Soft, GaussianFilter):
 
     def finish(self, state: FRAState, belief: Gaussian, info: Step) -> tuple[Gaussian, FRAInfo]:
         """Each step's estimate is settled in the next, the last one by ``final``."""
-        last, kept = self.undecided(self.final, state.excess, state.branches), self.kept_last(state)
+        last = self.undecided(self.final, state.excess, state.branches)
+        kept = Kept(*(state.abnormal & x for x in self.favoured(self.final, state.excess)))
         rank = state.excess.dim()
 
         def one_later(steps: Tensor, end: Tensor) -> Tensor:
@@ -214,12 +217,17 @@ class FRA(Soft, GaussianFilter):
         kept = tree.map_tensors(one_later, info.kept, kept)
         return settled, FRAInfo(info.abnormal, kept.adaptive, kept.plain, info.fading, info.weights, belief)
 
-    def kept_last(self, state: FRAState) -> Kept:
-        """What ``final`` keeps of a last step that is abnormal."""
-        abnormal = state.abnormal
-        if self.final == "likeliest":
-            return Kept(*(abnormal & x for x in best(self.odds(state.excess))))
-        return Kept(*(abnormal & torch.full_like(abnormal, self.final == name) for name in Kept._fields))
+    def favoured(self, branch: str, like: Tensor) -> Kept:
+        """What ``undecided`` keeps of abnormal steps of tracks ``(...)``."""
+        if branch == "likeliest":
+            return best(self.odds(like))
+        return Kept(*(torch.full_like(like, branch == name, dtype=torch.bool) for name in Kept._fields))
+
+    def past(self, belief: Gaussian, info: FRAInfo, state: Any, steps: Any) -> Past:
+        """What was settled on, fading factors where the adaptive branch was kept; and what was provisional."""
+        adaptive = info.abnormal & self.favoured(self.provisional, info.fading[..., 0]).adaptive.unsqueeze(-1)
+        factor, early = (torch.where(kept, info.fading, 1.0) for kept in (info.adaptive, adaptive))
+        return Past(belief, factor, (info.provisional, early))
 
     def where_abnormal(self, mask: Tensor, function: Callable[..., Any], arguments: Any, default: Any) -> Any:
         """``function`` for the tracks in ``mask``: alone if that can be told now, else for all and then chosen."""

@@ -11,10 +11,12 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.base import Filter, Mix
+from torchfra.filters.hindsight import Models, ModelsPast, ModelsStep, remembered, retreat, together
 from torchfra.filters.records import Record
+from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import TrackFilter
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import moment_match
+from torchfra.gaussian.mixture import models_first, moment_match, repeated, without_failed
 from torchfra.gaussian.update import density
 from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg.triangular import whiten
@@ -53,6 +55,8 @@ class Around(TrackFilter):
         ValueError: it has no bank, or is one of these itself.
     """
 
+    keeps_past = True
+
     def __init__(self, inner: Filter) -> None:
         super().__init__()
         if not isinstance(inner.motion, Bank) or isinstance(inner, Around):
@@ -75,6 +79,38 @@ class Around(TrackFilter):
     def sensor(self) -> Any:  # type: ignore[override]
         """The sensor."""
         return self.inner.sensor
+
+    def matrix_back(self, turn: Turn, like: Tensor) -> tuple[Tensor, Frame]:
+        """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
+        raise TypeError(f"{type(self).__name__} needs a matrix_back to smooth")
+
+    def past(self, belief: Gaussian, info: Any, state: Any, steps: ModelsStep) -> ModelsPast:
+        """What every model knew at each step."""
+        return remembered(self.inner, state.inner, steps)
+
+    def fresh(self, past: ModelsPast) -> ModelsPast:
+        """The past of a step as it was at the step itself."""
+        inner = self.inner.fresh(past.inner)
+        return past if inner is past.inner else past._replace(inner=inner)
+
+    def decided(self, past: ModelsPast) -> ModelsPast:
+        """The past of a last step, of which no later measurement will decide anything."""
+        return past._replace(inner=self.inner.decided(past.inner))
+
+    def last(self, past: ModelsPast) -> tuple[Models, Told]:
+        """The last step, which no later measurement speaks of."""
+        models = Models(past.inner.belief, past.log_weights)
+        return models, together(models, past.active)
+
+    def retreat(self, turn: Turn, after: Models) -> tuple[Models, Told]:
+        """One step back, of all models."""
+        if after.log_weights.dim() > turn.past.log_weights.dim():
+            each = [self.retreat(turn, one) for one in tree.unbind(after, len(after.log_weights))]
+            several: tuple[Models, Told] = tree.stack(each, 0)
+            return several
+        matrix, frame = self.matrix_back(turn, after.log_weights)
+        models = retreat(self.inner, Turn(turn.past, turn.ahead.inner, frame), matrix, after)
+        return models, together(models, turn.past.active)
 
 
 class IMM(Around):
@@ -127,11 +163,9 @@ class IMM(Around):
         record = record._replace(info=IMMInfo(log_weights.exp()))
         return IMMState(record.belief, inner, log_weights), record
 
-
-def repeated(belief: Gaussian, count: int) -> Gaussian:
-    """The same belief for each of so many models, ``(..., K)``."""
-    mean, root = belief.mean.unsqueeze(-2), belief.scale_tril.unsqueeze(-3)
-    return Gaussian(mean.expand(*mean.shape[:-2], count, -1), root.expand(*root.shape[:-3], count, -1, -1))
+    def matrix_back(self, turn: Turn, like: Tensor) -> tuple[Tensor, Frame]:
+        """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
+        return self.transition(like).log(), for_each_model(turn.frame)
 
 
 def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame: Frame) -> tuple[Any, Tensor, Record]:
@@ -158,23 +192,15 @@ def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame:
 
     state, record = inner.advance(state, frame, interact)
     assert record.residual is not None
-    log_density = _without_failed(density(record.root, record.normalised))
-    log_weights = predicted + (log_density if record.evidence is None else _without_failed(record.evidence))
+    log_density = without_failed(density(record.root, record.normalised))
+    log_weights = predicted + (log_density if record.evidence is None else without_failed(record.evidence))
     log_weights = log_weights - log_weights.logsumexp(-1, keepdim=True)  # eq. (9)
     belief = moment_match(models_first(record.belief), log_weights.movedim(-1, 0))  # eqs. (10), (11)
     innovation = moment_match(models_first(Gaussian(record.residual, record.root)), predicted.movedim(-1, 0))
     normalised = whiten(innovation.scale_tril, innovation.mean)
-    return state, log_weights, Record(belief, *innovation, normalised, None, (predicted + log_density).logsumexp(-1))
-
-
-def models_first(belief: Gaussian) -> Gaussian:
-    """``(..., K)`` beliefs as ``(K, ...)``."""
-    return Gaussian(belief.mean.movedim(-2, 0), belief.scale_tril.movedim(-3, 0))
-
-
-def _without_failed(log_density: Tensor) -> Tensor:
-    """Nothing speaks for a model that failed (NaN); the others go on."""
-    return torch.where(log_density.isnan(), -torch.inf, log_density)
+    log_density = (predicted + log_density).logsumexp(-1)
+    past = ModelsStep(record.belief, record.info, log_weights)
+    return state, log_weights, Record(belief, *innovation, normalised, None, log_density, past=past)
 
 
 def for_each_model(frame: Frame) -> Frame:

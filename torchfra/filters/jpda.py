@@ -178,7 +178,8 @@ class JPDA(Soft, ScanFilter):
         )
         info = JPDAInfo(association.log_weights.exp(), factor, f.noise.scale(inner.noise), weights, repaired)
         innovation = combined(association.probabilities, scan.whitened.residual, scan.root, scan.normalised, frame)
-        return JPDAState(inner, missed, searched), Record(belief, *innovation, info, association.evidence)
+        record = Record(belief, *innovation, info, association.evidence, past=searched)
+        return JPDAState(inner, missed, searched), record
 
     def look(self, belief: Gaussian, noise: Any, frame: Frame) -> Scan:
         """The measurements of a scan against the prediction of each target."""

@@ -25,6 +25,8 @@ class Record(NamedTuple):
     """``(...)`` log density of the residual, where it is not that of a Gaussian with this root."""
     evidence: Tensor | None = None
     """``(...)`` log density of the residual under the noise that the filter has assumed after down-weighting it."""
+    past: Any = None
+    """What the way back needs of the step, where an estimate does not hold it."""
 
 
 class Kept(NamedTuple):
@@ -34,6 +36,8 @@ class Kept(NamedTuple):
     nis: Tensor
     log_likelihood: Tensor
     info: Any
+    past: Any = None
+    """Of a pass whose way back will be gone."""
 
 
 def scores(normalised: Tensor, root: Tensor, log_norm: Tensor, log_density: Tensor | None) -> tuple[Tensor, Tensor]:

@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import torch
 from torch import Tensor
 
+from torchfra import tree
 from torchfra.filters.base import Filter
 from torchfra.filters.records import Record
+from torchfra.filters.smoothing import Told, Turn
+from torchfra.filters.srckf import SRCKF
+from torchfra.filters.tracks import Past
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.hyper import hypers
 from torchfra.kernel.build import CompileError
 from torchfra.types import Gaussian
+
+
+class ScanPast(NamedTuple):
+    """What the way back needs of a scan; ``(..., N, T, ...)`` of a whole sequence."""
+
+    inner: Past
+    """Of the targets' filters."""
+    searched: Tensor
+    """``(..., N)`` how often the covariance of a target that seemed lost has been quadrupled."""
 
 
 class ScanFilter(Filter):
@@ -21,6 +36,8 @@ class ScanFilter(Filter):
     """
 
     scans = True
+    keeps_past = True
+    inner: SRCKF
 
     def compile(self, *args: object, **options: object) -> ScanFilter:  # type: ignore[override]  # torch's returns None
         """With arguments ``nn.Module.compile``; without, there are no kernels for scans.
@@ -64,3 +81,25 @@ class ScanFilter(Filter):
         """The combined innovation and its root."""
         assert record.residual is not None
         return record.residual, record.root
+
+    def past(self, belief: Gaussian, info: Any, state: Any, steps: Tensor) -> ScanPast:
+        """What the way back needs: of each target its beliefs, in which associations stay as they were."""
+        return ScanPast(self.inner.past(belief, info, None, None), steps)
+
+    def last(self, past: ScanPast) -> tuple[Gaussian, Told]:
+        """The last scan, which no later one speaks of."""
+        return self.inner.last(past.inner)
+
+    def retreat(self, turn: Turn, after: Gaussian) -> tuple[Gaussian, Told]:
+        """One scan back, of each target for itself."""
+        belief, factor = tree.insert_batch_dimension(turn.past.inner.belief), turn.ahead.inner.factor
+        ahead = self.inner.carry(belief, turn.frame, None if factor is None else factor.unsqueeze(-1))
+        times = 2 ** (turn.ahead.searched - turn.past.searched).clamp_min(0.0)[..., None, None, None]
+        spread, noise = times * ahead.spread, times * ahead.process_noise
+        ahead = ahead._replace(
+            spread=spread, process_noise=noise, lost=None if ahead.lost is None else times * ahead.lost
+        )
+        told = self.inner.reverse(belief, ahead, tree.insert_batch_dimension(after))
+        repaired = None if told.repaired is None else told.repaired.squeeze(-1)
+        told = Told(tree.remove_batch_dimension(told.belief), repaired=repaired)
+        return told.belief, told

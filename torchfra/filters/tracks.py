@@ -3,18 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
+import torch
 from torch import Tensor
 
+from torchfra.adaptive.fading import NoFading
 from torchfra.filters.base import Filter
 from torchfra.filters.records import Record, scores
+from torchfra.filters.smoothing import Told, Turn
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
-from torchfra.gaussian.model import compare, predict
+from torchfra.gaussian.model import Carried, compare, predict, propagate
 from torchfra.gaussian.rules import Rule
+from torchfra.gaussian.smoothing import reverse
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Prediction, Whitened
+
+
+class Past(NamedTuple):
+    """What the way back needs of a step; ``(..., T, ...)`` of a whole track."""
+
+    belief: Gaussian
+    """As it was carried on."""
+    factor: Tensor | None
+    """``(...)`` fading factor of the prediction that led to it."""
+    fresh: tuple[Gaussian, Tensor] | None = None
+    """Both as they were at the step itself, of a filter that decides late."""
 
 
 class TrackFilter(Filter):
@@ -44,6 +60,9 @@ class GaussianFilter(TrackFilter):
         rule: from a number of states to the rule (``torchfra.gaussian``).
     """
 
+    kernels_back = True
+    fading: NoFading
+
     def __init__(self, motion: Motion, sensor: Sensor, rule: Callable[[int], Rule] = third_degree) -> None:
         super().__init__(motion, sensor)
         if not callable(rule):
@@ -63,3 +82,43 @@ class GaussianFilter(TrackFilter):
     def compare(self, belief: Gaussian, frame: Frame) -> Whitened:
         """The measurement against a predicted belief."""
         return compare(self.sensor, self.sensor_rule, belief, frame)
+
+    def past(self, belief: Gaussian, info: Any, state: Any, steps: Any) -> Past:
+        """What the way back needs: beliefs, and the fading factors that were chosen."""
+        return Past(belief, info.fading)
+
+    def fresh(self, past: Past) -> Past:
+        """The past of a step as it was at the step itself."""
+        return past if past.fresh is None else Past(*past.fresh)
+
+    def decided(self, past: Past) -> Past:
+        """The past of a last step, of which no later measurement will decide anything."""
+        return past._replace(fresh=None)
+
+    def last(self, past: Past) -> tuple[Gaussian, Told]:
+        """The last step, which no later measurement speaks of."""
+        repaired = torch.zeros_like(past.belief.mean[..., 0], dtype=torch.bool) if self._may_repair else None
+        return past.belief, Told(past.belief, repaired=repaired)
+
+    def retreat(self, turn: Turn, after: Gaussian) -> tuple[Gaussian, Told]:
+        """One step back: Rauch, Tung & Striebel (1965) through the prediction as it was made."""
+        ahead = self.carry(turn.past.belief, turn.frame, turn.ahead.factor)
+        told = self.reverse(turn.past.belief, ahead, after)
+        return told.belief, told
+
+    def reverse(self, belief: Gaussian, ahead: Carried, after: Gaussian) -> Told:
+        """A ``belief`` that was carried ``ahead``, smoothed by the smoothed one ``after`` the step."""
+        step = reverse(belief, ahead)
+        mean, root = step(after, self.motion.difference)
+        repaired = None if step.repaired is None else step.repaired.expand(mean.shape[:-1])
+        return Told(Gaussian(self.motion.canonical(mean), root), repaired=repaired)
+
+    def carry(self, belief: Gaussian, frame: Frame, factor: Tensor | None) -> Carried:
+        """A belief carried over a step, with the fading factor ``(...)`` that was chosen."""
+        ahead = propagate(self.motion, self.motion_rule, belief, frame)
+        return ahead if factor is None else ahead._replace(spread=self.fading.stretch(ahead.spread, factor))
+
+    @property
+    def _may_repair(self) -> bool:
+        """Whether a step back may have to repair a covariance."""
+        return self.motion_rule.signed and not self.motion.linear

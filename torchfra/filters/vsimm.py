@@ -12,9 +12,11 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.base import Filter, Mix
-from torchfra.filters.imm import PER_MODEL, Around, cycle, for_each_model, repeated
+from torchfra.filters.imm import PER_MODEL, Around, cycle, for_each_model
 from torchfra.filters.records import Record
+from torchfra.filters.smoothing import Turn
 from torchfra.gaussian.inputs import Frame
+from torchfra.gaussian.mixture import repeated
 from torchfra.hyper import Hyper, Value
 from torchfra.types import Gaussian
 
@@ -113,7 +115,14 @@ class VSIMM(Around):
         inner, log_weights, record = cycle(self.inner, state.inner, state.log_weights, matrix, frame)
         weights = (log_weights.exp().unsqueeze(-2) @ active).squeeze(-2)
         info = VSIMMInfo(weights, active.sum(-2) > 0)
-        return VSIMMState(record.belief, inner, log_weights, active), record._replace(info=info)
+        record = record._replace(info=info, past=record.past._replace(active=active))
+        return VSIMMState(record.belief, inner, log_weights, active), record
+
+    def matrix_back(self, turn: Turn, like: Tensor) -> tuple[Tensor, Frame]:
+        """Logs ``(..., A, A)`` of the transition of a step, ``[was, now]``, and its frame for each active model."""
+        was, now = turn.past.active, turn.ahead.active
+        goes_on = (was * now).sum(-1)  # a model that goes on keeps its place
+        return self.matrix(was, now, goes_on).log(), _of_active(for_each_model(turn.frame), now)
 
     def choose(self, active: Tensor, log_weights: Tensor) -> tuple[Tensor, Tensor]:
         """The set for the next step, ``(..., A, K)``, and ``(..., A)`` 1 where a model goes on running.

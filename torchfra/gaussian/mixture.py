@@ -1,4 +1,4 @@
-"""One Gaussian for several: moment matching in square-root form."""
+"""One Gaussian for several: moment matching in square-root form; and beliefs of several models."""
 
 from __future__ import annotations
 
@@ -29,3 +29,19 @@ def moment_match(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
     middle = (weight.unsqueeze(-1) * mean).sum(0)
     columns = root[..., None, None] * torch.cat([spread, (mean - middle).unsqueeze(-1)], -1)
     return Gaussian(middle, tria(columns.movedim(0, -2).flatten(-2)))
+
+
+def repeated(belief: Gaussian, count: int) -> Gaussian:
+    """The same belief for each of so many models, ``(..., K)``."""
+    mean, root = belief.mean.unsqueeze(-2), belief.scale_tril.unsqueeze(-3)
+    return Gaussian(mean.expand(*mean.shape[:-2], count, -1), root.expand(*root.shape[:-3], count, -1, -1))
+
+
+def models_first(belief: Gaussian) -> Gaussian:
+    """``(..., K)`` beliefs as ``(K, ...)``."""
+    return Gaussian(belief.mean.movedim(-2, 0), belief.scale_tril.movedim(-3, 0))
+
+
+def without_failed(log_density: Tensor) -> Tensor:
+    """Nothing speaks for a model that failed (NaN); the others go on."""
+    return torch.where(log_density.isnan(), -torch.inf, log_density)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -12,6 +14,7 @@ from torchfra.linalg.gram import downdate
 from torchfra.linalg.triangular import apply, hstack, tria
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
+from torchfra.tree import event_ranks
 from torchfra.types import Gaussian, Prediction, Whitened
 
 
@@ -27,32 +30,46 @@ def add_counts(*counts: Tensor | None) -> Tensor | None:
     return sum(there[1:], there[0]) if there else None
 
 
+@event_ranks(mean=1, spread=2, process_noise=2, lost=2)
+class Carried(NamedTuple):
+    """A belief carried through a motion: ``P = spread spread^T + process_noise process_noise^T - lost lost^T``."""
+
+    mean: Tensor
+    """``(..., n)``."""
+    spread: Tensor
+    """``(..., n, p)`` of what was uncertain before; the last ``n`` columns follow the root of that belief."""
+    process_noise: Tensor
+    """``(..., n, q)``."""
+    lost: Tensor | None
+    """``(..., n, k)`` what a rule with negative weights takes off."""
+
+    def belief(self) -> tuple[Gaussian, Tensor | None]:
+        """The prediction, and ``(...)`` bool whether its covariance was repaired; None where it never is."""
+        root = tria(hstack(self.spread, self.process_noise))
+        if self.lost is None:
+            return Gaussian(self.mean, root), None
+        root, repaired = downdate(root, self.lost)
+        return Gaussian(self.mean, root), repaired
+
+
 def predict(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Prediction:
     """Time update: eqs. (8)-(13)."""
-    mean, spread, noise, lost = propagate(motion, rule, belief, frame)
-    if lost is None:
-        return Prediction(Gaussian(mean, tria(hstack(spread, noise))), spread, noise)
-    root, repaired = downdate(tria(hstack(spread, noise)), lost)
-    return Prediction(Gaussian(mean, root), spread, noise, repaired)
+    carried = propagate(motion, rule, belief, frame)
+    after, repaired = carried.belief()
+    return Prediction(after, carried.spread, carried.process_noise, repaired)
 
 
-def propagate(
-    motion: Motion, rule: Rule, belief: Gaussian, frame: Frame
-) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
-    """The predicted mean ``(..., n)``, and what its covariance is made of.
-
-    Columns ``(..., n, p)`` of what was uncertain before, ``(..., n, q)`` of the process noise, and ``(..., n, k)`` of
-    what a rule with negative weights takes off.
-    """
+def propagate(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Carried:
+    """The predicted mean, and what its covariance is made of."""
     mean, root = belief
     if frame.transition is not None:
         shift, noise = frame.shift, frame.process_noise
         if frame.adaptation is not None:
             shift, noise = frame.adaptation(mean, shift, noise)
         mean, spread = apply(frame.transition, mean), frame.transition @ root
-        return mean if shift is None else mean + shift, spread, noise, None
+        return Carried(mean if shift is None else mean + shift, spread, noise, None)
     mean, spread, lost = rule(lambda x: motion.at_points(x, frame.dt, frame.u), belief, motion.difference)
-    return mean, spread, motion.process_noise_at(frame.process_noise, mean), lost
+    return Carried(mean, spread, motion.process_noise_at(frame.process_noise, mean), lost)
 
 
 def compare(sensor: Sensor, rule: Rule, belief: Gaussian, frame: Frame) -> Whitened:

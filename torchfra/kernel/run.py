@@ -141,7 +141,7 @@ class Kernels:
             truncate: steps after which gradients flow no further back.
         """
         if torch.is_grad_enabled() and any(x.requires_grad for x in (*state, *inputs)):
-            length = checkpoint or math.isqrt((truncate or steps) - 1) + 1
+            length = steps if self.step.last_first else checkpoint or math.isqrt((truncate or steps) - 1) + 1
             starts = sorted({*range(0, steps, length), *range(0, steps, truncate or steps)})
             done = _Run.apply(self, batch, (*starts, steps), truncate, *state, *inputs)  # type: ignore[no-untyped-call]
         else:

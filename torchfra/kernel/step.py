@@ -87,6 +87,7 @@ class Step:
         inputs: what each step reads besides the state, by name.
         dtype: of all numbers.
         repeated: whether it is one of many steps, so that records have time in front; or the only one.
+        last_first: whether it runs from the last step to the first.
 
     Raises:
         NotImplementedError: the step uses an operation that kernels do not have.
@@ -100,9 +101,10 @@ class Step:
         inputs: Mapping[str, Input],
         dtype: torch.dtype,
         repeated: bool = True,
+        last_first: bool = False,
     ) -> None:
         self._module, self._advance, self.inputs = module, advance, inputs
-        self.dtype, self.repeated = dtype, repeated
+        self.dtype, self.repeated, self.last_first = dtype, repeated, last_first
         with elementary(), torch.no_grad():
             self.state = begin(module)
         leaves = flatten(self.state)
@@ -147,13 +149,14 @@ class Step:
         return self._scan(self._plain, _nonzero_ports(self._plain.before))
 
     def _scan(self, trace: Trace, writes: list[Port]) -> Scan:
-        return Scan(trace.book, _ports(trace.before), _ports(trace.after), self._reads(trace), writes, dtype=self.dtype)
+        before, after = _ports(trace.before), _ports(trace.after)
+        return Scan(trace.book, before, after, self._reads(trace), writes, self.last_first, self.dtype)
 
     def _reads(self, trace: Trace) -> list[Port]:
         return [Port(_ids(trace.inputs[name]), x.shape, x.timed) for name, x in self.inputs.items()]
 
     def backwards(self, graded: Sequence[bool], needed: Sequence[str]) -> Scan:
-        """The adjoint, from the last step to the first.
+        """The adjoint, which runs the other way.
 
         Reads the inputs, the state before each step and the gradients of the record, where ``graded``.  Carries the
         gradients of the state and of the ``needed`` inputs without time, and writes those of the inputs with time.
@@ -180,7 +183,7 @@ class Step:
             _ports(pulled[:states] + totals),
             self._reads(trace) + _nonzero_ports(trace.before) + _ports(grads, timed=self.repeated),
             _ports(timed, timed=True),
-            backwards=True,
+            backwards=not self.last_first,
             dtype=self.dtype,
         )
 

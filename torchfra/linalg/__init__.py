@@ -4,7 +4,7 @@ No covariance is formed here.  Everything works on a square root ``A`` of it, ``
 lower-triangular root with a non-negative diagonal, ``L = tria(A)``.
 """
 
-from torchfra.linalg.gram import downdate, gram_pinv, gram_sqrt
+from torchfra.linalg.gram import downdate, gram_information, gram_pinv, gram_sqrt
 from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
 from torchfra.linalg.tracing import elementary, is_elementary, is_traced
 from torchfra.linalg.triangular import apply, hstack, tria, whiten
@@ -13,6 +13,7 @@ __all__ = [
     "apply",
     "downdate",
     "elementary",
+    "gram_information",
     "gram_pinv",
     "gram_sqrt",
     "hstack",

@@ -40,6 +40,31 @@ def gram_sqrt(h: Tensor) -> Tensor:
     return _of_gram(h, u, power, sigma, power > 0, slope)
 
 
+def gram_information(h: Tensor) -> tuple[Tensor, Tensor]:
+    """What makes of ``N(0, I)`` the belief ``N(w, H H^T)``: a measurement ``root x + N(0, I)`` of value ``weight w``.
+
+    Args:
+        h: ``(..., n, d)``; a matrix that is not finite counts as zero.
+
+    Returns:
+        ``root (..., n, n)``, symmetric, with ``root^2 = (H H^T)^-1 - I``, and ``weight = root^-1 (H H^T)^-1``.  Both
+        are 0 along eigenvectors of ``H H^T`` whose eigenvalue is 0, or not below 1 by more than the root of the
+        rounding error.  The gradient is exact as long as no eigenvalue crosses that.
+    """
+    h = _finite(h)
+    u, power = _left_singular(h.detach())
+    kept = (power > 0) & (power < 1 - torch.finfo(h.dtype).eps ** 0.5)
+    inside = torch.where(kept, power, 0.5)
+    root, share = (1 / inside - 1).sqrt(), (inside - inside.square()).sqrt()
+
+    def function(value: Tensor, slope: Tensor) -> Tensor:
+        both = kept.unsqueeze(-1) & kept.unsqueeze(-2)
+        return _of_gram(h, u, power, torch.where(kept, value, 0.0), kept, torch.where(both, slope, 0.0))
+
+    (p, q), (a, b), (s, t) = ((x.unsqueeze(-1), x.unsqueeze(-2)) for x in (inside, root, share))
+    return function(root, -1 / (p * q * (a + b))), function(1 / share, (p + q - 1) / (s * t * (s + t)))
+
+
 def downdate(root: Tensor, lost: Tensor, floor: float = 1e-12) -> tuple[Tensor, Tensor]:
     """Lower-triangular root of ``root root^T - lost lost^T``, repaired where that is not positive definite.
 

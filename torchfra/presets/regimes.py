@@ -18,8 +18,8 @@ from torchfra.sensors.base import Sensor
 def gpb(
     motion: Motion | Sequence[Motion], sensor: Sensor, *, levels: Values = (0.00371, 0.933), jumps: Values = (6.5,),
     stay: Values = (0.9929, 0.28, 0.9988, 0.0013), renew: Values = (0.117, 0.38, 0.5029985, 1.5e-06),
-    qualities: Values = ((0.99913, 0.00087), (0.84, 0.16)), sizes: Values = (4.7, 57.0, 1900.0, 200000000.0),
-    shares: Values = (0.47, 0.52366, 0.0061, 0.00024), poor: Value = 0.026, start: Value = 135.0, lag: int = 0,
+    qualities: Values = ((0.99913, 0.00087), (0.84, 0.16)), sizes: Values = (4.7, 57.0, 1900.0, 20000.0),
+    shares: Values = (0.47, 0.5215, 0.0061, 0.0024), poor: Value = 0.026, start: Value = 135.0, lag: int = 0,
     rule: Callable[[int], Rule] = third_degree, learn: Collection[str] = (),
 ) -> GPB:  # fmt: skip
     """The filter to reach for first: outliers, manoeuvres, jumps and a poor start as hypotheses of every step.
@@ -35,8 +35,8 @@ def gpb(
         renew: odds of the regime that follows one that does not stay, in the same order; they sum to one, and other
             motions share theirs evenly.
         qualities: ``(2, 2)`` probabilities ``[i, j] = P(now j | was i)`` of clean and outlier, for each block.
-        sizes: factors on the covariance of the measurement noise of outliers; with the largest, a measurement counts
-            for next to nothing.
+        sizes: factors on the covariance of the measurement noise of outliers; the last one grows to what the
+            measurement asks for.
         shares: of the outliers that have each size.
         poor: probability that the prior is worth little.
         start: factor on the prior's covariance then.

@@ -53,6 +53,18 @@ class ConstantGainFilter(TrackFilter):
         components: tuple[Tensor, ...] = mean.unflatten(-1, (self.motion.orders, self.motion.dims)).unbind(-2)
         return components
 
+    def check_smooths(self) -> None:
+        """There is no smoother.
+
+        Raises:
+            NotImplementedError: always, and says what to do.
+        """
+        name = type(self).__name__
+        raise NotImplementedError(
+            f"{name}: constant gains state no process noise, and so not how far a state follows from the one after it; "
+            "smooth with presets.srckf, or a bank of motions"
+        )
+
     def finish(self, state: Any, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
         """Beliefs of a sequence with the whole root, of which steps keep the entries that are not zero."""
         return Gaussian(belief.mean, full_root(belief.scale_tril, belief.mean.shape[-1])), info

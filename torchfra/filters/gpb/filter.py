@@ -11,16 +11,17 @@ from torch.distributions import constraints
 from torchfra import tree
 from torchfra.filters.base import Mix
 from torchfra.filters.checks import check_models
+from torchfra.filters.gpb.hindsight import GPBPast, WayBack
 from torchfra.filters.gpb.merging import lifted, log_share, together
 from torchfra.filters.gpb.qualities import Qualities, entry
 from torchfra.filters.gpb.regimes import Regimes
+from torchfra.filters.gpb.seeing import by_points_or_slope
 from torchfra.filters.gpb.states import GPBInfo, GPBState, Shares, Step
-from torchfra.filters.imm import for_each_model, models_first, repeated
+from torchfra.filters.imm import for_each_model
 from torchfra.filters.records import Record
-from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame, Measurements
-from torchfra.gaussian.mixture import moment_match
+from torchfra.gaussian.mixture import models_first, moment_match, repeated
 from torchfra.gaussian.model import propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import innovation
@@ -30,11 +31,8 @@ from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
-BLIND, NEAR = 0.02, 0.01
-"""Share of a predicted element's variance below which its slope counts for nothing; how wide points are then."""
 
-
-class GPB(GaussianFilter):
+class GPB(WayBack):
     """Generalised pseudo-Bayes over regimes of the motion and qualities of the measurement.
 
     A step's regime is a Markov chain: calm, agile or a jump of a motion, and the other motions of a bank.  The quality
@@ -127,7 +125,7 @@ class GPB(GaussianFilter):
     def advance(self, state: GPBState, frame: Frame, mix: Mix | None = None) -> tuple[GPBState, Record]:
         """One step; ``mix`` is not looked at, as this filter mixes itself."""
         before = tree.stack([state.clean, state.dirty], 0)  # (2, ..., K)
-        predicted, log_ahead, shares = self.look_ahead(before, state.log_weights.movedim(-2, 0), frame)
+        predicted, log_ahead, shares, far = self.look_ahead(before, state.log_weights.movedim(-2, 0), frame)
         seen = self.read(predicted)
         log_quality, prior = self.qualities.ahead(state.outlier)
         corrected = self.qualities(seen, lambda belief: self.compare(belief, frame), prior, 1 - frame.seen)
@@ -144,9 +142,17 @@ class GPB(GaussianFilter):
         expected = moment_match(tree.map_tensors(lambda x: x.flatten(0, 1), seen), log_share(log_ahead.flatten(0, 1)))
         whitened = self.compare(expected, frame)
         info = Step(settled, log_regimes.exp().sum(0), outlier)
-        record = Record(belief, whitened.residual, *innovation(whitened), info, log_likelihood)
         clean, dirty = tree.unbind(after, 2)
-        return GPBState(belief, settled, clean, dirty, log_regimes.movedim(0, -2), if_dirty), record
+        carried = clean, dirty, log_regimes.movedim(0, -2), if_dirty
+        record = Record(
+            belief,
+            whitened.residual,
+            *innovation(whitened),
+            info,
+            log_likelihood,
+            past=GPBPast(*carried, far.movedim(0, -1)),
+        )
+        return GPBState(belief, settled, *carried), record
 
     def compare(self, belief: Gaussian, frame: Frame) -> Whitened:
         """The measurement against a predicted belief; by the slope at its mean where its points show none.
@@ -154,15 +160,15 @@ class GPB(GaussianFilter):
         From points on all sides of an anchor ranges do not tell where the target is: a belief that wide would learn
         nothing, and widen on.
         """
-        wide = super().compare(belief, frame)
-        near = super().compare(belief._replace(scale_tril=NEAR * belief.scale_tril), frame)
-        slope, rest = (x.square().sum(-1) for x in (wide.slope, wide.rest))
-        blind = slope < BLIND * (slope + rest)
-        spread = torch.where(blind.unsqueeze(-1), near.spread / NEAR, wide.spread)
-        return Whitened(torch.where(blind, near.residual, wide.residual), spread, wide.reads)
+        return by_points_or_slope(lambda x: super(GPB, self).compare(x, frame), belief)
 
-    def look_ahead(self, before: Gaussian, log_weights: Tensor, frame: Frame) -> tuple[Gaussian, Tensor, Shares | None]:
-        """Predictions ``(R, 2, ..., n)`` of all regimes, their log weights, and who contributed to which motion."""
+    def look_ahead(
+        self, before: Gaussian, log_weights: Tensor, frame: Frame
+    ) -> tuple[Gaussian, Tensor, Shares | None, Tensor]:
+        """Predictions ``(R, 2, ..., n)`` of all regimes, their log weights, and who contributed to which motion.
+
+        Also ``(2, ...)`` how far the measurement is: its normalised innovation squared per element.
+        """
         mixed, log_ahead, shares = self.interact(before, log_weights)
         mean, spread, noise, _ = propagate(self.motion, self.motion_rule, mixed, for_each_model(frame))
         predicted = self.regimes.predictions(mean, spread, noise)
@@ -170,7 +176,8 @@ class GPB(GaussianFilter):
         whitened = self.compare(self.read(agile), frame)
         far = innovation(whitened)[1].square().sum(-1) / frame.seen.sum(-1).clamp_min(1.0)
         jumped = self.regimes.jumped(agile, far, self.motion.position)
-        return Gaussian(*map(torch.cat, zip(predicted, jumped, strict=True))), log_ahead.movedim(-1, 0), shares
+        every = Gaussian(*map(torch.cat, zip(predicted, jumped, strict=True)))
+        return every, self.regimes.rarer(log_ahead.movedim(-1, 0), far), shares, far
 
     def read(self, predicted: Gaussian) -> Gaussian:
         """Of states, what the sensor reads."""

@@ -52,7 +52,8 @@ class Qualities(nn.Module):
     Args:
         blocks: numbers of the elements of each block: those of a device fail together.
         chain: ``(..., 2, 2)``, ``chain[i, j] = P(now j | was i)`` of clean and outlier, rows that sum to one.
-        sizes: ``(..., C)`` by which an outlier's measurement noise is multiplied, as a covariance.
+        sizes: ``(..., C)`` by which an outlier's measurement noise is multiplied, as a covariance; the last one at
+            least, as it grows to the mean square error of the block, in units of the noise.
         shares: ``(..., C)`` of the outliers that have each size, which sum to one.
 
     Raises:
@@ -135,7 +136,9 @@ class Qualities(nn.Module):
             share, gone = prior[..., b], missing[..., list(block)].sum(-1)
             inside, residual = measured(seen, belief, compare, block)
             if_clean, log_clean = entry(told_by(entry(inside, 0), residual[0], sizes[:1], gone), 0)
-            told, log_told = told_by(entry(inside, -1), residual[-1], sizes, gone)
+            furthest = torch.maximum(sizes[-1:], error(residual[-1], gone))
+            every = torch.cat([sizes[:-1].expand(-1, *furthest.shape[1:]), furthest])
+            told, log_told = told_by(entry(inside, -1), residual[-1], every, gone)
             joint = torch.cat([log_told[:1] + torch.log1p(-share), log_told[1:] + share.log() + log_shares])
             total = joint.logsumexp(0)
             if_dirty = moment_match(told, joint - total)
@@ -169,6 +172,11 @@ def measured(seen: Gaussian, belief: Gaussian, compare: Compare, block: Sequence
     own = pad(belief.scale_tril, (spread.shape[-1] - d, 0))
     lower = tria(torch.cat([spread, own], -2))
     return Inside(lower[..., :m, :m], lower[..., m:, :m], lower[..., m:, m:]), residual
+
+
+def error(residual: Tensor, missing: Tensor) -> Tensor:
+    """The mean square ``(...)`` of the elements of a residual ``(..., m)`` of which so many ``(...)`` are missing."""
+    return residual.square().sum(-1) / (residual.shape[-1] - missing).clamp_min(1.0)
 
 
 def told_by(inside: Inside, residual: Tensor, sizes: Tensor, missing: Tensor) -> tuple[Gaussian, Tensor]:

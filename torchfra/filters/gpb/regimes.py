@@ -12,6 +12,8 @@ from torchfra.types import Gaussian
 
 FURTHEST = 1e5
 """Largest factor of a jump: a measurement that is wrong beyond all bounds moves no target."""
+USUAL = 1000.0
+"""Normalised innovation squared per element up to which all jumps have the same odds."""
 
 
 class Regimes(nn.Module):
@@ -64,6 +66,19 @@ class Regimes(nn.Module):
         log_weights = self._by_regime(log_kinds, others)
         return log_weights - log_weights.logsumexp(-1, keepdim=True)  # one motion has no others
 
+    def of_each(self, values: Tensor, dim: int) -> Tensor:
+        """Of motions, along a dimension, what goes with each regime."""
+        first, jumps = values.narrow(dim, 0, 1), self.jumps.raw.shape[-1]
+        others = values.narrow(dim, 1, self.motions - 1)
+        return torch.cat([*[first] * self.count, others, *[first] * jumps], dim)
+
+    def transition(self, log_weights: Tensor) -> Tensor:
+        """Logs ``(..., R, R)`` of how regimes follow each other, ``[was, now]``, of tracks ``log_weights (..., R)``."""
+        log_stay, log_leave = self.log_stay(log_weights)
+        drawn = log_leave.unsqueeze(-1) + self.log_renew(log_weights).unsqueeze(-2)
+        same = torch.eye(drawn.shape[-1], dtype=torch.bool, device=drawn.device)
+        return torch.where(same, torch.logaddexp(drawn, log_stay.unsqueeze(-1)), drawn)
+
     def log_stay(self, like: Tensor) -> tuple[Tensor, Tensor]:
         """Logs ``(..., R)`` of the probabilities that a regime stays, and that it does not."""
         stay = self.stay(like)
@@ -92,6 +107,10 @@ class Regimes(nn.Module):
         roots = tria(hstack(torch.cat([spread[:1].expand(self.count, *spread.shape[1:]), spread[1:]]), noise))
         return Gaussian(torch.cat([means[:1].expand(self.count, *means.shape[1:]), means[1:]]), roots)
 
+    def widths(self, like: Tensor, far: Tensor) -> Tensor:
+        """Factors ``(J, ...)`` of jumps on the root of the position's covariance; ``far`` as in ``jumped``."""
+        return (in_front(self.jumps(like), far.dim()) * far).clamp(1.0, FURTHEST).sqrt()
+
     def jumped(self, belief: Gaussian, far: Tensor, position: slice) -> Gaussian:
         """A belief ``(..., n)`` after each jump, ``(J, ..., n)``.
 
@@ -104,11 +123,22 @@ class Regimes(nn.Module):
             position: which components of a state are its position.
         """
         mean, root = belief
-        widened = (in_front(self.jumps(mean), mean.dim() - 1) * far).clamp(1.0, FURTHEST).sqrt().unsqueeze(-1)
+        widened = self.widths(mean, far).unsqueeze(-1)
         there = torch.zeros(mean.shape[-1], dtype=mean.dtype, device=mean.device)
         there[position] = 1.0
         scaled = (1 + (widened - 1) * there).unsqueeze(-1) * root  # scaled rows: still a lower root
         return Gaussian(mean.expand(scaled.shape[:-1]), scaled)
+
+    def rarer(self, log_weights: Tensor, far: Tensor) -> Tensor:
+        """Log weights ``(R, ...)`` with odds of jumps that fall with their size: what is that far off is an outlier.
+
+        Args:
+            log_weights: before it is known how far the measurement is.
+            far: ``(...)`` as in ``jumped``.
+        """
+        jumps = self.jumps.raw.shape[-1]
+        still = log_weights.shape[0] - jumps
+        return torch.cat([log_weights[:still], log_weights[still:] - (far / USUAL).clamp_min(1.0).log()])
 
 
 def in_front(values: Tensor, rank: int) -> Tensor:

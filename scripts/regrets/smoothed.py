@@ -1,0 +1,91 @@
+"""Filters and their smoothers on the same runs: errors, ratios with intervals, and how honest covariances are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from regrets.ratios import RESAMPLES, Errors, draws
+from regrets.show import interval, metres, regret
+from torchfra import metrics
+from torchfra.app.progress import progress_bar
+from torchfra.filters import Filter
+from torchfra.scenarios import Scenario
+from torchfra.tables import text_table
+from torchfra.types import Estimate
+
+FILTERS = ("srckf", "rsrckf", "imm_srckf", "fra", "gpb")
+"""Those that are smoothed unless others are named."""
+KINDS = {"filtered": 0, "lag 1": 1, "lag 5": 5, "smoothed": None}
+"""Estimates by the steps that they look ahead; None for all there are."""
+_STEPS = 20_000
+"""Steps of all runs that are smoothed at once; bounds the memory."""
+
+
+def estimates(f: Filter, scenario: Scenario, tracks: Any) -> dict[str, Estimate]:
+    """By kind, in the coordinates of the truth; the filter runs once for all that can do with its estimate."""
+    given: dict[str, Any] = {"z": tracks.z, "prior": tracks.prior, "u": tracks.u, "dt": scenario.dt}
+    whole = f.smooth(**given)
+    filtered = whole.info.filtered
+    every = {"filtered": as_filtered(filtered), "smoothed": whole}
+    every |= {kind: f.smooth(**given, lag=lag, estimate=filtered) for kind, lag in KINDS.items() if lag}
+    return {kind: scenario.cartesian(every[kind]) for kind in KINDS}
+
+
+def as_filtered(estimate: Estimate) -> Estimate:
+    """What was known at each step itself, of a filter whose estimate may be settled later."""
+    early = getattr(estimate.info, "provisional", getattr(estimate.info, "filtered", None))
+    return estimate if early is None else estimate._replace(mean=early.mean, scale_tril=early.scale_tril)
+
+
+def errors(
+    scenario: Scenario, filters: Mapping[str, Filter], *, runs: int, seed: int, progress: bool = False
+) -> dict[str, dict[str, Any]]:
+    """By filter and kind the ``Errors``, and under ``"nees"`` by kind the mean of that of positions per dimension."""
+    counts = draws(runs, seed, RESAMPLES if runs > 1 else 0)
+    found: dict[str, dict[str, Any]] = {name: {kind: Errors(runs) for kind in KINDS} for name in filters}
+    honest: dict[str, dict[str, list[Tensor]]] = {name: {kind: [] for kind in KINDS} for name in filters}
+    chunk = max(1, _STEPS // scenario.steps)
+    with torch.no_grad():
+        for first in progress_bar(range(0, runs, chunk), f"{chunk} runs", progress):
+            tracks = scenario.simulate(min(chunk, runs - first), seed, first=first)
+            for name, f in filters.items():
+                for kind, estimate in estimates(f, scenario, tracks).items():
+                    error = metrics.error(estimate.mean, tracks.truth, scenario.truth_position)
+                    found[name][kind].add(error, counts[:, first : first + chunk])
+                    honest[name][kind].append(metrics.nees(estimate, tracks.truth, scenario.truth_position))
+    dims = scenario.motion.dims
+    for name, of in honest.items():
+        found[name]["nees"] = {kind: torch.cat(parts).nanmean().item() / dims for kind, parts in of.items()}
+    return found
+
+
+def results(found: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """By filter and kind ``rmse``, the ``ratio`` to the filtered one's with its 95 % ``interval``, and ``nees``."""
+    of: dict[str, Any] = {}
+    for name, kinds in found.items():
+        filtered, of[name] = kinds["filtered"].rmse(), {}
+        for kind in KINDS:
+            values = kinds[kind].rmse()
+            with np.errstate(invalid="ignore"):
+                ratio = values / filtered
+            between = np.quantile(ratio[1:], [0.025, 0.975], method="inverted_cdf").tolist() if len(ratio) > 1 else None
+            of[name][kind] = {"rmse": values[0].item(), "ratio": ratio[0].item(), "interval": between,
+                              "nees": kinds["nees"][kind]}  # fmt: skip
+    return of
+
+
+def table(cells: Mapping[str, Mapping[str, Any]]) -> str:
+    """A line for each filter in each cell."""
+    rows = []
+    for cell, result in cells.items():
+        for name, kinds in result["smoothing"].items():
+            of, before = kinds["smoothed"], kinds["filtered"]
+            rows.append([cell, name, *(metres(kinds[kind]["rmse"]) for kind in KINDS), regret(of["ratio"]),
+                         interval(of["interval"]), f"{before['nees']:.2f}", f"{of['nees']:.2f}"])  # fmt: skip
+    header = ["cell", "filter", *(f"{kind}, m" for kind in KINDS), "change", "95 %", "NEES", "smoothed"]
+    return text_table(header, rows, align="<<>")

@@ -1,0 +1,107 @@
+"""Smoothing while measurements come in: estimates a fixed number of steps back."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from torch import Tensor, nn
+
+from torchfra import tree
+from torchfra.filters.base import Filter
+from torchfra.filters.checks import check_lengths
+from torchfra.filters.smoothing import Told, sweep
+from torchfra.gaussian.inputs import Frame, Measurements, Time
+from torchfra.types import Gaussian, Innovation
+
+
+class Moment(NamedTuple):
+    """What is kept of a step."""
+
+    belief: Gaussian
+    info: Any
+    past: Any
+    frame: Frame
+
+
+class FixedLagState(NamedTuple):
+    """What is known after a step."""
+
+    inner: Any
+    """Of the filter."""
+    window: tuple[Moment, ...] = ()
+    """The steps up to ``lag`` back, the newest last."""
+    told: Told | None = None
+    """Of the first step of the window, from the measurements so far: see ``lagged``."""
+
+    @property
+    def belief(self) -> Gaussian:
+        """The estimate now, of the filter."""
+        belief: Gaussian = self.inner.belief
+        return belief
+
+    @property
+    def lagged(self) -> Gaussian:
+        """The estimate ``lag`` steps back; of the first step until there are so many, before that the prior."""
+        return self.belief if self.told is None else self.told.belief
+
+
+class FixedLag(nn.Module):
+    """A filter whose ``step`` hands out estimates some steps back, by all measurements since: ``state.lagged``.
+
+    They are those of ``smooth(..., lag=lag)``.  A step goes back over the window, so that it takes the time of the
+    filter's and of ``lag`` steps back; it runs interpreted, also of a compiled filter.
+
+    Args:
+        filter: any that can be smoothed.
+        lag: steps.
+
+    Raises:
+        ValueError: something else than a filter, or a lag below 1.
+        NotImplementedError: see ``Filter.smooth``.
+    """
+
+    def __init__(self, filter: Filter, lag: int) -> None:
+        super().__init__()
+        if not isinstance(filter, Filter):
+            raise ValueError(f"filter: expected one of torchfra.filters, received {type(filter).__name__}")
+        check_lengths(lag=lag)
+        filter.check_smooths()
+        self.filter, self.lag = filter, lag
+
+    def init(self, prior: Gaussian) -> FixedLagState:
+        """The state before the first measurement: see ``Filter``."""
+        return FixedLagState(self.filter.init(prior))
+
+    def step(
+        self,
+        state: FixedLagState,
+        z: Tensor,
+        *,
+        dt: Time = 1.0,
+        u: Tensor | None = None,
+        std: Tensor | None = None,
+        noise: Tensor | None = None,
+    ) -> tuple[FixedLagState, Innovation]:
+        """One measurement (or scan); arguments and errors are those of ``Filter.step``.
+
+        Returns:
+            The next state, with the estimate now in ``belief`` and that of ``lag`` steps back in ``lagged``, and what
+            the measurement said.
+        """
+        f = self.filter
+        frame = f._frame(state.inner, Measurements(z, dt, u, std, noise))
+        inner, record = f.advance(state.inner, frame)
+        moment = Moment(record.belief, record.info, record.past if f.keeps_past else None, frame)
+        window = (*state.window, moment)[-self.lag - 1 :]
+        innovation = Innovation(*f._innovation(record, frame), *f._scores(record, frame.measurement_noise.log_norm))
+        return FixedLagState(inner, window, self.back(inner, window)), innovation
+
+    def back(self, inner: Any, window: tuple[Moment, ...]) -> Told:
+        """What is told of the first step of a window that ends in the filter's state ``inner``."""
+        f, rank = self.filter, inner.belief.mean.dim() - 1
+        belief, info, steps = tree.stack([moment[:3] for moment in window], rank)
+        past = f.past(*f.finish(inner, belief, info), inner, steps)
+        *earlier, now = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(window))
+        told = sweep(f, [*earlier, f.fresh(now)], [moment.frame for moment in window], rank, None, None)
+        first: Told = tree.map_tensors(lambda x: x.select(rank, 0), told)
+        return first

@@ -1,0 +1,99 @@
+"""The way back of interacting models: what comes later as a measurement of every model before."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from torch import Tensor
+
+from torchfra import tree
+from torchfra.filters.smoothing import Told, Turn
+from torchfra.gaussian.future import future
+from torchfra.gaussian.mixture import models_first, moment_match, repeated, without_failed
+from torchfra.gaussian.update import correct, density
+from torchfra.types import Gaussian
+
+
+class ModelsStep(NamedTuple):
+    """What interacting models keep of a step for the way back."""
+
+    belief: Gaussian
+    """``(..., K)`` of each model."""
+    info: Any
+    """Of their filters."""
+    log_weights: Tensor
+    """``(..., K)`` logs of their probabilities."""
+    active: Tensor | None = None
+    """``(..., K, all)`` one in each row, where only some models of a bank run: which it is."""
+
+
+class ModelsPast(NamedTuple):
+    """What the way back needs of a step; ``(..., T, K)`` of a whole track."""
+
+    inner: Any
+    """Of the models' filters."""
+    log_weights: Tensor
+    """``(..., K)`` logs of their probabilities."""
+    active: Tensor | None = None
+    """Likewise."""
+
+
+class Models(NamedTuple):
+    """Models after a step, by the measurements before it and after."""
+
+    belief: Gaussian
+    """``(..., K)`` of each."""
+    log_weights: Tensor
+    """``(..., K)`` logs of their probabilities."""
+
+
+def remembered(inner: Any, state: Any, steps: ModelsStep) -> ModelsPast:
+    """The past of all models, from what steps have kept.
+
+    Args:
+        inner: the models' filter.
+        state: its state after the last step.
+        steps: ``(..., T, K)``.
+    """
+    time = steps.log_weights.dim() - 2
+
+    def swapped(several: Any) -> Any:
+        """Time behind the models, where their filter wants it, and back again."""
+        return tree.map_tensors(lambda x: x.transpose(time, time + 1), several)
+
+    belief, info = inner.finish(state, *swapped((steps.belief, steps.info)))
+    return ModelsPast(swapped(inner.past(belief, info, None, None)), steps.log_weights, steps.active)
+
+
+def together(models: Models, active: Tensor | None) -> Told:
+    """All models as one belief, and their probabilities, 0 of those that are not ``active``."""
+    belief = moment_match(models_first(models.belief), models.log_weights.movedim(-1, 0))
+    weights = models.log_weights.exp()
+    return Told(belief, weights if active is None else (weights.unsqueeze(-2) @ active).squeeze(-2))
+
+
+def retreat(inner: Any, turn: Turn, matrix: Tensor, after: Models) -> Models:
+    """One step back, for every model before it and every model after.
+
+    What comes after the step, measured by the model after it, is the measurement that makes of that model's prediction
+    its smoothed belief.  Every model before the step is corrected by it, along the motion of the model after, and
+    weighed by how well it has predicted it.
+
+    Args:
+        inner: the models' filter.
+        turn: a ``ModelsPast``, the ``Past`` of the step ahead, and the frame for each model.
+        matrix: ``(..., K, K)`` logs of the transition, ``[was, now]``.
+        after: the models after the step.
+    """
+    joint = matrix + turn.past.log_weights.unsqueeze(-1)
+    share = joint - joint.logsumexp(-2, keepdim=True)
+    before = repeated(models_first(turn.past.inner.belief), share.shape[-1])  # (was, ..., now)
+    mixed = moment_match(before, share.movedim(-2, 0))
+    predicted, _ = inner.carry(mixed, turn.frame, turn.ahead.factor).belief()
+    later = future(predicted, after.belief)
+    each, root, normalised = correct(before, later.against(inner.carry(before, turn.frame, turn.ahead.factor)))
+    fit = without_failed(density(root, normalised)).movedim(0, -2)
+    joint = without_failed((share + fit).log_softmax(-2)) + after.log_weights.unsqueeze(-2)
+    log_weights = joint.logsumexp(-1)
+    back = Gaussian(each.mean.transpose(0, -2), each.scale_tril.transpose(0, -3))  # (now, ..., was)
+    return Models(moment_match(back, (joint - log_weights.unsqueeze(-1)).movedim(-1, 0)), log_weights)

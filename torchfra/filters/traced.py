@@ -1,0 +1,41 @@
+"""What kernels take down of a filter: its first state and its step, of one track."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra.gaussian.inputs import Frame, Measurements, make_frames
+from torchfra.kernel.entries import Entries
+from torchfra.kernel.expressions import Expressions
+from torchfra.types import Gaussian
+
+
+def begin(f: Any) -> Any:
+    """The state before the first measurement."""
+    n, dtype, book = f.motion.size, torch.float64, Expressions()
+    root = Entries.inputs(book, (n, n), dtype).ids.tril()
+    return f.begin(Gaussian(Entries.inputs(book, (n,), dtype), Entries(book, root, dtype)))
+
+
+def _frame(f: Any, data: dict[str, Tensor]) -> Frame:
+    """The frame of one step of one track."""
+    (frame,), _ = make_frames(Measurements(**data).as_track(), f.motion, f.sensor, 0)
+    return frame
+
+
+def keep(f: Any, state: Any, data: dict[str, Tensor]) -> Any:
+    """One step of ``forward``."""
+    return f.keep(state, _frame(f, data))
+
+
+def keep_past(f: Any, state: Any, data: dict[str, Tensor]) -> Any:
+    """The same, with what the way back needs."""
+    return f.keep(state, _frame(f, data), past=True)
+
+
+def observe(f: Any, state: Any, data: dict[str, Tensor]) -> Any:
+    """One step of ``step``."""
+    return f.observe(state, _frame(f, data))
