@@ -95,21 +95,25 @@ def first(f: GPB, prior: Gaussian, count: int, rng: torch.Generator) -> Particle
 def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generator) -> tuple[Tensor, Particles]:
     """The mean ``(n,)`` over all continuations, and those that are kept."""
     mean, spread, noise, _ = propagate(f.motion, f.motion_rule, one_motion(before.belief), frame)
-    predicted = f.regimes.predictions(mean, spread, noise.expand(len(mean), *noise.shape[-3:]), f.motion.position)
+    still = f.regimes.predictions(mean, spread, noise.expand(len(mean), *noise.shape[-3:]))
+    predicted, far = f.with_jumps(still, frame)
     whitened = f.compare(f.read(predicted), frame)  # of (R, N)
     sizes = f.qualities.sizes(mean)
-    sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])
-    rooted = [innovation(down_weight(whitened, (1 / s).expand_as(whitened.residual))) for s in sizes]
+    sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])[:, None, None].expand(-1, *whitened.residual.shape[:-1])
+    sizes = f.qualities.grown(sizes, whitened.residual, (1 - frame.seen).sum())  # (C, R, N)
+    rooted = [innovation(down_weight(whitened, (1 / s).unsqueeze(-1).expand_as(whitened.residual))) for s in sizes]
     told = torch.stack([density(*pair) for pair in rooted])  # (C, R, N)
-    told = told - 0.5 * (frame.seen.sum() * sizes.log())[:, None, None]
-    log_weight = before.log_weight + log_ahead(f, before, frame) + log_quality(f, before).unsqueeze(1) + told
+    told = told - 0.5 * frame.seen.sum() * sizes.log()
+    log_weight = (
+        before.log_weight + f.regimes.rarer(log_ahead(f, before), far) + log_quality(f, before).unsqueeze(1) + told
+    )
     log_weight = (log_weight - log_weight.flatten().logsumexp(0)).nan_to_num(nan=-torch.inf)
     means = [posterior_mean(predicted, whitened, *pair, s) for s, pair in zip(sizes, rooted, strict=True)]
     estimate = (log_weight.exp().unsqueeze(-1) * torch.stack(means)).sum((0, 1, 2))
     chosen, kept = keep(log_weight.flatten(), count, rng)
     c, r, i = torch.unravel_index(chosen, log_weight.shape)
     belief, own = (map_tensors(lambda x: x[r, i], x) for x in (predicted, whitened._replace(reads=0)))
-    own = down_weight(own._replace(reads=whitened.reads), (1 / sizes[c]).unsqueeze(-1).expand_as(own.residual))
+    own = down_weight(own._replace(reads=whitened.reads), (1 / sizes[c, r, i]).unsqueeze(-1).expand_as(own.residual))
     return estimate, Particles(correct(belief, own)[0], r, c > 0, kept)
 
 
@@ -118,13 +122,13 @@ def one_motion(belief: Gaussian) -> Gaussian:
     return Gaussian(belief.mean.unsqueeze(-2), belief.scale_tril.unsqueeze(-3))
 
 
-def log_ahead(f: GPB, before: Particles, frame: Frame) -> Tensor:
+def log_ahead(f: GPB, before: Particles) -> Tensor:
     """Logs ``(R, N)`` of the odds of each regime after those of the particles."""
     like = before.belief.mean[0]
     log_stay, log_leave = f.regimes.log_stay(like)
     drawn = log_leave.unsqueeze(-1) + f.regimes.log_renew(like)  # (R, R), [was, now]
     log_chain = torch.logaddexp(drawn, log_stay.exp().diag().log())
-    return f.regimes.possible(log_chain[before.regime], frame.seen.sum(-1, keepdim=True) > 0).mT
+    return log_chain[before.regime].mT
 
 
 def log_quality(f: GPB, before: Particles) -> Tensor:
@@ -135,8 +139,8 @@ def log_quality(f: GPB, before: Particles) -> Tensor:
 
 
 def posterior_mean(predicted: Gaussian, whitened: Whitened, root: Tensor, normalised: Tensor, size: Tensor) -> Tensor:
-    """Means ``(R, N, n)`` after a measurement whose noise is ``size`` times as large, as a covariance."""
-    gain = predicted.scale_tril[..., : whitened.reads] @ whitened.slope.mT / size.sqrt()
+    """Means ``(R, N, n)`` after a measurement whose noise is ``size (R, N)`` times as large, as a covariance."""
+    gain = predicted.scale_tril[..., : whitened.reads] @ whitened.slope.mT / size.sqrt()[..., None, None]
     weighed = torch.linalg.solve_triangular(root.mT, normalised.unsqueeze(-1), upper=True).squeeze(-1)
     return predicted.mean + apply(gain, weighed)
 

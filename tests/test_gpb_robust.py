@@ -189,7 +189,7 @@ def test_bursts_of_four_measurements_at_ten_sigma(sensor, motion):
 
 def test_covariances_are_honest_where_targets_do_what_it_believes():
     known = {"levels": (1.0, 100.0), "stay": (0.94, 0.8, 0.5, 0.1), "renew": (5 / 9, 4 / 9 - 2e-9, 1e-9, 1e-9),
-             "qualities": ((0.97, 0.03), (0.4, 0.6)), "sizes": (100.0,), "shares": (1.0,), "poor": 1e-6,
+             "qualities": ((0.97, 0.03), (0.4, 0.6)), "sizes": (100.0,), "shares": (1.0,), "grows": False, "poor": 1e-6,
              "start": 1.0}  # fmt: skip
     scenario = regimes()
     tracks = scenario.simulate(runs=200, seed=4242)

@@ -24,7 +24,7 @@ ROOT = torch.tensor([5.0, 5.0, 3.0, 3.0]).double().diag()
 def few():
     """Two levels, one size of outliers, no jumps, no poor start: of few steps all histories can be told."""
     return presets.gpb(
-        ConstantVelocity(1.0), Position(STD), levels=LEVELS, jumps=torch.zeros(0), stay=STAY, renew=RENEW,
+        ConstantVelocity(1.0), Position(STD), levels=LEVELS, jumps=torch.zeros(0), grows=False, stay=STAY, renew=RENEW,
         qualities=CHAIN, sizes=(SIZE,), shares=(1.0,), poor=1e-12, start=1.0,
     )  # fmt: skip
 
@@ -85,7 +85,7 @@ def test_hypotheses_that_are_all_alike_are_one(motions):
     one, z = ConstantVelocity(1.0), simulated(runs=4, steps=12)
     z[0, 3], z[1, -1] = nan, nan
     f = presets.gpb(
-        [ConstantVelocity(1.0) for _ in range(motions)], Position(STD), levels=(1.0, 1.0), jumps=(1.0,),
+        [ConstantVelocity(1.0) for _ in range(motions)], Position(STD), levels=(1.0, 1.0), jumps=(1e-9,), grows=False,
         sizes=(1.0 + 1e-12,), shares=(1.0,), stay=(0.9, 0.5, 0.8, 0.1), renew=(0.4, 0.3, 0.2, 0.1), poor=0.1, start=1.0,
     )  # fmt: skip
     prior = Gaussian(START, ROOT)

@@ -33,9 +33,9 @@ def gpb() -> Config:
         tasks=(*tasks, *single, *unseen),
         learn=("all",),
         start={
-            "levels": [0.1, 10.0], "jumps": [370.0], "stay": [0.97, 0.9, 0.99, 0.1],
+            "levels": [0.1, 10.0], "jumps": [3.7], "stay": [0.97, 0.9, 0.99, 0.1],
             "renew": [0.5, 0.25, 0.249999, 1e-6], "qualities": [[0.98, 0.02], [0.7, 0.3]],
-            "sizes": [10.0, 100.0, 1600.0, 1e8], "shares": [0.5, 0.35, 0.149, 0.001], "poor": 0.25, "start": 340.0,
+            "sizes": [10.0, 100.0, 1600.0, 3e4], "shares": [0.5, 0.35, 0.149, 0.001], "poor": 0.25, "start": 340.0,
         },
         batch=32,
         iterations=60,
@@ -61,7 +61,14 @@ def recover_gpb() -> Config:
         tasks=(Task("regimes"),),
         learn=tuple(known),
         filter="gpb",
-        options={"jumps": [], "sizes": [100.0], "shares": [1.0], "renew": [0.5, 0.4, 0.1], "stay": [0.94, 0.8, 0.5]},
+        options={
+            "jumps": [],
+            "grows": False,
+            "sizes": [100.0],
+            "shares": [1.0],
+            "renew": [0.5, 0.4, 0.1],
+            "stay": [0.94, 0.8, 0.5],
+        },
         teacher=known,
         start={
             "levels": [3.0, 33.3],

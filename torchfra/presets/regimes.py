@@ -19,8 +19,8 @@ def gpb(
     motion: Motion | Sequence[Motion], sensor: Sensor, *, levels: Values = (0.00371, 0.933), jumps: Values = (6.5,),
     stay: Values = (0.9929, 0.28, 0.9988, 0.0013), renew: Values = (0.117, 0.38, 0.5029985, 1.5e-06),
     qualities: Values = ((0.99913, 0.00087), (0.84, 0.16)), sizes: Values = (4.7, 57.0, 1900.0, 20000.0),
-    shares: Values = (0.47, 0.5215, 0.0061, 0.0024), poor: Value = 0.026, start: Value = 135.0, lag: int = 0,
-    rule: Callable[[int], Rule] = third_degree, learn: Collection[str] = (),
+    shares: Values = (0.47, 0.5215, 0.0061, 0.0024), poor: Value = 0.026, start: Value = 135.0, grows: bool = True,
+    lag: int = 0, rule: Callable[[int], Rule] = third_degree, learn: Collection[str] = (),
 ) -> GPB:  # fmt: skip
     """The filter to reach for first: outliers, manoeuvres, jumps and a poor start as hypotheses of every step.
 
@@ -35,11 +35,11 @@ def gpb(
         renew: odds of the regime that follows one that does not stay, in the same order; they sum to one, and other
             motions share theirs evenly.
         qualities: ``(2, 2)`` probabilities ``[i, j] = P(now j | was i)`` of clean and outlier, for each block.
-        sizes: factors on the covariance of the measurement noise of outliers; the last one grows to what the
-            measurement asks for.
+        sizes: factors on the covariance of the measurement noise of outliers.
         shares: of the outliers that have each size.
         poor: probability that the prior is worth little.
         start: factor on the prior's covariance then.
+        grows: whether the last of the sizes grows to what a measurement asks for.
         lag: 0 for an estimate from the measurements so far, 1 for one that the next measurement has settled; the
             other is in ``Estimate.info``.
         rule: makes the points for a number of states.
@@ -55,6 +55,6 @@ def gpb(
     check_models(models, sensor)
     count = len(models) if isinstance(models, Bank) else 1
     regimes = Regimes(count, levels=levels, jumps=jumps, stay=stay, renew=renew)
-    doubts = Qualities(sensor.blocks, chain=qualities, sizes=sizes, shares=shares)
+    doubts = Qualities(sensor.blocks, chain=qualities, sizes=sizes, shares=shares, grows=grows)
     f = GPB(models, sensor, regimes=regimes, qualities=doubts, poor=poor, start=start, lag=lag, rule=rule)
     return with_learning(f, learn)

@@ -171,13 +171,16 @@ class GPB(WayBack):
         """
         mixed, log_ahead, shares = self.interact(before, log_weights)
         mean, spread, noise, _ = propagate(self.motion, self.motion_rule, mixed, for_each_model(frame))
-        predicted = self.regimes.predictions(mean, spread, noise)
+        predicted, far = self.with_jumps(self.regimes.predictions(mean, spread, noise), frame)
+        return predicted, self.regimes.rarer(log_ahead.movedim(-1, 0), far), shares, far
+
+    def with_jumps(self, predicted: Gaussian, frame: Frame) -> tuple[Gaussian, Tensor]:
+        """Predictions of levels and motions, and of jumps after them; how far the measurement is."""
         agile = entry(predicted, self.regimes.count - 1)
         whitened = self.compare(self.read(agile), frame)
         far = innovation(whitened)[1].square().sum(-1) / frame.seen.sum(-1).clamp_min(1.0)
         jumped = self.regimes.jumped(agile, far, self.motion.position)
-        every = Gaussian(*map(torch.cat, zip(predicted, jumped, strict=True)))
-        return every, self.regimes.rarer(log_ahead.movedim(-1, 0), far), shares, far
+        return Gaussian(*map(torch.cat, zip(predicted, jumped, strict=True))), far
 
     def read(self, predicted: Gaussian) -> Gaussian:
         """Of states, what the sensor reads."""

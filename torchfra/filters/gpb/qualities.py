@@ -52,16 +52,20 @@ class Qualities(nn.Module):
     Args:
         blocks: numbers of the elements of each block: those of a device fail together.
         chain: ``(..., 2, 2)``, ``chain[i, j] = P(now j | was i)`` of clean and outlier, rows that sum to one.
-        sizes: ``(..., C)`` by which an outlier's measurement noise is multiplied, as a covariance; the last one at
-            least, as it grows to the mean square error of the block, in units of the noise.
+        sizes: ``(..., C)`` by which an outlier's measurement noise is multiplied, as a covariance.
         shares: ``(..., C)`` of the outliers that have each size, which sum to one.
+        grows: whether the last size grows to the mean square error of a block, in units of its noise, where that is
+            larger: outliers of any size are then as likely as others of that kind.
 
     Raises:
         ValueError: shapes that do not go together, values out of their range or that do not sum to one.
     """
 
-    def __init__(self, blocks: Sequence[Sequence[int]], *, chain: Values, sizes: Values, shares: Values) -> None:
+    def __init__(
+        self, blocks: Sequence[Sequence[int]], *, chain: Values, sizes: Values, shares: Values, grows: bool = True
+    ) -> None:
         super().__init__()
+        self.grows = grows
         chain, sizes, shares = (torch.as_tensor(x, dtype=torch.float64) for x in (chain, sizes, shares))
         if chain.shape[-2:] != (2, 2):
             raise ValueError(f"qualities: expected (2, 2), received {tuple(chain.shape)}")
@@ -136,9 +140,7 @@ class Qualities(nn.Module):
             share, gone = prior[..., b], missing[..., list(block)].sum(-1)
             inside, residual = measured(seen, belief, compare, block)
             if_clean, log_clean = entry(told_by(entry(inside, 0), residual[0], sizes[:1], gone), 0)
-            furthest = torch.maximum(sizes[-1:], error(residual[-1], gone))
-            every = torch.cat([sizes[:-1].expand(-1, *furthest.shape[1:]), furthest])
-            told, log_told = told_by(entry(inside, -1), residual[-1], every, gone)
+            told, log_told = told_by(entry(inside, -1), residual[-1], self.grown(sizes, residual[-1], gone), gone)
             joint = torch.cat([log_told[:1] + torch.log1p(-share), log_told[1:] + share.log() + log_shares])
             total = joint.logsumexp(0)
             if_dirty = moment_match(told, joint - total)
@@ -146,6 +148,14 @@ class Qualities(nn.Module):
             log_density = log_density + torch.stack([log_clean, total])
             outliers.append((joint[1:].logsumexp(0) - total).exp())
         return Corrected(belief, log_density, torch.stack(outliers, -1))
+
+    def grown(self, sizes: Tensor, residual: Tensor, missing: Tensor) -> Tensor:
+        """Sizes ``(C, ...)`` of the noise, the last one as large as a residual ``(..., m)`` asks for, if it grows."""
+        if not self.grows:
+            return sizes
+        asked = residual.square().sum(-1) / (residual.shape[-1] - missing).clamp_min(1.0)
+        last = torch.maximum(sizes[-1:], asked)
+        return torch.cat([sizes[:-1].expand(-1, *last.shape[1:]), last])
 
 
 def unit(seen: Gaussian) -> Gaussian:
@@ -172,11 +182,6 @@ def measured(seen: Gaussian, belief: Gaussian, compare: Compare, block: Sequence
     own = pad(belief.scale_tril, (spread.shape[-1] - d, 0))
     lower = tria(torch.cat([spread, own], -2))
     return Inside(lower[..., :m, :m], lower[..., m:, :m], lower[..., m:, m:]), residual
-
-
-def error(residual: Tensor, missing: Tensor) -> Tensor:
-    """The mean square ``(...)`` of the elements of a residual ``(..., m)`` of which so many ``(...)`` are missing."""
-    return residual.square().sum(-1) / (residual.shape[-1] - missing).clamp_min(1.0)
 
 
 def told_by(inside: Inside, residual: Tensor, sizes: Tensor, missing: Tensor) -> tuple[Gaussian, Tensor]:
