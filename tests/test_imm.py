@@ -94,7 +94,7 @@ def test_one_model_is_the_filter_itself(inner):
     z = measured(3)
     alone = getattr(presets, inner)(ConstantAcceleration(0.01), SENSOR)(z, PRIOR, dt=DT)
     one = presets.imm([ConstantAcceleration(0.01)], SENSOR, inner=getattr(presets, inner))(z, PRIOR, dt=DT)
-    for a, b in zip(one[:-1], alone[:-1], strict=True):
+    for a, b in zip(one[:4], alone[:4], strict=True):
         same(a, b)
     assert (one.info.probabilities == 1).all()
 

@@ -67,7 +67,7 @@ class Training:
         set_temperature(self.filter, temperature)
         estimate = torch.func.functional_call(self.filter, dict(values), (batch.z, batch.prior), options)
         skip = self.config.skip
-        mean, root, nis, log_likelihood, _ = estimate
+        mean, root, nis, log_likelihood, *_ = estimate
         mean, root = mean[..., skip:, :], root[..., skip:, :, :]
         counted = Estimate(mean, root, nis[..., skip:], log_likelihood[..., skip:], None)
         if self.teacher is None:

@@ -137,8 +137,9 @@ class Regimes(nn.Module):
             far: ``(...)`` as in ``jumped``.
         """
         jumps = self.jumps.raw.shape[-1]
-        still = log_weights.shape[0] - jumps
-        return torch.cat([log_weights[:still], log_weights[still:] - (far / USUAL).clamp_min(1.0).log()])
+        rarer = (far / USUAL).clamp_min(1.0).log().expand(jumps, *far.shape)
+        still = torch.zeros_like(far).expand(log_weights.shape[0] - jumps, *far.shape)
+        return log_weights - torch.cat([still, rarer])
 
 
 def in_front(values: Tensor, rank: int) -> Tensor:
