@@ -30,6 +30,7 @@ from regrets import smoothed
 from regrets.cells import all_cells, chosen_cells
 from regrets.ratios import KINDS, RESAMPLES, both_kinds, errors
 from regrets.show import not_finite, panels, summary, summary_lines, table
+from regrets.tuning import specialists
 
 from torchfra.app.atomic_write import write_json
 from torchfra.app.command import (
@@ -76,6 +77,8 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--flights", metavar="FILE", nargs="+", type=Path, help="recorded flights (default: samples)")
     ranges = "with recorded ranges and the path that was taken: a cell for each recording there or below"
     p.add_argument("--ranges", metavar="FOLDER", nargs="+", type=Path, default=[], help=ranges)
+    tuned = "these compete too with process noise and threshold searched in each cell, on 64 other runs"
+    p.add_argument("--tuned", metavar="A,B", default="", help=tuned)
     p.add_argument("--own-models", action="store_true", help="learned values leave motion and sensor of a cell alone")
     add_runs_options(p, 500, seed=3)
     add_compile_option(p, f"in cells of {WORTHWHILE:,} steps or more")
@@ -88,6 +91,7 @@ def parser() -> argparse.ArgumentParser:
 def regret(options: argparse.Namespace) -> None:
     """All cells; tables when the last one is done."""
     names = compared_filters(track_filters()[0] if options.filters is None else options.filters)
+    tuned = compared_filters(options.tuned, "tuned") if options.tuned else []
     learned = {file.rpartition("=")[2]: file.rpartition("=")[0] or names[0] for file in options.learned}
     inputs = [*learned, *(options.flights or []), *options.ranges]
     check_files({"json": options.json, "figure": options.figure}, inputs)
@@ -100,9 +104,13 @@ def regret(options: argparse.Namespace) -> None:
         filters = cell_filters(name, scenario, names, learned, own_models=options.own_models)
         if compile and (options.compile or runs * scenario.steps >= WORTHWHILE):
             filters = with_kernels(filters, scenario, options)
+        tuned_here, factors = specialists(
+            {name: filters[name] for name in tuned if name in filters}, scenario, options.seed
+        )
+        filters |= tuned_here
         found = errors(scenario, filters, runs=runs, seed=options.seed, progress=not options.quiet)
         settings = {"dt": scenario.dt, "steps": scenario.steps, "limit": scenario.limit, **scenario.settings}
-        results[name] = {"scenario": scenario.name, "runs": runs, "settings": settings}
+        results[name] = {"scenario": scenario.name, "runs": runs, "settings": settings, "tuned": factors}
         results[name] |= both_kinds(found, {*names, *learned}, scenario.limit)
     write(results, names, learned, options)
 
@@ -113,8 +121,8 @@ def gains(options: argparse.Namespace) -> None:
     Raises:
         ValueError: arguments that go with comparisons alone.
     """
-    if options.learned or options.figure is not None:
-        raise ValueError("smooth: expected neither learned values nor --figure beside it")
+    if options.learned or options.tuned or options.figure is not None:
+        raise ValueError("smooth: expected no learned values, --tuned or --figure beside it")
     names = compared_filters(",".join(smoothed.FILTERS) if options.filters is None else options.filters)
     check_files({"json": options.json}, [*(options.flights or []), *options.ranges])
     cells = chosen_cells(all_cells(options.flights, options.ranges), options.cells.split(","))
@@ -134,7 +142,7 @@ def gains(options: argparse.Namespace) -> None:
     failures.end()
 
 
-def compared_filters(listed: str) -> list[str]:
+def compared_filters(listed: str, argument: str = "filters") -> list[str]:
     """The names in a comma-separated list.
 
     Raises:
@@ -142,7 +150,7 @@ def compared_filters(listed: str) -> list[str]:
     """
     names = [name for name in listed.split(",") if name]
     if not names or not all(name in FILTERS and not FILTERS[name].scans for name in names):
-        raise ValueError(f"filters: expected names out of {', '.join(track_filters())}, received {listed!r}")
+        raise ValueError(f"{argument}: expected names out of {', '.join(track_filters())}, received {listed!r}")
     return names
 
 

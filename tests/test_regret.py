@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import regret
 import torch
-from regrets import cells, ratios, show
+from regrets import cells, ratios, show, tuning
 
 from torchfra import metrics, presets, scenarios
 from torchfra.app import plotting
@@ -301,3 +301,25 @@ def test_learned_values_are_called_by_their_folder_and_large_numbers_are_short()
     assert show.label("fra") == "fra"
     assert [show.metres(x) for x in (0.5123, 59.23, 3e8)] == ["0.512", "59.2", "3e+08"]
     assert [show.regret(x) for x in (0.9, 1.0, 3.5, 4e5)] == ["-10.0%", "+0.0%", "+250.0%", "+4e+07%"]
+
+
+def test_filters_tuned_to_a_cell_err_less_there_and_say_by_how_much_they_changed(tmp_path):
+    scenario = scenarios.bearings_outliers("none", initial="truth")  # its targets move without any process noise
+    f = {
+        "srckf": presets.srckf(scenario.motion, scenario.sensor),
+        "rsrckf": presets.rsrckf(scenario.motion, scenario.sensor),
+    }
+    before = {name: one.state_dict() for name, one in f.items()}
+    tuned, factors = tuning.specialists(f, scenario, seed=5)
+    tracks = scenario.simulate(50, 7)
+    for name, one in f.items():
+        assert all(x.equal(y) for x, y in zip(before[name].values(), one.state_dict().values(), strict=True))
+        best = tuned[f"{name} tuned"]
+        assert tuning.error_of(best, scenario, tracks) < 0.9 * tuning.error_of(one, scenario, tracks)
+        torch.testing.assert_close(best.motion.q(), factors[f"{name} tuned"]["q"] * one.motion.q())
+    assert factors["srckf tuned"].keys() == {"q"}
+    assert factors["rsrckf tuned"].keys() == {"q", "threshold"}
+    assert regret.main([*FEW, "--tuned", "srckf", "--quiet", "--json", str(tmp_path / "r.json")]) == 0
+    cell = json.loads((tmp_path / "r.json").read_text())["cells"]["2-std"]
+    assert cell["tuned"]["srckf tuned"].keys() == {"q"}
+    assert "srckf tuned" in cell["filtered"]["filters"]
