@@ -104,10 +104,9 @@ def regret(options: argparse.Namespace) -> None:
         filters = cell_filters(name, scenario, names, learned, own_models=options.own_models)
         if compile and (options.compile or runs * scenario.steps >= WORTHWHILE):
             filters = with_kernels(filters, scenario, options)
-        tuned_here, factors = specialists(
-            {name: filters[name] for name in tuned if name in filters}, scenario, options.seed
-        )
-        filters |= tuned_here
+        to_tune = {name: filters[name] for name in tuned if name in filters}
+        special, factors = specialists(to_tune, scenario, options.seed)
+        filters |= special
         found = errors(scenario, filters, runs=runs, seed=options.seed, progress=not options.quiet)
         settings = {"dt": scenario.dt, "steps": scenario.steps, "limit": scenario.limit, **scenario.settings}
         results[name] = {"scenario": scenario.name, "runs": runs, "settings": settings, "tuned": factors}

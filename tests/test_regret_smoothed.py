@@ -63,4 +63,4 @@ def test_where_the_model_holds_smoothed_covariances_are_honest():
 
 def test_what_goes_with_comparisons_alone_is_named(capsys):
     assert regret.main(["--smooth", "--figure", "a.png"]) == 2
-    assert "smooth: expected neither learned values nor --figure" in capsys.readouterr().err
+    assert "smooth: expected no learned values, --tuned or --figure" in capsys.readouterr().err

@@ -24,7 +24,7 @@ STEPS = (4.0, 2.0, 1.3)
 def tune(f: Filter, scenario: Scenario, runs: int, seed: int) -> dict[str, float]:
     """Searches the variance of the process noise (of all motions together) and a robust threshold, if there is one.
 
-    Each in turn goes up or down by a factor as long as the mean position RMSE of the runs falls; twice with each factor.
+    Each in turn goes up or down by a factor as long as the mean position RMSE of the runs falls; twice with each.
 
     Args:
         f: changed in place.
