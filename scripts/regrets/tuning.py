@@ -19,6 +19,8 @@ RUNS = 64
 """To search on."""
 STEPS = (4.0, 2.0, 1.3)
 """By which factors a value goes up or down, one after the other, as long as that pays."""
+PAYS = 0.999
+"""What an error must be multiplied by at most."""
 
 
 def tune(f: Filter, scenario: Scenario, runs: int, seed: int) -> dict[str, float]:
@@ -43,7 +45,7 @@ def tune(f: Filter, scenario: Scenario, runs: int, seed: int) -> dict[str, float
         for name in [*groups, *groups]:
             for factor in (step, 1 / step):
                 before = best
-                while (error := error_after(f, groups[name], factor, scenario, tracks)) < best:
+                while (error := error_after(f, groups[name], factor, scenario, tracks)) < PAYS * best:
                     best, factors[name] = error, factors[name] * factor
                 scale(groups[name], 1 / factor)  # the last one did not pay
                 if best < before:
