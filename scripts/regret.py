@@ -77,7 +77,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--flights", metavar="FILE", nargs="+", type=Path, help="recorded flights (default: samples)")
     ranges = "with recorded ranges and the path that was taken: a cell for each recording there or below"
     p.add_argument("--ranges", metavar="FOLDER", nargs="+", type=Path, default=[], help=ranges)
-    tuned = "these compete too with process noise and threshold searched in each cell, on 64 other runs"
+    tuned = "copies of these compete too, with process noise and threshold searched in each cell, on 64 other runs"
     p.add_argument("--tuned", metavar="A,B", default="", help=tuned)
     p.add_argument("--own-models", action="store_true", help="learned values leave motion and sensor of a cell alone")
     add_runs_options(p, 500, seed=3)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from torchfra.app import atomic_write, distributed, home  # noqa: F401
+from torchfra.app import atomic_write, distributed, home  # noqa: F401  # home: before anything looks for one
 from torchfra.app.memory import keep_memory
 from torchfra.kernel.build import CompileError
 from torchfra.readers.bounded import MAX_BYTES

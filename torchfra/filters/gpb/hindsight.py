@@ -91,7 +91,7 @@ def _retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
         after: smoothed.
     """
     past, frame = turn.past, turn.frame
-    prior = _prior(f, past)  # (now, was, ..., regime was, regime now)
+    prior = _prior(f, past, turn.ahead.far)  # (now, was, ..., regime was, regime now)
     before = _each_motion(past.beliefs())  # (was, motion was, ..., motion now)
     ahead = _of_regimes(f, f.carry(before, for_each_model(frame), None), turn.ahead.far)  # (R, was, motion was, ...)
     later = future(_predicted(f.regimes, ahead, f.regimes.of_motion(prior.transpose(-1, -2))), after.beliefs())
@@ -110,10 +110,11 @@ def _retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
     return GPBPast(clean, dirty, log_weights.movedim(0, -2), past.outlier, past.far)
 
 
-def _prior(f: Any, past: GPBPast) -> Tensor:
+def _prior(f: Any, past: GPBPast, far: Tensor) -> Tensor:
     """Logs ``(2, 2, ..., R, R)`` of the probabilities of two steps: quality now and before, regime before and now."""
     log_weights = past.log_weights.movedim(-2, 0)
     joint = log_weights.unsqueeze(-1) + f.regimes.transition(log_weights)
+    joint = f.regimes.rarer(joint.movedim(-1, 0), far.movedim(-1, 0).unsqueeze(-1)).movedim(0, -1)
     log_quality, _ = f.qualities.ahead(past.outlier)
     together: Tensor = log_quality[..., None, None] + joint
     return together
