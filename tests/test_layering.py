@@ -12,11 +12,11 @@ import train
 LIBRARY, RECIPES = Path(torchfra.__file__).parent, Path(train.__file__).parent
 LEVELS = [
     {"version"}, {"tables"}, {"angles"}, {"tree"}, {"linalg"}, {"types"}, {"hyper"}, {"state_files"}, {"coordinates"},
-    {"readers"}, {"losses"}, {"metrics"},
+    {"geodesy"}, {"readers"}, {"losses"}, {"metrics"},
     {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"kernel"}, {"filters"},
     {"testing"},
     {"presets"},
-    {"scenarios"}, {"catalogue"}, {"app"}, {"__init__", "__main__"},
+    {"scenarios"}, {"catalogue"}, {"cleaning"}, {"app"}, {"__init__", "__main__"},
 ]  # fmt: skip
 """Lower first: a module or package imports those below it, and within a package there is no circle."""
 APART = {("scenarios", "filters"), ("scenarios", "presets")}

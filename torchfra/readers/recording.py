@@ -2,12 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 from torchfra.readers.columns import Array
 
 Origin: TypeAlias = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Source:
+    """How a file, table or DataFrame says its tracks, so that results can be said in the same way."""
+
+    name: str = ""
+    """Of the file."""
+    columns: dict[str, str] = field(default_factory=dict)
+    """What was taken from which column: ``time, x, y, z, latitude, longitude, altitude, id, sigma`` to its name."""
+    time: str = "seconds"
+    """Of its times: ``"seconds"``, ``"ms"``, ``"us"``, ``"ns"``, ``"iso"``, or a format of ``datetime.strptime``."""
+    unit: float = 1.0
+    """Metres in one of its units of length: of x, y and z, or of altitudes beside latitudes."""
+    word: str = "target"
+    """What its targets are: ``"aircraft"``, ``"ship"``, ``"target"``."""
+    said: tuple[str, ...] = ()
+    """Lines for a person: which columns were taken, which ignored, feet or metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,3 +45,8 @@ class Recording:
     """Latitude and longitude in degrees, altitude in metres; None for a file of x and y."""
     repairs: dict[str, int]
     """Each kind of repair, and the number of rows; empty if there was none."""
+    row: NDArray[np.int64] | None = None
+    """``(k,)`` which row of the file each fix is, from 0; None of tracks that come from no table."""
+    sigma: Array | None = None
+    """``(k,)`` or ``(k, d)`` standard deviation of each fix per axis as the file says, m; None if it does not."""
+    source: Source = Source()

@@ -1,0 +1,101 @@
+"""What cleaning gives back of a track."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchfra.readers.columns import Array
+from torchfra.readers.recording import Recording
+
+FLAGS = ("", "outlier", "manoeuvre", "unclear")
+"""What a step can be: usual, a fix that is wrong, a target that does what its calm motion does not, or either."""
+
+
+class Segment(NamedTuple):
+    """A manoeuvre."""
+
+    begin: float
+    """Seconds since the first fix."""
+    end: float
+    kind: str
+    """``"left turn"``, ``"right turn"``, ``"speeding up"``, ``"slowing down"``, ``"climbing"``, ..."""
+    rate: float
+    """How hard: deg/s of a turn, counter-clockwise positive; m/s^2 of a change of speed or climb."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a track was cleaned with; each value was told, or found from the track's likelihood."""
+
+    filter: str
+    smooth: bool
+    bank: str
+    """``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, or one that was handed in."""
+    sigma: float
+    """Standard deviation of a fix per axis, m; where each fix has its own, a factor on those."""
+    q: float
+    """Density of the process noise per second, m^2/s^3 of motions of constant velocity."""
+    nis: float
+    """Mean normalised innovation squared per element of the fixes that are no outliers: 1 if both are right."""
+    found: frozenset[str] = frozenset()
+    """Which of ``sigma``, ``q`` and ``bank`` were found and not told."""
+    said: tuple[str, ...] = ()
+    """Lines for a person: why this bank, what the innovations say, what was doubtful."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cleaned:
+    """A recording after cleaning; ``T`` steps, ``d`` dimensions of space, ``R`` regimes."""
+
+    recording: Recording
+    time: Array
+    """``(T,)`` seconds since the first fix; one step for each fix, and others between them where they were asked."""
+    row: NDArray[np.int64]
+    """``(T,)`` which fix of the recording it is; -1 at steps between fixes."""
+    raw: Array
+    """``(T, d)`` positions as recorded, m; NaN at steps between fixes."""
+    mean: Array
+    """``(T, 2 d)`` position and velocity, m and m/s."""
+    covariance: Array
+    """``(T, 2 d, 2 d)`` of these."""
+    nis: Array
+    """``(T,)`` normalised innovation squared of the filter."""
+    outlier: Array
+    """``(T,)`` probability that the fix is an outlier; NaN of filters that do not say."""
+    manoeuvre: Array
+    """``(T,)`` probability of a regime other than the calm one; NaN likewise."""
+    flag: NDArray[np.str_]
+    """``(T,)`` of ``FLAGS``."""
+    found: Found
+    segments: tuple[Segment, ...] = ()
+    regimes: tuple[str, ...] = ()
+    """Names of the regimes."""
+    regime: Array = field(default_factory=lambda: np.empty((0, 0)))
+    """``(T, R)`` their probabilities."""
+
+    @property
+    def position(self) -> Array:
+        """``(T, d)`` m."""
+        return self.mean[:, : self.raw.shape[1]]
+
+    @property
+    def velocity(self) -> Array:
+        """``(T, d)`` m/s."""
+        return self.mean[:, self.raw.shape[1] :]
+
+    @property
+    def std(self) -> Array:
+        """``(T, d)`` standard deviation of the position, m."""
+        d = self.raw.shape[1]
+        variance: Array = np.diagonal(self.covariance, axis1=1, axis2=2)[:, :d]
+        return np.sqrt(variance)
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """``(T,)`` which steps have an estimate that is not finite."""
+        finite = np.isfinite(self.mean).all(1) & np.isfinite(self.covariance).all((1, 2))
+        return np.asarray(~finite)
