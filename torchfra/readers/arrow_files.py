@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -73,16 +74,17 @@ def _parts(batches: Iterator[Any], max_bytes: int) -> Iterator[tuple[int, Cells]
             rows, taken = rows + batch.num_rows, taken + batch.nbytes
             if max(rows * BYTES_OF_A_ROW, taken) > max_bytes:
                 raise too_large(max_bytes, f"of columns, of which a row counts for {BYTES_OF_A_ROW} or more")
-            yield batch.num_rows, lambda name, batch=batch: _cells(batch.column(name))
+            yield batch.num_rows, partial(_cells, batch)
     except (pyarrow.ArrowException, OSError) as error:
         raise _damaged(error) from error
 
 
-def _cells(column: Any) -> Any:
-    """An array of numbers or moments, where they are some; otherwise a list."""
+def _cells(batch: Any, name: str) -> Any:
+    """A column: an array of numbers or moments, where they are some; otherwise a list."""
     import pyarrow
     from pyarrow import types
 
+    column = batch.column(name)
     kind = column.type
     if types.is_timestamp(kind):
         return column.cast(pyarrow.timestamp("ns")).to_numpy(zero_copy_only=False)

@@ -61,7 +61,7 @@ class Clock:
             row = int(np.isfinite(time).argmax())
             (early,) = written(time[row : row + 1], "iso")
             raise ValueError(
-                f"expected years from 1980 on in data row {row + 1}, column {self.column}, received {early}, which looks "
+                f"expected years from 1980 on in row {row + 1} of {self.column}, received {early}, which looks "
                 "like times since a start: name another column by --time, or their unit by --time-format"
             )
         return time
@@ -106,7 +106,8 @@ def _clock(name: str, head: Head, told: Told) -> Clock:
     column = head.cells(name)
     if isinstance(column, np.ndarray) and column.dtype.kind == "M":
         return Clock((name,), INSTANT, "iso", True)
-    some = [cell for cell in column if cell is not None and cell == cell and str(cell).strip() != ""]
+    some = [cell for cell in column if isinstance(cell, str | int | float | np.generic) and cell == cell]
+    some = [cell for cell in some if not isinstance(cell, str) or cell.strip()]
     if told.time_format is not None:
         return _told_clock(name, told.time_format)
     values = _values(some)
@@ -154,10 +155,13 @@ def _numeric(name: str, values: NDArray[np.float64], told: Told) -> Clock:
     Raises:
         ValueError: the name means times since 1970, and these are not.
     """
-    size = float(np.median(np.abs(values))) if len(values) else 0.0
+    fitting = {}
     for form, per_second in PER_SECOND.items():
-        if YEAR_1980 * per_second <= size < _YEAR_2286 * per_second:
-            return Clock((name,), _unit_kind(form, True), form, True)
+        fits = (values >= YEAR_1980 * per_second) & (values < _YEAR_2286 * per_second)
+        fitting[form] = (fits.sum(), fits[:1].any())
+    form = max(fitting, key=lambda form: fitting[form])
+    if fitting[form][0]:
+        return Clock((name,), _unit_kind(form, True), form, True)
     if (ending := unit(name)) in PER_SECOND and ending is not None:
         return Clock((name,), _unit_kind(ending, False), ending, False)
     if told.time is None and plain(name) in SINCE_1970 and len(values) > 1:
@@ -187,7 +191,7 @@ def _unit_kind(form: str, since_1970: bool) -> Kind:
         return Kind(f"{_SAID[form]}", limit=_YEAR_2286 * per_second, per_unit=per_second)
     if form == "ms":
         return INSTANT
-    smaller = (YEAR_1980 * per_second / 1e3, _YEAR_2286 * per_second / 1e3)
+    smaller = (YEAR_1980, _YEAR_2286 * per_second / 1e3)  # of any smaller unit
     return Kind(f"{_SAID[form]} since 1970", limit=_YEAR_2286 * per_second, per_unit=per_second, between=smaller)
 
 

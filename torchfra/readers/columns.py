@@ -103,8 +103,10 @@ def _instant(value: Any, kind: Kind) -> float:
     if kind.form == "iso":
         with suppress(ValueError):
             return number(value)
-    elif value is None or not str(value).strip():
+    elif value is None or value != value or (isinstance(value, str) and not value.strip()):
         return math.nan
+    if isinstance(value, bool) or not isinstance(value, str | int):
+        raise ValueError
     return seconds_of(str(value), kind.form) * kind.per_unit
 
 
@@ -148,6 +150,8 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
         known: dict[Any, float] = {}
 
         def instant(cell: Any) -> float:
+            if not isinstance(cell, str):
+                return _instant(cell, kind)
             if cell not in known:
                 known[cell] = _instant(cell, kind)
             return known[cell]
@@ -178,7 +182,7 @@ def _plain_decimals(cells: Sequence[Any], kind: Kind) -> Array | None:
     return None
 
 
-def text(cells: Sequence[Any], name: str, known: dict[Any, str], first: int = 0) -> list[str]:
+def text(cells: Sequence[Any] | NDArray[Any], name: str, known: dict[Any, str], first: int = 0) -> list[str]:
     """Cells as text; "" where empty.
 
     Args:
@@ -190,6 +194,8 @@ def text(cells: Sequence[Any], name: str, known: dict[Any, str], first: int = 0)
     Raises:
         ValueError: a cell that is neither text nor a number.
     """
+    if isinstance(cells, np.ndarray):
+        cells = [None if cell != cell else cell for cell in cells.tolist()]
     for i, cell in enumerate(cells):
         if isinstance(cell, bool | list | dict):
             where = f"in data row {first + i + 1}, column {name}"

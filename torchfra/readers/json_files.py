@@ -77,9 +77,10 @@ def _geojson_sheet(parsed: dict[str, Any]) -> Sheet:
     features = parsed["features"] if isinstance(parsed.get("features"), list) else [parsed]
     records, said = list[dict[str, Any]](), "GeoJSON: longitude, latitude[, altitude in metres]"
     for number, feature in enumerate(features):
-        geometry = feature.get("geometry") if isinstance(feature, dict) else None
-        properties = (feature.get("properties") if isinstance(feature, dict) else None) or {}
-        depth = _POINTS.get(geometry.get("type")) if isinstance(geometry, dict) else None
+        feature = feature if isinstance(feature, dict) else {}
+        geometry, properties = feature.get("geometry"), feature.get("properties") or {}
+        geometry = geometry if isinstance(geometry, dict) else {}
+        depth = _POINTS.get(str(geometry.get("type")))
         if depth is None or not isinstance(properties, dict):
             raise ValueError(f"expected points and lines, received another geometry in feature {number + 1}")
         records += _places(geometry.get("coordinates", []), properties, depth, number)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,6 +23,10 @@ _ABSENT = {"latitude": 91.0, "longitude": 181.0}
 """What receivers of ships say where they have no position."""
 _ALTITUDES_IN_FEET = {"altitude", "alt", "altbaro", "altgeom"}
 """Of aircraft, as these send them; OpenSky has baroaltitude and geoaltitude in metres."""
+
+
+_WHOLE = re.compile(r"-?[0-9]{7,}")
+"""Coordinates in 1e-7 degrees, as autopilots have them."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +154,7 @@ def _counts(column: str, head: Head) -> bool:
     """Whether a column numbers the rows instead of naming targets."""
     if plain(column) not in COUNTERS:
         return False
-    cells = [str(cell) for cell in head.cells(column)]
+    cells = [str(cell) for cell in head.cells(column) if isinstance(cell, str | int | float | np.generic)]
     return len(set(cells)) == len(cells) > 2
 
 
@@ -171,7 +176,7 @@ def _kind(role: str, column: str, head: Head, length: float, word: str) -> Kind 
         return Kind(unit=length)
     limit = _LIMITS[role]
     kind = Kind(f"degrees within +-{limit:g}", limit=limit, absent=_ABSENT[role] if word == "ship" else np.nan)
-    whole = [cell for cell in map(str, head.cells(column)) if cell.lstrip("-").isdigit() and len(cell) > 6]
+    whole = [cell for cell in head.cells(column) if isinstance(cell, str | int) and _WHOLE.fullmatch(str(cell))]
     return replace(kind, limit=limit * 1e7, unit=1e-7) if whole else kind
 
 
