@@ -19,14 +19,16 @@ from torchfra.app.atomic_write import write
 from torchfra.catalogue import FILTERS
 from torchfra.tables import printable
 
-GREY, BLUE, ORANGE, RED = "#999999", "#4c72b0", "#dd8452", "#c44e52"
-CYCLE = (BLUE, ORANGE, "#55a868", RED, "#8172b3", "#ccb974", "#64b5cd")
-"""For whatever is no filter of the catalogue: targets, models, filters by other names."""
-APART = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00")
+RED, BLUE, GREEN, PURPLE, ORANGE, SKY, BLACK = APART = (
+    "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000",
+)  # fmt: skip
 """Colours that people who see colours differently tell apart too.
 
-Source: Okabe & Ito (2008), "Color universal design": without their black, yellow and sky blue.
+Source: Okabe & Ito (2008), "Color universal design": without their yellow, which is pale on white.
 """
+GREY, DARK, PALE_BLUE = "#999999", "#555555", "#cfe4f3"
+REGIMES = ("#d9d9d9", SKY, GREEN, PURPLE, RED)
+"""Of areas; the first is the usual regime."""
 
 
 def save(figure: Figure, path: str | Path) -> Path:
