@@ -12,6 +12,7 @@ from torchfra.app import distributed, outputs
 from torchfra.app.atomic_write import write_json
 from torchfra.app.command import Failures, add_bound_option, add_json_option, add_quiet_option, check_files
 from torchfra.app.compiling import add_compile_option, choose, reporters
+from torchfra.app.outputs import page
 from torchfra.app.outputs import plan as plans
 from torchfra.app.progress import progress_bar
 from torchfra.catalogue import FILTERS, track_filters
@@ -91,6 +92,8 @@ def run(options: argparse.Namespace) -> None:
     others = {"json": options.json, "html": options.html}
     check_files(others, [options.file])
     plans.ending_of(options.out, options.format)
+    if options.html is not None:
+        page.check_script()
     check_settings(options.filter, dt=options.dt, sigma=options.sigma, q=options.q)
     recordings = readers.read(options.file, max_bytes=options.max_bytes)
     files = plans.plan(recordings, options.out, options.format, options.plots)
@@ -162,7 +165,9 @@ def _check(cleaned: Cleaned) -> None:
         raise ValueError(f"NaN or infinity in {failed} of {len(cleaned.time)} steps")
 
 
-def _draw(results: dict[Recording, Cleaned], files: plans.Plan, options: argparse.Namespace, failures: Failures) -> None:
+def _draw(
+    results: dict[Recording, Cleaned], files: plans.Plan, options: argparse.Namespace, failures: Failures
+) -> None:
     """The pictures and the page."""
     if files.pictures or files.overview is not None:
         from torchfra.app import plotting  # matplotlib takes long to import
@@ -174,7 +179,5 @@ def _draw(results: dict[Recording, Cleaned], files: plans.Plan, options: argpars
             with failures.of("overview"):
                 plotting.save(plotting.overview(list(results.values())), files.overview)
     if options.html is not None:
-        from torchfra.app.outputs import page
-
         with failures.of("html"):
             page.write(list(results.values()), options.html)

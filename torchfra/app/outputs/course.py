@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from torchfra.app.outputs.places import geodetic, turned
+from torchfra.app.outputs.places import turned
 from torchfra.cleaning import Cleaned
+from torchfra.geodesy import to_geodetic
 from torchfra.readers.columns import Array
 
 
@@ -56,12 +57,12 @@ def _std(covariance: NDArray[np.float64], way: Array) -> Array:
 
 
 def _at_the_target(cleaned: Cleaned) -> tuple[Array, NDArray[np.float64], NDArray[np.float64]]:
-    """Velocity ``(T, d)`` along east, north and up where the target is; covariances ``(T, d, d)`` of position and it."""
+    """Velocity ``(T, d)`` along east, north and up where the target is; covariances of position and it."""
     d, origin = cleaned.raw.shape[1], cleaned.recording.origin
     position, velocity = cleaned.covariance[:, :d, :d], cleaned.covariance[:, d:, d:]
     if origin is None:
         return cleaned.velocity, position, velocity
-    turn = turned(*geodetic(cleaned.position, origin)[:2], origin)
+    turn = turned(*to_geodetic(cleaned.position, origin)[:2], origin)
     if d == 2:  # it stays level, whatever that is in the axes of the origin
         turn = turn[:, :2, :2] - turn[:, :2, 2:] * turn[:, 2:, :2] / turn[:, 2:, 2:]
     back = turn.transpose(0, 2, 1)

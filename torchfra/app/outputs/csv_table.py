@@ -39,8 +39,6 @@ def _cells(name: str, values: NDArray[Any]) -> list[str]:
 
 
 def _form(name: str) -> str:
-    if name == "time":
-        return "%.6f"
     if name.startswith("cov_"):
         return "%.6g"
     return f"%.{max((_DIGITS.get(word, 3) for word in name.split('_')), default=3)}f"

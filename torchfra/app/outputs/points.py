@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from torchfra.app.outputs.places import geodetic
 from torchfra.app.outputs.table import columns
 from torchfra.app.outputs.times import dates
 from torchfra.cleaning import Cleaned, Segment
+from torchfra.geodesy import to_geodetic
 from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
 
@@ -77,7 +77,7 @@ def check_degrees(recording: Recording) -> None:
 
 def _place(cleaned: Cleaned, position: Array) -> Array:
     assert cleaned.recording.origin is not None
-    latitude, longitude, altitude = geodetic(position, cleaned.recording.origin)
+    latitude, longitude, altitude = to_geodetic(position, cleaned.recording.origin)
     return np.stack([longitude, latitude, altitude][: position.shape[1]], 1)
 
 

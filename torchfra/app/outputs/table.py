@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.app.outputs.course import course
-from torchfra.app.outputs.places import geodetic
 from torchfra.cleaning import Cleaned
+from torchfra.geodesy import to_geodetic
 
 Table: TypeAlias = dict[str, NDArray[Any]]
 
@@ -42,7 +42,7 @@ def columns(cleaned: Cleaned) -> Table:
     table: Table = {
         "row": _row(cleaned),
         "id": np.full(len(cleaned.time), recording.name),
-        "time": cleaned.recording.time[0] + cleaned.time,
+        "time": np.array(recording.source.written(recording.time[0] + cleaned.time)),
         "seconds": cleaned.time,
     }
     unit = recording.source.unit if recording.origin is None else 1.0
@@ -95,7 +95,7 @@ def _geodetic(cleaned: Cleaned, position: NDArray[np.float64], prefix: str) -> T
     origin, unit = cleaned.recording.origin, cleaned.recording.source.unit
     if origin is None:
         return {}
-    latitude, longitude, altitude = geodetic(position, origin)
+    latitude, longitude, altitude = to_geodetic(position, origin)
     table: Table = {f"{prefix}latitude": latitude, f"{prefix}longitude": longitude}
     return table | ({f"{prefix}altitude": altitude / unit} if position.shape[1] == 3 else {})
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.app.outputs.course import course
-from torchfra.app.outputs.places import geodetic
 from torchfra.app.outputs.summary import duration, metres
 from torchfra.app.outputs.times import dates
-from torchfra.cleaning import Cleaned
+from torchfra.cleaning import Cleaned, Segment
+from torchfra.geodesy import to_geodetic
 from torchfra.readers.columns import Array
 
 SURE = 2.0
@@ -26,6 +26,10 @@ _LEAST_SHARE = 0.01
 """Mean probability of a regime that is shown by itself."""
 
 
+_UNITS = {"turn": "deg/s", "climb": "m/s", "descend": "m/s"}
+"""Of the rate of a manoeuvre, by a word of its kind; of others it is m/s^2."""
+
+
 class Band(NamedTuple):
     """A quantity over time, each ``(T,)``."""
 
@@ -33,6 +37,14 @@ class Band(NamedTuple):
     std: Array
     recorded: Array | None = None
     """NaN between fixes; None where it is not recorded."""
+
+    def limits(self) -> tuple[float, float]:
+        """Of an axis: the quantity, and its band where that is as wide as usual."""
+        mean, std = self.mean[np.isfinite(self.mean)], self.std[np.isfinite(self.std)]
+        if not len(mean):
+            return 0.0, 1.0
+        margin = max(0.08 * float(np.ptp(mean)), 1.5 * SURE * float(np.median(std)) if len(std) else 0.0, 1e-3)
+        return float(mean.min()) - margin, float(mean.max()) + margin
 
 
 class View(NamedTuple):
@@ -85,16 +97,17 @@ def view(cleaned: Cleaned) -> View:
         time=cleaned.time / seconds,
         clock=clock,
         speed=Band(moved.speed, moved.speed_std),
-        altitude=None if moved.up is None else Band(_height(cleaned, cleaned.position), moved.up, _height(cleaned, cleaned.raw)),
+        altitude=_altitude(cleaned, moved.up),
         innovation=np.where(cleaned.row >= 0, np.sqrt(cleaned.nis / d), np.nan),
-        manoeuvres=[(s.begin / seconds, s.end / seconds, f"{s.kind}, {rate(s.kind, s.rate)}") for s in cleaned.segments],
+        manoeuvres=[(of.begin / seconds, of.end / seconds, named(of)) for of in cleaned.segments],
         regimes=_regimes(cleaned),
     )
 
 
-def rate(kind: str, value: float) -> str:
-    """How hard a manoeuvre is, with its unit."""
-    return f"{abs(value):.2g} {'deg/s' if 'turn' in kind else 'm/s²'}"
+def named(segment: Segment) -> str:
+    """What a manoeuvre was, and how hard."""
+    unit = next((unit for word, unit in _UNITS.items() if word in segment.kind), "m/s²")
+    return f"{segment.kind}, {abs(segment.rate):.2g} {unit}"
 
 
 def beyond(of: View, low: Array, high: Array) -> tuple[Array, Array, list[str]]:
@@ -120,7 +133,7 @@ def beyond(of: View, low: Array, high: Array) -> tuple[Array, Array, list[str]]:
 def _title(cleaned: Cleaned, rejected: NDArray[np.bool_]) -> str:
     fixes = f"{(cleaned.row >= 0).sum():,} fixes in {duration(float(cleaned.time[-1]))}"
     how = f"{cleaned.found.filter}, {'smoothed' if cleaned.found.smooth else 'as on line'}"
-    return f"{cleaned.recording.name}: {fixes}, {rejected.sum():,} rejected; {how}"
+    return f"{cleaned.recording.name}: {fixes}, {rejected.sum():,} rejected; {how}; bands of {SURE:g} std"
 
 
 def _clock(cleaned: Cleaned) -> tuple[str, float]:
@@ -137,13 +150,17 @@ def _sides(cleaned: Cleaned, across: Array) -> Array:
     velocity = cleaned.velocity[:, :2]
     ahead = velocity / np.maximum(np.linalg.norm(velocity, axis=1, keepdims=True), 1e-12)
     left = SURE * across[:, None] * np.stack([-ahead[:, 1], ahead[:, 0]], 1)
-    return cleaned.position[:, None, :2] + np.stack([left, -left], 1)
+    sides: Array = cleaned.position[:, None, :2] + np.stack([left, -left], 1)
+    return sides
 
 
-def _height(cleaned: Cleaned, position: Array) -> Array:
-    """Altitude, or up of the origin where there is no latitude, m."""
+def _altitude(cleaned: Cleaned, std: Array | None) -> Band | None:
+    """Altitude, or up of the origin where there is no latitude, m; None in the plane."""
     origin = cleaned.recording.origin
-    return position[:, 2] if origin is None else geodetic(position, origin)[2]
+    if std is None:
+        return None
+    mean, raw = (of[:, 2] if origin is None else to_geodetic(of, origin)[2] for of in (cleaned.position, cleaned.raw))
+    return Band(mean, std, raw)
 
 
 def _corners(cleaned: Cleaned, rejected: NDArray[np.bool_]) -> tuple[Array, Array]:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from torchfra.app.outputs.colours import APART, BLUE, DARK, GREY, RED
 from torchfra.app.outputs.summary import summary
-from torchfra.app.plotting.labels import SIZE, in_free_places
-from torchfra.app.plotting.style import (
-    APART, BLUE, DARK, GREY, RED, TITLE, any_letters, plain_ticks, without_box, words,
-)  # fmt: skip
+from torchfra.app.plotting.labels import SIZE, Array, in_free_places, show
+from torchfra.app.plotting.style import TITLE, any_letters, plain_ticks, without_box, words
 from torchfra.cleaning import Cleaned
 
 _MOST_ROWS = 40
@@ -33,15 +33,23 @@ def overview(results: Sequence[Cleaned]) -> Figure:
     _draw_rows(panels["rows"], [of[i] for i in order], colours, len(of))
     fixes, rejected = sum(s["fixes"] for s in of), sum(s["flags"]["outlier"] for s in of)
     word = results[0].recording.source.word
-    figure.suptitle(words(f"{len(of)} {word}{'' if word.endswith(('ft', 's')) else 's'}: {fixes:,} fixes, {rejected:,} rejected", TITLE))
+    figure.suptitle(
+        words(
+            f"{len(of)} {word}{'' if word.endswith(('ft', 's')) else 's'}: {fixes:,} fixes, {rejected:,} rejected",
+            TITLE,
+        )
+    )
     with any_letters():
         figure.draw_without_rendering()
     figure.set_layout_engine("none")
+    every = np.concatenate([*paths.values()] or [np.zeros((1, 2))])
+    margin = 0.04 * max(float(np.ptp(every, axis=0).max()), 1e-3)
+    show(panels["map"], every.min(0) - margin, every.max(0) + margin)
     in_free_places(panels["map"], {name: paths[name] for name in colours if name in paths}, colours)
     return figure
 
 
-def _draw_map(axes: Axes, results: Sequence[Cleaned], colours: dict[str, str]) -> dict[str, np.ndarray]:
+def _draw_map(axes: Axes, results: Sequence[Cleaned], colours: dict[str, str]) -> dict[str, Array]:
     """Draws the path of each target from its first to its last fix that was kept; returns what it drew."""
     size = max(float(np.ptp(c.position[np.isfinite(c.position).all(1)], axis=0).max(initial=0)) for c in results)
     unit, metres = ("km", 1000.0) if size >= 2000 else ("m", 1.0)
@@ -52,14 +60,14 @@ def _draw_map(axes: Axes, results: Sequence[Cleaned], colours: dict[str, str]) -
             paths[name] = path
             axes.plot(*path.T, color=colours.get(name, BLUE), linewidth=1.1, alpha=1.0 if colours else 0.6)
             axes.plot(*path[0], ".", color=colours.get(name, BLUE), markersize=4)
-    axes.set(xlabel=f"east, {unit}", ylabel=f"north, {unit}", aspect="equal", adjustable="datalim")
+    axes.set(xlabel=f"east, {unit}", ylabel=f"north, {unit}")
     axes.set_title("cleaned tracks, a dot where each begins", fontsize=10)
     axes.grid(alpha=0.25)
     without_box(axes)
     return paths
 
 
-def _draw_rows(axes: Axes, rows: list[dict], colours: dict[str, str], count: int) -> None:
+def _draw_rows(axes: Axes, rows: list[dict[str, Any]], colours: dict[str, str], count: int) -> None:
     keys = ("median_correction", "largest_correction", "median_std")
     values = np.array([[row[key] for key in keys] for row in rows])
     for i, (row, (median, largest, std)) in enumerate(zip(rows, values, strict=True)):

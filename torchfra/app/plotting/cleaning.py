@@ -7,13 +7,14 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
+from torchfra.app.outputs.colours import BLACK, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
 from torchfra.app.outputs.view import MOST_STD, SURE, Band, View, beyond, view
-from torchfra.app.plotting.labels import SIZE, in_free_places
-from torchfra.app.plotting.style import (
-    BLACK, BLUE, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES, TITLE, any_letters, without_box, words,
-)  # fmt: skip
+from torchfra.app.plotting.labels import SIZE, Array, beside, in_free_places, show
+from torchfra.app.plotting.style import TITLE, any_letters, without_box, words
 from torchfra.cleaning import Cleaned
 
+_LETTERS = 85
+"""Of the name of a manoeuvre, that are as wide as a panel."""
 _MOST_LISTED = 3
 """Fixes beyond the edge of the map whose distance is written there."""
 
@@ -56,18 +57,15 @@ def _draw_map(axes: Axes, of: View) -> None:
     axes.plot(*of.recorded[~of.rejected].T, linestyle="none", marker=".", markersize=3, color=GREY, zorder=3)
     axes.plot(*of.path.T, color=BLUE, linewidth=1.3, zorder=4)
     axes.plot(*of.recorded[of.rejected].T, linestyle="none", marker="x", markersize=6, color=RED, zorder=5)
-    (left, bottom), (right, top) = of.window
-    axes.set_xlim(left, right, auto=True)  # may be widened, so that both axes have the same scale
-    axes.set_ylim(bottom, top, auto=True)
-    axes.set(xlabel=f"east, {of.unit}", ylabel=f"north, {of.unit}", aspect="equal", adjustable="datalim")
+    axes.set(xlabel=f"east, {of.unit}", ylabel=f"north, {of.unit}")
     axes.grid(alpha=0.25)
     without_box(axes)
 
 
 def _label_map(axes: Axes, of: View) -> None:
     """Names what is on the map, and lists at its edge what is beyond, once the figure has its layout."""
-    limits = np.array([axes.get_xlim(), axes.get_ylim()])
-    edge, way, said = beyond(of, limits[:, 0], limits[:, 1])
+    low, high = show(axes, *of.window)
+    edge, way, said = beyond(of, low, high)
     for (x, y), (dx, dy) in zip(edge, way, strict=True):
         axes.plot(x, y, marker=(3, 0, np.degrees(np.arctan2(dy, dx)) - 90), markersize=7, color=RED, clip_on=False,
                   linestyle="none", zorder=6)  # fmt: skip
@@ -80,7 +78,7 @@ def _label_map(axes: Axes, of: View) -> None:
     if turns:
         points["manoeuvre"] = np.concatenate(turns)
     finite = {name: places[np.isfinite(places).all(1)] for name, places in points.items()}
-    colours = {"cleaned": BLUE, "recorded": DARK, "rejected": RED, "manoeuvre": "#a06d00"}
+    colours = {"cleaned": BLUE, "recorded": DARK, "rejected": RED, "manoeuvre": BROWN}
     in_free_places(axes, {name: places for name, places in finite.items() if len(places)}, colours)
 
 
@@ -89,7 +87,8 @@ def _draw_band(axes: Axes, of: View, band: Band, label: str) -> None:
     low, high = band.mean - SURE * band.std, band.mean + SURE * band.std
     axes.fill_between(of.time, low, high, color=PALE_BLUE, linewidth=0)
     axes.plot(of.time, band.mean, color=BLUE, linewidth=1.2)
-    limits = _limits(band)
+    low_end, high_end = band.limits()
+    limits = (low_end if band.recorded is not None else max(low_end, 0.0), high_end)
     if band.recorded is not None:
         for mask, mark, colour in ((~of.rejected, ".", GREY), (of.rejected, "x", RED)):
             axes.plot(of.time[mask], band.recorded[mask], mark, markersize=3 if mark == "." else 5, color=colour,
@@ -98,16 +97,7 @@ def _draw_band(axes: Axes, of: View, band: Band, label: str) -> None:
     axes.set(ylabel=label, ylim=limits)
 
 
-def _limits(band: Band) -> tuple[float, float]:
-    """Of an axis: the quantity, and its band where that is no wider than the quantity itself moves."""
-    mean, std = band.mean[np.isfinite(band.mean)], band.std[np.isfinite(band.std)]
-    if not len(mean):
-        return 0.0, 1.0
-    margin = max(0.08 * float(np.ptp(mean)), 1.5 * SURE * float(np.median(std)) if len(std) else 0.0, 1e-3)
-    return float(mean.min()) - margin, float(mean.max()) + margin
-
-
-def _note_beyond(axes: Axes, values: np.ndarray, limits: tuple[float, float]) -> None:
+def _note_beyond(axes: Axes, values: Array, limits: tuple[float, float]) -> None:
     """How many rejected values are not on an axis, beside it."""
     if count := int(((values < limits[0]) | (values > limits[1])).sum()):
         axes.set_title(f"{count:,} rejected beyond the axis", fontsize=SIZE - 1, color=RED, loc="right", pad=2)
@@ -120,11 +110,13 @@ def _draw_innovations(axes: Axes, of: View) -> None:
         inside = mask & (of.innovation <= top)
         axes.plot(of.time[inside], of.innovation[inside], mark, markersize=3 if mark == "." else 5, color=colour)
     over = of.innovation > top
-    for mask, colour in ((over & ~of.rejected, DARK), (over & of.rejected, RED)):
-        axes.plot(of.time[mask], np.full(mask.sum(), top), "^", markersize=5, color=colour, clip_on=False)
     if over.any():
+        colours = np.where(of.rejected[over], RED, DARK)
+        axes.scatter(
+            of.time[over], np.full(over.sum(), top), s=25, marker="^", c=list(colours), clip_on=False, zorder=3
+        )
         most = np.nanmax(of.innovation)
-        axes.set_title(f"{over.sum():,} beyond, up to {most:,.3g}", fontsize=SIZE - 1, loc="right", pad=4)
+        axes.set_title(f"{over.sum():,} beyond, up to {most:,.0f}", fontsize=SIZE - 1, loc="right", pad=4)
     axes.axhline(1.0, color=BLACK, linewidth=0.8, linestyle=":")
     axes.annotate("as expected", (1.0, 1.0), (3, 0), xycoords=("axes fraction", "data"), textcoords="offset points",
                   fontsize=SIZE - 1, va="center", annotation_clip=False)  # fmt: skip
@@ -135,12 +127,7 @@ def _draw_regimes(axes: Axes, of: View) -> None:
     names = list(of.regimes)
     colours = [*REGIMES[: len(names) - 1], DARK] if names[-1] == "others" else list(REGIMES[: len(names)])
     axes.stackplot(of.time, np.nan_to_num(np.array(list(of.regimes.values()))), colors=colours, linewidth=0)
-    for i, (name, colour) in enumerate(zip(names, colours, strict=True)):
-        place = (1.0, (i + 0.5) / len(names))
-        axes.annotate("■", place, (4, 0), xycoords="axes fraction", textcoords="offset points", color=colour, va="center",
-                      fontsize=SIZE, annotation_clip=False)  # fmt: skip
-        axes.annotate(words(name, 24), place, (14, 0), xycoords="axes fraction", textcoords="offset points", va="center",
-                      fontsize=SIZE - 1, annotation_clip=False)  # fmt: skip
+    beside(axes, dict(zip(names, colours, strict=True)))
     axes.set(ylabel="probability", ylim=(0, 1))
 
 
@@ -161,11 +148,13 @@ def _finish_time(rows: list[Axes], of: View) -> None:
 
 
 def _name_manoeuvres(axes: Axes, of: View, end: float) -> None:
-    """What each manoeuvre was, above its shade, as far as they do not touch."""
-    taken, letters = 0.0, 75.0
+    """What each manoeuvre was, above its shade, in two rows and as far as names do not touch."""
+    taken = [0.0, 0.0]
     for begin, last, kind in of.manoeuvres:
-        half, middle = 0.5 * len(kind) / letters, 0.5 * (begin + last) / end
-        if middle - half >= taken and middle + half <= 1.0:
-            axes.annotate(kind, (middle, 1.0), (0, 3), xycoords="axes fraction", textcoords="offset points", ha="center",
-                          fontsize=SIZE - 1.5, color="#a06d00", annotation_clip=False)  # fmt: skip
-            taken = middle + half + 0.01
+        half, middle = 0.5 * len(kind) / _LETTERS, 0.5 * (begin + last) / end
+        middle = min(max(middle, half), 1 - half)
+        row = 0 if middle - half >= taken[0] else 1
+        if middle - half >= taken[row]:
+            axes.annotate(kind, (middle, 1.0), (0, 3 + 10 * row), xycoords="axes fraction", textcoords="offset points",
+                          ha="center", fontsize=SIZE - 1.5, color=BROWN, annotation_clip=False)  # fmt: skip
+            taken[row] = middle + half + 0.01
