@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from torchfra.app.outputs.colours import APART, BLUE, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
+from torchfra.app.outputs.colours import APART, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
 from torchfra.app.outputs.view import MOST_STD, SURE, Band, View, beyond, view
 from torchfra.cleaning import Cleaned
 from torchfra.tables import printable
@@ -35,15 +35,15 @@ def chart(cleaned: Cleaned) -> Chart:
     layout = _layout(of.title) | _map_axes(of) | _time_axes(of, rows)
     edge, _, said = beyond(of, *of.window)
     layout["annotations"] = [
-        {"x": x, "y": y, "text": f"\u25b2 {text}", "showarrow": False, "font": {"color": RED, "size": 10}}
-        for (x, y), text in zip(edge.tolist(), said, strict=True)
+        _words(x, y, f"\u25b2 {text}", RED) for (x, y), text in zip(edge.tolist(), said, strict=True)
+    ] + [
+        _words(0.5 * (begin + end), 1.0, kind, BROWN) | {"xref": "x2", "yref": "paper", "yshift": 8 + 12 * (i % 2)}
+        for i, (begin, end, kind) in enumerate(of.manoeuvres)
     ]
     layout["shapes"] = [
         {"type": "rect", "xref": "x2", "yref": "paper", "x0": begin, "x1": end, "y0": 0, "y1": 1, "layer": "below",
-         "fillcolor": ORANGE, "opacity": 0.22, "line": {"width": 0}, 
-         "label": {"text": kind, "textposition": "top center",
-                                                                                "font": {"size": 9}}}
-        for begin, end, kind in of.manoeuvres
+         "fillcolor": ORANGE, "opacity": 0.22, "line": {"width": 0}}
+        for begin, end, _ in of.manoeuvres
     ]  # fmt: skip
     return Chart(data, layout)
 
@@ -68,6 +68,11 @@ def _map(of: View, cleaned: Cleaned) -> list[dict[str, Any]]:
     row = np.char.add("row ", cleaned.row.astype(str))
     return [
         _scatter(1, *band.T, name=f"within {SURE:g} std", colour=PALE_BLUE, fill="toself", hoverinfo="skip"),
+        *(
+            _scatter(1, *of.path[(of.time >= begin) & (of.time <= end)].T, colour=ORANGE, line={"color": ORANGE, "width": 6},
+                     hoverinfo="skip")
+            for begin, end, _ in of.manoeuvres
+        ),
         _scatter(1, *of.recorded[kept].T, name="recorded", colour=GREY, marks=3, text=row[kept].tolist()),
         _scatter(1, *of.path.T, name="cleaned", colour=BLUE),
         _scatter(1, *of.recorded[of.rejected].T, name="rejected", colour=RED, marks=8, text=row[of.rejected].tolist(),
@@ -108,14 +113,14 @@ def _regimes(of: View, number: int) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _scatter(number, 
-    x: NDArray[np.float64], y: NDArray[np.float64]: int, *, colour: str, name: str = "", marks: float = 0,
+def _scatter(
+    number: int, x: NDArray[np.float64], y: NDArray[np.float64], *, colour: str, name: str = "", marks: float = 0,
     symbol: str = "circle", **others: Any,
 ) -> dict[str, Any]:  # fmt: skip
     """A line, or marks of some size, in the axes of a number; named ones are in the legend."""
     look: dict[str, Any] = {"mode": "lines", "line": {"color": colour, "width": 0 if "stackgroup" in others else 1.5}}
     if marks:
-        look = {"mode": "markers", "marker": {"color": colour, "size": marks, "symbol": symbol, "line": {"width": 1.5}}}
+        look = {"mode": "markers", "marker": {"color": colour, "size": marks, "symbol": symbol}}
     axis = "" if number == 1 else str(number)
     return {
         "type": "scatter", "x": _list(x), "y": _list(y), "xaxis": "x" if number == 1 else "x2", "yaxis": f"y{axis}",
@@ -126,6 +131,10 @@ def _scatter(number,
 def _list(values: NDArray[np.float64]) -> list[float | None]:
     """Six digits are enough for a picture."""
     return [float(f"{v:.7g}") if np.isfinite(v) else None for v in values.tolist()]
+
+
+def _words(x: float, y: float, text: str, colour: str) -> dict[str, Any]:
+    return {"x": x, "y": y, "text": html.escape(text), "showarrow": False, "font": {"color": colour, "size": 10}}
 
 
 def _layout(title: str) -> dict[str, Any]:
@@ -141,8 +150,18 @@ def _layout(title: str) -> dict[str, Any]:
 def _map_axes(of: View) -> dict[str, Any]:
     (left, bottom), (right, top) = of.window
     return {
-        "xaxis": {"domain": [0, 0.48], "range": [left, right], "title": {"text": f"east, {of.unit}"}},
-        "yaxis": {"range": [bottom, top], "scaleanchor": "x", "title": {"text": f"north, {of.unit}"}},
+        "xaxis": {
+            "domain": [0, 0.48],
+            "range": [left, right],
+            "zeroline": False,
+            "title": {"text": f"east, {of.unit}"},
+        },
+        "yaxis": {
+            "range": [bottom, top],
+            "scaleanchor": "x",
+            "zeroline": False,
+            "title": {"text": f"north, {of.unit}"},
+        },
     }
 
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from torchfra.app.outputs.colours import APART, BLUE, DARK, GREY, RED
 from torchfra.app.outputs.summary import summary
 from torchfra.app.plotting.labels import SIZE, Array, in_free_places, show
-from torchfra.app.plotting.style import TITLE, any_letters, plain_ticks, without_box, words
+from torchfra.app.plotting.style import any_letters, plain_ticks, without_box, words
 from torchfra.cleaning import Cleaned
 
 _MOST_ROWS = 40
@@ -32,13 +32,7 @@ def overview(results: Sequence[Cleaned]) -> Figure:
     paths = _draw_map(panels["map"], results, colours)
     _draw_rows(panels["rows"], [of[i] for i in order], colours, len(of))
     fixes, rejected = sum(s["fixes"] for s in of), sum(s["flags"]["outlier"] for s in of)
-    word = results[0].recording.source.word
-    figure.suptitle(
-        words(
-            f"{len(of)} {word}{'' if word.endswith(('ft', 's')) else 's'}: {fixes:,} fixes, {rejected:,} rejected",
-            TITLE,
-        )
-    )
+    figure.suptitle(f"{len(of)} tracks: {fixes:,} fixes, {rejected:,} rejected")
     with any_letters():
         figure.draw_without_rendering()
     figure.set_layout_engine("none")
