@@ -176,7 +176,9 @@ def _kind(role: str, column: str, head: Head, length: float, word: str) -> Kind 
         return Kind(unit=length)
     limit = _LIMITS[role]
     kind = Kind(f"degrees within +-{limit:g}", limit=limit, absent=_ABSENT[role] if word == "ship" else np.nan)
-    whole = [cell for cell in head.cells(column) if isinstance(cell, str | int | np.integer) and _WHOLE.fullmatch(str(cell))]
+    whole = [
+        cell for cell in head.cells(column) if isinstance(cell, str | int | np.integer) and _WHOLE.fullmatch(str(cell))
+    ]
     return replace(kind, limit=limit * 1e7, unit=1e-7) if whole else kind
 
 
