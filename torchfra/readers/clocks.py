@@ -20,6 +20,8 @@ YEAR_1980 = 315_532_800.0
 """Seconds since 1970; nothing was recorded before."""
 _YEAR_2286 = 1e10
 _DAY = 86_400.0
+_FEW = 0.1
+"""Share of the times of a clock that may not have been set yet."""
 _SAID = {"seconds": "seconds", "ms": "ms", "us": "microseconds", "ns": "nanoseconds"}
 
 
@@ -155,12 +157,12 @@ def _numeric(name: str, values: NDArray[np.float64], told: Told) -> Clock:
     Raises:
         ValueError: the name means times since 1970, and these are not.
     """
-    fitting = {}
+    fitting, early = {}, np.abs(values) < YEAR_1980
     for form, per_second in PER_SECOND.items():
         fits = (values >= YEAR_1980 * per_second) & (values < _YEAR_2286 * per_second)
         fitting[form] = (fits.sum(), fits[:1].any())
     form = max(fitting, key=lambda form: fitting[form])
-    if fitting[form][0]:
+    if fitting[form][1] or (fitting[form][0] and early.mean() < _FEW):
         return Clock((name,), _unit_kind(form, True), form, True)
     if (ending := unit(name)) in PER_SECOND and ending is not None:
         return Clock((name,), _unit_kind(ending, False), ending, False)

@@ -172,6 +172,8 @@ def _array(cells: NDArray[Any], kind: Kind) -> Array | None:
 
 def _plain_decimals(cells: Sequence[Any], kind: Kind) -> Array | None:
     """Cells that are all empty or decimal numbers, fast; None for others."""
+    if kind.form not in ("", "iso"):
+        return None  # a form may be of digits alone
     try:
         if kind.decimal == "," and _SIGNS_WITH_COMMAS.fullmatch(";".join(cells)):
             return np.array([float(cell.replace(",", ".") or "nan") for cell in cells])

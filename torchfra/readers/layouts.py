@@ -141,6 +141,7 @@ def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
             taken["id"] = column
     if word != "target":
         calls = [column for column in found(head.names, "call") if column != taken.get("id")]
+        calls = [column for column in calls if (plain(column) == "callsign") == (word == "aircraft")]
         taken |= dict(zip(["call"], calls, strict=False))
     if word == "aircraft":
         taken |= dict(zip(["update"], found(head.names, "update"), strict=False))

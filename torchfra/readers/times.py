@@ -52,7 +52,7 @@ def form_of(cells: Sequence[Any]) -> tuple[str, str] | None:
 def _form_of_dates(texts: list[str]) -> str | None:
     """The form of dates with their parts in another order."""
     found = [match for text in texts if (match := _OTHER.fullmatch(text))]
-    if len(found) < len(texts):
+    if 2 * len(found) < len(texts):
         return None
     first, sign = found[0], found[0]["sign"]
     half = {"": "", " ": " %p"}.get((first["half"] or "")[:1], "%p")
