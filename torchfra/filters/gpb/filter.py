@@ -15,7 +15,7 @@ from torchfra.filters.gpb.hindsight import GPBPast, WayBack
 from torchfra.filters.gpb.merging import lifted, log_share, together
 from torchfra.filters.gpb.qualities import Qualities, entry
 from torchfra.filters.gpb.regimes import Regimes
-from torchfra.filters.gpb.seeing import by_points_or_slope
+from torchfra.filters.gpb.seeing import by_points_or_slope, exactly
 from torchfra.filters.gpb.states import GPBInfo, GPBState, Shares, Step
 from torchfra.filters.imm import for_each_model
 from torchfra.filters.records import Record
@@ -135,7 +135,8 @@ class GPB(WayBack):
         joint = joint - log_likelihood
 
         after, log_after = self.merge(lifted(predicted, corrected.belief), joint)
-        belief, settled = together(after, log_after), together(before, self.hindsight(joint, shares))
+        ends = tree.stack([after, before], 1), torch.stack([log_after, self.hindsight(joint, shares)], 1)
+        belief, settled = tree.unbind(together(*ends), 2)
         outlier = (joint[1].exp().unsqueeze(-1) * corrected.outlier).sum((0, 1))
         log_regimes = joint.logsumexp(2).movedim(1, -1)  # (2, ..., R)
         if_dirty = outlier / log_regimes[1].logsumexp(-1, keepdim=True).exp()
@@ -160,6 +161,8 @@ class GPB(WayBack):
         From points on all sides of an anchor ranges do not tell where the target is: a belief that wide would learn
         nothing, and widen on.
         """
+        if self.sensor.linear:
+            return exactly(self.sensor, belief, frame)
         return by_points_or_slope(lambda x: super(GPB, self).compare(x, frame), belief)
 
     def look_ahead(
@@ -207,20 +210,22 @@ class GPB(WayBack):
 
     def merge(self, beliefs: Gaussian, joint: Tensor) -> tuple[Gaussian, Tensor]:
         """What is left of hypotheses ``(2, R, 2, ...)``: for clean and dirty and each motion, ``(2, ..., K)``."""
-        mean, root, weight = (x.movedim(2, 0) for x in (*beliefs, joint))  # (2, 2, R, ...): before, now, regime
+        every = [x.movedim(0, 2) for x in (*beliefs, joint)]  # (R, 2, 2, ...): regime, before, now
         levels, others = self.regimes.count, slice(self.regimes.count, self.regimes.count + len(self.bank) - 1)
-        own = [torch.cat([x[:, :, :levels], x[:, :, others.stop :]], 2) for x in (mean, root, weight)]
-        mean_own, root_own, weight_own = (x.movedim(1, 2).flatten(0, 1) for x in own)
-        log_own, log_others = weight_own.logsumexp(0), weight[:, :, others].logsumexp(0)
-        first = moment_match(Gaussian(mean_own, root_own), weight_own - log_own)
+        own = every if len(self.bank) == 1 else [torch.cat([x[:levels], x[others.stop :]]) for x in every]
+        mean, root, weight = (x.flatten(0, 1) for x in own)
+        log_own = weight.logsumexp(0)
+        first = moment_match(Gaussian(mean, root), weight - log_own)
         if len(self.bank) == 1:
             return Gaussian(first.mean.unsqueeze(-2), first.scale_tril.unsqueeze(-3)), log_own.unsqueeze(-1)
-        rest = moment_match(Gaussian(mean[:, :, others], root[:, :, others]), weight[:, :, others] - log_others)
+        mean, root, weight = (x[others].transpose(0, 1) for x in every)  # (before, others, now, ...)
+        log_others = weight.logsumexp(0)
+        rest = moment_match(Gaussian(mean, root), weight - log_others)
         after = Gaussian(
-            torch.cat([first.mean.unsqueeze(-2), rest.mean.movedim(1, -2)], -2),
-            torch.cat([first.scale_tril.unsqueeze(-3), rest.scale_tril.movedim(1, -3)], -3),
+            torch.cat([first.mean.unsqueeze(-2), rest.mean.movedim(0, -2)], -2),
+            torch.cat([first.scale_tril.unsqueeze(-3), rest.scale_tril.movedim(0, -3)], -3),
         )
-        return after, torch.cat([log_own.unsqueeze(-1), log_others.movedim(1, -1)], -1)
+        return after, torch.cat([log_own.unsqueeze(-1), log_others.movedim(0, -1)], -1)
 
     def hindsight(self, joint: Tensor, shares: Shares | None) -> Tensor:
         """Log weights ``(2, ..., K)`` of the beliefs before a step, now that it is measured."""
