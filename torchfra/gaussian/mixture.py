@@ -22,16 +22,26 @@ def moment_match(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
 
     Source: Bar-Shalom, Li & Kirubarajan (2001), section 1.4.16, for the moments.
     """
-    counts = log_weights != -torch.inf  # NaN does count: it must show in the result
-    weight = torch.where(counts, log_weights, 0.0).exp() * counts
-    root = torch.where(counts, 0.5 * log_weights, 0.0).exp() * counts  # not sqrt(weight): its gradient at 0 is infinite
-    mean = torch.where(counts.unsqueeze(-1), beliefs.mean, 0.0)
-    middle = (weight.unsqueeze(-1) * mean).sum(0)
-    spread = root[..., None, None] * torch.where(counts[..., None, None], beliefs.scale_tril, 0.0)
-    apart = (root.unsqueeze(-1) * (mean - middle)).unsqueeze(-1)
-    columns = [x for pair in zip(spread.unbind(), apart.unbind(), strict=True) for x in pair]
+    middle, columns = _moments(beliefs, log_weights)
     zeros = torch.zeros_like(middle).unsqueeze(-1).expand(*middle.shape, middle.shape[-1])
     return Gaussian(middle, tria(torch.cat([zeros, *columns], -1), padded=True))
+
+
+def pooled(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
+    """As ``moment_match``, with a root ``(..., n, K (p + 1))``, for what makes it triangular later."""
+    middle, columns = _moments(beliefs, log_weights)
+    return Gaussian(middle, torch.cat(columns, -1))
+
+
+def _moments(beliefs: Gaussian, log_weights: Tensor) -> tuple[Tensor, list[Tensor]]:
+    """The mean ``(..., n)``, and columns of a root of the covariance, ``(..., n, p)`` and ``(..., n, 1)``."""
+    counts = log_weights != -torch.inf  # NaN does count: it must show in the result
+    root = (0.5 * log_weights).exp()  # not the root of a weight: its gradient at 0 is infinite
+    mean = torch.where(counts.unsqueeze(-1), beliefs.mean, 0.0)
+    middle = (root.square().unsqueeze(-1) * mean).sum(0)
+    spread = root[..., None, None] * torch.where(counts[..., None, None], beliefs.scale_tril, 0.0)
+    apart = (root.unsqueeze(-1) * (mean - middle)).unsqueeze(-1)
+    return middle, [x for pair in zip(spread.unbind(), apart.unbind(), strict=True) for x in pair]
 
 
 def repeated(belief: Gaussian, count: int) -> Gaussian:

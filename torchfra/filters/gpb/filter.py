@@ -21,7 +21,7 @@ from torchfra.filters.imm import for_each_model
 from torchfra.filters.records import Record
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame, Measurements
-from torchfra.gaussian.mixture import models_first, moment_match, repeated
+from torchfra.gaussian.mixture import models_first, moment_match, pooled, repeated
 from torchfra.gaussian.model import propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import innovation
@@ -206,7 +206,8 @@ class GPB(WayBack):
         shares = Shares(of_motion(stayed) - ahead, of_motion(drawn) - ahead, origin)
         common = moment_match(models_first(before), origin.movedim(-1, 0))
         pair = tree.stack([before, repeated(common, len(self.bank))], 0)
-        return moment_match(pair, torch.stack([shares.own, shares.common])), log_ahead, shares
+        mix = pooled if self.motion.linear else moment_match  # predictions are made triangular anyway
+        return mix(pair, torch.stack([shares.own, shares.common])), log_ahead, shares
 
     def merge(self, beliefs: Gaussian, joint: Tensor) -> tuple[Gaussian, Tensor]:
         """What is left of hypotheses ``(2, R, 2, ...)``: for clean and dirty and each motion, ``(2, ..., K)``."""
