@@ -127,8 +127,9 @@ class GPB(WayBack):
         before = tree.stack([state.clean, state.dirty], 0)  # (2, ..., K)
         predicted, log_ahead, shares, far = self.look_ahead(before, state.log_weights.movedim(-2, 0), frame)
         seen = self.read(predicted)
+        whitened, expected = self.compare_all(seen, log_ahead, frame)
         log_quality, prior = self.qualities.ahead(state.outlier)
-        corrected = self.qualities(seen, lambda belief: self.compare(belief, frame), prior, 1 - frame.seen)
+        corrected = self.qualities(seen, whitened, lambda x: self.compare(x, frame), prior, 1 - frame.seen)
         joint = log_quality.unsqueeze(1) + log_ahead + corrected.log_density  # (2, R, 2, ...): now, regime, before
         joint = torch.where(joint.isnan(), -torch.inf, joint)  # nothing speaks for a hypothesis that failed
         log_likelihood = joint.flatten(0, 2).logsumexp(0)
@@ -140,15 +141,13 @@ class GPB(WayBack):
         outlier = (joint[1].exp().unsqueeze(-1) * corrected.outlier).sum((0, 1))
         log_regimes = joint.logsumexp(2).movedim(1, -1)  # (2, ..., R)
         if_dirty = outlier / log_regimes[1].logsumexp(-1, keepdim=True).exp()
-        expected = moment_match(tree.map_tensors(lambda x: x.flatten(0, 1), seen), log_share(log_ahead.flatten(0, 1)))
-        whitened = self.compare(expected, frame)
         info = Step(settled, log_regimes.exp().sum(0), outlier)
         clean, dirty = tree.unbind(after, 2)
         carried = clean, dirty, log_regimes.movedim(0, -2), if_dirty
         record = Record(
             belief,
-            whitened.residual,
-            *innovation(whitened),
+            expected.residual,
+            *innovation(expected),
             info,
             log_likelihood,
             past=GPBPast(*carried, far.movedim(0, -1)),
@@ -164,6 +163,15 @@ class GPB(WayBack):
         if self.sensor.linear:
             return exactly(self.sensor, belief, frame)
         return by_points_or_slope(lambda x: super(GPB, self).compare(x, frame), belief)
+
+    def compare_all(self, seen: Gaussian, log_ahead: Tensor, frame: Frame) -> tuple[Whitened, Whitened]:
+        """The measurement against all predictions, ``(1, R, 2, ...)``, and against the Gaussian with their moments."""
+        flat = tree.map_tensors(lambda x: x.flatten(0, 1), seen)
+        expected = moment_match(flat, log_share(log_ahead.flatten(0, 1)))
+        every = [torch.cat([x, y.unsqueeze(0)]) for x, y in zip(flat, expected, strict=True)]
+        whitened = self.compare(Gaussian(*every), frame)
+        each = tree.map_tensors(lambda x: x[:-1].unflatten(0, (1, *log_ahead.shape[:2])), whitened)
+        return each, tree.map_tensors(lambda x: x[-1], whitened)
 
     def look_ahead(
         self, before: Gaussian, log_weights: Tensor, frame: Frame

@@ -123,24 +123,29 @@ class Qualities(nn.Module):
         share = torch.ones_like(now) if len(self.blocks) == 1 else now / dirty.unsqueeze(-1)
         return torch.stack([clean, dirty.log()]), share
 
-    def forward(self, seen: Gaussian, compare: Compare, prior: Tensor, missing: Tensor) -> Corrected:
+    def forward(
+        self, seen: Gaussian, whitened: Whitened, compare: Compare, prior: Tensor, missing: Tensor
+    ) -> Corrected:
         """The measurement, ``(2, ...)``: taken as the sensor states it, and with outliers in some blocks.
 
         Blocks are independent, so they are taken one after the other: what they cost adds up.
 
         Args:
             seen: predictions ``(..., d)`` of what the sensor reads.
-            compare: the measurement against such.
+            whitened: the measurement against them, ``(1, ...)``.
+            compare: the measurement against others.
             prior: ``(..., B)`` of each block that it is an outlier if the step is dirty.
             missing: ``(..., m)`` 1 where missing, 0 where measured.
         """
-        rank, last = seen.mean.dim() - 1, len(self.blocks) - 1
+        (mean, root), rank, last = seen, seen.mean.dim() - 1, len(self.blocks) - 1
         sizes, log_shares = in_front(self.sizes(seen.mean), rank), in_front(self.shares(seen.mean).log(), rank)
         sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])  # of a clean block, and of an outlier
         belief, log_density, outliers = unit(seen), torch.zeros_like(seen.mean[..., 0]), []
         for b, block in enumerate(self.blocks):
             share, gone = prior[..., b], missing[..., list(block)].sum(-1)
-            inside, residual = measured(seen, belief, compare, block)
+            if b:
+                whitened = compare(Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril))
+            inside, residual = measured(whitened, belief, block)
             told, log_told = told_by(inside.rows[-1], residual[-1], self.grown(sizes, residual[-1], gone), gone)
             clean, log_clean = told, log_told[:1]
             if b:  # clean and dirty have the first block in common alone
@@ -175,11 +180,9 @@ def entry(tuples: C, i: int) -> C:
     return chosen
 
 
-def measured(seen: Gaussian, belief: Gaussian, compare: Compare, block: Sequence[int]) -> tuple[Inside, Tensor]:
-    """What one block measures of a belief in units of ``seen``'s root, and its residual ``(..., m)``."""
-    (mean, root), (m, d) = seen, (len(block), seen.mean.shape[-1])
-    whitened = compare(Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril))
-    residual, spread = whitened.residual, whitened.spread
+def measured(whitened: Whitened, belief: Gaussian, block: Sequence[int]) -> tuple[Inside, Tensor]:
+    """What one block measures of a belief in units of the prediction's root, and its residual ``(1 or 2, ..., m)``."""
+    residual, spread, m, d = whitened.residual, whitened.spread, len(block), belief.mean.shape[-1]
     if m < residual.shape[-1]:
         residual = torch.stack([residual[..., i] for i in block], -1)
         spread = torch.stack([spread[..., i, :] for i in block], -2)
