@@ -10,13 +10,14 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.filters.gpb.merging import together
 from torchfra.filters.gpb.regimes import Regimes, in_front
+from torchfra.filters.hindsight import inside
 from torchfra.filters.imm import for_each_model
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.future import Future, future
 from torchfra.gaussian.mixture import moment_match, repeated, without_failed
 from torchfra.gaussian.model import Carried
-from torchfra.gaussian.update import correct, density
+from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian
 
 
@@ -91,22 +92,24 @@ def _retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
         after: smoothed.
     """
     past, frame = turn.past, turn.frame
+    regimes, before = f.regimes, past.beliefs()
     prior = _prior(f, past, turn.ahead.far)  # (now, was, ..., regime was, regime now)
-    before = _each_motion(past.beliefs())  # (was, motion was, ..., motion now)
-    ahead = _of_regimes(f, f.carry(before, for_each_model(frame), None), turn.ahead.far)  # (R, was, motion was, ...)
-    later = future(_predicted(f.regimes, ahead, f.regimes.of_motion(prior.transpose(-1, -2))), after.beliefs())
-    each, fit = _corrected(f.regimes, past.beliefs(), ahead, later)  # (R, now, was, motion, ...)
+    ahead = _of_regimes(f, f.carry(_each_motion(before), for_each_model(frame), None), turn.ahead.far)
+    towards = regimes.of_motion(prior.transpose(-1, -2)).movedim(-2, 1).movedim(-1, 3)  # (now, R, was, motion was, ...)
+    later = future(_predicted(regimes, ahead, towards), after.beliefs())
+    each, fit = _each_regime(regimes, later).told(tree.map_ranked(lambda rank, x: x.unsqueeze(1), ahead))
 
-    fit = f.regimes.of_each(fit, 3).movedim(3, -1).movedim(0, -1)  # (now, was, ..., regime was, regime now)
+    fit = without_failed(fit).movedim(3, -1)  # (R, now, was, ..., motion was)
+    fit = regimes.of_each(fit, -1).movedim(0, -1)  # (now, was, ..., regime was, regime now)
     joint = prior + fit
     joint = without_failed(joint - joint.logsumexp((1, -2), keepdim=True))
     joint = joint + after.log_weights.movedim(-2, 0)[:, None, ..., None, :]
     log_weights = joint.logsumexp((0, -1))  # (was, ..., R)
-    share = f.regimes.of_motion(joint.transpose(-1, -2)).movedim(-2, 0)  # (R, now, was, ..., motion)
+    share = regimes.of_motion(joint.transpose(-1, -2)).movedim(-2, 0).movedim(-1, 3)  # (R, now, was, motion was, ...)
     share = share - share.logsumexp((0, 1), keepdim=True)
-    mean, root = each.mean.movedim(3, -2), each.scale_tril.movedim(3, -3)
-    belief = moment_match(Gaussian(mean.flatten(0, 1), root.flatten(0, 1)), share.flatten(0, 1))
-    clean, dirty = tree.unbind(belief, 2)
+    told = moment_match(Gaussian(*(x.flatten(0, 1) for x in each)), share.flatten(0, 1))  # (was, motion was, ...)
+    told = Gaussian(told.mean.movedim(1, -2), told.scale_tril.movedim(1, -3))
+    clean, dirty = tree.unbind(inside(before, told), 2)
     return GPBPast(clean, dirty, log_weights.movedim(0, -2), past.outlier, past.far)
 
 
@@ -127,17 +130,18 @@ def _each_motion(beliefs: Gaussian) -> Gaussian:
 
 
 def _of_regimes(f: Any, ahead: Carried, far: Tensor) -> Carried:
-    """Beliefs carried by every motion, ``(..., K)``, as every regime carries them, ``(R, ...)``.
+    """Beliefs carried by every motion, ``(2, K, ..., K)``, as every regime carries them, ``(R, 2, K, ...)``.
 
-    These are the parts of ``Regimes.predictions`` and ``Regimes.jumped``.
+    These are the parts of ``Regimes.predictions`` and ``Regimes.jumped``; process noise that is the same for all that
+    came before stays one.
     """
     regimes, rank = f.regimes, ahead.mean.dim() - 2
     mean, spread, noise = (
-        regimes.of_each(x.expand(*ahead.mean.shape[:-1], *x.shape[-event:]).movedim(-1 - event, 0), 0)
+        regimes.of_each(x.reshape((1,) * (rank + 1 + event - x.dim()) + x.shape).movedim(-1 - event, 0), 0)
         for x, event in ((ahead.mean, 1), (ahead.spread, 2), (ahead.process_noise, 2))
     )
     levels = in_front(regimes.levels(ahead.mean).sqrt(), rank)
-    jumps = regimes.widths(ahead.mean, far.movedim(-1, 0)).unsqueeze(2)  # (J, was, motion was, ...)
+    jumps = regimes.widths(ahead.mean, far.movedim(-1, 0)).unsqueeze(2)  # (J, was, 1, ...)
     batch = torch.broadcast_shapes(levels.shape[1:], jumps.shape[1:])
     levels, jumps = levels.expand(-1, *batch), jumps.expand(-1, *batch)
     one = torch.ones_like(levels[:1])
@@ -149,50 +153,42 @@ def _of_regimes(f: Any, ahead: Carried, far: Tensor) -> Carried:
     return Carried(mean, widened.unsqueeze(-1) * spread, (widened * level).unsqueeze(-1) * noise, None)
 
 
-def _predicted(regimes: Regimes, ahead: Carried, prior: Tensor) -> Gaussian:
+def _predicted(regimes: Regimes, ahead: Carried, log_weights: Tensor) -> Gaussian:
     """Predictions ``(2, ..., K)`` for each quality and motion of a step, merged over all that leads there.
 
     Args:
         regimes: of the motion.
         ahead: ``(R, 2, K, ...)`` of each regime, from each quality and motion before.
-        prior: ``(2, 2, ..., R, K)`` logs of the probabilities.
+        log_weights: ``(2, R, 2, K, ...)`` logs of the probabilities.
     """
-    (mean, root), _ = ahead.belief()
-    log_weights = prior.movedim(-2, 1).movedim(-1, 3)  # (now, R, was, motion was, ...)
     first, jumps = regimes.count, regimes.count + regimes.motions - 1
-
-    def merged(mean: Tensor, root: Tensor, log_weights: Tensor) -> Gaussian:
-        flat = log_weights.flatten(0, 2)
-        return moment_match(Gaussian(mean.flatten(0, 2), root.flatten(0, 2)), flat - flat.logsumexp(0))
-
-    every = []
-    for now in log_weights:
-        own = [torch.cat([x[:first], x[jumps:]]) for x in (mean, root, now)]
-        others = [[x[r : r + 1] for x in (mean, root, now)] for r in range(first, jumps)]
-        every.append([merged(*parts) for parts in (own, *others)])
-    return Gaussian(
-        torch.stack([torch.stack([b.mean for b in motions], -2) for motions in every]),
-        torch.stack([torch.stack([b.scale_tril for b in motions], -3) for motions in every]),
-    )
+    every = *(x.unsqueeze(0) for x in ahead[:3]), log_weights
+    own = [torch.cat([x[:, :first], x[:, jumps:]], 1).movedim(0, 3).flatten(0, 1).unsqueeze(3) for x in every]
+    groups = [_merged(*own)]
+    if regimes.motions > 1:
+        groups.append(_merged(*(x[:, first:jumps].movedim((2, 3), (0, 1)) for x in every)))
+    mean, root = (torch.cat(parts, 1) for parts in zip(*groups, strict=True))  # (now, K, ...)
+    return Gaussian(mean.movedim(1, -2), root.movedim(1, -3))
 
 
-def _corrected(regimes: Regimes, before: Gaussian, ahead: Carried, later: Future) -> tuple[Gaussian, Tensor]:
-    """Beliefs before a step, corrected by what comes later, ``(R, 2, 2, K, ...)``, and how well they predicted it.
+def _merged(mean: Tensor, spread: Tensor, noise: Tensor, log_weights: Tensor) -> Gaussian:
+    """Beliefs carried ahead merged over the first two dimensions, of which the second may be one for their noise."""
+    log_weights = log_weights - log_weights.logsumexp((0, 1))
+    middle, root = moment_match(Gaussian(mean.flatten(0, 1), spread.flatten(0, 1)), log_weights.flatten(0, 1))
+    if noise.shape[1] < log_weights.shape[1]:
+        log_weights = log_weights.logsumexp(1, keepdim=True)
+    noise = noise.expand(log_weights.shape[0], *noise.shape[1:])
+    none = torch.zeros_like(noise[..., 0]).flatten(0, 1)
+    added = moment_match(Gaussian(none, noise.flatten(0, 1)), log_weights.flatten(0, 1)).scale_tril
+    return Gaussian(middle, tria(hstack(root, added)))
 
-    Args:
-        regimes: of the motion.
-        before: ``(2, ..., K)``.
-        ahead: ``(R, 2, K, ...)`` carried by each regime.
-        later: ``(2, ..., K)`` for each quality and motion of the step.
-    """
+
+def _each_regime(regimes: Regimes, later: Future) -> Future:
+    """What comes later, of every motion ``(2, ..., K)``, for every regime, ``(R, 2, 1, 1, ...)``."""
 
     def of_regime(rank: int, x: Tensor) -> Tensor:
         x = regimes.of_each(x, x.dim() - 1 - rank).movedim(-1 - rank, 0)
-        return x.unsqueeze(2).unsqueeze(2)  # (R, now, 1, 1, ...)
+        return x.unsqueeze(2).unsqueeze(2)
 
-    whitened = tree.map_ranked(of_regime, later).against(tree.map_ranked(lambda rank, x: x.unsqueeze(1), ahead))
-    own = Gaussian(before.mean.movedim(-2, 1), before.scale_tril.movedim(-3, 1))  # (was, motion, ...)
-    shape = whitened.residual.shape[:-1]
-    own = tree.map_ranked(lambda rank, x: x.expand(*shape, *x.shape[x.dim() - rank :]), own)
-    each, root, normalised = correct(own, whitened)
-    return each, without_failed(density(root, normalised))
+    each: Future = tree.map_ranked(of_regime, later)
+    return each
