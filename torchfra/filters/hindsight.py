@@ -10,6 +10,7 @@ from torchfra import tree
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.gaussian.future import future
 from torchfra.gaussian.mixture import models_first, moment_match, repeated, without_failed
+from torchfra.gaussian.model import adapted
 from torchfra.linalg.triangular import apply
 from torchfra.types import Gaussian
 
@@ -89,9 +90,10 @@ def retreat(inner: Any, turn: Turn, matrix: Tensor, after: Models) -> Models:
     share = joint - joint.logsumexp(-2, keepdim=True)
     before = repeated(models_first(turn.past.inner.belief), share.shape[-1])  # (was, ..., now)
     mixed = moment_match(before, share.movedim(-2, 0))
-    predicted, _ = inner.carry(mixed, turn.frame, turn.ahead.factor).belief()
+    frame = adapted(turn.frame, mixed.mean)  # as the filter has adapted it
+    predicted, _ = inner.carry(mixed, frame, turn.ahead.factor).belief()
     later = future(predicted, after.belief)
-    each, fit = later.told(inner.carry(before, turn.frame, turn.ahead.factor))
+    each, fit = later.told(inner.carry(before, frame, turn.ahead.factor))
     joint = without_failed((share + without_failed(fit).movedim(0, -2)).log_softmax(-2))
     joint = joint + after.log_weights.unsqueeze(-2)
     log_weights = joint.logsumexp(-1)

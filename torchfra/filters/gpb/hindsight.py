@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.gpb.merging import together
+from torchfra.filters.gpb.merging import log_share, together
 from torchfra.filters.gpb.regimes import Regimes, in_front
 from torchfra.filters.hindsight import inside
 from torchfra.filters.imm import for_each_model
@@ -16,8 +16,7 @@ from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.future import Future, future
 from torchfra.gaussian.mixture import moment_match, repeated, without_failed
-from torchfra.gaussian.model import Carried
-from torchfra.linalg.triangular import hstack, tria
+from torchfra.gaussian.model import Carried, adapted
 from torchfra.types import Gaussian
 
 
@@ -92,23 +91,24 @@ def _retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
         after: smoothed.
     """
     past, frame = turn.past, turn.frame
-    regimes, before = f.regimes, past.beliefs()
-    prior = _prior(f, past, turn.ahead.far)  # (now, was, ..., regime was, regime now)
-    ahead = _of_regimes(f, f.carry(_each_motion(before), for_each_model(frame), None), turn.ahead.far)
-    towards = regimes.of_motion(prior.transpose(-1, -2)).movedim(-2, 1).movedim(-1, 3)  # (now, R, was, motion was, ...)
-    later = future(_predicted(regimes, ahead, towards), after.beliefs())
-    each, fit = _each_regime(regimes, later).told(tree.map_ranked(lambda rank, x: x.unsqueeze(1), ahead))
+    regimes, before, far = f.regimes, past.beliefs(), turn.ahead.far
+    prior = _prior(f, past, far)  # (now, was, ..., regime was, regime now)
+    mixed, _, _ = f.interact(before, past.log_weights.movedim(-2, 0))
+    frame = adapted(for_each_model(frame), mixed.mean)  # as the filter has adapted it
+    predicted = _predicted(f, f.carry(mixed, frame, None), far.movedim(-1, 0), prior.logsumexp(-2))
+    ahead = _of_regimes(f, f.carry(_each_motion(before), frame, None), far.movedim(-1, 0))
+    each, fit = _each_regime(regimes, future(predicted, after.beliefs())).told(ahead)  # (R, now, motion was, was, ...)
 
-    fit = without_failed(fit).movedim(3, -1)  # (R, now, was, ..., motion was)
+    fit = without_failed(fit).movedim(2, -1)  # (R, now, was, ..., motion was)
     fit = regimes.of_each(fit, -1).movedim(0, -1)  # (now, was, ..., regime was, regime now)
     joint = prior + fit
     joint = without_failed(joint - joint.logsumexp((1, -2), keepdim=True))
     joint = joint + after.log_weights.movedim(-2, 0)[:, None, ..., None, :]
     log_weights = joint.logsumexp((0, -1))  # (was, ..., R)
-    share = regimes.of_motion(joint.transpose(-1, -2)).movedim(-2, 0).movedim(-1, 3)  # (R, now, was, motion was, ...)
+    share = regimes.of_motion(joint.transpose(-1, -2)).movedim((-2, -1), (0, 2))  # (R, now, motion was, was, ...)
     share = share - share.logsumexp((0, 1), keepdim=True)
-    told = moment_match(Gaussian(*(x.flatten(0, 1) for x in each)), share.flatten(0, 1))  # (was, motion was, ...)
-    told = Gaussian(told.mean.movedim(1, -2), told.scale_tril.movedim(1, -3))
+    told = moment_match(Gaussian(*(x.flatten(0, 1) for x in each)), share.flatten(0, 1))  # (motion was, was, ...)
+    told = Gaussian(told.mean.movedim(0, -2), told.scale_tril.movedim(0, -3))
     clean, dirty = tree.unbind(inside(before, told), 2)
     return GPBPast(clean, dirty, log_weights.movedim(0, -2), past.outlier, past.far)
 
@@ -123,64 +123,66 @@ def _prior(f: Any, past: GPBPast, far: Tensor) -> Tensor:
     return together
 
 
-def _each_motion(beliefs: Gaussian) -> Gaussian:
-    """Beliefs ``(2, ..., K)`` before every motion, ``(2, K, ..., K)``."""
-    mean, root = beliefs
-    return repeated(Gaussian(mean.movedim(-2, 1), root.movedim(-3, 1)), mean.shape[-2])
-
-
-def _of_regimes(f: Any, ahead: Carried, far: Tensor) -> Carried:
-    """Beliefs carried by every motion, ``(2, K, ..., K)``, as every regime carries them, ``(R, 2, K, ...)``.
-
-    These are the parts of ``Regimes.predictions`` and ``Regimes.jumped``; process noise that is the same for all that
-    came before stays one.
-    """
-    regimes, rank = f.regimes, ahead.mean.dim() - 2
-    mean, spread, noise = (
-        regimes.of_each(x.reshape((1,) * (rank + 1 + event - x.dim()) + x.shape).movedim(-1 - event, 0), 0)
-        for x, event in ((ahead.mean, 1), (ahead.spread, 2), (ahead.process_noise, 2))
-    )
-    levels = in_front(regimes.levels(ahead.mean).sqrt(), rank)
-    jumps = regimes.widths(ahead.mean, far.movedim(-1, 0)).unsqueeze(2)  # (J, was, 1, ...)
-    batch = torch.broadcast_shapes(levels.shape[1:], jumps.shape[1:])
-    levels, jumps = levels.expand(-1, *batch), jumps.expand(-1, *batch)
-    one = torch.ones_like(levels[:1])
-    level = torch.cat([levels, *[one] * (regimes.motions - 1), *[levels[-1:]] * len(jumps)]).unsqueeze(-1)
-    jump = torch.cat([*[one] * (len(level) - len(jumps)), jumps]).unsqueeze(-1)
-    there = torch.zeros_like(ahead.mean[(0,) * (rank + 1)])
-    there[f.motion.position] = 1.0
-    widened = 1 + (jump - 1) * there
-    return Carried(mean, widened.unsqueeze(-1) * spread, (widened * level).unsqueeze(-1) * noise, None)
-
-
-def _predicted(regimes: Regimes, ahead: Carried, log_weights: Tensor) -> Gaussian:
+def _predicted(f: Any, ahead: Carried, far: Tensor, log_weights: Tensor) -> Gaussian:
     """Predictions ``(2, ..., K)`` for each quality and motion of a step, merged over all that leads there.
 
     Args:
-        regimes: of the motion.
-        ahead: ``(R, 2, K, ...)`` of each regime, from each quality and motion before.
-        log_weights: ``(2, R, 2, K, ...)`` logs of the probabilities.
+        f: the filter.
+        ahead: ``(2, ..., K)`` mixed beliefs carried by each motion, from each quality before.
+        far: ``(2, ...)``: see ``GPBPast``.
+        log_weights: ``(2, 2, ..., R)`` logs of the probabilities of both qualities and of the regime.
     """
-    first, jumps = regimes.count, regimes.count + regimes.motions - 1
-    every = *(x.unsqueeze(0) for x in ahead[:3]), log_weights
-    own = [torch.cat([x[:, :first], x[:, jumps:]], 1).movedim(0, 3).flatten(0, 1).unsqueeze(3) for x in every]
-    groups = [_merged(*own)]
-    if regimes.motions > 1:
-        groups.append(_merged(*(x[:, first:jumps].movedim((2, 3), (0, 1)) for x in every)))
-    mean, root = (torch.cat(parts, 1) for parts in zip(*groups, strict=True))  # (now, K, ...)
-    return Gaussian(mean.movedim(1, -2), root.movedim(1, -3))
+    regimes, first = f.regimes, f.regimes.count
+    levels = regimes.predictions(*ahead[:3])
+    agile: Gaussian = tree.map_tensors(lambda x: x[first - 1], levels)
+    jumped, others = regimes.jumped(agile, far, f.motion.position), regimes.motions - 1
+    share = log_weights.movedim(-1, 1)  # (now, R, was, ...)
+
+    own = (torch.cat([x[:first], jump]).flatten(0, 1).unsqueeze(1) for x, jump in zip(levels, jumped, strict=True))
+    share_own = torch.cat([share[:, :first], share[:, first + others :]], 1).movedim(0, 2).flatten(0, 1)
+    merged = moment_match(Gaussian(*own), log_share(share_own))  # (now, ...)
+    if not others:
+        return Gaussian(merged.mean.unsqueeze(-2), merged.scale_tril.unsqueeze(-3))
+    other = Gaussian(*(x[first:].transpose(0, 1).unsqueeze(1) for x in levels))  # (was, 1, motion, ...)
+    share_others = share[:, first : first + others].movedim(2, 0)
+    mean, root = moment_match(other, log_share(share_others))  # (now, motion, ...)
+    return Gaussian(
+        torch.cat([merged.mean.unsqueeze(-2), mean.movedim(1, -2)], -2),
+        torch.cat([merged.scale_tril.unsqueeze(-3), root.movedim(1, -3)], -3),
+    )
 
 
-def _merged(mean: Tensor, spread: Tensor, noise: Tensor, log_weights: Tensor) -> Gaussian:
-    """Beliefs carried ahead merged over the first two dimensions, of which the second may be one for their noise."""
-    log_weights = log_weights - log_weights.logsumexp((0, 1))
-    middle, root = moment_match(Gaussian(mean.flatten(0, 1), spread.flatten(0, 1)), log_weights.flatten(0, 1))
-    if noise.shape[1] < log_weights.shape[1]:
-        log_weights = log_weights.logsumexp(1, keepdim=True)
-    noise = noise.expand(log_weights.shape[0], *noise.shape[1:])
-    none = torch.zeros_like(noise[..., 0]).flatten(0, 1)
-    added = moment_match(Gaussian(none, noise.flatten(0, 1)), log_weights.flatten(0, 1)).scale_tril
-    return Gaussian(middle, tria(hstack(root, added)))
+def _each_motion(beliefs: Gaussian) -> Gaussian:
+    """Beliefs ``(2, ..., K)`` before every motion, ``(K, 2, ..., K)``."""
+    mean, root = beliefs
+    return repeated(Gaussian(mean.movedim(-2, 0), root.movedim(-3, 0)), mean.shape[-2])
+
+
+def _of_regimes(f: Any, ahead: Carried, far: Tensor) -> Carried:
+    """Beliefs ``(K, 2, ..., K)`` carried by every motion, as every regime carries them, ``(R, 1, K, 2, ...)``.
+
+    These are the parts of ``Regimes.predictions`` and ``Regimes.jumped``; process noise that is the same for all
+    motions before stays one.
+    """
+    regimes, rank = f.regimes, ahead.mean.dim() - 2  # of dimensions (motion was, was, ...)
+
+    def of_each(x: Tensor, event: int) -> Tensor:
+        x = regimes.of_each(x, x.dim() - 1 - event).movedim(-1 - event, 0)
+        return x.reshape(x.shape[:1] + (1,) * (rank + 1 + event - x.dim()) + x.shape[1:])
+
+    mean, spread, noise = of_each(ahead.mean, 1), of_each(ahead.spread, 2), of_each(ahead.process_noise, 2)
+    levels = in_front(regimes.levels(ahead.mean).sqrt(), rank)
+    jumps = regimes.widths(ahead.mean, far)
+    jumps = jumps.reshape(jumps.shape[:1] + (1,) * (rank + 1 - jumps.dim()) + jumps.shape[1:])
+    others = regimes.motions - 1
+    every = levels.new_ones(others, *levels.shape[1:]), levels[-1:].expand(len(jumps), *levels.shape[1:])
+    level = torch.cat([levels, *every])
+    wide = torch.cat([jumps.new_ones(regimes.count + others, *jumps.shape[1:]), jumps])
+    there = torch.zeros_like(ahead.mean[(0,) * (rank + 1)])
+    there[f.motion.position] = 1.0
+    widened = (1 + (wide.unsqueeze(-1) - 1) * there).unsqueeze(-1)
+    spread, noise = widened * spread, widened * level[..., None, None] * noise
+    return Carried(mean.unsqueeze(1), spread.unsqueeze(1), noise.unsqueeze(1), None)
 
 
 def _each_regime(regimes: Regimes, later: Future) -> Future:
