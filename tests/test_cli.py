@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 from matplotlib.figure import Figure
+from torchfra.app.track import track
 
 from torchfra import presets, readers
 from torchfra.app import cli, plotting
 from torchfra.app.evaluate import evaluate
-from torchfra.app.track import track
 from torchfra.catalogue import make_scenario
 from torchfra.kernel import build
 

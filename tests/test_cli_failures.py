@@ -14,10 +14,10 @@ import particles
 import pytest
 import reproduce
 import torch
+from torchfra.app.track import track
 
 from torchfra.app import cli, home, plotting
 from torchfra.app.command import exit_status, message
-from torchfra.app.track import track
 from torchfra.app.track_command import _unused
 from torchfra.tables import printable, text_table
 from train import tune
