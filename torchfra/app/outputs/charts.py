@@ -68,16 +68,18 @@ def _map(of: View, cleaned: Cleaned) -> list[dict[str, Any]]:
     row = np.char.add("row ", cleaned.row.astype(str))
     return [
         _scatter(1, *band.T, name=f"within {SURE:g} std", colour=PALE_BLUE, fill="toself", hoverinfo="skip"),
-        *(
-            _scatter(1, *of.path[(of.time >= begin) & (of.time <= end)].T, colour=ORANGE, line={"color": ORANGE, "width": 6},
-                     hoverinfo="skip")
-            for begin, end, _ in of.manoeuvres
-        ),
+        *(_flown(of, begin, end) for begin, end, _ in of.manoeuvres),
         _scatter(1, *of.recorded[kept].T, name="recorded", colour=GREY, marks=3, text=row[kept].tolist()),
         _scatter(1, *of.path.T, name="cleaned", colour=BLUE),
         _scatter(1, *of.recorded[of.rejected].T, name="rejected", colour=RED, marks=8, text=row[of.rejected].tolist(),
                  symbol="x-thin-open"),
     ]  # fmt: skip
+
+
+def _flown(of: View, begin: float, end: float) -> dict[str, Any]:
+    """The path of a manoeuvre, wide and below the path."""
+    part = of.path[(of.time >= begin) & (of.time <= end)]
+    return _scatter(1, *part.T, colour=ORANGE, line={"color": ORANGE, "width": 6}, hoverinfo="skip")
 
 
 def _band(of: View, band: Band, number: int) -> list[dict[str, Any]]:
