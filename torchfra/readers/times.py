@@ -43,7 +43,7 @@ def form_of(cells: Sequence[Any]) -> tuple[str, str] | None:
     first = _ISO.fullmatch(texts[0])
     if first is None:
         form = _form_of_dates(texts)
-        return form and (form, form)
+        return None if form is None else (form, form)
     clock = f"%H:%M{':%S' if first['second'] else ''}{first['gap']}{first['zone'] or ''}"
     form = f"%Y-%m-%d{first['between']}{clock}"
     return "iso", "iso" if form in ("%Y-%m-%dT%H:%M:%SZ", "%Y-%m-%dT%H:%M:%S+00:00") else form
@@ -52,7 +52,7 @@ def form_of(cells: Sequence[Any]) -> tuple[str, str] | None:
 def _form_of_dates(texts: list[str]) -> str | None:
     """The form of dates with their parts in another order."""
     found = [match for text in texts if (match := _OTHER.fullmatch(text))]
-    if len(found) < len(texts):
+    if 2 * len(found) < len(texts):
         return None
     first, sign = found[0], found[0]["sign"]
     half = {"": "", " ": " %p"}.get((first["half"] or "")[:1], "%p")
