@@ -10,8 +10,8 @@ noise and outliers of a fiftieth, as they were walked.  Every truth is measured 
 there are runs: Gaussian noise on each axis, and 3 % of the fixes outliers of 100 m to 10 km, half of them in bursts.
 A case is a truth at a period and noise.  Its figures, over all runs:
 
-- the error across the ground (root mean square over all fixes, outliers among them) over that of the raw fixes that
-  are no outliers; and over that of a smoother of constant velocity that is told sigma and the outliers, and whose
+- the error across the ground (root mean square) at the fixes that are no outliers over that of these fixes as they are;
+- the error at all fixes over that of a smoother of constant velocity that is told sigma and the outliers, and whose
   process noise is the one that makes its error least;
 - precision of flagged outliers, and recall of those beyond 6 sigma;
 - sigma found over the true one, the mean over the runs;

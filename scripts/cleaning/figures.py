@@ -29,13 +29,15 @@ class Counts:
     steps: int = 0
     squared: float = 0.0
     """Squared errors across the ground, m^2."""
-    squared_all: float = 0.0
-    """In all dimensions."""
     fixes: int = 0
-    """Of them those that are no outliers."""
+    """Of them those that are no outliers, ..."""
+    squared_there: float = 0.0
+    """their squared errors, ..."""
     raw: float = 0.0
+    """and what these were before."""
+    squared_all: float = 0.0
     raw_all: float = 0.0
-    """The same of the noise of these."""
+    """The same in all dimensions."""
     far: int = 0
     """Outliers beyond 6 sigma, ..."""
     found: int = 0
@@ -68,7 +70,8 @@ def add(counts: Counts, run: Measured, cleaned: Cleaned) -> None:
     error = np.where(np.isfinite(error), error, 1e6)  # far off, and still a number in JSON
     counts.steps += len(error)
     counts.squared += float(np.square(error[:, :2]).sum())
-    counts.squared_all += float(np.square(error).sum())
+    counts.squared_there += float(np.square(error[good, :2]).sum())
+    counts.squared_all += float(np.square(error[good]).sum())
     counts.fixes += int(good.sum())
     counts.raw += float(np.square(run.noise[good, :2]).sum())
     counts.raw_all += float(np.square(run.noise[good]).sum())
@@ -90,25 +93,26 @@ def add(counts: Counts, run: Measured, cleaned: Cleaned) -> None:
 def _add_turns(counts: Counts, run: Measured, segments: Sequence[Segment]) -> None:
     """Adds the seconds of true and of listed turns to either side."""
     truth = run.case.truth
-    time = truth.dt * np.arange(len(truth.position))
-    begin = float(time[int(np.argmin(np.abs(truth.position - run.truth[0]).sum(1)))])
-    inside = (time >= begin) & (time <= begin + run.time[-1])
-    rate, time = turn_rates(truth.position, truth.dt, SLOWEST * truth.scale)[inside], time[inside] - begin
+    inside = np.arange(run.window[0], run.window[-1] + 1)
+    rate = turn_rates(truth.position, truth.dt, SLOWEST * truth.scale)[inside]
+    time = truth.dt * (inside - inside[0])
     for name, side in (("left turn", 1), ("right turn", -1)):
-        true = lasting(side * rate >= RATE, round(LASTING / truth.dt))
-        listed = np.zeros(len(time), bool)
-        for segment in segments:
-            counts_as_turn = abs(segment.rate) >= RATE and segment.end - segment.begin >= LASTING
-            if segment.kind == name and counts_as_turn:
-                listed |= (time >= segment.begin) & (time <= segment.end)
-        counted = np.zeros(len(time), bool)
-        for segment in segments:
-            if segment.kind == name:
-                counted |= (time >= segment.begin) & (time <= segment.end)
+        true, slack = lasting(side * rate >= RATE, round(LASTING / truth.dt)), side * rate >= SLACK * RATE
+        turns = [segment for segment in segments if segment.kind == name]
+        counted = [one for one in turns if abs(one.rate) >= RATE and one.end - one.begin >= LASTING]
+        met, listed = _within(time, turns), _within(time, counted)
         counts.turning += truth.dt * float(true.sum())
-        counts.met += truth.dt * float((true & counted).sum())
+        counts.met += truth.dt * float((true & met).sum())
         counts.listed += truth.dt * float(listed.sum())
-        counts.true += truth.dt * float((listed & (side * rate >= SLACK * RATE)).sum())
+        counts.true += truth.dt * float((listed & slack).sum())
+
+
+def _within(time: Array, segments: Sequence[Segment]) -> NDArray[np.bool_]:
+    """Which times ``(k,)`` lie in any of the segments."""
+    within = np.zeros(len(time), bool)
+    for segment in segments:
+        within |= (time >= segment.begin) & (time <= segment.end)
+    return within
 
 
 def turn_rates(path: Array, dt: float, slowest: float) -> Array:
@@ -133,13 +137,15 @@ def figures(case: Case, counts: Counts, runs: Sequence[Measured]) -> dict[str, o
     truth = runs[0].truth[:, :2]
     z = np.stack([run.truth[:, :2] + run.noise[:, :2] for run in runs])
     least, q = best(z, np.stack([~run.outlier for run in runs]), case.period, case.sigma, truth)
-    rmse, raw = math.sqrt(counts.squared / counts.steps), math.sqrt(counts.raw / counts.fixes)
+    rmse = math.sqrt(counts.squared / counts.steps)
     speed = float(np.median(np.linalg.norm(np.diff(truth, axis=0), axis=1))) / case.period
     return {
         "case": case.name, "kind": case.truth.kind, "name": case.truth.name, "period": case.period,
         "noise": case.noise, "sigma": case.sigma, "runs": len(runs), "steps": len(truth), "speed": speed,
-        "moved": case.truth.moved, "rmse": rmse, "of_raw": rmse / raw,
-        "of_raw_all": math.sqrt(counts.squared_all / counts.steps / (counts.raw_all / counts.fixes)),
+        "moved": case.truth.moved, "rmse": rmse,
+        "of_raw": math.sqrt(counts.squared_there / counts.raw),
+        "of_raw_at_outliers_too": rmse / math.sqrt(counts.raw / counts.fixes),
+        "of_raw_in_space": math.sqrt(counts.squared_all / counts.raw_all),
         "of_best": rmse / least, "best_q": q, "sigma_found": float(np.mean(counts.sigma)),
         "sigma_least": min(counts.sigma), "sigma_most": max(counts.sigma), **shares([counts]),
     }  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import zlib
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -43,14 +42,22 @@ class Measured:
     """A run of a case."""
 
     case: Case
-    time: Array
-    """``(k,)`` seconds."""
-    truth: Array
-    """``(k, d)`` m."""
+    window: NDArray[np.intp]
+    """``(k,)`` which positions of the truth are fixes."""
     noise: Array
     """``(k, d)`` m, of every fix."""
     offset: Array
     """``(k, d)`` of outliers, m; 0 elsewhere."""
+
+    @property
+    def truth(self) -> Array:
+        """``(k, d)`` m."""
+        return self.case.truth.position[self.window]
+
+    @property
+    def time(self) -> Array:
+        """``(k,)`` seconds."""
+        return self.case.truth.dt * (self.window - self.window[0])
 
     @property
     def outlier(self) -> NDArray[np.bool_]:
@@ -72,13 +79,13 @@ def measured(case: Case, steps: int, seed: int) -> Measured | None:
 
     A seed and a name fix the random numbers, so that a case is the same whichever others are run beside it.
     """
-    truth = case.truth.every(case.period, steps)
-    if truth is None:
+    window = case.truth.window(case.period, steps)
+    if window is None:
         return None
     rng = np.random.default_rng([seed, zlib.crc32(case.name.encode())])
-    noise = case.sigma * rng.standard_normal(truth.shape)
-    offset = case.truth.scale * _offsets(rng, *truth.shape)
-    return Measured(case, case.period * np.arange(len(truth)), truth, noise, offset)
+    shape = len(window), case.truth.position.shape[1]
+    noise = case.sigma * rng.standard_normal(shape)
+    return Measured(case, window, noise, case.truth.scale * _offsets(rng, *shape))
 
 
 def _offsets(rng: np.random.Generator, steps: int, dims: int) -> Array:

@@ -20,7 +20,7 @@ def ship(rng: np.random.Generator, seconds: int) -> Array:
         rate, angle = rng.uniform(0.2, 2.5), rng.uniform(20.0, 180.0)
         return angle / rate, rng.choice([-1, 1]) * rate, -1.0, 0.0
 
-    return _moved(rng, seconds, speed, leg, lag=8.0, pull=0.05, gust=0.003)[:, :2]
+    return _moved(rng, seconds, speed, leg, lag=8.0, pull=0.05, gust=0.02)[:, :2]
 
 
 def drone(rng: np.random.Generator, seconds: int) -> Array:

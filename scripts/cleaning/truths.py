@@ -30,6 +30,8 @@ JERK = (0.3, 0.003)
 """Density of the jerk that a smooth truth has, across the ground and in height, m^2/s^5."""
 OWN = 5.0
 """Noise that recorded positions are taken to have when they are made smooth, m."""
+SLOWEST = 10.0
+"""Mean speed below which a piece is no flight, m/s."""
 SHORTEST = 60
 """Fixes of the shortest track."""
 SCALE = 0.02
@@ -51,11 +53,11 @@ class Truth:
     scale: float = 1.0
     """Factor on noise and outliers."""
 
-    def every(self, period: float, steps: int) -> Array | None:
-        """The ``steps`` positions in the middle, every ``period`` seconds; None if there are too few."""
-        part = self.position[:: max(1, round(period / self.dt))]
-        first = max(0, (len(part) - steps) // 2)
-        return part[first : first + steps] if len(part) >= SHORTEST else None
+    def window(self, period: float, steps: int) -> NDArray[np.intp] | None:
+        """Which positions are fixes: ``steps`` of them in the middle, every ``period`` seconds; None if too few."""
+        every = np.arange(0, len(self.position), max(1, round(period / self.dt)))
+        first = max(0, (len(every) - steps) // 2)
+        return every[first : first + steps] if len(every) >= SHORTEST else None
 
 
 def truths(kinds: Sequence[str], most: int, seconds: float, folder: Path | None = None) -> list[Truth]:
@@ -96,10 +98,10 @@ def _flights(kind: str, most: int, seconds: float) -> list[Truth]:
 
 
 def _flight(kind: str, name: str, recording: Recording, seconds: float) -> list[Truth]:
-    """The longest piece of a flight, time stamps mended; empty if it is too short."""
+    """The piece of a flight that goes the farthest, time stamps mended; empty if it is too short or stands."""
     first = Recording(name, recording.time[:FIXES], recording.position[:FIXES], None, {})
-    pieces = sorted(readers.flyable(first), key=lambda piece: piece.time[0] - piece.time[-1])[:1]
-    if not pieces or np.ptp(pieces[0].time) < SHORTEST:
+    pieces = sorted(readers.flyable(first), key=lambda piece: -_flown(piece))[:1]
+    if not pieces or _flown(pieces[0]) < SLOWEST * np.ptp(pieces[0].time) or np.ptp(pieces[0].time) < SHORTEST:
         return []
     time = pieces[0].time - pieces[0].time[0]
     skipped = int(max(0.0, time[-1] - seconds) / 2)
@@ -111,6 +113,11 @@ def _flight(kind: str, name: str, recording: Recording, seconds: float) -> list[
     smooth = _smooth(grid, rough, fixes)
     moved = float(np.sqrt(np.square(smooth - rough)[fixes, :2].mean()))
     return [Truth(kind, name, 1.0, smooth, moved)]
+
+
+def _flown(piece: Recording) -> float:
+    """Metres across the ground."""
+    return float(np.linalg.norm(np.diff(piece.position[:, :2], axis=0), axis=1).sum())
 
 
 def _smooth(grid: Array, rough: Array, fixes: NDArray[np.bool_]) -> Array:

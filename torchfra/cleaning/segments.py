@@ -1,0 +1,105 @@
+"""Manoeuvres of a track: when they begin and end, what they are and how hard."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from torchfra.cleaning.cleaned import Segment
+from torchfra.readers.columns import Array
+
+_LONGEST = 15.0
+"""Seconds over which the rate of change is taken at most."""
+_SURE = 4.0
+"""Standard deviations that the change over a segment must have."""
+
+
+class _Rule(NamedTuple):
+    """When a quantity changes enough."""
+
+    kinds: tuple[str, str]
+    """What it is called when it rises, and when it falls."""
+    noise: float
+    """Standard deviation that its rate may have; the rate is taken over as many seconds as that needs."""
+    low: float
+    high: float
+    """Bounds on the rate at which a segment begins and ends; in between it is half of the segment's own rate."""
+    lasting: float
+    """Least duration, s."""
+    change: float
+    """Least change."""
+
+
+_TURN = _Rule(("left turn", "right turn"), 0.3, 0.3, 1.1, 8.0, 8.0)
+"""Of the direction of flight, degrees."""
+_SPEED = _Rule(("speeding up", "slowing down"), 0.1, 0.1, 0.5, 8.0, 2.0)
+"""m/s."""
+_CLIMB = _Rule(("climbing", "descending"), 0.5, 0.5, 1.0, 10.0, 15.0)
+"""Of the height, m."""
+
+
+def segments(time: Array, mean: Array, covariance: Array) -> tuple[Segment, ...]:
+    """The manoeuvres of a track, by the time at which they begin.
+
+    Direction, speed and height change over a segment by more than what they are unsure of.  A segment begins and ends
+    where the rate of that change passes half of what it is in the segment, or 1.1 deg/s, 0.5 m/s^2 and 1 m/s if that is
+    less.
+
+    Args:
+        time: ``(T,)`` seconds.
+        mean: ``(T, 2 d)`` position and velocity, m and m/s; best if smoothed.
+        covariance: ``(T, 2 d, 2 d)`` of these.
+    """
+    finite = np.isfinite(mean).all(1) & np.isfinite(covariance).all((1, 2))
+    time, mean, covariance = time[finite], mean[finite], covariance[finite]
+    if len(time) < 3:
+        return ()
+    d = mean.shape[1] // 2
+    velocity, spread = mean[:, d : d + 2], covariance[:, d : d + 2, d : d + 2]
+    speed = np.linalg.norm(velocity, axis=1).clip(1e-6)
+    ahead = velocity / speed[:, None]
+    aside = np.stack([-ahead[:, 1], ahead[:, 0]], 1)
+    along, across = (np.sqrt(np.einsum("ti,tij,tj->t", u, spread, u)) for u in (ahead, aside))
+    heading = np.degrees(np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0])))
+    found = [*_changes(time, heading, np.degrees(across / speed).clip(max=180.0), _TURN)]
+    found += _changes(time, speed, along, _SPEED)
+    if d == 3:
+        found += _changes(time, mean[:, 2], np.sqrt(covariance[:, 2, 2]), _CLIMB)
+    return tuple(sorted(found))
+
+
+def _changes(time: Array, value: Array, std: Array, rule: _Rule) -> Iterator[Segment]:
+    """Segments in which a value ``(T,)`` of which ``std (T,)`` is known rises or falls."""
+    at = np.sort(np.concatenate([time, (time[1:] + time[:-1]) / 2]))
+    unsure = np.interp(at, time, std)
+    half = (math.sqrt(2) * unsure / rule.noise).clip(np.median(np.diff(time)), _LONGEST) / 2
+    before, after = (at - half).clip(time[0]), (at + half).clip(max=time[-1])
+    rate = (np.interp(after, time, value) - np.interp(before, time, value)) / (after - before)
+    for side, kind in zip((1, -1), rule.kinds, strict=True):
+        for first, last in _above(at, side * rate, rule.low):
+            inside = side * rate[(at >= first) & (at <= last)]
+            edge = min(max(float(np.quantile(inside, 0.75)) / 2, rule.low), rule.high)
+            for begin, end in _above(at, side * rate, edge):
+                if begin < first or end > last:
+                    continue
+                change = float(np.diff(np.interp([begin, end], time, value))[0])
+                sure = _SURE * math.hypot(*np.interp([begin, end], time, std))
+                if end - begin >= rule.lasting and side * change >= max(rule.change, sure):
+                    yield Segment(begin, end, kind, change / (end - begin))
+
+
+def _above(at: Array, rate: Array, edge: float) -> list[tuple[float, float]]:
+    """Begin and end of each stretch in which a rate ``(T,)`` is above the edge, between the steps by a line."""
+    over = np.concatenate([[False], rate > edge, [False]])
+    turns = np.flatnonzero(over[1:] != over[:-1])
+    times = []
+    for i in turns:
+        if i == 0 or i == len(at):
+            times.append(float(at[min(i, len(at) - 1)]))
+        else:
+            share = (edge - rate[i - 1]) / (rate[i] - rate[i - 1])
+            times.append(float(at[i - 1] + share * (at[i] - at[i - 1])))
+    return list(zip(times[::2], times[1::2], strict=True))
