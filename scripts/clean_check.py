@@ -35,7 +35,7 @@ from typing import Any
 from cleaning.bounds import verdicts
 from cleaning.figures import Counts, add, figures
 from cleaning.measured import Case, Measured, measured
-from cleaning.show import bounds_table, table
+from cleaning.show import bounds_table, cases_table, table
 from cleaning.truths import KINDS, truths
 from torchfra.app.atomic_write import write_json
 from torchfra.app.command import Failures, add_json_option, add_quiet_option, check_files, exit_status, make_parser
@@ -85,12 +85,20 @@ def check(options: argparse.Namespace) -> None:
     found, seconds = judged(clean, cases, options)
     failures = Failures()
     if not options.quiet:
-        print(f"{table(found)}\n\n{bounds_table(found)}\n\n{seconds:.0f} s of cleaning", flush=True)
+        lines = f"{cases_table(found)}\n\n" if options.cases else ""
+        print(f"{lines}{table(found)}\n\n{bounds_table(found)}\n\n{seconds:.0f} s of cleaning", flush=True)
     if options.json is not None:
         head = {name: getattr(options, name) for name in ("kinds", "flights", "steps", "runs", "seed", "clean")}
         with failures.of("json"):
             write_json(options.json, {**head, "seconds": seconds, "versions": versions(), "bounds": verdicts(found),
                                       "cases": found})  # fmt: skip
+    if options.plot is not None:
+        from cleaning.picture import picture  # matplotlib takes long to import
+        from torchfra.app import plotting
+
+        title = f"{len(found)} cases of {options.runs} runs, seed {options.seed}; green is what must be reached"
+        with failures.of("plot"):
+            plotting.save(picture(found, title), options.plot)
     failures.end()
 
 

@@ -35,6 +35,18 @@ def table(cases: Sequence[Figures]) -> str:
     return text_table(header, rows)
 
 
+def cases_table(cases: Sequence[Figures]) -> str:
+    """A line for each case."""
+    columns = {"of raw": "of_raw", "of best CV": "of_best", "outliers P": "outlier_precision", "R": "outlier_recall",
+               "sigma": "sigma_found", "turns P": "turn_precision", "R ": "turn_recall", "68 %": "band_68",
+               "95 %": "band_95"}  # fmt: skip
+    rows = [
+        [case["case"], *("" if case[name] is None else f"{case[name]:.3f}" for name in columns.values())]
+        for case in cases
+    ]
+    return text_table(["case", *columns], rows)
+
+
 def bounds_table(cases: Sequence[Figures]) -> str:
     """A line for each period and bound."""
     rows = [

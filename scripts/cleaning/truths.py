@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,8 +30,8 @@ JERK = (0.3, 0.003)
 """Density of the jerk that a smooth truth has, across the ground and in height, m^2/s^5."""
 OWN = 5.0
 """Noise that recorded positions are taken to have when they are made smooth, m."""
-SLOWEST = 10.0
-"""Mean speed below which a piece is no flight, m/s."""
+SLOWEST = 3.0
+"""Speed below which nothing flies, m/s."""
 SHORTEST = 60
 """Fixes of the shortest track."""
 SCALE = 0.02
@@ -98,26 +98,28 @@ def _flights(kind: str, most: int, seconds: float) -> list[Truth]:
 
 
 def _flight(kind: str, name: str, recording: Recording, seconds: float) -> list[Truth]:
-    """The piece of a flight that goes the farthest, time stamps mended; empty if it is too short or stands."""
+    """The longest stretch of a flight without a stop or a gap, time stamps mended; empty if it is short."""
     first = Recording(name, recording.time[:FIXES], recording.position[:FIXES], None, {})
-    pieces = sorted(readers.flyable(first), key=lambda piece: -_flown(piece))[:1]
-    if not pieces or _flown(pieces[0]) < SLOWEST * np.ptp(pieces[0].time) or np.ptp(pieces[0].time) < SHORTEST:
+    stretches = [stretch for piece in readers.flyable(first) for stretch in _moving(piece)]
+    time, position = max(stretches, key=lambda stretch: np.ptp(stretch[0]), default=(np.zeros(1), np.zeros((1, 3))))
+    if np.ptp(time) < SHORTEST:
         return []
-    time = pieces[0].time - pieces[0].time[0]
-    skipped = int(max(0.0, time[-1] - seconds) / 2)
-    grid = skipped + np.arange(int(min(time[-1], seconds)) + 1.0)
-    rough = hermite(time, pieces[0].position, grid)
-    near = np.unique(np.round(time - skipped).astype(int))  # grid points within half a second of a fix
-    fixes = np.zeros(len(grid), bool)
-    fixes[near[(near >= 0) & (near < len(grid))]] = True
+    time = time - time[0] - int(max(0.0, np.ptp(time) - seconds) / 2)
+    grid = np.arange(int(min(np.ptp(time), seconds)) + 1.0)
+    rough = hermite(time, position, grid)
+    near = np.unique(np.round(time).astype(int))  # grid points within half a second of a fix
+    fixes = np.isin(np.arange(len(grid)), near)
     smooth = _smooth(grid, rough, fixes)
     moved = float(np.sqrt(np.square(smooth - rough)[fixes, :2].mean()))
     return [Truth(kind, name, 1.0, smooth, moved)]
 
 
-def _flown(piece: Recording) -> float:
-    """Metres across the ground."""
-    return float(np.linalg.norm(np.diff(piece.position[:, :2], axis=0), axis=1).sum())
+def _moving(piece: Recording) -> Iterator[tuple[Array, Array]]:
+    """Times and positions of each stretch in which it is faster than ``SLOWEST``."""
+    speed = np.linalg.norm(np.diff(piece.position[:, :2], axis=0), axis=1) / np.diff(piece.time)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (speed >= SLOWEST).astype(int), [0]])))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        yield piece.time[begin : end + 1], piece.position[begin : end + 1]
 
 
 def _smooth(grid: Array, rough: Array, fixes: NDArray[np.bool_]) -> Array:
