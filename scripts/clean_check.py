@@ -37,6 +37,7 @@ from cleaning.figures import Counts, add, figures
 from cleaning.measured import Case, Measured, measured
 from cleaning.show import bounds_table, cases_table, table
 from cleaning.truths import KINDS, truths
+
 from torchfra.app.atomic_write import write_json
 from torchfra.app.command import Failures, add_json_option, add_quiet_option, check_files, exit_status, make_parser
 from torchfra.app.evaluate import versions
@@ -94,6 +95,7 @@ def check(options: argparse.Namespace) -> None:
                                       "cases": found})  # fmt: skip
     if options.plot is not None:
         from cleaning.picture import picture  # matplotlib takes long to import
+
         from torchfra.app import plotting
 
         title = f"{len(found)} cases of {options.runs} runs, seed {options.seed}; green is what must be reached"
@@ -102,9 +104,7 @@ def check(options: argparse.Namespace) -> None:
     failures.end()
 
 
-def judged(
-    clean: Cleaner, cases: Sequence[Case], options: argparse.Namespace
-) -> tuple[list[dict[str, Any]], float]:
+def judged(clean: Cleaner, cases: Sequence[Case], options: argparse.Namespace) -> tuple[list[dict[str, Any]], float]:
     """Figures of all cases that have enough fixes, and the seconds that cleaning took."""
     seeds = range(options.seed, options.seed + options.runs)
     runs: list[Measured] = [

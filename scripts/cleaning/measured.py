@@ -89,7 +89,7 @@ def measured(case: Case, steps: int, seed: int) -> Measured | None:
 
 
 def _offsets(rng: np.random.Generator, steps: int, dims: int) -> Array:
-    """Outliers ``(steps, dims)`` of any direction; half of them come in bursts, and half of these all have one offset."""
+    """Outliers ``(steps, dims)`` of any direction, half of them in bursts, of which every second one has one offset."""
     offset, low, high = np.zeros((steps, dims)), *np.log(SIZES)
     mean = sum(range(LENGTHS[0], LENGTHS[1] + 1)) / (LENGTHS[1] - LENGTHS[0] + 1)
     single, burst = SHARE / 2, SHARE / 2 / mean
@@ -102,7 +102,9 @@ def _offsets(rng: np.random.Generator, steps: int, dims: int) -> Array:
     step = 0
     while step < steps:
         chance = rng.random()
-        length = 1 if chance < single else int(rng.integers(LENGTHS[0], LENGTHS[1] + 1)) if chance < single + burst else 0
+        length = (
+            1 if chance < single else int(rng.integers(LENGTHS[0], LENGTHS[1] + 1)) if chance < single + burst else 0
+        )
         if length:
             drawn = draw(1) if length > 1 and rng.random() < 0.5 else draw(length)
             offset[step : step + length] = np.broadcast_to(drawn, (length, dims))[: steps - step]

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
 import numpy as np
 
 from torchfra.readers.columns import Array
@@ -10,52 +14,74 @@ _FINE = 5
 """Steps of a second in which they are moved."""
 
 
+class Leg(NamedTuple):
+    """What a target does until the next leg."""
+
+    seconds: float
+    rate: float = 0.0
+    """Deg/s to the left."""
+    speed: float | None = None
+    """M/s; None for that of the leg before."""
+    climb: float = 0.0
+    """M/s."""
+
+
+class Handling(NamedTuple):
+    """How a target follows what it is meant to do."""
+
+    lag: float
+    """Seconds that turns and climbs take to set in."""
+    pull: float
+    """Most that the speed changes, m/s^2."""
+    gust: float
+    """Root of the density of noise in the acceleration, m/s^1.5."""
+
+
 def ship(rng: np.random.Generator, seconds: int) -> Array:
-    """Positions ``(seconds + 1, 2)``, m: 3 to 11 m/s, legs of minutes, and turns of 0.2 to 2.5 deg/s that set in slowly."""
-    speed = rng.uniform(3.0, 11.0)
+    """Positions ``(seconds + 1, 2)``, m: 3 to 11 m/s, legs of minutes, turns of 0.2 to 2.5 deg/s that set in slowly."""
 
-    def leg() -> tuple[float, float, float, float]:
+    def leg() -> Leg:
         if rng.random() < 0.5:
-            return rng.uniform(60.0, 400.0), 0.0, rng.uniform(3.0, 11.0) if rng.random() < 0.3 else -1.0, 0.0
-        rate, angle = rng.uniform(0.2, 2.5), rng.uniform(20.0, 180.0)
-        return angle / rate, rng.choice([-1, 1]) * rate, -1.0, 0.0
+            return Leg(rng.uniform(60.0, 400.0), speed=rng.uniform(3.0, 11.0) if rng.random() < 0.3 else None)
+        return _turn(rng, rng.uniform(0.2, 2.5), rng.uniform(20.0, 180.0))
 
-    return _moved(rng, seconds, speed, leg, lag=8.0, pull=0.05, gust=0.02)[:, :2]
+    return _moved(rng, seconds, rng.uniform(3.0, 11.0), leg, Handling(8.0, 0.05, 0.02))[:, :2]
 
 
 def drone(rng: np.random.Generator, seconds: int) -> Array:
-    """Positions ``(seconds + 1, 3)``, m: 4 to 15 m/s, legs of half a minute, turns of 3 to 20 deg/s, climbs of 3 m/s."""
-    speed = rng.uniform(4.0, 15.0)
+    """Positions ``(seconds + 1, 3)``, m: 4 to 15 m/s, legs of half a minute, turns of 3 to 20 deg/s, climbs."""
 
-    def leg() -> tuple[float, float, float, float]:
+    def leg() -> Leg:
         what = rng.random()
         if what < 0.5:
-            return rng.uniform(15.0, 60.0), 0.0, rng.uniform(4.0, 15.0) if rng.random() < 0.3 else -1.0, 0.0
+            return Leg(rng.uniform(15.0, 60.0), speed=rng.uniform(4.0, 15.0) if rng.random() < 0.3 else None)
         if what < 0.65:
-            return rng.uniform(8.0, 20.0), 0.0, -1.0, rng.uniform(-3.0, 3.0)
-        rate, angle = rng.uniform(3.0, 20.0), rng.uniform(40.0, 270.0)
-        return angle / rate, rng.choice([-1, 1]) * rate, -1.0, 0.0
+            return Leg(rng.uniform(8.0, 20.0), climb=rng.uniform(-3.0, 3.0))
+        return _turn(rng, rng.uniform(3.0, 20.0), rng.uniform(40.0, 270.0))
 
-    return _moved(rng, seconds, speed, leg, lag=1.0, pull=1.0, gust=0.05)
+    return _moved(rng, seconds, rng.uniform(4.0, 15.0), leg, Handling(1.0, 1.0, 0.05))
 
 
-def _moved(rng, seconds, speed, leg, *, lag, pull, gust):  # type: ignore[no-untyped-def]
+def _turn(rng: np.random.Generator, rate: float, angle: float) -> Leg:
+    """A turn by so many degrees, to either side."""
+    return Leg(angle / rate, float(rng.choice([-1, 1])) * rate)
+
+
+def _moved(rng: np.random.Generator, seconds: int, speed: float, legs: Callable[[], Leg], handling: Handling) -> Array:
     """Positions ``(seconds + 1, 3)`` of a target whose turn rate, speed and climb follow what each leg wants."""
-    heading, rate, climb, wanted_speed = rng.uniform(-180.0, 180.0), 0.0, 0.0, speed
-    position, left, dt = np.zeros(3), 0.0, 1 / _FINE
-    path = np.empty((seconds + 1, 3))
-    wanted_rate = wanted_climb = 0.0
-    for step in range(seconds * _FINE + 1):
-        if step % _FINE == 0:
-            path[step // _FINE] = position
+    heading, rate, climb, wanted = rng.uniform(-math.pi, math.pi), 0.0, 0.0, speed
+    leg, left, dt = Leg(0.0), 0.0, 1 / _FINE
+    lag, pull, gust = handling
+    velocity = np.empty((seconds * _FINE, 3))
+    for step in range(len(velocity)):
         if left <= 0:
-            left, wanted_rate, new, wanted_climb = leg()
-            wanted_speed = new if new > 0 else wanted_speed
-        rate += (wanted_rate - rate) * dt / lag
-        climb += (wanted_climb - climb) * dt / lag
-        speed += np.clip(wanted_speed - speed, -pull, pull) * dt + gust * np.sqrt(dt) * rng.standard_normal()
-        heading += rate * dt + np.degrees(gust / max(speed, 1.0)) * np.sqrt(dt) * rng.standard_normal()
-        angle = np.radians(heading)
-        position = position + dt * np.array([speed * np.cos(angle), speed * np.sin(angle), climb])
+            leg = legs()
+            left, wanted = leg.seconds, wanted if leg.speed is None else leg.speed
         left -= dt
-    return path
+        rate += (leg.rate - rate) * dt / lag
+        climb += (leg.climb - climb) * dt / lag
+        along, across = gust * math.sqrt(dt) * rng.standard_normal(2)
+        speed += min(max(wanted - speed, -pull), pull) * dt + along
+        heading += math.radians(rate) * dt + across / speed
+        velocity[step] = speed * math.cos(heading), speed * math.sin(heading), climb
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(velocity * dt, axis=0)])[::_FINE]

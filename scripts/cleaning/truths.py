@@ -1,4 +1,4 @@
-"""Tracks that count as the truth: recorded flights made smooth, simulated ships and drones, and paths that were walked."""
+"""Tracks that are known: recorded flights made smooth, simulated ships and drones, and paths that were walked."""
 
 from __future__ import annotations
 
@@ -76,7 +76,9 @@ def truths(kinds: Sequence[str], most: int, seconds: float, folder: Path | None 
             found += [] if folder is None else [_walked(place) for place in readers.range_folders(folder)][:most]
         else:
             make = ship if kind == "ships" else drone
-            found += [Truth(kind, f"{kind}-{i}", 1.0, make(np.random.default_rng(i), int(seconds))) for i in range(most)]
+            found += [
+                Truth(kind, f"{kind}-{i}", 1.0, make(np.random.default_rng(i), int(seconds))) for i in range(most)
+            ]
     return found
 
 
