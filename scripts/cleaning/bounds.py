@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from statistics import median
+from statistics import fmean, median
 from typing import Any, NamedTuple
 
 Figures = dict[str, Any]
@@ -51,7 +51,7 @@ def _at(values: dict[float, float], period: float) -> float:
 
 
 def verdicts(cases: Sequence[Figures]) -> list[dict[str, Any]]:
-    """For each period and bound: in how many cases it holds, all of them together, and the worst case."""
+    """For each period and bound: in how many cases it holds, their mean and median, and the worst case."""
     found = []
     for period in sorted({case["period"] for case in cases}):
         here = [case for case in cases if case["period"] == period]
@@ -63,9 +63,11 @@ def verdicts(cases: Sequence[Figures]) -> list[dict[str, Any]]:
             worst = max(values, key=lambda name: _off(values[name], bound))
             held = sum(bound.holds(value) for value in values.values())
             passed = bound.holds(middle) if bound.middle else held == len(values)
-            found.append({"period": period, "bound": bound.name, "low": bound.low, "high": bound.high,
-                          "cases": len(values), "held": held, "median": middle, "worst": values[worst],
-                          "worst_case": worst, "passed": passed})  # fmt: skip
+            found.append({
+                "period": period, "bound": bound.name, "low": bound.low, "high": bound.high, "cases": len(values),
+                "held": held, "mean": fmean(values.values()), "median": middle, "worst": values[worst],
+                "worst_case": worst, "passed": passed,
+            })  # fmt: skip
     return found
 
 

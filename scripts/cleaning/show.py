@@ -50,12 +50,13 @@ def cases_table(cases: Sequence[Figures]) -> str:
 def bounds_table(cases: Sequence[Figures]) -> str:
     """A line for each period and bound."""
     rows = [
-        [f"{of['period']:g} s", of["bound"], f"{of['low']:.3g} to {of['high']:.3g}", f"{of['median']:.3f}",
-         f"{of['worst']:.3f}", f"{of['held']} of {of['cases']}", "met" if of["passed"] else "MISSED", of["worst_case"]]
+        [f"{of['period']:g} s", of["bound"], f"{of['low']:.3g} to {of['high']:.3g}",
+         *(f"{of[name]:.3f}" for name in ("mean", "median", "worst")), f"{of['held']} of {of['cases']}",
+         "met" if of["passed"] else "MISSED", of["worst_case"]]
         for of in verdicts(cases)
     ]  # fmt: skip
-    header = ["period", "asked", "bounds", "median", "worst", "held in", "", "worst case"]
-    return text_table(header, rows, align="<<<>>><<")
+    header = ["period", "asked", "bounds", "mean", "median", "worst", "held in", "", "worst case"]
+    return text_table(header, rows, align="<<<>>>><<")
 
 
 def _middle_and_worst(here: Sequence[Figures], figure: str) -> tuple[str, str]:

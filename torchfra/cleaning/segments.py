@@ -31,9 +31,11 @@ class _Rule(NamedTuple):
     """Least duration, s."""
     change: float
     """Least change."""
+    unsure: float = math.inf
+    """Standard deviation from which on the quantity is not known at all."""
 
 
-_TURN = _Rule(("left turn", "right turn"), 0.3, 0.3, 1.1, 8.0, 8.0)
+_TURN = _Rule(("left turn", "right turn"), 0.3, 0.3, 1.1, 8.0, 8.0, 25.0)
 """Of the direction of flight, degrees."""
 _SPEED = _Rule(("speeding up", "slowing down"), 0.1, 0.1, 0.5, 8.0, 2.0)
 """m/s."""
@@ -78,6 +80,7 @@ def _changes(time: Array, value: Array, std: Array, rule: _Rule) -> Iterator[Seg
     half = (math.sqrt(2) * unsure / rule.noise).clip(np.median(np.diff(time)), _LONGEST) / 2
     before, after = (at - half).clip(time[0]), (at + half).clip(max=time[-1])
     rate = (np.interp(after, time, value) - np.interp(before, time, value)) / (after - before)
+    rate[unsure > rule.unsure] = 0.0
     for side, kind in zip((1, -1), rule.kinds, strict=True):
         for first, last in _above(at, side * rate, rule.low):
             inside = side * rate[(at >= first) & (at <= last)]
