@@ -11,9 +11,9 @@ import numpy as np
 from torchfra.cleaning.cleaned import Segment
 from torchfra.readers.columns import Array
 
-_LONGEST = 15.0
+_LONGEST = 10.0
 """Seconds over which the rate of change is taken at most."""
-_SURE = 4.0
+_SURE = 3.0
 """Standard deviations that the change over a segment must have."""
 
 
@@ -35,7 +35,7 @@ class _Rule(NamedTuple):
     """Standard deviation from which on the quantity is not known at all."""
 
 
-_TURN = _Rule(("left turn", "right turn"), 0.3, 0.3, 1.1, 8.0, 8.0, 25.0)
+_TURN = _Rule(("left turn", "right turn"), 0.5, 0.3, 1.5, 8.0, 8.0, 40.0)
 """Of the direction of flight, degrees."""
 _SPEED = _Rule(("speeding up", "slowing down"), 0.1, 0.1, 0.5, 8.0, 2.0)
 """m/s."""
@@ -47,7 +47,7 @@ def segments(time: Array, mean: Array, covariance: Array) -> tuple[Segment, ...]
     """The manoeuvres of a track, by the time at which they begin.
 
     Direction, speed and height change over a segment by more than what they are unsure of.  A segment begins and ends
-    where the rate of that change passes half of what it is in the segment, or 1.1 deg/s, 0.5 m/s^2 and 1 m/s if that is
+    where the rate of that change passes half of what it is in the segment, or 1.5 deg/s, 0.5 m/s^2 and 1 m/s if that is
     less.
 
     Args:
@@ -82,27 +82,26 @@ def _changes(time: Array, value: Array, std: Array, rule: _Rule) -> Iterator[Seg
     rate = (np.interp(after, time, value) - np.interp(before, time, value)) / (after - before)
     rate[unsure > rule.unsure] = 0.0
     for side, kind in zip((1, -1), rule.kinds, strict=True):
-        for first, last in _above(at, side * rate, rule.low):
-            inside = side * rate[(at >= first) & (at <= last)]
-            edge = min(max(float(np.quantile(inside, 0.75)) / 2, rule.low), rule.high)
-            for begin, end in _above(at, side * rate, edge):
-                if begin < first or end > last:
-                    continue
+        for part in _above(side * rate, rule.low):
+            there, fast = at[part], side * rate[part]
+            edge = min(max(float(np.quantile(fast, 0.75)) / 2, rule.low), rule.high)
+            for piece in _above(fast, edge):
+                begin, end = _crossings(there[piece], fast[piece], edge)
                 change = float(np.diff(np.interp([begin, end], time, value))[0])
                 sure = _SURE * math.hypot(*np.interp([begin, end], time, std))
                 if end - begin >= rule.lasting and side * change >= max(rule.change, sure):
                     yield Segment(begin, end, kind, change / (end - begin))
 
 
-def _above(at: Array, rate: Array, edge: float) -> list[tuple[float, float]]:
-    """Begin and end of each stretch in which a rate ``(T,)`` is above the edge, between the steps by a line."""
-    over = np.concatenate([[False], rate > edge, [False]])
-    turns = np.flatnonzero(over[1:] != over[:-1])
-    times = []
-    for i in turns:
-        if i == 0 or i == len(at):
-            times.append(float(at[min(i, len(at) - 1)]))
-        else:
-            share = (edge - rate[i - 1]) / (rate[i] - rate[i - 1])
-            times.append(float(at[i - 1] + share * (at[i] - at[i - 1])))
-    return list(zip(times[::2], times[1::2], strict=True))
+def _above(rate: Array, edge: float) -> Iterator[slice]:
+    """Each stretch in which a rate ``(T,)`` is above the edge, with the neighbours that are not."""
+    turns = np.flatnonzero(np.diff(np.concatenate([[False], rate > edge, [False]])))
+    for first, last in zip(turns[::2], turns[1::2], strict=True):
+        yield slice(max(first - 1, 0), last + 1)
+
+
+def _crossings(at: Array, rate: Array, edge: float) -> tuple[float, float]:
+    """When a rate ``(k,)`` is at the edge first and last, between the outermost two of its times by a line."""
+    begin = at[0] if rate[0] > edge else np.interp(edge, rate[:2], at[:2])
+    end = at[-1] if rate[-1] > edge else np.interp(edge, rate[:-3:-1], at[:-3:-1])
+    return float(begin), float(end)
