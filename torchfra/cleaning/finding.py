@@ -104,7 +104,8 @@ def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor) -> Ten
     left, middle, right = (total.gather(0, (best + k).unsqueeze(0))[0] for k in (-1, 0, 1))
     bend = (left - 2 * middle + right).clamp_max(-1e-3)
     place = best + (0.5 * (left - right) / bend).clamp(-1.0, 1.0)
-    return (sigma[0] * (sigma[1] / sigma[0]) ** place).clamp_min(LEAST_SIGMA)
+    likely: Tensor = (sigma[0] * (sigma[1] / sigma[0]) ** place).clamp_min(LEAST_SIGMA)
+    return likely
 
 
 def _looked_at(fixes: Fixes, owner: Tensor) -> Tensor:

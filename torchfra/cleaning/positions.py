@@ -18,7 +18,7 @@ from torchfra.cleaning.kinds import KINDS
 from torchfra.cleaning.ladder import Fixes, merged
 from torchfra.readers.columns import Array
 
-_CORE, _OVERLAP = 768, 128
+_CORE, _OVERLAP = 256, 64
 """Steps of a row, and those that it shares with its neighbours on either side."""
 _FEW = 60
 """Fixes from which on a track has a sigma of its own; others of a batch are looked at together."""
@@ -74,12 +74,13 @@ def answers(tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings) -
     z, gap, std = padded([tracks[row.track].part(row.begin, row.end) for row in rows])
     owner = _owners([row.track for row in rows], [int((steps.row >= 0).sum()) for steps in tracks])
     period = torch.tensor([period_of(tracks[row.track]) for row in rows], dtype=torch.float64)
-    parts = []
+    parts: list[Part] = []
     for axes, hardest in ((slice(0, 2), "acceleration"), (slice(2, 3), "climb"))[: z.shape[-1] - 1]:
         most = torch.tensor([getattr(KINDS[kinds[row.track]], hardest) for row in rows], dtype=torch.float64)
         levels = levels_up_to(most, period) if settings.q is None else levels_around(settings.q, most, period)
-        variance = std[..., axes].square().mean(-1).T
-        fixes = Fixes(z[..., axes].permute(1, 2, 0), gap.T, variance, torch.zeros_like(variance))
+        variance = std[..., axes].square().mean(-1).T.contiguous()
+        z_axes = z[..., axes].permute(1, 2, 0).contiguous()
+        fixes = Fixes(z_axes, gap.T.contiguous(), variance, torch.zeros_like(variance))
         least = _LEAST_OF_HEIGHT * parts[0].sigma if parts else torch.zeros_like(most)
         sigma = first_sigma(fixes, levels, owner) if settings.sigma is None else torch.full_like(most, settings.sigma)
         parts.append(Part(fixes, levels, sigma.maximum(least), least))
@@ -132,18 +133,8 @@ def _joined(
 
         first = own[0][0]
         height = float(parts[1].sigma[first]) if len(parts) == 2 else math.nan
-        found.append(
-            Answer(
-                whole(mean),
-                whole(covariance),
-                whole(nis),
-                whole(outlier),
-                whole(manoeuvre),
-                float(parts[0].sigma[first]),
-                height,
-                float(q[first]),
-            )
-        )
+        arrays = whole(mean), whole(covariance), whole(nis), whole(outlier), whole(manoeuvre)
+        found.append(Answer(*arrays, float(parts[0].sigma[first]), height, float(q[first])))
     return found
 
 
