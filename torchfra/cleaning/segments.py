@@ -35,9 +35,9 @@ class _Rule(NamedTuple):
     """Standard deviation from which on the quantity is not known at all."""
 
 
-_TURN = _Rule(("left turn", "right turn"), 0.5, 0.3, 1.5, 8.0, 8.0, 40.0)
+_TURN = _Rule(("left turn", "right turn"), 0.5, 0.3, 1.5, 2.0, 15.0, 25.0)
 """Of the direction of flight, degrees."""
-_SPEED = _Rule(("speeding up", "slowing down"), 0.1, 0.1, 0.5, 8.0, 2.0)
+_SPEED = _Rule(("speeding up", "slowing down"), 0.1, 0.1, 0.5, 4.0, 2.0)
 """m/s."""
 _CLIMB = _Rule(("climbing", "descending"), 0.5, 0.5, 1.0, 10.0, 15.0)
 """Of the height, m."""
