@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.cleaning.ladder import Ahead, Belief, Doubt, Fixes, Levels, _corrected, look_ahead, merged, redrawn
+from torchfra.cleaning.ladder import USUAL, Ahead, Belief, Doubt, Fixes, Levels, corrected, look_ahead, merged, redrawn
 
 
 class Smoothed(NamedTuple):
@@ -27,7 +27,7 @@ class Smoothed(NamedTuple):
     """``(T, B)`` expected squared error per axis of a fix, if it is clean, m^2."""
 
 
-def both_ways(fixes: Fixes, levels: Levels, doubt: Doubt = Doubt()) -> Smoothed:
+def both_ways(fixes: Fixes, levels: Levels, doubt: Doubt = USUAL) -> Smoothed:
     """Smoothed estimates: the filter runs forward and, on the same fixes in reverse, backward, in one batch.
 
     A motion at constant velocity that white noise disturbs is the same in either direction, and so is the chain of
@@ -47,7 +47,7 @@ def both_ways(fixes: Fixes, levels: Levels, doubt: Doubt = Doubt()) -> Smoothed:
     return settled(belief, log_weights, fixes, doubt, ahead)
 
 
-def filtered(ahead: Ahead, fixes: Fixes, doubt: Doubt = Doubt()) -> Smoothed:
+def filtered(ahead: Ahead, fixes: Fixes, doubt: Doubt = USUAL) -> Smoothed:
     """What the fixes up to each step say of it."""
     return settled(ahead.belief, ahead.log_weights, fixes, doubt, ahead)
 
@@ -64,7 +64,7 @@ def settled(belief: Belief, log_weights: Tensor, fixes: Fixes, doubt: Doubt, ahe
     """
     missing = fixes.missing.unsqueeze(1)
     z = fixes.z.movedim(1, 0).unsqueeze(2)
-    clean, log_density = _corrected(belief, z, fixes.variance.unsqueeze(1), missing, doubt)
+    clean, log_density = corrected(belief, z, fixes.variance.unsqueeze(1), missing, doubt)
     share = torch.stack([1 - ahead.dirty, ahead.dirty]).log().unsqueeze(2)
     fit = (log_weights + log_density).logsumexp(2)
     share[1] = share[1] + fixes.odds.unsqueeze(1)

@@ -15,8 +15,12 @@ _COARSE, _FINE = 8, 1.2
 """Standard deviations that are tried at first, each half of the one before; and the ratio of those tried later."""
 LEAST_SIGMA = 0.01
 """Least standard deviation that is found, m: fixes that repeat have none."""
-_STEPS = 200
-"""Of each track that are looked at for the first guess."""
+_LARGER = 4.0
+"""Exponent of the prior of sigma: where a track leaves it open, what looks like noise is taken for noise."""
+_MANY, _COST = 0.12, 20.0
+"""Share of outliers from which on sigma is taken to be too small, and what each of them then costs."""
+_STEPS, _ROWS = 200, 2
+"""Of each track that are looked at for sigma: steps of a row, and rows."""
 _FEW = 10.0
 """Fixes that shares of levels are worth before any was seen."""
 _SLOWEST, _MOST = 1e-5, 8
@@ -35,6 +39,8 @@ class Part(NamedTuple):
     levels: Levels
     sigma: Tensor
     """``(B,)`` m."""
+    least: Tensor
+    """``(B,)`` that sigma is, m."""
 
     @property
     def scaled(self) -> Fixes:
@@ -49,6 +55,13 @@ def levels_up_to(acceleration: Tensor, period: Tensor) -> Levels:
     q = _SLOWEST * (top / _SLOWEST) ** place
     lasting = _LASTING[0] * (_LASTING[1] / _LASTING[0]) ** place
     return Levels(q, torch.full_like(q, -math.log(_MOST)), lasting.expand_as(q))
+
+
+def levels_around(q: float, acceleration: Tensor, period: Tensor) -> Levels:
+    """The levels of ``levels_up_to``, with shares that fall to either side of a density that is told, m^2/s^3."""
+    levels = levels_up_to(acceleration, period)
+    far = (levels.q / max(q, _SLOWEST)).log() / math.log(10.0)
+    return levels._replace(log_share=(-0.5 * far.square()).log_softmax(0))
 
 
 def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor) -> Tensor:
@@ -73,20 +86,37 @@ def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor) -> Ten
         owner: ``(B,)`` numbers; rows of the same one have one standard deviation.
         sigma: that are tried.
     """
-    part, count = Fixes(*(x[:_STEPS] for x in fixes)), len(sigma)
-    variance = sigma.square() * part.variance.unsqueeze(1)
+    count, looked_at = len(sigma), _looked_at(fixes, owner)
+    part = Fixes(*(x[:_STEPS, ..., looked_at] for x in fixes))
+    variance = sigma[:, looked_at].square() * part.variance.unsqueeze(1)
 
     def repeated(x: Tensor) -> Tensor:
         return x.unsqueeze(-2).expand(*x.shape[:-1], count, x.shape[-1]).flatten(-2)
 
     tried = Fixes(repeated(part.z), repeated(part.gap), variance.flatten(1), repeated(part.odds))
-    found = look_ahead(tried, Levels(*(repeated(x) for x in levels))).log_likelihood.sum(0)
-    total = _summed(found.unflatten(0, (count, -1)), owner)
+    found = look_ahead(tried, Levels(*(repeated(x[:, looked_at]) for x in levels)))
+    seen = (~tried.missing).to(sigma)
+    sums = torch.stack([found.log_likelihood * seen, found.outlier * seen, seen]).sum(1).unflatten(-1, (count, -1))
+    fit, wrong, seen = sums.new_zeros(3, count, int(owner.max()) + 1).index_add(-1, owner[looked_at], sums)[..., owner]
+    too_many = (wrong - _MANY * seen).clamp_min(0.0)
+    total = fit - _COST * too_many + _LARGER * sigma.log()
     best = total.argmax(0).clamp(1, count - 2)
     left, middle, right = (total.gather(0, (best + k).unsqueeze(0))[0] for k in (-1, 0, 1))
     bend = (left - 2 * middle + right).clamp_max(-1e-3)
     place = best + (0.5 * (left - right) / bend).clamp(-1.0, 1.0)
-    return (sigma[0] * (sigma[1] / sigma[0]) ** place).clamp_min(LEAST_SIGMA)
+    likely: Tensor = (sigma[0] * (sigma[1] / sigma[0]) ** place).clamp_min(LEAST_SIGMA)
+    return likely
+
+
+def _looked_at(fixes: Fixes, owner: Tensor) -> Tensor:
+    """Numbers of the rows from which sigma is found: those of each owner with the most fixes."""
+    seen = (~fixes.missing[:_STEPS]).sum(0)
+    chosen = []
+    for i in owner.unique():
+        rows = (owner == i).nonzero()[:, 0]
+        most = len(rows) if i == 0 else _ROWS
+        chosen.append(rows[seen[rows].argsort(descending=True, stable=True)[:most]])
+    return torch.cat(chosen)
 
 
 def _rough(fixes: Fixes, owner: Tensor) -> Tensor:
@@ -143,8 +173,8 @@ def _better(part: Part, known: Smoothed, owner: Tensor, find_sigma: bool, find_q
         share = share + _FEW * levels.log_share.exp()
         levels = levels._replace(log_share=(share / share.sum(0)).log())
     if find_sigma:
-        sigma = finer_sigma(part._replace(levels=levels), owner)
-    return Part(part.fixes, levels, sigma)
+        sigma = finer_sigma(part._replace(levels=levels), owner).maximum(part.least)
+    return part._replace(levels=levels, sigma=sigma)
 
 
 def _summed(values: Tensor, owner: Tensor) -> Tensor:

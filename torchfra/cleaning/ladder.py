@@ -48,6 +48,10 @@ class Doubt(NamedTuple):
         return self.new / (self.new + 1 - self.still)
 
 
+USUAL = Doubt()
+"""How likely outliers are unless told otherwise."""
+
+
 class Levels(NamedTuple):
     """The Markov chain of the process noise: a level stays, or one is drawn anew whatever was before."""
 
@@ -96,11 +100,13 @@ class Ahead(NamedTuple):
     """``(T, J, B)`` logs of the probabilities of the levels."""
     dirty: Tensor
     """``(T, B)`` probability that the fix is an outlier, before it is seen."""
+    outlier: Tensor
+    """``(T, B)`` the same once it is seen."""
     log_likelihood: Tensor
     """``(T, B)`` of each fix."""
 
 
-def look_ahead(fixes: Fixes, levels: Levels, doubt: Doubt = Doubt()) -> Ahead:
+def look_ahead(fixes: Fixes, levels: Levels, doubt: Doubt = USUAL) -> Ahead:
     """The filter: predictions of every step.
 
     After each fix hypotheses are merged to one for each level and for clean and outlier; these two stay apart until the
@@ -110,7 +116,7 @@ def look_ahead(fixes: Fixes, levels: Levels, doubt: Doubt = Doubt()) -> Ahead:
     """
     belief, log_weights = _start(fixes, levels, doubt)
     chain = torch.tensor([[1 - doubt.new, 1 - doubt.still], [doubt.new, doubt.still]], dtype=fixes.z.dtype).log()
-    kept = []
+    kept: list[tuple[Belief, Tensor, Tensor, Tensor, Tensor]] = []
     for z, gap, variance, odds, missing in zip(*fixes, fixes.missing, strict=True):
         if kept:
             mixed, log_weights = redrawn(belief, log_weights, levels, gap.expand(2, -1))
@@ -118,7 +124,7 @@ def look_ahead(fixes: Fixes, levels: Levels, doubt: Doubt = Doubt()) -> Ahead:
         log_dirty = (chain[:, :, None] + log_weights.logsumexp(1)).logsumexp(1)[1]
         of_level = log_weights.logsumexp(0)
         prediction = _pair((log_weights[1] - of_level).exp(), _entry(belief, 0), _entry(belief, 1))
-        clean, log_density = _corrected(belief, z, variance, missing, doubt)
+        clean, log_density = corrected(belief, z, variance, missing, doubt)
         dirtier = torch.stack([torch.zeros_like(odds), odds])[:, None, None]
         joint = chain[:, :, None, None] + dirtier + log_weights + log_density  # (2, 2, J, B): now, before
         log_likelihood = joint.flatten(0, 2).logsumexp(0)
@@ -127,7 +133,7 @@ def look_ahead(fixes: Fixes, levels: Levels, doubt: Doubt = Doubt()) -> Ahead:
         share = (joint[:, 1] - log_weights).exp()
         after = [_pair(share[now], _entry(x, 0), _entry(x, 1)) for now, x in enumerate((clean, belief))]
         belief = Belief(*(torch.stack(pair, -3) for pair in zip(*after, strict=True)))
-        kept.append((prediction, of_level, log_dirty.exp(), torch.where(missing, 0.0, log_likelihood)))
+        kept.append((prediction, of_level, log_dirty.exp(), joint[1].exp().sum((0, 1)), log_likelihood))
     beliefs, *rest = zip(*kept, strict=True)
     parts = [torch.stack(x, 1 if i < 2 else 0) for i, x in enumerate(zip(*beliefs, strict=True))]
     return Ahead(Belief(*parts), *map(torch.stack, rest))
@@ -173,7 +179,7 @@ def _predicted(x: Belief, q: Tensor, gap: Tensor) -> Belief:
     return Belief(x.position + gap * x.velocity, x.velocity, pp, pv + q * (gap**2 / 2), x.vv + q * gap)
 
 
-def _corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, doubt: Doubt) -> tuple[Belief, Tensor]:
+def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, doubt: Doubt) -> tuple[Belief, Tensor]:
     """Beliefs after a clean fix, and the log densities ``(2, ...)`` of a clean one and of an outlier.
 
     An outlier says nothing of the position, and is as large as it takes.
@@ -185,11 +191,11 @@ def _corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, doubt: D
     gain, gain_v = (torch.where(missing, 0.0, c / total) for c in (x.pp, x.pv))
     both = torch.stack([total, wide])
     log_density = torch.where(missing, 0.0, -0.5 * (squared / both + d * (both.log() + _LOG_TWO_PI)))
-    corrected = Belief(
+    after = Belief(
         x.position + gain * residual, x.velocity + gain_v * residual,
         x.pp - gain * x.pp, x.pv - gain * x.pv, x.vv - gain_v * x.pv,
     )  # fmt: skip
-    return corrected, log_density
+    return after, log_density
 
 
 def _residual(x: Belief, z: Tensor, missing: Tensor) -> Tensor:
