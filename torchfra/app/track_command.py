@@ -17,6 +17,7 @@ from torchfra.app.outputs import plan as plans
 from torchfra.app.progress import progress_bar
 from torchfra.catalogue import FILTERS, track_filters
 from torchfra.cleaning import DEFAULT, Cleaned, check_settings, clean_tracks
+from torchfra.kernel.build import CompileError
 from torchfra.readers import Recording
 from torchfra.tables import printable
 
@@ -101,11 +102,11 @@ def run(options: argparse.Namespace) -> None:
     tell, _ = reporters(options.compile, options.quiet)
     for said in dict.fromkeys(said for recording in recordings for said in recording.source.said):
         tell(printable(said))
-    results = _cleaned(recordings, options)
     failures = Failures()
+    results = _cleaned(recordings, options, failures)
     _write(results, files, options, failures)
     _draw(results, files, options, failures)
-    if options.json is not None:
+    if options.json is not None and results:
         with failures.of("json"):
             write_json(options.json, outputs.metadata(list(results.values()), _settings(options)))
     failures.end()
@@ -115,17 +116,28 @@ def _settings(options: argparse.Namespace) -> dict[str, Any]:
     return {key: getattr(options, key) for key in ("filter", "bank", "sigma", "q", "no_smooth", "dt")}
 
 
-def _cleaned(recordings: Sequence[Recording], options: argparse.Namespace) -> dict[Recording, Cleaned]:
-    """All targets, cleaned at once."""
+def _cleaned(
+    recordings: Sequence[Recording], options: argparse.Namespace, failures: Failures
+) -> dict[Recording, Cleaned]:
+    """All targets cleaned at once; or, where that fails, one after the other, without those that cannot be."""
     tell, fallback = reporters(options.compile, options.quiet)
     entry = FILTERS[options.filter]
     least = WORTHWHILE_OF_BANKS if entry.bank or entry.either else WORTHWHILE
     compile = choose(options.compile, max(len(recording.time) for recording in recordings) >= least, tell)
-    done = clean_tracks(
-        recordings, filter=options.filter, bank=options.bank, sigma=options.sigma, q=options.q,
-        smooth=not options.no_smooth, dt=options.dt, compile=compile, fallback=fallback,
-    )  # fmt: skip
-    return dict(zip(recordings, done, strict=True))
+    settings = {
+        "filter": options.filter, "bank": options.bank, "sigma": options.sigma, "q": options.q,
+        "smooth": not options.no_smooth, "dt": options.dt, "compile": compile, "fallback": fallback,
+    }  # fmt: skip
+    try:
+        return dict(zip(recordings, clean_tracks(recordings, **settings), strict=True))
+    except Exception as error:
+        if len(recordings) == 1 or isinstance(error, CompileError | NotImplementedError):
+            raise
+        found = {}
+        for recording in recordings:
+            with failures.of(printable(recording.name)):
+                (found[recording],) = clean_tracks([recording], **settings)
+        return found
 
 
 def _write(
@@ -136,7 +148,9 @@ def _write(
     for said in _said(list(results.values())):
         tell(printable(said))
     for path, recordings in progress_bar(files.tables.items(), "table", not options.quiet):
-        of = [results[recording] for recording in recordings]
+        of = [results[recording] for recording in recordings if recording in results]
+        if not of:
+            continue
         for cleaned in of:
             tell(f"{outputs.line(cleaned)} -> {printable(str(path))}")
         with failures.of(printable(of[0].recording.name if len(of) == 1 else path.name)):
@@ -173,11 +187,12 @@ def _draw(
         from torchfra.app import plotting  # matplotlib takes long to import
 
         for recording, path in progress_bar(files.pictures.items(), "picture", not options.quiet):
-            with failures.of(printable(recording.name)):
-                plotting.save(plotting.cleaned(results[recording]), path)
-        if files.overview is not None:
+            if (cleaned := results.get(recording)) is not None:
+                with failures.of(printable(recording.name)):
+                    plotting.save(plotting.cleaned(cleaned), path)
+        if files.overview is not None and results:
             with failures.of("overview"):
                 plotting.save(plotting.overview(list(results.values())), files.overview)
-    if options.html is not None:
+    if options.html is not None and results:
         with failures.of("html"):
             page.write(list(results.values()), options.html)

@@ -15,6 +15,8 @@ from torchfra.readers.recording import Recording
 
 _MOST_STEPS = 10**7
 """Of a grid between fixes."""
+_SHORT, _MOST_FIXES = 100, 100_000
+"""Fixes by which tracks of one batch may always differ, and those of all in a batch."""
 
 
 class Steps(NamedTuple):
@@ -28,6 +30,11 @@ class Steps(NamedTuple):
     """``(T,)`` which fix it is; -1 between fixes."""
     std: Array
     """``(T, d)`` what the file says of each fix's standard deviation per axis, m; 1 where it says nothing."""
+
+    def part(self, begin: int, end: int) -> Steps:
+        """The steps from one to before another."""
+        cut = slice(begin, end)
+        return Steps(self.time[cut], self.raw[cut], self.row[cut], self.std[cut])
 
 
 def steps_of(recording: Recording, dt: float | None = None) -> Steps:
@@ -70,13 +77,21 @@ def padded(several: Sequence[Steps]) -> tuple[Tensor, Tensor, Tensor]:
     return z, gaps, std
 
 
-def groups(recordings: Sequence[Recording], size: int) -> list[list[int]]:
-    """Numbers of the recordings that are one batch: of the same dimensions and similar length."""
-    together = []
-    for d in sorted({recording.position.shape[1] for recording in recordings}):
-        part = [i for i, recording in enumerate(recordings) if recording.position.shape[1] == d]
-        part.sort(key=lambda i: len(recordings[i].time))
-        together += [part[i : i + size] for i in range(0, len(part), size)]
+def groups(recordings: Sequence[Recording]) -> list[list[int]]:
+    """Numbers of the recordings that are one batch: of the same dimensions, and at most twice as long as the shortest.
+
+    A batch is also bounded in all, so that its memory is.
+    """
+    together: list[list[int]] = []
+    count = 0
+    for i in sorted(range(len(recordings)), key=lambda i: recordings[i].position.shape[::-1]):
+        length, d = recordings[i].position.shape
+        first = recordings[together[-1][0]].position.shape if together else (0, 0)
+        count += length
+        if d != first[1] or length > 2 * first[0] + _SHORT or count > _MOST_FIXES:
+            together.append([])
+            count = length
+        together[-1].append(i)
     return together
 
 

@@ -78,8 +78,10 @@ def _draw_rows(axes: Axes, rows: list[dict[str, Any]], colours: dict[str, str], 
     known = values[np.isfinite(values) & (values > 0)]
     low, high = (known.min(), known.max()) if len(known) else (1.0, 10.0)
     axes.set(xscale="log", xlim=(low / 1.2, high * 1.2), ylim=(-0.6, len(rows) - 0.4), xlabel="m")
-    some = "" if len(rows) == count else f"the {len(rows)} with most rejected; "
-    axes.set_title(f"{some}fixes moved: median (dot) to most; | how sure; rejected", fontsize=10)
+    some = "" if len(rows) == count else f"the {len(rows)} with most rejected\n"
+    axes.set_title(f"{some}fixes moved: median (dot), most (line); | how sure", fontsize=10)
+    axes.annotate("rejected", (1.0, 1.0), (4, 4), xycoords="axes fraction", textcoords="offset points", color=RED,
+                  ha="center", fontsize=SIZE - 1)  # fmt: skip
     axes.tick_params(axis="y", length=0)
     plain_ticks(axes.xaxis)
     axes.grid(axis="x", alpha=0.25)
