@@ -1,4 +1,4 @@
-"""Parquet and Feather (Arrow) files, read batch by batch and only the columns that are wanted."""
+"""Parquet and Feather (Arrow) files, read batch by batch; a batch is the least that is in memory."""
 
 from __future__ import annotations
 
