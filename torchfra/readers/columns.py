@@ -153,7 +153,7 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
 
         def instant(cell: Any) -> float:
             if not isinstance(cell, str):
-                return _instant(cell, kind)
+                return number(cell) if kind.form == "iso" else _instant(cell, kind)
             if cell not in known:
                 known[cell] = _instant(cell, kind)
             return known[cell]

@@ -25,6 +25,8 @@ _ALTITUDES_IN_FEET = {"altitude", "alt", "altbaro", "altgeom"}
 """Of aircraft, as these send them; OpenSky has baroaltitude and geoaltitude in metres."""
 
 
+_PLAIN = (str, int, float, np.generic)
+"""What cells are that are neither missing nor nested."""
 _LENGTHS = {1.0: "metres", METRES["ft"]: "feet", 1e-3: "millimetres"}
 _WHOLE = re.compile(r"[+-]?[0-9]+")
 _AUTOPILOT = 1e-7
@@ -149,20 +151,22 @@ def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
 
 def _counts(name: str, head: Head) -> bool:
     """Whether a column numbers the rows instead of naming targets."""
+    if plain(name) not in COUNTERS:
+        return False
     cells = _texts(head, [name])
-    return plain(name) in COUNTERS and len(set(cells)) == len(cells) > 2
+    return len(set(cells)) == len(cells) > 2
 
 
 def _texts(head: Head, names: Sequence[str]) -> list[str]:
     """The cells of the first of these columns that are text or numbers."""
     cells = head.cells(names[0]) if names else []
-    return [str(cell).strip() for cell in cells if isinstance(cell, str | int | float | np.generic)]
+    return [str(cell).strip() for cell in cells if isinstance(cell, _PLAIN)]
 
 
 def _is_whole(head: Head, name: str | None, digits: int) -> bool:
     """Whether a column has whole numbers, one of at least so many digits."""
-    texts = [] if name is None else [text for text in _texts(head, [name]) if text]
-    return all(map(_WHOLE.fullmatch, texts)) and any(len(text) >= digits for text in texts)
+    texts = [] if name is None else [*filter(None, _texts(head, [name]))]
+    return max(map(len, texts), default=0) >= digits and all(map(_WHOLE.fullmatch, texts))
 
 
 def _length(columns: Mapping[str, str], told: Told, word: str, head: Head) -> float:

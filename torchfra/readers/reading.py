@@ -108,9 +108,8 @@ def _recording(target: Target, layout: Layout, origin: Origin | None) -> Recordi
     """A target in metres."""
     place, height = target.place, target.height
     if origin is not None:
-        position = to_enu(place[:, 0], place[:, 1], origin[2] if height is None else height, origin)[
-            :, : 2 if height is None else 3
-        ]
+        position = to_enu(place[:, 0], place[:, 1], origin[2] if height is None else height, origin)
+        position = position if height is not None else position[:, :2]
     else:
         position = place if height is None else np.column_stack([place, height])
     return Recording(

@@ -7,6 +7,7 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -115,7 +116,8 @@ def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int) -> 
     pair = None
     if sheet.names and first is not None:
         cells = first[1]
-        head = Head(sheet.names, lambda name: cells(name)[:_HEAD], sheet.said, sheet.commas, sheet.json)
+        begin = cache(lambda name: cells(name)[:_HEAD])
+        head = Head(sheet.names, begin, sheet.said, sheet.commas, sheet.json)
         if (pair := pair_of(head)) is not None:
             names = [*(name for name in sheet.names if name != pair), "latitude", "longitude"]
             said = (*sheet.said, f"latitude, longitude: both in {pair}")
