@@ -169,6 +169,8 @@ def cell_filters(
         if FILTERS[name].listed and name not in known:
             raise ValueError(f"filters: expected some that go with {cell}, received {name}")
     competing = [name for name in known if others is None or name in others]
+    if not set(competing).difference(names):
+        raise ValueError(f"others: expected some that go with {cell} beside those compared, received {others}")
     filters = scenario_filters(list(dict.fromkeys([*competing, *names])), scenario)
     for path, name in learned.items():
         filters[path] = learned_filter(path, scenario, name, models=not own_models)
