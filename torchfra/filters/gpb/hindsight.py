@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.filters.gpb.merging import log_share, together
+from torchfra.filters.gpb.qualities import entry
 from torchfra.filters.gpb.regimes import Regimes, in_front
 from torchfra.filters.hindsight import inside
 from torchfra.filters.imm import for_each_model
@@ -106,8 +107,7 @@ def _retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
     joint = joint + after.log_weights.movedim(-2, 0)[:, None, ..., None, :]
     log_weights = joint.logsumexp((0, -1))  # (was, ..., R)
     share = regimes.of_motion(joint.transpose(-1, -2)).movedim((-2, -1), (0, 2))  # (R, now, motion was, was, ...)
-    share = share - share.logsumexp((0, 1), keepdim=True)
-    told = moment_match(Gaussian(*(x.flatten(0, 1) for x in each)), share.flatten(0, 1))  # (motion was, was, ...)
+    told = moment_match(Gaussian(*(x.flatten(0, 1) for x in each)), log_share(share.flatten(0, 1)))
     told = Gaussian(told.mean.movedim(0, -2), told.scale_tril.movedim(0, -3))
     clean, dirty = tree.unbind(inside(before, told), 2)
     return GPBPast(clean, dirty, log_weights.movedim(0, -2), past.outlier, past.far)
@@ -134,7 +134,7 @@ def _predicted(f: Any, ahead: Carried, far: Tensor, log_weights: Tensor) -> Gaus
     """
     regimes, first = f.regimes, f.regimes.count
     levels = regimes.predictions(*ahead[:3])
-    agile: Gaussian = tree.map_tensors(lambda x: x[first - 1], levels)
+    agile = entry(levels, first - 1)
     jumped, others = regimes.jumped(agile, far, f.motion.position), regimes.motions - 1
     share = log_weights.movedim(-1, 1)  # (now, R, was, ...)
 
