@@ -22,9 +22,9 @@ class Segment(NamedTuple):
     """Seconds since the first fix."""
     end: float
     kind: str
-    """``"left turn"``, ``"right turn"``, ``"speeding up"``, ``"slowing down"``, ``"climbing"``, ..."""
+    """``"left turn"``, ``"right turn"``, ``"speeding up"``, ``"slowing down"``, ``"climbing"``, ``"descending"``."""
     rate: float
-    """How hard: deg/s of a turn, counter-clockwise positive; m/s^2 of a change of speed or climb."""
+    """How hard: deg/s of a turn, counter-clockwise positive; m/s^2 of a change of speed; m/s of a climb."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """How targets move."""
 
-from torchfra.motion.bank import Bank, Embedded, aircraft
+from torchfra.motion.bank import Bank, Embedded, aircraft, people, ships, vehicles
 from torchfra.motion.base import Adaptation, Motion
 from torchfra.motion.correlated import CurrentStatistical, Singer, WhiteJerk
 from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
@@ -20,4 +20,7 @@ __all__ = [
     "Spherical",
     "WhiteJerk",
     "aircraft",
+    "people",
+    "ships",
+    "vehicles",
 ]

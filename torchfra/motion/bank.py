@@ -168,7 +168,7 @@ class Embedded(Motion):
         return self.into.to(dt) @ self.inside.process_noise(dt)
 
 
-def aircraft(q: Value = 4.0, dims: int = 2) -> Bank:
+def aircraft(q: Value = 4.0, dims: int = 2, *, spectral: bool = False) -> Bank:
     """Seven motions for aircraft and gliders: straight on, accelerating, turns of 3 and 12 deg/s to both sides.
 
     The current statistical model, of up to 1 g, stands for every manoeuvre that the others do not describe.  Where only
@@ -177,12 +177,36 @@ def aircraft(q: Value = 4.0, dims: int = 2) -> Bank:
     Args:
         q: variance of the acceleration noise, m^2/s^4; straight flight has a fortieth.
         dims: dimensions of space.
+        spectral: whether ``q`` is the density of white noise, m^2/s^3; that of the jerk is a hundredth, m^2/s^5.
     """
-    turns = [CoordinatedTurn(math.radians(side * rate), q, dims, orders=3) for rate in (3.0, 12.0) for side in (1, -1)]
+    return _manoeuvring((3.0, 12.0), 9.8, q, dims, spectral)
+
+
+def ships(q: Value = 0.01, dims: int = 2, *, spectral: bool = False) -> Bank:
+    """The motions of ``aircraft`` for ships: turns of 0.5 and 2 deg/s, up to 0.5 m/s^2."""
+    return _manoeuvring((0.5, 2.0), 0.5, q, dims, spectral)
+
+
+def vehicles(q: Value = 2.0, dims: int = 2, *, spectral: bool = False) -> Bank:
+    """The motions of ``aircraft`` for vehicles and drones: turns of 8 and 25 deg/s, up to 6 m/s^2."""
+    return _manoeuvring((8.0, 25.0), 6.0, q, dims, spectral)
+
+
+def people(q: Value = 0.5, dims: int = 2, *, spectral: bool = False) -> Bank:
+    """The motions of ``aircraft`` for people: turns of 20 and 60 deg/s, up to 3 m/s^2."""
+    return _manoeuvring((20.0, 60.0), 3.0, q, dims, spectral)
+
+
+def _manoeuvring(rates: Sequence[float], limit: float, q: Value, dims: int, spectral: bool) -> Bank:
+    turns = [
+        CoordinatedTurn(math.radians(side * rate), q, dims, orders=3, spectral=spectral)
+        for rate in rates
+        for side in (1, -1)
+    ]
     models = [
-        ConstantVelocity(q / 40, dims, orders=3),
-        ConstantAcceleration(q, dims),
-        CurrentStatistical(1 / 20, 9.8, dims=dims),
+        ConstantVelocity(q / 40, dims, orders=3, spectral=spectral),
+        ConstantAcceleration(q / 100 if spectral else q, dims, spectral=spectral),
+        CurrentStatistical(1 / 20, limit, dims=dims),
         *turns,
     ]
     neighbours = ((2, 3, 4), (2, 0), (3, 4, 1), (5, 2, 0), (6, 2, 0), (3, 2), (4, 2))

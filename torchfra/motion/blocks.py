@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from functools import lru_cache
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
@@ -40,3 +43,39 @@ def acceleration_gain(dt: Tensor, variance: Tensor, powers: Sequence[int], dims:
     """
     gain = taylor(dt, torch.tensor(powers, device=dt.device))
     return per_axis((variance.sqrt().unsqueeze(-1) * gain).unsqueeze(-1), dims)
+
+
+def white_root(dt: Tensor, density: Tensor, orders: int, dims: int) -> Tensor:
+    """Root ``(..., orders dims, orders dims)`` of what white noise on the highest of so many derivatives leaves.
+
+    The noise of this density drives it for ``dt``.  What it leaves in a derivative follows from when it came as a
+    power of the time since; the columns are these powers in normalised Legendre polynomials.
+    """
+
+    def share(k: int, j: int) -> float:  # of the power k in polynomial j
+        if j > k:
+            return 0.0
+        return math.sqrt(2 * j + 1) * math.factorial(k) / (math.factorial(k - j) * math.factorial(k + j + 1))
+
+    powers = range(orders - 1, -1, -1)
+    unit = torch.tensor([[share(k, j) for j in range(orders)] for k in powers], dtype=dt.dtype, device=dt.device)
+    power = torch.tensor(powers, device=dt.device) + 0.5
+    scale = (density.sqrt() * torch.ones_like(dt)).unsqueeze(-1) * dt.unsqueeze(-1) ** power
+    return per_axis(scale.unsqueeze(-1) * unit, dims)
+
+
+def gauss_legendre(like: Tensor) -> tuple[Tensor, Tensor]:
+    """Nodes and weights of 20 points on [0, 1]."""
+    at, weight = (torch.tensor(x, dtype=like.dtype, device=like.device) for x in _gauss_legendre())
+    return at, weight
+
+
+@lru_cache(maxsize=1)
+def _gauss_legendre() -> tuple[list[float], list[float]]:
+    at, weight = np.polynomial.legendre.leggauss(20)
+    return ((at + 1) / 2).tolist(), (weight / 2).tolist()
+
+
+def zero_rows(root: Tensor, size: int) -> Tensor:
+    """``(..., a, r)`` with rows of zeros below, up to ``size``."""
+    return pad(root, (0, 0, 0, size - root.shape[-2]))

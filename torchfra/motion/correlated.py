@@ -6,9 +6,7 @@ States ``[position, velocity, acceleration]``, ``da/dt = -alpha (a - level) + pr
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.distributions import constraints
@@ -16,7 +14,7 @@ from torch.distributions import constraints
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Adaptation, Motion
-from torchfra.motion.blocks import per_axis, scaled_per_axis
+from torchfra.motion.blocks import gauss_legendre, per_axis, scaled_per_axis
 from torchfra.motion.polynomial import ConstantAcceleration
 
 
@@ -33,9 +31,8 @@ class WhiteJerk(ConstantAcceleration):
     Source: Bar-Shalom, Li & Kirubarajan (2001), section 6.2.3.
     """
 
-    def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., n, n)`` for ``dt (...)``."""
-        return scaled_per_axis(self.q(dt).sqrt(), white_noise_root(torch.zeros_like(dt), dt), self.dims)
+    def __init__(self, q: Value, dims: int = 2) -> None:
+        super().__init__(q, dims, spectral=True)
 
 
 class Singer(Motion):
@@ -122,7 +119,7 @@ class CurrentStatistical(Singer):
 
 def white_noise_root(alpha: Tensor, dt: Tensor) -> Tensor:
     """Root of the process noise of one axis, ``(..., 3, 3)``, for white noise of density 1 on the acceleration."""
-    at, weight = (torch.tensor(x, dtype=dt.dtype, device=dt.device) for x in _gauss_legendre())
+    at, weight = gauss_legendre(dt)
     alpha, dt = torch.broadcast_tensors(alpha, dt)
     columns = torch.stack(_response(alpha.unsqueeze(-1), dt.unsqueeze(-1) * at), -2)
     return tria(columns * dt.sqrt()[..., None, None] * weight.sqrt())
@@ -145,10 +142,3 @@ def _exponential_quotients(x: Tensor) -> tuple[Tensor, Tensor]:
     for k in range(15, -1, -1):
         series = [s * near + 1 / math.factorial(k + order) for s, order in zip(series, (1, 2), strict=True)]
     return torch.where(small, series[0], one), torch.where(small, series[1], (one - 1) / safe)
-
-
-@lru_cache(maxsize=1)
-def _gauss_legendre() -> tuple[list[float], list[float]]:
-    """Nodes and weights of 20 points on [0, 1]."""
-    at, weight = np.polynomial.legendre.leggauss(20)
-    return ((at + 1) / 2).tolist(), (weight / 2).tolist()

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
 from torchfra.hyper import Value
 from torchfra.motion.base import Motion
-from torchfra.motion.blocks import acceleration_gain, per_axis, taylor, zero_padded
+from torchfra.motion.blocks import acceleration_gain, per_axis, taylor, white_root, zero_padded, zero_rows
 
 
 class _Polynomial(Motion):
@@ -28,16 +27,19 @@ class ConstantVelocity(_Polynomial):
     """Constant velocity, disturbed by accelerations: states ``[position, velocity]``.
 
     Args:
-        q: variance of the acceleration noise, m^2/s^4.
+        q: variance of the acceleration noise, m^2/s^4; of a spectral one its density, m^2/s^3.
         dims: dimensions of space.
         orders: 3 for states with an acceleration, which is 0 after each step: the form that interacting models share.
+        spectral: whether the acceleration is white noise in time, so that two short steps are the same as a long one,
+            and not constant over each step.
 
     Raises:
         ValueError: ``dims`` below 1, ``q`` below 0, ``orders`` neither 2 nor 3.
     """
 
-    def __init__(self, q: Value, dims: int = 2, *, orders: int = 2) -> None:
+    def __init__(self, q: Value, dims: int = 2, *, orders: int = 2, spectral: bool = False) -> None:
         super().__init__(dims, check_orders(orders), q)
+        self.spectral = spectral
 
     def transition(self, dt: Tensor) -> Tensor:
         """``F (..., n, n)`` for ``dt (...)``."""
@@ -45,26 +47,34 @@ class ConstantVelocity(_Polynomial):
         return zero_padded(matrix[..., : 2 * self.dims, : 2 * self.dims], self.size)
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., n, dims)``: ``sqrt(q) [dt^2/2; dt; 0]``."""
+        """``S_Q (..., n, dims)``: ``sqrt(q) [dt^2/2; dt; 0]``; of a density ``(..., n, 2 dims)``."""
+        if self.spectral:
+            return zero_rows(white_root(dt, self.q(dt), 2, self.dims), self.size)
         root = acceleration_gain(dt, self.q(dt), (2, 1), self.dims)
-        return pad(root, (0, 0, 0, self.size - 2 * self.dims))
+        return zero_rows(root, self.size)
 
 
 class ConstantAcceleration(_Polynomial):
     """Constant acceleration, disturbed: states ``[position, velocity, acceleration]``.
 
     Args:
-        q: variance of the change of acceleration per step, m^2/s^4.
+        q: variance of the change of acceleration per step, m^2/s^4; of a spectral one the density of the jerk, m^2/s^5.
         dims: dimensions of space.
+        spectral: whether the jerk is white noise in time, so that two short steps are the same as a long one.
 
     Raises:
         ValueError: ``dims`` below 1, ``q`` below 0.
 
-    Source: Wang et al. (2021), eqs. (1)-(4).
+    Source: Wang et al. (2021), eqs. (1)-(4); Bar-Shalom, Li & Kirubarajan (2001), section 6.2, for spectral ones.
     """
 
-    def __init__(self, q: Value, dims: int = 2) -> None:
+    def __init__(self, q: Value, dims: int = 2, *, spectral: bool = False) -> None:
         super().__init__(dims, 3, q)
+        self.spectral = spectral
+
+    def process_noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., n, dims)``: ``sqrt(q) [dt^2/2; dt; 1]``; of a density ``(..., n, n)``."""
+        return white_root(dt, self.q(dt), 3, self.dims) if self.spectral else super().process_noise(dt)
 
 
 def check_orders(orders: int) -> int:

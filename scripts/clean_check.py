@@ -1,0 +1,142 @@
+"""How well recorded tracks are cleaned, where the truth is known.
+
+    python scripts/clean_check.py --json out/clean.json --plot out/clean.png
+    python scripts/clean_check.py --runs 2 --flights 3 --steps 200 --periods 5 --noises 15
+    python scripts/clean_check.py --kinds gliders,drones --clean package.module:function
+
+Truth: recorded flights of the package traffic, their time stamps mended and their paths made smooth, on a grid of one
+second; ships and drones that are simulated; and the paths of recorded ranges where a folder of them is given: as they
+were walked, noise and outliers are a fiftieth and periods an eighth, and turns, which are corners, not asked for.
+Every truth is measured at each period and noise as often as there are runs: Gaussian noise, and 3 % of the fixes
+outliers of 100 m to 10 km, half of them in bursts.  A case is a truth at a period and noise.  Its figures, over all
+runs:
+
+- the error across the ground (root mean square) at the fixes that are no outliers over that of these fixes as they are;
+- the error at all fixes over that of a smoother of constant velocity that is told sigma and the outliers, and whose
+  process noise is the one that makes its error least;
+- precision of flagged outliers, and recall of those beyond 6 sigma;
+- sigma found over the true one, the mean over the runs;
+- turns of 1.5 deg/s or more for 10 s or more: the share of their time that is in a segment to that side, and the share
+  of the listed ones' time in which the truth turns that way by half of that or more;
+- the share of true coordinates within the 68 % and 95 % bands.
+
+What must be reached is asked of every case.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from cleaning.bounds import verdicts
+from cleaning.figures import Counts, add, figures
+from cleaning.measured import Case, Measured, measured
+from cleaning.show import bounds_table, cases_table, table
+from cleaning.truths import KINDS, truths
+
+from torchfra.app.atomic_write import write_json
+from torchfra.app.command import Failures, add_json_option, add_quiet_option, check_files, exit_status, make_parser
+from torchfra.app.evaluate import versions
+from torchfra.app.progress import progress_bar
+from torchfra.cleaning import Cleaned
+from torchfra.readers.recording import Recording
+
+Cleaner = Callable[[Sequence[Recording]], Sequence[Cleaned]]
+TOGETHER = 64
+"""Recordings that are handed over at once."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Prints the tables; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    return exit_status("clean_check", lambda: check(parser().parse_args(arguments)))
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = make_parser(__doc__)
+    p.add_argument("--kinds", metavar="A,B", default=",".join(KINDS), help=f"of {','.join(KINDS)} (default: all)")
+    p.add_argument("--flights", metavar="N", type=int, default=8, help="truths of each kind (default: 8)")
+    p.add_argument("--ranges", metavar="FOLDER", type=Path, help="with recorded ranges and the paths that were walked")
+    p.add_argument("--periods", metavar="S,S", default="1,5,10", help="seconds between fixes (default: 1,5,10)")
+    p.add_argument("--noises", metavar="M,M", default="3,15,30", help="of a fix per axis, m (default: 3,15,30)")
+    p.add_argument("--steps", metavar="K", type=int, default=600, help="most fixes of a track (default: 600)")
+    p.add_argument("--runs", metavar="M", type=int, default=10, help="of each case (default: 10)")
+    p.add_argument("--seed", metavar="S", type=int, default=0, help="of the first run (default: 0)")
+    cleaner = "what cleans: a function of recordings (default: torchfra.cleaning:clean_tracks)"
+    p.add_argument("--clean", metavar="MODULE:NAME", default="torchfra.cleaning:clean_tracks", help=cleaner)
+    p.add_argument("--cases", action="store_true", help="print a line for each case, too")
+    p.add_argument("--plot", type=Path, metavar="FILE", help="PNG: every case against the bounds")
+    add_json_option(p)
+    add_quiet_option(p)
+    return p
+
+
+def check(options: argparse.Namespace) -> None:
+    """Cleans all cases; tables when the last one is done."""
+    periods, noises = (_numbers(name, getattr(options, name)) for name in ("periods", "noises"))
+    module, _, name = options.clean.partition(":")
+    clean: Cleaner = getattr(importlib.import_module(module), name)
+    check_files({"json": options.json, "plot": options.plot})
+    known = truths(options.kinds.split(","), options.flights, max(periods) * options.steps, options.ranges)
+    cases = [Case(truth, period, noise) for period in periods for noise in noises for truth in known]
+    found, seconds = judged(clean, cases, options)
+    failures = Failures()
+    if not options.quiet:
+        lines = f"{cases_table(found)}\n\n" if options.cases else ""
+        print(f"{lines}{table(found)}\n\n{bounds_table(found)}\n\n{seconds:.0f} s of cleaning", flush=True)
+    if options.json is not None:
+        head = {name: getattr(options, name) for name in ("kinds", "flights", "steps", "runs", "seed", "clean")}
+        with failures.of("json"):
+            write_json(options.json, {**head, "seconds": seconds, "versions": versions(), "bounds": verdicts(found),
+                                      "cases": found})  # fmt: skip
+    if options.plot is not None:
+        from cleaning.picture import picture  # matplotlib takes long to import
+
+        from torchfra.app import plotting
+
+        title = f"{len(found)} cases of {options.runs} runs, seed {options.seed}; green is what must be reached"
+        with failures.of("plot"):
+            plotting.save(picture(found, title), options.plot)
+    failures.end()
+
+
+def judged(clean: Cleaner, cases: Sequence[Case], options: argparse.Namespace) -> tuple[list[dict[str, Any]], float]:
+    """Figures of all cases that have enough fixes, and the seconds that cleaning took."""
+    seeds = range(options.seed, options.seed + options.runs)
+    runs: list[Measured] = [
+        run for case in cases for seed in seeds if (run := measured(case, options.steps, seed)) is not None
+    ]
+    counts = {run.case: Counts() for run in runs}
+    seconds, parts = 0.0, range(0, len(runs), TOGETHER)
+    for first in progress_bar(parts, f"{TOGETHER} tracks", not options.quiet):
+        part = runs[first : first + TOGETHER]
+        begin = time.perf_counter()
+        cleaned = clean([run.recording() for run in part])
+        seconds += time.perf_counter() - begin
+        for run, one in zip(part, cleaned, strict=True):
+            add(counts[run.case], run, one)
+    return [figures(case, of, [r for r in runs if r.case is case]) for case, of in counts.items()], seconds
+
+
+def _numbers(name: str, listed: str) -> list[float]:
+    """The numbers in a comma-separated list.
+
+    Raises:
+        ValueError: one that is no number above 0.
+    """
+    try:
+        values = [float(value) for value in listed.split(",")]
+    except ValueError:
+        values = []
+    if not values or not all(0 < value < float("inf") for value in values):
+        raise ValueError(f"{name}: expected numbers above 0, separated by commas, received {listed!r}")
+    return values
+
+
+if __name__ == "__main__":
+    sys.exit(main())

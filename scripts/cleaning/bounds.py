@@ -1,0 +1,78 @@
+"""What must be reached, and in how many cases it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from statistics import fmean, median
+from typing import Any, NamedTuple
+
+Figures = dict[str, Any]
+RATIO = {1.0: 0.6, 5.0: 0.8, 10.0: 1.0}
+"""Most that is left of the error of the raw fixes, by period."""
+OUTLIERS = {1.0: 0.99, 10.0: 0.95}
+"""Least precision and recall of outliers beyond 6 sigma."""
+TURNS, TURNS_UP_TO = 0.9, 5.0
+"""Least precision and recall of the time of turns, up to this period, s."""
+
+
+class Bound(NamedTuple):
+    """What is asked of a figure."""
+
+    name: str
+    figure: str
+    low: float
+    high: float
+    middle: bool = False
+    """Whether it is asked of the median of all cases, and not of each."""
+
+    def holds(self, value: float) -> bool:
+        """Whether this value is within."""
+        return self.low <= value <= self.high
+
+
+def bounds(period: float) -> list[Bound]:
+    """All that is asked at a period; between those that are named, as at the one below."""
+    turns = [Bound(f"{what} of turns", f"turn_{what}", TURNS, 1.0) for what in ("precision", "recall")]
+    return [
+        Bound("error over that of the raw fixes", "of_raw", 0.0, _at(RATIO, period)),
+        Bound("error over the best constant velocity's", "of_best", 0.0, 1.1),
+        Bound("the same, median", "of_best", 0.0, 1.0, middle=True),
+        Bound("precision of outliers", "outlier_precision", _at(OUTLIERS, period), 1.0),
+        Bound("recall of outliers", "outlier_recall", _at(OUTLIERS, period), 1.0),
+        Bound("sigma found over true", "sigma_found", 0.9, 1.1),
+        *(turns if period <= TURNS_UP_TO else []),
+        *[Bound(f"{band} % band", f"band_{band}", band / 100 - 0.03, band / 100 + 0.03) for band in (68, 95)],
+    ]
+
+
+def _at(values: dict[float, float], period: float) -> float:
+    return values[max((known for known in values if known <= period), default=min(values))]
+
+
+def verdicts(cases: Sequence[Figures]) -> list[dict[str, Any]]:
+    """For each period and bound: in how many cases it holds, their mean and median, and the worst case."""
+    found = []
+    for period in sorted({case["period"] for case in cases}):
+        here = [case for case in cases if case["period"] == period]
+        for bound in bounds(period):
+            values = {case["case"]: case[bound.figure] for case in here if case[bound.figure] is not None}
+            if not values:
+                continue
+            middle = median(values.values())
+            worst = max(values, key=lambda name: _off(values[name], bound))
+            held = sum(bound.holds(value) for value in values.values())
+            passed = bound.holds(middle) if bound.middle else held == len(values)
+            found.append({
+                "period": period, "bound": bound.name, "low": bound.low, "high": bound.high, "cases": len(values),
+                "held": held, "mean": fmean(values.values()), "median": middle, "worst": values[worst],
+                "worst_case": worst, "passed": passed,
+            })  # fmt: skip
+    return found
+
+
+def _off(value: float, bound: Bound) -> float:
+    """How far a value is from the middle of what is asked, or from its better end."""
+    ends = (bound.low, bound.high)
+    good = {0.0: 0.0, 1.0: 1.0}.get(ends[0] if ends[0] == 0.0 else ends[1], sum(ends) / 2)
+    return math.inf if math.isnan(value) else abs(value - good)

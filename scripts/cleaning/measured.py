@@ -1,0 +1,112 @@
+"""What is measured of a truth: noise on every fix, and outliers, some of them in bursts."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cleaning.truths import Truth
+from torchfra.readers.columns import Array
+from torchfra.readers.recording import Recording
+
+SHARE, SIZES, LENGTHS = 0.03, (100.0, 10_000.0), (2, 5)
+"""Of the fixes that are outliers, their least and greatest size in m, and of how many fixes bursts are."""
+
+
+class Case(NamedTuple):
+    """A truth, how often it is measured, and with what noise."""
+
+    truth: Truth
+    period: float
+    """Seconds, before the truth's pace."""
+    noise: float
+    """Standard deviation per axis, m, before the truth's scale."""
+
+    @property
+    def name(self) -> str:
+        """Of the case."""
+        return f"{self.truth.kind}/{self.truth.name} {self.period:g} s {self.noise:g} m"
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation per axis, m."""
+        return self.noise * self.truth.scale
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A run of a case."""
+
+    case: Case
+    window: NDArray[np.intp]
+    """``(k,)`` which positions of the truth are fixes."""
+    noise: Array
+    """``(k, d)`` m, of every fix."""
+    offset: Array
+    """``(k, d)`` of outliers, m; 0 elsewhere."""
+
+    @property
+    def truth(self) -> Array:
+        """``(k, d)`` m."""
+        return self.case.truth.position[self.window]
+
+    @property
+    def time(self) -> Array:
+        """``(k,)`` seconds."""
+        return self.case.truth.dt * (self.window - self.window[0])
+
+    @property
+    def outlier(self) -> NDArray[np.bool_]:
+        """``(k,)``."""
+        return np.asarray(self.offset.any(1))
+
+    @property
+    def far(self) -> NDArray[np.bool_]:
+        """``(k,)`` outliers beyond 6 sigma."""
+        return np.asarray(np.linalg.norm(self.offset, axis=1) > 6 * self.case.sigma)
+
+    def recording(self) -> Recording:
+        """As it comes to be cleaned."""
+        return Recording(self.case.name, self.time, self.truth + self.noise + self.offset, None, {})
+
+
+def measured(case: Case, steps: int, seed: int) -> Measured | None:
+    """One run; None if the truth is too short for the period.
+
+    A seed and a name fix the random numbers, so that a case is the same whichever others are run beside it.
+    """
+    window = case.truth.window(case.period, steps)
+    if window is None:
+        return None
+    rng = np.random.default_rng([seed, zlib.crc32(case.name.encode())])
+    shape = len(window), case.truth.position.shape[1]
+    noise = case.sigma * rng.standard_normal(shape)
+    return Measured(case, window, noise, case.truth.scale * _offsets(rng, *shape))
+
+
+def _offsets(rng: np.random.Generator, steps: int, dims: int) -> Array:
+    """Outliers ``(steps, dims)`` of any direction, half of them in bursts, of which every second one has one offset."""
+    offset, low, high = np.zeros((steps, dims)), *np.log(SIZES)
+    mean = sum(range(LENGTHS[0], LENGTHS[1] + 1)) / (LENGTHS[1] - LENGTHS[0] + 1)
+    single, burst = SHARE / 2, SHARE / 2 / mean
+
+    def draw(count: int) -> Array:
+        direction = rng.standard_normal((count, dims))
+        size = np.exp(rng.uniform(low, high, (count, 1)))
+        return np.asarray(size * direction / np.linalg.norm(direction, axis=1, keepdims=True))
+
+    step = 0
+    while step < steps:
+        chance = rng.random()
+        length = (
+            1 if chance < single else int(rng.integers(LENGTHS[0], LENGTHS[1] + 1)) if chance < single + burst else 0
+        )
+        if length:
+            drawn = draw(1) if length > 1 and rng.random() < 0.5 else draw(length)
+            offset[step : step + length] = np.broadcast_to(drawn, (length, dims))[: steps - step]
+        step += max(length, 1)
+    return offset

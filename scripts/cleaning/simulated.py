@@ -1,0 +1,87 @@
+"""Ships and drones: legs of steady turn, speed and climb that follow each other, as of a bank of motions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from torchfra.readers.columns import Array
+
+_FINE = 5
+"""Steps of a second in which they are moved."""
+
+
+class Leg(NamedTuple):
+    """What a target does until the next leg."""
+
+    seconds: float
+    rate: float = 0.0
+    """Deg/s to the left."""
+    speed: float | None = None
+    """M/s; None for that of the leg before."""
+    climb: float = 0.0
+    """M/s."""
+
+
+class Handling(NamedTuple):
+    """How a target follows what it is meant to do."""
+
+    lag: float
+    """Seconds that turns and climbs take to set in."""
+    pull: float
+    """Most that the speed changes, m/s^2."""
+    gust: float
+    """Root of the density of noise in the acceleration, m/s^1.5."""
+
+
+def ship(rng: np.random.Generator, seconds: int) -> Array:
+    """Positions ``(seconds + 1, 2)``, m: 3 to 11 m/s, legs of minutes, turns of 0.2 to 2.5 deg/s that set in slowly."""
+
+    def leg() -> Leg:
+        if rng.random() < 0.5:
+            return Leg(rng.uniform(60.0, 400.0), speed=rng.uniform(3.0, 11.0) if rng.random() < 0.3 else None)
+        return _turn(rng, rng.uniform(0.2, 2.5), rng.uniform(20.0, 180.0))
+
+    return _moved(rng, seconds, rng.uniform(3.0, 11.0), leg, Handling(8.0, 0.05, 0.02))[:, :2]
+
+
+def drone(rng: np.random.Generator, seconds: int) -> Array:
+    """Positions ``(seconds + 1, 3)``, m: 4 to 15 m/s, legs of half a minute, turns of 3 to 20 deg/s, climbs."""
+
+    def leg() -> Leg:
+        what = rng.random()
+        if what < 0.5:
+            return Leg(rng.uniform(15.0, 60.0), speed=rng.uniform(4.0, 15.0) if rng.random() < 0.3 else None)
+        if what < 0.65:
+            return Leg(rng.uniform(8.0, 20.0), climb=rng.uniform(-3.0, 3.0))
+        return _turn(rng, rng.uniform(3.0, 20.0), rng.uniform(40.0, 270.0))
+
+    return _moved(rng, seconds, rng.uniform(4.0, 15.0), leg, Handling(1.0, 1.0, 0.05))
+
+
+def _turn(rng: np.random.Generator, rate: float, angle: float) -> Leg:
+    """A turn by so many degrees, to either side."""
+    return Leg(angle / rate, float(rng.choice([-1, 1])) * rate)
+
+
+def _moved(rng: np.random.Generator, seconds: int, speed: float, legs: Callable[[], Leg], handling: Handling) -> Array:
+    """Positions ``(seconds + 1, 3)`` of a target whose turn rate, speed and climb follow what each leg wants."""
+    heading, rate, climb, wanted = rng.uniform(-math.pi, math.pi), 0.0, 0.0, speed
+    leg, left, dt = Leg(0.0), 0.0, 1 / _FINE
+    lag, pull, gust = handling
+    velocity = np.empty((seconds * _FINE, 3))
+    for step in range(len(velocity)):
+        if left <= 0:
+            leg = legs()
+            left, wanted = leg.seconds, wanted if leg.speed is None else leg.speed
+        left -= dt
+        rate += (leg.rate - rate) * dt / lag
+        climb += (leg.climb - climb) * dt / lag
+        along, across = gust * math.sqrt(dt) * rng.standard_normal(2)
+        speed += min(max(wanted - speed, -pull), pull) * dt + along
+        heading += math.radians(rate) * dt + across / speed
+        velocity[step] = speed * math.cos(heading), speed * math.sin(heading), climb
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(velocity * dt, axis=0)])[::_FINE]

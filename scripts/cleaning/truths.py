@@ -1,0 +1,155 @@
+"""Tracks that are known: recorded flights made smooth, simulated ships and drones, and paths that were walked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cleaning.simulated import drone, ship
+from torchfra import readers
+from torchfra.readers.columns import Array
+from torchfra.readers.grid import hermite
+from torchfra.readers.recording import Recording
+from torchfra.readers.smoothing import smoothed
+
+GROUPS = {
+    "calibration": ("calibration",),
+    "gliders": ("gliders",),
+    "circling": ("tv_relay",),
+    "others": ("surveillance", "military", "ambulances", "surveys", "featured", "onground", "noisy", "collections"),
+}
+"""Kinds of flights, and the folders of the sample package that hold them."""
+KINDS = (*GROUPS, "ships", "drones", "ranges")
+PER_FILE, FIXES = 3, 4000
+"""Most flights of one file, and fixes of each that are looked at."""
+JERK, OWN = (0.3, 0.003), 5.0
+"""Density of the jerk that a smooth flight has, across the ground and in height, m^2/s^5, and its own noise, m."""
+STRIDE, WAVERING = 1.0, 0.02
+"""The same of a path that was walked."""
+SLOWEST = 3.0
+"""Speed below which nothing flies, m/s."""
+SHORTEST = 60
+"""Fixes of the shortest track."""
+SCALE, PACE = 0.02, 0.125
+"""Noise and outliers of a path that was walked, and its periods, as shares of those of the others."""
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """A track that is known."""
+
+    kind: str
+    name: str
+    dt: float
+    """Seconds from one position to the next."""
+    position: Array
+    """``(k, d)`` m."""
+    moved: float = 0.0
+    """By how much the recorded positions were moved to make them smooth, RMS per axis of the ground, m."""
+    scale: float = 1.0
+    """Factor on noise and outliers."""
+    pace: float = 1.0
+    """Factor on periods."""
+
+    def window(self, period: float, steps: int) -> NDArray[np.intp] | None:
+        """Which positions are fixes: ``steps`` of them in the middle, one each period; None if too few."""
+        every = np.arange(0, len(self.position), max(1, round(self.pace * period / self.dt)))
+        first = max(0, (len(every) - steps) // 2)
+        return every[first : first + steps] if len(every) >= SHORTEST else None
+
+
+def truths(kinds: Sequence[str], most: int, seconds: float, folder: Path | None = None) -> list[Truth]:
+    """At most so many of each kind, ``seconds`` long as far as they go.
+
+    Raises:
+        ValueError: an unknown kind.
+    """
+    if unknown := set(kinds) - set(KINDS):
+        raise ValueError(f"kinds: expected some of {', '.join(KINDS)}, received {', '.join(sorted(unknown))}")
+    found: list[Truth] = []
+    for kind in kinds:
+        if kind in GROUPS:
+            found += _flights(kind, most, seconds)
+        elif kind == "ranges":
+            found += [] if folder is None else [_walked(place) for place in readers.range_folders(folder)][:most]
+        else:
+            make = ship if kind == "ships" else drone
+            found += [
+                Truth(kind, f"{kind}-{i}", 1.0, make(np.random.default_rng(i), int(seconds))) for i in range(most)
+            ]
+    return found
+
+
+def _flights(kind: str, most: int, seconds: float) -> list[Truth]:
+    """Flights of this kind, spread evenly over its files."""
+    files = [file for group in GROUPS[kind] for file in readers.samples(group)]
+    found = []
+    for index in np.linspace(0, len(files) - 1, min(most, len(files))).round().astype(int):
+        file = files[index]
+        try:
+            recordings = readers.read(file)
+        except ValueError:
+            continue  # not every sample is a file of tracks
+        longest = sorted(recordings, key=lambda recording: -len(recording.time))
+        for number, recording in enumerate(longest[: 1 if most <= len(files) else PER_FILE]):
+            name = f"{file.name.removesuffix('.json.gz')}-{number}"
+            found += _flight(kind, name, recording, seconds)
+    return found[:most]
+
+
+def _flight(kind: str, name: str, recording: Recording, seconds: float) -> list[Truth]:
+    """The longest stretch of a flight without a stop or a gap, time stamps mended; empty if it is short."""
+    first = Recording(name, recording.time[:FIXES], recording.position[:FIXES], None, {})
+    stretches = [stretch for piece in readers.flyable(first) for stretch in _moving(piece)]
+    time, position = max(stretches, key=lambda stretch: np.ptp(stretch[0]), default=(np.zeros(1), np.zeros((1, 3))))
+    if np.ptp(time) < SHORTEST:
+        return []
+    time = time - time[0] - int(max(0.0, np.ptp(time) - seconds) / 2)
+    grid = np.arange(int(min(np.ptp(time), seconds)) + 1.0)
+    rough = hermite(time, position, grid)
+    near = np.unique(np.round(time).astype(int))  # grid points within half a second of a fix
+    fixes = np.isin(np.arange(len(grid)), near)
+    smooth = _smooth(grid, rough, fixes)
+    moved = _rms(smooth[fixes, :2] - rough[fixes, :2])
+    return [Truth(kind, name, 1.0, smooth, moved)]
+
+
+def _moving(piece: Recording) -> Iterator[tuple[Array, Array]]:
+    """Times and positions of each stretch in which it is faster than ``SLOWEST``."""
+    speed = np.linalg.norm(np.diff(piece.position[:, :2], axis=0), axis=1) / np.diff(piece.time)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (speed >= SLOWEST).astype(int), [0]])))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        yield piece.time[begin : end + 1], piece.position[begin : end + 1]
+
+
+def _smooth(grid: Array, rough: Array, fixes: NDArray[np.bool_]) -> Array:
+    """Positions ``(k, d)`` with steady accelerations, near those at the fixes and free between them."""
+    weight = np.where(fixes, OWN**-2, 0.0)
+    flat = smoothed(grid, rough[:, :2], weight, limit=np.inf, roughness=1 / JERK[0])
+    if rough.shape[1] == 2:
+        return flat
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(rough[:, 2], 30, mode="edge"), 61)
+    spike = np.abs(rough[:, 2] - np.median(around, axis=1)) > 300.0  # an altitude of another aircraft, or none
+    weight = np.where(spike, 0.0, weight)
+    return np.column_stack([flat, smoothed(grid, rough[:, 2:], weight, limit=np.inf, roughness=1 / JERK[1])])
+
+
+def _walked(place: Path) -> Truth:
+    """The reference path of a recording of ranges, on a grid of an eighth of a second."""
+    recording = readers.read_ranges(place)
+    if recording.reference is None:
+        raise ValueError(f"ranges: expected a reference path for each, received none for {place}")
+    time, position = recording.reference.time, recording.reference.position[:, :2]
+    grid = time[0] + 0.125 * np.arange(int(np.ptp(time) / 0.125) + 1)
+    path = np.stack([np.interp(grid, time, axis) for axis in position.T], 1)
+    weight = np.full(len(grid), WAVERING**-2)
+    smooth = smoothed(grid - grid[0], path, weight, limit=np.inf, roughness=1 / STRIDE)
+    return Truth("ranges", "-".join(place.parts[-3:]), 0.125, smooth, _rms(smooth - path), SCALE, PACE)
+
+
+def _rms(moves: Array) -> float:
+    return float(np.sqrt(np.square(moves).mean()))

@@ -1,0 +1,110 @@
+"""Recordings of different lengths as batches: steps at their fixes and between them, padded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torchfra.readers.columns import Array
+from torchfra.readers.recording import Recording
+
+_MOST_STEPS = 10**7
+"""Of a grid between fixes."""
+_SHORT, _MOST_FIXES = 100, 100_000
+"""Fixes by which tracks of one batch may always differ, and those of all in a batch."""
+
+
+class Steps(NamedTuple):
+    """The steps of one recording."""
+
+    time: Array
+    """``(T,)`` seconds since the first fix."""
+    raw: Array
+    """``(T, d)`` positions there, m; NaN between fixes."""
+    row: NDArray[np.int64]
+    """``(T,)`` which fix it is; -1 between fixes."""
+    std: Array
+    """``(T, d)`` what the file says of each fix's standard deviation per axis, m; 1 where it says nothing."""
+
+    def part(self, begin: int, end: int) -> Steps:
+        """The steps from one to before another."""
+        cut = slice(begin, end)
+        return Steps(self.time[cut], self.raw[cut], self.row[cut], self.std[cut])
+
+
+def steps_of(recording: Recording, dt: float | None = None) -> Steps:
+    """The steps at the fixes of a recording; and at every multiple of ``dt`` seconds after the first, if that is given.
+
+    Raises:
+        ValueError: more steps between fixes than anyone can want.
+    """
+    time, position = recording.time - recording.time[0], recording.position
+    count, d = position.shape
+    steps = Steps(time, position, np.arange(count), _std(recording))
+    if dt is None:
+        return steps
+    if time[-1] > _MOST_STEPS * dt:
+        raise ValueError(f"dt: expected at most {_MOST_STEPS:,} steps, received {dt} s in a track of {time[-1]:g} s")
+    regular: Array = dt * np.arange(int(time[-1] / dt) + 1, dtype=np.float64)
+    between = regular[np.abs(regular - time[_nearest(time, regular)]) > 1e-6 * dt]
+    more = len(between)
+    order = np.argsort(np.concatenate([time, between]), kind="stable")
+    return Steps(
+        np.concatenate([time, between])[order],
+        np.concatenate([position, np.full((more, d), np.nan)])[order],
+        np.concatenate([steps.row, np.full(more, -1)])[order],
+        np.concatenate([steps.std, np.ones((more, d))])[order],
+    )
+
+
+def padded(several: Sequence[Steps]) -> tuple[Tensor, Tensor, Tensor]:
+    """Positions ``(B, T, d)``, seconds since the step before ``(B, T)`` and ``std (B, T, d)`` of all as one batch.
+
+    The shorter ones end in NaN.
+    """
+    longest, d = max(len(steps.time) for steps in several), several[0].raw.shape[1]
+    z = torch.full((len(several), longest, d), torch.nan, dtype=torch.float64)
+    gaps, std = torch.ones(z.shape[:2], dtype=torch.float64), torch.ones_like(z)
+    for i, steps in enumerate(several):
+        count = len(steps.time)
+        z[i, :count], std[i, :count] = torch.from_numpy(steps.raw), torch.from_numpy(steps.std)
+        gaps[i, 1:count] = torch.from_numpy(np.diff(steps.time))
+    return z, gaps, std
+
+
+def groups(recordings: Sequence[Recording]) -> list[list[int]]:
+    """Numbers of the recordings that are one batch: of the same dimensions, and at most twice as long as the shortest.
+
+    A batch is also bounded in all, so that its memory is.
+    """
+    together: list[list[int]] = []
+    count = 0
+    for i in sorted(range(len(recordings)), key=lambda i: recordings[i].position.shape[::-1]):
+        length, d = recordings[i].position.shape
+        first = recordings[together[-1][0]].position.shape if together else (0, 0)
+        count += length
+        if d != first[1] or length > 2 * first[0] + _SHORT or count > _MOST_FIXES:
+            together.append([])
+            count = length
+        together[-1].append(i)
+    return together
+
+
+def _std(recording: Recording) -> Array:
+    if recording.sigma is None:
+        return np.ones_like(recording.position)
+    std: Array = np.broadcast_to(recording.sigma.reshape(len(recording.time), -1), recording.position.shape)
+    return std
+
+
+def _nearest(time: Array, at: Array) -> NDArray[np.intp]:
+    if len(time) < 2:
+        return np.zeros(len(at), dtype=np.intp)
+    right = np.searchsorted(time, at).clip(1, len(time) - 1)
+    nearest: NDArray[np.intp] = right - (at - time[right - 1] < time[right] - at)
+    return nearest

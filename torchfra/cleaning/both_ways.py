@@ -1,0 +1,94 @@
+"""Smoothing: what the fixes before a step say of it, and those after it, put together."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra.cleaning.ladder import USUAL, Ahead, Belief, Doubt, Fixes, Levels, corrected, look_ahead, merged, redrawn
+
+
+class Smoothed(NamedTuple):
+    """What all fixes say of every step."""
+
+    belief: Belief
+    """``(T, B)`` behind the axes."""
+    levels: Tensor
+    """``(T, J, B)`` probabilities of the levels of the steps that led there."""
+    outlier: Tensor
+    """``(T, B)`` probability that the fix is one; 0 where there is none."""
+    ahead: Ahead
+    """What the filter said."""
+    evidence: Tensor
+    """``(T, B)`` log of how much likelier this fix is as an outlier."""
+    squared: Tensor
+    """``(T, B)`` expected squared error per axis of a fix, if it is clean, m^2."""
+
+
+def both_ways(fixes: Fixes, levels: Levels, doubt: Doubt = USUAL) -> Smoothed:
+    """Smoothed estimates: the filter runs forward and, on the same fixes in reverse, backward, in one batch.
+
+    A motion at constant velocity that white noise disturbs is the same in either direction, and so is the chain of
+    levels.  So the filter that runs backward gives the likelihood of all later fixes for each level.
+
+    Source: Fraser & Potter (1969) for two filters; Helmick, Blair & Hoffman (1995) for those of interacting models.
+    """
+    doubled = Levels(*(torch.cat([x, x], -1) for x in levels))
+    every = look_ahead(Fixes(*(torch.cat(x, -1) for x in zip(fixes, fixes.backwards(), strict=True))), doubled, doubt)
+    count = fixes.z.shape[-1]
+    ahead = Ahead(Belief(*(x[..., :count] for x in every.belief)), *(x[..., :count] for x in every[1:]))
+    later = Belief(*(x[..., count:].flip(-3) for x in every.belief))
+    later = later._replace(velocity=-later.velocity, pv=-later.pv)
+    later, log_later = redrawn(later, every.log_weights[..., count:].flip(0), levels, fixes.gap)
+    belief, log_fit = _product(ahead.belief, later)
+    log_weights = ahead.log_weights + log_later - levels.log_share + log_fit
+    return settled(belief, log_weights, fixes, doubt, ahead)
+
+
+def filtered(ahead: Ahead, fixes: Fixes, doubt: Doubt = USUAL) -> Smoothed:
+    """What the fixes up to each step say of it."""
+    return settled(ahead.belief, ahead.log_weights, fixes, doubt, ahead)
+
+
+def settled(belief: Belief, log_weights: Tensor, fixes: Fixes, doubt: Doubt, ahead: Ahead) -> Smoothed:
+    """What is known of every step, once its own fix has spoken too.
+
+    Args:
+        belief: ``(T, J, B)`` behind the axes, without that fix.
+        log_weights: ``(T, J, B)`` of the levels.
+        fixes: all of them.
+        doubt: how likely outliers are.
+        ahead: what the filter said.
+    """
+    missing = fixes.missing.unsqueeze(1)
+    z = fixes.z.movedim(1, 0).unsqueeze(2)
+    clean, log_density = corrected(belief, z, fixes.variance.unsqueeze(1), missing, doubt)
+    share = torch.stack([1 - ahead.dirty, ahead.dirty]).log().unsqueeze(2)
+    fit = (log_weights + log_density).logsumexp(2)
+    share[1] = share[1] + fixes.odds.unsqueeze(1)
+    joint = (log_weights + log_density + share).movedim(0, 1)  # (T, 2, J, B)
+    joint = joint - joint.flatten(1, 2).logsumexp(1)[:, None, None]
+    both = Belief(*(torch.stack(x, -3) for x in zip(clean, belief, strict=True)))
+    whole, _ = merged(joint.flatten(1, 2), Belief(*(x.flatten(-3, -2) for x in both)), 1)
+    weight = joint[:, 0]
+    squared = clean.pp + torch.where(missing, 0.0, z - clean.position).square().mean(0)
+    squared = (weight * squared).sum(1) / weight.sum(1)
+    outlier = torch.where(fixes.missing, 0.0, joint[:, 1].exp().sum(1))
+    return Smoothed(whole, joint.exp().sum(1), outlier, ahead, fit[1] - fit[0], squared)
+
+
+def _product(a: Belief, b: Belief) -> tuple[Belief, Tensor]:
+    """Two beliefs of the same state from different data as one, and the log of how well they agree."""
+    pp, pv, vv = a.pp + b.pp, a.pv + b.pv, a.vv + b.vv
+    det = pp * vv - pv.square()
+    ep, ev, d = b.position - a.position, b.velocity - a.velocity, len(a.position)
+    far = (vv * ep.square() - 2 * pv * ep * ev + pp * ev.square()).sum(0) / det
+    gpp, gpv = (a.pp * vv - a.pv * pv) / det, (a.pv * pp - a.pp * pv) / det
+    gvp, gvv = (a.pv * vv - a.vv * pv) / det, (a.vv * pp - a.pv * pv) / det
+    joint = Belief(
+        a.position + gpp * ep + gpv * ev, a.velocity + gvp * ep + gvv * ev,
+        a.pp - gpp * a.pp - gpv * a.pv, a.pv - gpp * a.pv - gpv * a.vv, a.vv - gvp * a.pv - gvv * a.vv,
+    )  # fmt: skip
+    return joint, -0.5 * (far + d * det.log())

@@ -1,0 +1,202 @@
+"""Cleans tracks: the work of ``torchfra track`` and ``torchfra.clean``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import TypeAlias
+
+import numpy as np
+import torch
+
+from torchfra.cleaning.batches import Steps, groups, steps_of
+from torchfra.cleaning.cleaned import Cleaned, Found
+from torchfra.cleaning.flags import flags
+from torchfra.cleaning.kinds import BANKS, check_kind, kind_of
+from torchfra.cleaning.others import GATE, Fallback, estimated, make, manoeuvre_of, outlier_of, regimes_of
+from torchfra.cleaning.positions import REGIMES, Answer, Settings, answers, period_of
+from torchfra.cleaning.segments import segments
+from torchfra.filters import Filter
+from torchfra.kernel.build import CompileError
+from torchfra.motion.bank import Bank
+from torchfra.readers.columns import Array
+from torchfra.readers.recording import Recording
+
+DEFAULT = "gpb"
+"""The filter that is used unless told otherwise."""
+Work: TypeAlias = Callable[[Sequence[Recording]], list[Cleaned]]
+
+
+def clean_tracks(
+    recordings: Sequence[Recording],
+    *,
+    filter: str = DEFAULT,
+    bank: str | Bank | None = None,
+    sigma: float | None = None,
+    q: float | None = None,
+    smooth: bool = True,
+    dt: float | None = None,
+    compile: bool = False,
+    fallback: Fallback | None = None,
+) -> list[Cleaned]:
+    """Recorded tracks, cleaned.
+
+    The default, ``"gpb"`` without a ``Bank`` of your own, weighs levels of process noise and outliers in closed form
+    (``cleaning.ladder``).  Other filters run as the catalogue has them, with the sigma and q that this one has found.
+
+    Args:
+        recordings: from ``torchfra.readers.read``.
+        filter: its name, out of ``catalogue.track_filters()``.
+        bank: of what targets: ``"aircraft"``, ``"ship"``, ``"vehicle"`` or ``"person"``, or a ``Bank`` of your own;
+            None chooses for each target by what the file says or by its speed.
+        sigma: standard deviation of a fix per axis, m; where fixes have their own, a factor on those.  None finds it.
+        q: density of the process noise per second, m^2/s^3.  None finds it.
+        smooth: whether each estimate knows the fixes after it; False is what a filter on line would say.
+        dt: seconds; also estimates at every multiple of it after the first fix, beside those at the fixes.
+        compile: whether filters of the catalogue run compiled (``Filter.compile``); needs a C++ compiler.
+        fallback: called if the filter cannot be compiled, and runs interpreted; None raises the error.
+
+    Returns:
+        One for each recording, in their order.  A track that fails has estimates that are NaN, and says why.
+
+    Raises:
+        ValueError: an unknown filter or bank, or a value out of its range.
+        CompileError: the filter cannot be compiled, and there is no ``fallback``.
+    """
+    check_settings(filter, sigma=sigma, q=q, dt=dt, bank=bank)
+    work = partial(_cleaned, name=filter, bank=bank, settings=Settings(sigma, q, smooth), dt=dt)
+    if filter != DEFAULT or isinstance(bank, Bank):
+        work = partial(work, compile=compile, fallback=fallback)
+    done: dict[int, Cleaned] = {}
+    for group in groups(recordings):
+        part = [recordings[i] for i in group]
+        try:
+            done |= zip(group, work(part), strict=True)
+        except CompileError:
+            raise
+        except Exception:  # of one of them; the others shall not pay for it
+            done |= {i: _alone(recordings[i], work, filter, smooth) for i in group}
+    return [done[i] for i in range(len(recordings))]
+
+
+def check_settings(
+    filter: str, *, sigma: float | None = None, q: float | None = None, dt: float | None = None,
+    bank: str | Bank | None = None,
+) -> None:  # fmt: skip
+    """Checks arguments of ``clean_tracks``.
+
+    Raises:
+        ValueError: an unknown filter or bank, or a value out of its range.
+    """
+    if sigma is not None and not 0 < sigma < math.inf:
+        raise ValueError(f"sigma: expected metres above 0, received {sigma}")
+    if q is not None and not 0 <= q < math.inf:
+        raise ValueError(f"q: expected m^2/s^3 of 0 or more, received {q}")
+    if dt is not None and not 0 < dt < math.inf:
+        raise ValueError(f"dt: expected seconds above 0, received {dt}")
+    if isinstance(bank, str):
+        check_kind(bank)
+    one = torch.ones(1, dtype=torch.float64)
+    make(filter, 2, one, one, one)
+
+
+def _cleaned(
+    recordings: Sequence[Recording], *, name: str, bank: str | Bank | None, settings: Settings, dt: float | None,
+    compile: bool = False, fallback: Fallback | None = None,
+) -> list[Cleaned]:  # fmt: skip
+    """Recordings of the same dimensions as one batch."""
+    tracks = [steps_of(recording, dt) for recording in recordings]
+    kinds = [(bank, "as told") if isinstance(bank, str) else kind_of(recording) for recording in recordings]
+    own = bank if isinstance(bank, Bank) else None
+    default = name == DEFAULT and own is None
+    found = answers(tracks, [kind for kind, _ in kinds], settings if default else settings._replace(smooth=False))
+    every = [_found(name, settings, own, kind, answer) for kind, answer in zip(kinds, found, strict=True)]
+    if not default:
+        return _by_filter(recordings, tracks, every, own, compile, fallback)
+    regimes = [np.stack([1 - answer.manoeuvre, answer.manoeuvre], 1) for answer in found]
+    columns = zip(recordings, tracks, found, every, regimes, strict=True)
+    return [_result(*each[:2], *each[2][:5], each[3], REGIMES, each[4]) for each in columns]
+
+
+def _result(
+    recording: Recording, steps: Steps, mean: Array, covariance: Array, nis: Array, outlier: Array, manoeuvre: Array,
+    found: Found, names: tuple[str, ...], regimes: Array,
+) -> Cleaned:  # fmt: skip
+    fix = (steps.row >= 0) & ~np.isnan(steps.raw).any(1)
+    flag = flags(fix, nis, outlier, manoeuvre, GATE[steps.raw.shape[1]])
+    good = fix & (flag != "outlier")
+    mean_nis = float(nis[good].mean() / steps.raw.shape[1]) if good.any() else math.nan
+    said = (*found.said, f"NIS {mean_nis:.2f} of 1")
+    return Cleaned(
+        recording, steps.time, steps.row, steps.raw, mean, covariance, nis, outlier, manoeuvre, flag,
+        replace(found, nis=mean_nis, said=said), segments(steps.time, mean, covariance), names, regimes,
+    )  # fmt: skip
+
+
+def _found(name: str, settings: Settings, own: Bank | None, kind: tuple[str, str], answer: Answer) -> Found:
+    """What a track is cleaned with, and a line for each choice."""
+    bank, why = ("own", "as told") if own is not None else kind
+    told = {"sigma": settings.sigma, "q": settings.q, "bank": None if why != "as told" else bank}
+    height = "" if math.isnan(answer.height) else f", of the height {answer.height:.3g} m"
+    said = (f"{bank}, {why}", f"sigma {answer.sigma:.3g} m{height}; q {answer.q:.3g} m^2/s^3")
+    found = frozenset(key for key, value in told.items() if value is None)
+    return Found(name, settings.smooth, bank, answer.sigma, answer.q, math.nan, found, said)
+
+
+def _by_filter(
+    recordings: Sequence[Recording], tracks: Sequence[Steps], every: Sequence[Found], own: Bank | None, compile: bool,
+    fallback: Fallback | None,
+) -> list[Cleaned]:  # fmt: skip
+    """Through a filter of the catalogue, one batch for each kind of targets."""
+    results: dict[int, Cleaned] = {}
+    for bank in sorted({found.bank for found in every}):
+        chosen = [i for i, found in enumerate(every) if found.bank == bank]
+        part, d = [tracks[i] for i in chosen], tracks[0].raw.shape[1]
+        sigma, q, period = (
+            torch.tensor(x, dtype=torch.float64)
+            for x in ([every[i].sigma for i in chosen], [every[i].q for i in chosen], [period_of(x) for x in part])
+        )
+        name, smooth = every[0].filter, every[0].smooth
+        f = make(name, d, sigma, q, period, own or BANKS[bank](q, d, spectral=True))
+        smooths, said = _smooths(f, smooth)
+        estimate = estimated(f, name, part, sigma, smooth=smooths, compile=compile, fallback=fallback)
+        names, regimes = regimes_of(f, estimate)
+        columns = (estimate.nis, outlier_of(estimate), manoeuvre_of(regimes), regimes)
+        for b, i in enumerate(chosen):
+            k = len(tracks[i].time)
+            mean, covariance = estimate.mean[b, :k, : 2 * d], estimate.covariance[b, :k, : 2 * d, : 2 * d]
+            nis, outlier, manoeuvre, weights = (x[b, :k].numpy() for x in columns)
+            found = replace(every[i], smooth=smooths, said=every[i].said + said)
+            results[i] = _result(recordings[i], tracks[i], mean.numpy(), covariance.numpy(), nis, outlier, manoeuvre,
+                                 found, names, weights)  # fmt: skip
+    return [results[i] for i in range(len(tracks))]
+
+
+def _smooths(f: Filter, wanted: bool) -> tuple[bool, tuple[str, ...]]:
+    """Whether a filter is smoothed, and what there is to say if it cannot be."""
+    try:
+        f.check_smooths()
+    except NotImplementedError as error:
+        return False, (f"not smoothed: {error}",) if wanted else ()
+    return wanted, ()
+
+
+def _alone(
+    recording: Recording, work: Callable[[Sequence[Recording]], list[Cleaned]], name: str, smooth: bool
+) -> Cleaned:
+    """A recording by itself; one of NaN, that says why, if it cannot be cleaned."""
+    try:
+        return work([recording])[0]
+    except CompileError:
+        raise
+    except Exception as error:
+        steps = steps_of(recording)
+        k, d = steps.raw.shape
+        nothing, mean, covariance = (np.full((k, *[2 * d] * rank), np.nan) for rank in (0, 1, 2))
+        found = Found(name, smooth, "", math.nan, math.nan, math.nan, said=(f"failed: {error}",))
+        return Cleaned(
+            recording, steps.time, steps.row, steps.raw, mean, covariance, nothing, nothing, nothing, np.full(k, ""),
+            found,
+        )  # fmt: skip

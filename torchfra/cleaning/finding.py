@@ -1,0 +1,183 @@
+"""Finds the standard deviation of fixes and the process noise of targets by the likelihood of their tracks."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra.cleaning.both_ways import Smoothed, both_ways, filtered
+from torchfra.cleaning.ladder import Fixes, Levels, look_ahead
+
+_COARSE, _FINE = 8, 1.2
+"""Standard deviations that are tried at first, each half of the one before; and the ratio of those tried later."""
+LEAST_SIGMA = 0.01
+"""Least standard deviation that is found, m: fixes that repeat have none."""
+_LARGER = 4.0
+"""Exponent of the prior of sigma: where a track leaves it open, what looks like noise is taken for noise."""
+_MANY, _COST = 0.12, 20.0
+"""Share of outliers from which on sigma is taken to be too small, and what each of them then costs."""
+_STEPS, _ROWS = 200, 2
+"""Of each track that are looked at for sigma: steps of a row, and rows."""
+_FEW = 10.0
+"""Fixes that shares of levels are worth before any was seen."""
+_SLOWEST, _MOST = 1e-5, 8
+"""Least density of the process noise, m^2/s^3, and the number of levels."""
+_LASTING = 100.0, 15.0
+"""Mean time that the least and the largest process noise last, s."""
+_FAR = 20.0
+"""Log of the most that the axes across the ground say of the height's fix, and the other way round."""
+
+
+class Part(NamedTuple):
+    """Axes that are alike, and what is known of them: those across the ground, or the height."""
+
+    fixes: Fixes
+    """With the variance in units of sigma squared."""
+    levels: Levels
+    sigma: Tensor
+    """``(B,)`` m."""
+    least: Tensor
+    """``(B,)`` that sigma is, m."""
+
+    @property
+    def scaled(self) -> Fixes:
+        """The fixes with their variance in m^2."""
+        return self.fixes._replace(variance=self.fixes.variance * self.sigma.square())
+
+
+def levels_up_to(acceleration: Tensor, period: Tensor) -> Levels:
+    """Levels from flying straight to changes of the velocity by ``acceleration (B,)`` m/s^2 for a ``period (B,)`` s."""
+    place = torch.linspace(0.0, 1.0, _MOST, dtype=period.dtype).unsqueeze(1)
+    top = (acceleration.square() * period).clamp_min(10 * _SLOWEST)
+    q = _SLOWEST * (top / _SLOWEST) ** place
+    lasting = _LASTING[0] * (_LASTING[1] / _LASTING[0]) ** place
+    return Levels(q, torch.full_like(q, -math.log(_MOST)), lasting.expand_as(q))
+
+
+def levels_around(q: float, acceleration: Tensor, period: Tensor) -> Levels:
+    """The levels of ``levels_up_to``, with shares that fall to either side of a density that is told, m^2/s^3."""
+    levels = levels_up_to(acceleration, period)
+    far = (levels.q / max(q, _SLOWEST)).log() / math.log(10.0)
+    return levels._replace(log_share=(-0.5 * far.square()).log_softmax(0))
+
+
+def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor) -> Tensor:
+    """Standard deviations ``(B,)`` of the largest likelihood on a coarse grid below what third differences allow."""
+    return likeliest(fixes, levels, owner, _rough(fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1))
+
+
+def finer_sigma(part: Part, owner: Tensor) -> Tensor:
+    """Standard deviations ``(B,)`` of the largest likelihood near those that are known."""
+    factors = _FINE ** torch.arange(2, -3, -1, dtype=part.sigma.dtype)
+    return likeliest(part.fixes, part.levels, owner, part.sigma * factors.unsqueeze(1))
+
+
+def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor) -> Tensor:
+    """Of standard deviations ``(G, B)`` that decrease by a factor, the ones ``(B,)`` of the largest likelihood.
+
+    Between them by the parabola through the largest and its neighbours.
+
+    Args:
+        fixes: with the variance in units of sigma squared.
+        levels: of the process noise.
+        owner: ``(B,)`` numbers; rows of the same one have one standard deviation.
+        sigma: that are tried.
+    """
+    count, looked_at = len(sigma), _looked_at(fixes, owner)
+    part = Fixes(*(x[:_STEPS, ..., looked_at] for x in fixes))
+    variance = sigma[:, looked_at].square() * part.variance.unsqueeze(1)
+
+    def repeated(x: Tensor) -> Tensor:
+        return x.unsqueeze(-2).expand(*x.shape[:-1], count, x.shape[-1]).flatten(-2)
+
+    tried = Fixes(repeated(part.z), repeated(part.gap), variance.flatten(1), repeated(part.odds))
+    found = look_ahead(tried, Levels(*(repeated(x[:, looked_at]) for x in levels)))
+    seen = (~tried.missing).to(sigma)
+    sums = torch.stack([found.log_likelihood * seen, found.outlier * seen, seen]).sum(1).unflatten(-1, (count, -1))
+    fit, wrong, seen = sums.new_zeros(3, count, int(owner.max()) + 1).index_add(-1, owner[looked_at], sums)[..., owner]
+    too_many = (wrong - _MANY * seen).clamp_min(0.0)
+    total = fit - _COST * too_many + _LARGER * sigma.log()
+    best = total.argmax(0).clamp(1, count - 2)
+    left, middle, right = (total.gather(0, (best + k).unsqueeze(0))[0] for k in (-1, 0, 1))
+    bend = (left - 2 * middle + right).clamp_max(-1e-3)
+    place = best + (0.5 * (left - right) / bend).clamp(-1.0, 1.0)
+    likely: Tensor = (sigma[0] * (sigma[1] / sigma[0]) ** place).clamp_min(LEAST_SIGMA)
+    return likely
+
+
+def _looked_at(fixes: Fixes, owner: Tensor) -> Tensor:
+    """Numbers of the rows from which sigma is found: those of each owner with the most fixes."""
+    seen = (~fixes.missing[:_STEPS]).sum(0)
+    chosen = []
+    for i in owner.unique():
+        rows = (owner == i).nonzero()[:, 0]
+        most = len(rows) if i == 0 else _ROWS
+        chosen.append(rows[seen[rows].argsort(descending=True, stable=True)[:most]])
+    return torch.cat(chosen)
+
+
+def _rough(fixes: Fixes, owner: Tensor) -> Tensor:
+    """Twice the standard deviation ``(B,)`` that third differences would have if nothing but noise was in them."""
+    third = fixes.z.diff(dim=0, n=3).square().mean(1).sqrt()
+    every = [third[:, owner == i].flatten() for i in owner]
+    middle = torch.stack([x[~x.isnan()].quantile(0.5) if (~x.isnan()).any() else x.new_tensor(1.0) for x in every])
+    return (2 * middle / math.sqrt(20)).clamp_min(LEAST_SIGMA * 2.0**_COARSE / 4)
+
+
+def fitted(
+    parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool, smooth: bool = True, rounds: int = 2
+) -> tuple[list[Smoothed], list[Part], Tensor]:
+    """Smoothed estimates of all parts, and what they were made with.
+
+    Each round takes the levels' shares as smoothing has found them, then the likeliest sigma nearby; and what the axes
+    across the ground say of an outlier is told to the height, and the other way round.
+
+    Args:
+        parts: the axes; the first are those across the ground.
+        owner: ``(B,)`` numbers; rows of the same one are of one track, or of tracks that are looked at together.
+        find_sigma: whether to find sigma.
+        find_q: whether to find the shares of the levels.
+        smooth: whether the estimates that are given back know later fixes.
+        rounds: of finding.
+
+    Returns:
+        What is known of each part, the parts, and ``(T, B)`` probabilities of outliers.
+    """
+    for _ in range(rounds):
+        known = [both_ways(part.scaled, part.levels) for part in parts]
+        parts = [_better(part, of, owner, find_sigma, find_q) for part, of in zip(parts, known, strict=True)]
+        parts = _told(parts, known)
+    if smooth:
+        known = [both_ways(part.scaled, part.levels) for part in parts]
+    else:
+        parts = [part._replace(fixes=part.fixes._replace(odds=torch.zeros_like(part.fixes.odds))) for part in parts]
+        known = [filtered(look_ahead(part.scaled, part.levels), part.scaled) for part in parts]
+    odds = known[0].ahead.dirty.logit() + torch.stack([of.evidence for of in known]).sum(0)
+    return known, parts, torch.where(parts[0].fixes.missing, 0.0, odds.sigmoid())
+
+
+def _told(parts: list[Part], known: list[Smoothed]) -> list[Part]:
+    """Parts that know what the others say of outliers."""
+    evidence = torch.stack([of.evidence for of in known])
+    others = (evidence.sum(0) - evidence).clamp(-_FAR, _FAR)
+    return [part._replace(fixes=part.fixes._replace(odds=odds)) for part, odds in zip(parts, others, strict=True)]
+
+
+def _better(part: Part, known: Smoothed, owner: Tensor, find_sigma: bool, find_q: bool) -> Part:
+    sigma, levels = part.sigma, part.levels
+    if find_q:
+        share = _summed(torch.where(part.fixes.missing.unsqueeze(1), 0.0, known.levels).sum(0), owner)
+        share = share + _FEW * levels.log_share.exp()
+        levels = levels._replace(log_share=(share / share.sum(0)).log())
+    if find_sigma:
+        sigma = finer_sigma(part._replace(levels=levels), owner).maximum(part.least)
+    return part._replace(levels=levels, sigma=sigma)
+
+
+def _summed(values: Tensor, owner: Tensor) -> Tensor:
+    """Values ``(..., B)`` summed over all rows of the same owner, for each row."""
+    every = values.new_zeros(*values.shape[:-1], int(owner.max()) + 1).index_add(-1, owner, values)
+    return every[..., owner]

@@ -1,0 +1,35 @@
+"""What each step was: usual, an outlier, a manoeuvre, or unclear."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchfra.readers.columns import Array
+
+_OUTLIER, _DOUBTFUL, _MANOEUVRE = 0.5, 0.2, 0.5
+"""Least probability of an outlier, of what may be one, and of a manoeuvre."""
+
+
+def flags(fix: NDArray[np.bool_], nis: Array, outlier: Array, manoeuvre: Array, gate: float) -> NDArray[np.str_]:
+    """What each step of a track was.
+
+    A fix is an outlier if that is more probable than not, and unclear if it may well be one.  Where the filter does not
+    say how probable that is, a fix beyond the gate is unclear.  All else is a manoeuvre if that is more probable than
+    not, also between fixes.
+
+    Args:
+        fix: ``(T,)`` which steps have a fix.
+        nis: ``(T,)`` normalised innovation squared.
+        outlier: ``(T,)`` probability that the fix is an outlier; NaN where the filter does not say.
+        manoeuvre: ``(T,)`` probability of a regime other than the calm one; NaN likewise.
+        gate: normalised innovation squared that a good fix hardly ever exceeds.
+
+    Returns:
+        ``(T,)`` of ``torchfra.cleaning.cleaned.FLAGS``.
+    """
+    wrong = np.nan_to_num(outlier, nan=0.0)
+    doubtful = np.where(np.isnan(outlier), nis > gate, wrong > _DOUBTFUL)
+    flag = np.where(np.nan_to_num(manoeuvre) > _MANOEUVRE, "manoeuvre", "")
+    flag = np.where(fix & doubtful, "unclear", flag)
+    return np.where(fix & (wrong > _OUTLIER), "outlier", flag)

@@ -1,0 +1,219 @@
+"""Generalised pseudo-Bayes for recorded positions: levels of process noise and outliers, in closed form.
+
+The hypotheses of ``filters.GPB`` for what most recordings are: positions whose axes are alike, of targets at a nearly
+constant velocity.  A step has one of some levels of process noise, from flying straight to turning as hard as can be,
+and a fix is clean or an outlier.  As axes share all covariances, a hypothesis is five numbers and two vectors, and a
+batch of tracks is some elementwise operations a step.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+_LOG_TWO_PI = math.log(2 * math.pi)
+
+
+class Belief(NamedTuple):
+    """Position and velocity of a hypothesis; the axes are alike and independent."""
+
+    position: Tensor
+    """``(d, ..., B)`` m."""
+    velocity: Tensor
+    """``(d, ..., B)`` m/s."""
+    pp: Tensor
+    """``(..., B)`` variance of the position per axis, m^2."""
+    pv: Tensor
+    """``(..., B)`` covariance of position and velocity."""
+    vv: Tensor
+    """``(..., B)`` variance of the velocity."""
+
+
+class Doubt(NamedTuple):
+    """How likely outliers are."""
+
+    new: float = 0.01
+    """Probability of an outlier after a clean fix."""
+    still: float = 0.3
+    """Probability of one after another."""
+    least: float = 100.0
+    """Least mean square error per axis of an outlier, in units of the variance of a clean fix."""
+
+    @property
+    def share(self) -> float:
+        """Of the fixes that are outliers in the long run."""
+        return self.new / (self.new + 1 - self.still)
+
+
+USUAL = Doubt()
+"""How likely outliers are unless told otherwise."""
+
+
+class Levels(NamedTuple):
+    """The Markov chain of the process noise: a level stays, or one is drawn anew whatever was before."""
+
+    q: Tensor
+    """``(J, B)`` densities, m^2/s^3, ascending."""
+    log_share: Tensor
+    """``(J, B)`` logs of the shares of the time that levels have in the long run."""
+    lasting: Tensor
+    """``(J, B)`` mean time until one is drawn anew, s."""
+
+    @property
+    def log_new(self) -> Tensor:
+        """``(J, B)`` logs of the probabilities of a level drawn anew."""
+        return (self.log_share - self.lasting.log()).log_softmax(0)
+
+
+class Fixes(NamedTuple):
+    """What is measured of a batch of tracks, time first."""
+
+    z: Tensor
+    """``(T, d, B)`` m; NaN where there is none."""
+    gap: Tensor
+    """``(T, B)`` seconds since the step before."""
+    variance: Tensor
+    """``(T, B)`` of a clean fix per axis, m^2."""
+    odds: Tensor
+    """``(T, B)`` log of a factor on the odds that the fix is an outlier, from what is known besides."""
+
+    @property
+    def missing(self) -> Tensor:
+        """``(T, B)``."""
+        return self.z.isnan().any(1)
+
+    def backwards(self) -> Fixes:
+        """The same with time reversed."""
+        gap = torch.cat([self.gap[:1], self.gap[1:].flip(0)])
+        return Fixes(self.z.flip(0), gap, self.variance.flip(0), self.odds.flip(0))
+
+
+class Ahead(NamedTuple):
+    """Predictions of all steps, from the fixes before each."""
+
+    belief: Belief
+    """``(T, J, B)`` behind the axes, of each level."""
+    log_weights: Tensor
+    """``(T, J, B)`` logs of the probabilities of the levels."""
+    dirty: Tensor
+    """``(T, B)`` probability that the fix is an outlier, before it is seen."""
+    outlier: Tensor
+    """``(T, B)`` the same once it is seen."""
+    log_likelihood: Tensor
+    """``(T, B)`` of each fix."""
+
+
+def look_ahead(fixes: Fixes, levels: Levels, doubt: Doubt = USUAL) -> Ahead:
+    """The filter: predictions of every step.
+
+    After each fix hypotheses are merged to one for each level and for clean and outlier; these two stay apart until the
+    next fix has said which was right.
+
+    Source: Blom & Bar-Shalom (1988) for interacting models; Harrison & Stevens (1976) for outliers as hypotheses.
+    """
+    belief, log_weights = _start(fixes, levels, doubt)
+    chain = torch.tensor([[1 - doubt.new, 1 - doubt.still], [doubt.new, doubt.still]], dtype=fixes.z.dtype).log()
+    kept: list[tuple[Belief, Tensor, Tensor, Tensor, Tensor]] = []
+    for z, gap, variance, odds, missing in zip(*fixes, fixes.missing, strict=True):
+        if kept:
+            mixed, log_weights = redrawn(belief, log_weights, levels, gap.expand(2, -1))
+            belief = _predicted(mixed, levels.q, gap)
+        log_dirty = (chain[:, :, None] + log_weights.logsumexp(1)).logsumexp(1)[1]
+        of_level = log_weights.logsumexp(0)
+        prediction = _pair((log_weights[1] - of_level).exp(), _entry(belief, 0), _entry(belief, 1))
+        clean, log_density = corrected(belief, z, variance, missing, doubt)
+        dirtier = torch.stack([torch.zeros_like(odds), odds])[:, None, None]
+        joint = chain[:, :, None, None] + dirtier + log_weights + log_density  # (2, 2, J, B): now, before
+        log_likelihood = joint.flatten(0, 2).logsumexp(0)
+        joint = joint - log_likelihood
+        log_weights = joint.logsumexp(1)
+        share = (joint[:, 1] - log_weights).exp()
+        after = [_pair(share[now], _entry(x, 0), _entry(x, 1)) for now, x in enumerate((clean, belief))]
+        belief = Belief(*(torch.stack(pair, -3) for pair in zip(*after, strict=True)))
+        kept.append((prediction, of_level, log_dirty.exp(), joint[1].exp().sum((0, 1)), log_likelihood))
+    beliefs, *rest = zip(*kept, strict=True)
+    parts = [torch.stack(x, 1 if i < 2 else 0) for i, x in enumerate(zip(*beliefs, strict=True))]
+    return Ahead(Belief(*parts), *map(torch.stack, rest))
+
+
+def merged(log_weights: Tensor, belief: Belief, dim: int) -> tuple[Belief, Tensor]:
+    """The Gaussian with the moments of a mixture along a dimension of the weights, and the log of their sum."""
+    total = log_weights.logsumexp(dim)
+    weight = (log_weights - total.unsqueeze(dim)).exp()
+    position, velocity = ((weight * x).sum(dim + 1) for x in belief[:2])
+    dp, dv = belief.position - position.unsqueeze(dim + 1), belief.velocity - velocity.unsqueeze(dim + 1)
+    spread = (belief.pp + dp.square().mean(0), belief.pv + (dp * dv).mean(0), belief.vv + dv.square().mean(0))
+    return Belief(position, velocity, *((weight * x).sum(dim) for x in spread)), total
+
+
+def redrawn(belief: Belief, log_weights: Tensor, levels: Levels, gap: Tensor) -> tuple[Belief, Tensor]:
+    """Levels ``(n, J, B)`` one step ``(n, B)`` further in the chain: each its own, mixed with what all have left."""
+    stay = -gap.unsqueeze(1) / levels.lasting
+    common, log_left = merged(log_weights + torch.log(-torch.expm1(stay)), belief, 1)
+    stayed, drawn = log_weights + stay, log_left.unsqueeze(1) + levels.log_new
+    total = torch.logaddexp(stayed, drawn)
+    every = Belief(*(x.unsqueeze(-2) for x in common))
+    return _pair((drawn - total).exp(), belief, every), total
+
+
+def _start(fixes: Fixes, levels: Levels, doubt: Doubt) -> tuple[Belief, Tensor]:
+    """Near the first fixes, of any speed: beliefs ``(2, J, B)`` and their log weights."""
+    z = fixes.z
+    order = (~fixes.missing).to(z).cumsum(0)
+    first = torch.where((order <= 9).unsqueeze(1), z, torch.nan).nanmedian(0).values.nan_to_num()
+    shape = (2, *levels.q.shape)
+    position = first[:, None, None].expand(-1, *shape)
+    pp, vv = z.new_full(shape, 1e8), z.new_full(shape, 1e5)
+    share = z.new_tensor([1 - doubt.share, doubt.share]).log()
+    return Belief(position, torch.zeros_like(position), pp, torch.zeros_like(pp), vv), share[
+        :, None, None
+    ] + levels.log_share
+
+
+def _predicted(x: Belief, q: Tensor, gap: Tensor) -> Belief:
+    pv = x.pv + gap * x.vv
+    pp = x.pp + gap * (x.pv + pv) + q * (gap**3 / 3)
+    return Belief(x.position + gap * x.velocity, x.velocity, pp, pv + q * (gap**2 / 2), x.vv + q * gap)
+
+
+def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, doubt: Doubt) -> tuple[Belief, Tensor]:
+    """Beliefs after a clean fix, and the log densities ``(2, ...)`` of a clean one and of an outlier.
+
+    An outlier says nothing of the position, and is as large as it takes.
+    """
+    residual = _residual(x, z, missing)
+    squared, d = residual.square().sum(0), len(z)
+    wide = x.pp + torch.maximum(doubt.least * variance, squared / d)
+    total = x.pp + variance
+    gain, gain_v = (torch.where(missing, 0.0, c / total) for c in (x.pp, x.pv))
+    both = torch.stack([total, wide])
+    log_density = torch.where(missing, 0.0, -0.5 * (squared / both + d * (both.log() + _LOG_TWO_PI)))
+    after = Belief(
+        x.position + gain * residual, x.velocity + gain_v * residual,
+        x.pp - gain * x.pp, x.pv - gain * x.pv, x.vv - gain_v * x.pv,
+    )  # fmt: skip
+    return after, log_density
+
+
+def _residual(x: Belief, z: Tensor, missing: Tensor) -> Tensor:
+    z = z.reshape(z.shape[0], *[1] * (x.position.dim() - z.dim()), *z.shape[1:])
+    return torch.where(missing, 0.0, z - x.position)
+
+
+def _pair(share: Tensor, a: Belief, b: Belief) -> Belief:
+    """The Gaussian with the moments of two, the second of weight ``share``."""
+    dp, dv, spread = b.position - a.position, b.velocity - a.velocity, share * (1 - share)
+    return Belief(
+        a.position + share * dp, a.velocity + share * dv,
+        a.pp + share * (b.pp - a.pp) + spread * dp.square().mean(0),
+        a.pv + share * (b.pv - a.pv) + spread * (dp * dv).mean(0),
+        a.vv + share * (b.vv - a.vv) + spread * dv.square().mean(0),
+    )  # fmt: skip
+
+
+def _entry(x: Belief, i: int) -> Belief:
+    """One of the first of three dimensions behind the axes."""
+    return Belief(*(part.select(-3, i) for part in x))

@@ -1,0 +1,113 @@
+"""Filters of the catalogue on recorded tracks, with what they say of each step in the words of cleaning."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from torchfra.catalogue import FILTERS, make_filter
+from torchfra.cleaning.batches import Steps, padded
+from torchfra.filters import GPB, AlphaBetaInfo, Filter, FRAInfo, GPBInfo
+from torchfra.filters.smoothing import SmoothInfo
+from torchfra.kernel.build import CompileError
+from torchfra.motion.bank import Bank, aircraft
+from torchfra.motion.polynomial import ConstantVelocity
+from torchfra.sensors.position import Position
+from torchfra.types import Estimate, Gaussian
+
+GATE = {2: 13.816, 3: 16.266}
+"""Normalised innovation squared that one good fix in 1000 exceeds, by dimensions of space (chi-square)."""
+LONGEST_GAP = 60.0
+"""Seconds without a usable fix after which a filter of constant gains restarts."""
+Fallback = Callable[[str, str], None]
+"""Called with the name of a filter that has no kernel, and the reason."""
+
+
+def make(name: str, d: int, sigma: Tensor, q: Tensor, period: Tensor, bank: Bank | None = None) -> Filter:
+    """The filter of this name for positions in ``d`` dimensions, for a batch ``(B,)`` of each value.
+
+    Raises:
+        ValueError: an unknown filter, or a bank whose motions are of another space.
+    """
+    entry, options = FILTERS.get(name), dict[str, object]()
+    if entry is not None and entry.gated:
+        options["gate"] = GATE[d]
+    if entry is not None and entry.constant_gains:
+        options |= {"longest": LONGEST_GAP, "period": period}
+    if bank is not None and bank.dims != d:
+        raise ValueError(f"bank: expected motions in {d} dimensions, received {bank.dims}")
+    motion = ConstantVelocity(q, d, orders=3, spectral=True)
+    sensor = Position(sigma.unsqueeze(-1).expand(-1, d), dims=d)
+    return make_filter(name, motion, sensor, bank or aircraft(q, d, spectral=True), **options)
+
+
+def estimated(
+    f: Filter, name: str, tracks: Sequence[Steps], sigma: Tensor, *, smooth: bool, compile: bool = False,
+    fallback: Fallback | None = None,
+) -> Estimate:  # fmt: skip
+    """What a filter says of tracks as one batch.
+
+    Raises:
+        CompileError: it cannot be compiled, and there is no ``fallback``.
+    """
+    z, gaps, std = padded(tracks)
+    n, d = f.motion.size, z.shape[-1]
+    start = torch.nan_to_num(z[:, 0])
+    mean = torch.cat([start, start.new_zeros(len(z), n - d)], -1)
+    spread = torch.tensor([1.0, 300.0, 5.0], dtype=z.dtype).repeat_interleave(d)[:n]
+    root = torch.cat([10 * sigma.unsqueeze(-1).expand(-1, d), torch.ones_like(mean[:, d:])], -1) * spread
+    own = None if bool((std == 1).all()) else std * sigma[:, None, None]
+    given = {"z": z, "prior": Gaussian(mean, root.diag_embed()), "dt": gaps, "std": own}
+    run = f.smooth if smooth else f
+    with torch.no_grad():
+        if not compile:
+            return run(**given)  # type: ignore[arg-type]
+        try:
+            g = copy.copy(f).compile()
+            return (g.smooth if smooth else g)(**given)  # type: ignore[arg-type]
+        except (CompileError, NotImplementedError) as error:
+            if fallback is None:
+                raise
+            fallback(name, str(error))
+        return run(**given)  # type: ignore[arg-type]
+
+
+def outlier_of(estimate: Estimate) -> Tensor:
+    """Probability ``(..., T)`` that a fix is an outlier, in any of its elements; NaN of filters that do not say."""
+    info = estimate.info
+    if isinstance(info, SmoothInfo) and info.outlier is None:
+        info = info.filtered.info
+    match info:
+        case AlphaBetaInfo(rejected=rejected):
+            return rejected.any(-1).to(estimate.nis)
+        case FRAInfo(abnormal=abnormal, adaptive=adaptive, plain=plain):
+            return (abnormal & ~adaptive & ~plain).to(estimate.nis)
+        case object(outlier=Tensor() as probability):
+            return probability.amax(-1)
+    return torch.full_like(estimate.nis, torch.nan)
+
+
+def regimes_of(f: Filter, estimate: Estimate) -> tuple[tuple[str, ...], Tensor]:
+    """Names of what the filter weighs at each step, and its probabilities ``(..., T, R)``; none of a single motion."""
+    info = estimate.info
+    weights = info.probabilities if isinstance(info, SmoothInfo) else None
+    if weights is None:
+        info = info.filtered.info if isinstance(info, SmoothInfo) else info
+        weights = info.regimes if isinstance(info, GPBInfo) else getattr(info, "probabilities", None)
+    motions = tuple(f.motion.names) if isinstance(f.motion, Bank) else ()
+    if isinstance(f, GPB):
+        first, *others = motions
+        motions = f"calm {first}", f"agile {first}", *others, "jump"
+    if weights is None or not motions:
+        return (), estimate.nis.new_zeros(*estimate.nis.shape, 0)
+    return motions, weights
+
+
+def manoeuvre_of(regimes: Tensor) -> Tensor:
+    """Probability ``(..., T)`` of any regime but the first, the calm one; NaN of filters without regimes."""
+    if not regimes.shape[-1]:
+        return regimes.new_full(regimes.shape[:-1], torch.nan)
+    return 1 - regimes[..., 0]

@@ -1,0 +1,161 @@
+"""Cleans tracks by the levels of ``cleaning.ladder``: batches of rows in, one result for each track out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchfra.cleaning.batches import Steps, padded
+from torchfra.cleaning.both_ways import Smoothed
+from torchfra.cleaning.finding import Part, first_sigma, fitted, levels_around, levels_up_to
+from torchfra.cleaning.kinds import KINDS
+from torchfra.cleaning.ladder import Fixes, merged
+from torchfra.readers.columns import Array
+
+_CORE, _OVERLAP = 256, 64
+"""Steps of a row, and those that it shares with its neighbours on either side."""
+_FEW = 60
+"""Fixes from which on a track has a sigma of its own; others of a batch are looked at together."""
+_CALM = 0.05
+"""Of the hardest acceleration, what a level of process noise may bring over ten seconds and still be calm."""
+_LEAST_OF_HEIGHT = 1 / 3
+"""Of the sigma across the ground, what that of the height is at least: heights often come in coarse steps."""
+REGIMES = ("calm", "manoeuvre")
+
+
+class Settings(NamedTuple):
+    """What tracks are cleaned with."""
+
+    sigma: float | None = None
+    q: float | None = None
+    smooth: bool = True
+
+
+class Row(NamedTuple):
+    """A part of a track."""
+
+    track: int
+    begin: int
+    end: int
+    first: int
+    last: int
+    """Of its steps those that it answers for."""
+
+
+class Answer(NamedTuple):
+    """What is known of a track, ``(T, ...)``."""
+
+    mean: Array
+    covariance: Array
+    nis: Array
+    outlier: Array
+    manoeuvre: Array
+    sigma: float
+    height: float
+    """Sigma of the height; NaN in the plane."""
+    q: float
+
+
+def answers(tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings) -> list[Answer]:
+    """Tracks of the same dimensions, cleaned.
+
+    Args:
+        tracks: steps of each.
+        kinds: name of the kind of each.
+        settings: what they are cleaned with.
+    """
+    rows = [row for i, steps in enumerate(tracks) for row in _rows(i, len(steps.time))]
+    z, gap, std = padded([tracks[row.track].part(row.begin, row.end) for row in rows])
+    owner = _owners([row.track for row in rows], [int((steps.row >= 0).sum()) for steps in tracks])
+    period = torch.tensor([period_of(tracks[row.track]) for row in rows], dtype=torch.float64)
+    parts: list[Part] = []
+    for axes, hardest in ((slice(0, 2), "acceleration"), (slice(2, 3), "climb"))[: z.shape[-1] - 1]:
+        most = torch.tensor([getattr(KINDS[kinds[row.track]], hardest) for row in rows], dtype=torch.float64)
+        levels = levels_up_to(most, period) if settings.q is None else levels_around(settings.q, most, period)
+        variance = std[..., axes].square().mean(-1).T.contiguous()
+        z_axes = z[..., axes].permute(1, 2, 0).contiguous()
+        fixes = Fixes(z_axes, gap.T.contiguous(), variance, torch.zeros_like(variance))
+        least = _LEAST_OF_HEIGHT * parts[0].sigma if parts else torch.zeros_like(most)
+        sigma = first_sigma(fixes, levels, owner) if settings.sigma is None else torch.full_like(most, settings.sigma)
+        parts.append(Part(fixes, levels, sigma.maximum(least), least))
+    known, parts, outlier = fitted(
+        parts, owner, find_sigma=settings.sigma is None, find_q=settings.q is None, smooth=settings.smooth
+    )
+    calm = [_CALM * KINDS[kinds[row.track]].acceleration for row in rows]
+    return _joined(tracks, rows, parts, known, outlier, torch.tensor(calm, dtype=torch.float64))
+
+
+def _rows(track: int, count: int) -> list[Row]:
+    """A track as rows that overlap, if it is long."""
+    parts = max(1, math.ceil(count / _CORE))
+    edges = np.linspace(0, count, parts + 1).round().astype(int).tolist()
+    return [
+        Row(track, max(0, first - _OVERLAP), min(count, last + _OVERLAP), first, last)
+        for first, last in pairwise(edges)
+    ]
+
+
+def _owners(tracks: Sequence[int], fixes: Sequence[int]) -> Tensor:
+    """Which rows have values in common ``(B,)``: those of a track, and those of all that have few fixes."""
+    return torch.tensor([0 if fixes[track] < _FEW else 1 + track for track in tracks])
+
+
+def period_of(steps: Steps) -> float:
+    """Seconds between most fixes."""
+    time = steps.time[steps.row >= 0]
+    return float(np.median(np.diff(time))) if len(time) > 1 else 1.0
+
+
+def _joined(
+    tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part], known: Sequence[Smoothed], outlier: Tensor,
+    calm: Tensor,
+) -> list[Answer]:  # fmt: skip
+    """The rows of each track put together."""
+    level = parts[0].levels.q > 10 * calm.square()
+    manoeuvre = (known[0].levels * level).sum(1)
+    nis = torch.stack([_nis(part, of) for part, of in zip(parts, known, strict=True)]).sum(0)
+    mean, covariance = _moments(known)
+    share = parts[0].levels.log_share.exp()
+    q = (share * parts[0].levels.q.log()).sum(0).exp()
+    found = []
+    for i in range(len(tracks)):
+        own = [(b, row) for b, row in enumerate(rows) if row.track == i]
+        cuts = [(b, slice(row.first - row.begin, row.last - row.begin)) for b, row in own]
+
+        def whole(x: Tensor, cuts: list[tuple[int, slice]] = cuts) -> Array:
+            return np.concatenate([x[cut, b].numpy() for b, cut in cuts])
+
+        first = own[0][0]
+        height = float(parts[1].sigma[first]) if len(parts) == 2 else math.nan
+        arrays = whole(mean), whole(covariance), whole(nis), whole(outlier), whole(manoeuvre)
+        found.append(Answer(*arrays, float(parts[0].sigma[first]), height, float(q[first])))
+    return found
+
+
+def _moments(known: Sequence[Smoothed]) -> tuple[Tensor, Tensor]:
+    """Means ``(T, B, 2 d)`` and covariances of positions and velocities, positions first."""
+    position = torch.cat([of.belief.position for of in known])
+    velocity = torch.cat([of.belief.velocity for of in known])
+
+    def of_axes(name: str) -> Tensor:
+        every = [getattr(of.belief, name).expand(len(of.belief.position), -1, -1) for of in known]
+        return torch.cat(every).movedim(0, -1).diag_embed()
+
+    pp, pv, vv = (of_axes(name) for name in ("pp", "pv", "vv"))
+    covariance = torch.cat([torch.cat([pp, pv], -1), torch.cat([pv, vv], -1)], -2)
+    return torch.cat([position, velocity]).movedim(0, -1), covariance
+
+
+def _nis(part: Part, known: Smoothed) -> Tensor:
+    """Normalised innovation squared ``(T, B)`` of these axes; 0 where nothing is measured."""
+    expected, _ = merged(known.ahead.log_weights, known.ahead.belief, 1)
+    fixes = part.scaled
+    residual = fixes.z.movedim(1, 0) - expected.position
+    nis = residual.square().sum(0) / (expected.pp + fixes.variance)
+    return torch.where(fixes.missing, 0.0, nis)

@@ -1,0 +1,110 @@
+"""Manoeuvres of a track: when they begin and end, what they are and how hard."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from torchfra.cleaning.cleaned import Segment
+from torchfra.readers.columns import Array
+
+_LONGEST = 10.0
+"""Seconds over which the rate of change is taken at most."""
+_SURE = 3.0
+"""Standard deviations that the change over a segment must have."""
+
+
+class _Rule(NamedTuple):
+    """When a quantity changes enough."""
+
+    kinds: tuple[str, str]
+    """What it is called when it rises, and when it falls."""
+    noise: float
+    """Standard deviation that its rate may have; the rate is taken over as many seconds as that needs."""
+    low: float
+    high: float
+    """Bounds on the rate at which a segment begins and ends; in between it is half of the segment's own rate."""
+    lasting: float
+    """Least duration, s."""
+    change: float
+    """Least change."""
+    unsure: float = math.inf
+    """Median standard deviation in a segment, from which on nothing is known of the quantity."""
+
+
+_TURN = _Rule(("left turn", "right turn"), 0.5, 0.3, 1.5, 2.0, 15.0, 30.0)
+"""Of the direction of flight, degrees."""
+_SPEED = _Rule(("speeding up", "slowing down"), 0.1, 0.1, 0.5, 4.0, 2.0)
+"""m/s."""
+_CLIMB = _Rule(("climbing", "descending"), 0.5, 0.5, 1.0, 10.0, 15.0)
+"""Of the height, m."""
+
+
+def segments(time: Array, mean: Array, covariance: Array) -> tuple[Segment, ...]:
+    """The manoeuvres of a track, by the time at which they begin.
+
+    Direction, speed and height change over a segment by more than what they are unsure of.  A segment begins and ends
+    where the rate of that change passes half of what it is in the segment, or 1.5 deg/s, 0.5 m/s^2 and 1 m/s if that is
+    less.
+
+    Args:
+        time: ``(T,)`` seconds.
+        mean: ``(T, 2 d)`` position and velocity, m and m/s; best if smoothed.
+        covariance: ``(T, 2 d, 2 d)`` of these.
+    """
+    finite = np.isfinite(mean).all(1) & np.isfinite(covariance).all((1, 2))
+    time, mean, covariance = time[finite], mean[finite], covariance[finite]
+    if len(time) < 3:
+        return ()
+    d = mean.shape[1] // 2
+    velocity, spread = mean[:, d : d + 2], covariance[:, d : d + 2, d : d + 2]
+    speed = np.linalg.norm(velocity, axis=1).clip(1e-6)
+    ahead = velocity / speed[:, None]
+    aside = np.stack([-ahead[:, 1], ahead[:, 0]], 1)
+    along, across = (np.sqrt(np.einsum("ti,tij,tj->t", u, spread, u)) for u in (ahead, aside))
+    heading = np.degrees(np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0])))
+    found = [*_changes(time, heading, np.degrees(across / speed).clip(max=180.0), _TURN)]
+    found += _changes(time, speed, along, _SPEED)
+    if d == 3:
+        found += _changes(time, mean[:, 2], np.sqrt(covariance[:, 2, 2]), _CLIMB)
+    return tuple(sorted(found))
+
+
+def _changes(time: Array, value: Array, std: Array, rule: _Rule) -> Iterator[Segment]:
+    """Segments in which a value ``(T,)`` of which ``std (T,)`` is known rises or falls."""
+    at = np.sort(np.concatenate([time, (time[1:] + time[:-1]) / 2]))
+    level, unsure = np.interp(at, time, value), np.interp(at, time, std)
+    half = (math.sqrt(2) * unsure / rule.noise).clip(np.median(np.diff(time)), _LONGEST) / 2
+    before, after = (at - half).clip(time[0]), (at + half).clip(max=time[-1])
+    rate = (np.interp(after, time, value) - np.interp(before, time, value)) / (after - before)
+    rate[unsure > 2 * rule.unsure] = 0.0
+    for side, kind in zip((1, -1), rule.kinds, strict=True):
+        for part in _above(side * rate, rule.low):
+            there, fast, rise, doubt = at[part], side * rate[part], side * level[part], unsure[part]
+            if there[-1] - there[0] < rule.lasting or rise[-1] - rise[0] < rule.change:
+                continue
+            edge = min(max(float(np.quantile(fast, 0.75)) / 2, rule.low), rule.high)
+            for piece in _above(fast, edge):
+                ends = _crossings(there[piece], fast[piece], edge)
+                lasting, change = np.diff(ends)[0], np.diff(np.interp(ends, there, rise))[0]
+                sure = _SURE * math.hypot(*np.interp(ends, there, doubt))
+                known = np.median(doubt[piece]) < rule.unsure
+                if known and lasting >= rule.lasting and change >= max(rule.change, sure):
+                    yield Segment(*ends, kind, float(side * change / lasting))
+
+
+def _above(rate: Array, edge: float) -> Iterator[slice]:
+    """Each stretch in which a rate ``(T,)`` is above the edge, with the neighbours that are not."""
+    turns = np.flatnonzero(np.diff(np.concatenate([[False], rate > edge, [False]])))
+    for first, last in zip(turns[::2], turns[1::2], strict=True):
+        yield slice(max(first - 1, 0), last + 1)
+
+
+def _crossings(at: Array, rate: Array, edge: float) -> tuple[float, float]:
+    """When a rate ``(k,)`` is at the edge first and last, between the outermost two of its times by a line."""
+    begin = at[0] if rate[0] > edge else np.interp(edge, rate[:2], at[:2])
+    end = at[-1] if rate[-1] > edge else np.interp(edge, rate[:-3:-1], at[:-3:-1])
+    return float(begin), float(end)
