@@ -51,8 +51,13 @@ class GPBPast(NamedTuple):
 class WayBack(GaussianFilter):
     """The part of ``GPB`` that smooths."""
 
-    keeps_past, kernels_back = True, False
+    keeps_past = True
     regimes: Regimes
+
+    @property
+    def kernels_back(self) -> bool:  # type: ignore[override]  # of this bank, not of the class
+        """Whether the way back can run as a kernel: that of one motion."""
+        return self.regimes.motions == 1
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: GPBPast) -> GPBPast:  # type: ignore[override]
         """What is known of all hypotheses after each step."""
@@ -63,6 +68,10 @@ class WayBack(GaussianFilter):
         return past
 
     decided = fresh  # type: ignore[assignment]
+
+    def needed_ahead(self, past: GPBPast) -> GPBPast:  # type: ignore[override]
+        """How far the measurement was."""
+        return GPBPast(None, None, None, None, past.far)  # type: ignore[arg-type]  # nothing reads the others
 
     def last(self, past: GPBPast) -> tuple[GPBPast, Told]:  # type: ignore[override]
         """The last step, which no later measurement speaks of."""
