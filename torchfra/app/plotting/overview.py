@@ -14,6 +14,7 @@ from torchfra.app.outputs.summary import summary
 from torchfra.app.plotting.labels import SIZE, Array, in_free_places, show
 from torchfra.app.plotting.style import any_letters, plain_ticks, without_box, words
 from torchfra.cleaning import Cleaned
+from torchfra.readers.repairs import plural
 
 _MOST_ROWS = 40
 """Targets that have a row; of more, those with the largest share of rejected fixes."""
@@ -32,7 +33,7 @@ def overview(results: Sequence[Cleaned]) -> Figure:
     paths = _draw_map(panels["map"], results, colours)
     _draw_rows(panels["rows"], [of[i] for i in order], colours, len(of))
     fixes, rejected = sum(s["fixes"] for s in of), sum(s["flags"]["outlier"] for s in of)
-    figure.suptitle(f"{len(of)} tracks: {fixes:,} fixes, {rejected:,} rejected")
+    figure.suptitle(f"{len(of)} {plural(results[0].recording.source.word)}: {fixes:,} fixes, {rejected:,} rejected")
     with any_letters():
         figure.draw_without_rendering()
     figure.set_layout_engine("none")
