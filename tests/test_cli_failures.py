@@ -34,9 +34,9 @@ STRANGE = ["$", "$\\frac{$", "$$", "$x^2$", "\\frac", "$\\nothing$", "\x1b[2J\x1
 
 def rows(name, north=0.0, last=None):
     """A straight flight of ten fixes."""
-    times = [1000 * k for k in range(10)]
-    times[-1] = times[-1] if last is None else last
-    return [{"timestamp": 1_714_730_400_000 + t, "latitude": 48 + north + 1e-3 * k, "longitude": 2.0, "altitude": 3000, "icao24": name}
+    times = [1_714_730_400_000 + 1000 * k for k in range(10)]
+    times[-1] += 0 if last is None else last
+    return [{"timestamp": t, "latitude": 48 + north + 1e-3 * k, "longitude": 2.0, "altitude": 3000, "icao24": name}
             for k, t in enumerate(times)]  # fmt: skip
 
 

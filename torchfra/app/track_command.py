@@ -18,7 +18,6 @@ from torchfra.app.progress import progress_bar
 from torchfra.app.reading_options import add_reading_options, reading_of
 from torchfra.catalogue import FILTERS, track_filters
 from torchfra.cleaning import DEFAULT, Cleaned, check_settings, clean_tracks
-from torchfra.kernel.build import CompileError
 from torchfra.readers import Recording
 from torchfra.tables import printable
 
@@ -46,6 +45,10 @@ probabilities of an outlier and of a manoeuvre, a flag, and the covariance."""
 
 WORTHWHILE, WORTHWHILE_OF_BANKS = 5_000, 50_000
 """Steps of the longest tracks that take an interpreted filter about as long as compiling it."""
+
+
+_FAILED = "failed: "
+"""In front of what is said of a target that could not be cleaned."""
 
 
 def add_to(commands: Any) -> None:
@@ -124,25 +127,26 @@ def _settings(options: argparse.Namespace) -> dict[str, Any]:
 def _cleaned(
     recordings: Sequence[Recording], options: argparse.Namespace, failures: Failures
 ) -> dict[Recording, Cleaned]:
-    """All targets cleaned at once; or, where that fails, one after the other, without those that cannot be."""
+    """The targets that could be cleaned."""
     tell, fallback = reporters(options.compile, options.quiet)
     entry = FILTERS[options.filter]
     least = WORTHWHILE_OF_BANKS if entry.bank or entry.either else WORTHWHILE
     compile = choose(options.compile, max(len(recording.time) for recording in recordings) >= least, tell)
-    settings = {
-        "filter": options.filter, "bank": options.bank, "sigma": options.sigma, "q": options.q,
-        "smooth": not options.no_smooth, "dt": options.dt, "compile": compile, "fallback": fallback,
-    }  # fmt: skip
-    try:
-        return dict(zip(recordings, clean_tracks(recordings, **settings), strict=True))
-    except Exception as error:
-        if len(recordings) == 1 or isinstance(error, CompileError | NotImplementedError):
-            raise
-        found = {}
-        for recording in recordings:
-            with failures.of(printable(recording.name)):
-                (found[recording],) = clean_tracks([recording], **settings)
-        return found
+    results = clean_tracks(
+        recordings, filter=options.filter, bank=options.bank, sigma=options.sigma, q=options.q,
+        smooth=not options.no_smooth, dt=options.dt, compile=compile, fallback=fallback,
+    )  # fmt: skip
+    done = {}
+    for cleaned in results:
+        reasons = [said.removeprefix(_FAILED) for said in cleaned.found.said if said.startswith(_FAILED)]
+        if not reasons:
+            done[cleaned.recording] = cleaned
+        elif len(recordings) == 1:
+            raise ValueError(reasons[0])
+        else:
+            with failures.of(printable(cleaned.recording.name)):
+                raise ValueError(reasons[0])
+    return done
 
 
 def _write(

@@ -46,12 +46,13 @@ def overview(results: Sequence[Cleaned]) -> Figure:
 
 def _draw_map(axes: Axes, results: Sequence[Cleaned], colours: dict[str, str]) -> dict[str, Array]:
     """Draws the path of each target from its first to its last fix that was kept; returns what it drew."""
-    size = max(float(np.ptp(c.position[np.isfinite(c.position).all(1)], axis=0).max(initial=0)) for c in results)
+    every = [cleaned.position[np.isfinite(cleaned.position).all(1), :2] for cleaned in results]
+    size = float(np.ptp(np.concatenate(every), axis=0).max()) if any(map(len, every)) else 0.0
     unit, metres = ("km", 1000.0) if size >= 2000 else ("m", 1.0)
     paths = {}
-    for cleaned in results:
-        name, path = cleaned.recording.name, cleaned.position[np.isfinite(cleaned.position).all(1), :2] / metres
-        if len(path):
+    for cleaned, of in zip(results, every, strict=True):
+        if len(path := of / metres):
+            name = cleaned.recording.name
             paths[name] = path
             axes.plot(*path.T, color=colours.get(name, BLUE), linewidth=1.1, alpha=1.0 if colours else 0.6)
             axes.plot(*path[0], ".", color=colours.get(name, BLUE), markersize=4)
