@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from torchfra.app.outputs.colours import BLACK, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
 from torchfra.app.outputs.view import MOST_STD, SURE, Band, View, beyond, view
 from torchfra.app.plotting.labels import SIZE, Array, beside, in_free_places, show
-from torchfra.app.plotting.style import TITLE, any_letters, without_box, words
+from torchfra.app.plotting.style import TITLE, any_letters, finish, words
 from torchfra.cleaning import Cleaned
 
 _LETTERS = 85
@@ -58,8 +58,7 @@ def _draw_map(axes: Axes, of: View) -> None:
     axes.plot(*of.path.T, color=BLUE, linewidth=1.3, zorder=4)
     axes.plot(*of.recorded[of.rejected].T, linestyle="none", marker="x", markersize=6, color=RED, zorder=5)
     axes.set(xlabel=f"east, {of.unit}", ylabel=f"north, {of.unit}")
-    axes.grid(alpha=0.25)
-    without_box(axes)
+    finish(axes)
 
 
 def _label_map(axes: Axes, of: View) -> None:
@@ -139,8 +138,7 @@ def _finish_time(rows: list[Axes], of: View) -> None:
         if axes.get_label() != "regimes":
             for begin, last, _ in of.manoeuvres:
                 axes.axvspan(begin, last, color=ORANGE, alpha=0.22, linewidth=0, zorder=0)
-            axes.grid(alpha=0.25)
-        without_box(axes)
+            finish(axes)
     for axes in rows[:-1]:
         axes.tick_params(labelbottom=False)
     rows[-1].set(xlabel=of.clock)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from torchfra.app.outputs.colours import APART, BLUE, DARK, GREY, RED
 from torchfra.app.outputs.summary import summary
 from torchfra.app.plotting.labels import SIZE, Array, in_free_places, show
-from torchfra.app.plotting.style import any_letters, plain_ticks, without_box, words
+from torchfra.app.plotting.style import any_letters, finish, plain_ticks, without_box, words
 from torchfra.cleaning import Cleaned
 from torchfra.readers.repairs import plural
 
@@ -58,8 +58,7 @@ def _draw_map(axes: Axes, results: Sequence[Cleaned], colours: dict[str, str]) -
             axes.plot(*path[0], ".", color=colours.get(name, BLUE), markersize=4)
     axes.set(xlabel=f"east, {unit}", ylabel=f"north, {unit}")
     axes.set_title("cleaned tracks, a dot where each begins", fontsize=10)
-    axes.grid(alpha=0.25)
-    without_box(axes)
+    finish(axes)
     return paths
 
 

@@ -1,0 +1,201 @@
+"""Cleaning finds what tracks are made of, rejects what is wrong, and no track stops another."""
+
+import numpy as np
+import pytest
+
+from torchfra.cleaning import check_settings, clean_tracks
+from torchfra.cleaning.kinds import kind_of
+from torchfra.motion import ConstantVelocity, CoordinatedTurn
+from torchfra.motion.bank import Bank
+from torchfra.readers import Recording
+from torchfra.readers.recording import Source
+
+SIGMA = 10.0
+
+
+def recorded(seed, *, steps=200, period=2.0, d=2, sigma=SIGMA, outliers=0.03, speed=150.0, irregular=False, **more):
+    """A straight leg, a turn of 2 deg/s and a straight leg: the recording, the truth and which fixes are wrong."""
+    rng = np.random.default_rng(seed)
+    gaps = rng.uniform(0.3, 1.7, steps) * period if irregular else np.full(steps, period)
+    time = 1.7e9 + np.cumsum(gaps)
+    turning = (np.arange(steps) > steps // 3) & (np.arange(steps) < steps // 2)
+    heading = np.cumsum(np.radians(2.0) * gaps * turning)
+    step = speed * gaps[:, None] * np.stack([np.cos(heading), np.sin(heading), 0.02 * np.ones(steps)], 1)
+    truth = np.cumsum(step, 0)[:, :d]
+    wrong = rng.random(steps) < outliers
+    offset = rng.standard_normal((steps, d))
+    offset *= np.exp(rng.uniform(np.log(100), np.log(1e4), (steps, 1))) / np.linalg.norm(offset, axis=1, keepdims=True)
+    z = truth + sigma * rng.standard_normal(truth.shape) + wrong[:, None] * offset
+    return (
+        Recording(f"track {seed}", time, z, None, {}, **more),
+        truth,
+        wrong & (np.linalg.norm(offset, axis=1) > 6 * sigma),
+    )
+
+
+@pytest.fixture(scope="module")
+def cleaned():
+    several = [recorded(seed, d=d) for seed, d in ((0, 2), (1, 3), (2, 2), (3, 3))]
+    return several, clean_tracks([recording for recording, _, _ in several])
+
+
+def test_the_noise_is_found_and_said(cleaned):
+    for one in cleaned[1]:
+        assert one.found.sigma == pytest.approx(SIGMA, rel=0.1)
+        assert one.found.nis == pytest.approx(1.0, abs=0.3)
+        assert one.found.found == {"sigma", "q", "bank"}
+        assert one.found.bank == "aircraft"
+        assert any("sigma" in line for line in one.found.said)
+        assert any("NIS" in line for line in one.found.said)
+
+
+def test_outliers_are_found_and_nothing_else(cleaned):
+    for (_, _, wrong), one in zip(*cleaned, strict=True):
+        np.testing.assert_array_equal(one.flag == "outlier", wrong)
+
+
+def test_smoothed_tracks_are_nearer_to_the_truth_than_their_fixes(cleaned):
+    for (_, truth, _), one in zip(*cleaned, strict=True):
+        error = np.sqrt(np.square(one.position - truth).mean())
+        assert error < 0.6 * SIGMA
+
+
+def test_the_truth_is_as_near_as_estimates_say(cleaned):
+    off = np.concatenate([
+        np.abs(one.position - truth)[:, :2] / one.std[:, :2] for (_, truth, _), one in zip(*cleaned, strict=True)
+    ])  # fmt: skip
+    assert 0.6 < (off < 1).mean() < 0.85
+    assert (off < 2).mean() > 0.92
+
+
+def test_a_turn_is_a_manoeuvre_with_a_segment(cleaned):
+    for one in cleaned[1]:
+        assert np.median(one.manoeuvre[75:90]) > 0.5 > np.median(one.manoeuvre[:50])
+        (turn,) = [segment for segment in one.segments if "turn" in segment.kind]
+        assert turn.kind == "left turn"
+        assert turn.rate == pytest.approx(2.0, rel=0.1)
+
+
+def test_what_is_told_is_taken():
+    recording, _, _ = recorded(5)
+    (one,) = clean_tracks([recording], sigma=7.0, q=0.5, bank="vehicle")
+    assert (one.found.sigma, one.found.bank, one.found.found) == (7.0, "vehicle", frozenset())
+
+
+def test_fixes_that_state_their_own_noise_get_a_factor_on_it():
+    rng = np.random.default_rng(1)
+    recording, truth, _ = recorded(6, outliers=0.0)
+    std = np.where(np.arange(200) % 2, 1.0, 6.0)
+    z = truth + 5 * std[:, None] * rng.standard_normal(truth.shape)
+    (one,) = clean_tracks([Recording("own", recording.time, z, None, {}, sigma=std)])
+    assert one.found.sigma == pytest.approx(5.0, rel=0.15)
+    assert (one.flag == "outlier").mean() < 0.01
+
+
+def test_tracks_too_short_for_a_sigma_of_their_own_have_one_together():
+    few = [recorded(seed, steps=25, outliers=0.0)[0] for seed in range(12)]
+    done = clean_tracks(few)
+    assert len({one.found.sigma for one in done}) == 1
+    assert done[0].found.sigma == pytest.approx(SIGMA, rel=0.15)
+
+
+def test_the_filter_on_line_does_not_know_what_comes():
+    recording, _, _ = recorded(7)
+    cut = Recording("cut", recording.time[:120], recording.position[:120], None, {})
+    whole, part = (clean_tracks([r], sigma=SIGMA, q=1.0, smooth=False)[0] for r in (recording, cut))
+    np.testing.assert_allclose(whole.mean[:120], part.mean, rtol=1e-9)
+    np.testing.assert_allclose(whole.outlier[:120], part.outlier, atol=1e-9)
+
+
+def test_a_long_track_in_rows_is_what_it_is_as_one(monkeypatch):
+    recording, _, _ = recorded(8, steps=700)
+    (rows,) = clean_tracks([recording], sigma=SIGMA, q=1.0)
+    monkeypatch.setattr("torchfra.cleaning.positions._CORE", 1000)
+    (one,) = clean_tracks([recording], sigma=SIGMA, q=1.0)
+    assert (np.abs(rows.position - one.position) < one.std).all()
+
+
+def test_estimates_between_fixes_come_where_they_are_asked():
+    recording, truth, _ = recorded(9, period=4.0, outliers=0.0, irregular=True)
+    (one,) = clean_tracks([recording], dt=1.0)
+    between = one.row < 0
+    np.testing.assert_array_equal(one.row[~between], np.arange(200))
+    assert between.sum() == pytest.approx(one.time[-1], abs=2)
+    assert np.isnan(one.raw[between]).all()
+    assert not one.failed.any()
+    assert (one.outlier[between] == 0).all()
+    assert np.sqrt(np.square(one.position[~between] - truth).mean()) < SIGMA
+
+
+def test_a_gap_of_an_hour_is_bridged_and_unsure():
+    recording, _, _ = recorded(10, outliers=0.0)
+    time = recording.time + 3600.0 * (np.arange(200) >= 100)
+    (one,) = clean_tracks([Recording("gap", time, recording.position, None, {})], dt=600.0)
+    assert not one.failed.any()
+    assert one.std[one.row < 0][5].min() > 100 * SIGMA
+
+
+def test_repeated_positions_of_a_moored_ship_are_no_outliers():
+    rng = np.random.default_rng(0)
+    z = np.round(np.repeat(3 * rng.standard_normal((30, 2)), 5, 0), 1)
+    (one,) = clean_tracks([Recording("moored", 10.0 * np.arange(150), z, None, {}, source=Source(word="ship"))])
+    assert one.found.bank == "ship"
+    assert not one.failed.any()
+    assert (one.flag == "outlier").mean() < 0.05
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_tracks_of_a_few_fixes_are_cleaned(count):
+    recording, _, _ = recorded(11)
+    few = Recording("few", recording.time[:count], recording.position[:count], None, {})
+    (one,) = clean_tracks([few])
+    assert not one.failed.any()
+    assert one.mean.shape == (count, 4)
+
+
+def test_a_target_that_fails_says_so_and_stops_no_other():
+    good, _, _ = recorded(12)
+    bad = Recording("bad", good.time, np.full_like(good.position, np.inf), None, {})
+    one, other = clean_tracks([bad, good], sigma=SIGMA)
+    assert one.failed.all() or (one.flag == "outlier").all()
+    assert not other.failed.any()
+
+
+@pytest.mark.parametrize("name", ["srckf", "fra", "imm_srckf", "alphabeta", "iaukf"])
+def test_other_filters_run_with_what_was_found(name):
+    several = [recorded(seed, steps=60, d=d)[0] for seed, d in ((13, 2), (14, 3))]
+    for one in clean_tracks(several, filter=name):
+        assert one.found.filter == name
+        assert not one.failed.any()
+        assert one.mean.shape == (60, 2 * one.raw.shape[1])
+        assert one.found.smooth == (name != "alphabeta")
+    assert ("not smoothed" in " ".join(one.found.said)) == (name == "alphabeta")
+
+
+def test_a_bank_of_your_own_is_used_as_it_is():
+    recording, _, _ = recorded(15, steps=60, outliers=0.0)
+    bank = Bank([ConstantVelocity(0.1, spectral=True), CoordinatedTurn(0.035, 0.1, spectral=True)])
+    (one,) = clean_tracks([recording], bank=bank, sigma=SIGMA, smooth=False)
+    assert one.found.bank == "own"
+    assert any("turn +2" in name for name in one.regimes)
+
+
+@pytest.mark.parametrize(("given", "said"), [
+    ({"sigma": 0.0}, "sigma: expected metres above 0"),
+    ({"q": -1.0}, "q: expected m\\^2/s\\^3 of 0 or more"),
+    ({"dt": 0.0}, "dt: expected seconds above 0"),
+    ({"bank": "submarine"}, "bank: expected one of person, ship, vehicle, aircraft"),
+    ({"filter": "nothing"}, "filter: expected one of"),
+])  # fmt: skip
+def test_what_makes_no_sense_is_refused(given, said):
+    with pytest.raises(ValueError, match=said):
+        check_settings(**{"filter": "gpb"} | given)
+
+
+@pytest.mark.parametrize(("speed", "kind"), [(1.2, "person"), (15.0, "vehicle"), (120.0, "aircraft")])
+def test_the_kind_of_a_target_follows_from_its_speed_unless_the_file_says(speed, kind):
+    recording, _, _ = recorded(16, speed=speed, sigma=1.0, outliers=0.0)
+    assert kind_of(recording)[0] == kind
+    assert (
+        kind_of(Recording("a", recording.time, recording.position, None, {}, source=Source(word="ship")))[0] == "ship"
+    )

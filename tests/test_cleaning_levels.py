@@ -1,0 +1,83 @@
+"""The closed form of cleaning is Kalman's filter and smoother where there is one level and no outlier."""
+
+import numpy as np
+import oracles
+import pytest
+import torch
+
+from torchfra.cleaning.both_ways import both_ways, filtered
+from torchfra.cleaning.ladder import Doubt, Fixes, Levels, look_ahead
+
+SURE = Doubt(new=1e-300, still=1e-300)
+Q, SIGMA = 0.3, 4.0
+
+
+def white(dt, q=Q):
+    """The root of the process noise of one axis."""
+    return np.linalg.cholesky(q * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]))
+
+
+def one_level(batch, q=Q):
+    q = torch.full((1, batch), q, dtype=torch.float64)
+    return Levels(q, torch.zeros_like(q), torch.full_like(q, 60.0))
+
+
+@pytest.fixture
+def fixes():
+    """Two tracks of 30 irregular steps in the plane, with fixes that are missing."""
+    rng = np.random.default_rng(3)
+    gap = rng.uniform(0.3, 4.0, (30, 2))
+    z = 5e4 + np.cumsum(rng.standard_normal((30, 2, 2)) * 20, 0)
+    z[[4, 11, 12], :, 0] = np.nan
+    gap, z = torch.from_numpy(gap), torch.from_numpy(z)
+    return Fixes(z, gap, torch.full_like(gap, SIGMA**2), torch.zeros_like(gap))
+
+
+def expected(fixes, axis, track):
+    gap = fixes.gap[:, track].numpy()
+    model = oracles.Model(
+        lambda k: np.array([[1, gap[k]], [0, 1]]) if k else np.eye(2),
+        lambda k: white(gap[k]) if k else np.zeros((2, 2)),
+        np.array([[SIGMA]]), lambda x, k: x[:1], np.array([False]),
+    )  # fmt: skip
+    order = sorted(fixes.z[:, axis, track][~fixes.z[:, axis, track].isnan()][:9].tolist())
+    first = order[(len(order) - 1) // 2]
+    return fixes.z[:, axis, track, None].numpy(), np.array([first, 0.0]), np.diag([1e8, 1e5]), model
+
+
+@pytest.mark.parametrize("track", [0, 1])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_one_level_without_outliers_is_kalman_s_filter(fixes, axis, track):
+    of = expected(fixes, axis, track)
+    oracle = oracles.kalman(*of, np.array([[1.0, 0.0]]))
+    found = filtered(look_ahead(fixes, one_level(2), SURE), fixes, SURE).belief
+    np.testing.assert_allclose(found.position[axis, :, track], oracle["mean"][:, 0], rtol=1e-9)
+    np.testing.assert_allclose(found.velocity[axis, :, track], oracle["mean"][:, 1], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(found.pp[:, track], oracle["P"][:, 0, 0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("track", [0, 1])
+def test_both_ways_together_are_the_least_squares_solution_of_the_whole_track(fixes, track):
+    oracle = oracles.whole_track(*expected(fixes, 0, track))
+    found = both_ways(fixes, one_level(2), SURE).belief
+    # The two priors, one for each end, are worth next to nothing, but not nothing.
+    np.testing.assert_allclose(found.position[0, :, track], oracle["mean"][:, 0], atol=0.02)
+    np.testing.assert_allclose(found.velocity[0, :, track], oracle["mean"][:, 1], atol=0.02)
+    np.testing.assert_allclose(found.pp[:, track], oracle["P"][:, 0, 0], rtol=1e-3)
+    np.testing.assert_allclose(found.vv[:, track], oracle["P"][:, 1, 1], rtol=1e-3)
+
+
+def test_levels_that_are_alike_are_one_level(fixes):
+    several = Levels(*(x.repeat(3, 1) for x in one_level(2)))
+    several = several._replace(log_share=several.log_share - np.log(3))
+    one, three = both_ways(fixes, one_level(2)), both_ways(fixes, several)
+    torch.testing.assert_close(three.belief.position, one.belief.position, rtol=1e-12, atol=1e-6)
+    torch.testing.assert_close(three.outlier, one.outlier, rtol=1e-6, atol=1e-9)
+    torch.testing.assert_close(three.ahead.log_likelihood, one.ahead.log_likelihood, rtol=1e-9, atol=1e-9)
+
+
+def test_time_that_runs_backwards_gives_the_same_track_backwards(fixes):
+    forth, back = both_ways(fixes, one_level(2), SURE), both_ways(fixes.backwards(), one_level(2), SURE)
+    torch.testing.assert_close(back.belief.position.flip(1), forth.belief.position)
+    torch.testing.assert_close(-back.belief.velocity.flip(1), forth.belief.velocity, rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(back.belief.pp.flip(0), forth.belief.pp)

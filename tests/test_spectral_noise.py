@@ -1,0 +1,73 @@
+"""Process noise of a density: its integral is exact, so that two half steps are one whole."""
+
+import math
+
+import mpmath
+import pytest
+import torch
+
+from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn, aircraft, people, ships, vehicles
+
+MOTIONS = {
+    "constant velocity": ConstantVelocity(0.7, 3, spectral=True),
+    "with an acceleration": ConstantVelocity(0.7, 2, orders=3, spectral=True),
+    "constant acceleration": ConstantAcceleration(0.7, 2, spectral=True),
+    "turn": CoordinatedTurn(0.2, 0.7, 3, spectral=True),
+    "turn with an acceleration": CoordinatedTurn(-0.4, 0.7, 2, orders=3, spectral=True),
+    "turn of no rate": CoordinatedTurn(0.0, 0.7, 2, spectral=True),
+}
+
+
+def covariance(motion, dt):
+    root = motion.process_noise(torch.as_tensor(dt, dtype=torch.float64))
+    return root @ root.mT
+
+
+@pytest.mark.parametrize("dt", [1e-3, 1.0, 30.0])
+@pytest.mark.parametrize("name", MOTIONS)
+def test_two_half_steps_are_one_whole(name, dt):
+    motion = MOTIONS[name]
+    half = covariance(motion, dt / 2)
+    on = motion.transition(torch.tensor(dt / 2, dtype=torch.float64))
+    whole = covariance(motion, dt)
+    torch.testing.assert_close(on @ half @ on.mT + half, whole, rtol=1e-12, atol=1e-12 * whole.abs().max().item())
+
+
+@pytest.mark.parametrize("rate", [1e-7, 0.05, 0.5])
+def test_the_noise_of_a_turn_is_its_integral_to_many_digits(rate):
+    dt, q = 7.0, 0.7
+    with mpmath.workdps(40):
+        w = mpmath.mpf(rate)
+
+        def response(s):  # of position and velocity to a velocity along x that came s seconds ago
+            return mpmath.sin(w * s) / w, (1 - mpmath.cos(w * s)) / w, mpmath.cos(w * s), mpmath.sin(w * s)
+
+        def along(i, j):
+            return float(q * mpmath.quad(lambda s: response(s)[i] * response(s)[j], [0, dt]))
+
+        x = [[along(i, j) for j in range(4)] for i in range(4)]
+    turned = torch.tensor([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 0, -1], [0, 0, 1, 0]], dtype=torch.float64)
+    of_x = torch.tensor(x, dtype=torch.float64)
+    expected = of_x + turned @ of_x @ turned.mT
+    torch.testing.assert_close(
+        covariance(CoordinatedTurn(rate, q, spectral=True), dt), expected, rtol=1e-12, atol=1e-12
+    )
+
+
+def test_white_noise_has_its_closed_form():
+    expected = 0.7 * torch.tensor([[2.0**3 / 3, 2.0**2 / 2], [2.0**2 / 2, 2.0]], dtype=torch.float64)
+    torch.testing.assert_close(covariance(ConstantVelocity(0.7, 1, spectral=True), 2.0), expected)
+
+
+def test_the_form_of_the_papers_stays_the_default():
+    root = ConstantVelocity(4.0, 1).process_noise(torch.tensor(3.0, dtype=torch.float64))
+    torch.testing.assert_close(root, 2 * torch.tensor([[4.5], [3.0]], dtype=torch.float64))
+
+
+@pytest.mark.parametrize("make", [aircraft, ships, vehicles, people])
+def test_banks_are_of_one_state_and_take_densities_of_a_batch(make):
+    bank = make(torch.tensor([1.0, 2.0], dtype=torch.float64), 3, spectral=True)
+    assert (len(bank), bank.size) == (7, 9)
+    assert bank.process_noise(torch.ones(2, dtype=torch.float64)).shape[:3] == (2, 7, 9)
+    rates = sorted(abs(math.degrees(model.rate())) for model in bank if isinstance(model, CoordinatedTurn))
+    assert rates[0] < rates[-1]
