@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from torchfra.readers.times import seconds_of
+from torchfra.readers.times import seconds_of, usual_iso_seconds
 
 Array: TypeAlias = NDArray[np.float64]
 Cells: TypeAlias = Callable[[str], Sequence[Any] | NDArray[Any]]
@@ -127,7 +127,7 @@ def numbers(cells: Sequence[Any] | NDArray[Any], kind: Kind, name: str, first: i
         where = f"in data row {first + i + 1}, column {name}"
         return ValueError(f"expected {kind.said} {where}, received {_SHORT.repr(cells[i])}{advice}")
 
-    values = _array(cells, kind) if isinstance(cells, np.ndarray) else _plain_decimals(cells, kind)
+    values = _array(cells, kind) if isinstance(cells, np.ndarray) else _plain(cells, kind)
     if values is None:
         convert = _converter(kind)
         values = np.empty(len(cells))
@@ -170,10 +170,12 @@ def _array(cells: NDArray[Any], kind: Kind) -> Array | None:
     return cells.astype(np.float64) if cells.dtype.kind in "fiu" else None
 
 
-def _plain_decimals(cells: Sequence[Any], kind: Kind) -> Array | None:
-    """Cells that are all empty or decimal numbers, fast; None for others."""
+def _plain(cells: Sequence[Any], kind: Kind) -> Array | None:
+    """Cells that are all empty or decimal numbers, or usual ISO text, fast; None for others."""
     if kind.form not in ("", "iso"):
         return None  # a form may be of digits alone
+    if kind.form == "iso" and (seconds := usual_iso_seconds(cells)) is not None:
+        return seconds * kind.per_unit
     try:
         if kind.decimal == "," and _SIGNS_WITH_COMMAS.fullmatch(";".join(cells)):
             return np.array([float(cell.replace(",", ".") or "nan") for cell in cells])

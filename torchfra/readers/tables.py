@@ -19,6 +19,7 @@ from torchfra.readers.columns import Array, Cells, Head, Kind, numbers, text
 from torchfra.readers.csv_files import csv_sheet
 from torchfra.readers.json_files import json_sheet
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
+from torchfra.readers.pairs import pair_of, parted
 from torchfra.readers.sheets import Sheet, listed
 from torchfra.readers.told import Told
 from torchfra.readers.xml_files import is_xml, xml_sheet
@@ -111,11 +112,17 @@ def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int) -> 
     """
     growing, parts = _Growing(sheet.names, max_bytes), iter(sheet.parts)
     first = next(parts, None)
+    pair = None
     if sheet.names and first is not None:
         cells = first[1]
-        growing.want(choose(Head(sheet.names, lambda name: cells(name)[:_HEAD], sheet.said, sheet.commas, sheet.json)))
+        head = Head(sheet.names, lambda name: cells(name)[:_HEAD], sheet.said, sheet.commas, sheet.json)
+        if (pair := pair_of(head)) is not None:
+            names = [*(name for name in sheet.names if name != pair), "latitude", "longitude"]
+            said = (*sheet.said, f"latitude, longitude: both in {pair}")
+            head = head._replace(names=names, cells=parted(head.cells, pair), said=said)
+        growing.want(choose(head))
     for rows, cells in chain([first] if first else [], parts):
-        growing.add(rows, cells)
+        growing.add(rows, cells if pair is None else parted(cells, pair))
     return growing.table()
 
 

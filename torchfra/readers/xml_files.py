@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from typing import Any
 from xml.etree import ElementTree
 
@@ -59,10 +60,8 @@ def _gpx_sheet(text: str) -> Sheet:
             for column, cell in zip(columns.values(), row, strict=True):
                 column.append(cell)
     others = len(gpx.waypoints) + sum(len(route.points) for route in gpx.routes)
-    said = (
-        f"GPX: {len(gpx.tracks)} tracks" + (f"; {others} waypoints and points of routes left out" if others else ""),
-    )
-    return _timed(columns, said, "GPX")
+    left_out = f"; {others} waypoints and points of routes left out" if others else ""
+    return _timed(columns, (f"GPX: {len(gpx.tracks)} tracks{left_out}",), "GPX")
 
 
 def _kml_sheet(text: str) -> Sheet:
@@ -80,14 +79,13 @@ def _kml_sheet(text: str) -> Sheet:
         lines += any(_tag(part) == "LineString" for part in parts)
         for track in tracks:
             times = [part.text for part in track if _tag(part) == "when"]
-            places = [(part.text or "").split() for part in track if _tag(part) == "coord"]
+            places = [part for part in track if _tag(part) == "coord"]
             if len(times) != len(places):
                 raise ValueError(f"expected a time for each of {len(places)} places of a track, received {len(times)}")
-            _add(columns, times, places, name or f"track {number + 1}")
+            _add(columns, times, ((part.text or "").split() for part in places), name or f"track {number + 1}")
         when = [part.text for part in parts if _tag(part) == "when"]
-        point = [
-            part.text or "" for one in parts if _tag(one) == "Point" for part in one if _tag(part) == "coordinates"
-        ]
+        inner = [part for one in parts if _tag(one) == "Point" for part in one]
+        point = [part.text or "" for part in inner if _tag(part) == "coordinates"]
         if not tracks and when and point:
             _add(columns, when[:1], [point[0].strip().split(",")], "")
     if not columns["time"] and lines:
@@ -95,7 +93,7 @@ def _kml_sheet(text: str) -> Sheet:
     return _timed(columns, ("KML: longitude, latitude[, altitude in metres]",), "KML")
 
 
-def _add(columns: dict[str, list[Any]], times: list[str | None], places: list[list[str]], name: str) -> None:
+def _add(columns: dict[str, list[Any]], times: Iterable[str | None], places: Iterable[list[str]], name: str) -> None:
     """Adds points.
 
     Raises:
