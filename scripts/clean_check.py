@@ -5,10 +5,11 @@
     python scripts/clean_check.py --kinds gliders,drones --clean package.module:function
 
 Truth: recorded flights of the package traffic, their time stamps mended and their paths made smooth, on a grid of one
-second; ships and drones that are simulated; and the paths of recorded ranges where a folder of them is given, with
-noise and outliers of a fiftieth, as they were walked.  Every truth is measured at each period and noise as often as
-there are runs: Gaussian noise on each axis, and 3 % of the fixes outliers of 100 m to 10 km, half of them in bursts.
-A case is a truth at a period and noise.  Its figures, over all runs:
+second; ships and drones that are simulated; and the paths of recorded ranges where a folder of them is given: as they
+were walked, noise and outliers are a fiftieth and periods an eighth, and turns, which are corners, not asked for.
+Every truth is measured at each period and noise as often as there are runs: Gaussian noise, and 3 % of the fixes
+outliers of 100 m to 10 km, half of them in bursts.  A case is a truth at a period and noise.  Its figures, over all
+runs:
 
 - the error across the ground (root mean square) at the fixes that are no outliers over that of these fixes as they are;
 - the error at all fixes over that of a smoother of constant velocity that is told sigma and the outliers, and whose

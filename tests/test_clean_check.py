@@ -127,10 +127,12 @@ def test_the_best_density_is_the_one_that_errs_least():
     truth = np.cumsum(np.cumsum(0.3 * rng.standard_normal((200, 2)), 0), 0)
     z = truth + 5 * rng.standard_normal((4, 200, 2))
     good = rng.random((4, 200)) < 0.9
-    error, q = best(z, good, 1.0, 5.0, truth)
+    error, there, q = best(z, good, 1.0, 5.0, truth)
     for other in (q / 10, q, 10 * q):
         smooth = smoothed(z, good, 1.0, 5.0, np.array([other]))[0]
         assert math.sqrt(np.square(smooth - truth).sum(-1).mean()) >= error * (1 - 1e-12)
+        if other == q:
+            assert math.sqrt(np.square(smooth - truth).sum(-1)[good].mean()) == pytest.approx(there)
     assert error < 0.7 * math.sqrt(2) * 5
 
 

@@ -33,6 +33,7 @@ class Bound(NamedTuple):
 
 def bounds(period: float) -> list[Bound]:
     """All that is asked at a period; between those that are named, as at the one below."""
+    turns = [Bound(f"{what} of turns", f"turn_{what}", TURNS, 1.0) for what in ("precision", "recall")]
     return [
         Bound("error over that of the raw fixes", "of_raw", 0.0, _at(RATIO, period)),
         Bound("error over the best constant velocity's", "of_best", 0.0, 1.1),
@@ -40,10 +41,9 @@ def bounds(period: float) -> list[Bound]:
         Bound("precision of outliers", "outlier_precision", _at(OUTLIERS, period), 1.0),
         Bound("recall of outliers", "outlier_recall", _at(OUTLIERS, period), 1.0),
         Bound("sigma found over true", "sigma_found", 0.9, 1.1),
-        *[Bound(f"{what} of turns", f"turn_{what}", TURNS if period <= TURNS_UP_TO else 0.0, 1.0)
-          for what in ("precision", "recall")],
+        *(turns if period <= TURNS_UP_TO else []),
         *[Bound(f"{band} % band", f"band_{band}", band / 100 - 0.03, band / 100 + 0.03) for band in (68, 95)],
-    ]  # fmt: skip
+    ]
 
 
 def _at(values: dict[float, float], period: float) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,8 +57,20 @@ def _first(z: Array, good: NDArray[np.bool_]) -> Array:
     return np.take_along_axis(z, good.argmax(-1)[..., None, None], -2)[..., 0, :]
 
 
-def best(z: Array, good: NDArray[np.bool_], dt: float, sigma: float, truth: Array) -> tuple[float, float]:
-    """RMSE over all runs ``z (r, k, d)`` with the density that makes it least, and that density."""
-    error = smoothed(z, good, dt, sigma, DENSITIES) - truth
-    rmse = np.sqrt(np.square(error).sum(-1).mean((1, 2)))
-    return float(rmse.min()), float(DENSITIES[rmse.argmin()])
+class Best(NamedTuple):
+    """What the best density gives."""
+
+    rmse: float
+    """Over all fixes of all runs, m."""
+    there: float
+    """Over those that are no outliers."""
+    q: float
+    """M^2/s^3."""
+
+
+def best(z: Array, good: NDArray[np.bool_], dt: float, sigma: float, truth: Array) -> Best:
+    """The density with the least RMSE over all runs ``z (r, k, d)`` of a truth ``(k, d)``."""
+    error = np.square(smoothed(z, good, dt, sigma, DENSITIES) - truth).sum(-1)
+    least = int(error.mean((1, 2)).argmin())
+    rmse, there = np.sqrt([error[least].mean(), error[least][good].mean()])
+    return Best(float(rmse), float(there), float(DENSITIES[least]))

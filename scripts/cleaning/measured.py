@@ -22,7 +22,7 @@ class Case(NamedTuple):
 
     truth: Truth
     period: float
-    """Seconds."""
+    """Seconds, before the truth's pace."""
     noise: float
     """Standard deviation per axis, m, before the truth's scale."""
 

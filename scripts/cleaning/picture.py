@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from cleaning.bounds import Bound, Figures, bounds
+from cleaning.bounds import Figures, bounds
 
 COLOURS = {
     "calibration": "#0072B2", "gliders": "#E69F00", "circling": "#009E73", "others": "#56B4E9", "ships": "#D55E00",
@@ -40,7 +40,7 @@ def picture(cases: Sequence[Figures], title: str) -> Figure:
         axes.set_title(label, fontsize=9)
         axes.set_ylim(span[0] - 0.03 * (span[1] - span[0]), span[1] + 0.03 * (span[1] - span[0]))
         for x, column in enumerate(columns):
-            for bound in _asked(column[0], name):
+            for bound in (bound for bound in bounds(column[0]) if bound.figure == name and not bound.middle):
                 low, high = (min(max(value, span[0]), span[1]) for value in (bound.low, bound.high))
                 axes.add_patch(Rectangle((x - 0.48, low), 0.96, high - low, color="#009E73", alpha=0.18, linewidth=0))
             here = [case for case in cases if (case["period"], case["noise"]) == column and case[name] is not None]
@@ -51,11 +51,6 @@ def picture(cases: Sequence[Figures], title: str) -> Figure:
     figure.legend(handles=marks, loc="outside lower center", ncols=len(kinds), fontsize=8, frameon=False)
     figure.suptitle(title, fontsize=10)
     return figure
-
-
-def _asked(period: float, figure: str) -> list[Bound]:
-    """What is asked of each case; nothing where all values would do."""
-    return [b for b in bounds(period) if b.figure == figure and not b.middle and (b.low, b.high) != (0.0, 1.0)]
 
 
 def _dots(

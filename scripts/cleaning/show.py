@@ -23,21 +23,22 @@ def table(cases: Sequence[Figures]) -> str:
     for (kind, period, noise), here in cells(cases).items():
         rows.append([
             kind, f"{period:g}", f"{noise:g}", str(len(here)),
-            *(text for figure in ("of_raw", "of_best") for text in _middle_and_worst(here, figure)),
+            *(text for figure in ("of_raw", "best_of_raw", "of_best") for text in _middle_and_worst(here, figure)),
             *(_share(here, f"outlier_{what}") for what in ("precision", "recall")),
             "{:.2f} to {:.2f}".format(min(c["sigma_found"] for c in here), max(c["sigma_found"] for c in here)),
             *(_share(here, f"turn_{what}") for what in ("precision", "recall")),
             *(_share(here, f"band_{band}") for band in (68, 95)),
             str(sum(c["failed"] for c in here)),
         ])  # fmt: skip
-    header = ["kind", "s", "m", "cases", "of raw", "worst", "of best CV", "worst", "outliers P", "R", "sigma",
-              "turns P", "R", "68 %", "95 %", "failed"]  # fmt: skip
+    header = ["kind", "s", "m", "cases", "of raw", "worst", "best CV", "worst", "of best CV", "worst", "outliers P",
+              "R", "sigma", "turns P", "R", "68 %", "95 %", "failed"]  # fmt: skip
     return text_table(header, rows)
 
 
 def cases_table(cases: Sequence[Figures]) -> str:
     """A line for each case."""
-    columns = {"of raw": "of_raw", "of best CV": "of_best", "outliers P": "outlier_precision", "R": "outlier_recall",
+    columns = {"of raw": "of_raw", "best CV": "best_of_raw", "of best CV": "of_best",
+               "outliers P": "outlier_precision", "R": "outlier_recall",
                "sigma": "sigma_found", "turns P": "turn_precision", "R ": "turn_recall", "68 %": "band_68",
                "95 %": "band_95"}  # fmt: skip
     rows = [

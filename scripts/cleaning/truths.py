@@ -26,16 +26,16 @@ GROUPS = {
 KINDS = (*GROUPS, "ships", "drones", "ranges")
 PER_FILE, FIXES = 3, 4000
 """Most flights of one file, and fixes of each that are looked at."""
-JERK = (0.3, 0.003)
-"""Density of the jerk that a smooth truth has, across the ground and in height, m^2/s^5."""
-OWN = 5.0
-"""Noise that recorded positions are taken to have when they are made smooth, m."""
+JERK, OWN = (0.3, 0.003), 5.0
+"""Density of the jerk that a smooth flight has, across the ground and in height, m^2/s^5, and its own noise, m."""
+STRIDE, WAVERING = 1.0, 0.02
+"""The same of a path that was walked."""
 SLOWEST = 3.0
 """Speed below which nothing flies, m/s."""
 SHORTEST = 60
 """Fixes of the shortest track."""
-SCALE = 0.02
-"""Noise and outliers of a path that was walked, as shares of those of the others."""
+SCALE, PACE = 0.02, 0.125
+"""Noise and outliers of a path that was walked, and its periods, as shares of those of the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +52,12 @@ class Truth:
     """By how much the recorded positions were moved to make them smooth, RMS per axis of the ground, m."""
     scale: float = 1.0
     """Factor on noise and outliers."""
+    pace: float = 1.0
+    """Factor on periods."""
 
     def window(self, period: float, steps: int) -> NDArray[np.intp] | None:
-        """Which positions are fixes: ``steps`` of them in the middle, every ``period`` seconds; None if too few."""
-        every = np.arange(0, len(self.position), max(1, round(period / self.dt)))
+        """Which positions are fixes: ``steps`` of them in the middle, one each period; None if too few."""
+        every = np.arange(0, len(self.position), max(1, round(self.pace * period / self.dt)))
         first = max(0, (len(every) - steps) // 2)
         return every[first : first + steps] if len(every) >= SHORTEST else None
 
@@ -112,7 +114,7 @@ def _flight(kind: str, name: str, recording: Recording, seconds: float) -> list[
     near = np.unique(np.round(time).astype(int))  # grid points within half a second of a fix
     fixes = np.isin(np.arange(len(grid)), near)
     smooth = _smooth(grid, rough, fixes)
-    moved = float(np.sqrt(np.square(smooth - rough)[fixes, :2].mean()))
+    moved = _rms(smooth[fixes, :2] - rough[fixes, :2])
     return [Truth(kind, name, 1.0, smooth, moved)]
 
 
@@ -144,4 +146,10 @@ def _walked(place: Path) -> Truth:
     time, position = recording.reference.time, recording.reference.position[:, :2]
     grid = time[0] + 0.125 * np.arange(int(np.ptp(time) / 0.125) + 1)
     path = np.stack([np.interp(grid, time, axis) for axis in position.T], 1)
-    return Truth("ranges", "-".join(place.parts[-3:]), 0.125, path, scale=SCALE)
+    weight = np.full(len(grid), WAVERING**-2)
+    smooth = smoothed(grid - grid[0], path, weight, limit=np.inf, roughness=1 / STRIDE)
+    return Truth("ranges", "-".join(place.parts[-3:]), 0.125, smooth, _rms(smooth - path), SCALE, PACE)
+
+
+def _rms(moves: Array) -> float:
+    return float(np.sqrt(np.square(moves).mean()))

@@ -32,12 +32,12 @@ class _Rule(NamedTuple):
     change: float
     """Least change."""
     unsure: float = math.inf
-    """Standard deviation from which on the quantity is not known at all."""
+    """Median standard deviation in a segment, from which on nothing is known of the quantity."""
 
 
-_TURN = _Rule(("left turn", "right turn"), 0.5, 0.3, 1.5, 8.0, 8.0, 40.0)
+_TURN = _Rule(("left turn", "right turn"), 0.5, 0.3, 1.5, 2.0, 15.0, 30.0)
 """Of the direction of flight, degrees."""
-_SPEED = _Rule(("speeding up", "slowing down"), 0.1, 0.1, 0.5, 8.0, 2.0)
+_SPEED = _Rule(("speeding up", "slowing down"), 0.1, 0.1, 0.5, 4.0, 2.0)
 """m/s."""
 _CLIMB = _Rule(("climbing", "descending"), 0.5, 0.5, 1.0, 10.0, 15.0)
 """Of the height, m."""
@@ -76,21 +76,24 @@ def segments(time: Array, mean: Array, covariance: Array) -> tuple[Segment, ...]
 def _changes(time: Array, value: Array, std: Array, rule: _Rule) -> Iterator[Segment]:
     """Segments in which a value ``(T,)`` of which ``std (T,)`` is known rises or falls."""
     at = np.sort(np.concatenate([time, (time[1:] + time[:-1]) / 2]))
-    unsure = np.interp(at, time, std)
+    level, unsure = np.interp(at, time, value), np.interp(at, time, std)
     half = (math.sqrt(2) * unsure / rule.noise).clip(np.median(np.diff(time)), _LONGEST) / 2
     before, after = (at - half).clip(time[0]), (at + half).clip(max=time[-1])
     rate = (np.interp(after, time, value) - np.interp(before, time, value)) / (after - before)
-    rate[unsure > rule.unsure] = 0.0
+    rate[unsure > 2 * rule.unsure] = 0.0
     for side, kind in zip((1, -1), rule.kinds, strict=True):
         for part in _above(side * rate, rule.low):
-            there, fast = at[part], side * rate[part]
+            there, fast, rise, doubt = at[part], side * rate[part], side * level[part], unsure[part]
+            if there[-1] - there[0] < rule.lasting or rise[-1] - rise[0] < rule.change:
+                continue
             edge = min(max(float(np.quantile(fast, 0.75)) / 2, rule.low), rule.high)
             for piece in _above(fast, edge):
-                begin, end = _crossings(there[piece], fast[piece], edge)
-                change = float(np.diff(np.interp([begin, end], time, value))[0])
-                sure = _SURE * math.hypot(*np.interp([begin, end], time, std))
-                if end - begin >= rule.lasting and side * change >= max(rule.change, sure):
-                    yield Segment(begin, end, kind, change / (end - begin))
+                ends = _crossings(there[piece], fast[piece], edge)
+                lasting, change = np.diff(ends)[0], np.diff(np.interp(ends, there, rise))[0]
+                sure = _SURE * math.hypot(*np.interp(ends, there, doubt))
+                known = np.median(doubt[piece]) < rule.unsure
+                if known and lasting >= rule.lasting and change >= max(rule.change, sure):
+                    yield Segment(*ends, kind, float(side * change / lasting))
 
 
 def _above(rate: Array, edge: float) -> Iterator[slice]:
