@@ -82,7 +82,7 @@ def check(options: argparse.Namespace) -> None:
     module, _, name = options.clean.partition(":")
     clean: Cleaner = getattr(importlib.import_module(module), name)
     check_files({"json": options.json, "plot": options.plot})
-    known = truths(options.kinds.split(","), options.flights, max(periods) * options.steps, options.ranges)
+    known = truths(options.kinds.split(","), options.flights, options.ranges)
     cases = [Case(truth, period, noise) for period in periods for noise in noises for truth in known]
     found, seconds = judged(clean, cases, options)
     failures = Failures()

@@ -42,6 +42,7 @@ def bounds(period: float) -> list[Bound]:
         Bound("recall of outliers", "outlier_recall", _at(OUTLIERS, period), 1.0),
         Bound("sigma found over true", "sigma_found", 0.9, 1.1),
         *(turns if period <= TURNS_UP_TO else []),
+        Bound("runs that fail", "failed", 0.0, 0.0),
         *[Bound(f"{band} % band", f"band_{band}", band / 100 - 0.03, band / 100 + 0.03) for band in (68, 95)],
     ]
 
