@@ -128,10 +128,9 @@ def _result(
     flag = flags(fix, nis, outlier, manoeuvre, GATE[steps.raw.shape[1]])
     good = fix & (flag != "outlier")
     mean_nis = float(nis[good].mean() / steps.raw.shape[1]) if good.any() else math.nan
-    said = (*found.said, f"NIS {mean_nis:.2f} of 1")
     return Cleaned(
         recording, steps.time, steps.row, steps.raw, mean, covariance, nis, outlier, manoeuvre, flag,
-        replace(found, nis=mean_nis, said=said), segments(steps.time, mean, covariance), names, regimes,
+        replace(found, nis=mean_nis), segments(steps.time, mean, covariance), names, regimes,
     )  # fmt: skip
 
 
@@ -139,8 +138,9 @@ def _found(name: str, settings: Settings, own: Bank | None, kind: tuple[str, str
     """What a track is cleaned with, and a line for each choice."""
     bank, why = ("own", "as told") if own is not None else kind
     told = {"sigma": settings.sigma, "q": settings.q, "bank": None if why != "as told" else bank}
-    height = "" if math.isnan(answer.height) else f", of the height {answer.height:.3g} m"
-    said = (f"{bank}, {why}", f"sigma {answer.sigma:.3g} m{height}; q {answer.q:.3g} m^2/s^3")
+    said = () if own is not None or why == "as told" else (f"{bank}, {why}",)
+    if not math.isnan(answer.height):
+        said = (*said, f"sigma of the height {answer.height:.3g} m")
     found = frozenset(key for key, value in told.items() if value is None)
     return Found(name, settings.smooth, bank, answer.sigma, answer.q, math.nan, found, said)
 
