@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from torchfra import presets
-from torchfra.app.track import track
+from torchfra.cleaning import clean_tracks
 from torchfra.filters.alphabeta import AlphaBeta, gains
 from torchfra.motion import ConstantAcceleration, ConstantVelocity
 from torchfra.readers import Recording
@@ -112,8 +112,9 @@ def test_track_knows_how_sure_it_is_between_fixes(sigma):
     time = np.cumsum(gaps)
     course = lambda t: np.stack([200 * t, 50 * t], 1)  # noqa: E731
     fixes = course(time) + sigma * np.random.default_rng(1).standard_normal((len(time), 2))
-    (result,) = track([Recording("a", time, fixes, None, {})], "alphabeta", dt=0.5, sigma=sigma)
-    missing, std = result.flags["missing"], result.std[:, 0]
+    options = {"filter": "alphabeta", "smooth": False, "sigma": sigma, "q": 1.0}
+    (result,) = clean_tracks([Recording("a", time, fixes, None, {})], dt=0.5, **options)
+    missing, std = result.row < 0, result.std[:, 0]
     assert missing.sum() > 150
     assert std[missing].min() > 0.4 * sigma
     for begin in (29, 68):
@@ -144,7 +145,9 @@ def flown(at, off, gap=50.0, fixes=40, after=1):
 def test_a_single_wild_fix_is_not_followed_into_a_gap(gap):
     cases = [(at, after) for at in (0, 1, 2, 3, 5, 12) for after in (1, 2, 3)]
     recordings = [flown(at, np.array([3e5, -1e5]), gap, after=after) for at, after in cases]
-    for (at, _), result in zip(cases, track(recordings, "alphabeta", dt=max(1.0, gap / 20)), strict=True):
+    options = {"filter": "alphabeta", "smooth": False, "sigma": 25.0, "q": 1.0}
+    results = clean_tracks(recordings, dt=max(1.0, gap / 20), **options)
+    for (at, _), result in zip(cases, results, strict=True):
         time, error = result.time, np.linalg.norm(result.position - line(result.time), axis=1)
         fixed = result.recording.time - result.recording.time[0]
         late = time >= fixed[at + 3 if at < 3 else 0]  # a start is at the newest fix

@@ -17,12 +17,14 @@ import torch
 
 from torchfra.app import cli, home, plotting
 from torchfra.app.command import exit_status, message
-from torchfra.app.track import track
-from torchfra.app.track_command import _unused
+from torchfra.app.outputs.plan import unused
+from torchfra.cleaning import core
 from torchfra.tables import printable, text_table
 from train import tune
 
 ROOT = Path(__file__).parent.parent
+TOLD = ["--sigma", "25", "--q", "1", "--bank", "aircraft"]
+"""Nothing has to be found."""
 COMPARE = ["compare", "--scenario", "bearings-outliers", "--filters", "srckf", "--no-compile"]
 STRANGE = ["$", "$\\frac{$", "$$", "$x^2$", "\\frac", "$\\nothing$", "\x1b[2J\x1b[H", "\x1b]0;title\x07", "a\rb",
            "a\nb", "\x00x", "a" * 5000, "\u00e9" * 200, "\u4e2d\u6587" * 60, "\ud800", "a\udfffb", "\u202eabc",
@@ -41,7 +43,7 @@ def track_them(tmp_path, flights, *options):
     """The exit status of ``torchfra track`` on these flights, with results in ``out`` and ``s.json``."""
     (tmp_path / "f.json").write_text(json.dumps(flights))
     out = ["--out", str(tmp_path / "out"), "--json", str(tmp_path / "s.json")]
-    return cli.main(["track", str(tmp_path / "f.json"), "--filter", "srckf", "--no-compile", *out, *options])
+    return cli.main(["track", str(tmp_path / "f.json"), "--filter", "srckf", "--no-compile", *TOLD, *out, *options])
 
 
 # ---------------------------------------------------------------- names
@@ -52,13 +54,14 @@ def test_strange_names_are_harmless(tmp_path, capsys):
     flights = [row for i, name in enumerate(names) for row in rows(name, 0.1 * i)]
     assert track_them(tmp_path, flights, "--no-plots") == 0
     said, errors = capsys.readouterr()
-    assert len(said.splitlines()) == len(names)
+    assert sum(": 10 fixes in 9 s" in line for line in said.splitlines()) == len(names)
     assert errors == ""
     assert all(line.isprintable() and len(line) < 600 for line in said.splitlines())
     said.encode()
     files = [path.relative_to(tmp_path / "out") for path in (tmp_path / "out").rglob("*")]
-    assert len(files) == len(names)
-    assert all(path.parent == Path() and path.suffix == ".csv" and not path.name.startswith(".") for path in files)
+    assert len(files) == 2 * len(names)
+    assert all(path.parent == Path() and not path.name.startswith(".") for path in files)
+    assert {"".join(path.suffixes[-2:]) for path in files} >= {".csv", ".meta.json"}
     assert sorted(path.name for path in tmp_path.iterdir()) == ["f.json", "out", "s.json"]
     assert {track["name"] for track in json.loads((tmp_path / "s.json").read_text())["tracks"]} >= {"$", "\ud800"}
 
@@ -77,7 +80,7 @@ def test_a_strange_name_is_harmless_in_every_picture(tmp_path):
         make = list(pictures(name))[i % 5]
         assert plotting.save(make(), tmp_path / "p.png").stat().st_size > 1000
     assert track_them(tmp_path, rows("$\\frac{$") + rows("$$\ud800", 0.1)) == 0
-    assert len(list((tmp_path / "out").glob("*.png"))) == 2
+    assert len(list((tmp_path / "out").glob("*.png"))) == 3
 
 
 def test_a_name_is_shown_as_it_is_where_that_does_no_harm():
@@ -89,7 +92,7 @@ def test_a_name_is_shown_as_it_is_where_that_does_no_harm():
 
 def test_names_that_are_the_same_where_case_does_not_count_have_files_of_their_own():
     used = set()
-    assert [_unused(name, used) for name in ("Ab", "aB", "ab", "x/y")] == ["Ab", "aB-2", "ab-3", "x_y"]
+    assert [unused(name, used) for name in ("Ab", "aB", "ab", "x/y")] == ["Ab", "aB-2", "ab-3", "x_y"]
 
 
 def test_an_escape_sequence_in_an_error_does_not_reach_the_terminal(tmp_path, capsys):
@@ -118,25 +121,27 @@ def test_one_target_that_cannot_be_filtered_does_not_stop_the_others(tmp_path, c
         "torchfra: error: late: dt: expected at most 10,000,000 steps, received 1.0 s in a track of"
     )
     assert errors.count("\n") == 1
-    assert [line.split(":")[0] for line in said.splitlines()] == ["good", "other"]
+    assert [line.split(":")[0] for line in said.splitlines()[-2:]] == ["good", "other"]
     assert [track["name"] for track in json.loads((tmp_path / "s.json").read_text())["tracks"]] == ["good", "other"]
     assert track_them(tmp_path, rows("late", last=9 * 10**12), "--dt", "1") == 2
 
 
 def test_one_target_that_cannot_be_drawn_does_not_stop_the_others(tmp_path, capsys, monkeypatch):
-    draw = plotting.filtered
+    draw = plotting.cleaned
 
-    def fail(*arguments):
-        if "bad" in arguments[7]:
+    def fail(cleaned):
+        if cleaned.recording.name == "bad":
             raise IndexError("no such line")
-        return draw(*arguments)
+        return draw(cleaned)
 
-    monkeypatch.setattr(plotting, "filtered", fail)
+    monkeypatch.setattr(plotting, "cleaned", fail)
     assert track_them(tmp_path, rows("bad") + rows("good", 0.1)) == 1
     said, errors = capsys.readouterr()
     assert errors == "torchfra: error: bad: IndexError: no such line\n"
-    assert [line.split(":")[0] for line in said.splitlines()] == ["bad", "good"]
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"bad.csv", "good.csv", "good.png"}
+    assert [line.split(":")[0] for line in said.splitlines()[-2:]] == ["bad", "good"]
+    pictures = {path.name for path in (tmp_path / "out").glob("*.png")}
+    assert pictures == {"good.png", "overview.png"}
+    assert len(list((tmp_path / "out").glob("*.csv"))) == 2
 
 
 # ---------------------------------------------------------------- not finite
@@ -157,7 +162,7 @@ def spoiled(run):
 def test_an_estimate_of_a_recording_that_is_not_finite_is_said_and_shows_in_the_exit_status(
     tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.setattr("torchfra.app.track._run", spoiled(track.__globals__["_run"]))
+    monkeypatch.setattr(core, "_run", spoiled(core._run))
     for options in ([], ["--quiet"]):
         assert track_them(tmp_path, rows("bad") + rows("good", 0.1), *options) == 1
         assert capsys.readouterr().err == "torchfra: error: bad: NaN or infinity in 1 of 10 steps\n"
@@ -166,12 +171,14 @@ def test_an_estimate_of_a_recording_that_is_not_finite_is_said_and_shows_in_the_
 
 
 def test_a_recording_without_any_finite_estimate_gives_no_warning(tmp_path, capsys, monkeypatch):
-    def nothing(f, z, gaps, prior):
-        estimate = f(z, prior, dt=gaps)
+    run = core._run
+
+    def nothing(*arguments, **options):
+        estimate = run(*arguments, **options)
         return estimate._replace(mean=estimate.mean * torch.nan)
 
-    monkeypatch.setattr("torchfra.app.track._run", lambda *a: torch.no_grad()(nothing)(*a))
-    assert track_them(tmp_path, rows("bad"), "--no-plots") == 1
+    monkeypatch.setattr(core, "_run", nothing)
+    assert track_them(tmp_path, rows("bad")) == 1
     assert capsys.readouterr().err == "torchfra: error: bad: NaN or infinity in 10 of 10 steps\n"
 
 

@@ -47,6 +47,7 @@ SMALL = {
         {"--kinds": "ships", "--flights": "1", "--runs": "1", "--steps": "60", "--periods": "5", "--noises": "15"},
         {},
     ),
+    "scripts/particles.py": ({"--runs": "2", "--particles": "50"}, {}),
     "scripts/benchmark.py": ({"--batch": "1", "--passes": "1", "--modes": "eager"}, {"--filters": "srckf"}),
     "scripts/examples/": ({}, {}),
     "scripts/": ({"--iterations": "2", "--tracks": "4", "--steps": "10"}, {}),

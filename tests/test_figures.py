@@ -7,7 +7,6 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matplotlib.figure import Figure
 from matplotlib.text import Text
 from scipy.optimize import least_squares
 
@@ -16,14 +15,11 @@ from torchfra.app import plotting
 from torchfra.app.evaluate import evaluate, flight, leaders, measure, results_of
 from torchfra.app.evaluate.fixes import deviations, fixes
 from torchfra.app.evaluate.flights import FAR, typical_run
+from torchfra.app.outputs.colours import APART
 from torchfra.app.plotting.labels import spread_apart
-from torchfra.app.plotting.models import shade
-from torchfra.app.plotting.style import APART
-from torchfra.app.track import _flags
 from torchfra.catalogue import make_scenario, scenario_filters
 from torchfra.readers import Recording
 from torchfra.scenarios import recorded
-from torchfra.types import Estimate
 
 LIMIT, STEPS = 2000.0, 50
 
@@ -308,39 +304,3 @@ def test_quantiles_over_the_runs_are_errors_of_runs():
         assert of[f"{key}_track_rmse"] == pytest.approx(np.quantile(errors, share, method="inverted_cdf"))
     assert of["worst_track"] == pytest.approx(errors.max())
     assert of["diverged"] == (errors > 60).sum()
-
-
-# ---------------------------------------------------------------- torchfra track
-
-
-def test_a_probable_outlier_in_any_block_is_marked():
-    class Info:
-        outlier = torch.tensor([[0.1, 0.2], [0.9, 0.0], [0.2, 0.6], [0.4, 0.4]])
-
-    nis = torch.tensor([1.0, 50.0, 1.0, 50.0])
-    outlier, manoeuvre, decided = _flags(Estimate(nis, nis, nis, nis, Info()), 13.8)
-    assert outlier.tolist() == [False, True, True, False]
-    assert manoeuvre.tolist() == [False, False, False, True]
-    assert decided
-
-
-def test_an_outlier_is_marked_where_it_was_measured_and_a_manoeuvre_where_the_target_was():
-    time, mean = np.arange(6.0), 1000 * np.stack([np.arange(6.0), np.zeros(6)], 1)
-    raw, std = mean + np.array([0.0, 500.0]), np.full((6, 2), 30.0)
-    flags = {name: np.arange(6) == k for name, k in (("outlier", 2), ("manoeuvre", 4))}
-    figure = plotting.filtered(time, raw, mean, std, np.ones(6), flags, 13.8, "")
-    path, residual, _ = figure.axes
-    marks = {line.get_label().split()[0]: line.get_xydata() for line in path.lines}
-    np.testing.assert_allclose(marks["outlier"], [[2.0, 0.5]])
-    np.testing.assert_allclose(marks["manoeuvre"], [[4.0, 0.0]])
-    (certain,) = [line for line in residual.lines if line.get_label().startswith("2 std")]
-    np.testing.assert_allclose(certain.get_ydata(), 60 * np.sqrt(2))
-
-
-def test_a_model_that_leads_for_one_step_is_shaded_until_the_next():
-    time, leading = np.arange(6.0), np.array([0, 0, 2, 0, 1, 1])
-    axes = Figure().subplots()
-    shade(axes, time, leading, ["straight", "turn", "jump"])
-    spans = {bars.get_label(): [(p.vertices[:, 0].min(), p.vertices[:, 0].max()) for p in bars.get_paths()]
-             for bars in axes.collections}  # fmt: skip
-    assert spans == {"straight": [(0.0, 2.0), (3.0, 4.0)], "turn": [(4.0, 5.0)], "jump": [(2.0, 3.0)]}

@@ -319,6 +319,8 @@ wait
 COMPILES = (
     LOADED
     + """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background starts with it ignored
 with module.workplace() as folder:
     module.run(sys.argv[2:], folder)
 """

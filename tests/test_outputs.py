@@ -242,9 +242,9 @@ def test_a_run_finds_before_it_begins_that_a_file_cannot_be_written(name, tmp_pa
 
 
 def test_one_target_whose_table_cannot_be_written_is_found_before_any_work(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("torchfra.app.track_command.track", None)
+    monkeypatch.setattr("torchfra.app.track_command.clean_tracks", None)
     (tmp_path / "flight.csv").write_text("t,x,y\n0,0,0\n1,1,1\n")
-    for ending in ("csv", "png"):
+    for ending in ("csv", "meta.json", "png"):
         out = tmp_path / ending
         (out / f"flight.{ending}").mkdir(parents=True)
         assert cli.main(["track", str(tmp_path / "flight.csv"), "--out", str(out)]) == 2

@@ -85,23 +85,29 @@ def test_other_scripts_and_forms_are_no_time_either(write, stamp):
 # ---------------------------------------------------------------- times
 
 
-@pytest.mark.parametrize("unit", [1e3, 1e6, 1e9])
-@pytest.mark.parametrize("header", ["time,icao24,lat,lon", "t,x,y,z"])
-def test_seconds_that_are_parts_of_them_are_refused_with_what_to_do(write, unit, header):
-    name = header.partition(",")[0]
+HEADS = ["time,icao24,lat,lon", "t,x,y,z", "timestamp,latitude,longitude,altitude", "UTC,Lat,Lng,Alt"]
+
+
+@pytest.mark.parametrize(("unit", "form"), [(1, "seconds"), (1e3, "ms"), (1e6, "us"), (1e9, "ns")])
+@pytest.mark.parametrize("header", HEADS)
+def test_times_since_1970_are_read_in_any_unit_and_it_is_said(write, header, unit, form):
     rows = [(START * unit, 1, 2, 3), ((START + 10) * unit, 1, 2.1, 3)]
-    said = f"data row 1, column {name}, received .* too large for seconds: milliseconds must be divided by 1000"
-    with pytest.raises(ValueError, match=said):
-        read(write(table(header, *rows)))
-    with pytest.raises(ValueError, match=said):
-        read(write([dict(zip(header.split(","), row, strict=True)) for row in rows], "a.json"))
+    records = [dict(zip(header.split(","), row, strict=True)) for row in rows]
+    for path in (write(table(header, *rows)), write(records, "a.json")):
+        (track,) = read(path)
+        np.testing.assert_array_equal(track.time, [START, START + 10])
+        assert track.source.time == form
+        assert "since 1970" in track.source.said[0]
+        assert [float(text) for text in track.source.written(track.time)] == [row[0] for row in rows]
 
 
-@pytest.mark.parametrize("unit", [1, 1e6, 1e9])
-def test_milliseconds_that_are_something_else_are_refused_with_what_to_do(write, unit):
-    said = "column timestamp, received .*; seconds must be multiplied by 1000, microseconds divided by it"
-    with pytest.raises(ValueError, match=said):
-        read(write(table("timestamp,latitude,longitude", (START * unit, 1, 2), ((START + 9) * unit, 2, 3))))
+@pytest.mark.parametrize("unit", [1, 1e3, 1e6, 1e9])
+@pytest.mark.parametrize("header", HEADS)
+def test_times_in_two_units_are_refused_by_the_row_of_the_second(write, header, unit):
+    for other in {1, 1e3, 1e6, 1e9} - {unit}:
+        rows = [(START * unit, 1, 2, 3), ((START + 5) * unit, 1, 2.1, 3), ((START + 10) * other, 1, 2.1, 3)]
+        with pytest.raises(ValueError, match=f"in data row 3, column {header.partition(',')[0]}, received"):
+            read(write(table(header, *rows)))
 
 
 def test_times_in_the_files_unit_are_seconds_since_1970(write):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 import gzip
 import json
 import math
@@ -21,9 +20,7 @@ from torchfra.readers import Recording, read, resample
 Write = Callable[..., Path]
 CENTRE = (47.0, 8.0, 0.0)
 START = 1_600_000_000
-HEADERS = (
-    r"expected a header with t,x,y\[,z\]; or time,icao24,lat,lon; or timestamp,latitude,longitude, separated by commas"
-)
+HEADERS = r"expected a header with a time and x,y\[,z\] or lat,lon\[,alt\], or the names of such columns by --time, .*"
 
 
 @pytest.fixture(scope="module")
@@ -171,10 +168,11 @@ def test_held_positions_are_dropped_and_counted(write: Write) -> None:
     np.testing.assert_array_equal(track.time - START, [0, 3, 4])
 
 
-def test_a_plain_position_is_held_only_if_its_height_is(write: Write) -> None:
-    track = only(write("p.csv", "t,x,y,z\n0,1,2,3\n1,1,2,3\n2,1,2,4\n3,1,2,4\n"))
-    assert track.repairs == {"held positions dropped": 2}
-    np.testing.assert_array_equal(track.time, [0, 2])
+def test_a_repeated_position_of_what_is_no_aircraft_is_a_measurement(write: Write) -> None:
+    for text in ("t,x,y,z\n0,1,2,3\n1,1,2,3\n2,1,2,4\n", "t,mmsi,lat,lon\n0,1,2,3\n1,1,2,3\n2,1,2,3\n"):
+        track = only(write("p.csv", text))
+        assert track.repairs == {}
+        np.testing.assert_array_equal(track.time, [0, 1, 2])
 
 
 def test_a_newer_update_of_the_same_position_is_not_held(write: Write) -> None:
@@ -268,10 +266,10 @@ def test_an_aircraft_without_altitudes_is_flat_beside_others_that_are_not(write:
         ("a.csv", 't,x,y\n0,1,"2\n1,2,3\n', "expected CSV"),
         ("a.csv", b"t,x,y\n0,1,\xff\n", "expected UTF-8 text"),
         ("a.csv", "t,x\n0,1\n", "missing y, received t, x"),
-        ("a.csv", "time,lat,lon\n0,1,2\n", "missing icao24, received"),
+        ("a.csv", "time,lat\n0,1\n", "missing longitude, received time, lat"),
         ("a.csv", "hello\nworld\n", f"{HEADERS}; received hello"),
-        ("a.csv", "Time,X,Y\n0,1,2\n", f"{HEADERS}; received Time, X, Y"),
-        ("a.csv", "t;x;y\n0;1,5;2\n", f"{HEADERS}; received t;x;y"),
+        ("a.csv", "Time,P,Q\n0,1,2\n", f"{HEADERS}; received Time, P, Q"),
+        ("a.csv", "t;x;y\n0;1,5;2\n1;1.5;2\n", r"a number in data row 2, column x, received '1\.5'"),
         ("a.csv", "0,10,10\n1,20,30\n", f"{HEADERS}; received 0, 10, 10"),
         ("a.csv", "time,icao24\n0,abc\n", f"{HEADERS}; received time, icao24"),
         ("a.csv", "icao24,lat,lon\nabc,1,2\n", "missing time, received icao24, lat, lon"),
@@ -347,20 +345,6 @@ def test_an_origin_that_is_nowhere_is_refused(write: Write, origin: Any) -> None
 def test_an_origin_for_x_and_y_is_refused(write: Write) -> None:
     with pytest.raises(ValueError, match="origin: expected degrees to go with it, received the columns t, x, y"):
         read(write("p.csv", "t,x,y\n0,1,2\n1,2,3\n"), origin=CENTRE)
-
-
-def test_without_pymap3d_only_latitudes_are_refused(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = builtins.__import__
-
-    def without(name: str, *more: Any) -> Any:
-        if name == "pymap3d":
-            raise ImportError(name)
-        return real(name, *more)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(ImportError, match=r'pip install "torchfra\[data\]"'):
-        read(write("a.json", flight()))
-    assert len(read(write("p.csv", "t,x,y\n0,1,2\n1,2,3\n"))) == 1
 
 
 # What holds for any file

@@ -17,6 +17,7 @@ from torchfra import (
     sensors,
     testing,
 )
+from torchfra.app.clean import clean, track
 from torchfra.app.memory import keep_memory
 from torchfra.hyper import Hyper, learnable, summary
 from torchfra.types import Cause, Estimate, Failure, Gaussian, Innovation
@@ -31,6 +32,7 @@ __all__ = [
     "Innovation",
     "adaptive",
     "association",
+    "clean",
     "coordinates",
     "filters",
     "gaussian",
@@ -47,4 +49,5 @@ __all__ = [
     "sensors",
     "summary",
     "testing",
+    "track",
 ]

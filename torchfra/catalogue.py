@@ -24,8 +24,6 @@ class FilterEntry:
     """A preset and its traits."""
 
     preset: Callable[..., Filter]
-    colour: str
-    """Of its lines in figures."""
     bank: bool = False
     """It takes a ``Bank`` of motions instead of one."""
     either: bool = False
@@ -44,29 +42,29 @@ class FilterEntry:
 
 
 FILTERS: dict[str, FilterEntry] = {
-    "gpb": FilterEntry(presets.gpb, "#d55e00", either=True, emphasised=True),
-    "ukf": FilterEntry(presets.ukf, "#999999"),
-    "ekf": FilterEntry(presets.ekf, "#c7a76c"),
-    "srckf": FilterEntry(presets.srckf, "#4c72b0"),
-    "rsrckf": FilterEntry(presets.rsrckf, "#8172b3"),
-    "mr_ckf": FilterEntry(presets.mr_ckf, "#937860"),
-    "asrckf": FilterEntry(presets.asrckf, "#64b5cd"),
-    "rmckf": FilterEntry(presets.rmckf, "#dd8452"),
-    "ghckf": FilterEntry(presets.ghckf, "#2f4b7c"),
-    "hghckf1": FilterEntry(presets.hghckf1, "#f28e2b"),
-    "hghckf2": FilterEntry(presets.hghckf2, "#59a14f"),
-    "iaukf": FilterEntry(presets.iaukf, "#b07aa1"),
-    "fra_srckf": FilterEntry(presets.fra_srckf, "#55a868", gated=True, emphasised=True),
-    "fra": FilterEntry(presets.fra, "#c44e52", gated=True, emphasised=True),
-    "imm_srckf": FilterEntry(presets.imm_srckf, "#8c564b", bank=True),
-    "imm_ckf": FilterEntry(presets.imm_ckf, "#8c564b", bank=True, listed=False),  # the same filter as imm_srckf
-    "imm": FilterEntry(presets.imm, "#8c564b", bank=True, listed=False),
-    "vsimm_srckf": FilterEntry(presets.vsimm_srckf, "#17becf", bank=True),
-    "imm_fra": FilterEntry(presets.imm_fra, "#da8bc3", bank=True, gated=True),
-    "alphabeta": FilterEntry(presets.alphabeta, "#76b7b2", constant_gains=True),
-    "ukf_jpda": FilterEntry(presets.ukf_jpda, "#999999", scans=True),
-    "iaukf_jpda": FilterEntry(presets.iaukf_jpda, "#b07aa1", scans=True),
-    "jpda": FilterEntry(presets.jpda, "#4c72b0", scans=True, listed=False),
+    "gpb": FilterEntry(presets.gpb, either=True, emphasised=True),
+    "ukf": FilterEntry(presets.ukf),
+    "ekf": FilterEntry(presets.ekf),
+    "srckf": FilterEntry(presets.srckf),
+    "rsrckf": FilterEntry(presets.rsrckf),
+    "mr_ckf": FilterEntry(presets.mr_ckf),
+    "asrckf": FilterEntry(presets.asrckf),
+    "rmckf": FilterEntry(presets.rmckf),
+    "ghckf": FilterEntry(presets.ghckf),
+    "hghckf1": FilterEntry(presets.hghckf1),
+    "hghckf2": FilterEntry(presets.hghckf2),
+    "iaukf": FilterEntry(presets.iaukf),
+    "fra_srckf": FilterEntry(presets.fra_srckf, gated=True, emphasised=True),
+    "fra": FilterEntry(presets.fra, gated=True, emphasised=True),
+    "imm_srckf": FilterEntry(presets.imm_srckf, bank=True),
+    "imm_ckf": FilterEntry(presets.imm_ckf, bank=True, listed=False),  # the same filter as imm_srckf
+    "imm": FilterEntry(presets.imm, bank=True, listed=False),
+    "vsimm_srckf": FilterEntry(presets.vsimm_srckf, bank=True),
+    "imm_fra": FilterEntry(presets.imm_fra, bank=True, gated=True),
+    "alphabeta": FilterEntry(presets.alphabeta, constant_gains=True),
+    "ukf_jpda": FilterEntry(presets.ukf_jpda, scans=True),
+    "iaukf_jpda": FilterEntry(presets.iaukf_jpda, scans=True),
+    "jpda": FilterEntry(presets.jpda, scans=True, listed=False),
 }
 """The filters that commands know by name."""
 

@@ -32,6 +32,8 @@ STRIDE, WAVERING = 1.0, 0.02
 """The same of a path that was walked."""
 SLOWEST = 3.0
 """Speed below which nothing flies, m/s."""
+FASTEST = 1.8
+"""Share of a piece's median speed above which it was not flown, but recorded late."""
 SHORTEST, LONGEST = 60, 6000
 """Fixes of the shortest track, and seconds of the longest truth."""
 SCALE, PACE = 0.02, 0.125
@@ -117,9 +119,10 @@ def _flight(kind: str, name: str, recording: Recording) -> list[Truth]:
 
 
 def _moving(piece: Recording) -> Iterator[tuple[Array, Array]]:
-    """Times and positions of each stretch in which it is faster than ``SLOWEST``."""
+    """Times and positions of each stretch in which it flies, no slower and no faster than it can."""
     speed = np.linalg.norm(np.diff(piece.position[:, :2], axis=0), axis=1) / np.diff(piece.time)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], (speed >= SLOWEST).astype(int), [0]])))
+    flies = (speed >= SLOWEST) & (speed <= FASTEST * np.median(speed))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flies.astype(int), [0]])))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         yield piece.time[begin : end + 1], piece.position[begin : end + 1]
 

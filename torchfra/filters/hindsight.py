@@ -10,7 +10,8 @@ from torchfra import tree
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.gaussian.future import future
 from torchfra.gaussian.mixture import models_first, moment_match, repeated, without_failed
-from torchfra.gaussian.update import correct, density
+from torchfra.gaussian.model import adapted
+from torchfra.linalg.triangular import apply
 from torchfra.types import Gaussian
 
 
@@ -89,11 +90,20 @@ def retreat(inner: Any, turn: Turn, matrix: Tensor, after: Models) -> Models:
     share = joint - joint.logsumexp(-2, keepdim=True)
     before = repeated(models_first(turn.past.inner.belief), share.shape[-1])  # (was, ..., now)
     mixed = moment_match(before, share.movedim(-2, 0))
-    predicted, _ = inner.carry(mixed, turn.frame, turn.ahead.factor).belief()
+    frame = adapted(turn.frame, mixed.mean)  # as the filter has adapted it
+    predicted, _ = inner.carry(mixed, frame, turn.ahead.factor).belief()
     later = future(predicted, after.belief)
-    each, root, normalised = correct(before, later.against(inner.carry(before, turn.frame, turn.ahead.factor)))
-    fit = without_failed(density(root, normalised)).movedim(0, -2)
-    joint = without_failed((share + fit).log_softmax(-2)) + after.log_weights.unsqueeze(-2)
+    each, fit = later.told(inner.carry(before, frame, turn.ahead.factor))
+    joint = without_failed((share + without_failed(fit).movedim(0, -2)).log_softmax(-2))
+    joint = joint + after.log_weights.unsqueeze(-2)
     log_weights = joint.logsumexp(-1)
-    back = Gaussian(each.mean.transpose(0, -2), each.scale_tril.transpose(0, -3))  # (now, ..., was)
-    return Models(moment_match(back, (joint - log_weights.unsqueeze(-1)).movedim(-1, 0)), log_weights)
+    back = Gaussian(each.mean.movedim(-2, 0), each.scale_tril.movedim(-3, 0))  # (now, was, ...)
+    told = moment_match(back, (joint - log_weights.unsqueeze(-1)).movedim((-1, -2), (0, 1)))
+    told = Gaussian(told.mean.movedim(0, -2), told.scale_tril.movedim(0, -3))
+    return Models(inside(turn.past.inner.belief, told), log_weights)
+
+
+def inside(belief: Gaussian, told: Gaussian) -> Gaussian:
+    """A belief ``(..., n)`` after what has been ``told`` of it in units of its root."""
+    mean, root = belief
+    return Gaussian(mean + apply(root, told.mean), root @ told.scale_tril)  # lower roots: so is their product

@@ -6,41 +6,63 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from torchfra.gaussian.model import Carried
 from torchfra.gaussian.smoothing import invertible
-from torchfra.linalg.gram import gram_information
-from torchfra.linalg.triangular import apply, hstack
+from torchfra.linalg.gram import downdate, gram_information
+from torchfra.linalg.triangular import apply, hstack, tria
 from torchfra.tree import event_ranks
-from torchfra.types import Gaussian, Whitened
+from torchfra.types import Gaussian
 
 
-@event_ranks(origin=1, root=2, certain=1, slope=2, value=1)
+class Told(NamedTuple):
+    """What a measurement makes of beliefs whose roots it is in units of: ``N(0, I)`` where it says nothing."""
+
+    belief: Gaussian
+    """``(..., n)`` in those units, with an upper root."""
+    log_density: Tensor
+    """``(...)`` of the measurement, constants left out."""
+
+
+@event_ranks(origin=1, slope=2, value=1)
 class Future(NamedTuple):
-    """``value = slope root^-1 (x - origin) + N(0, I)`` for a state ``x (..., n)``."""
+    """``value = slope (x - origin) + N(0, I)`` for a state ``x (..., n)``."""
 
     origin: Tensor
     """``(..., n)`` prediction of the state."""
-    root: Tensor
-    """``(..., n, n)`` lower root of its covariance, I in directions that are certain."""
-    certain: Tensor
-    """``(..., n)`` bool, which directions those are."""
     slope: Tensor
     """``(..., n, n)``, 0 along what nothing is said of."""
     value: Tensor
     """``(..., n)``."""
 
-    def against(self, ahead: Carried) -> Whitened:
-        """This measurement against beliefs ``(..., n)`` that are carried as far as its state."""
-        columns = hstack((ahead.mean - self.origin).unsqueeze(-1), ahead.process_noise, ahead.spread)
-        rows = self._rows(columns)
-        lost = None if ahead.lost is None else self._rows(ahead.lost)
-        return Whitened(self.value - rows[..., 0], rows[..., 1:], ahead.mean.shape[-1], lost)
+    def told(self, ahead: Carried) -> Told:
+        """What this says of beliefs ``(..., n)`` that are carried as far as its state, in units of their roots.
 
-    def _rows(self, columns: Tensor) -> Tensor:
-        columns = torch.where(self.certain.unsqueeze(-1), 0.0, columns)
-        rows: Tensor = self.slope @ torch.linalg.solve_triangular(self.root, columns, upper=False)
-        return rows
+        What does not follow a belief is noise here, ``N = I + slope Q slope^T``, and often that of many beliefs: in
+        units of it, ``N^-1/2 value = A u + N(0, I)`` for ``u ~ N(0, I)``.  ``tria([[I, A^T], [0, e^T]]) = [[R, 0],
+        [y^T, d]]`` then holds what is left: ``u ~ N(R^-T y, R^-T R^-1)``, and the density ``exp(-d^2 / 2) / det R``.
+        """
+        n, eye = ahead.mean.shape[-1], torch.eye(ahead.mean.shape[-1]).to(self.slope)
+        rest = ahead.spread.shape[-1] - n
+        noise = hstack(ahead.process_noise, ahead.spread[..., :rest]) if rest else ahead.process_noise
+        noise = self.slope @ noise
+        root = tria(hstack(eye, noise))
+        if ahead.lost is not None:
+            root, _ = downdate(root, self.slope @ ahead.lost)
+        seen = torch.linalg.solve_triangular(root, hstack(self.slope, self.value.unsqueeze(-1)), upper=False)
+        slope = seen[..., :n]
+        residual = seen[..., n] - apply(slope, ahead.mean - self.origin)
+        rows = hstack(slope @ ahead.spread[..., rest:], residual.unsqueeze(-1)).mT  # [A, e]^T
+        unit = pad(eye, (n + 1, 0, 0, 1)).expand(*rows.shape[:-1], 2 * n + 1)  # behind the zeros that tria wants
+        lower = tria(torch.cat([unit, rows], -1), padded=True)
+        left = torch.linalg.solve_triangular(lower[..., :n, :n].mT, eye, upper=True)
+        fit = -0.5 * lower[..., n, n].square() - _log_det(lower[..., :n, :n]) - _log_det(root)
+        return Told(Gaussian(apply(left, lower[..., n, :n]), left), fit)
+
+
+def _log_det(root: Tensor) -> Tensor:
+    return root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
 
 def future(predicted: Gaussian, smoothed: Gaussian) -> Future:
@@ -55,4 +77,5 @@ def future(predicted: Gaussian, smoothed: Gaussian) -> Future:
     known = torch.where(certain.unsqueeze(-1), 0.0, hstack(gap, smoothed.scale_tril))
     inside = torch.linalg.solve_triangular(root, known, upper=False)
     slope, weight = gram_information(inside[..., 1:])
-    return Future(predicted.mean, root, certain, slope, apply(weight, inside[..., 0]))
+    outside = torch.linalg.solve_triangular(root.mT, slope, upper=True).mT  # slope is symmetric
+    return Future(predicted.mean, torch.where(certain.unsqueeze(-2), 0.0, outside), apply(weight, inside[..., 0]))

@@ -15,20 +15,33 @@ def moment_match(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
     ``tria([sqrt(w_i) S_i, sqrt(w_i) (mean_i - mean)])`` over all i: no covariance is formed.
 
     Args:
-        beliefs: ``mean (K, ..., n)`` and ``scale_tril (K, ..., n, n)``, the K beliefs on the first dimension.
+        beliefs: ``mean (K, ..., n)`` and ``scale_tril (K, ..., n, n)``, the K beliefs on the first dimension; any
+            roots ``(K, ..., n, p)`` will do.
         log_weights: ``(K, ...)``, whose exponentials sum to one over the first dimension; minus infinity for a belief
             that does not count, and may then be NaN.
 
     Source: Bar-Shalom, Li & Kirubarajan (2001), section 1.4.16, for the moments.
     """
+    middle, columns = _moments(beliefs, log_weights)
+    zeros = torch.zeros_like(middle).unsqueeze(-1).expand(*middle.shape, middle.shape[-1])
+    return Gaussian(middle, tria(torch.cat([zeros, *columns], -1), padded=True))
+
+
+def pooled(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
+    """As ``moment_match``, with a root ``(..., n, K (p + 1))``, for what makes it triangular later."""
+    middle, columns = _moments(beliefs, log_weights)
+    return Gaussian(middle, torch.cat(columns, -1))
+
+
+def _moments(beliefs: Gaussian, log_weights: Tensor) -> tuple[Tensor, list[Tensor]]:
+    """The mean ``(..., n)``, and columns of a root of the covariance, ``(..., n, p)`` and ``(..., n, 1)``."""
     counts = log_weights != -torch.inf  # NaN does count: it must show in the result
-    weight = torch.where(counts, log_weights, 0.0).exp() * counts
-    root = torch.where(counts, 0.5 * log_weights, 0.0).exp() * counts  # not sqrt(weight): its gradient at 0 is infinite
+    root = (0.5 * log_weights).exp()  # not the root of a weight: its gradient at 0 is infinite
     mean = torch.where(counts.unsqueeze(-1), beliefs.mean, 0.0)
-    spread = torch.where(counts[..., None, None], beliefs.scale_tril, 0.0)
-    middle = (weight.unsqueeze(-1) * mean).sum(0)
-    columns = root[..., None, None] * torch.cat([spread, (mean - middle).unsqueeze(-1)], -1)
-    return Gaussian(middle, tria(columns.movedim(0, -2).flatten(-2)))
+    middle = (root.square().unsqueeze(-1) * mean).sum(0)
+    spread = root[..., None, None] * torch.where(counts[..., None, None], beliefs.scale_tril, 0.0)
+    apart = (root.unsqueeze(-1) * (mean - middle)).unsqueeze(-1)
+    return middle, [x for pair in zip(spread.unbind(), apart.unbind(), strict=True) for x in pair]
 
 
 def repeated(belief: Gaussian, count: int) -> Gaussian:

@@ -62,14 +62,21 @@ def predict(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Predi
 def propagate(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Carried:
     """The predicted mean, and what its covariance is made of."""
     mean, root = belief
-    if frame.transition is not None:
-        shift, noise = frame.shift, frame.process_noise
-        if frame.adaptation is not None:
-            shift, noise = frame.adaptation(mean, shift, noise)
-        mean, spread = apply(frame.transition, mean), frame.transition @ root
-        return Carried(mean if shift is None else mean + shift, spread, noise, None)
+    transition = frame.transition
+    if transition is not None:
+        frame = adapted(frame, mean)
+        mean, spread = apply(transition, mean), transition @ root
+        return Carried(mean if frame.shift is None else mean + frame.shift, spread, frame.process_noise, None)
     mean, spread, lost = rule(lambda x: motion.at_points(x, frame.dt, frame.u), belief, motion.difference)
     return Carried(mean, spread, motion.process_noise_at(frame.process_noise, mean), lost)
+
+
+def adapted(frame: Frame, mean: Tensor) -> Frame:
+    """The frame of a linear motion whose shift and process noise follow the ``mean (..., n)`` before a step."""
+    if frame.transition is None or frame.adaptation is None:
+        return frame
+    shift, noise = frame.adaptation(mean, frame.shift, frame.process_noise)
+    return frame._replace(shift=shift, process_noise=noise, adaptation=None)
 
 
 def compare(sensor: Sensor, rule: Rule, belief: Gaussian, frame: Frame) -> Whitened:

@@ -1,17 +1,25 @@
 """Reads tracks from files into local metres, and counts what it had to repair on the way.
 
-The columns decide what a file is.  It is CSV with a header or JSON (records or columns), gzipped or not:
+A file is one of these, gzipped or not (but for the last):
 
-- ``timestamp, latitude, longitude`` [``altitude, icao24, callsign, last_position``]: ms since 1970 or ISO text (UTC
-  where it names no zone), degrees, feet.
-- ``time, icao24, lat, lon`` [``baroaltitude, geoaltitude, callsign, lastposupdate``]: the state vectors of OpenSky, in
-  seconds since 1970, degrees, metres.  A missing baroaltitude gives way to geoaltitude.
-- ``t, x, y`` [``z``]: seconds and metres.
+- rows of text under a header, separated by commas, semicolons, tabs, bars or spaces, with decimal points or commas, and
+  comments (# or %);
+- JSON: records, columns, or GeoJSON with a time for each place;
+- GPX (extra ``formats``), KML with times, NMEA 0183 with RMC and GGA (extra);
+- Parquet and Feather (extra).
+
+Columns are found by their names, in any case and common spellings: a time; x, y[, z] or latitude, longitude[,
+altitude]; which target a row is of (icao24, mmsi, id, ...); how good a fix is (sigma, accuracy, hdop).  ``Told`` names
+others.
+So read are the state vectors of OpenSky, the tracks of ``traffic``, and logs of ships such as the Danish ones.
+Times are ISO text, UTC where it names no zone, dates in other forms, or numbers: s, ms, us or ns since 1970 by their
+size, or seconds since any start.  Lengths are metres unless the name of a column or ``units`` says feet; altitudes that
+aircraft send (``altitude`` beside icao24 or a callsign) are feet.  What was taken for what is in ``Source.said``.
 
 A number is a decimal one in ASCII digits, such as -1.5e3.  Empty cells, null and NaN in any letters are missing.  All
-else is refused, also "inf", 1_000 and 0x10; so are times that can only be in another unit, columns or keys that come
-twice, and files that hold more than ``max_bytes`` of text: they are read piece by piece, so that a few packed bytes do
-not fill the memory.
+else is refused, also "inf", 1_000 and 0x10; so are times in two units, columns or keys that come twice, XML with
+entities, tracks that nothing can have moved along, and files that hold more than ``max_bytes`` of text: they are read
+piece by piece, so that a few packed bytes do not fill the memory.
 
 ``read_ranges`` reads what was measured instead: ranges from anchors.
 """
@@ -22,8 +30,9 @@ from torchfra.readers.grid import resample
 from torchfra.readers.range_files import range_folders, read_ranges
 from torchfra.readers.ranges import RangeGrid, RangeRecording
 from torchfra.readers.reading import read
-from torchfra.readers.recording import Origin, Recording
+from torchfra.readers.recording import Origin, Recording, Source
 from torchfra.readers.sample_files import samples
+from torchfra.readers.told import Told
 
 __all__ = [
     "MAX_BYTES",
@@ -31,6 +40,8 @@ __all__ = [
     "RangeGrid",
     "RangeRecording",
     "Recording",
+    "Source",
+    "Told",
     "flyable",
     "range_folders",
     "read",

@@ -89,7 +89,21 @@ class Rows:
 
     def __init__(self, text: TextIO, max_bytes: int) -> None:
         self.blocks, self.max_bytes = _Blocks(text), max_bytes
-        self.reader = csv.reader(chain.from_iterable(self.blocks), strict=True)
+        self.start(",")
+
+    @property
+    def head(self) -> str:
+        """The first text, up to ``LONGEST_ROW`` of it, as long as no row is read; set it to read other text instead."""
+        return self.blocks.begun()
+
+    @head.setter
+    def head(self, text: str) -> None:
+        self.blocks.rest = text
+
+    def start(self, sign: str) -> None:
+        """Begins to read rows whose cells are separated by a sign."""
+        blank = sign == " "
+        self.reader = csv.reader(chain.from_iterable(self.blocks), strict=True, delimiter=sign, skipinitialspace=blank)
 
     def first(self) -> list[str]:
         """A row; empty if there is none."""
@@ -128,6 +142,11 @@ class _Blocks:
 
     def __init__(self, text: TextIO) -> None:
         self.text, self.rest, self.no_row_yet = text, "", False
+
+    def begun(self) -> str:
+        """The first text, which is then read as before."""
+        self.rest = self.rest or self.text.read(LONGEST_ROW)
+        return self.rest
 
     def __iter__(self) -> Iterator[TextIO]:
         return self

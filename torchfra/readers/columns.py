@@ -6,21 +6,40 @@ import math
 import re
 import reprlib
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from datetime import datetime
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array: TypeAlias = NDArray[np.float64]
+from torchfra.readers.times import seconds_of
 
-_EPOCH = datetime.fromisoformat("1970-01-01T00:00:00+00:00")
+Array: TypeAlias = NDArray[np.float64]
+Cells: TypeAlias = Callable[[str], Sequence[Any] | NDArray[Any]]
+"""The cells of a column by its name."""
+
 _DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _SIGNS_OF_DECIMALS = re.compile(r"[0-9.eE+\- ,]*")
 """Of these signs ``float`` makes decimal numbers or nothing."""
+_SIGNS_WITH_COMMAS = re.compile(r"[0-9,eE+\- ;]*")
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 60
+
+
+class Head(NamedTuple):
+    """How a table begins, from which it is told what its columns hold."""
+
+    names: list[str]
+    """Of all columns."""
+    cells: Cells
+    """The first of each column."""
+    said: tuple[str, ...] = ()
+    """Lines for a person about the file."""
+    commas: bool = False
+    """Whether its numbers may have decimal commas."""
+    json: bool = False
+    """Whether it is JSON."""
 
 
 @dataclass(frozen=True)
@@ -39,15 +58,23 @@ class Kind:
     """Sizes that are not right, the ends excluded."""
     advice: str = ""
     """What the error message says of a number that is too large, or between those."""
+    decimal: str = "."
+    """What parts a number from its decimals."""
+    form: str = ""
+    """Of times in text: see ``times.seconds_of``."""
+    absent: float = math.nan
+    """A number that means that there is none."""
+    joined: tuple[str, ...] = ()
+    """Columns whose cells together are one of this: a date and a time of the day."""
 
 
 SECONDS = Kind(limit=1e10, advice=", which is too large for seconds: milliseconds must be divided by 1000")
 """Up to the year 2286; milliseconds since 1970 are above from April 1970 on."""
 INSTANT = Kind(
-    "ms since 1970 or ISO text", limit=1e13, per_unit=1e3, between=(1e9, 1e10),
+    "ms since 1970 or ISO text", limit=1e13, per_unit=1e3, between=(3e8, 1e10), form="iso",
     advice="; seconds must be multiplied by 1000, microseconds divided by it",
 )  # fmt: skip
-"""Up to the year 2286; between are seconds since 1970 of this century."""
+"""Up to the year 2286; between are seconds since 1970 from 1980 on."""
 
 
 def number(value: Any) -> float:
@@ -71,19 +98,19 @@ def number(value: Any) -> float:
     return float(value)
 
 
-def _instant(value: Any) -> float:
-    """Ms since 1970, as they are or from ISO text."""
-    try:
-        return number(value)
-    except ValueError:
-        text = str(value).strip()
-        if not re.match("[0-9]{4}-[0-9]{2}-[0-9]{2}[T ]", text):
-            raise
-        moment = datetime.fromisoformat(text.replace("Z", "+00:00"))
-        return ((moment if moment.tzinfo else moment.replace(tzinfo=_EPOCH.tzinfo)) - _EPOCH).total_seconds() * 1e3
+def _instant(value: Any, kind: Kind) -> float:
+    """Ms since 1970, as they are or from text, in the unit of the kind."""
+    if kind.form == "iso":
+        with suppress(ValueError):
+            return number(value)
+    elif value is None or value != value or (isinstance(value, str) and not value.strip()):
+        return math.nan
+    if isinstance(value, bool) or not isinstance(value, str | int):
+        raise ValueError
+    return seconds_of(str(value), kind.form) * kind.per_unit
 
 
-def numbers(cells: Sequence[Any], kind: Kind, name: str, first: int = 0) -> Array:
+def numbers(cells: Sequence[Any] | NDArray[Any], kind: Kind, name: str, first: int = 0) -> Array:
     """Cells ``(rows,)`` as numbers, NaN where empty.
 
     Args:
@@ -100,15 +127,16 @@ def numbers(cells: Sequence[Any], kind: Kind, name: str, first: int = 0) -> Arra
         where = f"in data row {first + i + 1}, column {name}"
         return ValueError(f"expected {kind.said} {where}, received {_SHORT.repr(cells[i])}{advice}")
 
-    values = _plain_decimals(cells)
+    values = _array(cells, kind) if isinstance(cells, np.ndarray) else _plain_decimals(cells, kind)
     if values is None:
-        convert: Callable[[Any], float] = _instant if kind is INSTANT else number
+        convert = _converter(kind)
         values = np.empty(len(cells))
         for i, cell in enumerate(cells):
             try:
                 values[i] = convert(cell)
             except (ValueError, OverflowError):
                 raise refused(i) from None
+    values[values == kind.absent] = math.nan
     size = np.abs(values)
     wrong = (size > kind.limit) | ((size > kind.between[0]) & (size < kind.between[1]))
     if wrong.any():
@@ -116,17 +144,47 @@ def numbers(cells: Sequence[Any], kind: Kind, name: str, first: int = 0) -> Arra
     return values * kind.unit / kind.per_unit
 
 
-def _plain_decimals(cells: Sequence[Any]) -> Array | None:
+def _converter(kind: Kind) -> Callable[[Any], float]:
+    """What makes a number of a cell; texts that come again, as times do, are read once."""
+    if kind.form:
+        known: dict[Any, float] = {}
+
+        def instant(cell: Any) -> float:
+            if not isinstance(cell, str):
+                return _instant(cell, kind)
+            if cell not in known:
+                known[cell] = _instant(cell, kind)
+            return known[cell]
+
+        return instant
+    if kind.decimal == ".":
+        return number
+    return lambda cell: number(cell if not isinstance(cell, str) else cell.replace(".", "_").replace(",", "."))
+
+
+def _array(cells: NDArray[Any], kind: Kind) -> Array | None:
+    """Numbers and moments of an array; None where it holds something else."""
+    if cells.dtype.kind == "M":
+        nano = cells.astype("datetime64[ns]")
+        return np.where(np.isnat(nano), np.nan, nano.astype(np.int64) / 1e9 * kind.per_unit)
+    return cells.astype(np.float64) if cells.dtype.kind in "fiu" else None
+
+
+def _plain_decimals(cells: Sequence[Any], kind: Kind) -> Array | None:
     """Cells that are all empty or decimal numbers, fast; None for others."""
+    if kind.form not in ("", "iso"):
+        return None  # a form may be of digits alone
     try:
-        if _SIGNS_OF_DECIMALS.fullmatch(",".join(cells)):
+        if kind.decimal == "," and _SIGNS_WITH_COMMAS.fullmatch(";".join(cells)):
+            return np.array([float(cell.replace(",", ".") or "nan") for cell in cells])
+        if kind.decimal == "." and _SIGNS_OF_DECIMALS.fullmatch(",".join(cells)):
             return np.array([float(cell or "nan") for cell in cells])
     except (TypeError, ValueError):
         pass
     return None
 
 
-def text(cells: Sequence[Any], name: str, known: dict[Any, str], first: int = 0) -> list[str]:
+def text(cells: Sequence[Any] | NDArray[Any], name: str, known: dict[Any, str], first: int = 0) -> list[str]:
     """Cells as text; "" where empty.
 
     Args:
@@ -138,12 +196,15 @@ def text(cells: Sequence[Any], name: str, known: dict[Any, str], first: int = 0)
     Raises:
         ValueError: a cell that is neither text nor a number.
     """
+    if isinstance(cells, np.ndarray):
+        cells = [None if cell != cell else cell for cell in cells.tolist()]
     for i, cell in enumerate(cells):
         if isinstance(cell, bool | list | dict):
             where = f"in data row {first + i + 1}, column {name}"
             raise ValueError(f"expected text {where}, received {_SHORT.repr(cell)}")
         if cell not in known:
-            known[cell] = "" if cell is None or cell != cell else str(cell).strip()
+            whole = isinstance(cell, float) and cell.is_integer()  # a table with gaps has numbers of ships as such
+            known[cell] = "" if cell is None or cell != cell else str(int(cell) if whole else cell).strip()
     return [known[cell] for cell in cells]
 
 

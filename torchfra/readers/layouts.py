@@ -1,55 +1,206 @@
-"""Which format the columns of a file of tracks are in."""
+"""What the columns of a file of tracks hold."""
 
 from __future__ import annotations
 
-from typing import TypeAlias
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
-from torchfra.readers.columns import INSTANT, SECONDS, Kind
-from torchfra.readers.tables import HEADERS, Wanted, listed
+import numpy as np
 
-Layout: TypeAlias = tuple[str, str, str, str, str, str]
-"""Names of the columns with time, two coordinates, what marks a new position, altitude, and a second altitude."""
+from torchfra.readers.clocks import Clock, clock_of
+from torchfra.readers.columns import Head, Kind
+from torchfra.readers.noises import noise_of
+from torchfra.readers.recording import Source
+from torchfra.readers.sheets import listed
+from torchfra.readers.spelling import AIRCRAFT, COUNTERS, NAMES, SHIPS, found, plain, unit
+from torchfra.readers.tables import HEADERS, Wanted
+from torchfra.readers.told import METRES, Told
 
-_TRAFFIC: Layout = ("timestamp", "latitude", "longitude", "last_position", "altitude", "")
-_OPENSKY: Layout = ("time", "lat", "lon", "lastposupdate", "baroaltitude", "geoaltitude")
-PLAIN: Layout = ("t", "x", "y", "z", "z", "")
-"""Of files in seconds and metres; all others are in degrees."""
-_REQUIRED = {_TRAFFIC: _TRAFFIC[:3], _OPENSKY: ("time", "icao24", "lat", "lon"), PLAIN: PLAIN[:3]}
-_KINDS = {
-    "timestamp": INSTANT,
-    **dict.fromkeys(("time", "t"), SECONDS),
-    "altitude": Kind(unit=0.3048),
-    **dict.fromkeys(("latitude", "lat"), Kind("degrees within +-90", limit=90.0)),
-    **dict.fromkeys(("longitude", "lon"), Kind("degrees within +-180", limit=180.0)),
-}
+_LIMITS = {"latitude": 90.0, "longitude": 180.0}
+_ABSENT = {"latitude": 91.0, "longitude": 181.0}
+"""What receivers of ships say where they have no position."""
+_ALTITUDES_IN_FEET = {"altitude", "alt", "altbaro", "altgeom"}
+"""Of aircraft, as these send them; OpenSky has baroaltitude and geoaltitude in metres."""
 
 
-def layout_of(names: list[str]) -> Layout:
-    """The format that the columns fit best.
+_WHOLE = re.compile(r"-?[0-9]{7,}")
+"""Coordinates in 1e-7 degrees, as autopilots have them."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What is read of a file, and what it means."""
+
+    wanted: Wanted
+    columns: dict[str, str]
+    """Names of columns by what they hold: those of ``Source.columns``, and ``call``, ``update``, ``second``."""
+    noise: tuple[str, ...]
+    """Columns of standard deviations, one for all axes or one for each."""
+    clock: Clock
+    source: Source
+
+    @property
+    def degrees(self) -> bool:
+        """Whether positions are latitudes and longitudes."""
+        return "latitude" in self.columns
+
+
+def layout_of(head: Head, told: Told, name: str) -> Layout:
+    """What the columns of a file hold.
+
+    Args:
+        head: of its table.
+        told: by the caller.
+        name: of the file.
 
     Raises:
-        ValueError: a required column is missing, or half of them or more whatever the format.
+        ValueError: columns that are needed are missing, or the times are not understood.
     """
+    asked = told.columns()
+    if absent := [column for column in asked.values() if column not in head.names]:
+        raise ValueError(f"expected a column {listed(absent)}, received {listed(head.names)}")
+    columns = _places(head.names, asked)
+    comma = told.decimal == "," or (told.decimal is None and head.commas and _has_commas(head, columns))
+    if comma:
+        head = head._replace(cells=_with_points(head), said=(*head.said, "decimal commas"))
+    clock, unused = _clock(head, told, columns)
+    word = _word(head)
+    columns |= _labels(head, asked, word)
+    length = _length(columns, told, word)
+    noise = noise_of(head.names, asked, 1.0 if "latitude" in columns else length, word == "ship")
+    wanted: Wanted = {clock.column: clock.kind}
+    wanted |= {column: _kind(role, column, head, length, word) for role, column in columns.items()}
+    wanted |= {column: Kind(unit=factor) for column, factor in noise.columns.items()}
+    if comma:
+        wanted = {column: kind and replace(kind, decimal=",") for column, kind in wanted.items()}
+    used = {*clock.columns, *columns.values(), *noise.columns}
+    ignored = [column for column in head.names if column not in used and column not in unused]
+    others = f"; not {listed(unused)} (--time takes another)" if unused else ""
+    lines = (
+        *head.said, f"time: {' and '.join(clock.columns)}, {clock.said}{others}",
+        *_said(columns, length, told, wanted), *noise.said, *([f"ignored: {listed(ignored)}"] if ignored else []),
+    )  # fmt: skip
+    public = {role: column for role, column in columns.items() if role in NAMES and role not in ("call", "update")}
+    public |= dict(zip(("date", "time")[-len(clock.columns) :], clock.columns, strict=True))
+    public |= dict(zip(["sigma"], noise.columns, strict=False))
+    source = Source(name, public, clock.form, length, word, lines)
+    return Layout(wanted, columns, tuple(noise.columns), clock, source)
 
-    def fit(layout: Layout) -> float:
-        return sum(name in names for name in _REQUIRED[layout]) / len(_REQUIRED[layout])
 
-    best = max(_REQUIRED, key=fit)
-    if fit(best) <= 0.5:
-        raise ValueError(f"{HEADERS}; received {listed(names)}")
-    if missing := [name for name in _REQUIRED[best] if name not in names]:
-        formats = "; or ".join(", ".join(columns) for columns in _REQUIRED.values())
-        raise ValueError(f"expected the columns {formats}; missing {listed(missing)}, received {listed(names)}")
-    return best
-
-
-def columns_wanted(names: list[str]) -> Wanted:
-    """What is read of a file with these columns.
+def _places(names: list[str], asked: Mapping[str, str]) -> dict[str, str]:
+    """Columns of the coordinates, of degrees where there are both of these.
 
     Raises:
-        ValueError: see ``layout_of``.
+        ValueError: one is missing, or all.
     """
-    layout = layout_of(names)
-    wanted: Wanted = {name: _KINDS.get(name, Kind()) for name in layout if name in names}
-    texts = () if layout is PLAIN else ("icao24", "callsign")
-    return wanted | dict.fromkeys((name for name in texts if name in names), None)
+
+    def chosen(*roles: str) -> dict[str, str]:
+        best = {role: [asked[role]] if role in asked else found(names, role)[:1] for role in roles}
+        return {role: columns[0] for role, columns in best.items() if columns}
+
+    degrees, metres = chosen("latitude", "longitude", "altitude"), chosen("x", "y", "z")
+    if "x" in asked or not {"latitude", "longitude"} <= degrees.keys():
+        if {"x", "y"} <= metres.keys():
+            return metres
+        some = {
+            role: column for part in (degrees, metres) for role, column in part.items() if role not in ("z", "altitude")
+        }
+        pairs = (("latitude", "longitude"), ("x", "y"))
+        missing = [role for pair in pairs if some.keys() & set(pair) for role in pair if role not in some]
+        raise ValueError(f"{HEADERS}; {f'missing {listed(missing)}, ' if missing else ''}received {listed(names)}")
+    return degrees
+
+
+def _clock(head: Head, told: Told, columns: Mapping[str, str]) -> tuple[Clock, list[str]]:
+    """See ``clock_of``; the coordinates are none, whatever they are called."""
+    names = [name for name in head.names if name not in columns.values() or name == told.time]
+    try:
+        return clock_of(head._replace(names=names), told)
+    except LookupError:
+        raise ValueError(f"{HEADERS}; missing time, received {listed(head.names)}") from None
+
+
+def _word(head: Head) -> str:
+    """What the targets are."""
+    names = {plain(name) for name in head.names}
+    if names & SHIPS:
+        return "ship"
+    traffic = head.json and {"timestamp", "latitude", "longitude"} <= set(head.names)
+    return "aircraft" if names & AIRCRAFT or traffic else "target"
+
+
+def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
+    """Columns that say which target a row is of, what else it is called, and what marks a new position."""
+    taken: dict[str, str] = {}
+    if "id" in asked:
+        taken["id"] = asked["id"]
+    for column in found(head.names, "id"):
+        if "id" not in taken and not _counts(column, head):
+            taken["id"] = column
+    if word != "target":
+        calls = [column for column in found(head.names, "call") if column != taken.get("id")]
+        calls = [column for column in calls if (plain(column) == "callsign") == (word == "aircraft")]
+        taken |= dict(zip(["call"], calls, strict=False))
+    if word == "aircraft":
+        taken |= dict(zip(["update"], found(head.names, "update"), strict=False))
+        altitudes = {plain(column): column for column in reversed(found(head.names, "altitude"))}
+        if "altitude" not in altitudes and altitudes.keys() >= {"baroaltitude", "geoaltitude"}:
+            taken["second"] = altitudes["geoaltitude"]
+    return taken
+
+
+def _counts(column: str, head: Head) -> bool:
+    """Whether a column numbers the rows instead of naming targets."""
+    if plain(column) not in COUNTERS:
+        return False
+    cells = [str(cell) for cell in head.cells(column) if isinstance(cell, str | int | float | np.generic)]
+    return len(set(cells)) == len(cells) > 2
+
+
+def _length(columns: Mapping[str, str], told: Told, word: str) -> float:
+    """Metres in the unit of x, y and z, or of altitudes."""
+    lengths = [columns[role] for role in ("altitude", "x", "y", "z") if role in columns]
+    units = [METRES[ending] for column in lengths if (ending := unit(column) or "") in METRES]
+    feet = word == "aircraft" and plain(columns.get("altitude", "")) in _ALTITUDES_IN_FEET
+    return METRES[told.units] if told.units else units[0] if units else METRES["ft" if feet else "m"]
+
+
+def _kind(role: str, column: str, head: Head, length: float, word: str) -> Kind | None:
+    """What the numbers of a column are; None for text."""
+    if role in ("id", "call"):
+        return None
+    if role == "update":
+        return Kind()
+    if role not in _LIMITS:
+        return Kind(unit=length)
+    limit = _LIMITS[role]
+    kind = Kind(f"degrees within +-{limit:g}", limit=limit, absent=_ABSENT[role] if word == "ship" else np.nan)
+    whole = [
+        cell for cell in head.cells(column) if isinstance(cell, str | int | np.integer) and _WHOLE.fullmatch(str(cell))
+    ]
+    return replace(kind, limit=limit * 1e7, unit=1e-7) if whole else kind
+
+
+def _has_commas(head: Head, columns: Mapping[str, str]) -> bool:
+    """Whether a coordinate or a time is written as 1,5 and none as 1.5."""
+    cells = [str(cell) for name in (*columns.values(), *found(head.names, "time")) for cell in head.cells(name)]
+    return any(cell.strip().replace(",", "", 1).lstrip("+-").isdigit() and "," in cell for cell in cells)
+
+
+def _with_points(head: Head) -> Callable[[str], list[Any]]:
+    return lambda name: [cell.replace(",", ".") if isinstance(cell, str) else cell for cell in head.cells(name)]
+
+
+def _said(columns: Mapping[str, str], length: float, told: Told, wanted: Wanted) -> list[str]:
+    """Lines on positions and targets."""
+    unit_said = "feet" if length == METRES["ft"] else "metres"
+    places = [columns[role] for role in ("latitude", "longitude", "x", "y", "z") if role in columns]
+    how = "" if "latitude" in columns else f", in {unit_said}"
+    if any(kind is not None and kind.unit == 1e-7 for kind in wanted.values()):
+        how = ", in 1e-7 degrees"
+    lines = [f"position: {', '.join(places)}{how}"]
+    if "altitude" in columns:
+        lines.append(f"altitude: {columns['altitude']}, in {unit_said}" + ("" if told.units else " (--units)"))
+    return lines + ([f"targets: {columns['id']}"] if "id" in columns else [])

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from torchfra.readers.bounded import MAX_BYTES
-from torchfra.readers.columns import Array
+from torchfra.readers.columns import Array, Head
 from torchfra.readers.range_tables import (
     HEADERS,
     AnchorRows,
@@ -118,14 +118,14 @@ class _OtherKindError(Exception):
 def _add(path: Path, found: _Found, max_bytes: int, *, any_kind: bool = False) -> None:
     """Adds what a file holds; a file of another kind is counted if ``any_kind`` may come."""
 
-    def choose(names: list[str]) -> Wanted:
+    def choose(head: Head) -> Wanted:
         try:
-            kind_of(names)
+            kind_of(head.names)
         except ValueError as error:
             if any_kind:
                 raise _OtherKindError from error
             raise
-        return columns_wanted(names)
+        return columns_wanted(head.names)
 
     stem = Path(path.name.removesuffix(".gz")).stem
     with naming(path):

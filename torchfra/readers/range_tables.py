@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from torchfra.readers.columns import Array, Kind, grouped
 from torchfra.readers.recording import Recording
-from torchfra.readers.tables import Table, Wanted, listed
+from torchfra.readers.sheets import listed
+from torchfra.readers.tables import Table, Wanted
 
 Columns: TypeAlias = dict[str, str]
 """What the columns of a table are called, by what they hold: of ``_NAMES`` those that are there."""

@@ -7,61 +7,111 @@ from pathlib import Path
 
 import numpy as np
 
+from torchfra.geodesy import to_enu
 from torchfra.readers.bounded import MAX_BYTES
-from torchfra.readers.layouts import PLAIN, columns_wanted, layout_of
+from torchfra.readers.columns import Head
+from torchfra.readers.layouts import Layout, layout_of
 from torchfra.readers.recording import Origin, Recording
 from torchfra.readers.repairs import Target, repaired_targets
-from torchfra.readers.tables import listed, naming, read_table
+from torchfra.readers.sanity import possible
+from torchfra.readers.sheets import Sheet, listed
+from torchfra.readers.tables import Table, Wanted, naming, read_table, table_of
+from torchfra.readers.told import Told, told
 
 
-def read(path: str | Path, *, origin: Origin | None = None, max_bytes: int = MAX_BYTES) -> list[Recording]:
+def read(
+    path: str | Path, *, origin: Origin | None = None, max_bytes: int = MAX_BYTES, **words: str | None
+) -> list[Recording]:
     """Reads every target of a file.
 
     These are repaired and counted: rows without time or position, rows out of time order, all but the first of the rows
-    with the same time, held positions (the same as in the row before, without a newer position update where the file
-    records updates), and missing altitudes.
+    with the same time, held positions of aircraft (the same as in the row before, without a newer position update where
+    the file records updates), and missing altitudes.
 
     Args:
         path: the file.
         origin: latitude, longitude in degrees and altitude in m that become (0, 0, 0); if None, the first fix of the
             first target in the file.
         max_bytes: of text that the file may hold, unpacked: a row counts for 64 or more, a name for 4096, a byte of
-            JSON for 24.  Ten million rows of CSV are within the default, 1 GiB, and need 1.6 GiB of memory.
+            JSON or XML for 24.  Ten million rows of CSV are within the default, 1 GiB, and need 1.6 GiB of memory.
+        words: what the file does not say or says wrongly: see ``Told``.
 
     Returns:
         The recordings, sorted by name, all about the same origin.
 
     Raises:
-        ValueError: the file is empty, broken, too large or of another format, or no target has 2 fixes left.
-        ImportError: pymap3d is needed and not installed.
+        ValueError: the file is empty, broken, too large or of another format, no target has 2 fixes left, or nothing
+            can have moved so.
+        ImportError: what reads the format is not installed.
     """
-    path = Path(path)
+    path, asked = Path(path), told(words)
     with naming(path):
-        table = read_table(path, columns_wanted, max_bytes=max_bytes)
-        layout = layout_of(table.names)
-        if layout is PLAIN and origin is not None:
-            raise ValueError(f"origin: expected degrees to go with it, received the columns {listed(table.names)}")
-        targets = repaired_targets(table, layout, Path(path.name.removesuffix(".gz")).stem)
-        if layout is not PLAIN:
-            return _located(targets, origin)
-    return [Recording(n, f[:, 0].copy(), np.delete(f, (0, 3), 1), None, dict(+repairs)) for n, f, repairs in targets]
+        chosen = _Choice(asked, path.name)
+        table = read_table(path, chosen, max_bytes=max_bytes, told=asked)
+        return _recordings(table, chosen, origin, Path(path.name.removesuffix(".gz")).stem)
 
 
-def _located(targets: list[Target], origin: Origin | None) -> list[Recording]:
-    """Turns degrees into metres about the origin, by default the first fix of all."""
-    try:
-        from pymap3d import geodetic2enu
-    except ImportError as error:
-        raise ImportError('latitudes and longitudes need pymap3d: pip install "torchfra[data]"') from error
-    first = (*targets[0].fixes[0].tolist(), 0.0)
-    lat, lon, up = (first[1], first[2], first[4]) if origin is None else origin
+def read_sheet(
+    sheet: Sheet, name: str, *, origin: Origin | None = None, max_bytes: int = MAX_BYTES, **words: str | None
+) -> list[Recording]:
+    """Reads every target of columns that are in memory, as ``read`` does of a file.
+
+    Raises:
+        ValueError: see ``read``.
+    """
+    chosen = _Choice(told(words), name)
+    with naming(name):
+        return _recordings(table_of(sheet, chosen, max_bytes), chosen, origin, name)
+
+
+class _Choice:
+    """Chooses the columns of a table, and keeps what they mean."""
+
+    def __init__(self, asked: Told, name: str) -> None:
+        self.asked, self.name = asked, name
+        self.layout: Layout | None = None
+
+    def __call__(self, head: Head) -> Wanted:
+        self.layout = layout_of(head, self.asked, self.name)
+        return self.layout.wanted
+
+
+def _recordings(table: Table, chosen: _Choice, origin: Origin | None, stem: str) -> list[Recording]:
+    layout = chosen.layout
+    if layout is None or not table.rows:
+        raise ValueError(f"expected rows, received none under the columns {listed(table.names)}")
+    if not layout.degrees and origin is not None:
+        raise ValueError(f"origin: expected degrees to go with it, received the columns {listed(table.names)}")
+    targets = repaired_targets(table, layout, stem)
+    if layout.degrees:
+        origin = _origin(targets[0], origin)
+    recordings = [_recording(target, layout, origin) for target in targets]
+    good = recordings if chosen.asked.time_format else possible(recordings, layout)
+    return sorted(good, key=lambda recording: recording.name)
+
+
+def _origin(first: Target, origin: Origin | None) -> Origin:
+    """What becomes (0, 0, 0): by default the first fix of all.
+
+    Raises:
+        ValueError: it is nowhere.
+    """
+    height = 0.0 if first.height is None else float(first.height[0])
+    lat, lon, up = (float(first.place[0, 0]), float(first.place[0, 1]), height) if origin is None else origin
     if not (abs(lat) <= 90 and abs(lon) <= 180 and math.isfinite(up)):
         raise ValueError(f"origin: expected latitude, longitude in degrees and altitude in m, received {origin}")
-    recordings = []
-    for name, fixes, repairs in targets:
-        height = fixes[:, 4] if fixes.shape[1] == 5 else up
-        enu = np.stack(geodetic2enu(fixes[:, 1], fixes[:, 2], height, lat, lon, up), 1)
-        recordings.append(
-            Recording(name, fixes[:, 0].copy(), enu[:, : fixes.shape[1] - 2], (lat, lon, up), dict(+repairs))
-        )
-    return sorted(recordings, key=lambda recording: recording.name)
+    return lat, lon, up
+
+
+def _recording(target: Target, layout: Layout, origin: Origin | None) -> Recording:
+    """A target in metres."""
+    place, height = target.place, target.height
+    if origin is not None:
+        position = to_enu(place[:, 0], place[:, 1], origin[2] if height is None else height, origin)[
+            :, : 2 if height is None else 3
+        ]
+    else:
+        position = place if height is None else np.column_stack([place, height])
+    return Recording(
+        target.name, target.time, position, origin, dict(+target.repairs), target.row, target.sigma, layout.source
+    )

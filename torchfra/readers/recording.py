@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from torchfra.geodesy import Origin as Origin
 from torchfra.readers.columns import Array
-
-Origin: TypeAlias = tuple[float, float, float]
+from torchfra.readers.times import written
 
 
 @dataclass(frozen=True)
@@ -29,6 +28,10 @@ class Source:
     """What its targets are: ``"aircraft"``, ``"ship"``, ``"target"``."""
     said: tuple[str, ...] = ()
     """Lines for a person: which columns were taken, which ignored, feet or metres."""
+
+    def written(self, time: Array) -> list[str]:
+        """Times ``(k,)``, seconds as in ``Recording.time``, as the file writes them; any times, not only its own."""
+        return written(np.asarray(time, dtype=np.float64), self.time)
 
 
 @dataclass(frozen=True, eq=False)

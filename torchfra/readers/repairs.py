@@ -4,22 +4,39 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from torchfra.readers.clocks import YEAR_1980
 from torchfra.readers.columns import Array, grouped
 from torchfra.readers.layouts import Layout
 from torchfra.readers.tables import Table
 
+PLURALS = {"aircraft": "aircraft", "ship": "ships"}
+"""Of what targets are called; all others end in s."""
 
-class Target(NamedTuple):
+
+def plural(word: str) -> str:
+    """Several of ``Source.word``."""
+    return PLURALS.get(word, f"{word}s")
+
+
+@dataclass(frozen=True)
+class Target:
     """A target and the fixes that are left of it."""
 
     name: str
-    fixes: Array
-    """``(k, 5)``: time in s, two coordinates, what marks a new position, altitude in m; ``(k, 4)`` without altitude."""
+    time: Array
+    """``(k,)`` seconds."""
+    place: Array
+    """``(k, 2)`` coordinates as in the file: x and y in metres, or latitude and longitude."""
+    height: Array | None
+    """``(k,)`` metres."""
+    sigma: Array | None
+    """``(k,)`` or ``(k, d)`` metres."""
+    row: NDArray[np.int64]
     repairs: Counter[str]
 
 
@@ -29,65 +46,97 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
     Raises:
         ValueError: there is none.
     """
-    columns = [table.column(name) for name in layout]
-    calls, icao24s = table.texts.get("callsign"), table.texts.get("icao24")
-    members = {"": np.arange(table.rows)} if icao24s is None else grouped(icao24s)
-    targets = []
-    for icao24, rows in members.items():
-        index, repairs = _rows_to_keep(columns, rows)
+    ids, calls = (table.texts.get(layout.columns.get(role, "")) for role in ("id", "call"))
+    members = {"": np.arange(table.rows)} if ids is None else grouped(ids)
+    columns, targets = _Columns(table, layout), []
+    for name, rows in members.items():
+        index, repairs = columns.rows_to_keep(rows)
         call = "" if calls is None else next((calls[i] for i in index if calls[i]), "")
-        name = f"{icao24} {call}".strip()
-        targets.append(Target(name or stem, _fixes(columns, index, repairs), repairs))
-    good = [target for target in targets if len(target.fixes) >= 2]
+        height = columns.heights(index, repairs)
+        sigma = columns.sigmas(index, repairs, 2 if height is None else 3)
+        full = f"{name} {call}".strip() or stem
+        place = np.stack([columns.first[index], columns.second[index]], 1)
+        targets.append(Target(full, columns.time[index], place, height, sigma, index.astype(np.int64), repairs))
+    good = [target for target in targets if len(target.time) >= 2]
     if not good:
-        raise ValueError(_too_few(targets))
+        raise ValueError(_too_few(targets, layout.source.word))
     for target in good:
-        target.repairs["aircraft with under 2 fixes dropped"] = len(targets) - len(good)
+        target.repairs[f"{plural(layout.source.word)} with under 2 fixes dropped"] = len(targets) - len(good)
     return good
 
 
-def _too_few(targets: list[Target]) -> str:
+def _too_few(targets: list[Target], word: str) -> str:
     """An error message."""
-    same = " of the same aircraft" if len(targets) > 1 else ""
-    received = max(len(target.fixes) for target in targets)
+    same = f" of the same {word}" if len(targets) > 1 else ""
+    received = max(len(target.time) for target in targets)
     repairs = sum((target.repairs for target in targets), Counter[str]())
     after = " after repairs: " + ", ".join(f"{count} {what}" for what, count in repairs.items()) if repairs else ""
     return f"expected 2 or more rows with time and position{same}, received {received}{after}"
 
 
-def _rows_to_keep(columns: list[Array], rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], Counter[str]]:
-    """Which of the rows of a target to keep, in order of time, and the count of the repairs; columns as in a layout."""
-    repairs: Counter[str] = Counter()
+class _Columns:
+    """The columns of a table by what they hold."""
 
-    def keep(index: NDArray[np.intp], mask: NDArray[np.bool_], what: str) -> NDArray[np.intp]:
-        repairs[what] = len(index) - int(mask.sum())
-        return index if mask.all() else index[mask]
+    def __init__(self, table: Table, layout: Layout) -> None:
+        def column(*roles: str) -> Array:
+            return table.column(next((layout.columns[role] for role in roles if role in layout.columns), ""))
 
-    times, first, second, update, *_ = columns
-    index = keep(rows, np.isfinite(times[rows]), "rows without time dropped")
-    index = keep(index, np.isfinite(first[index]) & np.isfinite(second[index]), "rows without position dropped")
-    time = times[index]
-    repairs["rows put in time order"] = int((time < np.maximum.accumulate(time)).sum())
-    index = index[np.argsort(time, kind="stable")]
-    index = keep(index, np.diff(times[index], prepend=-math.inf) > 0, "duplicate times dropped")
-    moved = np.zeros(len(index), dtype=bool)
-    for column in (first, second, update):
-        moved |= np.diff(np.nan_to_num(column[index], nan=1e16), prepend=2e16) != 0
-    return keep(index, moved, "held positions dropped"), repairs
+        self.time = layout.clock.whole(table.column(layout.clock.column))
+        self.first, self.second = column("latitude", "x"), column("longitude", "y")
+        self.height, self.spare = column("altitude", "z"), column("second")
+        self.update = column("update")
+        self.noise = [table.column(name) for name in layout.noise]
+        self.may_be_held = layout.source.word == "aircraft"
+        self.dated = layout.clock.since_1970
 
+    def rows_to_keep(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], Counter[str]]:
+        """Which of the rows of a target to keep, in order of time, and the count of the repairs."""
+        repairs: Counter[str] = Counter()
 
-def _fixes(columns: list[Array], index: NDArray[np.intp], repairs: Counter[str]) -> Array:
-    """Fixes ``(k, 5)`` with missing altitudes filled, or ``(k, 4)`` if all altitudes are missing."""
-    known = [np.isfinite(column[index]) for column in columns[4:]]
-    some = known[0] | known[1]
-    fixes = np.empty((len(index), 5 if some.any() else 4))
-    for i, column in enumerate(columns[:4]):
-        fixes[:, i] = column[index]
-    if some.any():
+        def keep(index: NDArray[np.intp], mask: NDArray[np.bool_], what: str) -> NDArray[np.intp]:
+            repairs[what] = len(index) - int(mask.sum())
+            return index if mask.all() else index[mask]
+
+        index = keep(rows, np.isfinite(self.time[rows]), "rows without time dropped")
+        index = keep(index, np.isfinite(self.first[index]) & np.isfinite(self.second[index]),
+                     "rows without position dropped")  # fmt: skip
+        if self.dated:
+            index = keep(index, self.time[index] >= YEAR_1980, "rows from before 1980 dropped")
+        time = self.time[index]
+        repairs["rows put in time order"] = int((time < np.maximum.accumulate(time)).sum())
+        index = index[np.argsort(time, kind="stable")]
+        index = keep(index, np.diff(self.time[index], prepend=-math.inf) > 0, "duplicate times dropped")
+        if not self.may_be_held:
+            return index, repairs
+        moved = np.zeros(len(index), dtype=bool)
+        for column in (self.first, self.second, self.update):
+            moved |= np.diff(np.nan_to_num(column[index], nan=1e16), prepend=2e16) != 0
+        return keep(index, moved, "held positions dropped"), repairs
+
+    def heights(self, index: NDArray[np.intp], repairs: Counter[str]) -> Array | None:
+        """Altitudes with the missing ones filled; None if all are missing."""
+        known = np.isfinite(self.height[index]), np.isfinite(self.spare[index])
+        some = known[0] | known[1]
+        if not some.any():
+            return None
         before = np.maximum.accumulate(np.where(some, np.arange(len(index)), -1))
         row = np.where(before < 0, some.argmax(), before)
         repairs["altitudes taken from geoaltitude"] = int((some & ~known[0]).sum())
         repairs["altitudes filled from the fix before"] = int((~some & (before >= 0)).sum())
         repairs["altitudes filled from the fix after"] = int((before < 0).sum())
-        fixes[:, 4] = np.where(known[0], *(column[index] for column in columns[4:]))[row]
-    return fixes
+        return np.asarray(np.where(known[0], self.height[index], self.spare[index])[row])
+
+    def sigmas(self, index: NDArray[np.intp], repairs: Counter[str], dims: int) -> Array | None:
+        """Standard deviations with those that are missing or not above 0 filled; None if the file has none."""
+        if not self.noise or not len(index):
+            return None
+        values = np.stack([column[index] for column in self.noise], 1)
+        good = np.isfinite(values) & (values > 0)
+        if not good.any(0).all():
+            return None
+        usual = np.array([np.median(column[mask]) for column, mask in zip(values.T, good.T, strict=True)])
+        repairs["sigmas filled with their median"] = int((~good).any(1).sum())
+        values = np.where(good, values, usual)
+        if values.shape[1] == 1:
+            return np.asarray(values[:, 0])
+        return np.asarray(np.pad(values, ((0, 0), (0, max(0, dims - values.shape[1]))), mode="edge")[:, :dims])

@@ -2,38 +2,36 @@
 
 from __future__ import annotations
 
-import csv
 import gzip
-import io
-import json
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from torchfra.readers.bounded import (
-    BYTES_OF_A_TEXT,
-    MAX_BYTES,
-    Rows,
-    check_bound,
-    open_bounded,
-    too_large,
-)
-from torchfra.readers.columns import Array, Kind, number, numbers, text
+from torchfra.readers.arrow_files import arrow_sheet, is_arrow
+from torchfra.readers.bounded import BYTES_OF_A_TEXT, MAX_BYTES, check_bound, open_bounded, too_large
+from torchfra.readers.columns import Array, Cells, Head, Kind, numbers, text
+from torchfra.readers.csv_files import csv_sheet
+from torchfra.readers.json_files import json_sheet
+from torchfra.readers.nmea_files import is_nmea, nmea_sheet
+from torchfra.readers.sheets import Sheet, listed
+from torchfra.readers.told import Told
+from torchfra.readers.xml_files import is_xml, xml_sheet
 
 Wanted: TypeAlias = dict[str, Kind | None]
 """The columns to read by their names, and the kind of their numbers; None for text."""
 HEADERS = (
-    "expected a header with t,x,y[,z]; or time,icao24,lat,lon; or timestamp,latitude,longitude, separated by commas"
+    "expected a header with a time and x,y[,z] or lat,lon[,alt], or the names of such columns by --time, --x, --y, "
+    "--lat, --lon"
 )
 """The beginning of an error message."""
-_JSON = 24
-"""What a byte of JSON counts for: it is read as a whole, and takes up more memory."""
+_HEAD = 1000
+"""Rows that are looked at before all are read."""
 
 
 class Table(NamedTuple):
@@ -54,34 +52,33 @@ class Table(NamedTuple):
 
 def read_table(
     path: Path,
-    choose: Callable[[list[str]], Wanted],
+    choose: Callable[[Head], Wanted],
     *,
     headers: str = HEADERS,
     repairs: Counter[str] | None = None,
     max_bytes: int = MAX_BYTES,
+    told: Told | None = None,
 ) -> Table:
-    """Columns of a CSV or JSON file, gzipped or not.
+    """Columns of a file.
 
     Args:
         path: the file.
-        choose: which columns to read of those of these names; it may raise a ``ValueError``.
+        choose: which columns to read; it may raise a ``ValueError``.
         headers: beginning of the error message where there is no header.
         repairs: where to count rows of CSV with more or fewer fields than the header, whose cells become empty; None
             refuses them, and tables without rows.
-        max_bytes: of text; a row counts for 64 bytes or more, a name for 4096 and a byte of JSON for 24.
+        max_bytes: of text; a row counts for 64 bytes or more, a name for 4096 and a byte of JSON or XML for 24.
+        told: how cells are written.
 
     Raises:
-        ValueError: the file is empty, broken, too large or neither.
+        ValueError: the file is empty, broken, too large or of no known format.
+        ImportError: what reads it is not installed.
     """
     check_bound(max_bytes)
-    suffix = Path(path.name.removesuffix(".gz")).suffix
     with open_bounded(path, max_bytes) as file:
         try:
-            start = file.peek(1).removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
-            if suffix == ".json" or (suffix != ".csv" and start in (b"[", b"{")):
-                table = _from_json(file, choose, max_bytes)
-            else:
-                table = _from_csv(file, choose, headers, repairs, max_bytes)
+            sheet = _sheet(file, path, told or Told(), headers, repairs, max_bytes)
+            table = table_of(sheet, choose, max_bytes)
         except (EOFError, gzip.BadGzipFile, zlib.error, UnicodeDecodeError) as error:
             raise ValueError(
                 f"expected UTF-8 text or a complete gzip file of it, received neither ({error})"
@@ -91,13 +88,39 @@ def read_table(
     return table
 
 
-def listed(names: list[str]) -> str:
-    """Names for an error message, cut off where they are too many."""
-    return ", ".join(names)[:200] or "(none)"
+def _sheet(file: Any, path: Path, told: Told, headers: str, repairs: Counter[str] | None, max_bytes: int) -> Sheet:
+    """The rows of a file by its ending, or else by how it begins."""
+    suffix = Path(path.name.removesuffix(".gz")).suffix.lower()
+    start = file.peek(1).removeprefix(b"\xef\xbb\xbf").lstrip()
+    if suffix in (".json", ".geojson") or (suffix != ".csv" and start[:1] in (b"[", b"{")):
+        return json_sheet(file, max_bytes)
+    if is_arrow(start):
+        return arrow_sheet(path, start, max_bytes)
+    if is_xml(start):
+        return xml_sheet(file, max_bytes)
+    if is_nmea(start, suffix):
+        return nmea_sheet(file, max_bytes)
+    return csv_sheet(file, told, headers, repairs, max_bytes)
+
+
+def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int) -> Table:
+    """The columns that are chosen of a sheet.
+
+    Raises:
+        ValueError: a cell is of another kind, or there are too many.
+    """
+    growing, parts = _Growing(sheet.names, max_bytes), iter(sheet.parts)
+    first = next(parts, None)
+    if sheet.names and first is not None:
+        cells = first[1]
+        growing.want(choose(Head(sheet.names, lambda name: cells(name)[:_HEAD], sheet.said, sheet.commas, sheet.json)))
+    for rows, cells in chain([first] if first else [], parts):
+        growing.add(rows, cells)
+    return growing.table()
 
 
 @contextmanager
-def naming(path: Path) -> Iterator[None]:
+def naming(path: Path | str) -> Iterator[None]:
     """Puts the name of a file in front of the message of a ``ValueError``."""
     try:
         yield
@@ -105,113 +128,29 @@ def naming(path: Path) -> Iterator[None]:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _from_json(file: io.BufferedReader, choose: Callable[[list[str]], Wanted], max_bytes: int) -> Table:
-    data = file.read(max_bytes // _JSON + 1)
-    if len(data) > max_bytes // _JSON:
-        raise too_large(max_bytes, f"of text, of which one of JSON counts for {_JSON}")
-    content = data.decode("utf-8-sig")
-    if not content.strip():
-        raise ValueError("expected a track, received an empty file")
-    try:
-        parsed = json.loads(content, object_pairs_hook=_object)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"expected JSON, every key of an object once, received other text ({error})") from error
-    names, rows, cells = _json_columns(parsed)
-    growing = _Growing(names, choose(names) if names else {}, max_bytes)
-    if names:
-        growing.add(rows, cells)
-    return growing.table()
-
-
-def _json_columns(parsed: Any) -> tuple[list[str], int, Callable[[str], list[Any]]]:
-    """Names of the columns, the number of rows, and the cells of a column by its name.
-
-    Raises:
-        ValueError: neither records nor columns.
-    """
-    if isinstance(parsed, dict):
-        columns = {name: column for name, column in parsed.items() if isinstance(column, dict)}
-        keys = list(dict.fromkeys(key for column in columns.values() for key in column))
-        return list(columns), len(keys), lambda name: [columns[name].get(key) for key in keys]
-    records = parsed if isinstance(parsed, list) else [parsed]
-    if other := next((type(one).__name__ for one in records if not isinstance(one, dict)), ""):
-        raise ValueError(f"expected a list of records or a table of columns, received {other} instead of an object")
-    names = list(dict.fromkeys(name for record in records for name in record))
-    return names, len(records), lambda name: [record.get(name) for record in records]
-
-
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of JSON.
-
-    Raises:
-        ValueError: a key comes twice.
-    """
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        raise ValueError(f"several keys named {_repeated([key for key, _ in pairs])}")
-    return found
-
-
-def _from_csv(
-    file: io.BufferedReader, choose: Callable[[list[str]], Wanted], headers: str, repairs: Counter[str] | None,
-    max_bytes: int,
-) -> Table:  # fmt: skip
-    def mended(row: list[str], before: int) -> list[str]:
-        if repairs is None:
-            raise ValueError(f"expected {len(names)} fields in data row {before + 1}, received {len(row)}")
-        repairs["rows with too many or too few fields emptied"] += 1
-        return [""] * len(names)
-
-    try:
-        rows = Rows(io.TextIOWrapper(file, "utf-8-sig", newline=""), max_bytes)
-        names = _header(rows.first(), headers)
-        growing, place = _Growing(names, choose(names), max_bytes), {name: i for i, name in enumerate(names)}
-        for cells in rows.parts(len(names), mended):
-            growing.add(len(cells) // len(names), partial(_cells, cells, place))
-    except csv.Error as error:
-        raise ValueError(f"expected CSV, received other text ({error})") from error
-    return growing.table()
-
-
-def _header(row: list[str], headers: str) -> list[str]:
-    """The names of columns.
-
-    Raises:
-        ValueError: they are none, or the same.
-    """
-    if not row:
-        raise ValueError("expected a track, received an empty file")
-    names = [name.strip() for name in row]
-    if len(names) == 1 or all(_is_number(name) for name in names):
-        raise ValueError(f"{headers}; received {listed(names)}")
-    if repeated := _repeated(names):
-        raise ValueError(f"expected every column once, received several named {repeated}")
-    return names
-
-
-def _cells(cells: list[str], place: dict[str, int], name: str) -> list[str]:
-    """Of a column, out of those of rows one after the other."""
-    return cells[place[name] :: len(place)]
-
-
 class _Growing:
     """A table that grows part by part."""
 
-    def __init__(self, names: list[str], wanted: Wanted, max_bytes: int) -> None:
-        self.names, self.wanted, self.max_bytes, self.rows = names, wanted, max_bytes, 0
-        self.numbers: dict[str, list[Array]] = {
-            name: [np.empty(0)] for name, kind in wanted.items() if kind is not None
-        }
-        self.texts: dict[str, list[str]] = {name: [] for name, kind in wanted.items() if kind is None}
+    def __init__(self, names: list[str], max_bytes: int) -> None:
+        self.names, self.max_bytes, self.rows = names, max_bytes, 0
+        self.kinds: dict[str, Kind] = {}
+        self.numbers: dict[str, list[Array]] = {}
+        self.texts: dict[str, list[str]] = {}
         self.known: dict[Any, str] = {}
 
-    def add(self, rows: int, cells: Callable[[str], list[Any]]) -> None:
+    def want(self, wanted: Wanted) -> None:
+        """Says what to keep."""
+        self.kinds = {name: kind for name, kind in wanted.items() if kind is not None}
+        self.numbers = {name: [np.empty(0)] for name in self.kinds}
+        self.texts = {name: [] for name in wanted if name not in self.kinds}
+
+    def add(self, rows: int, cells: Cells) -> None:
         """Adds rows by the cells of each column."""
-        for name, kind in self.wanted.items():
-            if kind is None:
-                self.texts[name] += text(cells(name), name, self.known, self.rows)
-            else:
-                self.numbers[name].append(numbers(cells(name), kind, name, self.rows))
+        for name in self.texts:
+            self.texts[name] += text(cells(name), name, self.known, self.rows)
+        for name, kind in self.kinds.items():
+            column = cells(name) if not kind.joined else _joined(cells, kind.joined)
+            self.numbers[name].append(numbers(column, kind, name, self.rows))
         self.rows += rows
         if len(self.known) * BYTES_OF_A_TEXT > self.max_bytes:
             raise too_large(self.max_bytes, f"of text, of which each name counts for {BYTES_OF_A_TEXT} or more")
@@ -222,14 +161,6 @@ class _Growing:
         return Table(self.names, self.rows, joined, self.texts)
 
 
-def _repeated(names: list[str]) -> str:
-    """Those that come twice, for an error message; "" if none does."""
-    return ", ".join(name for name, count in Counter(names).items() if count > 1 and name)[:200]
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        number(cell)
-    except ValueError:
-        return False
-    return True
+def _joined(cells: Cells, columns: tuple[str, ...]) -> list[str]:
+    """The cells of several columns, one after the other."""
+    return [" ".join(map(str, parts)).strip() for parts in zip(*map(cells, columns), strict=True)]

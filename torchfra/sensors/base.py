@@ -75,6 +75,8 @@ class Sensor(nn.Module):
     blocks: tuple[tuple[int, ...], ...]
     """Elements that come from the same device, which share an estimate of the measurement noise; one block by default.
     """
+    linear: bool = False
+    """Whether ``forward`` is a matrix times the state, the same for all ``u``."""
     locates: bool = False
     """Whether a measurement says where in space the target is, as ``locate`` tells; a property where it depends."""
     measures_each_direction: bool = False

@@ -18,7 +18,7 @@ class Position(Sensor):
         noise: instead of ``std``, a root of the covariance of correlated measurement noise.
     """
 
-    locates = measures_each_direction = True
+    linear = locates = measures_each_direction = True
 
     def __init__(self, std: Value | None = None, *, dims: int = 2, noise: Tensor | None = None) -> None:
         super().__init__(dims, [False] * dims, std, noise)

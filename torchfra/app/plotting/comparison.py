@@ -10,9 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from torchfra.app.evaluate import Flight
+from torchfra.app.outputs.colours import APART, GREY
 from torchfra.app.plotting.labels import SIZE, Array, at_ends
 from torchfra.app.plotting.maps import draw_map, label_map
-from torchfra.app.plotting.style import APART, GREY, TITLE, any_letters, plain_ticks, without_box, words
+from torchfra.app.plotting.style import TITLE, any_letters, plain_ticks, without_box, words
 
 _ROW = 0.27
 """Height of a filter's row, inches."""

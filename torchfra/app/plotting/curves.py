@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from torch import Tensor
 
-from torchfra.app.plotting.style import BLUE, TITLE, finish, line_styles, words
+from torchfra.app.outputs.colours import BLACK, BLUE
+from torchfra.app.plotting.labels import Array, name_lines
+from torchfra.app.plotting.style import TITLE, line_styles, plain_ticks, without_box, words
+
+_ROOM = 30.0
+"""How far errors are followed beyond their median over all lines, as a factor; a name at the upper edge is beyond."""
 
 
 def rmse_curves(results: dict[str, dict[str, Any]], quantity: str, dt: float, title: str) -> Figure:
@@ -23,13 +30,12 @@ def rmse_curves(results: dict[str, dict[str, Any]], quantity: str, dt: float, ti
     """
     figure = Figure(figsize=(8, 4), layout="constrained")
     axes, styles = figure.subplots(), line_styles(results)
-    for name, result in results.items():
-        curve = np.array(result[f"rmse_{quantity}"], dtype=float)
-        axes.plot(dt * np.arange(1, len(curve) + 1), curve, label=words(name), **styles[name])
+    curves = {name: np.array(result[f"rmse_{quantity}"], dtype=float) for name, result in results.items()}
+    lines = {name: _line(axes, dt * np.arange(1, len(of) + 1), of, styles[name]) for name, of in curves.items()}
     unit = {"position": ", m", "velocity": ", m/s"}.get(quantity, "")
     axes.set(xlabel="time, s", ylabel=f"RMSE of {quantity}{unit}", yscale="log", title=words(title, TITLE))
-    finish(axes)
-    return figure
+    _limit(axes, list(curves.values()))
+    return _finished(figure, {axes: lines})
 
 
 def against(x: Sequence[float], curves: dict[str, list[float]], xlabel: str, ylabel: str, title: str) -> Figure:
@@ -44,11 +50,9 @@ def against(x: Sequence[float], curves: dict[str, list[float]], xlabel: str, yla
     """
     figure = Figure(figsize=(6, 4), layout="constrained")
     axes, styles = figure.subplots(), line_styles(curves)
-    for name, values in curves.items():
-        axes.plot(x, values, marker="o", markersize=3, label=words(name), **styles[name])
+    lines = {name: _line(axes, x, y, styles[name] | {"marker": "o", "markersize": 3}) for name, y in curves.items()}
     axes.set(xlabel=xlabel, ylabel=ylabel, title=words(title, TITLE))
-    finish(axes)
-    return figure
+    return _finished(figure, {axes: lines})
 
 
 def innovations(nis: dict[str, Tensor], gate: float, dt: float, title: str) -> Figure:
@@ -62,12 +66,12 @@ def innovations(nis: dict[str, Tensor], gate: float, dt: float, title: str) -> F
     """
     figure = Figure(figsize=(8, 4), layout="constrained")
     axes, styles = figure.subplots(), line_styles(nis)
-    for name, values in nis.items():
-        axes.plot(dt * np.arange(1, len(values) + 1), values.clamp_min(1e-3), label=words(name), **styles[name])
-    axes.axhline(gate, color="black", linestyle="--", linewidth=1, label=f"gate {gate:g}")
+    lines = {
+        name: _line(axes, dt * np.arange(1, len(of) + 1), of.clamp_min(1e-3), styles[name]) for name, of in nis.items()
+    }
+    lines[f"gate {gate:g}"] = axes.axhline(gate, color=BLACK, linestyle="--", linewidth=1)
     axes.set(xlabel="time, s", ylabel="normalised innovation squared", yscale="log", title=words(title, TITLE))
-    finish(axes)
-    return figure
+    return _finished(figure, {axes: lines})
 
 
 def by_coordinate(results: dict[str, dict[str, Any]], quantity: str, start: float, dt: float, title: str) -> Figure:
@@ -81,17 +85,18 @@ def by_coordinate(results: dict[str, dict[str, Any]], quantity: str, start: floa
         title: of the figure.
     """
     axes_of = [axis for axis in "xyz" if all(f"{quantity}_{axis}" in of for of in results.values())]
-    figure = Figure(figsize=(5 * len(axes_of), 3.6), layout="constrained")
+    figure = Figure(figsize=(5.5 * len(axes_of), 3.6), layout="constrained")
     label = {"mean_error": "mean error, m", "rmse": "RMSE, m", "mape": "mean relative error, %"}[quantity]
     panels, styles = figure.subplots(1, len(axes_of), squeeze=False)[0], line_styles(results)
+    lines = {}
     for axis, axes in zip(axes_of, panels, strict=True):
-        for name, of in results.items():
-            curve = np.array(of[f"{quantity}_{axis}"], dtype=float)
-            axes.plot(start + dt * np.arange(len(curve)), curve, label=words(name), **styles[name])
+        curves = {name: np.array(of[f"{quantity}_{axis}"], dtype=float) for name, of in results.items()}
+        lines[axes] = {
+            name: _line(axes, start + dt * np.arange(len(of)), of, styles[name]) for name, of in curves.items()
+        }
         axes.set(xlabel="time, s", ylabel=f"{label}, {axis}")
-        finish(axes)
     figure.suptitle(words(title, TITLE))
-    return figure
+    return _finished(figure, lines)
 
 
 def scaling(panels: dict[str, list[tuple[float, float]]], title: str) -> Figure:
@@ -109,6 +114,30 @@ def scaling(panels: dict[str, list[tuple[float, float]]], title: str) -> Figure:
         axes.set(xlabel=size)
         if max(pairs)[0] > 100:
             axes.set_xscale("log")
-        axes.grid(True, which="both", alpha=0.3)
+        axes.grid(alpha=0.25)
+        without_box(axes)
     figure.suptitle(words(title, TITLE))
     return figure
+
+
+def _line(axes: Axes, x: Any, y: Any, style: Mapping[str, Any]) -> Line2D:
+    (line,) = axes.plot(x, y, **style)
+    return line
+
+
+def _finished(figure: Figure, lines: Mapping[Axes, Mapping[str, Line2D]]) -> Figure:
+    """The figure with a grid in its axes and a name at each line."""
+    for axes in lines:
+        axes.grid(alpha=0.25)
+        without_box(axes)
+    name_lines(figure, lines)
+    return figure
+
+
+def _limit(axes: Axes, curves: Sequence[Array]) -> None:
+    """Gives a logarithmic axis limits around what informs."""
+    values = np.concatenate(curves)
+    known = values[np.isfinite(values) & (values > 0)]
+    if len(known):
+        axes.set_ylim(known.min() / 1.15, min(known.max(), _ROOM * float(np.median(known))) * 1.15)
+        plain_ticks(axes.yaxis)

@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from torchfra.app.plotting.style import words
+from torchfra.app.plotting.style import any_letters, words
 
 Array = NDArray[np.float64]
 
@@ -63,6 +65,53 @@ def at_ends(axes: Axes, ends: Mapping[str, float], colours: Mapping[str, str]) -
                       va="center", fontsize=SIZE, color=colours[name], annotation_clip=False,
                       arrowprops={"arrowstyle": "-", "color": colours[name], "linewidth": 0.7, "shrinkA": 0,
                                   "shrinkB": 0, "relpos": (0.0, 0.5)})  # fmt: skip
+
+
+def show(axes: Axes, low: Array, high: Array) -> tuple[Array, Array]:
+    """Gives a map limits around a window, wide or high enough for the same scale along both axes, and returns them.
+
+    Args:
+        axes: in a figure that has its layout.
+        low: ``(2,)`` lower left corner.
+        high: ``(2,)`` upper right corner.
+    """
+    box = axes.get_window_extent()
+    size = np.array([box.width, box.height])
+    half = 0.5 * size * ((high - low) / size).max()
+    low, high = (low + high) / 2 - half, (low + high) / 2 + half
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    return low, high
+
+
+def name_lines(figure: Figure, lines: Mapping[Axes, Mapping[str, Line2D]]) -> None:
+    """Names to the right of each of some axes, in the colour of the line they belong to; gives the figure its layout.
+
+    Args:
+        figure: finished but for these.
+        lines: of each of its axes, by name.
+    """
+    with any_letters():
+        figure.draw_without_rendering()  # labels are put where there is room, which the layout decides
+        for axes, named in lines.items():
+            ends = {name: _end(line) for name, line in named.items()}
+            at_ends(axes, ends, {name: str(line.get_color()) for name, line in named.items()})
+        figure.draw_without_rendering()
+
+
+def beside(axes: Axes, colours: Mapping[str, str]) -> None:
+    """Names of areas to the right of the axes, one above the other, each after a square in its colour."""
+    for i, (name, colour) in enumerate(colours.items()):
+        place = (1.0, (i + 0.5) / len(colours))
+        for text, shift, shade in (("\u25a0", 4, colour), (words(name, 24), 14, "black")):
+            axes.annotate(text, place, (shift, 0), xycoords="axes fraction", textcoords="offset points", color=shade,
+                          va="center", fontsize=SIZE - 1, annotation_clip=False)  # fmt: skip
+
+
+def _end(line: Line2D) -> float:
+    """Where a line ends along y: its last finite value."""
+    values = np.asarray(line.get_ydata(), dtype=float)
+    known = values[np.isfinite(values)]
+    return float(known[-1]) if len(known) else np.inf
 
 
 def in_free_places(axes: Axes, points: Mapping[str, Array], colours: Mapping[str, str]) -> None:

@@ -8,8 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from torchfra.app.evaluate import Flight
+from torchfra.app.outputs.colours import GREY
 from torchfra.app.plotting.labels import Array, in_free_places
-from torchfra.app.plotting.style import GREY, without_box, words
+from torchfra.app.plotting.style import without_box, words
 
 _OUTLIER = "#000000"
 _ROOM = 1.5

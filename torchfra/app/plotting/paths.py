@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from itertools import cycle
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from torchfra.app.plotting.style import CYCLE, GREY, TITLE, finish, line_styles, words
+from torchfra.app.outputs.colours import APART, BLACK, DARK, GREY
+from torchfra.app.plotting.labels import SIZE, in_free_places
+from torchfra.app.plotting.style import TITLE, any_letters, line_styles, without_box, words
+
+_WIDE = {"color": BLACK, "linewidth": 4, "alpha": 0.25, "solid_capstyle": "round"}
+"""How a true path looks, on which estimates are seen."""
 
 
 def tracks(truth: Tensor, estimates: dict[str, Tensor], title: str, stations: Tensor | None = None) -> Figure:
@@ -22,16 +27,21 @@ def tracks(truth: Tensor, estimates: dict[str, Tensor], title: str, stations: Te
     """
     figure = Figure(figsize=(7, 6), layout="constrained")
     axes, styles = figure.subplots(), line_styles(estimates)
+    shown = {"truth": truth[:, :2].numpy() / 1000} | {name: of[:, :2].numpy() / 1000 for name, of in estimates.items()}
+    for name, path in shown.items():
+        axes.plot(*path.T, **(_WIDE if name == "truth" else styles[name]))
     if stations is not None:
-        for i, path in enumerate(stations.unflatten(-1, (-1, 2)).unbind(-2)):
-            label = "stations" if i == 0 else None
-            axes.plot(*(path.mT / 1000), color="black", linestyle=":", linewidth=1, label=label)
-    axes.plot(*(truth[:, :2].mT / 1000), color="black", linewidth=2.5, label="truth")
-    for name, mean in estimates.items():
-        axes.plot(*(mean[:, :2].mT / 1000), label=words(name), **styles[name])
-    axes.set(xlabel="x, km", ylabel="y, km", title=words(title, TITLE), aspect="equal")
-    axes.set_adjustable("datalim")
-    finish(axes)
+        paths = stations.unflatten(-1, (-1, 2)).movedim(-2, 0).numpy() / 1000
+        for path in paths:
+            axes.plot(*path.T, color=DARK, linestyle=":", linewidth=1)
+        shown["stations"] = paths.reshape(-1, 2)
+    axes.set(xlabel="x, km", ylabel="y, km", title=words(title, TITLE), aspect="equal", adjustable="datalim")
+    axes.grid(alpha=0.25)
+    without_box(axes)
+    with any_letters():
+        figure.draw_without_rendering()  # labels are put where there is room, which the layout decides
+    colours = {"truth": DARK, "stations": DARK} | {name: style["color"] for name, style in styles.items()}
+    in_free_places(axes, {name: path[np.isfinite(path).all(1)] for name, path in shown.items()}, colours)
     return figure
 
 
@@ -46,10 +56,12 @@ def in_space(truth: Tensor, estimates: Tensor, measured: Tensor, title: str) -> 
     """
     figure = Figure(figsize=(8, 7), layout="constrained")
     axes: Any = figure.add_subplot(projection="3d")
-    axes.scatter(*(measured.mT / 1000).numpy(), s=2, color=GREY, alpha=0.5, label="measured")
-    for i, (path, mean, colour) in enumerate(zip(truth, estimates, cycle(CYCLE), strict=False)):
-        axes.plot(*(path[:, :3].mT / 1000).numpy(), color="black", linewidth=2.5, label="truth" if i == 0 else None)
-        axes.plot(*(mean[:, :3].mT / 1000).numpy(), color=colour, linewidth=1.4, label=f"target {i + 1}, filtered")
-    axes.set(xlabel="east, km", ylabel="north, km", zlabel="up, km", title=words(title, TITLE))
-    axes.legend(frameon=False, fontsize=8)
+    axes.scatter(*(measured.mT / 1000).numpy(), s=2, color=GREY, alpha=0.4, depthshade=False)
+    for i, (path, mean) in enumerate(zip(truth, estimates, strict=False)):
+        colour = APART[i % len(APART)]
+        axes.plot(*(path[:, :3].mT / 1000).numpy(), **_WIDE)
+        axes.plot(*(mean[:, :3].mT / 1000).numpy(), color=colour, linewidth=1.4)
+        axes.text(*(path[-1, :3] / 1000).tolist(), f" target {i + 1}", color=colour, fontsize=SIZE)
+    axes.set(xlabel="east, km", ylabel="north, km", zlabel="up, km")
+    axes.set_title(f"{words(title, TITLE)}\nwide: truth; lines: filtered; dots: measured", fontsize=10)
     return figure

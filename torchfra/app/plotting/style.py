@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
-from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +15,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from torchfra.app.atomic_write import write
+from torchfra.app.outputs.colours import APART
 from torchfra.catalogue import FILTERS
 from torchfra.tables import printable
 
-GREY, BLUE, ORANGE, RED = "#999999", "#4c72b0", "#dd8452", "#c44e52"
-CYCLE = (BLUE, ORANGE, "#55a868", RED, "#8172b3", "#ccb974", "#64b5cd")
-"""For whatever is no filter of the catalogue: targets, models, filters by other names."""
-APART = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00")
-"""Colours that people who see colours differently tell apart too.
-
-Source: Okabe & Ito (2008), "Color universal design": without their black, yellow and sky blue.
-"""
+_BROKEN = ("-", "--", ":", "-.")
+"""Of the lines that have no colour of their own."""
 
 
 def save(figure: Figure, path: str | Path) -> Path:
@@ -60,27 +54,16 @@ def words(text: str, longest: int = 50) -> str:
 
 
 def line_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """How the line of each filter looks, as keywords of ``Axes.plot``.
+    """How the line of each name looks, as keywords of ``Axes.plot``: a colour of its own for as many as ``APART`` has.
 
-    Filters of the catalogue have their colours; others (``"learned"``, say) get colours that no line of the figure has,
-    as long as there are some.
+    Lines after those have the same colours in the same order, but are broken.
     """
-    names = list(names)
-    known = {name: FILTERS[name].colour for name in names if name in FILTERS}
-    free = cycle([colour for colour in CYCLE if colour not in known.values()] or CYCLE)
     styles = {}
-    for name in names:
+    for i, name in enumerate(names):
         bold = name in FILTERS and FILTERS[name].emphasised
-        colour = known[name] if name in known else next(free)
-        styles[name] = {"color": colour, "linewidth": 1.8 if bold else 1.1, "zorder": 3 if bold else 2}
+        look = {"color": APART[i % len(APART)], "linestyle": _BROKEN[i // len(APART) % len(_BROKEN)]}
+        styles[name] = {**look, "linewidth": 1.8 if bold else 1.1, "zorder": 3 if bold else 2}
     return styles
-
-
-def finish(axes: Axes) -> None:
-    """Gives axes a grid and a legend, and takes two of their spines away."""
-    axes.grid(alpha=0.25)
-    without_box(axes)
-    axes.legend(frameon=False, fontsize=8, ncols=2)
 
 
 def without_box(axes: Axes) -> None:

@@ -8,7 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from torchfra.app.plotting.style import CYCLE, RED, TITLE, finish, without_box, words
+from torchfra.app.outputs.colours import BLACK, RED
+from torchfra.app.plotting.labels import name_lines
+from torchfra.app.plotting.style import TITLE, line_styles, without_box, words
 
 _QUANTITIES = (("range", "m", 1.0), ("azimuth", "mrad", 1e3), ("elevation", "mrad", 1e3))
 
@@ -17,28 +19,29 @@ def by_target(of: dict[str, dict[str, Any]], dt: float, title: str) -> Figure:
     """Root mean square errors of range, azimuth and elevation over time, one row for each target.
 
     Args:
-        of: by name of the filter, in pairs that share a colour, ``"rmse_range"`` (m), ``"rmse_azimuth"`` and
+        of: by name of the filter, ``"rmse_range"`` (m), ``"rmse_azimuth"`` and
             ``"rmse_elevation"`` (rad), ``[N][T]``.
         dt: seconds per step.
         title: of the figure.
     """
     targets = len(next(iter(of.values()))["rmse_range"])
-    figure = Figure(figsize=(12, 3 * targets), layout="constrained")
+    figure = Figure(figsize=(15, 3 * targets), layout="constrained")
     grid = figure.subplots(targets, len(_QUANTITIES), squeeze=False, sharex=True)
+    lines, styles = {}, line_styles(of)
     for i, row in enumerate(grid):
         for axes, (key, unit, scale) in zip(row, _QUANTITIES, strict=True):
-            for number, (name, values) in enumerate(of.items()):
-                curve = scale * np.array(values[f"rmse_{key}"][i], dtype=float)
-                style = {"color": CYCLE[number // 2 % len(CYCLE)], "linestyle": ("-", ":")[number % 2]}
-                axes.plot(dt * np.arange(1, len(curve) + 1), curve, label=words(name), linewidth=1.3, **style)
+            curves = {name: scale * np.array(values[f"rmse_{key}"][i], dtype=float) for name, values in of.items()}
+            lines[axes] = {
+                name: axes.plot(dt * np.arange(1, len(curve) + 1), curve, **styles[name])[0]
+                for name, curve in curves.items()
+            }
             axes.set(ylabel=f"target {i + 1}: {key}, {unit}", yscale="log")
             axes.grid(alpha=0.25)
             without_box(axes)
     for axes in grid[-1]:
         axes.set(xlabel="time, s")
-    legend = figure.axes[0].get_legend_handles_labels()
-    figure.legend(*legend, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
     figure.suptitle(f"root mean square error, {words(title, TITLE)}")
+    name_lines(figure, lines)
     return figure
 
 
@@ -52,11 +55,15 @@ def raw_and_filtered(ranges: dict[str, tuple[Tensor, Tensor]], dt: float, title:
     """
     figure = Figure(figsize=(8, 2.6 * len(ranges)), layout="constrained")
     panels = figure.subplots(len(ranges), 1, squeeze=False, sharex=True)[:, 0]
+    lines = {}
     for axes, (name, (raw, filtered)) in zip(panels, ranges.items(), strict=True):
         time = dt * np.arange(1, len(raw) + 1)
-        axes.plot(time, raw, ".", color="black", markersize=4, label="measured")
-        axes.plot(time, filtered, color=RED, linewidth=1.4, label="filtered")
+        (dots,) = axes.plot(time, raw, ".", color=BLACK, markersize=4)
+        (line,) = axes.plot(time, filtered, color=RED, linewidth=1.4)
+        lines[axes] = {"measured": dots, "filtered": line}
         axes.set(xlabel="time, s", ylabel=words(f"{name}: range error, m"))
-        finish(axes)
+        axes.grid(alpha=0.25)
+        without_box(axes)
     figure.suptitle(words(title, TITLE))
+    name_lines(figure, lines)
     return figure

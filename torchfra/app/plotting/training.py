@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from torchfra.app.plotting.style import BLUE, RED, TITLE, finish, words
+from torchfra.app.outputs.colours import BLUE, RED
+from torchfra.app.plotting.labels import name_lines
+from torchfra.app.plotting.style import TITLE, line_styles, without_box, words
 
-_BESIDE = 12
-"""Lines of a legend that fit into a figure; more stand beside it."""
+_ROW = 0.18
+"""Height of a name beside the values, inches."""
 
 
 def learning_curve(rows: list[dict[str, float]], start: dict[str, float], title: str) -> Figure:
@@ -19,23 +21,23 @@ def learning_curve(rows: list[dict[str, float]], start: dict[str, float], title:
         start: the values before the first.
         title: of the figure.
     """
-    figure = Figure(figsize=(8, 6), layout="constrained")
-    loss, values = figure.subplots(2, 1, sharex=True)
+    figure = Figure(figsize=(9, 3 + max(3.0, _ROW * len(start))), layout="constrained")
+    loss, values = figure.subplots(2, 1, sharex=True, height_ratios=[3, max(3.0, _ROW * len(start))])
     time = [row["iteration"] for row in rows]
     checked = [row for row in rows if "validation" in row]
     at, validation = [row["iteration"] for row in checked], [row["validation"] for row in checked]
-    loss.plot(time, [row["loss"] for row in rows], color=BLUE, linewidth=0.8, label="training batch")
-    loss.plot(at, validation, "o-", color=RED, markersize=4, label="validation, hard decision")
+    (batch,) = loss.plot(time, [row["loss"] for row in rows], color=BLUE, linewidth=0.8)
+    (valid,) = loss.plot(at, validation, "o-", color=RED, markersize=4)
+    learned, styles = {}, line_styles(start)
     for name, first in start.items():
         value = np.array([row[name] for row in rows])
         # A value that began at 0 is a logarithm of odds: the odds are compared.
         label, change = (name, value / first) if first else (f"exp({name})", np.exp(value))
-        values.plot([0, *time], [1.0, *change], label=words(label))
+        (learned[label],) = values.plot([0, *time], [1.0, *change], **styles[name])
     loss.set(ylabel="loss", title=words(title, TITLE))
     values.set(xlabel="iteration", ylabel="times the start", yscale="log")
     for axes in (loss, values):
-        finish(axes)
-    if len(start) > _BESIDE:
-        figure.set_size_inches(12, 6)
-        values.legend(frameon=False, fontsize=7, ncols=2, loc="upper left", bbox_to_anchor=(1.0, 2.1))
+        axes.grid(alpha=0.25)
+        without_box(axes)
+    name_lines(figure, {loss: {"training batch": batch, "validation, hard decision": valid}, values: learned})
     return figure

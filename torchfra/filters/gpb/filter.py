@@ -15,13 +15,13 @@ from torchfra.filters.gpb.hindsight import GPBPast, WayBack
 from torchfra.filters.gpb.merging import lifted, log_share, together
 from torchfra.filters.gpb.qualities import Qualities, entry
 from torchfra.filters.gpb.regimes import Regimes
-from torchfra.filters.gpb.seeing import by_points_or_slope
+from torchfra.filters.gpb.seeing import by_points_or_slope, exactly
 from torchfra.filters.gpb.states import GPBInfo, GPBState, Shares, Step
 from torchfra.filters.imm import for_each_model
 from torchfra.filters.records import Record
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame, Measurements
-from torchfra.gaussian.mixture import models_first, moment_match, repeated
+from torchfra.gaussian.mixture import models_first, moment_match, pooled, repeated
 from torchfra.gaussian.model import propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import innovation
@@ -127,27 +127,27 @@ class GPB(WayBack):
         before = tree.stack([state.clean, state.dirty], 0)  # (2, ..., K)
         predicted, log_ahead, shares, far = self.look_ahead(before, state.log_weights.movedim(-2, 0), frame)
         seen = self.read(predicted)
+        whitened, expected = self.compare_all(seen, log_ahead, frame)
         log_quality, prior = self.qualities.ahead(state.outlier)
-        corrected = self.qualities(seen, lambda belief: self.compare(belief, frame), prior, 1 - frame.seen)
+        corrected = self.qualities(seen, whitened, lambda x: self.compare(x, frame), prior, 1 - frame.seen)
         joint = log_quality.unsqueeze(1) + log_ahead + corrected.log_density  # (2, R, 2, ...): now, regime, before
         joint = torch.where(joint.isnan(), -torch.inf, joint)  # nothing speaks for a hypothesis that failed
         log_likelihood = joint.flatten(0, 2).logsumexp(0)
         joint = joint - log_likelihood
 
         after, log_after = self.merge(lifted(predicted, corrected.belief), joint)
-        belief, settled = together(after, log_after), together(before, self.hindsight(joint, shares))
+        ends = tree.stack([after, before], 1), torch.stack([log_after, self.hindsight(joint, shares)], 1)
+        belief, settled = tree.unbind(together(*ends), 2)
         outlier = (joint[1].exp().unsqueeze(-1) * corrected.outlier).sum((0, 1))
         log_regimes = joint.logsumexp(2).movedim(1, -1)  # (2, ..., R)
         if_dirty = outlier / log_regimes[1].logsumexp(-1, keepdim=True).exp()
-        expected = moment_match(tree.map_tensors(lambda x: x.flatten(0, 1), seen), log_share(log_ahead.flatten(0, 1)))
-        whitened = self.compare(expected, frame)
         info = Step(settled, log_regimes.exp().sum(0), outlier)
         clean, dirty = tree.unbind(after, 2)
         carried = clean, dirty, log_regimes.movedim(0, -2), if_dirty
         record = Record(
             belief,
-            whitened.residual,
-            *innovation(whitened),
+            expected.residual,
+            *innovation(expected),
             info,
             log_likelihood,
             past=GPBPast(*carried, far.movedim(0, -1)),
@@ -160,7 +160,18 @@ class GPB(WayBack):
         From points on all sides of an anchor ranges do not tell where the target is: a belief that wide would learn
         nothing, and widen on.
         """
+        if self.sensor.linear:
+            return exactly(self.sensor, belief, frame)
         return by_points_or_slope(lambda x: super(GPB, self).compare(x, frame), belief)
+
+    def compare_all(self, seen: Gaussian, log_ahead: Tensor, frame: Frame) -> tuple[Whitened, Whitened]:
+        """The measurement against all predictions, ``(1, R, 2, ...)``, and against the Gaussian with their moments."""
+        flat = tree.map_tensors(lambda x: x.flatten(0, 1), seen)
+        expected = moment_match(flat, log_share(log_ahead.flatten(0, 1)))
+        every = [torch.cat([x, y.unsqueeze(0)]) for x, y in zip(flat, expected, strict=True)]
+        whitened = self.compare(Gaussian(*every), frame)
+        each = tree.map_tensors(lambda x: x[:-1].unflatten(0, (1, *log_ahead.shape[:2])), whitened)
+        return each, tree.map_tensors(lambda x: x[-1], whitened)
 
     def look_ahead(
         self, before: Gaussian, log_weights: Tensor, frame: Frame
@@ -203,24 +214,27 @@ class GPB(WayBack):
         shares = Shares(of_motion(stayed) - ahead, of_motion(drawn) - ahead, origin)
         common = moment_match(models_first(before), origin.movedim(-1, 0))
         pair = tree.stack([before, repeated(common, len(self.bank))], 0)
-        return moment_match(pair, torch.stack([shares.own, shares.common])), log_ahead, shares
+        mix = pooled if self.motion.linear else moment_match  # predictions are made triangular anyway
+        return mix(pair, torch.stack([shares.own, shares.common])), log_ahead, shares
 
     def merge(self, beliefs: Gaussian, joint: Tensor) -> tuple[Gaussian, Tensor]:
         """What is left of hypotheses ``(2, R, 2, ...)``: for clean and dirty and each motion, ``(2, ..., K)``."""
-        mean, root, weight = (x.movedim(2, 0) for x in (*beliefs, joint))  # (2, 2, R, ...): before, now, regime
+        every = [x.movedim(0, 2) for x in (*beliefs, joint)]  # (R, 2, 2, ...): regime, before, now
         levels, others = self.regimes.count, slice(self.regimes.count, self.regimes.count + len(self.bank) - 1)
-        own = [torch.cat([x[:, :, :levels], x[:, :, others.stop :]], 2) for x in (mean, root, weight)]
-        mean_own, root_own, weight_own = (x.movedim(1, 2).flatten(0, 1) for x in own)
-        log_own, log_others = weight_own.logsumexp(0), weight[:, :, others].logsumexp(0)
-        first = moment_match(Gaussian(mean_own, root_own), weight_own - log_own)
+        own = every if len(self.bank) == 1 else [torch.cat([x[:levels], x[others.stop :]]) for x in every]
+        mean, root, weight = (x.flatten(0, 1) for x in own)
+        log_own = weight.logsumexp(0)
+        first = moment_match(Gaussian(mean, root), weight - log_own)
         if len(self.bank) == 1:
             return Gaussian(first.mean.unsqueeze(-2), first.scale_tril.unsqueeze(-3)), log_own.unsqueeze(-1)
-        rest = moment_match(Gaussian(mean[:, :, others], root[:, :, others]), weight[:, :, others] - log_others)
+        mean, root, weight = (x[others].transpose(0, 1) for x in every)  # (before, others, now, ...)
+        log_others = weight.logsumexp(0)
+        rest = moment_match(Gaussian(mean, root), weight - log_others)
         after = Gaussian(
-            torch.cat([first.mean.unsqueeze(-2), rest.mean.movedim(1, -2)], -2),
-            torch.cat([first.scale_tril.unsqueeze(-3), rest.scale_tril.movedim(1, -3)], -3),
+            torch.cat([first.mean.unsqueeze(-2), rest.mean.movedim(0, -2)], -2),
+            torch.cat([first.scale_tril.unsqueeze(-3), rest.scale_tril.movedim(0, -3)], -3),
         )
-        return after, torch.cat([log_own.unsqueeze(-1), log_others.movedim(1, -1)], -1)
+        return after, torch.cat([log_own.unsqueeze(-1), log_others.movedim(0, -1)], -1)
 
     def hindsight(self, joint: Tensor, shares: Shares | None) -> Tensor:
         """Log weights ``(2, ..., K)`` of the beliefs before a step, now that it is measured."""

@@ -8,15 +8,15 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.gpb.merging import together
+from torchfra.filters.gpb.merging import log_share, together
 from torchfra.filters.gpb.regimes import Regimes, in_front
+from torchfra.filters.hindsight import inside
 from torchfra.filters.imm import for_each_model
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.future import Future, future
 from torchfra.gaussian.mixture import moment_match, repeated, without_failed
-from torchfra.gaussian.model import Carried
-from torchfra.gaussian.update import correct, density
+from torchfra.gaussian.model import Carried, adapted
 from torchfra.types import Gaussian
 
 
@@ -91,22 +91,25 @@ def _retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
         after: smoothed.
     """
     past, frame = turn.past, turn.frame
-    prior = _prior(f, past, turn.ahead.far)  # (now, was, ..., regime was, regime now)
-    before = _each_motion(past.beliefs())  # (was, motion was, ..., motion now)
-    ahead = _of_regimes(f, f.carry(before, for_each_model(frame), None), turn.ahead.far)  # (R, was, motion was, ...)
-    later = future(_predicted(f.regimes, ahead, f.regimes.of_motion(prior.transpose(-1, -2))), after.beliefs())
-    each, fit = _corrected(f.regimes, past.beliefs(), ahead, later)  # (R, now, was, motion, ...)
+    regimes, before, far = f.regimes, past.beliefs(), turn.ahead.far
+    prior = _prior(f, past, far)  # (now, was, ..., regime was, regime now)
+    mixed, _, _ = f.interact(before, past.log_weights.movedim(-2, 0))
+    frame = adapted(for_each_model(frame), mixed.mean)  # as the filter has adapted it
+    predicted = _predicted(f, f.carry(mixed, frame, None), far.movedim(-1, 0), prior.logsumexp(-2))
+    ahead = _of_regimes(f, f.carry(_each_motion(before), frame, None), far.movedim(-1, 0))
+    each, fit = _each_regime(regimes, future(predicted, after.beliefs())).told(ahead)  # (R, now, motion was, was, ...)
 
-    fit = f.regimes.of_each(fit, 3).movedim(3, -1).movedim(0, -1)  # (now, was, ..., regime was, regime now)
+    fit = without_failed(fit).movedim(2, -1)  # (R, now, was, ..., motion was)
+    fit = regimes.of_each(fit, -1).movedim(0, -1)  # (now, was, ..., regime was, regime now)
     joint = prior + fit
     joint = without_failed(joint - joint.logsumexp((1, -2), keepdim=True))
     joint = joint + after.log_weights.movedim(-2, 0)[:, None, ..., None, :]
     log_weights = joint.logsumexp((0, -1))  # (was, ..., R)
-    share = f.regimes.of_motion(joint.transpose(-1, -2)).movedim(-2, 0)  # (R, now, was, ..., motion)
+    share = regimes.of_motion(joint.transpose(-1, -2)).movedim((-2, -1), (0, 2))  # (R, now, motion was, was, ...)
     share = share - share.logsumexp((0, 1), keepdim=True)
-    mean, root = each.mean.movedim(3, -2), each.scale_tril.movedim(3, -3)
-    belief = moment_match(Gaussian(mean.flatten(0, 1), root.flatten(0, 1)), share.flatten(0, 1))
-    clean, dirty = tree.unbind(belief, 2)
+    told = moment_match(Gaussian(*(x.flatten(0, 1) for x in each)), share.flatten(0, 1))  # (motion was, was, ...)
+    told = Gaussian(told.mean.movedim(0, -2), told.scale_tril.movedim(0, -3))
+    clean, dirty = tree.unbind(inside(before, told), 2)
     return GPBPast(clean, dirty, log_weights.movedim(0, -2), past.outlier, past.far)
 
 
@@ -120,79 +123,74 @@ def _prior(f: Any, past: GPBPast, far: Tensor) -> Tensor:
     return together
 
 
-def _each_motion(beliefs: Gaussian) -> Gaussian:
-    """Beliefs ``(2, ..., K)`` before every motion, ``(2, K, ..., K)``."""
-    mean, root = beliefs
-    return repeated(Gaussian(mean.movedim(-2, 1), root.movedim(-3, 1)), mean.shape[-2])
-
-
-def _of_regimes(f: Any, ahead: Carried, far: Tensor) -> Carried:
-    """Beliefs carried by every motion, ``(..., K)``, as every regime carries them, ``(R, ...)``.
-
-    These are the parts of ``Regimes.predictions`` and ``Regimes.jumped``.
-    """
-    regimes, rank = f.regimes, ahead.mean.dim() - 2
-    mean, spread, noise = (
-        regimes.of_each(x.expand(*ahead.mean.shape[:-1], *x.shape[-event:]).movedim(-1 - event, 0), 0)
-        for x, event in ((ahead.mean, 1), (ahead.spread, 2), (ahead.process_noise, 2))
-    )
-    levels = in_front(regimes.levels(ahead.mean).sqrt(), rank)
-    jumps = regimes.widths(ahead.mean, far.movedim(-1, 0)).unsqueeze(2)  # (J, was, motion was, ...)
-    batch = torch.broadcast_shapes(levels.shape[1:], jumps.shape[1:])
-    levels, jumps = levels.expand(-1, *batch), jumps.expand(-1, *batch)
-    one = torch.ones_like(levels[:1])
-    level = torch.cat([levels, *[one] * (regimes.motions - 1), *[levels[-1:]] * len(jumps)]).unsqueeze(-1)
-    jump = torch.cat([*[one] * (len(level) - len(jumps)), jumps]).unsqueeze(-1)
-    there = torch.zeros_like(ahead.mean[(0,) * (rank + 1)])
-    there[f.motion.position] = 1.0
-    widened = 1 + (jump - 1) * there
-    return Carried(mean, widened.unsqueeze(-1) * spread, (widened * level).unsqueeze(-1) * noise, None)
-
-
-def _predicted(regimes: Regimes, ahead: Carried, prior: Tensor) -> Gaussian:
+def _predicted(f: Any, ahead: Carried, far: Tensor, log_weights: Tensor) -> Gaussian:
     """Predictions ``(2, ..., K)`` for each quality and motion of a step, merged over all that leads there.
 
     Args:
-        regimes: of the motion.
-        ahead: ``(R, 2, K, ...)`` of each regime, from each quality and motion before.
-        prior: ``(2, 2, ..., R, K)`` logs of the probabilities.
+        f: the filter.
+        ahead: ``(2, ..., K)`` mixed beliefs carried by each motion, from each quality before.
+        far: ``(2, ...)``: see ``GPBPast``.
+        log_weights: ``(2, 2, ..., R)`` logs of the probabilities of both qualities and of the regime.
     """
-    (mean, root), _ = ahead.belief()
-    log_weights = prior.movedim(-2, 1).movedim(-1, 3)  # (now, R, was, motion was, ...)
-    first, jumps = regimes.count, regimes.count + regimes.motions - 1
+    regimes, first = f.regimes, f.regimes.count
+    levels = regimes.predictions(*ahead[:3])
+    agile: Gaussian = tree.map_tensors(lambda x: x[first - 1], levels)
+    jumped, others = regimes.jumped(agile, far, f.motion.position), regimes.motions - 1
+    share = log_weights.movedim(-1, 1)  # (now, R, was, ...)
 
-    def merged(mean: Tensor, root: Tensor, log_weights: Tensor) -> Gaussian:
-        flat = log_weights.flatten(0, 2)
-        return moment_match(Gaussian(mean.flatten(0, 2), root.flatten(0, 2)), flat - flat.logsumexp(0))
-
-    every = []
-    for now in log_weights:
-        own = [torch.cat([x[:first], x[jumps:]]) for x in (mean, root, now)]
-        others = [[x[r : r + 1] for x in (mean, root, now)] for r in range(first, jumps)]
-        every.append([merged(*parts) for parts in (own, *others)])
+    own = (torch.cat([x[:first], jump]).flatten(0, 1).unsqueeze(1) for x, jump in zip(levels, jumped, strict=True))
+    share_own = torch.cat([share[:, :first], share[:, first + others :]], 1).movedim(0, 2).flatten(0, 1)
+    merged = moment_match(Gaussian(*own), log_share(share_own))  # (now, ...)
+    if not others:
+        return Gaussian(merged.mean.unsqueeze(-2), merged.scale_tril.unsqueeze(-3))
+    other = Gaussian(*(x[first:].transpose(0, 1).unsqueeze(1) for x in levels))  # (was, 1, motion, ...)
+    share_others = share[:, first : first + others].movedim(2, 0)
+    mean, root = moment_match(other, log_share(share_others))  # (now, motion, ...)
     return Gaussian(
-        torch.stack([torch.stack([b.mean for b in motions], -2) for motions in every]),
-        torch.stack([torch.stack([b.scale_tril for b in motions], -3) for motions in every]),
+        torch.cat([merged.mean.unsqueeze(-2), mean.movedim(1, -2)], -2),
+        torch.cat([merged.scale_tril.unsqueeze(-3), root.movedim(1, -3)], -3),
     )
 
 
-def _corrected(regimes: Regimes, before: Gaussian, ahead: Carried, later: Future) -> tuple[Gaussian, Tensor]:
-    """Beliefs before a step, corrected by what comes later, ``(R, 2, 2, K, ...)``, and how well they predicted it.
+def _each_motion(beliefs: Gaussian) -> Gaussian:
+    """Beliefs ``(2, ..., K)`` before every motion, ``(K, 2, ..., K)``."""
+    mean, root = beliefs
+    return repeated(Gaussian(mean.movedim(-2, 0), root.movedim(-3, 0)), mean.shape[-2])
 
-    Args:
-        regimes: of the motion.
-        before: ``(2, ..., K)``.
-        ahead: ``(R, 2, K, ...)`` carried by each regime.
-        later: ``(2, ..., K)`` for each quality and motion of the step.
+
+def _of_regimes(f: Any, ahead: Carried, far: Tensor) -> Carried:
+    """Beliefs ``(K, 2, ..., K)`` carried by every motion, as every regime carries them, ``(R, 1, K, 2, ...)``.
+
+    These are the parts of ``Regimes.predictions`` and ``Regimes.jumped``; process noise that is the same for all
+    motions before stays one.
     """
+    regimes, rank = f.regimes, ahead.mean.dim() - 2  # of dimensions (motion was, was, ...)
+
+    def of_each(x: Tensor, event: int) -> Tensor:
+        x = regimes.of_each(x, x.dim() - 1 - event).movedim(-1 - event, 0)
+        return x.reshape(x.shape[:1] + (1,) * (rank + 1 + event - x.dim()) + x.shape[1:])
+
+    mean, spread, noise = of_each(ahead.mean, 1), of_each(ahead.spread, 2), of_each(ahead.process_noise, 2)
+    levels = in_front(regimes.levels(ahead.mean).sqrt(), rank)
+    jumps = regimes.widths(ahead.mean, far)
+    jumps = jumps.reshape(jumps.shape[:1] + (1,) * (rank + 1 - jumps.dim()) + jumps.shape[1:])
+    others = regimes.motions - 1
+    every = levels.new_ones(others, *levels.shape[1:]), levels[-1:].expand(len(jumps), *levels.shape[1:])
+    level = torch.cat([levels, *every])
+    wide = torch.cat([jumps.new_ones(regimes.count + others, *jumps.shape[1:]), jumps])
+    there = torch.zeros_like(ahead.mean[(0,) * (rank + 1)])
+    there[f.motion.position] = 1.0
+    widened = (1 + (wide.unsqueeze(-1) - 1) * there).unsqueeze(-1)
+    spread, noise = widened * spread, widened * level[..., None, None] * noise
+    return Carried(mean.unsqueeze(1), spread.unsqueeze(1), noise.unsqueeze(1), None)
+
+
+def _each_regime(regimes: Regimes, later: Future) -> Future:
+    """What comes later, of every motion ``(2, ..., K)``, for every regime, ``(R, 2, 1, 1, ...)``."""
 
     def of_regime(rank: int, x: Tensor) -> Tensor:
         x = regimes.of_each(x, x.dim() - 1 - rank).movedim(-1 - rank, 0)
-        return x.unsqueeze(2).unsqueeze(2)  # (R, now, 1, 1, ...)
+        return x.unsqueeze(2).unsqueeze(2)
 
-    whitened = tree.map_ranked(of_regime, later).against(tree.map_ranked(lambda rank, x: x.unsqueeze(1), ahead))
-    own = Gaussian(before.mean.movedim(-2, 1), before.scale_tril.movedim(-3, 1))  # (was, motion, ...)
-    shape = whitened.residual.shape[:-1]
-    own = tree.map_ranked(lambda rank, x: x.expand(*shape, *x.shape[x.dim() - rank :]), own)
-    each, root, normalised = correct(own, whitened)
-    return each, without_failed(density(root, normalised))
+    each: Future = tree.map_ranked(of_regime, later)
+    return each

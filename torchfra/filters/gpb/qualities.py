@@ -13,10 +13,9 @@ from torch.nn.functional import pad
 from torchfra import tree
 from torchfra.filters.gpb.regimes import in_front
 from torchfra.gaussian.mixture import moment_match
-from torchfra.gaussian.update import density
 from torchfra.hyper import Hyper, Values
 from torchfra.linalg.tracing import is_traced
-from torchfra.linalg.triangular import apply, hstack, tria, whiten
+from torchfra.linalg.triangular import apply, hstack, tria
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
@@ -28,7 +27,7 @@ class Corrected(NamedTuple):
     """What a measurement makes of predictions ``(..., d)``, in a clean step and in a dirty one."""
 
     belief: Gaussian
-    """``(2, ..., d)`` in units of the prediction's root: ``N(0, I)`` where the measurement says nothing."""
+    """``(2, ..., d)`` in units of the prediction's root, any root: ``N(0, I)`` where the measurement says nothing."""
     log_density: Tensor
     """``(2, ...)`` of the measurement."""
     outlier: Tensor
@@ -36,14 +35,17 @@ class Corrected(NamedTuple):
 
 
 class Inside(NamedTuple):
-    """``tria`` of what is measured, without its noise, and of the belief: ``[[root, 0], [cross, left]]``."""
+    """What is measured, without its noise, and the belief, by the same independent unknowns of variance 1.
 
-    root: Tensor
-    """``(..., m, m)``."""
+    Measured is ``rows`` times ``k`` unknowns; the belief follows those by ``cross``, and others by ``left``.
+    """
+
+    rows: Tensor
+    """``(..., m, k)``."""
     cross: Tensor
-    """``(..., d, m)``."""
-    left: Tensor
-    """``(..., d, d)``, what no measurement of this block can tell."""
+    """``(..., d, k)``."""
+    left: Tensor | None
+    """``(..., d, d)``, what no measurement of this block can tell; None for nothing."""
 
 
 class Qualities(nn.Module):
@@ -121,31 +123,38 @@ class Qualities(nn.Module):
         share = torch.ones_like(now) if len(self.blocks) == 1 else now / dirty.unsqueeze(-1)
         return torch.stack([clean, dirty.log()]), share
 
-    def forward(self, seen: Gaussian, compare: Compare, prior: Tensor, missing: Tensor) -> Corrected:
+    def forward(
+        self, seen: Gaussian, whitened: Whitened, compare: Compare, prior: Tensor, missing: Tensor
+    ) -> Corrected:
         """The measurement, ``(2, ...)``: taken as the sensor states it, and with outliers in some blocks.
 
         Blocks are independent, so they are taken one after the other: what they cost adds up.
 
         Args:
             seen: predictions ``(..., d)`` of what the sensor reads.
-            compare: the measurement against such.
+            whitened: the measurement against them, ``(1, ...)``.
+            compare: the measurement against others.
             prior: ``(..., B)`` of each block that it is an outlier if the step is dirty.
             missing: ``(..., m)`` 1 where missing, 0 where measured.
         """
-        rank = seen.mean.dim() - 1
+        (mean, root), rank, last = seen, seen.mean.dim() - 1, len(self.blocks) - 1
         sizes, log_shares = in_front(self.sizes(seen.mean), rank), in_front(self.shares(seen.mean).log(), rank)
         sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])  # of a clean block, and of an outlier
         belief, log_density, outliers = unit(seen), torch.zeros_like(seen.mean[..., 0]), []
         for b, block in enumerate(self.blocks):
             share, gone = prior[..., b], missing[..., list(block)].sum(-1)
-            inside, residual = measured(seen, belief, compare, block)
-            if_clean, log_clean = entry(told_by(entry(inside, 0), residual[0], sizes[:1], gone), 0)
-            told, log_told = told_by(entry(inside, -1), residual[-1], self.grown(sizes, residual[-1], gone), gone)
+            if b:
+                whitened = compare(Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril))
+            inside, residual = measured(whitened, belief, block)
+            told, log_told = told_by(inside.rows[-1], residual[-1], self.grown(sizes, residual[-1], gone), gone)
+            clean, log_clean = told, log_told[:1]
+            if b:  # clean and dirty have the first block in common alone
+                clean, log_clean = told_by(inside.rows[0], residual[0], sizes[:1], gone)
             joint = torch.cat([log_told[:1] + torch.log1p(-share), log_told[1:] + share.log() + log_shares])
             total = joint.logsumexp(0)
-            if_dirty = moment_match(told, joint - total)
-            belief = inward(belief, inside, tree.stack([if_clean, if_dirty], 0))
-            log_density = log_density + torch.stack([log_clean, total])
+            both = tree.stack([entry(clean, 0), moment_match(told, joint - total)], 0)
+            belief = inward(belief, inside, both, triangular=b < last)
+            log_density = log_density + torch.cat([log_clean, total.unsqueeze(0)])
             outliers.append((joint[1:].logsumexp(0) - total).exp())
         return Corrected(belief, log_density, torch.stack(outliers, -1))
 
@@ -171,38 +180,49 @@ def entry(tuples: C, i: int) -> C:
     return chosen
 
 
-def measured(seen: Gaussian, belief: Gaussian, compare: Compare, block: Sequence[int]) -> tuple[Inside, Tensor]:
-    """What one block measures of a belief in units of ``seen``'s root, and its residual ``(..., m)``."""
-    (mean, root), (m, d) = seen, (len(block), seen.mean.shape[-1])
-    whitened = compare(Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril))
-    residual, spread = whitened.residual, whitened.spread
+def measured(whitened: Whitened, belief: Gaussian, block: Sequence[int]) -> tuple[Inside, Tensor]:
+    """What one block measures of a belief in units of the prediction's root, and its residual ``(1 or 2, ..., m)``."""
+    residual, spread, m, d = whitened.residual, whitened.spread, len(block), belief.mean.shape[-1]
     if m < residual.shape[-1]:
         residual = torch.stack([residual[..., i] for i in block], -1)
         spread = torch.stack([spread[..., i, :] for i in block], -2)
+    if spread.shape[-1] == d:
+        return Inside(spread, belief.scale_tril, None), residual
     own = pad(belief.scale_tril, (spread.shape[-1] - d, 0))
     lower = tria(torch.cat([spread, own], -2))
     return Inside(lower[..., :m, :m], lower[..., m:, :m], lower[..., m:, m:]), residual
 
 
-def told_by(inside: Inside, residual: Tensor, sizes: Tensor, missing: Tensor) -> tuple[Gaussian, Tensor]:
-    """What a measurement tells of itself without noise, ``(C, ..., m)``, and its log density, for ``C`` noises.
+def told_by(rows: Tensor, residual: Tensor, sizes: Tensor, missing: Tensor) -> tuple[Gaussian, Tensor]:
+    """What a measurement tells of its unknowns, ``(C, ..., k)``, any root, and its log density, for ``C`` noises.
+
+    Elements are taken one after the other, as their noise is independent.
 
     Args:
-        inside: of the measurement.
+        rows: ``(..., m, k)`` of ``Inside``.
         residual: ``(..., m)``.
         sizes: ``(C, ...)`` of the noise's covariance.
         missing: ``(...)`` number of missing elements.
+
+    Source: Potter's square-root update, in Bierman (1977), chapter II.
     """
-    m = residual.shape[-1]
-    eye = torch.eye(m, dtype=residual.dtype, device=residual.device)
-    top = hstack(sizes.sqrt()[..., None, None] * eye, inside.root.unsqueeze(0))
-    lower = tria(torch.cat([top, hstack(torch.zeros_like(eye), eye).expand_as(top)], -2))
-    root, cross, left = lower[..., :m, :m], lower[..., m:, :m], lower[..., m:, m:]
-    normalised = whiten(root, residual.expand(root.shape[:-1]))
-    return Gaussian(apply(cross, normalised), left), density(root, normalised) + 0.5 * missing * sizes.log()
+    rows = rows.movedim((-2, -1), (0, 1)).contiguous().unsqueeze(2)  # sums over short first dimensions are fast
+    m, k, rank = rows.shape[0], rows.shape[1], rows.dim() - 2
+    root = torch.eye(k, dtype=rows.dtype, device=rows.device).reshape(k, k, *(1,) * rank)
+    mean, log_density, noise = torch.zeros_like(rows[0]), 0.5 * missing * sizes.log(), sizes.sqrt()
+    for i in range(m):
+        follows = (root * rows[i].unsqueeze(1)).sum(0)
+        variance = follows.square().sum(0) + sizes
+        error = residual[..., i] - (mean * rows[i]).sum(0)
+        covariance = (root * follows).sum(1)
+        mean = mean + covariance * (error / variance)
+        root = root - covariance.unsqueeze(1) * (follows / (variance + variance.sqrt() * noise))
+        log_density = log_density - 0.5 * (error.square() / variance + variance.log())
+    return Gaussian(mean.movedim(0, -1), root.movedim((0, 1), (-2, -1))), log_density
 
 
-def inward(belief: Gaussian, inside: Inside, told: Gaussian) -> Gaussian:
-    """The belief after what a measurement has told of itself."""
-    root = tria(hstack(inside.cross @ told.scale_tril, inside.left))
-    return Gaussian(belief.mean + apply(inside.cross, told.mean), root)
+def inward(belief: Gaussian, inside: Inside, told: Gaussian, *, triangular: bool) -> Gaussian:
+    """The belief after what a measurement has told of itself; any root, if it need not be triangular."""
+    root = inside.cross @ told.scale_tril
+    root = root if inside.left is None else hstack(root, inside.left)
+    return Gaussian(belief.mean + apply(inside.cross, told.mean), tria(root) if triangular else root)

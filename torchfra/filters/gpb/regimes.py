@@ -61,10 +61,10 @@ class Regimes(nn.Module):
 
     def log_renew(self, like: Tensor) -> Tensor:
         """Logs ``(..., R)`` of the odds of a regime drawn anew."""
-        log_kinds = self.renew(like).log()
-        others = log_kinds[..., self.count : self.count + 1] - like.new_tensor(max(self.motions - 1, 1)).log()
-        log_weights = self._by_regime(log_kinds, others)
-        return log_weights - log_weights.logsumexp(-1, keepdim=True)  # one motion has no others
+        kinds = self.renew(like)
+        odds = self._by_regime(kinds, kinds[..., self.count : self.count + 1] / max(self.motions - 1, 1))
+        log_odds: Tensor = (odds / odds.sum(-1, keepdim=True)).log()  # one motion has no others
+        return log_odds
 
     def of_each(self, values: Tensor, dim: int) -> Tensor:
         """Of motions, along a dimension, what goes with each regime."""

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
 
 import torch
 
+from torchfra.gaussian.inputs import Frame
+from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
 BLIND, NEAR = 0.02, 0.01
@@ -19,8 +22,19 @@ def by_points_or_slope(compare: Callable[[Gaussian], Whitened], belief: Gaussian
         compare: the measurement against a belief, by its points.
         belief: ``(..., n)``.
     """
-    wide, near = compare(belief), compare(belief._replace(scale_tril=NEAR * belief.scale_tril))
-    slope, rest = (x.square().sum(-1) for x in (wide.slope, wide.rest))
+    mean, root = belief
+    both = compare(Gaussian(mean.expand(2, *mean.shape), torch.stack([root, NEAR * root])))
+    slope, rest = (reduce(torch.add, x[0].square().unbind(-1)) for x in (both.slope, both.rest))
     blind = slope < BLIND * (slope + rest)
-    spread = torch.where(blind.unsqueeze(-1), near.spread / NEAR, wide.spread)
-    return Whitened(torch.where(blind, near.residual, wide.residual), spread, wide.reads)
+    (wide, near), spread = both.residual, both.spread
+    return Whitened(
+        torch.where(blind, near, wide), torch.where(blind.unsqueeze(-1), spread[1] / NEAR, spread[0]), both.reads
+    )
+
+
+def exactly(sensor: Sensor, belief: Gaussian, frame: Frame) -> Whitened:
+    """The measurement against a predicted belief ``(..., n)``, of a sensor that is linear: no points are needed."""
+    d, noise = sensor.reads, frame.measurement_noise
+    mean, root = belief.mean[..., :d], belief.scale_tril[..., :d, :d]
+    residual = noise.whiten((frame.z - sensor(mean)).unsqueeze(-1)).squeeze(-1)
+    return Whitened(residual, noise.whiten(sensor(root.mT).mT), d)

@@ -1,0 +1,152 @@
+"""One call cleans a table, arrays or a file, and the results join to what was handed in."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+import torchfra
+from torchfra.cleaning import Cleaned
+from torchfra.geodesy import to_geodetic
+from torchfra.readers import read
+
+pandas = pytest.importorskip("pandas")
+ORIGIN = (47.0, 8.0, 400.0)
+STEPS, BAD = 30, 15
+"""Fixes, and the one that is wrong."""
+
+
+@pytest.fixture(scope="module")
+def walk():
+    """Times, true positions and measured ones of a straight walk at 2 m/s, and one fix 400 m off."""
+    random = np.random.default_rng(7)
+    time = np.arange(STEPS + 0.0)
+    truth = np.stack([2 * time, time, 0 * time], 1)
+    measured = truth + random.normal(scale=3.0, size=truth.shape)
+    measured[BAD] += [300.0, 250.0, 0.0]
+    return time, truth, measured
+
+
+def settings(**more):
+    return {"sigma": 3.0, "q": 0.1} | more
+
+
+def errors(position, truth):
+    return np.linalg.norm(position - truth, axis=1)
+
+
+def test_arrays_are_cleaned_to_one_track(walk):
+    time, truth, measured = walk
+    cleaned = torchfra.clean((time, measured[:, :2]), **settings())
+    assert isinstance(cleaned, Cleaned)
+    np.testing.assert_array_equal(cleaned.time, time)
+    assert errors(cleaned.position, truth[:, :2]).mean() < errors(measured[:, :2], truth[:, :2]).mean() / 2
+    assert cleaned.flag[BAD] == "outlier"
+    assert cleaned.found.smooth
+
+
+def test_moments_and_missing_positions_are_taken(walk):
+    time, truth, measured = walk
+    moments = np.datetime64("2020-09-13T12:26:40") + (1000 * time).astype("timedelta64[ms]")
+    measured = np.where(time[:, None] == 10, np.nan, measured)
+    cleaned = torchfra.clean((moments, measured), **settings())
+    np.testing.assert_array_equal(cleaned.recording.row, np.delete(np.arange(STEPS), 10))
+    assert cleaned.recording.time[0] == 1_600_000_000
+    assert errors(cleaned.position, np.delete(truth, 10, 0)).mean() < 5
+
+
+def test_on_line_each_estimate_knows_only_the_past(walk):
+    time, _, measured = walk
+    whole, part = (torchfra.track((time[:k], measured[:k]), **settings(bank="aircraft")) for k in (STEPS, 20))
+    np.testing.assert_allclose(whole.position[:20], part.position, rtol=1e-9, atol=1e-9)
+    assert not whole.found.smooth
+
+
+@pytest.fixture
+def frame(walk):
+    """Two targets in latitudes, one of them with a gap, in no order, under an index of its own."""
+    time, _, measured = walk
+    latitude, longitude, altitude = to_geodetic(measured, ORIGIN)
+    data = pandas.DataFrame({
+        "Time": pandas.Timestamp("2020-09-13 12:26:40", tz="UTC") + pandas.to_timedelta(time, "s"),
+        "LAT": latitude, "Lon": longitude, "Altitude": altitude / 0.3048, "note": "a", "id": 5.0,
+    })  # fmt: skip
+    data.loc[10, "LAT"] = np.nan
+    other = data.assign(id=7.0, LAT=data["LAT"] + 0.01).iloc[:20]
+    both = pandas.concat([data, other], ignore_index=True).sample(frac=1, random_state=1)
+    return both.set_index(pandas.Index([f"row {i}" for i in range(len(both))], name="mine"))
+
+
+def test_a_table_keeps_its_index_and_columns_and_gets_new_ones(frame, walk):
+    before = frame.copy()
+    cleaned = torchfra.clean(frame, units="ft", **settings())
+    pandas.testing.assert_frame_equal(frame, before)
+    pandas.testing.assert_frame_equal(cleaned[frame.columns], frame)
+    new = set(cleaned.columns) - set(frame.columns)
+    assert {"clean_latitude", "clean_longitude", "clean_altitude", "clean_speed", "clean_outlier", "clean_flag"} <= new
+    assert all(name.startswith("clean_") for name in new)
+    missing = frame["LAT"].isna()
+    assert cleaned.loc[missing, "clean_latitude"].isna().all()
+    assert (cleaned.loc[missing, "clean_flag"] == "").all()
+    assert cleaned.loc[~missing, "clean_latitude"].notna().all()
+
+
+def test_the_rows_of_a_table_are_those_of_its_own_target_and_unit(frame, walk):
+    truth = to_geodetic(walk[1], ORIGIN)
+    cleaned = torchfra.clean(frame, units="ft", **settings())
+    second = (cleaned["Time"] - pandas.Timestamp("2020-09-13 12:26:40", tz="UTC")).dt.total_seconds().to_numpy(int)
+    shift = np.where(cleaned["id"] == 7, 0.01, 0.0)
+    off = 111_000 * np.abs(cleaned["clean_latitude"] - truth[0][second] - shift)
+    assert off.max() < 12
+    assert (cleaned["clean_altitude"] * 0.3048 - truth[2][second]).abs().max() < 12
+    assert set(second[cleaned["clean_flag"] == "outlier"]) == {BAD}
+
+
+def test_an_index_of_moments_tells_the_time_where_no_column_does(walk):
+    time, _, measured = walk
+    index = pandas.to_datetime(1_600_000_000 + time, unit="s")
+    data = pandas.DataFrame(measured[:, :2], columns=["x", "y"], index=index)
+    cleaned = torchfra.clean(data, **settings())
+    assert cleaned.index.equals(index)
+    assert [*cleaned.columns[:4]] == ["x", "y", "clean_x", "clean_y"]
+
+
+def test_a_file_and_its_recordings_are_cleaned_to_a_list(walk, tmp_path):
+    time, _, measured = walk
+    path = tmp_path / "walk.csv"
+    np.savetxt(path, np.column_stack([time, measured]), delimiter=",", header="when,east,north,up", comments="")
+    (one,) = torchfra.clean(path, time="when", **settings(filter="srckf"))
+    (other,) = torchfra.clean(read(path, time="when"), **settings(filter="srckf"))
+    np.testing.assert_array_equal(one.mean, other.mean)
+    (fine,) = torchfra.clean(str(path), time="when", dt=0.5, **settings(filter="srckf"))
+    assert len(fine.time) == 2 * STEPS - 1
+
+
+@pytest.mark.parametrize(("data", "said"), [
+    (3, r"expected a path, a DataFrame, recordings or \(time, position\), received int"),
+    (np.zeros((5, 3)), r"expected a path, a DataFrame, recordings or \(time, position\), received ndarray"),
+    ((np.zeros(3), np.zeros((4, 2))), r"expected time \(k,\) and position \(k, 2\) or \(k, 3\), received"),
+    ((np.zeros(3), np.zeros((3, 4))), r"expected time \(k,\) and position"),
+    ((np.zeros(3), np.zeros((3, 2))), "expected 2 or more rows with time and position, received 1"),
+    ((np.zeros(0), np.zeros((0, 2))), "expected rows, received none"),
+    (pandas.DataFrame({"t": [0, 1], "x": [1, 2]}), "missing y, received t, x"),
+    (pandas.DataFrame({"t": [0, 1], "x": [1, "a"], "y": [1, 2]}), "a number in data row 2, column x, received 'a'"),
+    (pandas.DataFrame({"t": [0, 1], "x": [1, 2], "y": [1, 2], "clean_x": 0}), "not cleaned yet, received clean_x"),
+])  # fmt: skip
+def test_what_is_no_track_is_refused(data, said):
+    with pytest.raises(ValueError, match=said):
+        torchfra.clean(data)
+
+
+def test_a_table_cannot_get_more_rows(frame):
+    with pytest.raises(ValueError, match="dt: expected None for a DataFrame, whose rows are kept, received 1"):
+        torchfra.clean(frame, dt=1.0)
+
+
+def test_without_a_table_pandas_is_not_imported(walk, monkeypatch):
+    monkeypatch.delitem(sys.modules, "pandas")
+    time, _, measured = walk
+    assert len(torchfra.clean((time, measured), **settings(filter="srckf")).time) == STEPS
+    assert "pandas" not in sys.modules

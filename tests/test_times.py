@@ -1,0 +1,90 @@
+"""Times are read from every way of writing them, and written back in the same way."""
+
+from datetime import datetime, timedelta, timezone
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from torchfra.readers.recording import Source
+from torchfra.readers.times import CLOCK, PER_SECOND, form_of, seconds_of, written
+
+START = 1_600_000_000  # 2020-09-13T12:26:40Z
+MOMENTS = {
+    "2020-09-13T12:26:40Z": "iso",
+    "2020-09-13T12:26:40+00:00": "iso",
+    "2020-09-13T12:26:40": "%Y-%m-%dT%H:%M:%S",
+    "2020-09-13 12:26:40": "%Y-%m-%d %H:%M:%S",
+    "2020-09-13 12:26:40.000": "%Y-%m-%d %H:%M:%S",
+    "2020-09-13 12:26:40 UTC": "%Y-%m-%d %H:%M:%S UTC",
+    "2020-09-13T14:26:40+02:00": "%Y-%m-%dT%H:%M:%S+02:00",
+    "2020-09-13T08:56:40-0330": "%Y-%m-%dT%H:%M:%S-0330",
+    "13/09/2020 12:26:40": "%d/%m/%Y %H:%M:%S",
+    "09/13/2020 12:26:40 PM": "%m/%d/%Y %I:%M:%S %p",
+    "13.09.2020 12:26:40": "%d.%m.%Y %H:%M:%S",
+    "2020/09/13 12:26:40": "%Y/%m/%d %H:%M:%S",
+}
+
+
+@pytest.mark.parametrize("text", MOMENTS)
+def test_a_moment_is_read_from_its_text_and_written_in_the_same_form(text):
+    read, write = form_of([text])
+    assert write == MOMENTS[text]
+    assert seconds_of(text, read) == START
+    assert written(np.array([START]), write) == [text.replace(".000", "").replace("+00:00", "Z")]
+
+
+def test_parts_of_a_second_are_read_and_written_where_there_are_some():
+    assert seconds_of("2020-09-13 12:26:40.5", "iso") == START + 0.5
+    assert seconds_of("2020-09-13T12:26:40,123456789Z", "iso") == START + 0.123456
+    assert seconds_of("13/09/2020 12:26:40.25", "%d/%m/%Y %H:%M:%S") == START + 0.25
+    assert Source(time="iso").written(START + np.array([0, 0.5])) == ["2020-09-13T12:26:40.000Z",
+                                                                     "2020-09-13T12:26:40.500Z"]  # fmt: skip
+    assert written(START + np.array([0.000001]), "%d/%m/%Y %H:%M:%S") == ["13/09/2020 12:26:40.000001"]
+
+
+def test_a_time_of_the_day_is_seconds_since_midnight():
+    assert form_of(["12:26:40.5"]) == (CLOCK, CLOCK)
+    assert seconds_of("12:26:40.5", CLOCK) == 44800.5
+    assert written(np.array([44800.0, 86401.0]), CLOCK) == ["12:26:40", "00:00:01"]
+
+
+def test_a_day_that_may_be_a_month_is_refused_unless_another_row_tells():
+    with pytest.raises(ValueError, match="day or the month first: use --time-format '%d/%m/%Y %H:%M:%S' or"):
+        form_of(["03/04/2020 12:00:00"])
+    assert form_of(["03/04/2020 12:00:00", "03/13/2020 12:00:00"])[0] == "%m/%d/%Y %H:%M:%S"
+
+
+@pytest.mark.parametrize("text", ["noon", "20200913T122640", "2020-09-13", "12:26", "1", "2020-9-1x1:00:00"])
+def test_other_text_is_no_time(text):
+    assert form_of([text]) is None
+
+
+@pytest.mark.parametrize("text", ["2020-02-30T00:00:00", "2020-01-01T25:00:00", "2020-13-01 00:00:00", "soon"])
+def test_moments_that_are_not_there_are_refused(text):
+    with pytest.raises(ValueError):  # noqa: PT011
+        seconds_of(text, "iso")
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    micro=st.integers(315_532_800 * 10**6, 4_102_444_800 * 10**6),
+    form=st.sampled_from(["iso", *PER_SECOND, *sorted(set(MOMENTS.values()))]),
+)
+def test_what_is_written_is_read_as_the_same_moment(micro, form):
+    time = np.array([micro / 1e6])
+    (text,) = written(time, form)
+    if form in PER_SECOND:
+        assert abs(float(text) / PER_SECOND[form] - time[0]) < 1e-6
+    else:
+        assert seconds_of(text, "iso" if form == "iso" else form) == time[0]
+    if form == "iso":
+        moment = datetime(1970, 1, 1, tzinfo=timezone.utc) + timedelta(microseconds=micro)
+        assert datetime.fromisoformat(text.replace("Z", "+00:00")) == moment
+
+
+def test_numbers_keep_the_digits_that_they_came_with():
+    assert written(np.array([0, 0.1, 0.1 + 0.2, 1.5]), "seconds") == ["0", "0.1", "0.3", "1.5"]
+    assert written(START + np.array([0, 0.25]), "ms") == ["1600000000000", "1600000000250"]
+    assert written(np.array([START], float), "seconds") == ["1600000000"]

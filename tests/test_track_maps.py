@@ -1,0 +1,107 @@
+"""Maps hold the cleaned track, its manoeuvres, and rejected fixes where they were recorded."""
+
+import json
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from cleaned_tracks import geodetic, straight
+
+from torchfra.app.outputs import FORMATS, MAPS, check_format, geojson, gpx, kml
+from torchfra.app.outputs.kml import GX, KML
+from torchfra.geodesy import to_geodetic
+
+
+def place(of, position):
+    latitude, longitude, altitude = to_geodetic(position, of.recording.origin)
+    return np.stack([longitude, latitude, altitude], 1)
+
+
+def test_gpx_is_read_by_others_with_rows_flags_and_rejected_fixes():
+    gpxpy = pytest.importorskip("gpxpy", reason="needs gpxpy")
+    of = straight(10)
+    file = gpxpy.parse(gpx.encode([of, straight(4, name="other")]).decode())
+    assert [track.name for track in file.tracks] == ["3c6444 DLH1AB", "other"]
+    points = file.tracks[0].segments[0].points
+    got = np.array([[point.longitude, point.latitude, point.elevation] for point in points])
+    np.testing.assert_allclose(got, place(of, of.position), atol=1e-3)
+    assert points[3].time.isoformat() == "2024-05-03T10:00:06+00:00"
+    known = {element.tag.rpartition("}")[2]: element.text for element in points[7].extensions}
+    assert (known["row"], known["flag"]) == ("22", "outlier")
+    waypoint = file.waypoints[0]
+    expected = place(of, of.raw[[7]])[0]
+    np.testing.assert_allclose([waypoint.longitude, waypoint.latitude, waypoint.elevation], expected, atol=1e-3)
+    assert "row 22" in waypoint.name
+
+
+def test_kml_has_a_track_with_times_and_values_of_each_point():
+    of = straight(10)
+    root = ElementTree.fromstring(kml.encode([of]))
+    (track,) = root.iter(f"{{{GX}}}Track")
+    whens = [element.text for element in track.findall(f"{{{KML}}}when")]
+    coords = np.array([[float(v) for v in element.text.split()] for element in track.findall(f"{{{GX}}}coord")])
+    assert (len(whens), whens[1]) == (10, "2024-05-03T10:00:02.000Z")
+    np.testing.assert_allclose(coords, place(of, of.position), atol=1e-3)
+    arrays = {a.get("name"): [v.text for v in a] for a in root.iter(f"{{{GX}}}SimpleArrayData")}
+    assert arrays["row"][:3] == ["1", "4", "7"]
+    assert all(len(values) == 10 for values in arrays.values())
+    (point,) = root.iter(f"{{{KML}}}Point")
+    got = [float(v) for v in point.find(f"{{{KML}}}coordinates").text.split(",")]
+    np.testing.assert_allclose(got, place(of, of.raw[[7]])[0], atol=1e-3)
+
+
+def test_geojson_has_a_line_with_times_manoeuvres_and_rejected_fixes():
+    of = straight(20)
+    found = json.loads(geojson.encode([of]))
+    track, manoeuvre, rejected = found["features"]
+    np.testing.assert_allclose(track["geometry"]["coordinates"], place(of, of.position), atol=1e-3)
+    assert track["properties"]["coordTimes"][0] == "2024-05-03T10:00:00.000Z"
+    assert track["properties"]["coordinateProperties"]["row"][1] == 4
+    assert manoeuvre["properties"]["kind"] == "left turn"
+    assert len(manoeuvre["geometry"]["coordinates"]) == 11  # from 10 to 30 s, every 2 s
+    np.testing.assert_allclose(rejected["geometry"]["coordinates"], place(of, of.raw[[7]]), atol=1e-3)
+
+
+def test_no_line_of_geojson_crosses_the_antimeridian():
+    longitude = np.array([179.8, 179.9, -180.0, -179.9, 179.95, 179.9])
+    of = geodetic(np.full(6, 10.0), longitude, np.zeros(6), (10.0, 179.9, 0.0))
+    (track,) = json.loads(geojson.encode([of]))["features"]
+    assert track["geometry"]["type"] == "MultiLineString"
+    lines = track["geometry"]["coordinates"]
+    assert [len(line) for line in lines] == [len(times) for times in track["properties"]["coordTimes"]]
+    assert sum(map(len, lines)) == 6
+    assert all(np.abs(np.diff([x for x, *_ in line])).max(initial=0) < 1 for line in lines)
+
+
+@pytest.mark.parametrize("ending", MAPS)
+def test_seconds_that_are_no_dates_leave_the_times_out(ending):
+    text = FORMATS[ending]([straight(4, start=0.0)]).decode()
+    assert "1970" not in text
+    assert "<when>" not in text
+    assert "coordTimes" not in text
+    assert "48.0" in text
+
+
+@pytest.mark.parametrize("ending", MAPS)
+def test_tracks_in_metres_are_refused_before_any_work(ending):
+    with pytest.raises(ValueError, match=r"^out: maps need latitudes and longitudes, and flights.csv has x and y"):
+        check_format(ending, [straight(3, origin=None).recording])
+
+
+@pytest.mark.parametrize("ending", MAPS)
+def test_strange_names_and_steps_that_failed_do_no_harm(ending):
+    of = straight(6, d=2, name="<a&b>\x00]]>\ud800")
+    of.mean[2] = np.nan
+    text = FORMATS[ending]([of]).decode()
+    if ending == ".geojson":
+        assert len(json.loads(text)["features"][0]["geometry"]["coordinates"]) == 5
+    else:
+        assert len(list(ElementTree.fromstring(text).iter())) > 5
+
+
+def test_a_format_that_needs_a_package_that_is_not_there_is_refused_by_name(monkeypatch):
+    monkeypatch.setattr("torchfra.app.outputs.formats.find_spec", lambda name: None)
+    for ending, package in ((".gpx", "gpxpy"), (".parquet", "pyarrow")):
+        with pytest.raises(ImportError, match=rf"^out: \{ending} needs {package}: pip install"):
+            check_format(ending)
+    check_format(".kml")

@@ -1,0 +1,72 @@
+"""The page holds all that it needs, and a browser draws it."""
+
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from cleaned_tracks import straight
+
+pytest.importorskip("plotly", reason="needs plotly")
+
+from torchfra.app.outputs import page
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+def charts(text):
+    return [json.loads(found) for found in re.findall(r'<script type="application/json">(.*?)</script>', text, re.S)]
+
+
+def test_a_page_has_a_chart_of_all_targets_and_one_of_each_and_needs_nothing_else():
+    text = page.page([straight(30, name="a"), straight(20, name="b")])
+    every, first, second = charts(text)
+    assert [line["name"] for line in every["data"]] == ["a", "b"]
+    assert "30 fixes" in first["layout"]["title"]["text"]
+    assert "20 fixes" in second["layout"]["title"]["text"]
+    assert len(charts(page.page([straight(20)]))) == 1
+    assert not re.findall(r"<(?:script|link|img)[^>]+(?:src|href)=", text)
+
+
+def test_a_chart_shows_what_the_picture_does():
+    of = straight(30, off=3.5e6)
+    (chart,) = charts(page.page([of]))
+    named = {line["name"]: line for line in chart["data"] if line["name"]}
+    assert {
+        "cleaned",
+        "recorded",
+        "rejected",
+        "within 2 std",
+        "calm constant velocity",
+        "turn +3 deg/s",
+    } <= named.keys()
+    np.testing.assert_allclose(named["rejected"]["x"], of.raw[7, 0] / 1000, rtol=1e-5)
+    assert np.ptp(chart["layout"]["xaxis"]["range"]) < 20
+    assert {note["text"] for note in chart["layout"]["annotations"]} == {"\u25b2 4,950 km off", "left turn, 2.5 deg/s"}
+    assert [(shade["x0"], shade["x1"]) for shade in chart["layout"]["shapes"]] == [(10.0, 30.0)]
+    titles = [axis["title"]["text"] for name, axis in chart["layout"].items() if name.startswith("yaxis")]
+    assert titles == ["north, km", "speed, m/s", "altitude, m", "innovation, std", "probability"]
+
+
+def test_strange_names_and_numbers_do_no_harm():
+    of = straight(10, name="</script><b>&\ud800$")
+    of.mean[3] = np.nan
+    text = page.page([of])
+    assert "</script><b>" not in text
+    assert len(charts(text)) == 1
+
+
+@pytest.mark.skipif(BROWSER is None, reason="needs a browser: apt-get install chromium")
+def test_a_browser_draws_the_page_without_complaint(tmp_path):
+    page.write([straight(30)], tmp_path / "p.html")
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=5000", "--enable-logging=stderr",
+               "--v=0", f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom"]  # fmt: skip
+    url = f"file://{tmp_path}/p.html"
+    done = subprocess.run([BROWSER, *options, url], capture_output=True, text=True, timeout=120, check=True)
+    assert "Uncaught" not in done.stderr
+    drawn = re.sub(r"<script>.*?</script>", "", done.stdout, flags=re.S)
+    assert 'data-drawn="yes"' in drawn
+    assert len(re.findall(r'<g class="trace scatter', drawn)) >= 15
+    assert "left turn, 2.5 deg/s" in drawn

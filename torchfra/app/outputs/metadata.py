@@ -1,0 +1,44 @@
+"""What belongs to a table but is no row of it: how it was made, its origin, the manoeuvres."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+
+from torchfra.app.outputs.summary import summary
+from torchfra.app.outputs.table import about, columns
+from torchfra.cleaning import Cleaned
+from torchfra.version import __version__
+
+
+def metadata(results: Sequence[Cleaned], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """All that is known of some targets of a file, for JSON.
+
+    Args:
+        results: of one file.
+        settings: as they were given.
+    """
+    names = dict.fromkeys(name for cleaned in results for name in columns(cleaned))
+    source = results[0].recording.source
+    versions = {"torchfra": __version__, "torch": torch.__version__, "numpy": np.__version__}
+    return {
+        "input": source.name,
+        "input_columns": source.columns,
+        "input_time": source.time,
+        "metres_per_unit": source.unit,
+        "said": list(source.said),
+        "settings": dict(settings),
+        "versions": versions | {"python": platform.python_version()},
+        "columns": about(list(names)),
+        "tracks": [_of(cleaned) for cleaned in results],
+    }
+
+
+def _of(cleaned: Cleaned) -> dict[str, Any]:
+    origin = cleaned.recording.origin
+    named = None if origin is None else dict(zip(("latitude", "longitude", "altitude"), origin, strict=True))
+    return {"origin": named, "first_time": float(cleaned.recording.time[0])} | summary(cleaned)

@@ -1,0 +1,116 @@
+"""JSON: records, columns, and tracks of GeoJSON."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from torchfra.readers.columns import Cells
+from torchfra.readers.sheets import Sheet, points_sheet, repeated, whole_text
+
+_POINTS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2}
+"""How deep the places of a geometry are nested."""
+_TIMES = ("coordTimes", "coordtimes", "times", "time", "timestamps")
+"""Properties of a line with the time of each of its places."""
+
+
+def json_sheet(file: Any, max_bytes: int) -> Sheet:
+    """The records, columns or features of a file.
+
+    Raises:
+        ValueError: it is no JSON, or neither of these.
+    """
+    content = whole_text(file, max_bytes, "JSON")
+    if not content.strip():
+        raise ValueError("expected a track, received an empty file")
+    try:
+        parsed = json.loads(content, object_pairs_hook=_object)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"expected JSON, every key of an object once, received other text ({error})") from error
+    if isinstance(parsed, dict) and isinstance(parsed.get("type"), str) and parsed.keys() & {"features", "geometry"}:
+        return _geojson_sheet(parsed)
+    names, rows, cells = _columns(parsed)
+    return Sheet(names, [(rows, cells)] if names else [], json=True)
+
+
+def _columns(parsed: Any) -> tuple[list[str], int, Cells]:
+    """Names of the columns, the number of rows, and the cells of a column by its name.
+
+    Raises:
+        ValueError: neither records nor columns.
+    """
+    if isinstance(parsed, dict):
+        lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
+        if len(lists) > 1 and len({len(column) for column in lists.values()}) == 1:
+            return list(lists), len(next(iter(lists.values()))), lists.__getitem__
+        columns = {name: column for name, column in parsed.items() if isinstance(column, dict)}
+        keys = list(dict.fromkeys(key for column in columns.values() for key in column))
+        return list(columns), len(keys), lambda name: [columns[name].get(key) for key in keys]
+    records = parsed if isinstance(parsed, list) else [parsed]
+    if other := next((type(one).__name__ for one in records if not isinstance(one, dict)), ""):
+        raise ValueError(f"expected a list of records or a table of columns, received {other} instead of an object")
+    names = list(dict.fromkeys(name for record in records for name in record))
+    return names, len(records), lambda name: [record.get(name) for record in records]
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON.
+
+    Raises:
+        ValueError: a key comes twice.
+    """
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError(f"several keys named {repeated(key for key, _ in pairs)}")
+    return found
+
+
+# ---------------------------------------------------------------- GeoJSON
+
+
+def _geojson_sheet(parsed: dict[str, Any]) -> Sheet:
+    """Every place of the features, with their properties.
+
+    Raises:
+        ValueError: a feature is none, or its times are not as many as its places.
+    """
+    features = parsed["features"] if isinstance(parsed.get("features"), list) else [parsed]
+    records, said = list[dict[str, Any]](), "GeoJSON: longitude, latitude[, altitude in metres]"
+    for number, feature in enumerate(features):
+        feature = feature if isinstance(feature, dict) else {}
+        geometry, properties = feature.get("geometry"), feature.get("properties") or {}
+        geometry = geometry if isinstance(geometry, dict) else {}
+        depth = _POINTS.get(str(geometry.get("type")))
+        if depth is None or not isinstance(properties, dict):
+            raise ValueError(f"expected points and lines, received another geometry in feature {number + 1}")
+        records += _places(geometry.get("coordinates", []), properties, depth, number)
+    columns = list(dict.fromkeys(name for record in records for name in record))
+    return points_sheet({name: [record.get(name) for record in records] for name in columns}, (said,))
+
+
+def _places(coordinates: Any, properties: dict[str, Any], depth: int, number: int) -> list[dict[str, Any]]:
+    """The places of a feature."""
+    for _ in range(2 - depth):
+        coordinates = [coordinates]
+    if not isinstance(coordinates, list) or not all(isinstance(line, list) for line in coordinates):
+        raise ValueError(f"expected coordinates, received other in feature {number + 1}")
+    places = [place for line in coordinates for place in line]
+    nested = properties.get("coordinateProperties")
+    more = {**properties, **nested} if isinstance(nested, dict) else properties
+    name = next((key for key in _TIMES if isinstance(more.get(key), list)), None)
+    shared = {key: value for key, value in properties.items() if not isinstance(value, list | dict)}
+    if depth:
+        shared = {"id": properties.get("id") or properties.get("name") or (f"line {number + 1}" if number else None)}
+    times = [time for part in more[name] for time in (part if isinstance(part, list) else [part])] if name else []
+    if depth and len(times) != len(places):
+        raise ValueError(
+            f"expected a time for each of the {len(places)} places of feature {number + 1} ({', '.join(_TIMES[:3])} of "
+            f"its properties), received {len(times)}"
+        )
+    records = []
+    for i, place in enumerate(places):
+        if not isinstance(place, list) or not 2 <= len(place) <= 4:
+            raise ValueError(f"expected longitude, latitude[, altitude], received {str(place)[:60]}")
+        axes = dict(zip(("longitude", "latitude", "altitude"), place, strict=False))
+        records.append(({"time": times[i]} if depth else {}) | shared | axes)
+    return records

@@ -1,0 +1,122 @@
+"""Sentences of NMEA 0183 as receivers write them: RMC with date and position, GGA with altitude and HDOP."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections import Counter
+from collections.abc import Iterator
+from datetime import date
+from typing import Any
+
+import numpy as np
+
+from torchfra.readers.bounded import BYTES_OF_A_ROW, too_large
+from torchfra.readers.columns import number
+from torchfra.readers.sheets import Sheet, needs
+
+_LONGEST = 1024
+"""Bytes of a line; a sentence has 82, and may have a time in front."""
+_NAMES = ("day", "second", "latitude", "longitude", "altitude", "hdop")
+_DAY = 86_400.0
+
+
+def is_nmea(start: bytes, suffix: str) -> bool:
+    """Whether a file is one, by how it begins or its ending."""
+    return start[:2] in (b"$G", b"$B", b"$P") or start[:3] == b"!AI" or suffix in (".nmea", ".nme", ".nma")
+
+
+def nmea_sheet(file: Any, max_bytes: int) -> Sheet:
+    """The fixes of a file: RMC and GGA of the same moment are one.
+
+    Raises:
+        ValueError: there are none, or too many.
+        ImportError: pynmea2 is not installed.
+    """
+    try:
+        import pynmea2
+    except ImportError as error:
+        raise needs("pynmea2", "NMEA 0183") from error
+    fixes, lines = _Fixes(), Counter[str]()
+    for line in _lines(file, max_bytes):
+        sentence = line[line.find("$") :]
+        if sentence[:1] != "$" or sentence[3:6] not in ("RMC", "GGA"):
+            lines["AIS" if "!AI" in line else "other"] += 1
+            continue
+        try:
+            fixes.add(pynmea2.parse(sentence, check=True))
+        except (pynmea2.ParseError, ValueError, TypeError, AttributeError):
+            lines["damaged"] += 1
+    columns = fixes.columns()
+    if not len(columns["time"]):
+        ais = "; AIS messages must be decoded before" if lines["AIS"] else ""
+        raise ValueError(f"expected NMEA 0183 with RMC or GGA, received {dict(lines) or 'no'} lines{ais}")
+    damaged = f"; {lines['damaged']} damaged sentences left out" if lines["damaged"] else ""
+    dated = "" if columns["time"].dtype.kind == "M" else "; no date, as there is no RMC"
+    full = {name: cells for name, cells in columns.items() if cells.dtype.kind == "M" or np.isfinite(cells).any()}
+    return Sheet([*full], [(len(full["time"]), full.__getitem__)], (f"NMEA 0183: RMC and GGA{damaged}{dated}",))
+
+
+def _lines(file: Any, max_bytes: int) -> Iterator[str]:
+    """The lines of a file, cut off where they are long.
+
+    Raises:
+        ValueError: there are too many.
+    """
+    count = 0
+    while data := file.readline(_LONGEST):
+        count += 1
+        if count * BYTES_OF_A_ROW > max_bytes:
+            raise too_large(max_bytes, f"of text, of which a line counts for {BYTES_OF_A_ROW} or more")
+        yield data.decode("ascii", "replace").strip()
+
+
+class _Fixes:
+    """What sentences say of one moment after the other."""
+
+    def __init__(self) -> None:
+        self.values = {name: array("d") for name in _NAMES}
+        self.day = math.nan
+
+    def add(self, sentence: Any) -> None:
+        """Adds what a sentence says to the fix of its moment.
+
+        Raises:
+            ValueError: it does not say which, or a number is none.
+        """
+        time, values = sentence.timestamp, self.values
+        second = time.hour * 3600 + time.minute * 60 + time.second + time.microsecond / 1e6
+        place = (sentence.latitude, sentence.longitude) if sentence.lat and sentence.lon else (math.nan, math.nan)
+        altitude = hdop = math.nan
+        if sentence.sentence_type == "RMC":
+            if isinstance(sentence.datestamp, date):
+                self.day = float((sentence.datestamp - date(1970, 1, 1)).days)
+            place = place if sentence.status == "A" else (math.nan, math.nan)
+        elif sentence.gps_qual:
+            hdop, altitude = number(sentence.data[7]), number(sentence.data[8])
+        else:
+            place = (math.nan, math.nan)
+        before = values["second"][-1] if values["second"] else second
+        if before - second > _DAY / 2 and sentence.sentence_type == "GGA":
+            self.day += 1  # its RMC is still to come
+        new = (self.day, second, *place, altitude, hdop)
+        if values["second"] and before == second:
+            for column, value in zip(values.values(), new, strict=True):
+                column[-1] = value if math.isnan(column[-1]) else column[-1]
+        else:
+            for column, value in zip(values.values(), new, strict=True):
+                column.append(value)
+
+    def columns(self) -> dict[str, Any]:
+        """Columns by name; times with their date where a sentence has it."""
+        columns = {name: np.array(values) for name, values in self.values.items()}
+        day, second = columns.pop("day"), columns.pop("second")
+        known = np.isfinite(day)
+        if not known.any():
+            wraps = np.cumsum(np.diff(second, prepend=second[:1]) < -_DAY / 2)
+            return {"time": second + _DAY * wraps} | columns
+        early = np.flatnonzero(known)[0]
+        wraps = np.cumsum(np.diff(second[: early + 1], prepend=second[:1]) < -_DAY / 2)
+        day[:early] = day[early] - wraps[-1] + wraps[:early]
+        time = np.rint((day * _DAY + second) * 1e6).astype(np.int64).view("datetime64[us]")
+        return {"time": time} | columns

@@ -1,0 +1,62 @@
+"""What every format is read to: named columns, some rows at a time."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+from torchfra.readers.bounded import too_large
+from torchfra.readers.columns import Cells
+
+BYTES_OF_A_TREE = 24
+"""What a byte of JSON or XML counts for: it is read as a whole, and takes up more memory."""
+
+
+class Sheet(NamedTuple):
+    """The cells of a file; see ``columns.Head`` for what they have in common."""
+
+    names: list[str]
+    parts: Iterable[tuple[int, Cells]]
+    """The number of rows and the cells of a column by its name, part by part; all columns are as long."""
+    said: tuple[str, ...] = ()
+    commas: bool = False
+    json: bool = False
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names for an error message, cut off where they are too many."""
+    return ", ".join(names)[:200] or "(none)"
+
+
+def repeated(names: Iterable[str]) -> str:
+    """Those that come twice, for an error message; "" if none does."""
+    return ", ".join(name for name, count in Counter(names).items() if count > 1 and name)[:200]
+
+
+def whole_text(file: Any, max_bytes: int, what: str) -> str:
+    """All text of a file.
+
+    Raises:
+        ValueError: there is too much.
+    """
+    data = file.read(max_bytes // BYTES_OF_A_TREE + 1)
+    if len(data) > max_bytes // BYTES_OF_A_TREE:
+        raise too_large(max_bytes, f"of text, of which one of {what} counts for {BYTES_OF_A_TREE}")
+    return str(data.decode("utf-8-sig"))
+
+
+def points_sheet(columns: dict[str, list[Any]], said: tuple[str, ...] = (), *, json: bool = False) -> Sheet:
+    """A sheet of columns that are all there, without those that are empty."""
+    full = {name: cells for name, cells in columns.items() if any(cell not in (None, "") for cell in cells)}
+    rows = len(next(iter(columns.values()), []))
+    return Sheet(list(full), [(rows, full.__getitem__)], said, json=json)
+
+
+def needs(package: str, what: str) -> ImportError:
+    """The error for a format whose package is not installed."""
+    return ImportError(f'{what} needs the package {package}: pip install "torchfra[formats]"')
+
+
+DECIMAL = re.compile(r"\s*[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?\s*")

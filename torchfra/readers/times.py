@@ -1,0 +1,144 @@
+"""Times as files write them: numbers in some unit, ISO text, or text in a form of ``datetime.strptime``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import datetime, timedelta, timezone
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+PER_SECOND = {"seconds": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+"""Units of numbers, by what a ``time_format`` calls them."""
+CLOCK = "%H:%M:%S"
+"""Times of the day without a date: seconds since midnight, and a day more after each midnight."""
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+_ISO = re.compile(
+    r"[0-9]{4}-[0-9]{2}-[0-9]{2}(?P<between>[T ])[0-9]{2}:[0-9]{2}(?P<second>:[0-9]{2})?(?P<part>[.,][0-9]+)?"
+    r"(?P<gap> ?)(?P<zone>Z|UTC|[+-][0-9]{2}(?::?[0-9]{2})?)?"
+)
+_OTHER = re.compile(
+    r"(?P<a>[0-9]{1,4})(?P<sign>[-/.])(?P<b>[0-9]{1,2})(?P=sign)(?P<c>[0-9]{4}|[0-9]{1,2})(?P<between>[T ])"
+    r"[0-9]{1,2}:[0-9]{2}(?P<second>:[0-9]{2})?(?:\.[0-9]{1,6})?(?P<half> ?[AaPp][Mm])?"
+)
+_CLOCK = re.compile(r"[0-9]{1,2}:[0-9]{2}:[0-9]{2}(?:\.[0-9]{1,6})?")
+
+
+def form_of(cells: Sequence[Any]) -> tuple[str, str] | None:
+    """How to read texts, ``"iso"`` or a form of ``strptime``, and how to write them; None where they are no times.
+
+    Args:
+        cells: some of a column, none of them empty.
+
+    Raises:
+        ValueError: the day may be the month.
+    """
+    texts = [str(cell).strip() for cell in cells]
+    if not texts:
+        return None
+    if all(_CLOCK.fullmatch(text) for text in texts):
+        return CLOCK, CLOCK
+    first = _ISO.fullmatch(texts[0])
+    if first is None:
+        form = _form_of_dates(texts)
+        return None if form is None else (form, form)
+    clock = f"%H:%M{':%S' if first['second'] else ''}{first['gap']}{first['zone'] or ''}"
+    form = f"%Y-%m-%d{first['between']}{clock}"
+    return "iso", "iso" if form in ("%Y-%m-%dT%H:%M:%SZ", "%Y-%m-%dT%H:%M:%S+00:00") else form
+
+
+def _form_of_dates(texts: list[str]) -> str | None:
+    """The form of dates with their parts in another order."""
+    found = [match for text in texts if (match := _OTHER.fullmatch(text))]
+    if 2 * len(found) < len(texts):
+        return None
+    first, sign = found[0], found[0]["sign"]
+    half = {"": "", " ": " %p"}.get((first["half"] or "")[:1], "%p")
+    clock = f"{first['between']}{'%I' if half else '%H'}:%M{':%S' if first['second'] else ''}{half}"
+    if len(first["a"]) == 4:
+        return f"%Y{sign}%m{sign}%d{clock}"
+    year = "%Y" if len(first["c"]) == 4 else "%y"
+    if sign == "." or any(int(one["a"]) > 12 for one in found):
+        return f"%d{sign}%m{sign}{year}{clock}"
+    if any(int(one["b"]) > 12 for one in found):
+        return f"%m{sign}%d{sign}{year}{clock}"
+    day_first = f"%d{sign}%m{sign}{year}{clock}"
+    raise ValueError(f"{texts[0]!r} may have the day or the month first: use --time-format '{day_first}' or the other")
+
+
+def seconds_of(text: str, form: str) -> float:
+    """Seconds since 1970, UTC where no zone is named; of the day where there is no date.
+
+    Args:
+        text: the time; it may have parts of a second.
+        form: ``"iso"``, or one of ``strptime``.
+
+    Raises:
+        ValueError: it is not of this form, or there is no such moment.
+    """
+    text = text.strip()
+    if form == "iso":
+        return _since_1970(datetime.fromisoformat(_plain_iso(text)))
+    bare = form.replace(".%f", "")
+    pointed = re.search(r":[0-9]{2}\.[0-9]", text) is not None
+    moment = datetime.strptime(text, bare.replace("%S", "%S.%f") if pointed else bare)
+    if form == CLOCK:
+        return (moment - moment.replace(hour=0, minute=0, second=0, microsecond=0)).total_seconds()
+    return _since_1970(moment - _ahead(form))
+
+
+def _plain_iso(text: str) -> str:
+    """ISO text as Python 3.10 reads it: six digits after the point, and zones such as +02:00."""
+    found = _ISO.fullmatch(text)
+    if found is None:
+        raise ValueError
+    part, zone = found["part"] or "", found["zone"] or ""
+    if not (part or zone):
+        return text
+    zone = "+00:00" if zone in ("Z", "UTC") else zone.replace(":", "")
+    zone = f"{zone[:3]}:{zone[3:] or '00'}" if zone and zone[3:4] != ":" else zone
+    return text[: found.start("part") if part else found.start("gap")] + (part and f".{part[1:7]:0<6}") + zone
+
+
+def _since_1970(moment: datetime) -> float:
+    whole = (moment if moment.tzinfo else moment.replace(tzinfo=timezone.utc)) - _EPOCH
+    return whole.total_seconds()
+
+
+def written(time: NDArray[np.float64], form: str) -> list[str]:
+    """Times as a file has them.
+
+    Args:
+        time: ``(k,)`` seconds, as ``Recording.time``.
+        form: as ``Source.time``; parts of a second are added to all where a time has them.
+    """
+    if form in PER_SECOND:
+        return _numbers(time * PER_SECOND[form], 6 if np.abs(time).max(initial=0.0) > 1e6 else 9, PER_SECOND[form])
+    micro = np.rint(time * 1e6).astype(np.int64)
+    digits = 0 if not (micro % 1_000_000).any() else 3 if not (micro % 1000).any() else 6
+    form = "%Y-%m-%dT%H:%M:%SZ" if form == "iso" else form.replace(".%f", "")
+    (head, second, tail), ahead = form.partition("%S"), _ahead(form)
+    texts = []
+    for value in micro.tolist():
+        moment = _EPOCH + timedelta(microseconds=value) + ahead
+        part = f".{moment.microsecond:06}"[: 1 + digits] if second and digits else ""
+        texts.append(moment.strftime(head + second) + part + moment.strftime(tail))
+    return texts
+
+
+def _numbers(values: NDArray[np.float64], digits: int, per_second: float) -> list[str]:
+    """Numbers with as many digits of a second as times have that are exact to a double."""
+    digits = max(0, digits - round(np.log10(per_second)))
+    texts = [f"{value:.{digits}f}" for value in values.tolist()]
+    return [text.rstrip("0").rstrip(".") for text in texts] if digits else texts
+
+
+def _ahead(form: str) -> timedelta:
+    """By how much the times of a form are ahead of UTC, if it ends in a zone."""
+    found = re.search(r"([+-])([0-9]{2}):?([0-9]{2})?$", form)
+    if found is None:
+        return timedelta(0)
+    ahead = timedelta(hours=int(found[2]), minutes=int(found[3] or 0))
+    return ahead if found[1] == "+" else -ahead

@@ -1,0 +1,88 @@
+"""What a caller says of a file, where the file itself does not or says it wrongly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from torchfra.readers.times import PER_SECOND
+
+METRES = {"m": 1.0, "ft": 0.3048}
+"""Units of length, by what ``units`` calls them."""
+_DELIMITERS = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";"}
+
+
+@dataclass(frozen=True)
+class Told:
+    """Names of columns, and how their cells are written; None where the file is to tell."""
+
+    time: str | None = None
+    """Column of the times; its numbers are then seconds even where they are not since 1970."""
+    x: str | None = None
+    y: str | None = None
+    z: str | None = None
+    lat: str | None = None
+    lon: str | None = None
+    alt: str | None = None
+    id: str | None = None
+    """Column that says which target a row is of."""
+    sigma_column: str | None = None
+    """Column of the standard deviation of each fix per axis, in the unit of positions."""
+    units: str | None = None
+    """``"m"`` or ``"ft"``: of x, y, z, or of altitudes beside latitudes."""
+    delimiter: str | None = None
+    """One sign between cells, or ``"tab"``, ``"space"``, ``"comma"``, ``"semicolon"``."""
+    decimal: str | None = None
+    """``"."`` or ``","``."""
+    time_format: str | None = None
+    """``"seconds"``, ``"ms"``, ``"us"``, ``"ns"``, ``"iso"`` or a form of ``datetime.strptime``."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is not None and (not isinstance(value, str) or not value):
+                raise ValueError(f"{field.name}: expected text, received {value!r}")
+        self._check("units", tuple(METRES))
+        self._check("decimal", (".", ","))
+        if self.delimiter is not None and len(self.sign) != 1:
+            raise ValueError(
+                f"delimiter: expected one sign or tab, space, comma, semicolon, received {self.delimiter!r}"
+            )
+        form = self.time_format
+        if form is not None and form not in (*PER_SECOND, "iso") and "%" not in form:
+            raise ValueError(f"time_format: expected {', '.join(PER_SECOND)}, iso or such as %d.%m.%Y %H:%M:%S, "
+                             f"received {form!r}")  # fmt: skip
+        for one, other in (("x", "y"), ("lat", "lon")):
+            if (getattr(self, one) is None) != (getattr(self, other) is None):
+                raise ValueError(f"{one}, {other}: expected both or neither, received only one of them")
+        if self.x is not None and self.lat is not None:
+            raise ValueError("x, lat: expected columns of metres or of degrees, received both")
+
+    @property
+    def sign(self) -> str:
+        """Between cells; "" where the file tells."""
+        return _DELIMITERS.get(self.delimiter or "", self.delimiter or "")
+
+    def columns(self) -> dict[str, str]:
+        """The columns that are named, by what they hold."""
+        roles = {
+            "time": self.time, "x": self.x, "y": self.y, "z": self.z, "latitude": self.lat, "longitude": self.lon,
+            "altitude": self.alt, "id": self.id, "sigma": self.sigma_column,
+        }  # fmt: skip
+        return {role: name for role, name in roles.items() if name is not None}
+
+    def _check(self, name: str, known: tuple[str, ...]) -> None:
+        value = getattr(self, name)
+        if value is not None and value not in known:
+            raise ValueError(f"{name}: expected {' or '.join(known)}, received {value!r}")
+
+
+def told(words: dict[str, str | None]) -> Told:
+    """What a caller says by keyword.
+
+    Raises:
+        ValueError: an unknown keyword, or a value out of its range.
+    """
+    known = [field.name for field in fields(Told)]
+    if unknown := [word for word in words if word not in known]:
+        raise ValueError(f"{unknown[0]}: expected one of {', '.join(known)}")
+    return Told(**words)

@@ -1,0 +1,127 @@
+"""Tracks in XML: GPX and KML.  Neither needs entities, so that a file that defines some is refused."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+from xml.etree import ElementTree
+
+from torchfra.readers.sheets import DECIMAL, Sheet, needs, points_sheet, whole_text
+
+_NUMBERS = re.compile(r"""\s(lat|lon)\s*=\s*["']([^"'<]*)["']|<(?:\w+:)?(ele|hdop)>([^<]*)<""")
+"""Those of a GPX file, which gpxpy reads as Python does."""
+
+
+def is_xml(start: bytes) -> bool:
+    """Whether a file begins so."""
+    return start[:1] == b"<"
+
+
+def xml_sheet(file: Any, max_bytes: int) -> Sheet:
+    """The points of GPX or KML.
+
+    Raises:
+        ValueError: neither, or it defines entities.
+        ImportError: gpxpy is needed and not installed.
+    """
+    text = whole_text(file, max_bytes, "XML")
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise ValueError("expected GPX or KML without <!DOCTYPE> and <!ENTITY>, received one that has them")
+    text = re.sub(r"^\s*<\?xml[^>]*\?>", "", text)
+    root = re.search(r"<(?:\w+:)?(gpx|kml)[\s>]", text[:10_000])
+    if root is None:
+        raise ValueError("expected GPX or KML, received other XML")
+    return _gpx_sheet(text) if root[1] == "gpx" else _kml_sheet(text)
+
+
+def _gpx_sheet(text: str) -> Sheet:
+    try:
+        import gpxpy
+    except ImportError as error:
+        raise needs("gpxpy", "GPX") from error
+    for found in _NUMBERS.finditer(text):
+        value = found[2] if found[1] else found[4]
+        if not DECIMAL.fullmatch(value):
+            raise ValueError(f"expected a number as {found[1] or found[3]}, received {value[:60]!r}")
+    try:
+        gpx = gpxpy.parse(text)
+    except (gpxpy.gpx.GPXException, ValueError, TypeError) as error:
+        raise ValueError(f"expected GPX, received other text ({error})") from error
+    names, used = list[str](), dict[str, int]()
+    columns: dict[str, list[Any]] = {name: [] for name in ("time", "latitude", "longitude", "altitude", "id", "hdop")}
+    for number, track in enumerate(gpx.tracks):
+        name = (track.name or "").strip() or (f"track {number + 1}" if len(gpx.tracks) > 1 else "")
+        used[name] = used.get(name, 0) + 1
+        names.append(name if used[name] == 1 else f"{name} {used[name]}")
+        for point in (point for segment in track.segments for point in segment.points):
+            time = None if point.time is None else point.time.isoformat().replace("+00:00", "Z")
+            row = (time, point.latitude, point.longitude, point.elevation, names[-1], point.horizontal_dilution)
+            for column, cell in zip(columns.values(), row, strict=True):
+                column.append(cell)
+    others = len(gpx.waypoints) + sum(len(route.points) for route in gpx.routes)
+    said = (
+        f"GPX: {len(gpx.tracks)} tracks" + (f"; {others} waypoints and points of routes left out" if others else ""),
+    )
+    return _timed(columns, said, "GPX")
+
+
+def _kml_sheet(text: str) -> Sheet:
+    """Tracks of the extension gx, and placemarks with a point and a time."""
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise ValueError(f"expected KML, received other text ({error})") from error
+    columns: dict[str, list[Any]] = {name: [] for name in ("time", "latitude", "longitude", "altitude", "id")}
+    lines = 0
+    for number, placemark in enumerate(one for one in root.iter() if _tag(one) == "Placemark"):
+        parts = list(placemark.iter())
+        name = next((part.text or "" for part in parts if _tag(part) == "name"), "").strip()
+        tracks = [part for part in parts if _tag(part) == "Track"]
+        lines += any(_tag(part) == "LineString" for part in parts)
+        for track in tracks:
+            times = [part.text for part in track if _tag(part) == "when"]
+            places = [(part.text or "").split() for part in track if _tag(part) == "coord"]
+            if len(times) != len(places):
+                raise ValueError(f"expected a time for each of {len(places)} places of a track, received {len(times)}")
+            _add(columns, times, places, name or f"track {number + 1}")
+        when = [part.text for part in parts if _tag(part) == "when"]
+        point = [
+            part.text or "" for one in parts if _tag(one) == "Point" for part in one if _tag(part) == "coordinates"
+        ]
+        if not tracks and when and point:
+            _add(columns, when[:1], [point[0].strip().split(",")], "")
+    if not columns["time"] and lines:
+        raise ValueError("expected KML with times (gx:Track, or points with a TimeStamp), received lines without any")
+    return _timed(columns, ("KML: longitude, latitude[, altitude in metres]",), "KML")
+
+
+def _add(columns: dict[str, list[Any]], times: list[str | None], places: list[list[str]], name: str) -> None:
+    """Adds points.
+
+    Raises:
+        ValueError: a place is none.
+    """
+    for time, place in zip(times, places, strict=True):
+        if place and not 2 <= len(place) <= 3:
+            raise ValueError(f"expected longitude, latitude[, altitude], received {' '.join(place)[:60]!r}")
+        longitude, latitude, altitude = (*place, "", "", "")[:3]
+        for column, cell in zip(columns.values(), (time, latitude, longitude, altitude, name), strict=True):
+            column.append(cell)
+
+
+def _timed(columns: dict[str, list[Any]], said: tuple[str, ...], what: str) -> Sheet:
+    """A sheet of points.
+
+    Raises:
+        ValueError: there are none, or none has a time.
+    """
+    if not columns["time"]:
+        raise ValueError(f"expected {what} with tracks, received none")
+    if not any(columns["time"]):
+        raise ValueError(f"expected {what} with times, received {len(columns['time'])} points without any")
+    return points_sheet(columns, said)
+
+
+def _tag(element: ElementTree.Element) -> str:
+    """The name of an element without its namespace."""
+    return str(element.tag).rpartition("}")[2]
