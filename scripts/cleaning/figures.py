@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cleaning.constant_velocity import best
 from cleaning.measured import Case, Measured
 from torchfra.cleaning import Cleaned, Segment
+from torchfra.cleaning.segments import inside
 from torchfra.readers.columns import Array
 
 BANDS = {68: 0.994457883, 95: 1.959963985}
@@ -102,26 +103,18 @@ def _add_turns(counts: Counts, run: Measured, segments: Sequence[Segment]) -> No
     truth = run.case.truth
     if truth.pace != 1.0:
         return  # who walks turns on the spot
-    inside = np.arange(run.window[0], run.window[-1] + 1)
-    rate = turn_rates(truth.position, truth.dt, SLOWEST * truth.scale)[inside]
-    time = truth.dt * (inside - inside[0])
+    seconds = np.arange(run.window[0], run.window[-1] + 1)
+    rate = turn_rates(truth.position, truth.dt, SLOWEST * truth.scale)[seconds]
+    time = truth.dt * (seconds - seconds[0])
     for name, side in (("left turn", 1), ("right turn", -1)):
         true, slack = lasting(side * rate >= RATE, round(LASTING / truth.dt)), side * rate >= SLACK * RATE
         turns = [segment for segment in segments if segment.kind == name]
         counted = [one for one in turns if abs(one.rate) >= RATE and one.end - one.begin >= LASTING]
-        met, listed = _within(time, turns), _within(time, counted)
+        met, listed = inside(time, turns), inside(time, counted)
         counts.turning += truth.dt * float(true.sum())
         counts.met += truth.dt * float((true & met).sum())
         counts.listed += truth.dt * float(listed.sum())
         counts.true += truth.dt * float((listed & slack).sum())
-
-
-def _within(time: Array, segments: Sequence[Segment]) -> NDArray[np.bool_]:
-    """Which times ``(k,)`` lie in any of the segments."""
-    within = np.zeros(len(time), bool)
-    for segment in segments:
-        within |= (time >= segment.begin) & (time <= segment.end)
-    return within
 
 
 def turn_rates(path: Array, dt: float, slowest: float) -> Array:

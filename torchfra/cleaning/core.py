@@ -17,7 +17,7 @@ from torchfra.cleaning.flags import flags
 from torchfra.cleaning.kinds import BANKS, check_kind, kind_of
 from torchfra.cleaning.others import GATE, Fallback, estimated, make, manoeuvre_of, outlier_of, regimes_of
 from torchfra.cleaning.positions import REGIMES, Answer, Settings, answers, period_of
-from torchfra.cleaning.segments import segments
+from torchfra.cleaning.segments import inside, segments
 from torchfra.cleaning.stamps import as_recorded, in_place, stamps_are_off
 from torchfra.filters import Filter
 from torchfra.kernel.build import CompileError
@@ -131,12 +131,13 @@ def _result(
     found: Found, names: tuple[str, ...], regimes: Array,
 ) -> Cleaned:  # fmt: skip
     fix = (steps.row >= 0) & ~np.isnan(steps.raw).any(1)
-    flag = flags(fix, nis, outlier, manoeuvre, GATE[steps.raw.shape[1]])
+    listed = segments(steps.time, mean, covariance)
+    flag = flags(fix, nis, outlier, manoeuvre, inside(steps.time, listed), GATE[steps.raw.shape[1]])
     good = fix & (flag != "outlier")
     mean_nis = float(nis[good].mean() / steps.raw.shape[1]) if good.any() else math.nan
     return Cleaned(
         recording, steps.time, steps.row, steps.raw, mean, covariance, nis, outlier, manoeuvre, flag,
-        replace(found, nis=mean_nis), segments(steps.time, mean, covariance), names, regimes,
+        replace(found, nis=mean_nis), listed, names, regimes,
     )  # fmt: skip
 
 
