@@ -89,6 +89,6 @@ def _product(a: Belief, b: Belief) -> tuple[Belief, Tensor]:
     gvp, gvv = (a.pv * vv - a.vv * pv) / det, (a.vv * pp - a.pv * pv) / det
     joint = Belief(
         a.position + gpp * ep + gpv * ev, a.velocity + gvp * ep + gvv * ev,
-        a.pp - gpp * a.pp - gpv * a.pv, a.pv - gpp * a.pv - gpv * a.vv, a.vv - gvp * a.pv - gvv * a.vv,
+        gpp * b.pp + gpv * b.pv, gpp * b.pv + gpv * b.vv, gvp * b.pv + gvv * b.vv,
     )  # fmt: skip
     return joint, -0.5 * (far + d * det.log())

@@ -35,7 +35,7 @@ class Belief(NamedTuple):
 class Doubt(NamedTuple):
     """How likely outliers are."""
 
-    new: float = 0.01
+    new: float = 0.02
     """Probability of an outlier after a clean fix."""
     still: float = 0.3
     """Probability of one after another."""
@@ -189,11 +189,12 @@ def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, doubt: Do
     wide = x.pp + torch.maximum(doubt.least * variance, squared / d)
     total = x.pp + variance
     gain, gain_v = (torch.where(missing, 0.0, c / total) for c in (x.pp, x.pv))
+    left = torch.where(missing, 1.0, variance / total)  # 1 - gain would lose digits of a start that is far off
     both = torch.stack([total, wide])
     log_density = torch.where(missing, 0.0, -0.5 * (squared / both + d * (both.log() + _LOG_TWO_PI)))
     after = Belief(
         x.position + gain * residual, x.velocity + gain_v * residual,
-        x.pp - gain * x.pp, x.pv - gain * x.pv, x.vv - gain_v * x.pv,
+        left * x.pp, left * x.pv, x.vv - gain_v * x.pv,
     )  # fmt: skip
     return after, log_density
 

@@ -13,11 +13,13 @@ from torch import Tensor
 
 from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.both_ways import Smoothed
-from torchfra.cleaning.finding import Part, first_sigma, fitted, levels_around, levels_up_to
+from torchfra.cleaning.finding import Part, first_sigma, fitted, levels_up_to
 from torchfra.cleaning.kinds import KINDS
 from torchfra.cleaning.ladder import Fixes, merged
 from torchfra.readers.columns import Array
 
+_AXES = ((slice(0, 2), "acceleration", 8), (slice(2, 3), "climb", 5))
+"""Which axes go together, which of a kind's bounds is theirs, and the number of levels."""
 _CORE, _OVERLAP = 256, 64
 """Steps of a row, and those that it shares with its neighbours on either side."""
 _FEW = 60
@@ -75,9 +77,9 @@ def answers(tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings) -
     owner = _owners([row.track for row in rows], [int((steps.row >= 0).sum()) for steps in tracks])
     period = torch.tensor([period_of(tracks[row.track]) for row in rows], dtype=torch.float64)
     parts: list[Part] = []
-    for axes, hardest in ((slice(0, 2), "acceleration"), (slice(2, 3), "climb"))[: z.shape[-1] - 1]:
+    for axes, hardest, count in _AXES[: z.shape[-1] - 1]:
         most = torch.tensor([getattr(KINDS[kinds[row.track]], hardest) for row in rows], dtype=torch.float64)
-        levels = levels_up_to(most, period) if settings.q is None else levels_around(settings.q, most, period)
+        levels = levels_up_to(most, period, count, settings.q)
         variance = std[..., axes].square().mean(-1).T.contiguous()
         z_axes = z[..., axes].permute(1, 2, 0).contiguous()
         fixes = Fixes(z_axes, gap.T.contiguous(), variance, torch.zeros_like(variance))
