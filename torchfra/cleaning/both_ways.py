@@ -41,7 +41,8 @@ def both_ways(fixes: Fixes, levels: Levels, doubt: Doubt = USUAL) -> Smoothed:
     ahead = Ahead(Belief(*(x[..., :count] for x in every.belief)), *(x[..., :count] for x in every[1:]))
     later = Belief(*(x[..., count:].flip(-3) for x in every.belief))
     later = later._replace(velocity=-later.velocity, pv=-later.pv)
-    later, log_later = redrawn(later, every.log_weights[..., count:].flip(0), levels, fixes.gap)
+    log_later = every.log_weights[..., count:].flip(0)
+    later, log_later = redrawn(later, log_later, levels.lasting, levels.log_new, fixes.gap)
     belief, log_fit = _product(ahead.belief, later)
     log_weights = ahead.log_weights + log_later - levels.log_share + log_fit
     return settled(belief, log_weights, fixes, doubt, ahead)

@@ -25,7 +25,8 @@ _CORE, _OVERLAP = 256, 64
 _FEW = 60
 """Fixes from which on a track has a sigma of its own; others of a batch are looked at together."""
 _CALM = 0.05
-"""Of the hardest acceleration, what a level of process noise may bring over ten seconds and still be calm."""
+"""Of the hardest acceleration, what a level of process noise may bring over ten seconds and still be calm.  So is ten
+times the usual one of a track."""
 _LEAST_OF_HEIGHT = 1 / 3
 """Of the sigma across the ground, what that of the height is at least: heights often come in coarse steps."""
 REGIMES = ("calm", "manoeuvre")
@@ -119,12 +120,11 @@ def _joined(
     calm: Tensor,
 ) -> list[Answer]:  # fmt: skip
     """The rows of each track put together."""
-    level = parts[0].levels.q > 10 * calm.square()
-    manoeuvre = (known[0].levels * level).sum(1)
     nis = torch.stack([_nis(part, of) for part, of in zip(parts, known, strict=True)]).sum(0)
     mean, covariance = _moments(known)
     share = parts[0].levels.log_share.exp()
     q = (share * parts[0].levels.q.log()).sum(0).exp()
+    manoeuvre = (known[0].levels * (parts[0].levels.q > 10 * q.maximum(calm.square()))).sum(1)
     found = []
     for i in range(len(tracks)):
         own = [(b, row) for b, row in enumerate(rows) if row.track == i]
