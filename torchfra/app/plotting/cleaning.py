@@ -39,6 +39,7 @@ def cleaned(of: Cleaned) -> Figure:
         _draw_regimes(panels["regimes"], shown)
     _finish_time([panels[row] for row in rows], shown)
     figure.suptitle(words(shown.title, TITLE))
+    show(panels["map"], *shown.window)  # about: the layout needs the numbers at its axes
     with any_letters():
         figure.draw_without_rendering()  # labels are put where there is room, which the layout decides
     figure.set_layout_engine("none")

@@ -34,12 +34,14 @@ def overview(results: Sequence[Cleaned]) -> Figure:
     _draw_rows(panels["rows"], [of[i] for i in order], colours, len(of))
     fixes, rejected = sum(s["fixes"] for s in of), sum(s["flags"]["outlier"] for s in of)
     figure.suptitle(f"{len(of)} {plural(results[0].recording.source.word)}: {fixes:,} fixes, {rejected:,} rejected")
+    every = np.concatenate([*paths.values()] or [np.zeros((1, 2))])
+    margin = 0.04 * max(float(np.ptp(every, axis=0).max()), 1e-3)
+    window = every.min(0) - margin, every.max(0) + margin
+    show(panels["map"], *window)  # about: the layout needs the numbers at its axes
     with any_letters():
         figure.draw_without_rendering()
     figure.set_layout_engine("none")
-    every = np.concatenate([*paths.values()] or [np.zeros((1, 2))])
-    margin = 0.04 * max(float(np.ptp(every, axis=0).max()), 1e-3)
-    show(panels["map"], every.min(0) - margin, every.max(0) + margin)
+    show(panels["map"], *window)
     in_free_places(panels["map"], {name: paths[name] for name in colours if name in paths}, colours)
     return figure
 
