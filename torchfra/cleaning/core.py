@@ -17,7 +17,8 @@ from torchfra.cleaning.flags import flags
 from torchfra.cleaning.kinds import BANKS, check_kind, kind_of
 from torchfra.cleaning.others import GATE, Fallback, estimated, make, manoeuvre_of, outlier_of, regimes_of
 from torchfra.cleaning.positions import REGIMES, Answer, Settings, answers, period_of
-from torchfra.cleaning.segments import segments
+from torchfra.cleaning.segments import inside, segments
+from torchfra.cleaning.stamps import as_recorded, in_place, stamps_are_off
 from torchfra.filters import Filter
 from torchfra.kernel.build import CompileError
 from torchfra.motion.bank import Bank
@@ -38,6 +39,7 @@ def clean_tracks(
     q: float | None = None,
     smooth: bool = True,
     dt: float | None = None,
+    repair: bool = True,
     compile: bool = False,
     fallback: Fallback | None = None,
 ) -> list[Cleaned]:
@@ -55,6 +57,8 @@ def clean_tracks(
         q: density of the process noise per second, m^2/s^3.  None finds it.
         smooth: whether each estimate knows the fixes after it; False is what a filter on line would say.
         dt: seconds; also estimates at every multiple of it after the first fix, beside those at the fixes.
+        repair: whether fixes of aircraft whose time stamps are off by seconds, as they often are in ADS-B, are first
+            put along the path to where the aircraft was: where tracks show it, and not for a filter on line.
         compile: whether filters of the catalogue run compiled (``Filter.compile``); needs a C++ compiler.
         fallback: called if the filter cannot be compiled, and runs interpreted; None raises the error.
 
@@ -69,16 +73,18 @@ def clean_tracks(
     work = partial(_cleaned, name=filter, bank=bank, settings=Settings(sigma, q, smooth), dt=dt)
     if filter != DEFAULT or isinstance(bank, Bank):
         work = partial(work, compile=compile, fallback=fallback)
+    repair = repair and smooth
+    placed = [in_place(recording) if repair and stamps_are_off(recording) else recording for recording in recordings]
     done: dict[int, Cleaned] = {}
-    for group in groups(recordings):
-        part = [recordings[i] for i in group]
+    for group in groups(placed):
+        part = [placed[i] for i in group]
         try:
             done |= zip(group, work(part), strict=True)
         except CompileError:
             raise
         except Exception:  # of one of them; the others shall not pay for it
-            done |= {i: _alone(recordings[i], work, filter, smooth) for i in group}
-    return [done[i] for i in range(len(recordings))]
+            done |= {i: _alone(placed[i], work, filter, smooth) for i in group}
+    return as_recorded([done[i] for i in range(len(placed))], recordings)
 
 
 def check_settings(
@@ -125,12 +131,13 @@ def _result(
     found: Found, names: tuple[str, ...], regimes: Array,
 ) -> Cleaned:  # fmt: skip
     fix = (steps.row >= 0) & ~np.isnan(steps.raw).any(1)
-    flag = flags(fix, nis, outlier, manoeuvre, GATE[steps.raw.shape[1]])
+    listed = segments(steps.time, mean, covariance)
+    flag = flags(fix, nis, outlier, manoeuvre, inside(steps.time, listed), GATE[steps.raw.shape[1]])
     good = fix & (flag != "outlier")
     mean_nis = float(nis[good].mean() / steps.raw.shape[1]) if good.any() else math.nan
     return Cleaned(
         recording, steps.time, steps.row, steps.raw, mean, covariance, nis, outlier, manoeuvre, flag,
-        replace(found, nis=mean_nis), segments(steps.time, mean, covariance), names, regimes,
+        replace(found, nis=mean_nis), listed, names, regimes,
     )  # fmt: skip
 
 
