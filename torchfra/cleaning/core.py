@@ -17,9 +17,10 @@ from torchfra.cleaning.flags import flags
 from torchfra.cleaning.kinds import BANKS, check_kind, kind_of
 from torchfra.cleaning.others import GATE, Fallback, estimated, make, manoeuvre_of, outlier_of, regimes_of
 from torchfra.cleaning.positions import REGIMES, Answer, Settings, answers, period_of
-from torchfra.cleaning.segments import segments
+from torchfra.cleaning.segments import inside, segments
 from torchfra.cleaning.stamps import as_recorded, in_place, stamps_are_off
 from torchfra.filters import Filter
+from torchfra.geodesy import to_geodetic
 from torchfra.kernel.build import CompileError
 from torchfra.motion.bank import Bank
 from torchfra.readers.columns import Array
@@ -131,13 +132,15 @@ def _result(
     found: Found, names: tuple[str, ...], regimes: Array,
 ) -> Cleaned:  # fmt: skip
     fix = (steps.row >= 0) & ~np.isnan(steps.raw).any(1)
-    flag = flags(fix, nis, outlier, manoeuvre, GATE[steps.raw.shape[1]])
+    origin, d = recording.origin, steps.raw.shape[1]
+    height = to_geodetic(mean[:, :3], origin)[2] if origin is not None and d == 3 else None
+    listed = segments(steps.time, mean, covariance, height)
+    flag = flags(fix, nis, outlier, manoeuvre, inside(steps.time, listed), GATE[d])
     good = fix & (flag != "outlier")
-    mean_nis = float(nis[good].mean() / steps.raw.shape[1]) if good.any() else math.nan
-    said = (*found.said, f"NIS {mean_nis:.2f} of 1")
+    mean_nis = float(nis[good].mean() / d) if good.any() else math.nan
     return Cleaned(
         recording, steps.time, steps.row, steps.raw, mean, covariance, nis, outlier, manoeuvre, flag,
-        replace(found, nis=mean_nis, said=said), segments(steps.time, mean, covariance), names, regimes,
+        replace(found, nis=mean_nis), listed, names, regimes,
     )  # fmt: skip
 
 
@@ -145,8 +148,9 @@ def _found(name: str, settings: Settings, own: Bank | None, kind: tuple[str, str
     """What a track is cleaned with, and a line for each choice."""
     bank, why = ("own", "as told") if own is not None else kind
     told = {"sigma": settings.sigma, "q": settings.q, "bank": None if why != "as told" else bank}
-    height = "" if math.isnan(answer.height) else f", of the height {answer.height:.3g} m"
-    said = (f"{bank}, {why}", f"sigma {answer.sigma:.3g} m{height}; q {answer.q:.3g} m^2/s^3")
+    said = () if own is not None or why == "as told" else (f"{bank}, {why}",)
+    if not math.isnan(answer.height):
+        said = (*said, f"sigma of the height {answer.height:.3g} m")
     found = frozenset(key for key, value in told.items() if value is None)
     return Found(name, settings.smooth, bank, answer.sigma, answer.q, math.nan, found, said)
 

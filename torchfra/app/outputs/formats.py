@@ -25,8 +25,8 @@ FORMATS: dict[str, Callable[[Sequence[Cleaned]], bytes]] = {
 """What makes a file of some targets, by its ending."""
 MAPS = (".gpx", ".geojson", ".kml")
 """Those that hold latitudes and longitudes only."""
-_NEEDS = {".parquet": ("pyarrow", "parquet"), ".gpx": ("gpxpy", "gpx")}
-"""The package that a format needs, and the extra that brings it."""
+_NEEDS = {".parquet": "pyarrow", ".gpx": "gpxpy"}
+"""The package that a format needs."""
 
 
 def check_format(ending: str, recordings: Sequence[Recording] = ()) -> None:
@@ -38,9 +38,9 @@ def check_format(ending: str, recordings: Sequence[Recording] = ()) -> None:
     """
     if ending not in FORMATS:
         raise ValueError(f"out: expected a folder or a file ending in {', '.join(FORMATS)}, received {ending!r}")
-    package, extra = _NEEDS.get(ending, ("", ""))
-    if package and find_spec(package) is None:
-        raise ImportError(f"out: {ending} needs {package}: pip install 'torchfra[{extra}]', or take .csv or .geojson")
+    package = _NEEDS.get(ending)
+    if package is not None and find_spec(package) is None:
+        raise ImportError(f"out: {ending} needs {package}: pip install 'torchfra[formats]', or take .csv or .geojson")
     if ending in MAPS:
         for recording in recordings:
             check_degrees(recording)
