@@ -102,7 +102,7 @@ def run(options: argparse.Namespace) -> None:
     plans.ending_of(options.out, options.format)
     if options.html is not None:
         page.check_script()
-    check_settings(options.filter, dt=options.dt, sigma=options.sigma, q=options.q)
+    check_settings(options.filter, dt=options.dt, sigma=options.sigma, q=options.q, bank=options.bank)
     words: dict[str, Any] = reading_of(options)
     recordings = readers.read(options.file, max_bytes=options.max_bytes, **words)
     files = plans.plan(recordings, options.out, options.format, options.plots)
