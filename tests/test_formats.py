@@ -209,7 +209,7 @@ def test_aircraft_are_in_feet_and_their_held_positions_are_none(write):
     assert track.repairs == {"held positions dropped": 3}
     np.testing.assert_array_equal(track.row, [0, 2, 4])
     assert (track.source.word, track.source.unit, track.origin[2]) == ("aircraft", 0.3048, 304.8)
-    assert "altitude: altitude, in feet (--units)" in track.source.said
+    assert "altitude: altitude, in feet; --units takes others" in track.source.said
     assert read(write("flight.csv", text), units="m")[0].origin[2] == 1000
 
 
@@ -334,7 +334,10 @@ def test_whole_numbers_of_an_autopilot_are_parts_of_degrees_and_millimetres(writ
     rows = [(10**6 * (START + t), round(a * 1e7), round(o * 1e7), round(h * 1e3)) for t, a, o, h in ROWS]
     (track,) = read(write("log.csv", table("time_utc_usec,lat,lon,alt", rows)))
     np.testing.assert_allclose(track.position, EAST_NORTH_UP, rtol=0, atol=0.02)
-    assert track.source.said[1:3] == ("position: lat, lon, in 1e-7 degrees", "altitude: alt, in millimetres (--units)")
+    assert track.source.said[1:3] == (
+        "position: lat, lon, in 1e-7 degrees",
+        "altitude: alt, in millimetres; --units takes others",
+    )
 
 
 def test_a_finer_time_is_taken_where_dates_are_of_whole_seconds(write):

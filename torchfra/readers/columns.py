@@ -25,6 +25,8 @@ _SIGNS_OF_DECIMALS = re.compile(r"[0-9.eE+\- ,]*")
 _SIGNS_WITH_COMMAS = re.compile(r"[0-9,eE+\- ;]*")
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 60
+short = _SHORT.repr
+"""What came, for an error message, cut off where it is long or deep."""
 
 
 class Head(NamedTuple):
@@ -125,7 +127,7 @@ def numbers(cells: Sequence[Any] | NDArray[Any], kind: Kind, name: str, first: i
 
     def refused(i: int, advice: str = "") -> ValueError:
         where = f"in data row {first + i + 1}, column {name}"
-        return ValueError(f"expected {kind.said} {where}, received {_SHORT.repr(cells[i])}{advice}")
+        return ValueError(f"expected {kind.said} {where}, received {short(cells[i])}{advice}")
 
     values = _array(cells, kind) if isinstance(cells, np.ndarray) else _plain(cells, kind)
     if values is None:
@@ -203,7 +205,7 @@ def text(cells: Sequence[Any] | NDArray[Any], name: str, known: dict[Any, str], 
     for i, cell in enumerate(cells):
         if isinstance(cell, bool | list | dict):
             where = f"in data row {first + i + 1}, column {name}"
-            raise ValueError(f"expected text {where}, received {_SHORT.repr(cell)}")
+            raise ValueError(f"expected text {where}, received {short(cell)}")
         if cell not in known:
             whole = isinstance(cell, float) and cell.is_integer()  # a table with gaps has numbers of ships as such
             known[cell] = "" if cell is None or cell != cell else str(int(cell) if whole else cell).strip()

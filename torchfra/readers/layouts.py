@@ -208,5 +208,7 @@ def _said(columns: Mapping[str, str], length: float, told: Told, wanted: Wanted)
         how = ", in 1e-7 degrees"
     lines = [f"position: {', '.join(places)}{how}"]
     if "altitude" in columns:
-        lines.append(f"altitude: {columns['altitude']}, in {unit_said}" + ("" if told.units else " (--units)"))
+        lines.append(
+            f"altitude: {columns['altitude']}, in {unit_said}" + ("" if told.units else "; --units takes others")
+        )
     return lines + ([f"targets: {columns['id']}"] if "id" in columns else [])

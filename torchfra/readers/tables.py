@@ -68,7 +68,7 @@ def read_table(
         headers: beginning of the error message where there is no header.
         repairs: where to count rows of CSV with more or fewer fields than the header, whose cells become empty; None
             refuses them, and tables without rows.
-        max_bytes: of text; a row counts for 64 bytes or more, a name for 4096 and a byte of JSON or XML for 24.
+        max_bytes: of text; a row counts for 64 bytes or more, a name for 4096, a byte of JSON for 24 and of XML for 32.
         told: how cells are written.
 
     Raises:
@@ -170,4 +170,4 @@ class _Growing:
 
 def _joined(cells: Cells, columns: tuple[str, ...]) -> list[str]:
     """The cells of several columns, one after the other."""
-    return [" ".join(map(str, parts)).strip() for parts in zip(*map(cells, columns), strict=True)]
+    return [" ".join(str(part or "") for part in parts).strip() for parts in zip(*map(cells, columns), strict=True)]

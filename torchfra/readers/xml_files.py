@@ -6,11 +6,15 @@ import re
 from collections.abc import Iterable
 from typing import Any
 from xml.etree import ElementTree
+from xml.parsers import expat
 
+from torchfra.readers.columns import short
 from torchfra.readers.sheets import DECIMAL, Sheet, needs, points_sheet, whole_text
 
 _NUMBERS = re.compile(r"""\s(lat|lon)\s*=\s*["']([^"'<]*)["']|<(?:\w+:)?(ele|hdop)>([^<]*)<""")
 """Those of a GPX file, which gpxpy reads as Python does."""
+_DEEPEST = 64
+"""Elements around another; some ten in files of people."""
 
 
 def is_xml(start: bytes) -> bool:
@@ -25,14 +29,42 @@ def xml_sheet(file: Any, max_bytes: int) -> Sheet:
         ValueError: neither, or it defines entities.
         ImportError: gpxpy is needed and not installed.
     """
-    text = whole_text(file, max_bytes, "XML")
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise ValueError("expected GPX or KML without <!DOCTYPE> and <!ENTITY>, received one that has them")
-    text = re.sub(r"^\s*<\?xml[^>]*\?>", "", text)
-    root = re.search(r"<(?:\w+:)?(gpx|kml)[\s>]", text[:10_000])
-    if root is None:
+    text = re.sub(r"^\s*<\?xml[^>]*\?>", "", whole_text(file, max_bytes, "XML"))
+    root = _checked_root(text)
+    if root not in ("gpx", "kml"):
         raise ValueError("expected GPX or KML, received other XML")
-    return _gpx_sheet(text) if root[1] == "gpx" else _kml_sheet(text)
+    return _gpx_sheet(text) if root == "gpx" else _kml_sheet(text)
+
+
+def _checked_root(text: str) -> str:
+    """The name of the outermost element.
+
+    Raises:
+        ValueError: the text is no XML, defines entities, or is nested so deeply that what reads it may fall over.
+    """
+    parser, depth, root = expat.ParserCreate(), 0, list[str]()
+
+    def begin(name: str, _: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth == 1:
+            root.append(name.rpartition(":")[2])
+        if depth > _DEEPEST:
+            raise ValueError(f"expected elements within at most {_DEEPEST} others, received more")
+
+    def end(_: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def refuse(*_: object) -> None:
+        raise ValueError("expected GPX or KML without <!DOCTYPE>, received one that has it")
+
+    parser.StartElementHandler, parser.EndElementHandler, parser.StartDoctypeDeclHandler = begin, end, refuse
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        raise ValueError(f"expected GPX or KML, received other text ({error})") from error
+    return root[0]
 
 
 def _gpx_sheet(text: str) -> Sheet:
@@ -42,8 +74,8 @@ def _gpx_sheet(text: str) -> Sheet:
         raise needs("gpxpy", "GPX") from error
     for found in _NUMBERS.finditer(text):
         value = found[2] if found[1] else found[4]
-        if not DECIMAL.fullmatch(value):
-            raise ValueError(f"expected a number as {found[1] or found[3]}, received {value[:60]!r}")
+        if value.strip() and not DECIMAL.fullmatch(value):
+            raise ValueError(f"expected a number as {found[1] or found[3]}, received {short(value)}")
     try:
         gpx = gpxpy.parse(text)
     except (gpxpy.gpx.GPXException, ValueError, TypeError) as error:
@@ -101,7 +133,7 @@ def _add(columns: dict[str, list[Any]], times: Iterable[str | None], places: Ite
     """
     for time, place in zip(times, places, strict=True):
         if place and not 2 <= len(place) <= 3:
-            raise ValueError(f"expected longitude, latitude[, altitude], received {' '.join(place)[:60]!r}")
+            raise ValueError(f"expected longitude, latitude[, altitude], received {short(' '.join(place))}")
         longitude, latitude, altitude = (*place, "", "", "")[:3]
         for column, cell in zip(columns.values(), (time, latitude, longitude, altitude, name), strict=True):
             column.append(cell)
