@@ -77,6 +77,13 @@ def test_climbs_are_found_in_space():
     assert segments(*path_of(np.zeros(50), dims=3)) == ()
 
 
+def test_level_flight_over_a_round_earth_is_no_descent():
+    time, mean, covariance = path_of(np.zeros(200), speed=200.0, dims=3)
+    mean[:, 2] = -np.square(mean[:, 0] + 1e5) / 2 / 6.371e6  # it falls below the plane that touches the earth
+    assert [one.kind for one in segments(time, mean, covariance)] == ["descending"]
+    assert segments(time, mean, covariance, height=np.full(200, 9000.0)) == ()
+
+
 def test_a_short_or_a_small_change_is_no_manoeuvre():
     assert segments(*path_of(during(60, 64, 3.0))) == ()
     assert segments(*path_of(during(60, 180, 0.4))) == ()

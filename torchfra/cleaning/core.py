@@ -20,6 +20,7 @@ from torchfra.cleaning.positions import REGIMES, Answer, Settings, answers, peri
 from torchfra.cleaning.segments import inside, segments
 from torchfra.cleaning.stamps import as_recorded, in_place, stamps_are_off
 from torchfra.filters import Filter
+from torchfra.geodesy import to_geodetic
 from torchfra.kernel.build import CompileError
 from torchfra.motion.bank import Bank
 from torchfra.readers.columns import Array
@@ -131,10 +132,12 @@ def _result(
     found: Found, names: tuple[str, ...], regimes: Array,
 ) -> Cleaned:  # fmt: skip
     fix = (steps.row >= 0) & ~np.isnan(steps.raw).any(1)
-    listed = segments(steps.time, mean, covariance)
-    flag = flags(fix, nis, outlier, manoeuvre, inside(steps.time, listed), GATE[steps.raw.shape[1]])
+    origin, d = recording.origin, steps.raw.shape[1]
+    height = to_geodetic(mean[:, :3], origin)[2] if origin is not None and d == 3 else None
+    listed = segments(steps.time, mean, covariance, height)
+    flag = flags(fix, nis, outlier, manoeuvre, inside(steps.time, listed), GATE[d])
     good = fix & (flag != "outlier")
-    mean_nis = float(nis[good].mean() / steps.raw.shape[1]) if good.any() else math.nan
+    mean_nis = float(nis[good].mean() / d) if good.any() else math.nan
     return Cleaned(
         recording, steps.time, steps.row, steps.raw, mean, covariance, nis, outlier, manoeuvre, flag,
         replace(found, nis=mean_nis), listed, names, regimes,

@@ -46,7 +46,7 @@ _CLIMB = _Rule(("climbing", "descending"), 0.5, 1.0, 2.0, 2.5, 10.0, 30.0)
 """Of the height, m."""
 
 
-def segments(time: Array, mean: Array, covariance: Array) -> tuple[Segment, ...]:
+def segments(time: Array, mean: Array, covariance: Array, height: Array | None = None) -> tuple[Segment, ...]:
     """The manoeuvres of a track, by the time at which they begin.
 
     What is listed turns by 15 degrees or more at 1 deg/s or more, changes its speed by 4 m/s or more at 0.5 m/s^2 or
@@ -57,6 +57,7 @@ def segments(time: Array, mean: Array, covariance: Array) -> tuple[Segment, ...]
         time: ``(T,)`` seconds.
         mean: ``(T, 2 d)`` position and velocity, m and m/s; best if smoothed.
         covariance: ``(T, 2 d, 2 d)`` of these.
+        height: ``(T,)`` m above the ground, which curves; None for the third axis.
     """
     finite = np.isfinite(mean).all(1) & np.isfinite(covariance).all((1, 2))
     time, mean, covariance = time[finite], mean[finite], covariance[finite]
@@ -72,7 +73,8 @@ def segments(time: Array, mean: Array, covariance: Array) -> tuple[Segment, ...]
     found = [*_changes(time, heading, np.degrees(across / speed).clip(max=180.0), _TURN)]
     found += _changes(time, speed, along, _SPEED)
     if d == 3:
-        found += _changes(time, mean[:, 2], np.sqrt(covariance[:, 2, 2]), _CLIMB)
+        above = mean[:, 2] if height is None else height[finite]
+        found += _changes(time, above, np.sqrt(covariance[:, 2, 2]), _CLIMB)
     return tuple(sorted(found))
 
 
