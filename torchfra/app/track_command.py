@@ -88,6 +88,8 @@ def _add_cleaning(add: Callable[..., object]) -> None:
     add("--q", type=float, help="density of the process noise, m^2/s^3 (default: found from the data)")
     add("--filter", default=DEFAULT, metavar="NAME", help=f"one of {', '.join(track_filters())} (default: {DEFAULT})")
     add("--no-smooth", action="store_true", help="use only the fixes before and at each step, as a filter on line")
+    add("--no-repair", action="store_true", help="leave the fixes of aircraft where they are, although their time "
+        "stamps seem to be off by seconds")  # fmt: skip
     add("--dt", type=float, metavar="S", help="also estimate every S seconds between the fixes")
 
 
@@ -100,7 +102,7 @@ def run(options: argparse.Namespace) -> None:
     plans.ending_of(options.out, options.format)
     if options.html is not None:
         page.check_script()
-    check_settings(options.filter, dt=options.dt, sigma=options.sigma, q=options.q)
+    check_settings(options.filter, dt=options.dt, sigma=options.sigma, q=options.q, bank=options.bank)
     words: dict[str, Any] = reading_of(options)
     recordings = readers.read(options.file, max_bytes=options.max_bytes, **words)
     files = plans.plan(recordings, options.out, options.format, options.plots)
@@ -121,7 +123,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _settings(options: argparse.Namespace) -> dict[str, Any]:
-    return {key: getattr(options, key) for key in ("filter", "bank", "sigma", "q", "no_smooth", "dt")}
+    return {key: getattr(options, key) for key in ("filter", "bank", "sigma", "q", "no_smooth", "no_repair", "dt")}
 
 
 def _cleaned(
@@ -135,6 +137,7 @@ def _cleaned(
     results = clean_tracks(
         recordings, filter=options.filter, bank=options.bank, sigma=options.sigma, q=options.q,
         smooth=not options.no_smooth, dt=options.dt, compile=compile, fallback=fallback,
+        repair=not options.no_repair,
     )  # fmt: skip
     done = {}
     for cleaned in results:

@@ -11,7 +11,7 @@ from torchfra.app.atomic_write import write as write_whole
 from torchfra.app.atomic_write import write_json
 from torchfra.app.outputs import csv_table, geojson, gpx, kml, parquet
 from torchfra.app.outputs.metadata import metadata
-from torchfra.app.outputs.points import check_degrees
+from torchfra.app.outputs.points import origin_of
 from torchfra.cleaning import Cleaned
 from torchfra.readers import Recording
 
@@ -43,7 +43,7 @@ def check_format(ending: str, recordings: Sequence[Recording] = ()) -> None:
         raise ImportError(f"out: {ending} needs {package}: pip install 'torchfra[formats]', or take .csv or .geojson")
     if ending in MAPS:
         for recording in recordings:
-            check_degrees(recording)
+            origin_of(recording)
 
 
 def write(results: Sequence[Cleaned], path: Path, settings: Mapping[str, Any]) -> None:

@@ -13,7 +13,9 @@ from torchfra.app.plotting.labels import SIZE, Array, beside, in_free_places, sh
 from torchfra.app.plotting.style import TITLE, any_letters, finish, without_box, words
 from torchfra.cleaning import Cleaned
 
-_LETTERS = 85
+_MANY = 50
+"""Rejected fixes whose marks are small, so that the path is seen."""
+_LETTERS = 76
 """Of the name of a manoeuvre, that are as wide as a panel."""
 _MOST_LISTED = 3
 """Fixes beyond the edge of the map whose distance is written there."""
@@ -57,7 +59,8 @@ def _draw_map(axes: Axes, of: View) -> None:
         axes.plot(*part.T, color=ORANGE, linewidth=5, alpha=0.6, solid_capstyle="butt", zorder=2)
     axes.plot(*of.recorded[~of.rejected].T, linestyle="none", marker=".", markersize=3, color=GREY, zorder=3)
     axes.plot(*of.path.T, color=BLUE, linewidth=1.3, zorder=4)
-    axes.plot(*of.recorded[of.rejected].T, linestyle="none", marker="x", markersize=6, color=RED, zorder=5)
+    size = 6 if of.rejected.sum() < _MANY else 3.5
+    axes.plot(*of.recorded[of.rejected].T, linestyle="none", marker="x", markersize=size, color=RED, zorder=3.5)
     axes.set(xlabel=f"east, {of.unit}", ylabel=f"north, {of.unit}")
     finish(axes)
 
