@@ -236,3 +236,17 @@ def test_a_copy_is_the_same_filter_and_a_state_dict_brings_all_values():
     same(twin(z, PRIOR), fixed(z, PRIOR), 0)
     fixed.load_state_dict(f.state_dict())
     same(fixed(z, PRIOR), f(z, PRIOR), 0)
+
+
+class Shifted(Position):
+    """A position whose forward is its own: no matrix times the state."""
+
+    def forward(self, x, u=None):
+        return super().forward(x) + 100.0
+
+
+def test_a_sensor_with_a_forward_of_its_own_is_not_taken_for_linear():
+    z = torch.randn(3, 8, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    prior = Gaussian(torch.zeros(3, 4, dtype=torch.float64), torch.eye(4, dtype=torch.float64))
+    plain, shifted = (presets.gpb(ConstantVelocity(1.0), sensor(2.0)) for sensor in (Position, Shifted))
+    torch.testing.assert_close(plain(z, prior).mean, shifted(z + 100, prior).mean)

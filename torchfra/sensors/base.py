@@ -84,6 +84,8 @@ class Sensor(nn.Module):
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
+        if "forward" in vars(cls) and "linear" not in vars(cls):
+            cls.linear = False  # its own forward may be anything
         for declared, method in (("locates", "locate"), ("measures_each_direction", "units_per_metre")):
             if getattr(cls, declared) is True and getattr(cls, method) is getattr(Sensor, method):
                 raise TypeError(f"{cls.__name__}: {declared} is True: expected a {method}, received none")

@@ -36,5 +36,5 @@ def exactly(sensor: Sensor, belief: Gaussian, frame: Frame) -> Whitened:
     """The measurement against a predicted belief ``(..., n)``, of a sensor that is linear: no points are needed."""
     d, noise = sensor.reads, frame.measurement_noise
     mean, root = belief.mean[..., :d], belief.scale_tril[..., :d, :d]
-    residual = noise.whiten((frame.z - sensor(mean)).unsqueeze(-1)).squeeze(-1)
+    residual = noise.whiten(sensor.difference(frame.z, sensor(mean)).unsqueeze(-1)).squeeze(-1)
     return Whitened(residual, noise.whiten(sensor(root.mT).mT), d)
