@@ -12,7 +12,7 @@ from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.run import Program, batch_first
 from torchfra.kernel.source import Port, Scan
-from torchfra.linalg import gram_pinv, hstack, safe_divide, safe_log, safe_sqrt, tria, whiten
+from torchfra.linalg import gram_pinv, hstack, safe_divide, safe_log, safe_sqrt, tria, tria_beside, whiten
 from torchfra.linalg.tracing import elementary
 
 torch.manual_seed(0)
@@ -54,6 +54,19 @@ def test_it_is_a_lower_root_with_a_non_negative_diagonal(n, p, batch, dtype, see
 def test_at_full_rank_it_is_the_cholesky_factor():
     a = random(5, 4, 9)
     torch.testing.assert_close(tria(a), torch.linalg.cholesky(a @ a.mT))
+
+
+@pytest.mark.parametrize("diagonal", [(1.0, 1, 1, 1), (1.0, 1, 0, 2)])
+def test_beside_a_diagonal_matrix_it_is_the_same_without_the_zeros(diagonal):
+    diagonal, a, weights = torch.tensor(diagonal).double(), random(3, 4, 6), random(3, 4, 4, seed=1)
+    a[1, 0], a[2, 3] = 0, 0
+    a.requires_grad_()
+    expected = tria(hstack(torch.diag(diagonal), a))
+    torch.testing.assert_close(tria_beside(diagonal, a), expected)
+    torch.testing.assert_close(tria_beside(diagonal, a.detach()), expected.detach())
+    torch.testing.assert_close(torch.func.vmap(lambda a: tria_beside(diagonal, a))(a.detach()), expected.detach())
+    gradients = [torch.autograd.grad((x * weights).sum(), a)[0] for x in (tria_beside(diagonal, a), expected)]
+    torch.testing.assert_close(*gradients)
 
 
 def test_a_matrix_that_is_already_padded_with_zeros_has_the_same_root():

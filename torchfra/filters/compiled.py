@@ -11,8 +11,7 @@ from torch import Tensor, nn
 from torch.autograd import forward_ad
 
 from torchfra.filters import traced
-from torchfra.filters.compiled_back import Back, given, retreat
-from torchfra.filters.smoothing import Told
+from torchfra.filters.compiled_back import Given, given, retreat
 from torchfra.gaussian.arguments import check_seconds, check_values
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.hyper import Hyper
@@ -85,24 +84,25 @@ class _Version:
 
     def plan(
         self, advance: Callable[..., Any], state: Any, data: Sequence[Tensor | None], timed: Sequence[bool],
-        kind: type = Measurements,
+        back: Given | None = None,
     ) -> _Plan:  # fmt: skip
-        """What is to be done with this ``data`` of a kind, which has an entry for each step where ``timed``."""
-        mean, dtype = state.belief.mean, state.belief.mean.dtype
+        """What is to be done with this ``data``, which has an entry for each step where ``timed``."""
+        first, events = flatten(state)[0], ranks(Measurements) if back is None else back.events
+        dtype, alone = first.dtype, state.belief.mean.shape[:-1] if back is None else back.batch
         values = [(value, value().shape, value().dim() - value.event) for value in self.values]
-        batch = torch.broadcast_shapes(mean.shape[:-1], *(shape[:rank] for _, shape, rank in values))
+        batch = torch.broadcast_shapes(alone, *(shape[:rank] for _, shape, rank in values))
         inputs, shapes = {}, []
-        for (name, event), x, varies in zip(ranks(kind).items(), data, timed, strict=True):
+        for (name, event), x, varies in zip(events.items(), data, timed, strict=True):
             if x is not None:
                 inputs[name] = Input(x.shape[x.dim() - event :], varies, False)
                 shapes.append(batch + x.shape[x.dim() - event - varies :])
         for value, shape, rank in values:
             inputs[value.path] = Input(shape[rank:], False, True)
             shapes.append(batch + shape[rank:])
-        key = (advance, dtype, tuple(inputs.items()))
+        key = (advance if back is None else retreat, dtype, tuple(inputs.items()))
         if key not in self.kernels:
-            begin = (lambda f: Told(traced.begin(f).belief)) if kind is Back else traced.begin
-            self.kernels[key] = Kernels(Step(self.frozen, begin, advance, inputs, dtype, timed[0], kind is Back))
+            begin = traced.begin if back is None else back.begin
+            self.kernels[key] = Kernels(Step(self.frozen, begin, advance, inputs, dtype, timed[0], back is not None))
         kernels = self.kernels[key]
         counts = any(not (x.is_floating_point() or x.dtype == torch.bool) for x in flatten(kernels.step.record))
         return _Plan(kernels, batch, [batch + zero.shape for zero in kernels.step.zero] + shapes, counts)
@@ -111,7 +111,7 @@ class _Version:
         self, plan: _Plan, steps: int, state: Any, data: Sequence[Tensor | None], *options: int | None
     ) -> tuple[Any, Any]:
         """Does it."""
-        dtype, leaves = state.belief.mean.dtype, flatten(state)
+        dtype, leaves = plan.kernels.step.dtype, flatten(state)
         tensors = [*leaves, *(x for x in data if x is not None), *(value() for value in self.values)]
         full = [
             x if x.shape == shape and x.dtype == dtype and x.is_cpu else x.to("cpu", dtype).expand(shape)
@@ -199,11 +199,11 @@ class Compiled:
 
     def back(self, f: Any, past: Any, measurements: Measurements, rank: int) -> Any:
         """What the way back says of every step, time behind ``rank`` batch dimensions: see ``Smoother``."""
-        state, data, timed = given(past, measurements, rank)
-        now = self._now(f)
+        back, now = given(f, past, measurements, rank), self._now(f)
+        data, timed = list(back.data.values()), list(back.timed.values())
         with BUILDING:
-            plan = now.plan(retreat, state, data, timed, Back)
-        return now.run(plan, data[0].shape[rank], state, data)[1]
+            plan = now.plan(back.advance, back.state, data, timed, back)
+        return now.run(plan, back.steps, back.state, data)[1]
 
     def step(
         self, f: Any, state: Any, measurements: Measurements, check: Callable[[], Frame]

@@ -8,56 +8,79 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.smoothing import Told
+from torchfra.filters.smoothing import Told, Turn
 from torchfra.gaussian.inputs import Frame, Measurements
-from torchfra.tree import event_ranks
 from torchfra.types import Gaussian
 
 
-@event_ranks(mean=1, scale_tril=2, factor=0, dt=0, u=1, last=0)
-class Back(NamedTuple):
-    """What the way back is given at a step: its filtered belief, and of the step that led on from it all else."""
+class Given(NamedTuple):
+    """What the kernel of a way back is given."""
 
-    mean: Tensor
-    scale_tril: Tensor
-    factor: Tensor | None
-    dt: Tensor
-    u: Tensor | None
-    last: Tensor
-    """``(...)`` 1 at the last step of a track, which nothing leads on from."""
+    state: Any
+    """To begin with, at the last step."""
+    data: dict[str, Tensor]
+    """Of each step its past and what is needed of the step ahead, its ``dt`` and ``u``, and whether it is the last."""
+    timed: dict[str, bool]
+    """Which of it has an entry for each step."""
+    events: dict[str, int]
+    """Dimensions of one track's entry."""
+    batch: torch.Size
+    steps: int
+    like: Any
+    """A past and what is needed of the step ahead, whose leaves come first in the data."""
+
+    def begin(self, f: Any) -> Any:
+        """The state of one track, in which all is unknown but the zeros of lower roots."""
+        rank = len(self.batch)
+        return _lower(tree.map_tensors(lambda x: torch.ones(x.shape[rank:], dtype=x.dtype), self.state))
+
+    def advance(self, f: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any, Told]:
+        """One step back of one track: see ``retreat``."""
+        return retreat(f, self.like, after, data)
 
 
-def given(past: Any, measurements: Measurements, rank: int) -> tuple[Told, Any, tuple[bool, ...]]:
-    """The state to begin with, what the kernel is given (see ``Back``), and which of it varies over time.
+def given(f: Any, past: Any, measurements: Measurements, rank: int) -> Given:
+    """All that the kernel of this filter is given.
 
     Args:
-        past: ``(..., T, ...)``: see ``filters.tracks.Past``.
+        f: the filter.
+        past: ``(..., T, ...)``: see ``Smoother.past``.
         measurements: of the way forward.
         rank: dimensions of the batch.
     """
-    (mean, root), factor, _ = past
+    past = f.decided(past)
+    ahead = tree.map_tensors(lambda x: x.roll(-1, rank), f.needed_ahead(past))
     varying, like, u = measurements.varying_dt, measurements.z, measurements.u
     seconds = torch.as_tensor(measurements.dt if varying else measurements.common_dt).to(like)
-    at = torch.arange(mean.shape[rank], device=mean.device)
-    data = Back(
-        mean,
-        root,
-        None if factor is None else factor.roll(-1, -1),
-        seconds.roll(-1, -1) if varying else seconds,
-        None if u is None else u.roll(-1, -2),
-        (at == len(at) - 1).to(like),
-    )
-    state = Told(Gaussian(mean.select(rank, -1), root.select(rank, -1)))
-    return state, data, (True, True, True, varying, True, True)
+    data = {f"past{i}": x for i, x in enumerate(tree.flatten((past, ahead)))}
+    events = {name: x.dim() - rank - 1 for name, x in data.items()} | {"last": 0, "dt": 0}
+    batch, steps = data["past0"].shape[:rank], data["past0"].shape[rank]
+    at = torch.arange(steps, device=like.device)
+    data |= {"last": (at == steps - 1).to(like), "dt": seconds.roll(-1, -1) if varying else seconds}
+    if u is not None:
+        data["u"], events["u"] = u.roll(-1, -2), 1
+    state, _ = f.last(tree.map_tensors(lambda x: x.select(rank, -1), past))
+    return Given(state, data, {k: varying or k != "dt" for k in data}, events, batch, steps, (past, ahead))
 
 
-def retreat(f: Any, after: Told, data: dict[str, Tensor]) -> tuple[Told, Told]:
-    """One step back of one track; at the last step, where it begins, the filtered belief."""
-    x = Back(*(data.get(name) for name in Back._fields))  # type: ignore[arg-type]  # only factor and u are ever None
-    belief, motion = Gaussian(x.mean, x.scale_tril.tril()), f.motion
-    models = motion.transition(x.dt) if motion.linear else None, motion.shift(x.dt, x.u)
-    noise = motion.process_noise(x.dt), motion.adaptation(x.dt)
-    frame = Frame(None, None, None, x.dt, x.u, *models, *noise)  # type: ignore[arg-type]  # nothing is measured
-    told = f.reverse(belief, f.carry(belief, frame, x.factor), after.belief)
-    told = told._replace(belief=tree.where(x.last > 0, belief, told.belief))
-    return Told(told.belief), told
+def _lower(x: Any) -> Any:
+    """The same tree, that says which entries of the roots of Gaussians are zero."""
+    if isinstance(x, Gaussian):
+        return Gaussian(x.mean, x.scale_tril.tril())
+    if not isinstance(x, tuple):
+        return x
+    parts = [_lower(part) for part in x]
+    return type(x)(*parts) if hasattr(x, "_fields") else tuple(parts)
+
+
+def retreat(f: Any, like: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any, Told]:
+    """One step back of one track; at the last step, where it begins, what that says."""
+    leaves = iter([x for name, x in data.items() if name.startswith("past")])
+    past, ahead = _lower(tree.unflatten(like, leaves))
+    dt, u, motion = data["dt"], data.get("u"), f.motion
+    models = motion.transition(dt) if motion.linear else None, motion.shift(dt, u)
+    noise = motion.process_noise(dt), motion.adaptation(dt)
+    frame = Frame(None, None, None, dt, u, *models, *noise)  # type: ignore[arg-type]  # nothing is measured
+    stepped = f.retreat(Turn(past, ahead, frame), after)
+    begun_or_stepped: tuple[Any, Told] = tree.where(data["last"] > 0, f.last(past), stepped)
+    return begun_or_stepped

@@ -97,6 +97,11 @@ class Around(TrackFilter):
         """The past of a last step, of which no later measurement will decide anything."""
         return past._replace(inner=self.inner.decided(past.inner))
 
+    def needed_ahead(self, past: ModelsPast) -> ModelsPast:
+        """What its filters need."""
+        inner = self.inner.needed_ahead(past.inner)
+        return past._replace(inner=inner, log_weights=None)  # type: ignore[arg-type]  # which nothing reads
+
     def last(self, past: ModelsPast) -> tuple[Models, Told]:
         """The last step, which no later measurement speaks of."""
         models = Models(past.inner.belief, past.log_weights)
@@ -149,6 +154,11 @@ class IMM(Around):
             raise ValueError(f"initial: expected ({count},), received {tuple(initial.shape)}")
         self.transition = Hyper(transition, constraints.simplex, event_dim=2, name="transition")
         self.initial = Hyper(initial.double(), constraints.simplex, event_dim=1, name="initial")
+
+    @property
+    def kernels_back(self) -> bool:  # type: ignore[override]  # of this bank, not of the class
+        """Whether the way back can run as a kernel: that of two models."""
+        return len(self.motion) == 2
 
     def begin(self, belief: Gaussian) -> IMMState:
         """The state of a belief: the same for each model."""

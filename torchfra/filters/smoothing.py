@@ -151,6 +151,10 @@ class Smoother(nn.Module):
         """Of a last step the past as it stays, as no later measurement will decide anything of it."""
         return past
 
+    def needed_ahead(self, past: Any) -> Any:
+        """Of a past what a step back needs of the step that it comes from, None in the place of all else."""
+        return past
+
     def last(self, past: Any) -> tuple[Any, Told]:
         """The state of the way back at its first step, the last of the track, and what it says of that."""
         raise TypeError(f"{type(self).__name__} needs a past, a last and a retreat to smooth")

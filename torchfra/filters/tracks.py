@@ -95,6 +95,10 @@ class GaussianFilter(TrackFilter):
         """The past of a last step, of which no later measurement will decide anything."""
         return past._replace(fresh=None)
 
+    def needed_ahead(self, past: Past) -> Past:
+        """The fading factor."""
+        return past._replace(belief=None, fresh=None)  # type: ignore[arg-type]  # which nothing reads
+
     def last(self, past: Past) -> tuple[Gaussian, Told]:
         """The last step, which no later measurement speaks of."""
         repaired = torch.zeros_like(past.belief.mean[..., 0], dtype=torch.bool) if self._may_repair else None

@@ -11,7 +11,7 @@ from torch.nn.functional import pad
 from torchfra.gaussian.model import Carried
 from torchfra.gaussian.smoothing import invertible
 from torchfra.linalg.gram import downdate, gram_information
-from torchfra.linalg.triangular import apply, hstack, tria
+from torchfra.linalg.triangular import apply, hstack, tria_beside
 from torchfra.tree import event_ranks
 from torchfra.types import Gaussian
 
@@ -43,19 +43,18 @@ class Future(NamedTuple):
         units of it, ``N^-1/2 value = A u + N(0, I)`` for ``u ~ N(0, I)``.  ``tria([[I, A^T], [0, e^T]]) = [[R, 0],
         [y^T, d]]`` then holds what is left: ``u ~ N(R^-T y, R^-T R^-1)``, and the density ``exp(-d^2 / 2) / det R``.
         """
-        n, eye = ahead.mean.shape[-1], torch.eye(ahead.mean.shape[-1]).to(self.slope)
+        n = ahead.mean.shape[-1]
         rest = ahead.spread.shape[-1] - n
         noise = hstack(ahead.process_noise, ahead.spread[..., :rest]) if rest else ahead.process_noise
-        noise = self.slope @ noise
-        root = tria(hstack(eye, noise))
+        eye = torch.eye(n, dtype=noise.dtype, device=noise.device)
+        root = tria_beside(eye.diagonal(), self.slope @ noise)
         if ahead.lost is not None:
             root, _ = downdate(root, self.slope @ ahead.lost)
         seen = torch.linalg.solve_triangular(root, hstack(self.slope, self.value.unsqueeze(-1)), upper=False)
         slope = seen[..., :n]
         residual = seen[..., n] - apply(slope, ahead.mean - self.origin)
         rows = hstack(slope @ ahead.spread[..., rest:], residual.unsqueeze(-1)).mT  # [A, e]^T
-        unit = pad(eye, (n + 1, 0, 0, 1)).expand(*rows.shape[:-1], 2 * n + 1)  # behind the zeros that tria wants
-        lower = tria(torch.cat([unit, rows], -1), padded=True)
+        lower = tria_beside(pad(eye.diagonal(), (0, 1)), rows)
         left = torch.linalg.solve_triangular(lower[..., :n, :n].mT, eye, upper=True)
         fit = -0.5 * lower[..., n, n].square() - _log_det(lower[..., :n, :n]) - _log_det(root)
         return Told(Gaussian(apply(left, lower[..., n, :n]), left), fit)

@@ -7,7 +7,7 @@ lower-triangular root with a non-negative diagonal, ``L = tria(A)``.
 from torchfra.linalg.gram import downdate, gram_information, gram_pinv, gram_sqrt
 from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
 from torchfra.linalg.tracing import elementary, is_elementary, is_traced
-from torchfra.linalg.triangular import apply, hstack, tria, whiten
+from torchfra.linalg.triangular import apply, hstack, tria, tria_beside, whiten
 
 __all__ = [
     "apply",
@@ -23,5 +23,6 @@ __all__ = [
     "safe_log",
     "safe_sqrt",
     "tria",
+    "tria_beside",
     "whiten",
 ]

@@ -37,13 +37,36 @@ def tria(a: Tensor, *, padded: bool = False) -> Tensor:
     a = a if padded else pad(a, (a.shape[-2], 0))
     if not (a.requires_grad or is_traced(a)):
         return _reflect(a)  # the same result, without the overhead of autograd
-    result: Tensor = _Tria.apply(a)  # type: ignore[no-untyped-call]  # untyped in torch
+    result: Tensor = _Tria.apply(a, False)  # type: ignore[no-untyped-call]  # untyped in torch
     return result
+
+
+def tria_beside(diagonal: Tensor, a: Tensor) -> Tensor:
+    """``tria([D, a])`` for ``a (..., n, p)`` beside a diagonal matrix ``D``, of ``(n,)`` without negative entries.
+
+    The diagonal does for reflections what the zeros of ``tria`` do: none touches it before its own.
+    """
+    full = hstack(torch.diag(diagonal), a)
+    if _by_rows(full):
+        return tria(full)
+    if not (full.requires_grad or is_traced(full)):
+        return _positive(_reflect(full))
+    result: Tensor = _Tria.apply(full, True)  # type: ignore[no-untyped-call]  # untyped in torch
+    return result
+
+
+def _positive(lower: Tensor) -> Tensor:
+    """The same root with a non-negative diagonal: a row that is zero beside a diagonal has not been reflected."""
+    return torch.where(lower.diagonal(dim1=-2, dim2=-1).unsqueeze(-2) < 0, -lower, lower)
+
+
+def _by_rows(a: Tensor) -> bool:
+    return a.is_cuda or is_elementary() or (torch.compiler.is_compiling() and a.shape[-2] <= _SMALL)
 
 
 def _triangularise(a: Tensor) -> Tensor:
     """The fastest of three ways to the same root of ``a``, whose first columns are zero."""
-    if a.is_cuda or is_elementary() or (torch.compiler.is_compiling() and a.shape[-2] <= _SMALL):
+    if _by_rows(a):
         return _orthogonalise(a)
     if not is_traced(a):
         return _reflect(a)
@@ -102,15 +125,15 @@ class _Tria(torch.autograd.Function):
     generate_vmap_rule = True
 
     @staticmethod
-    def forward(a: Tensor) -> Tensor:
-        return _triangularise(a)
+    def forward(a: Tensor, beside: bool = False) -> Tensor:
+        return _positive(_triangularise(a)) if beside else _triangularise(a)
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Tensor], output: Tensor) -> None:
-        ctx.save_for_backward(*inputs, output)
+    def setup_context(ctx: Any, inputs: tuple[Tensor, ...], output: Tensor) -> None:
+        ctx.save_for_backward(inputs[0], output)
 
     @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> Tensor:
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
         a, lower = ctx.saved_tensors
         rounding = 4 * sum(a.shape[-2:]) * torch.finfo(a.dtype).eps
         nonzero = lower.diagonal(dim1=-2, dim2=-1) > rounding * _norms(a).squeeze(-1)
@@ -120,7 +143,7 @@ class _Tria(torch.autograd.Function):
         rotation = lower.mT @ grad
         rotation = (rotation.mT - rotation).triu(1) * nonzero.unsqueeze(-1)
         gradient: Tensor = (grad + torch.linalg.solve_triangular(root.mT, rotation, upper=True)) @ q
-        return gradient
+        return gradient, None
 
 
 def apply(matrix: Tensor, vector: Tensor) -> Tensor:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.filters.gpb.merging import log_share, together
+from torchfra.filters.gpb.qualities import entry
 from torchfra.filters.gpb.regimes import Regimes, in_front
 from torchfra.filters.hindsight import inside
 from torchfra.filters.imm import for_each_model
@@ -50,8 +51,13 @@ class GPBPast(NamedTuple):
 class WayBack(GaussianFilter):
     """The part of ``GPB`` that smooths."""
 
-    keeps_past, kernels_back = True, False
+    keeps_past = True
     regimes: Regimes
+
+    @property
+    def kernels_back(self) -> bool:  # type: ignore[override]  # of this bank, not of the class
+        """Whether the way back can run as a kernel: that of one motion."""
+        return self.regimes.motions == 1
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: GPBPast) -> GPBPast:  # type: ignore[override]
         """What is known of all hypotheses after each step."""
@@ -62,6 +68,10 @@ class WayBack(GaussianFilter):
         return past
 
     decided = fresh  # type: ignore[assignment]
+
+    def needed_ahead(self, past: GPBPast) -> GPBPast:  # type: ignore[override]
+        """How far the measurement was."""
+        return GPBPast(None, None, None, None, past.far)  # type: ignore[arg-type]  # nothing reads the others
 
     def last(self, past: GPBPast) -> tuple[GPBPast, Told]:  # type: ignore[override]
         """The last step, which no later measurement speaks of."""
@@ -106,8 +116,7 @@ def _retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
     joint = joint + after.log_weights.movedim(-2, 0)[:, None, ..., None, :]
     log_weights = joint.logsumexp((0, -1))  # (was, ..., R)
     share = regimes.of_motion(joint.transpose(-1, -2)).movedim((-2, -1), (0, 2))  # (R, now, motion was, was, ...)
-    share = share - share.logsumexp((0, 1), keepdim=True)
-    told = moment_match(Gaussian(*(x.flatten(0, 1) for x in each)), share.flatten(0, 1))  # (motion was, was, ...)
+    told = moment_match(Gaussian(*(x.flatten(0, 1) for x in each)), log_share(share.flatten(0, 1)))
     told = Gaussian(told.mean.movedim(0, -2), told.scale_tril.movedim(0, -3))
     clean, dirty = tree.unbind(inside(before, told), 2)
     return GPBPast(clean, dirty, log_weights.movedim(0, -2), past.outlier, past.far)
@@ -134,7 +143,7 @@ def _predicted(f: Any, ahead: Carried, far: Tensor, log_weights: Tensor) -> Gaus
     """
     regimes, first = f.regimes, f.regimes.count
     levels = regimes.predictions(*ahead[:3])
-    agile: Gaussian = tree.map_tensors(lambda x: x[first - 1], levels)
+    agile = entry(levels, first - 1)
     jumped, others = regimes.jumped(agile, far, f.motion.position), regimes.motions - 1
     share = log_weights.movedim(-1, 1)  # (now, R, was, ...)
 

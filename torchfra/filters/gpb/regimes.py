@@ -77,7 +77,8 @@ class Regimes(nn.Module):
         log_stay, log_leave = self.log_stay(log_weights)
         drawn = log_leave.unsqueeze(-1) + self.log_renew(log_weights).unsqueeze(-2)
         same = torch.eye(drawn.shape[-1], dtype=torch.bool, device=drawn.device)
-        return torch.where(same, torch.logaddexp(drawn, log_stay.unsqueeze(-1)), drawn)
+        stayed = torch.where(same, log_stay.unsqueeze(-1), -torch.inf)
+        return torch.stack([drawn, stayed.expand_as(drawn)]).logsumexp(0)
 
     def log_stay(self, like: Tensor) -> tuple[Tensor, Tensor]:
         """Logs ``(..., R)`` of the probabilities that a regime stays, and that it does not."""
