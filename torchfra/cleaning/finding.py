@@ -15,7 +15,7 @@ _COARSE, _FINE = 8, 1.2
 """Standard deviations that are tried at first, each half of the one before; and the ratio of those tried later."""
 LEAST_SIGMA = 0.01
 """Least standard deviation that is found, m: fixes that repeat have none."""
-_LARGER = 4.0
+_LARGER = 8.0
 """Exponent of the prior of sigma: where a track leaves it open, what looks like noise is taken for noise."""
 _MANY, _COST = 0.12, 20.0
 """Share of outliers from which on sigma is taken to be too small, and what each of them then costs."""
