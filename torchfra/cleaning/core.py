@@ -114,6 +114,8 @@ def _cleaned(
     compile: bool = False, fallback: Fallback | None = None,
 ) -> list[Cleaned]:  # fmt: skip
     """Recordings of the same dimensions as one batch."""
+    if any(np.isinf(recording.position).any() for recording in recordings):
+        raise ValueError("position: expected finite metres or NaN, received infinity")
     tracks = [steps_of(recording, dt) for recording in recordings]
     kinds = [(bank, "as told") if isinstance(bank, str) else kind_of(recording) for recording in recordings]
     own = bank if isinstance(bank, Bank) else None
@@ -137,11 +139,13 @@ def _result(
     listed = segments(steps.time, mean, covariance, height)
     flag = flags(fix, nis, outlier, manoeuvre, inside(steps.time, listed), GATE[d])
     good = fix & (flag != "outlier")
-    mean_nis = float(nis[good].mean() / d) if good.any() else math.nan
-    return Cleaned(
-        recording, steps.time, steps.row, steps.raw, mean, covariance, nis, outlier, manoeuvre, flag,
-        replace(found, nis=mean_nis), listed, names, regimes,
-    )  # fmt: skip
+    found = replace(found, nis=float(nis[good].mean() / d) if good.any() else math.nan)
+    arrays = mean, covariance, nis, outlier, manoeuvre, flag
+    result = Cleaned(recording, steps.time, steps.row, steps.raw, *arrays, found, listed, names, regimes)
+    if failed := int(result.failed.sum()):
+        said = (*found.said, f"failed: NaN or infinity in {failed} of {len(steps.time)} steps")
+        result = replace(result, found=replace(found, said=said))
+    return result
 
 
 def _found(name: str, settings: Settings, own: Bank | None, kind: tuple[str, str], answer: Answer) -> Found:

@@ -15,12 +15,14 @@ _COARSE, _FINE = 8, 1.2
 """Standard deviations that are tried at first, each half of the one before; and the ratio of those tried later."""
 LEAST_SIGMA = 0.01
 """Least standard deviation that is found, m: fixes that repeat have none."""
-_LARGER = 4.0
+_LARGER = 8.0
 """Exponent of the prior of sigma: where a track leaves it open, what looks like noise is taken for noise."""
 _MANY, _COST = 0.12, 20.0
 """Share of outliers from which on sigma is taken to be too small, and what each of them then costs."""
 _STEPS, _ROWS = 200, 2
 """Of each track that are looked at for sigma: steps of a row, and rows."""
+SHORT = 0
+"""Owner of the rows of all tracks that are too short to be looked at alone."""
 _FEW = 2.0
 """Fixes that shares of levels are worth before any was seen."""
 _SLOWEST = 1e-5
@@ -42,7 +44,7 @@ class Part(NamedTuple):
     sigma: Tensor
     """``(B,)`` m."""
     least: Tensor
-    """``(B,)`` that sigma is, m."""
+    """``(B,)`` m that sigma has at least."""
 
     @property
     def scaled(self) -> Fixes:
@@ -108,12 +110,12 @@ def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor) -> Ten
 
 
 def _looked_at(fixes: Fixes, owner: Tensor) -> Tensor:
-    """Numbers of the rows from which sigma is found: those of each owner with the most fixes."""
+    """Numbers of the rows from which sigma is found: those of each track with the most fixes, and all short tracks."""
     seen = (~fixes.missing[:_STEPS]).sum(0)
     chosen = []
     for i in owner.unique():
         rows = (owner == i).nonzero()[:, 0]
-        most = len(rows) if i == 0 else _ROWS
+        most = len(rows) if i == SHORT else _ROWS
         chosen.append(rows[seen[rows].argsort(descending=True, stable=True)[:most]])
     return torch.cat(chosen)
 
@@ -121,9 +123,12 @@ def _looked_at(fixes: Fixes, owner: Tensor) -> Tensor:
 def _rough(fixes: Fixes, owner: Tensor) -> Tensor:
     """Twice the standard deviation ``(B,)`` that third differences would have if nothing but noise was in them."""
     third = fixes.z.diff(dim=0, n=3).square().mean(1).sqrt()
-    every = [third[:, owner == i].flatten() for i in owner]
-    middle = torch.stack([x[~x.isnan()].quantile(0.5) if (~x.isnan()).any() else x.new_tensor(1.0) for x in every])
-    return (2 * middle / math.sqrt(20)).clamp_min(LEAST_SIGMA * 2.0**_COARSE / 4)
+    most = fixes.gap.new_ones(len(owner))
+    for i in owner.unique():
+        own = third[:, owner == i]
+        if bool((~own.isnan()).any()):
+            most[owner == i] = 2 * own.nanmedian() / math.sqrt(20)
+    return most.clamp_min(LEAST_SIGMA * 2.0**_COARSE / 4)
 
 
 def fitted(

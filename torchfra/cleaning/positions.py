@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.both_ways import Smoothed
-from torchfra.cleaning.finding import Part, first_sigma, fitted, levels_up_to
+from torchfra.cleaning.finding import SHORT, Part, first_sigma, fitted, levels_up_to
 from torchfra.cleaning.kinds import KINDS
 from torchfra.cleaning.ladder import Fixes, merged
 from torchfra.readers.columns import Array
@@ -106,7 +106,7 @@ def _rows(track: int, count: int) -> list[Row]:
 
 def _owners(tracks: Sequence[int], fixes: Sequence[int]) -> Tensor:
     """Which rows have values in common ``(B,)``: those of a track, and those of all that have few fixes."""
-    return torch.tensor([0 if fixes[track] < _FEW else 1 + track for track in tracks])
+    return torch.tensor([SHORT if fixes[track] < _FEW else SHORT + 1 + track for track in tracks])
 
 
 def period_of(steps: Steps) -> float:
