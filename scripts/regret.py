@@ -15,7 +15,7 @@ runs, which are the same for all filters; a run is lost above 2000 m, of ranges 
 
 With --smooth no filter is compared with another: one table has the errors of each as it filters, 1 and 5 steps later,
 and smoothed, the change from the first to the last, and the NEES of positions per dimension, which is 1 where
-covariances are honest.
+covariances are honest; --plot draws one run of the last cell by the last filter, with bands.
 """
 
 from __future__ import annotations
@@ -83,6 +83,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--own-models", action="store_true", help="learned values leave motion and sensor of a cell alone")
     add_runs_options(p, 500, seed=3)
     add_compile_option(p, f"in cells of {WORTHWHILE:,} steps or more")
+    p.add_argument("--plot", type=Path, metavar="FILE", help="with --smooth, PNG: errors of one run, with bands")
     p.add_argument("--figure", type=Path, metavar="FILE", help="PNG: cells by filters, coloured by the ratio")
     add_json_option(p)
     add_quiet_option(p)
@@ -91,6 +92,8 @@ def parser() -> argparse.ArgumentParser:
 
 def regret(options: argparse.Namespace) -> None:
     """All cells; tables when the last one is done."""
+    if options.plot is not None:
+        raise ValueError("plot: expected --smooth beside it")
     names = compared_filters(track_filters()[0] if options.filters is None else options.filters)
     tuned = compared_filters(options.tuned, "tuned") if options.tuned else []
     others = None if options.others is None else compared_filters(options.others, "others")
@@ -125,7 +128,7 @@ def gains(options: argparse.Namespace) -> None:
     if options.learned or options.tuned or options.figure is not None:
         raise ValueError("smooth: expected no learned values, --tuned or --figure beside it")
     names = compared_filters(",".join(smoothed.FILTERS) if options.filters is None else options.filters)
-    check_files({"json": options.json}, [*(options.flights or []), *options.ranges])
+    check_files({"json": options.json, "plot": options.plot}, [*(options.flights or []), *options.ranges])
     cells = chosen_cells(all_cells(options.flights, options.ranges), options.cells.split(","))
     results: dict[str, dict[str, Any]] = {}
     for name, cell in progress_bar(cells.items(), "cell", not options.quiet):
@@ -140,6 +143,12 @@ def gains(options: argparse.Namespace) -> None:
         head = {"runs": options.runs, "seed": options.seed, "resamples": RESAMPLES, "versions": versions()}
         with failures.of("json"):
             write_json(options.json, {**head, "cells": results})
+    if options.plot is not None:
+        from torchfra.app import plotting  # matplotlib takes long to import
+
+        runs = smoothed.one_run(filters[names[-1]], scenario, options.seed)
+        with failures.of("plot"):
+            plotting.save(plotting.bands(runs, scenario.dt, "error, m", f"{names[-1]}, {name}"), options.plot)
     failures.end()
 
 

@@ -19,7 +19,8 @@ def result(tmp_path_factory):
     """The JSON of a small run."""
     path = tmp_path_factory.mktemp("smooth") / "r.json"
     arguments = ["--smooth", "--cells", "2-std", "--runs", "4", "--filters", "fra,gpb", "--quiet", "--json", str(path)]
-    assert regret.main(arguments) == 0
+    assert regret.main([*arguments, "--plot", str(path.with_suffix(".png"))]) == 0
+    assert path.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
     return json.loads(path.read_text())["cells"]["2-std"]
 
 
@@ -61,6 +62,20 @@ def test_where_the_model_holds_smoothed_covariances_are_honest():
     assert metrics.nees(estimate, truth).mean().item() / 4 == pytest.approx(1.0, abs=0.05)
 
 
+def test_bands_are_those_of_the_estimates_and_narrower_when_smoothed():
+    scenario = make_scenario("bearings-manoeuvre", outliers="std", initial="truth")
+    f, tracks = scenario_filters(["srckf"], scenario)["srckf"], scenario.simulate(1, 5)
+    run = smoothed.one_run(f, scenario, 5)
+    expected = f(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt)
+    error, std = run["filtered"]
+    torch.testing.assert_close(error, (expected.mean - tracks.truth)[0, :, 0])
+    torch.testing.assert_close(std, expected.covariance[0, :, 0, 0].sqrt())
+    assert list(run) == ["filtered", "lag 1", "smoothed"]
+    assert run["smoothed"][1][50] < run["lag 1"][1][50] < std[50]
+
+
 def test_what_goes_with_comparisons_alone_is_named(capsys):
     assert regret.main(["--smooth", "--figure", "a.png"]) == 2
     assert "smooth: expected no learned values, --tuned or --figure" in capsys.readouterr().err
+    assert regret.main(["--plot", "a.png"]) == 2
+    assert "plot: expected --smooth beside it" in capsys.readouterr().err

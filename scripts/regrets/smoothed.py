@@ -42,6 +42,18 @@ def as_filtered(estimate: Estimate) -> Estimate:
     return estimate if early is None else estimate._replace(mean=early.mean, scale_tril=early.scale_tril)
 
 
+def one_run(f: Filter, scenario: Scenario, seed: int) -> dict[str, tuple[Tensor, Tensor]]:
+    """By kind the errors ``(T,)`` of the first coordinate of one run, and the standard deviations ``(T,)`` of it."""
+    tracks, at = scenario.simulate(1, seed), scenario.truth_position.start
+    with torch.no_grad():
+        every = estimates(f, scenario, tracks)
+    return {
+        kind: ((e.mean - tracks.truth)[0, :, at], e.scale_tril[0, :, at].norm(dim=-1))
+        for kind, e in every.items()
+        if kind != "lag 5"
+    }
+
+
 def errors(
     scenario: Scenario, filters: Mapping[str, Filter], *, runs: int, seed: int, progress: bool = False
 ) -> dict[str, dict[str, Any]]:

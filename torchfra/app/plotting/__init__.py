@@ -4,6 +4,7 @@ Each function returns a figure that pyplot does not know of, so that nothing has
 """
 
 from torchfra.app import home  # noqa: F401  # before matplotlib
+from torchfra.app.plotting.bands import bands
 from torchfra.app.plotting.cleaning import cleaned
 from torchfra.app.plotting.comparison import comparison
 from torchfra.app.plotting.curves import against, by_coordinate, innovations, rmse_curves, scaling
@@ -17,6 +18,7 @@ from torchfra.app.plotting.training import learning_curve
 
 __all__ = [
     "against",
+    "bands",
     "by_coordinate",
     "by_target",
     "cleaned",
