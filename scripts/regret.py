@@ -75,6 +75,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--smooth", action="store_true", help="what smoothing gains")
     p.add_argument("--cells", metavar="A,B", default="*", help="names, or patterns such as '1-*-std' (default: all)")
     p.add_argument("--flights", metavar="FILE", nargs="+", type=Path, help="recorded flights (default: samples)")
+    p.add_argument("--others", metavar="A,B", help="of all other filters, those that compete (default: all)")
     ranges = "with recorded ranges and the path that was taken: a cell for each recording there or below"
     p.add_argument("--ranges", metavar="FOLDER", nargs="+", type=Path, default=[], help=ranges)
     tuned = "copies of these compete too, with process noise and threshold searched in each cell, on 64 other runs"
@@ -95,6 +96,7 @@ def regret(options: argparse.Namespace) -> None:
         raise ValueError("plot: expected --smooth beside it")
     names = compared_filters(track_filters()[0] if options.filters is None else options.filters)
     tuned = compared_filters(options.tuned, "tuned") if options.tuned else []
+    others = None if options.others is None else compared_filters(options.others, "others")
     learned = {file.rpartition("=")[2]: file.rpartition("=")[0] or names[0] for file in options.learned}
     inputs = [*learned, *(options.flights or []), *options.ranges]
     check_files({"json": options.json, "figure": options.figure}, inputs)
@@ -104,7 +106,7 @@ def regret(options: argparse.Namespace) -> None:
     results = {}
     for name, cell in progress_bar(cells.items(), "cell", not options.quiet):
         scenario, runs = cell.make(), options.runs if cell.runs is None else cell.runs
-        filters = cell_filters(name, scenario, names, learned, own_models=options.own_models)
+        filters = cell_filters(name, scenario, names, learned, others, own_models=options.own_models)
         if compile and (options.compile or runs * scenario.steps >= WORTHWHILE):
             filters = with_kernels(filters, scenario, options)
         to_tune = {name: filters[name] for name in tuned if name in filters}
@@ -163,18 +165,22 @@ def compared_filters(listed: str, argument: str = "filters") -> list[str]:
 
 
 def cell_filters(
-    cell: str, scenario: Scenario, names: list[str], learned: Mapping[str, str], *, own_models: bool
-) -> dict[str, Filter]:
-    """All filters of a cell: those that are compared, by name or file, and all others that go with it.
+    cell: str, scenario: Scenario, names: list[str], learned: Mapping[str, str], others: list[str] | None = None,
+    *, own_models: bool,
+) -> dict[str, Filter]:  # fmt: skip
+    """All filters of a cell: those that are compared, by name or file, and those of ``others`` that go with it.
 
     Raises:
         ValueError: a filter that does not go with it, or values that do not fit.
     """
-    others = filters_for(scenario)
+    known = filters_for(scenario)
     for name in names:
-        if FILTERS[name].listed and name not in others:
+        if FILTERS[name].listed and name not in known:
             raise ValueError(f"filters: expected some that go with {cell}, received {name}")
-    filters = scenario_filters(list(dict.fromkeys([*others, *names])), scenario)
+    competing = [name for name in known if others is None or name in others]
+    if not set(competing).difference(names):
+        raise ValueError(f"others: expected some that go with {cell} beside those compared, received {others}")
+    filters = scenario_filters(list(dict.fromkeys([*competing, *names])), scenario)
     for path, name in learned.items():
         filters[path] = learned_filter(path, scenario, name, models=not own_models)
     return filters

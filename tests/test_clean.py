@@ -73,6 +73,7 @@ def frame(walk):
         "Time": pandas.Timestamp("2020-09-13 12:26:40", tz="UTC") + pandas.to_timedelta(time, "s"),
         "LAT": latitude, "Lon": longitude, "Altitude": altitude / 0.3048, "note": "a", "id": 5.0,
     })  # fmt: skip
+    data["note"] = data["note"].astype("string").where(time != 3)
     data.loc[10, "LAT"] = np.nan
     other = data.assign(id=7.0, LAT=data["LAT"] + 0.01).iloc[:20]
     both = pandas.concat([data, other], ignore_index=True).sample(frac=1, random_state=1)

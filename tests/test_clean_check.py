@@ -54,7 +54,7 @@ def test_errors_and_bands_are_counted_by_hand():
     figures.add(counts, run, cleaned_of(run, error))
     assert counts.squared == pytest.approx(40 * 1.5**2 + 10 * 9)
     assert counts.raw == pytest.approx(200.0)
-    shares = figures.shares([counts])
+    shares = figures.shares(counts)
     assert (shares["band_68"], shares["band_95"]) == (150 / 200, 190 / 200)
     assert counts.sigma == [1.0]
 
@@ -65,7 +65,7 @@ def test_outliers_are_counted_beyond_six_sigma_where_found_and_all_where_flagged
     run.offset[70] = [8.0, 0.0]  # 4 sigma: need not be found, and is no false alarm
     counts = Counts()
     figures.add(counts, run, cleaned_of(run, np.zeros((100, 2)), outliers=[3, 4, 70, 90]))
-    shares = figures.shares([counts])
+    shares = figures.shares(counts)
     assert shares["outlier_recall"] == 2 / 3
     assert shares["outlier_precision"] == 3 / 4
     assert counts.fixes == 96
@@ -173,11 +173,11 @@ def test_ships_and_drones_move_as_such():
 
 def test_a_recorded_flight_is_moved_little_to_make_it_smooth():
     samples("calibration")
-    (truth,) = truths.truths(["calibration"], 1, 600.0)
-    assert truth.position.shape == (601, 3)
+    (truth,) = truths.truths(["calibration"], 1)
+    assert truth.position.shape == (6001, 3)
     assert 0 < truth.moved < 10
     acceleration = np.diff(truth.position[:, :2], n=2, axis=0)
-    assert np.linalg.norm(acceleration, axis=1).max() < 11
+    assert np.linalg.norm(acceleration, axis=1).max() < 12
     assert np.linalg.norm(np.diff(acceleration, axis=0), axis=1).max() < 6
 
 
@@ -201,14 +201,18 @@ def test_a_small_run_prints_both_tables_and_writes_json_and_a_picture(tmp_path, 
 
 
 def test_a_bound_holds_in_as_many_cases_as_are_within_it():
-    case = {bound.figure: 1.0 for bound in bounds.bounds(5.0)} | {"period": 5.0}
-    cases = [case | {"case": f"{i}", "of_raw": ratio, "of_best": 1.05} for i, ratio in enumerate((0.5, 0.7, 0.9))]
+    case = {bound.figure: 1.0 for bound in bounds.bounds(5.0)} | {"period": 5.0, "failed": 0}
+    counts = dict.fromkeys([name for pair in figures.SHARES.values() for name in pair], 100)
+    ratios = ((0.5, 100), (0.7, 100), (0.9, 80))
+    cases = [case | {"case": f"{i}", "of_raw": ratio, "of_best": 1.05, "turn_recall": met / 100,
+                     "counts": counts | {"met": met}} for i, (ratio, met) in enumerate(ratios)]  # fmt: skip
     found = {of["bound"]: of for of in bounds.verdicts(cases)}
-    raw = found["error over that of the raw fixes"]
+    raw, turns = found["error over that of the raw fixes"], found["recall of turns"]
     assert (raw["high"], raw["held"], raw["cases"], raw["passed"]) == (0.8, 2, 3, False)
     assert (raw["median"], raw["worst"], raw["worst_case"]) == (0.7, 0.9, "2")
     assert found["error over the best constant velocity's"]["passed"]
     assert not found["the same, median"]["passed"]
+    assert (turns["held"], turns["all"], turns["passed"]) == (2, pytest.approx(280 / 300), True)
 
 
 def test_the_picture_marks_what_lies_beyond_its_axes():

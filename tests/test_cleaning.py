@@ -35,7 +35,7 @@ def recorded(seed, *, steps=200, period=2.0, d=2, sigma=SIGMA, outliers=0.03, sp
 
 @pytest.fixture(scope="module")
 def cleaned():
-    several = [recorded(seed, d=d) for seed, d in ((0, 2), (1, 3), (2, 2), (3, 3))]
+    several = [recorded(seed, d=d) for seed, d in ((0, 2), (1, 3))]
     return several, clean_tracks([recording for recording, _, _ in several])
 
 
@@ -45,8 +45,8 @@ def test_the_noise_is_found_and_said(cleaned):
         assert one.found.nis == pytest.approx(1.0, abs=0.3)
         assert one.found.found == {"sigma", "q", "bank"}
         assert one.found.bank == "aircraft"
-        assert any("sigma" in line for line in one.found.said)
-        assert any("NIS" in line for line in one.found.said)
+        assert one.found.said[0].startswith("aircraft, at 1")
+        assert len(one.found.said) == one.raw.shape[1] - 1  # of the height, where there is one
 
 
 def test_outliers_are_found_and_nothing_else(cleaned):
@@ -108,18 +108,18 @@ def test_the_filter_on_line_does_not_know_what_comes():
 
 
 def test_a_long_track_in_rows_is_what_it_is_as_one(monkeypatch):
-    recording, _, _ = recorded(8, steps=700)
-    (rows,) = clean_tracks([recording], sigma=SIGMA, q=1.0)
-    monkeypatch.setattr("torchfra.cleaning.positions._CORE", 1000)
+    recording, _, _ = recorded(8, steps=240)
     (one,) = clean_tracks([recording], sigma=SIGMA, q=1.0)
+    monkeypatch.setattr("torchfra.cleaning.positions._CORE", 80)
+    (rows,) = clean_tracks([recording], sigma=SIGMA, q=1.0)
     assert (np.abs(rows.position - one.position) < one.std).all()
 
 
 def test_estimates_between_fixes_come_where_they_are_asked():
-    recording, truth, _ = recorded(9, period=4.0, outliers=0.0, irregular=True)
+    recording, truth, _ = recorded(9, steps=80, period=4.0, outliers=0.0, irregular=True)
     (one,) = clean_tracks([recording], dt=1.0)
     between = one.row < 0
-    np.testing.assert_array_equal(one.row[~between], np.arange(200))
+    np.testing.assert_array_equal(one.row[~between], np.arange(80))
     assert between.sum() == pytest.approx(one.time[-1], abs=2)
     assert np.isnan(one.raw[between]).all()
     assert not one.failed.any()
@@ -161,13 +161,13 @@ def test_a_target_that_fails_says_so_and_stops_no_other():
     assert not other.failed.any()
 
 
-@pytest.mark.parametrize("name", ["srckf", "fra", "imm_srckf", "alphabeta", "iaukf"])
+@pytest.mark.parametrize("name", ["srckf", "fra", "vsimm_srckf", "alphabeta"])
 def test_other_filters_run_with_what_was_found(name):
-    several = [recorded(seed, steps=60, d=d)[0] for seed, d in ((13, 2), (14, 3))]
+    several = [recorded(seed, steps=30, d=d)[0] for seed, d in ((13, 2), (14, 3))]
     for one in clean_tracks(several, filter=name):
         assert one.found.filter == name
         assert not one.failed.any()
-        assert one.mean.shape == (60, 2 * one.raw.shape[1])
+        assert one.mean.shape == (30, 2 * one.raw.shape[1])
         assert one.found.smooth == (name != "alphabeta")
     assert ("not smoothed" in " ".join(one.found.said)) == (name == "alphabeta")
 

@@ -78,6 +78,6 @@ def test_levels_that_are_alike_are_one_level(fixes):
 
 def test_time_that_runs_backwards_gives_the_same_track_backwards(fixes):
     forth, back = both_ways(fixes, one_level(2), SURE), both_ways(fixes.backwards(), one_level(2), SURE)
-    torch.testing.assert_close(back.belief.position.flip(1), forth.belief.position)
-    torch.testing.assert_close(-back.belief.velocity.flip(1), forth.belief.velocity, rtol=1e-6, atol=1e-6)
-    torch.testing.assert_close(back.belief.pp.flip(0), forth.belief.pp)
+    torch.testing.assert_close(back.belief.position.flip(1), forth.belief.position, rtol=1e-12, atol=0.0)
+    torch.testing.assert_close(-back.belief.velocity.flip(1), forth.belief.velocity, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(back.belief.pp.flip(0), forth.belief.pp, rtol=1e-9, atol=0.0)

@@ -263,6 +263,10 @@ def test_what_does_not_go_with_recorded_ranges_is_refused(walks, capsys, options
         (["track", "{file}", "--filter", "kalman"], "kalman"),
         (["track", "{file}", "--sigma", "-3"], "error: sigma: expected metres above 0, received -3.0\n"),
         (["track", "{file}", "--q", "-1"], "error: q: expected m^2/s^3 of 0 or more, received -1.0\n"),
+        (
+            ["track", "{file}", "--bank", "kite"],
+            "error: bank: expected one of person, ship, vehicle, aircraft or a Bank,",
+        ),
         (["track", "{file}", "--dt", "0"], "error: dt: expected seconds above 0, received 0.0\n"),
         (["track", "{file}", "--dt", "inf"], "error: dt: expected seconds above 0, received inf\n"),
         (["track", "{file}", "--out", "flight.csv"], "flight.csv: expected a file of its own, received the input"),

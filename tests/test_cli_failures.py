@@ -7,6 +7,7 @@ import os
 import stat
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,10 @@ import pytest
 import reproduce
 import torch
 
-from torchfra.app import cli, home, plotting
+from torchfra.app import cli, home, plotting, track_command
 from torchfra.app.command import exit_status, message
 from torchfra.app.outputs.plan import unused
-from torchfra.cleaning import core
+from torchfra.cleaning import clean_tracks
 from torchfra.tables import printable, text_table
 from train import tune
 
@@ -33,8 +34,8 @@ STRANGE = ["$", "$\\frac{$", "$$", "$x^2$", "\\frac", "$\\nothing$", "\x1b[2J\x1
 
 def rows(name, north=0.0, last=None):
     """A straight flight of ten fixes."""
-    times = [1000 * k for k in range(10)]
-    times[-1] = times[-1] if last is None else last
+    times = [1_714_730_400_000 + 1000 * k for k in range(10)]
+    times[-1] += 0 if last is None else last
     return [{"timestamp": t, "latitude": 48 + north + 1e-3 * k, "longitude": 2.0, "altitude": 3000, "icao24": name}
             for k, t in enumerate(times)]  # fmt: skip
 
@@ -114,7 +115,7 @@ def test_a_title_of_a_run_is_harmless(tmp_path, capsys):
 
 
 def test_one_target_that_cannot_be_filtered_does_not_stop_the_others(tmp_path, capsys):
-    flights = rows("good") + rows("late", 0.1, last=9 * 10**12) + rows("other", 0.2)
+    flights = rows("good") + rows("late", 0.1, last=2 * 10**10) + rows("other", 0.2)
     assert track_them(tmp_path, flights, "--dt", "1") == 1
     said, errors = capsys.readouterr()
     assert errors.startswith(
@@ -123,7 +124,7 @@ def test_one_target_that_cannot_be_filtered_does_not_stop_the_others(tmp_path, c
     assert errors.count("\n") == 1
     assert [line.split(":")[0] for line in said.splitlines()[-2:]] == ["good", "other"]
     assert [track["name"] for track in json.loads((tmp_path / "s.json").read_text())["tracks"]] == ["good", "other"]
-    assert track_them(tmp_path, rows("late", last=9 * 10**12), "--dt", "1") == 2
+    assert track_them(tmp_path, rows("late", last=2 * 10**10), "--dt", "1") == 2
 
 
 def test_one_target_that_cannot_be_drawn_does_not_stop_the_others(tmp_path, capsys, monkeypatch):
@@ -159,10 +160,26 @@ def spoiled(run):
     return spoil
 
 
+@pytest.fixture
+def clean_badly(monkeypatch):
+    """Cleaning fails at the last steps of targets that are called bad."""
+
+    def replaced(steps):
+        def clean(recordings, **settings):
+            for result in clean_tracks(recordings, **settings):
+                mean = result.mean.copy()
+                mean[-steps if result.recording.name == "bad" else len(mean) :] = np.nan
+                yield replace(result, mean=mean)
+
+        monkeypatch.setattr(track_command, "clean_tracks", clean)
+
+    return replaced
+
+
 def test_an_estimate_of_a_recording_that_is_not_finite_is_said_and_shows_in_the_exit_status(
-    tmp_path, capsys, monkeypatch
+    tmp_path, capsys, clean_badly
 ):
-    monkeypatch.setattr(core, "_run", spoiled(core._run))
+    clean_badly(steps=1)
     for options in ([], ["--quiet"]):
         assert track_them(tmp_path, rows("bad") + rows("good", 0.1), *options) == 1
         assert capsys.readouterr().err == "torchfra: error: bad: NaN or infinity in 1 of 10 steps\n"
@@ -170,14 +187,8 @@ def test_an_estimate_of_a_recording_that_is_not_finite_is_said_and_shows_in_the_
     assert failed == {"bad": True, "good": False}
 
 
-def test_a_recording_without_any_finite_estimate_gives_no_warning(tmp_path, capsys, monkeypatch):
-    run = core._run
-
-    def nothing(*arguments, **options):
-        estimate = run(*arguments, **options)
-        return estimate._replace(mean=estimate.mean * torch.nan)
-
-    monkeypatch.setattr(core, "_run", nothing)
+def test_a_recording_without_any_finite_estimate_gives_no_warning(tmp_path, capsys, clean_badly):
+    clean_badly(steps=10)
     assert track_them(tmp_path, rows("bad")) == 1
     assert capsys.readouterr().err == "torchfra: error: bad: NaN or infinity in 10 of 10 steps\n"
 

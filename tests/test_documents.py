@@ -43,6 +43,10 @@ SMALL = {
     "scripts/reproduce.py reentry": ({"--runs": "2", "--sizes": "1"}, {"--filters": "ghckf"}),
     "scripts/reproduce.py clutter": ({"--runs": "2"}, {"--filters": "ukf_jpda_safe"}),
     "scripts/regret.py": ({"--runs": "2", "--cells": "2-std"}, {}),
+    "scripts/clean_check.py": (
+        {"--kinds": "ships", "--flights": "1", "--runs": "1", "--steps": "60", "--periods": "5", "--noises": "15"},
+        {},
+    ),
     "scripts/particles.py": ({"--runs": "2", "--particles": "50"}, {}),
     "scripts/benchmark.py": ({"--batch": "1", "--passes": "1", "--modes": "eager"}, {"--filters": "srckf"}),
     "scripts/examples/": ({}, {}),

@@ -304,3 +304,41 @@ def test_quantiles_over_the_runs_are_errors_of_runs():
         assert of[f"{key}_track_rmse"] == pytest.approx(np.quantile(errors, share, method="inverted_cdf"))
     assert of["worst_track"] == pytest.approx(errors.max())
     assert of["diverged"] == (errors > 60).sum()
+
+
+# ---------------------------------------------------------------- all figures alike
+
+NAMES = ["gpb", "ukf", "fra"]
+
+
+def plain_figures():
+    """Each figure of the papers, with three lines where it takes several."""
+    curve, state = np.geomspace(1, 9, 30).tolist(), torch.rand(30, 2).double()
+    rows = [{"iteration": k, "loss": 1.0, "validation": 2.0} | dict.fromkeys(NAMES, 1.0 + k) for k in (1, 2, 3)]
+    errors = {"rmse_range": [curve], "rmse_azimuth": [curve], "rmse_elevation": [curve]}
+    yield plotting.rmse_curves({name: {"rmse_position": curve} for name in NAMES}, "position", 1.0, "")
+    yield plotting.against([1, 2, 3], {name: [1.0, 2.0, 3.0] for name in NAMES}, "", "", "")
+    yield plotting.innovations(dict.fromkeys(NAMES, torch.rand(30)), 9.0, 1.0, "")
+    yield plotting.by_coordinate({name: {"rmse_x": curve, "rmse_y": curve} for name in NAMES}, "rmse", 0.0, 1.0, "")
+    yield plotting.tracks(state, {name: state + i for i, name in enumerate(NAMES)}, "")
+    yield plotting.probabilities({"imm": np.full((30, 3), 1 / 3)}, NAMES, 0.0, 1.0, "")
+    yield plotting.by_target(dict.fromkeys(NAMES, errors), 1.0, "")
+    yield plotting.learning_curve(rows, dict.fromkeys(NAMES, 1.0), "")
+
+
+def test_names_are_beside_lines_of_colours_of_their_own_and_no_legend_covers_data():
+    for figure in plain_figures():
+        assert not figure.legends
+        assert not any(axes.get_legend() for axes in figure.axes)
+        axes = figure.axes[-1]
+        assert set(NAMES) <= set(texts(axes))
+        named = {text.get_text(): text.get_color() for text in axes.texts if text.get_text() in NAMES}
+        assert len(set(named.values())) == 3 or axes.collections  # names of areas follow a square in their colour
+
+
+def test_an_error_far_beyond_the_others_leaves_them_room_and_its_name_at_the_edge():
+    curves = {"ukf": np.full(30, 20.0), "fra": np.full(30, 30.0), "iaukf": np.geomspace(30, 1e9, 30)}
+    figure = plotting.rmse_curves({n: {"rmse_position": c.tolist()} for n, c in curves.items()}, "position", 1.0, "")
+    (axes,) = figure.axes
+    assert axes.get_ylim()[1] < 1e5
+    assert {"ukf", "fra", "iaukf"} == set(texts(axes))

@@ -30,15 +30,22 @@ def test_a_step_is_what_is_more_probable_than_not():
     outlier = np.array([0.0, 0.9, 0.3, 0.3, 0.0, 0.9])
     manoeuvre = np.array([0.1, 0.9, 0.9, 0.1, 0.9, 0.2])
     fix = np.array([True, True, True, True, True, False])
-    flag = flags(fix, np.full(6, 100.0), outlier, manoeuvre, 13.8)
+    flag = flags(fix, np.full(6, 100.0), outlier, manoeuvre, np.ones(6, bool), 13.8)
     assert flag.tolist() == ["", "outlier", "unclear", "unclear", "manoeuvre", ""]
+
+
+def test_a_manoeuvre_is_one_that_is_listed_too():
+    fix, nothing = np.ones(3, bool), np.zeros(3)
+    listed = np.array([True, True, False])
+    assert flags(fix, nothing, nothing, np.array([0.9, 0.1, 0.9]), listed, 13.8).tolist() == ["manoeuvre", "", ""]
+    assert flags(fix, nothing, nothing, np.full(3, NAN), listed, 13.8).tolist() == ["manoeuvre", "manoeuvre", ""]
 
 
 def test_an_abnormal_step_of_a_filter_that_weighs_no_outliers_is_unclear():
     nothing = np.full(3, NAN)
-    flag = flags(np.array([True, True, False]), np.array([20.0, 3.0, 20.0]), nothing, nothing, 13.8)
+    flag = flags(np.array([True, True, False]), np.array([20.0, 3.0, 20.0]), nothing, nothing, np.zeros(3, bool), 13.8)
     assert flag.tolist() == ["unclear", "", ""]
-    flag = flags(np.ones(3, bool), np.array([20.0, 3.0, NAN]), nothing, np.full(3, 0.9), 13.8)
+    flag = flags(np.ones(3, bool), np.array([20.0, 3.0, NAN]), nothing, np.full(3, 0.9), np.ones(3, bool), 13.8)
     assert flag.tolist() == ["unclear", "manoeuvre", "manoeuvre"]
 
 
@@ -70,14 +77,23 @@ def test_climbs_are_found_in_space():
     assert segments(*path_of(np.zeros(50), dims=3)) == ()
 
 
+def test_level_flight_over_a_round_earth_is_no_descent():
+    time, mean, covariance = path_of(np.zeros(200), speed=200.0, dims=3)
+    mean[:, 2] = -np.square(mean[:, 0] + 1e5) / 2 / 6.371e6  # it falls below the plane that touches the earth
+    assert [one.kind for one in segments(time, mean, covariance)] == ["descending"]
+    assert segments(time, mean, covariance, height=np.full(200, 9000.0)) == ()
+
+
 def test_a_short_or_a_small_change_is_no_manoeuvre():
     assert segments(*path_of(during(60, 64, 3.0))) == ()
-    assert segments(*path_of(during(60, 120, 0.2))) == ()
-    assert segments(*path_of(0.0, during(60, 70, 0.12))) == ()
+    assert segments(*path_of(during(60, 180, 0.4))) == ()
+    assert segments(*path_of(0.0, during(60, 66, 0.6))) == ()
+    assert segments(*path_of(0.0, during(60, 180, 0.3))) == ()
+    assert segments(*path_of(0.0, 0.0, during(60, 180, 1.2), dims=3)) == ()
 
 
 def test_a_change_within_what_is_unsure_is_no_manoeuvre():
-    rate = during(60, 100, 1.0)
+    rate = during(60, 100, 1.2)
     assert len(segments(*path_of(rate, std=(3.0, 1.0)))) == 1
     assert segments(*path_of(rate, std=(3.0, 20.0))) == ()
 

@@ -10,6 +10,7 @@ import numpy as np
 import pymap3d
 import pytest
 
+from torchfra.app.cli import main
 from torchfra.readers import read
 
 START = 1_600_000_000  # 2020-09-13T12:26:40Z
@@ -208,7 +209,7 @@ def test_aircraft_are_in_feet_and_their_held_positions_are_none(write):
     assert track.repairs == {"held positions dropped": 3}
     np.testing.assert_array_equal(track.row, [0, 2, 4])
     assert (track.source.word, track.source.unit, track.origin[2]) == ("aircraft", 0.3048, 304.8)
-    assert "altitude: altitude, in feet (--units)" in track.source.said
+    assert "altitude: altitude, in feet; --units takes others" in track.source.said
     assert read(write("flight.csv", text), units="m")[0].origin[2] == 1000
 
 
@@ -304,3 +305,68 @@ def test_the_hdop_of_receivers_is_taken(write):
         (track,) = read(write(name, FILES[name]))
         assert track.sigma.shape == (6,)
         assert "ranges good to 5 m" in " ".join(track.source.said)
+
+
+# ---------------------------------------------------------------- what people's devices write
+
+
+def test_a_flight_with_its_position_in_one_cell_is_read(write):
+    text = "Timestamp,UTC,Callsign,Position,Altitude,Speed,Direction\n" + "".join(
+        f'{START + t},{iso(t)},AB1,"{47 + t / 1e4},{8 + t / 2e4}",1000,300,90\n' for t in STEPS
+    )
+    (track,) = read(write("ab1.csv", text))
+    np.testing.assert_allclose(track.position[:, :2], EAST_NORTH_UP[:, :2], rtol=0, atol=0.05)
+    assert (track.name, track.source.word, track.origin[2]) == ("AB1", "aircraft", 304.8)
+    assert "latitude, longitude: both in Position" in track.source.said
+    with pytest.raises(ValueError, match=r"degrees within .* in data row 7, column latitude, received 'here'"):
+        read(write("ab1.csv", text + f"{START + 60},{iso(60)},AB1,here,1,1,1\n"))
+
+
+def test_callsigns_part_flights_where_nothing_else_does(write):
+    rows = [(iso(t), call, 47 + t / 1e4 + i, 8, 1000) for t in STEPS for i, call in enumerate(("AB1", "CD2"))]
+    assert [track.name for track in read(write("a.csv", table("time,callsign,lat,lon,altitude", rows)))] == [
+        "AB1",
+        "CD2",
+    ]
+
+
+def test_whole_numbers_of_an_autopilot_are_parts_of_degrees_and_millimetres(write):
+    rows = [(10**6 * (START + t), round(a * 1e7), round(o * 1e7), round(h * 1e3)) for t, a, o, h in ROWS]
+    (track,) = read(write("log.csv", table("time_utc_usec,lat,lon,alt", rows)))
+    np.testing.assert_allclose(track.position, EAST_NORTH_UP, rtol=0, atol=0.02)
+    assert track.source.said[1:3] == (
+        "position: lat, lon, in 1e-7 degrees",
+        "altitude: alt, in millimetres; --units takes others",
+    )
+
+
+def test_a_finer_time_is_taken_where_dates_are_of_whole_seconds(write):
+    rows = [(100 * i, iso(i // 10, "%Y-%m-%d %H:%M:%S"), 47 + i / 1e6, 8) for i in range(40)]
+    (track,) = read(write("drone.csv", table("time(millisecond),datetime(utc),latitude,longitude", rows)))
+    np.testing.assert_allclose(track.time, np.arange(40) / 10)
+    assert track.source.said[0] == "time: time(millisecond), ms; not datetime(utc) (--time takes another)"
+
+
+def test_text_as_spreadsheets_write_it_is_read(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_bytes(csv("time\tlat\tlon\talt", "\t").encode("utf-16"))
+    np.testing.assert_array_equal(read(path)[0].time, START + STEPS)
+
+
+def test_a_danish_log_of_a_day_that_may_be_a_month_has_the_day_first(write):
+    text = "# Timestamp,Type of mobile,MMSI,Latitude,Longitude\n" + "".join(
+        f"02/01/2020 00:00:{second:02},Class A,219000001,55.5,12.5\n" for second in range(3)
+    )
+    assert read(write("aisdk.csv", text))[0].time[0] == 1_577_923_200
+
+
+def test_the_commands_take_the_same_by_options(write, capsys):
+    path = write("a.csv", commas("wann;hoch;rechts\n0;1.5;2\n1;2.5;3\n"))
+    assert main(["compare", str(path), "--x", "rechts", "--y", "hoch"]) == 2
+    assert "missing time, received wann, hoch, rechts" in capsys.readouterr().err
+    assert main(["compare", str(path), "--x", "rechts", "--y", "hoch", "--time", "wann", "--decimal", "."]) == 2
+    assert "expected a number in data row 1, column rechts, received '1,5'" in capsys.readouterr().err.replace(
+        "hoch", "rechts"
+    )
+    assert main(["compare", "--scenario", "growth", "--time", "t"]) == 2
+    assert "time: goes with files, not with --scenario" in capsys.readouterr().err

@@ -124,6 +124,12 @@ def test_a_bank_covers_99_percent_of_the_steps(sensor):
     assert (nees(e, truth) < BOUND).double().mean() > COVERED["one motion"]
 
 
+def test_a_bank_that_leaves_its_calm_more_easily_does():
+    truth, stay = flight(), (0.98, 0.28, 0.9988, 0.0013)
+    e = presets.gpb(aircraft(), SENSORS["bearings"], stay=stay)(measured(SENSORS["bearings"], truth), start(truth))
+    assert (nees(e, truth) < BOUND).double().mean() > COVERED["one motion"]
+
+
 @every_motion
 @every_sensor
 def test_half_a_minute_without_any_measurement(sensor, motion):

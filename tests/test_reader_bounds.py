@@ -174,6 +174,8 @@ def test_the_commands_have_the_bound_as_an_option(tmp_path, capsys):
     for command in (["track", path], ["compare", path], ["compare", "--ranges", path]):
         assert main([*map(str, command), "--max-bytes", "600"]) == 2
         assert "expected at most 600 bytes of text" in capsys.readouterr().err
-    assert main(["track", str(path), "--max-bytes", "6500", "--out", str(tmp_path), "--no-plots", "--quiet"]) == 0
+    assert (
+        main(["track", str(path), "--max-bytes", "6500", "--out", str(tmp_path / "out"), "--no-plots", "--quiet"]) == 0
+    )
     assert main(["compare", "--scenario", "growth", "--max-bytes", "1"]) == 2
     assert "max_bytes: goes with files or --ranges" in capsys.readouterr().err

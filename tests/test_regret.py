@@ -269,6 +269,7 @@ def test_cells_are_chosen_by_names_and_patterns():
     (["--filters", ""], "filters: expected names out of "),
     (["--filters", "jpda"], "filters: expected names out of "),
     (["--filters", "alphabeta", *FEW], "filters: expected some that go with 2-std, received alphabeta"),
+    (["--filters", "fra", "--others", "fra", *FEW], "others: expected some that go with 2-std beside those compared"),
     (["--filters", "fra", "missing.pt", *FEW], "file not found: missing.pt"),
     (["--filters", "fra", "kalman=missing.pt", *FEW], "expected names out of "),
     (["--filters", "fra", "--ranges", "missing", *FEW], "missing: expected CSV or JSON files there or below"),
@@ -280,6 +281,13 @@ def test_a_wrong_argument_is_one_line_that_names_it(arguments, message, capsys):
     assert error.startswith("regret: error: ")
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_of_all_others_those_that_are_named_compete(tmp_path):
+    file = tmp_path / "r.json"
+    assert regret.main(["--filters", "fra", "--others", "srckf,imm_srckf", *FEW, "--quiet", "--json", str(file)]) == 0
+    filters = json.loads(file.read_text())["cells"]["2-std"]["filtered"]["filters"]
+    assert filters.keys() == {"fra", "srckf", "imm_srckf"}
 
 
 # ---------------------------------------------------------------- the picture

@@ -140,7 +140,7 @@ def test_an_overview_has_a_row_for_each_target_and_few_have_names_on_the_map():
     shown = panels(figure)
     assert texts(shown["map"]) == []
     assert len(shown["rows"].get_yticklabels()) == 40
-    assert figure.get_suptitle() == "60 tracks: 1,800 fixes, 120 rejected"
+    assert figure.get_suptitle() == "60 targets: 1,800 fixes, 120 rejected"
 
 
 # ---------------------------------------------------------------- colours

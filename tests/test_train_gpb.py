@@ -58,6 +58,12 @@ def test_tasks_with_the_same_models_have_one_filter():
     assert first is second is not other
 
 
+def test_tasks_with_other_places_of_the_sensor_have_another_filter():
+    tasks = [{"scenario": "ranges-outliers", "options": {"anchors": anchors}} for anchors in ("together", "around")]
+    one, other = Regrets(settings("rivals=srckf", tasks=tasks)).filters
+    assert one is not other
+
+
 def test_only_what_is_named_learns():
     training = Regrets(settings("learn=stay,poor", "rivals=srckf"))
     assert sorted(training.parameters) == ["poor.raw", "stay.raw"]

@@ -31,7 +31,7 @@ def to_enu(latitude: ArrayLike, longitude: ArrayLike, altitude: ArrayLike, origi
         altitude: ``(...)`` metres above the ellipsoid.
         origin: what becomes (0, 0, 0).
     """
-    return np.asarray((_ecef(latitude, longitude, altitude) - _ecef(*origin)) @ _axes(origin))
+    return np.asarray((_ecef(latitude, longitude, altitude) - _ecef(*origin)) @ _axes(*origin[:2]))
 
 
 def to_geodetic(position: ArrayLike, origin: Origin) -> tuple[Array, Array, Array]:
@@ -52,8 +52,19 @@ def to_geodetic(position: ArrayLike, origin: Origin) -> tuple[Array, Array, Arra
     return latitude, longitude, np.full_like(up, origin[2])
 
 
+def turned(latitude: ArrayLike, longitude: ArrayLike, origin: Origin) -> Array:
+    """``(..., 3, 3)``: turns vectors along east, north and up of the origin into those along the axes of each place.
+
+    Args:
+        latitude: ``(...)`` degrees.
+        longitude: ``(...)`` degrees.
+        origin: whose axes the vectors have.
+    """
+    return np.asarray(np.swapaxes(_axes(latitude, longitude), -1, -2) @ _axes(*origin[:2]))
+
+
 def _geodetic(position: Array, origin: Origin) -> tuple[Array, Array, Array]:
-    x, y, z = np.moveaxis(position @ _axes(origin).T + _ecef(*origin), -1, 0)
+    x, y, z = np.moveaxis(position @ _axes(*origin[:2]).T + _ecef(*origin), -1, 0)
     out, polar = np.hypot(x, y), _AXIS * (1 - _FLAT)
     reduced = np.arctan2(z, (1 - _FLAT) * out)
     for _ in range(3):
@@ -75,10 +86,10 @@ def _ecef(latitude: ArrayLike, longitude: ArrayLike, altitude: ArrayLike) -> Arr
     )
 
 
-def _axes(origin: Origin) -> Array:
-    """Columns ``(3, 3)`` that point east, north and up."""
-    lat, lon = np.radians(origin[:2])
-    east = [-np.sin(lon), np.cos(lon), 0.0]
+def _axes(latitude: ArrayLike, longitude: ArrayLike) -> Array:
+    """Columns ``(..., 3, 3)`` that point east, north and up."""
+    lat, lon = np.broadcast_arrays(np.radians(latitude), np.radians(longitude))
+    east = [-np.sin(lon), np.cos(lon), np.zeros_like(lon)]
     north = [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)]
     up = [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)]
-    return np.array([east, north, up]).T
+    return np.moveaxis(np.array([east, north, up]), (0, 1), (-1, -2))

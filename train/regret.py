@@ -66,7 +66,7 @@ class Regrets(Training):
         made: dict[str, Filter] = {}
         self.filters: list[Filter] = []
         for scenario in self.scenarios:
-            models = repr((scenario.bank or scenario.motion, scenario.sensor, scenario.dt))
+            models = _models(scenario)
             if models not in made:
                 made[models] = self._sharing(values, scenario)
             self.filters.append(made[models])
@@ -170,3 +170,10 @@ class Regrets(Training):
     def preset(self) -> dict[str, object]:
         """The values as arguments of the preset."""
         return {name: cast(Hyper, hyper)().tolist() for name, hyper in self.filter.named_children()}
+
+
+def _models(scenario: Scenario) -> str:
+    """Motion, sensor and time step of a scenario with all their values: what a filter around them is known by."""
+    models = nn.ModuleList([scenario.bank or scenario.motion, scenario.sensor])
+    values = [(name, x.tolist()) for of in (models.named_parameters, models.named_buffers) for name, x in of()]
+    return repr((models, values, scenario.dt))

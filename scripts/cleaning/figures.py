@@ -12,12 +12,19 @@ from numpy.typing import NDArray
 from cleaning.constant_velocity import best
 from cleaning.measured import Case, Measured
 from torchfra.cleaning import Cleaned, Segment
+from torchfra.cleaning.segments import inside
 from torchfra.readers.columns import Array
 
-BANDS = {"68": 0.994457883, "95": 1.959963985}
+BANDS = {68: 0.994457883, 95: 1.959963985}
 """Standard deviations to either side that hold so many percent of a normal distribution."""
 RATE, LASTING, SLACK = 1.5, 10.0, 0.5
 """Turns that count: deg/s or more for so many seconds; what turns at this share of it is no turn, and no false one."""
+SHARES = {
+    "outlier_precision": ("right", "flagged"), "outlier_recall": ("found", "far"),
+    "turn_precision": ("true", "listed"), "turn_recall": ("met", "turning"),
+    "band_68": ("within_68", "values"), "band_95": ("within_95", "values"),
+}  # fmt: skip
+"""Figures that are shares, and of what: fields of ``Counts``."""
 SLOWEST = 1.0
 """Speed below which there is no direction that could turn, m/s, before the truth's scale."""
 
@@ -52,8 +59,9 @@ class Counts:
     true: float = 0.0
     """Seconds of listed turns, and of them those in which the truth turns that way."""
     values: int = 0
+    within_68: int = 0
+    within_95: int = 0
     """Coordinates, and how many of the true ones lie within each band."""
-    within: dict[str, int] = field(default_factory=lambda: dict.fromkeys(BANDS, 0))
     sigma: list[float] = field(default_factory=list)
     """Found over true, of each run."""
     failed: int = 0
@@ -84,8 +92,8 @@ def add(counts: Counts, run: Measured, cleaned: Cleaned) -> None:
     std = np.full_like(run.truth, np.nan)
     std[cleaned.row[at]] = cleaned.std[at]
     counts.values += error.size
-    for band, width in BANDS.items():
-        counts.within[band] += int((np.abs(error) <= width * std).sum())
+    counts.within_68 += int((np.abs(error) <= BANDS[68] * std).sum())
+    counts.within_95 += int((np.abs(error) <= BANDS[95] * std).sum())
     counts.sigma.append(cleaned.found.sigma / run.case.sigma)
     _add_turns(counts, run, cleaned.segments)
 
@@ -95,26 +103,18 @@ def _add_turns(counts: Counts, run: Measured, segments: Sequence[Segment]) -> No
     truth = run.case.truth
     if truth.pace != 1.0:
         return  # who walks turns on the spot
-    inside = np.arange(run.window[0], run.window[-1] + 1)
-    rate = turn_rates(truth.position, truth.dt, SLOWEST * truth.scale)[inside]
-    time = truth.dt * (inside - inside[0])
+    seconds = np.arange(run.window[0], run.window[-1] + 1)
+    rate = turn_rates(truth.position, truth.dt, SLOWEST * truth.scale)[seconds]
+    time = truth.dt * (seconds - seconds[0])
     for name, side in (("left turn", 1), ("right turn", -1)):
         true, slack = lasting(side * rate >= RATE, round(LASTING / truth.dt)), side * rate >= SLACK * RATE
         turns = [segment for segment in segments if segment.kind == name]
         counted = [one for one in turns if abs(one.rate) >= RATE and one.end - one.begin >= LASTING]
-        met, listed = _within(time, turns), _within(time, counted)
+        met, listed = inside(time, turns), inside(time, counted)
         counts.turning += truth.dt * float(true.sum())
         counts.met += truth.dt * float((true & met).sum())
         counts.listed += truth.dt * float(listed.sum())
         counts.true += truth.dt * float((listed & slack).sum())
-
-
-def _within(time: Array, segments: Sequence[Segment]) -> NDArray[np.bool_]:
-    """Which times ``(k,)`` lie in any of the segments."""
-    within = np.zeros(len(time), bool)
-    for segment in segments:
-        within |= (time >= segment.begin) & (time <= segment.end)
-    return within
 
 
 def turn_rates(path: Array, dt: float, slowest: float) -> Array:
@@ -151,19 +151,11 @@ def figures(case: Case, counts: Counts, runs: Sequence[Measured]) -> dict[str, o
         "of_best": rmse / to_beat.rmse, "best_q": to_beat.q,
         "best_of_raw": to_beat.there / math.sqrt(counts.raw / counts.fixes),
         "sigma_found": float(np.mean(counts.sigma)), "sigma_least": min(counts.sigma), "sigma_most": max(counts.sigma),
-        **shares([counts]),
+        **shares(counts), "failed": counts.failed, "counts": vars(counts),
     }  # fmt: skip
 
 
-def shares(every: Sequence[Counts]) -> dict[str, float | None]:
-    """Shares of several cases together."""
-
-    def share(part: str, whole: str) -> float | None:
-        all_there = sum(getattr(counts, whole) for counts in every)
-        return sum(getattr(counts, part) for counts in every) / all_there if all_there else None
-
-    values = sum(counts.values for counts in every)
-    bands = {f"band_{band}": sum(counts.within[band] for counts in every) / values for band in BANDS}
-    return {"outlier_precision": share("right", "flagged"), "outlier_recall": share("found", "far"),
-            "turn_precision": share("true", "listed"), "turn_recall": share("met", "turning"), **bands,
-            "failed": sum(counts.failed for counts in every)}  # fmt: skip
+def shares(counts: Counts) -> dict[str, float | None]:
+    """The shares of a case; None of nothing."""
+    of = vars(counts)
+    return {name: of[part] / of[whole] if of[whole] else None for name, (part, whole) in SHARES.items()}

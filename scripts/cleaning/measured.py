@@ -15,6 +15,8 @@ from torchfra.readers.recording import Recording
 
 SHARE, SIZES, LENGTHS = 0.03, (100.0, 10_000.0), (2, 5)
 """Of the fixes that are outliers, their least and greatest size in m, and of how many fixes bursts are."""
+GHOSTS = 0.5
+"""Share of the bursts whose fixes all have one offset: a target beside the target."""
 
 
 class Case(NamedTuple):
@@ -74,8 +76,8 @@ class Measured:
         return Recording(self.case.name, self.time, self.truth + self.noise + self.offset, None, {})
 
 
-def measured(case: Case, steps: int, seed: int) -> Measured | None:
-    """One run; None if the truth is too short for the period.
+def measured(case: Case, steps: int, seed: int, ghosts: float = GHOSTS) -> Measured | None:
+    """One run, in which this share of the bursts has one offset; None if the truth is too short for the period.
 
     A seed and a name fix the random numbers, so that a case is the same whichever others are run beside it.
     """
@@ -85,11 +87,11 @@ def measured(case: Case, steps: int, seed: int) -> Measured | None:
     rng = np.random.default_rng([seed, zlib.crc32(case.name.encode())])
     shape = len(window), case.truth.position.shape[1]
     noise = case.sigma * rng.standard_normal(shape)
-    return Measured(case, window, noise, case.truth.scale * _offsets(rng, *shape))
+    return Measured(case, window, noise, case.truth.scale * _offsets(rng, ghosts, *shape))
 
 
-def _offsets(rng: np.random.Generator, steps: int, dims: int) -> Array:
-    """Outliers ``(steps, dims)`` of any direction, half of them in bursts, of which every second one has one offset."""
+def _offsets(rng: np.random.Generator, ghosts: float, steps: int, dims: int) -> Array:
+    """Outliers ``(steps, dims)`` of any direction, half of them in bursts."""
     offset, low, high = np.zeros((steps, dims)), *np.log(SIZES)
     mean = sum(range(LENGTHS[0], LENGTHS[1] + 1)) / (LENGTHS[1] - LENGTHS[0] + 1)
     single, burst = SHARE / 2, SHARE / 2 / mean
@@ -106,7 +108,7 @@ def _offsets(rng: np.random.Generator, steps: int, dims: int) -> Array:
             1 if chance < single else int(rng.integers(LENGTHS[0], LENGTHS[1] + 1)) if chance < single + burst else 0
         )
         if length:
-            drawn = draw(1) if length > 1 and rng.random() < 0.5 else draw(length)
+            drawn = draw(1) if length > 1 and rng.random() < ghosts else draw(length)
             offset[step : step + length] = np.broadcast_to(drawn, (length, dims))[: steps - step]
         step += max(length, 1)
     return offset

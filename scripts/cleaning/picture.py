@@ -40,7 +40,7 @@ def picture(cases: Sequence[Figures], title: str) -> Figure:
         axes.set_title(label, fontsize=9)
         axes.set_ylim(span[0] - 0.03 * (span[1] - span[0]), span[1] + 0.03 * (span[1] - span[0]))
         for x, column in enumerate(columns):
-            for bound in (bound for bound in bounds(column[0]) if bound.figure == name and not bound.middle):
+            for bound in (bound for bound in bounds(column[0]) if bound.figure == name and bound.of != "median"):
                 low, high = (min(max(value, span[0]), span[1]) for value in (bound.low, bound.high))
                 axes.add_patch(Rectangle((x - 0.48, low), 0.96, high - low, color="#009E73", alpha=0.18, linewidth=0))
             here = [case for case in cases if (case["period"], case["noise"]) == column and case[name] is not None]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from statistics import median
 
 from cleaning.bounds import Figures, verdicts
+from cleaning.figures import SHARES
 from torchfra.tables import text_table
 
 
@@ -18,7 +19,7 @@ def cells(cases: Sequence[Figures]) -> dict[tuple[str, float, float], list[Figur
 
 
 def table(cases: Sequence[Figures]) -> str:
-    """A line for each kind, period and noise: medians, and the worst of them."""
+    """A line for each kind, period and noise: medians with the worst of them, and shares of all."""
     rows = []
     for (kind, period, noise), here in cells(cases).items():
         rows.append([
@@ -51,13 +52,13 @@ def cases_table(cases: Sequence[Figures]) -> str:
 def bounds_table(cases: Sequence[Figures]) -> str:
     """A line for each period and bound."""
     rows = [
-        [f"{of['period']:g} s", of["bound"], f"{of['low']:.3g} to {of['high']:.3g}",
-         *(f"{of[name]:.3f}" for name in ("mean", "median", "worst")), f"{of['held']} of {of['cases']}",
+        [f"{of['period']:g} s", of["bound"], of["of"], f"{of['low']:.3g} to {of['high']:.3g}",
+         *(f"{of[name]:.3f}" for name in ("all", "median", "worst")), f"{of['held']} of {of['cases']}",
          "met" if of["passed"] else "MISSED", of["worst_case"]]
         for of in verdicts(cases)
     ]  # fmt: skip
-    header = ["period", "asked", "bounds", "mean", "median", "worst", "held in", "", "worst case"]
-    return text_table(header, rows, align="<<<>>>><<")
+    header = ["period", "asked", "of", "bounds", "all", "median", "worst", "held in", "", "worst case"]
+    return text_table(header, rows, align="<<<<>>>><<")
 
 
 def _middle_and_worst(here: Sequence[Figures], figure: str) -> tuple[str, str]:
@@ -66,6 +67,6 @@ def _middle_and_worst(here: Sequence[Figures], figure: str) -> tuple[str, str]:
 
 
 def _share(here: Sequence[Figures], figure: str) -> str:
-    """The mean over cases that have any."""
-    values = [case[figure] for case in here if case[figure] is not None]
-    return f"{100 * sum(values) / len(values):.1f}" if values else ""
+    """Percent of all cases as one; nothing where there is nothing."""
+    part, whole = (sum(case["counts"][name] for case in here) for name in SHARES[figure])
+    return f"{100 * part / whole:.1f}" if whole else ""

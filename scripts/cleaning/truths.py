@@ -32,8 +32,10 @@ STRIDE, WAVERING = 1.0, 0.02
 """The same of a path that was walked."""
 SLOWEST = 3.0
 """Speed below which nothing flies, m/s."""
-SHORTEST = 60
-"""Fixes of the shortest track."""
+FASTEST = 1.8
+"""Share of a piece's median speed above which it was not flown, but recorded late."""
+SHORTEST, LONGEST = 60, 6000
+"""Fixes of the shortest track, and seconds of the longest truth."""
 SCALE, PACE = 0.02, 0.125
 """Noise and outliers of a path that was walked, and its periods, as shares of those of the others."""
 
@@ -62,8 +64,8 @@ class Truth:
         return every[first : first + steps] if len(every) >= SHORTEST else None
 
 
-def truths(kinds: Sequence[str], most: int, seconds: float, folder: Path | None = None) -> list[Truth]:
-    """At most so many of each kind, ``seconds`` long as far as they go.
+def truths(kinds: Sequence[str], most: int, folder: Path | None = None) -> list[Truth]:
+    """At most so many of each kind.
 
     Raises:
         ValueError: an unknown kind.
@@ -73,18 +75,16 @@ def truths(kinds: Sequence[str], most: int, seconds: float, folder: Path | None 
     found: list[Truth] = []
     for kind in kinds:
         if kind in GROUPS:
-            found += _flights(kind, most, seconds)
+            found += _flights(kind, most)
         elif kind == "ranges":
             found += [] if folder is None else [_walked(place) for place in readers.range_folders(folder)][:most]
         else:
             make = ship if kind == "ships" else drone
-            found += [
-                Truth(kind, f"{kind}-{i}", 1.0, make(np.random.default_rng(i), int(seconds))) for i in range(most)
-            ]
+            found += [Truth(kind, f"{kind}-{i}", 1.0, make(np.random.default_rng(i), LONGEST)) for i in range(most)]
     return found
 
 
-def _flights(kind: str, most: int, seconds: float) -> list[Truth]:
+def _flights(kind: str, most: int) -> list[Truth]:
     """Flights of this kind, spread evenly over its files."""
     files = [file for group in GROUPS[kind] for file in readers.samples(group)]
     found = []
@@ -97,19 +97,19 @@ def _flights(kind: str, most: int, seconds: float) -> list[Truth]:
         longest = sorted(recordings, key=lambda recording: -len(recording.time))
         for number, recording in enumerate(longest[: 1 if most <= len(files) else PER_FILE]):
             name = f"{file.name.removesuffix('.json.gz')}-{number}"
-            found += _flight(kind, name, recording, seconds)
+            found += _flight(kind, name, recording)
     return found[:most]
 
 
-def _flight(kind: str, name: str, recording: Recording, seconds: float) -> list[Truth]:
+def _flight(kind: str, name: str, recording: Recording) -> list[Truth]:
     """The longest stretch of a flight without a stop or a gap, time stamps mended; empty if it is short."""
     first = Recording(name, recording.time[:FIXES], recording.position[:FIXES], None, {})
     stretches = [stretch for piece in readers.flyable(first) for stretch in _moving(piece)]
     time, position = max(stretches, key=lambda stretch: np.ptp(stretch[0]), default=(np.zeros(1), np.zeros((1, 3))))
     if np.ptp(time) < SHORTEST:
         return []
-    time = time - time[0] - int(max(0.0, np.ptp(time) - seconds) / 2)
-    grid = np.arange(int(min(np.ptp(time), seconds)) + 1.0)
+    time = time - time[0] - int(max(0.0, np.ptp(time) - LONGEST) / 2)
+    grid = np.arange(int(min(np.ptp(time), LONGEST)) + 1.0)
     rough = hermite(time, position, grid)
     near = np.unique(np.round(time).astype(int))  # grid points within half a second of a fix
     fixes = np.isin(np.arange(len(grid)), near)
@@ -119,9 +119,10 @@ def _flight(kind: str, name: str, recording: Recording, seconds: float) -> list[
 
 
 def _moving(piece: Recording) -> Iterator[tuple[Array, Array]]:
-    """Times and positions of each stretch in which it is faster than ``SLOWEST``."""
+    """Times and positions of each stretch in which it flies, no slower and no faster than it can."""
     speed = np.linalg.norm(np.diff(piece.position[:, :2], axis=0), axis=1) / np.diff(piece.time)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], (speed >= SLOWEST).astype(int), [0]])))
+    flies = (speed >= SLOWEST) & (speed <= FASTEST * np.median(speed))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flies.astype(int), [0]])))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         yield piece.time[begin : end + 1], piece.position[begin : end + 1]
 

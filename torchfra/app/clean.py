@@ -110,7 +110,7 @@ def _cells(column: Any) -> Any:
         return column.to_numpy(dtype="datetime64[ns]")
     if kind.is_numeric_dtype(column.dtype) and not kind.is_bool_dtype(column.dtype):
         return column.to_numpy(dtype=np.float64, na_value=np.nan)
-    return [None if one is None or one != one else one for one in column.astype(object).tolist()]
+    return [None if missing else cell for cell, missing in zip(column.tolist(), column.isna().tolist(), strict=True)]
 
 
 def _joined(frame: Any, several: Sequence[Cleaned]) -> Any:

@@ -9,26 +9,29 @@ from dataclasses import fields
 from torchfra.readers.told import Told
 
 _ABOUT = {
-    "time": ("COLUMN", "of times; numbers in it may be seconds since any start"),
-    "x": ("COLUMN", "of positions"), "y": ("COLUMN", "of positions"), "z": ("COLUMN", "of positions"),
-    "lat": ("COLUMN", "of latitudes"), "lon": ("COLUMN", "of longitudes"), "alt": ("COLUMN", "of altitudes"),
-    "id": ("COLUMN", "that says which target a row is of"),
-    "sigma_column": ("COLUMN", "of the std of each fix per axis"),
-    "units": ("m|ft", "of x, y, z, or of altitudes"),
-    "delimiter": ("SIGN", "between cells; or tab, space"),
-    "decimal": ("SIGN", "before decimals: . or ,"),
-    "time_format": ("FORM", "seconds, ms, us, ns, iso or such as %%d.%%m.%%Y %%H:%%M:%%S"),
+    "time": ("COLUMN", "column of times; its numbers may be seconds since any start"),
+    "x": ("COLUMN", "column of positions"), "y": ("COLUMN", "likewise"), "z": ("COLUMN", "likewise"),
+    "lat": ("COLUMN", "column of latitudes"), "lon": ("COLUMN", "column of longitudes"),
+    "alt": ("COLUMN", "column of altitudes"),
+    "id": ("COLUMN", "column that says which target a row is of"),
+    "sigma_column": ("COLUMN", "column of the std of each fix per axis"),
+    "units": ("m|ft", "unit of x, y, z, or of altitudes"),
+    "delimiter": ("SIGN", "sign between cells; or tab, space"),
+    "decimal": ("SIGN", "sign before decimals: . or ,"),
+    "time_format": ("FORM", "times as seconds, ms, us, ns, iso or such as %%d.%%m.%%Y %%H:%%M:%%S"),
 }  # fmt: skip
 """What each option is followed by, and what it is about."""
+READING = tuple(field.name for field in fields(Told))
+"""What the options are called in a namespace."""
 
 
 def add_reading_options(add: Callable[..., object]) -> None:
     """Adds ``--time COLUMN`` and the others, by the ``add_argument`` of a parser or of a group."""
-    for field in fields(Told):
-        sign, about = _ABOUT[field.name]
-        add(f"--{field.name.replace('_', '-')}", metavar=sign, help=about)
+    for name in READING:
+        sign, about = _ABOUT[name]
+        add(f"--{name.replace('_', '-')}", metavar=sign, help=f"of files: {about}")
 
 
 def reading_of(options: argparse.Namespace) -> dict[str, str | None]:
     """What the options say, as keywords of ``readers.read``."""
-    return {field.name: getattr(options, field.name) for field in fields(Told)}
+    return {name: getattr(options, name) for name in READING}

@@ -8,6 +8,7 @@ from typing import Any
 
 from torchfra import readers, scenarios
 from torchfra.app.command import add_bound_option
+from torchfra.app.reading_options import READING, add_reading_options
 from torchfra.catalogue import SCENARIOS, make_scenario
 from torchfra.scenarios import Scenario
 
@@ -16,7 +17,7 @@ from anchors and the path that was taken.  The columns say what a file holds: t,
 it is), t,anchor,range of several, anchor,x,y[,z], or t,x,y[,z] of the path; metres, and seconds, or ms, us or ns since
 1970."""
 _TAKEN = {
-    "files": ("outliers", "sensor", "q", "dt", "steps", "repair", "max_bytes"),
+    "files": ("outliers", "sensor", "q", "dt", "steps", "repair", "max_bytes", *READING),
     "--scenario": ("outliers",),
     "--ranges": ("anchors", "reference", "height", "q", "dt", "max_bytes"),
 }
@@ -43,6 +44,7 @@ def add_source_options(add: Any) -> None:
     height = "for ranges: of the target, m (default: the median of the path's)"
     add("--height", type=float, metavar="M", help=height)
     add_bound_option(add, default=None)
+    add_reading_options(add)
 
 
 def scenario_of(options: argparse.Namespace) -> tuple[Scenario, int]:
@@ -66,7 +68,8 @@ def scenario_of(options: argparse.Namespace) -> tuple[Scenario, int]:
     bound = {"max_bytes": values.pop("max_bytes", readers.MAX_BYTES)}
     if source == "--ranges":
         return _recorded_ranges(options.ranges, options.runs, bound, **values)
-    recordings = [recording for file in options.files for recording in readers.read(file, **bound)]
+    reading = {name: values.pop(name) for name in READING if name in values}
+    recordings = [recording for file in options.files for recording in readers.read(file, **bound, **reading)]
     scenario = scenarios.recorded(recordings, **values)
     windows = int(str(scenario.settings["windows"]))
     return scenario, windows if options.runs is None else options.runs

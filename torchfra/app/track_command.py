@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +15,15 @@ from torchfra.app.compiling import add_compile_option, choose, reporters
 from torchfra.app.outputs import page
 from torchfra.app.outputs import plan as plans
 from torchfra.app.progress import progress_bar
+from torchfra.app.reading_options import add_reading_options, reading_of
 from torchfra.catalogue import FILTERS, track_filters
 from torchfra.cleaning import DEFAULT, Cleaned, check_settings, clean_tracks
-from torchfra.kernel.build import CompileError
 from torchfra.readers import Recording
 from torchfra.tables import printable
 
-FILES = """FILE holds one or several recorded tracks: OpenSky state vectors (CSV: time, icao24, lat, lon), gzip-JSON
-tracks (timestamp, latitude, longitude, altitude, ...), or plain CSV with columns t,x,y[,z] in seconds and metres.
-Plain CSV holds one target; other columns are ignored."""
+FILES = """FILE holds one or several recorded tracks: CSV with a header (any delimiter; AIS logs and state vectors of
+OpenSky among it), JSON, GPX, KML, GeoJSON, NMEA 0183, Parquet or Feather, gzipped or not. Columns are found by their
+names; what was taken is said, and the options for reading name others."""
 
 _ABOUT = f"""Clean a recorded track: where the target was and how sure that is, which fixes are wrong, and which
 manoeuvres it flew. Writes a table (and NAME.meta.json beside it, with all that is no row) and a picture.
@@ -35,6 +35,7 @@ _EXAMPLES = f"""examples:
   torchfra track flight.csv --out clean.parquet      # one table of all targets: {", ".join(outputs.FORMATS)}
   torchfra track flights.csv --format gpx            # out/NAME.gpx for each target
   torchfra track walk.csv --sigma 5 --bank person    # what is known need not be found
+  torchfra track log.csv --time when --lat breite --lon laenge --delimiter ";" --decimal ,
   torchfra track flight.csv --no-smooth --filter vsimm_srckf    # what a filter on line would have said
   torchfra track flight.csv --dt 1 --html flight.html           # also every second, and a page to look around in
 
@@ -44,6 +45,10 @@ probabilities of an outlier and of a manoeuvre, a flag, and the covariance."""
 
 WORTHWHILE, WORTHWHILE_OF_BANKS = 5_000, 50_000
 """Steps of the longest tracks that take an interpreted filter about as long as compiling it."""
+
+
+_FAILED = "failed: "
+"""In front of what is said of a target that could not be cleaned."""
 
 
 def add_to(commands: Any) -> None:
@@ -65,25 +70,27 @@ def add_to(commands: Any) -> None:
     add("--plots", action=argparse.BooleanOptionalAction,
         help=f"a picture of each target (default: of {plans.MOST_PICTURES} targets or less)")  # fmt: skip
     add("--html", type=Path, metavar="FILE", help="write a page with pictures to look around in; needs plotly")
-    _add_cleaning(command)
+    _add_cleaning(command.add_argument_group("cleaning").add_argument)
+    add_reading_options(command.add_argument_group("reading").add_argument)
+    add_compile_option(
+        command, f"for {WORTHWHILE:,} steps or more, of filters with several models {WORTHWHILE_OF_BANKS:,}"
+    )
     add_bound_option(add)
     add_json_option(command)
     add_quiet_option(command)
     command.set_defaults(run=run)
 
 
-def _add_cleaning(command: argparse.ArgumentParser) -> None:
-    add = command.add_argument
+def _add_cleaning(add: Callable[..., object]) -> None:
     add("--bank", metavar="NAME", help="of what targets: aircraft, ship, vehicle, person (default: by the data)")
     add("--sigma", type=float, metavar="M", help="std of a fix per axis, m; of fixes that have their own, a factor "
         "(default: found from the data)")  # fmt: skip
     add("--q", type=float, help="density of the process noise, m^2/s^3 (default: found from the data)")
     add("--filter", default=DEFAULT, metavar="NAME", help=f"one of {', '.join(track_filters())} (default: {DEFAULT})")
     add("--no-smooth", action="store_true", help="use only the fixes before and at each step, as a filter on line")
+    add("--no-repair", action="store_true", help="leave the fixes of aircraft where they are, although their time "
+        "stamps seem to be off by seconds")  # fmt: skip
     add("--dt", type=float, metavar="S", help="also estimate every S seconds between the fixes")
-    add_compile_option(
-        command, f"for {WORTHWHILE:,} steps or more, of filters with several models {WORTHWHILE_OF_BANKS:,}"
-    )
 
 
 def run(options: argparse.Namespace) -> None:
@@ -95,8 +102,9 @@ def run(options: argparse.Namespace) -> None:
     plans.ending_of(options.out, options.format)
     if options.html is not None:
         page.check_script()
-    check_settings(options.filter, dt=options.dt, sigma=options.sigma, q=options.q)
-    recordings = readers.read(options.file, max_bytes=options.max_bytes)
+    check_settings(options.filter, dt=options.dt, sigma=options.sigma, q=options.q, bank=options.bank)
+    words: dict[str, Any] = reading_of(options)
+    recordings = readers.read(options.file, max_bytes=options.max_bytes, **words)
     files = plans.plan(recordings, options.out, options.format, options.plots)
     plans.check_plan(files, [options.file], **others)
     tell, _ = reporters(options.compile, options.quiet)
@@ -104,40 +112,44 @@ def run(options: argparse.Namespace) -> None:
         tell(printable(said))
     failures = Failures()
     results = _cleaned(recordings, options, failures)
+    if not results:
+        failures.end()
     _write(results, files, options, failures)
     _draw(results, files, options, failures)
-    if options.json is not None and results:
+    if options.json is not None:
         with failures.of("json"):
             write_json(options.json, outputs.metadata(list(results.values()), _settings(options)))
     failures.end()
 
 
 def _settings(options: argparse.Namespace) -> dict[str, Any]:
-    return {key: getattr(options, key) for key in ("filter", "bank", "sigma", "q", "no_smooth", "dt")}
+    return {key: getattr(options, key) for key in ("filter", "bank", "sigma", "q", "no_smooth", "no_repair", "dt")}
 
 
 def _cleaned(
     recordings: Sequence[Recording], options: argparse.Namespace, failures: Failures
 ) -> dict[Recording, Cleaned]:
-    """All targets cleaned at once; or, where that fails, one after the other, without those that cannot be."""
+    """The targets that could be cleaned."""
     tell, fallback = reporters(options.compile, options.quiet)
     entry = FILTERS[options.filter]
     least = WORTHWHILE_OF_BANKS if entry.bank or entry.either else WORTHWHILE
     compile = choose(options.compile, max(len(recording.time) for recording in recordings) >= least, tell)
-    settings = {
-        "filter": options.filter, "bank": options.bank, "sigma": options.sigma, "q": options.q,
-        "smooth": not options.no_smooth, "dt": options.dt, "compile": compile, "fallback": fallback,
-    }  # fmt: skip
-    try:
-        return dict(zip(recordings, clean_tracks(recordings, **settings), strict=True))
-    except Exception as error:
-        if len(recordings) == 1 or isinstance(error, CompileError | NotImplementedError):
-            raise
-        found = {}
-        for recording in recordings:
-            with failures.of(printable(recording.name)):
-                (found[recording],) = clean_tracks([recording], **settings)
-        return found
+    results = clean_tracks(
+        recordings, filter=options.filter, bank=options.bank, sigma=options.sigma, q=options.q,
+        smooth=not options.no_smooth, dt=options.dt, compile=compile, fallback=fallback,
+        repair=not options.no_repair,
+    )  # fmt: skip
+    done = {}
+    for cleaned in results:
+        reasons = [said.removeprefix(_FAILED) for said in cleaned.found.said if said.startswith(_FAILED)]
+        if not reasons:
+            done[cleaned.recording] = cleaned
+        elif len(recordings) == 1:
+            raise ValueError(reasons[0])
+        else:
+            with failures.of(printable(cleaned.recording.name)):
+                raise ValueError(reasons[0])
+    return done
 
 
 def _write(
@@ -145,14 +157,17 @@ def _write(
 ) -> None:
     """The tables, and a line for each target."""
     tell, _ = reporters(options.compile, options.quiet)
-    for said in _said(list(results.values())):
+    ways = {outputs.settings_line(cleaned.found) for cleaned in results.values()}
+    shared = _said(list(results.values()))
+    for said in [*ways, *shared] if len(ways) == 1 else shared:
         tell(printable(said))
     for path, recordings in progress_bar(files.tables.items(), "table", not options.quiet):
         of = [results[recording] for recording in recordings if recording in results]
         if not of:
             continue
         for cleaned in of:
-            tell(f"{outputs.line(cleaned)} -> {printable(str(path))}")
+            way = "" if len(ways) == 1 else f"; {outputs.settings_line(cleaned.found)}"
+            tell(f"{outputs.line(cleaned)}{way} -> {printable(str(path))}")
         with failures.of(printable(of[0].recording.name if len(of) == 1 else path.name)):
             outputs.write(of, path, _settings(options))
         for cleaned in of:
@@ -161,12 +176,8 @@ def _write(
 
 
 def _said(results: Sequence[Cleaned]) -> list[str]:
-    """How the tracks were cleaned, a line for each way that differs, and what else there is to say, each once."""
-    ways: dict[str, list[str]] = {}
-    for cleaned in results:
-        ways.setdefault(outputs.settings_line(cleaned.found), []).append(cleaned.recording.name)
-    lines = [way if len(ways) == 1 else f"{', '.join(names)}: {way}" for way, names in ways.items()]
-    return list(dict.fromkeys([*lines, *(said for cleaned in results for said in cleaned.found.said)]))
+    """What there is to say of all targets alike."""
+    return [said for said in results[0].found.said if all(said in cleaned.found.said for cleaned in results)]
 
 
 def _check(cleaned: Cleaned) -> None:
@@ -190,9 +201,9 @@ def _draw(
             if (cleaned := results.get(recording)) is not None:
                 with failures.of(printable(recording.name)):
                     plotting.save(plotting.cleaned(cleaned), path)
-        if files.overview is not None and results:
+        if files.overview is not None:
             with failures.of("overview"):
                 plotting.save(plotting.overview(list(results.values())), files.overview)
-    if options.html is not None and results:
+    if options.html is not None:
         with failures.of("html"):
             page.write(list(results.values()), options.html)

@@ -41,7 +41,8 @@ def both_ways(fixes: Fixes, levels: Levels, doubt: Doubt = USUAL) -> Smoothed:
     ahead = Ahead(Belief(*(x[..., :count] for x in every.belief)), *(x[..., :count] for x in every[1:]))
     later = Belief(*(x[..., count:].flip(-3) for x in every.belief))
     later = later._replace(velocity=-later.velocity, pv=-later.pv)
-    later, log_later = redrawn(later, every.log_weights[..., count:].flip(0), levels, fixes.gap)
+    log_later = every.log_weights[..., count:].flip(0)
+    later, log_later = redrawn(later, log_later, levels.lasting, levels.log_new, fixes.gap)
     belief, log_fit = _product(ahead.belief, later)
     log_weights = ahead.log_weights + log_later - levels.log_share + log_fit
     return settled(belief, log_weights, fixes, doubt, ahead)
@@ -89,6 +90,6 @@ def _product(a: Belief, b: Belief) -> tuple[Belief, Tensor]:
     gvp, gvv = (a.pv * vv - a.vv * pv) / det, (a.vv * pp - a.pv * pv) / det
     joint = Belief(
         a.position + gpp * ep + gpv * ev, a.velocity + gvp * ep + gvv * ev,
-        a.pp - gpp * a.pp - gpv * a.pv, a.pv - gpp * a.pv - gpv * a.vv, a.vv - gvp * a.pv - gvv * a.vv,
+        gpp * b.pp + gpv * b.pv, gpp * b.pv + gpv * b.vv, gvp * b.pv + gvv * b.vv,
     )  # fmt: skip
     return joint, -0.5 * (far + d * det.log())

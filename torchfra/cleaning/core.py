@@ -17,8 +17,10 @@ from torchfra.cleaning.flags import flags
 from torchfra.cleaning.kinds import BANKS, check_kind, kind_of
 from torchfra.cleaning.others import GATE, Fallback, estimated, make, manoeuvre_of, outlier_of, regimes_of
 from torchfra.cleaning.positions import REGIMES, Answer, Settings, answers, period_of
-from torchfra.cleaning.segments import segments
+from torchfra.cleaning.segments import inside, segments
+from torchfra.cleaning.stamps import as_recorded, in_place, stamps_are_off
 from torchfra.filters import Filter
+from torchfra.geodesy import to_geodetic
 from torchfra.kernel.build import CompileError
 from torchfra.motion.bank import Bank
 from torchfra.readers.columns import Array
@@ -38,6 +40,7 @@ def clean_tracks(
     q: float | None = None,
     smooth: bool = True,
     dt: float | None = None,
+    repair: bool = True,
     compile: bool = False,
     fallback: Fallback | None = None,
 ) -> list[Cleaned]:
@@ -55,6 +58,8 @@ def clean_tracks(
         q: density of the process noise per second, m^2/s^3.  None finds it.
         smooth: whether each estimate knows the fixes after it; False is what a filter on line would say.
         dt: seconds; also estimates at every multiple of it after the first fix, beside those at the fixes.
+        repair: whether fixes of aircraft whose time stamps are off by seconds, as they often are in ADS-B, are first
+            put along the path to where the aircraft was: where tracks show it, and not for a filter on line.
         compile: whether filters of the catalogue run compiled (``Filter.compile``); needs a C++ compiler.
         fallback: called if the filter cannot be compiled, and runs interpreted; None raises the error.
 
@@ -69,16 +74,18 @@ def clean_tracks(
     work = partial(_cleaned, name=filter, bank=bank, settings=Settings(sigma, q, smooth), dt=dt)
     if filter != DEFAULT or isinstance(bank, Bank):
         work = partial(work, compile=compile, fallback=fallback)
+    repair = repair and smooth
+    placed = [in_place(recording) if repair and stamps_are_off(recording) else recording for recording in recordings]
     done: dict[int, Cleaned] = {}
-    for group in groups(recordings):
-        part = [recordings[i] for i in group]
+    for group in groups(placed):
+        part = [placed[i] for i in group]
         try:
             done |= zip(group, work(part), strict=True)
         except CompileError:
             raise
         except Exception:  # of one of them; the others shall not pay for it
-            done |= {i: _alone(recordings[i], work, filter, smooth) for i in group}
-    return [done[i] for i in range(len(recordings))]
+            done |= {i: _alone(placed[i], work, filter, smooth) for i in group}
+    return as_recorded([done[i] for i in range(len(placed))], recordings)
 
 
 def check_settings(
@@ -125,13 +132,15 @@ def _result(
     found: Found, names: tuple[str, ...], regimes: Array,
 ) -> Cleaned:  # fmt: skip
     fix = (steps.row >= 0) & ~np.isnan(steps.raw).any(1)
-    flag = flags(fix, nis, outlier, manoeuvre, GATE[steps.raw.shape[1]])
+    origin, d = recording.origin, steps.raw.shape[1]
+    height = to_geodetic(mean[:, :3], origin)[2] if origin is not None and d == 3 else None
+    listed = segments(steps.time, mean, covariance, height)
+    flag = flags(fix, nis, outlier, manoeuvre, inside(steps.time, listed), GATE[d])
     good = fix & (flag != "outlier")
-    mean_nis = float(nis[good].mean() / steps.raw.shape[1]) if good.any() else math.nan
-    said = (*found.said, f"NIS {mean_nis:.2f} of 1")
+    mean_nis = float(nis[good].mean() / d) if good.any() else math.nan
     return Cleaned(
         recording, steps.time, steps.row, steps.raw, mean, covariance, nis, outlier, manoeuvre, flag,
-        replace(found, nis=mean_nis, said=said), segments(steps.time, mean, covariance), names, regimes,
+        replace(found, nis=mean_nis), listed, names, regimes,
     )  # fmt: skip
 
 
@@ -139,8 +148,9 @@ def _found(name: str, settings: Settings, own: Bank | None, kind: tuple[str, str
     """What a track is cleaned with, and a line for each choice."""
     bank, why = ("own", "as told") if own is not None else kind
     told = {"sigma": settings.sigma, "q": settings.q, "bank": None if why != "as told" else bank}
-    height = "" if math.isnan(answer.height) else f", of the height {answer.height:.3g} m"
-    said = (f"{bank}, {why}", f"sigma {answer.sigma:.3g} m{height}; q {answer.q:.3g} m^2/s^3")
+    said = () if own is not None or why == "as told" else (f"{bank}, {why}",)
+    if not math.isnan(answer.height):
+        said = (*said, f"sigma of the height {answer.height:.3g} m")
     found = frozenset(key for key, value in told.items() if value is None)
     return Found(name, settings.smooth, bank, answer.sigma, answer.q, math.nan, found, said)
 

@@ -21,12 +21,14 @@ _MANY, _COST = 0.12, 20.0
 """Share of outliers from which on sigma is taken to be too small, and what each of them then costs."""
 _STEPS, _ROWS = 200, 2
 """Of each track that are looked at for sigma: steps of a row, and rows."""
-_FEW = 10.0
+_FEW = 2.0
 """Fixes that shares of levels are worth before any was seen."""
-_SLOWEST, _MOST = 1e-5, 8
-"""Least density of the process noise, m^2/s^3, and the number of levels."""
-_LASTING = 100.0, 15.0
+_SLOWEST = 1e-5
+"""Least density of the process noise, m^2/s^3."""
+_LASTING = 300.0, 15.0
 """Mean time that the least and the largest process noise last, s."""
+_RARER = 3.0
+"""Log of how much rarer the largest process noise is than the least, before a track has said."""
 _FAR = 20.0
 """Log of the most that the axes across the ground say of the height's fix, and the other way round."""
 
@@ -48,20 +50,17 @@ class Part(NamedTuple):
         return self.fixes._replace(variance=self.fixes.variance * self.sigma.square())
 
 
-def levels_up_to(acceleration: Tensor, period: Tensor) -> Levels:
-    """Levels from flying straight to changes of the velocity by ``acceleration (B,)`` m/s^2 for a ``period (B,)`` s."""
-    place = torch.linspace(0.0, 1.0, _MOST, dtype=period.dtype).unsqueeze(1)
+def levels_up_to(acceleration: Tensor, period: Tensor, count: int, q: float | None = None) -> Levels:
+    """Levels from going straight to changes of the velocity by ``acceleration (B,)`` m/s^2 for a ``period (B,)`` s.
+
+    Their shares fall towards the hardest, or to either side of a density ``q`` that is told, m^2/s^3.
+    """
+    place = torch.linspace(0.0, 1.0, count, dtype=period.dtype).unsqueeze(1)
     top = (acceleration.square() * period).clamp_min(10 * _SLOWEST)
-    q = _SLOWEST * (top / _SLOWEST) ** place
-    lasting = _LASTING[0] * (_LASTING[1] / _LASTING[0]) ** place
-    return Levels(q, torch.full_like(q, -math.log(_MOST)), lasting.expand_as(q))
-
-
-def levels_around(q: float, acceleration: Tensor, period: Tensor) -> Levels:
-    """The levels of ``levels_up_to``, with shares that fall to either side of a density that is told, m^2/s^3."""
-    levels = levels_up_to(acceleration, period)
-    far = (levels.q / max(q, _SLOWEST)).log() / math.log(10.0)
-    return levels._replace(log_share=(-0.5 * far.square()).log_softmax(0))
+    density = _SLOWEST * (top / _SLOWEST) ** place
+    lasting = (_LASTING[0] * (_LASTING[1] / _LASTING[0]) ** place).expand_as(density)
+    rarer = -_RARER * place if q is None else -0.5 * (density / max(q, _SLOWEST)).log10().square()
+    return Levels(density, rarer.expand_as(density).log_softmax(0), lasting)
 
 
 def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor) -> Tensor:
@@ -132,8 +131,8 @@ def fitted(
 ) -> tuple[list[Smoothed], list[Part], Tensor]:
     """Smoothed estimates of all parts, and what they were made with.
 
-    Each round takes the levels' shares as smoothing has found them, then the likeliest sigma nearby; and what the axes
-    across the ground say of an outlier is told to the height, and the other way round.
+    Each round takes the levels' shares as smoothing has found them, and what the axes across the ground say of an
+    outlier is told to the height, and the other way round.  The last takes the likeliest sigma nearby too.
 
     Args:
         parts: the axes; the first are those across the ground.
@@ -146,10 +145,13 @@ def fitted(
     Returns:
         What is known of each part, the parts, and ``(T, B)`` probabilities of outliers.
     """
-    for _ in range(rounds):
+    for left in reversed(range(rounds)):
         known = [both_ways(part.scaled, part.levels) for part in parts]
-        parts = [_better(part, of, owner, find_sigma, find_q) for part, of in zip(parts, known, strict=True)]
+        if find_q:
+            parts = [_learnt(part, of, owner) for part, of in zip(parts, known, strict=True)]
         parts = _told(parts, known)
+        if find_sigma and not left:
+            parts = [part._replace(sigma=finer_sigma(part, owner).maximum(part.least)) for part in parts]
     if smooth:
         known = [both_ways(part.scaled, part.levels) for part in parts]
     else:
@@ -166,15 +168,11 @@ def _told(parts: list[Part], known: list[Smoothed]) -> list[Part]:
     return [part._replace(fixes=part.fixes._replace(odds=odds)) for part, odds in zip(parts, others, strict=True)]
 
 
-def _better(part: Part, known: Smoothed, owner: Tensor, find_sigma: bool, find_q: bool) -> Part:
-    sigma, levels = part.sigma, part.levels
-    if find_q:
-        share = _summed(torch.where(part.fixes.missing.unsqueeze(1), 0.0, known.levels).sum(0), owner)
-        share = share + _FEW * levels.log_share.exp()
-        levels = levels._replace(log_share=(share / share.sum(0)).log())
-    if find_sigma:
-        sigma = finer_sigma(part._replace(levels=levels), owner).maximum(part.least)
-    return part._replace(levels=levels, sigma=sigma)
+def _learnt(part: Part, known: Smoothed, owner: Tensor) -> Part:
+    """With the shares of the levels that smoothing has found."""
+    seen = (~part.fixes.missing).to(part.sigma).unsqueeze(1)
+    share = _summed((seen * known.levels).sum(0), owner) + _FEW * part.levels.log_share.exp()
+    return part._replace(levels=part.levels._replace(log_share=(share / share.sum(0)).log()))
 
 
 def _summed(values: Tensor, owner: Tensor) -> Tensor:

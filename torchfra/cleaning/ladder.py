@@ -35,9 +35,9 @@ class Belief(NamedTuple):
 class Doubt(NamedTuple):
     """How likely outliers are."""
 
-    new: float = 0.01
+    new: float = 0.015
     """Probability of an outlier after a clean fix."""
-    still: float = 0.3
+    still: float = 0.45
     """Probability of one after another."""
     least: float = 100.0
     """Least mean square error per axis of an outlier, in units of the variance of a clean fix."""
@@ -115,25 +115,25 @@ def look_ahead(fixes: Fixes, levels: Levels, doubt: Doubt = USUAL) -> Ahead:
     Source: Blom & Bar-Shalom (1988) for interacting models; Harrison & Stevens (1976) for outliers as hypotheses.
     """
     belief, log_weights = _start(fixes, levels, doubt)
-    chain = torch.tensor([[1 - doubt.new, 1 - doubt.still], [doubt.new, doubt.still]], dtype=fixes.z.dtype).log()
+    before = torch.tensor([[1 - doubt.new, 1 - doubt.still], [doubt.new, doubt.still]], dtype=fixes.z.dtype)
+    chain, log_new, outlier = before.log()[:, :, None, None], levels.log_new, torch.full_like(fixes.gap[0], doubt.share)
     kept: list[tuple[Belief, Tensor, Tensor, Tensor, Tensor]] = []
     for z, gap, variance, odds, missing in zip(*fixes, fixes.missing, strict=True):
         if kept:
-            mixed, log_weights = redrawn(belief, log_weights, levels, gap.expand(2, -1))
+            mixed, log_weights = redrawn(belief, log_weights, levels.lasting, log_new, gap.unsqueeze(0))
             belief = _predicted(mixed, levels.q, gap)
-        log_dirty = (chain[:, :, None] + log_weights.logsumexp(1)).logsumexp(1)[1]
-        of_level = log_weights.logsumexp(0)
-        prediction = _pair((log_weights[1] - of_level).exp(), _entry(belief, 0), _entry(belief, 1))
+        dirty = doubt.new + outlier * (doubt.still - doubt.new)
+        prediction = _pair((log_weights[1] - log_weights[0]).sigmoid(), _entry(belief, 0), _entry(belief, 1))
+        of_level = torch.logaddexp(log_weights[0], log_weights[1])
         clean, log_density = corrected(belief, z, variance, missing, doubt)
-        dirtier = torch.stack([torch.zeros_like(odds), odds])[:, None, None]
-        joint = chain[:, :, None, None] + dirtier + log_weights + log_density  # (2, 2, J, B): now, before
-        log_likelihood = joint.flatten(0, 2).logsumexp(0)
-        joint = joint - log_likelihood
-        log_weights = joint.logsumexp(1)
-        share = (joint[:, 1] - log_weights).exp()
-        after = [_pair(share[now], _entry(x, 0), _entry(x, 1)) for now, x in enumerate((clean, belief))]
-        belief = Belief(*(torch.stack(pair, -3) for pair in zip(*after, strict=True)))
-        kept.append((prediction, of_level, log_dirty.exp(), joint[1].exp().sum((0, 1)), log_likelihood))
+        joint = chain + log_weights + log_density  # (2, 2, J, B): now, before
+        share = (joint[:, 1] - joint[:, 0]).sigmoid()
+        after = torch.logaddexp(joint[:, 0], joint[:, 1]) + torch.stack([torch.zeros_like(odds), odds]).unsqueeze(1)
+        weights, log_likelihood = _shares(after.flatten(0, 1), 0)
+        log_weights, outlier = after - log_likelihood, weights[len(levels.q) :].sum(0)
+        pairs = [_pair(share[now], _entry(x, 0), _entry(x, 1)) for now, x in enumerate((clean, belief))]
+        belief = Belief(*(torch.stack(pair, -3) for pair in zip(*pairs, strict=True)))
+        kept.append((prediction, of_level, dirty, outlier, log_likelihood))
     beliefs, *rest = zip(*kept, strict=True)
     parts = [torch.stack(x, 1 if i < 2 else 0) for i, x in enumerate(zip(*beliefs, strict=True))]
     return Ahead(Belief(*parts), *map(torch.stack, rest))
@@ -141,22 +141,22 @@ def look_ahead(fixes: Fixes, levels: Levels, doubt: Doubt = USUAL) -> Ahead:
 
 def merged(log_weights: Tensor, belief: Belief, dim: int) -> tuple[Belief, Tensor]:
     """The Gaussian with the moments of a mixture along a dimension of the weights, and the log of their sum."""
-    total = log_weights.logsumexp(dim)
-    weight = (log_weights - total.unsqueeze(dim)).exp()
+    weight, total = _shares(log_weights, dim)
     position, velocity = ((weight * x).sum(dim + 1) for x in belief[:2])
     dp, dv = belief.position - position.unsqueeze(dim + 1), belief.velocity - velocity.unsqueeze(dim + 1)
-    spread = (belief.pp + dp.square().mean(0), belief.pv + (dp * dv).mean(0), belief.vv + dv.square().mean(0))
+    spread = belief.pp + _over_axes(dp, dp), belief.pv + _over_axes(dp, dv), belief.vv + _over_axes(dv, dv)
     return Belief(position, velocity, *((weight * x).sum(dim) for x in spread)), total
 
 
-def redrawn(belief: Belief, log_weights: Tensor, levels: Levels, gap: Tensor) -> tuple[Belief, Tensor]:
+def redrawn(
+    belief: Belief, log_weights: Tensor, lasting: Tensor, log_new: Tensor, gap: Tensor
+) -> tuple[Belief, Tensor]:
     """Levels ``(n, J, B)`` one step ``(n, B)`` further in the chain: each its own, mixed with what all have left."""
-    stay = -gap.unsqueeze(1) / levels.lasting
+    stay = -gap.unsqueeze(1) / lasting
     common, log_left = merged(log_weights + torch.log(-torch.expm1(stay)), belief, 1)
-    stayed, drawn = log_weights + stay, log_left.unsqueeze(1) + levels.log_new
-    total = torch.logaddexp(stayed, drawn)
+    stayed, drawn = log_weights + stay, log_left.unsqueeze(1) + log_new
     every = Belief(*(x.unsqueeze(-2) for x in common))
-    return _pair((drawn - total).exp(), belief, every), total
+    return _pair((drawn - stayed).sigmoid(), belief, every), torch.logaddexp(stayed, drawn)
 
 
 def _start(fixes: Fixes, levels: Levels, doubt: Doubt) -> tuple[Belief, Tensor]:
@@ -184,23 +184,21 @@ def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, doubt: Do
 
     An outlier says nothing of the position, and is as large as it takes.
     """
-    residual = _residual(x, z, missing)
-    squared, d = residual.square().sum(0), len(z)
+    seen, d = (~missing).to(z), len(z)
+    z = z.nan_to_num().reshape(d, *[1] * (x.position.dim() - z.dim()), *z.shape[1:])
+    residual = seen * (z - x.position)  # products with 0: much faster than a choice
+    squared = d * _over_axes(residual, residual)
     wide = x.pp + torch.maximum(doubt.least * variance, squared / d)
     total = x.pp + variance
-    gain, gain_v = (torch.where(missing, 0.0, c / total) for c in (x.pp, x.pv))
+    gain, gain_v = seen * x.pp / total, seen * x.pv / total
+    left = seen * variance / total + missing  # 1 - gain would lose digits of a start that is far off
     both = torch.stack([total, wide])
-    log_density = torch.where(missing, 0.0, -0.5 * (squared / both + d * (both.log() + _LOG_TWO_PI)))
+    log_density = -0.5 * seen * (squared / both + d * (both.log() + _LOG_TWO_PI))
     after = Belief(
         x.position + gain * residual, x.velocity + gain_v * residual,
-        x.pp - gain * x.pp, x.pv - gain * x.pv, x.vv - gain_v * x.pv,
+        left * x.pp, left * x.pv, x.vv - gain_v * x.pv,
     )  # fmt: skip
     return after, log_density
-
-
-def _residual(x: Belief, z: Tensor, missing: Tensor) -> Tensor:
-    z = z.reshape(z.shape[0], *[1] * (x.position.dim() - z.dim()), *z.shape[1:])
-    return torch.where(missing, 0.0, z - x.position)
 
 
 def _pair(share: Tensor, a: Belief, b: Belief) -> Belief:
@@ -208,12 +206,25 @@ def _pair(share: Tensor, a: Belief, b: Belief) -> Belief:
     dp, dv, spread = b.position - a.position, b.velocity - a.velocity, share * (1 - share)
     return Belief(
         a.position + share * dp, a.velocity + share * dv,
-        a.pp + share * (b.pp - a.pp) + spread * dp.square().mean(0),
-        a.pv + share * (b.pv - a.pv) + spread * (dp * dv).mean(0),
-        a.vv + share * (b.vv - a.vv) + spread * dv.square().mean(0),
+        a.pp + share * (b.pp - a.pp) + spread * _over_axes(dp, dp),
+        a.pv + share * (b.pv - a.pv) + spread * _over_axes(dp, dv),
+        a.vv + share * (b.vv - a.vv) + spread * _over_axes(dv, dv),
     )  # fmt: skip
 
 
 def _entry(x: Belief, i: int) -> Belief:
     """One of the first of three dimensions behind the axes."""
     return Belief(*(part.select(-3, i) for part in x))
+
+
+def _over_axes(a: Tensor, b: Tensor) -> Tensor:
+    """The mean product of ``(d, ...)``."""
+    return (a * b).sum(0) / len(a)
+
+
+def _shares(log_weights: Tensor, dim: int) -> tuple[Tensor, Tensor]:
+    """Weights that sum to one along a dimension, and the log of what they summed to."""
+    largest = log_weights.amax(dim, keepdim=True)
+    weight = (log_weights - largest).exp()
+    total = weight.sum(dim, keepdim=True)
+    return weight / total, (largest + total.log()).squeeze(dim)

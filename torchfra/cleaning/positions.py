@@ -13,17 +13,20 @@ from torch import Tensor
 
 from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.both_ways import Smoothed
-from torchfra.cleaning.finding import Part, first_sigma, fitted, levels_around, levels_up_to
+from torchfra.cleaning.finding import Part, first_sigma, fitted, levels_up_to
 from torchfra.cleaning.kinds import KINDS
 from torchfra.cleaning.ladder import Fixes, merged
 from torchfra.readers.columns import Array
 
+_AXES = ((slice(0, 2), "acceleration", 8), (slice(2, 3), "climb", 5))
+"""Which axes go together, which of a kind's bounds is theirs, and the number of levels."""
 _CORE, _OVERLAP = 256, 64
 """Steps of a row, and those that it shares with its neighbours on either side."""
 _FEW = 60
 """Fixes from which on a track has a sigma of its own; others of a batch are looked at together."""
 _CALM = 0.05
-"""Of the hardest acceleration, what a level of process noise may bring over ten seconds and still be calm."""
+"""Of the hardest acceleration, what a level of process noise may bring over ten seconds and still be calm.  So is ten
+times the usual one of a track."""
 _LEAST_OF_HEIGHT = 1 / 3
 """Of the sigma across the ground, what that of the height is at least: heights often come in coarse steps."""
 REGIMES = ("calm", "manoeuvre")
@@ -75,9 +78,9 @@ def answers(tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings) -
     owner = _owners([row.track for row in rows], [int((steps.row >= 0).sum()) for steps in tracks])
     period = torch.tensor([period_of(tracks[row.track]) for row in rows], dtype=torch.float64)
     parts: list[Part] = []
-    for axes, hardest in ((slice(0, 2), "acceleration"), (slice(2, 3), "climb"))[: z.shape[-1] - 1]:
+    for axes, hardest, count in _AXES[: z.shape[-1] - 1]:
         most = torch.tensor([getattr(KINDS[kinds[row.track]], hardest) for row in rows], dtype=torch.float64)
-        levels = levels_up_to(most, period) if settings.q is None else levels_around(settings.q, most, period)
+        levels = levels_up_to(most, period, count, settings.q)
         variance = std[..., axes].square().mean(-1).T.contiguous()
         z_axes = z[..., axes].permute(1, 2, 0).contiguous()
         fixes = Fixes(z_axes, gap.T.contiguous(), variance, torch.zeros_like(variance))
@@ -117,12 +120,11 @@ def _joined(
     calm: Tensor,
 ) -> list[Answer]:  # fmt: skip
     """The rows of each track put together."""
-    level = parts[0].levels.q > 10 * calm.square()
-    manoeuvre = (known[0].levels * level).sum(1)
     nis = torch.stack([_nis(part, of) for part, of in zip(parts, known, strict=True)]).sum(0)
     mean, covariance = _moments(known)
     share = parts[0].levels.log_share.exp()
     q = (share * parts[0].levels.q.log()).sum(0).exp()
+    manoeuvre = (known[0].levels * (parts[0].levels.q > 10 * q.maximum(calm.square()))).sum(1)
     found = []
     for i in range(len(tracks)):
         own = [(b, row) for b, row in enumerate(rows) if row.track == i]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from torchfra.cleaning.cleaned import Segment
 from torchfra.readers.columns import Array
@@ -27,6 +28,8 @@ class _Rule(NamedTuple):
     low: float
     high: float
     """Bounds on the rate at which a segment begins and ends; in between it is half of the segment's own rate."""
+    rate: float
+    """Least mean rate."""
     lasting: float
     """Least duration, s."""
     change: float
@@ -35,25 +38,26 @@ class _Rule(NamedTuple):
     """Median standard deviation in a segment, from which on nothing is known of the quantity."""
 
 
-_TURN = _Rule(("left turn", "right turn"), 0.5, 0.3, 1.5, 2.0, 15.0, 30.0)
+_TURN = _Rule(("left turn", "right turn"), 0.5, 0.5, 1.5, 1.0, 2.0, 15.0, 30.0)
 """Of the direction of flight, degrees."""
-_SPEED = _Rule(("speeding up", "slowing down"), 0.1, 0.1, 0.5, 4.0, 2.0)
+_SPEED = _Rule(("speeding up", "slowing down"), 0.1, 0.2, 0.5, 0.5, 4.0, 4.0)
 """m/s."""
-_CLIMB = _Rule(("climbing", "descending"), 0.5, 0.5, 1.0, 10.0, 15.0)
+_CLIMB = _Rule(("climbing", "descending"), 0.5, 1.0, 2.0, 2.5, 10.0, 30.0)
 """Of the height, m."""
 
 
-def segments(time: Array, mean: Array, covariance: Array) -> tuple[Segment, ...]:
+def segments(time: Array, mean: Array, covariance: Array, height: Array | None = None) -> tuple[Segment, ...]:
     """The manoeuvres of a track, by the time at which they begin.
 
-    Direction, speed and height change over a segment by more than what they are unsure of.  A segment begins and ends
-    where the rate of that change passes half of what it is in the segment, or 1.5 deg/s, 0.5 m/s^2 and 1 m/s if that is
-    less.
+    What is listed turns by 15 degrees or more at 1 deg/s or more, changes its speed by 4 m/s or more at 0.5 m/s^2 or
+    more, climbs 30 m or more at 2.5 m/s or more, each by more than what is unsure.  A segment begins and ends where the
+    rate of that change passes half of what it is in the segment, or 1.5 deg/s, 0.5 m/s^2 and 2 m/s if that is less.
 
     Args:
         time: ``(T,)`` seconds.
         mean: ``(T, 2 d)`` position and velocity, m and m/s; best if smoothed.
         covariance: ``(T, 2 d, 2 d)`` of these.
+        height: ``(T,)`` m above the ground, which curves; None for the third axis.
     """
     finite = np.isfinite(mean).all(1) & np.isfinite(covariance).all((1, 2))
     time, mean, covariance = time[finite], mean[finite], covariance[finite]
@@ -69,8 +73,17 @@ def segments(time: Array, mean: Array, covariance: Array) -> tuple[Segment, ...]
     found = [*_changes(time, heading, np.degrees(across / speed).clip(max=180.0), _TURN)]
     found += _changes(time, speed, along, _SPEED)
     if d == 3:
-        found += _changes(time, mean[:, 2], np.sqrt(covariance[:, 2, 2]), _CLIMB)
+        above = mean[:, 2] if height is None else height[finite]
+        found += _changes(time, above, np.sqrt(covariance[:, 2, 2]), _CLIMB)
     return tuple(sorted(found))
+
+
+def inside(time: Array, listed: Iterable[Segment]) -> NDArray[np.bool_]:
+    """Which times ``(T,)`` are in any of the segments."""
+    within = np.zeros(len(time), bool)
+    for segment in listed:
+        within |= (time >= segment.begin) & (time <= segment.end)
+    return within
 
 
 def _changes(time: Array, value: Array, std: Array, rule: _Rule) -> Iterator[Segment]:
@@ -92,7 +105,7 @@ def _changes(time: Array, value: Array, std: Array, rule: _Rule) -> Iterator[Seg
                 lasting, change = np.diff(ends)[0], np.diff(np.interp(ends, there, rise))[0]
                 sure = _SURE * math.hypot(*np.interp(ends, there, doubt))
                 known = np.median(doubt[piece]) < rule.unsure
-                if known and lasting >= rule.lasting and change >= max(rule.change, sure):
+                if known and lasting >= rule.lasting and change >= max(rule.change, sure, rule.rate * lasting):
                     yield Segment(*ends, kind, float(side * change / lasting))
 
 

@@ -1,7 +1,8 @@
-"""Parquet and Feather (Arrow) files, read batch by batch and only the columns that are wanted."""
+"""Parquet and Feather (Arrow) files, read batch by batch once it is known that their contents are within the bound."""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -12,16 +13,20 @@ from torchfra.readers.columns import Cells
 from torchfra.readers.sheets import Sheet, needs
 
 _ROWS = 2**16
-"""Of a batch."""
+"""Of a batch of Parquet."""
+_MAGIC = 8
+"""Bytes before the messages of a Feather file."""
+_BATCHES = (2, 3)
+"""Kinds of messages that hold data: of a dictionary, and of rows."""
 
 
 def is_arrow(start: bytes) -> bool:
     """Whether a file begins so."""
-    return start[:4] in (b"PAR1", b"FEA1") or start[:6] == b"ARROW1"
+    return start[:4] == b"PAR1" or start[:6] == b"ARROW1"
 
 
 def arrow_sheet(path: Path, start: bytes, max_bytes: int) -> Sheet:
-    """The columns of a file.
+    """The columns of numbers, moments and text of a file.
 
     Raises:
         ValueError: it is damaged or holds too much.
@@ -32,64 +37,130 @@ def arrow_sheet(path: Path, start: bytes, max_bytes: int) -> Sheet:
     except ImportError as error:
         raise needs("pyarrow", "Parquet and Feather") from error
     try:
-        names, batches = (_parquet if start[:4] == b"PAR1" else _feather)(path, max_bytes)
-    except (pyarrow.ArrowException, OSError) as error:
+        schema, batches = (_parquet if start[:4] == b"PAR1" else _feather)(path, max_bytes)
+    except (pyarrow.ArrowException, OSError, struct.error, IndexError) as error:
         raise _damaged(error) from error
-    return Sheet(names, _parts(batches, max_bytes))
+    return Sheet([field.name for field in schema if _is_flat(field.type)], _parts(batches, max_bytes))
 
 
 def _damaged(error: Exception) -> ValueError:
     return ValueError(f"expected a complete Parquet or Feather file, received none ({error})")
 
 
-def _parquet(path: Path, max_bytes: int) -> tuple[list[str], Iterator[Any]]:
-    from pyarrow import parquet
+def _too_large(max_bytes: int) -> ValueError:
+    return too_large(max_bytes, f"of columns, of which a row counts for {BYTES_OF_A_ROW} or more")
+
+
+def _is_flat(kind: Any) -> bool:
+    """Whether a column has numbers, moments or text; others may unfold to any size."""
+    from pyarrow import types
+
+    kind = kind.value_type if types.is_dictionary(kind) else kind
+    tests = (types.is_integer, types.is_floating, types.is_timestamp, types.is_string, types.is_large_string)
+    return any(test(kind) for test in tests)
+
+
+def _parquet(path: Path, max_bytes: int) -> tuple[Any, Iterator[Any]]:
+    """The schema and the batches of a file."""
+    from pyarrow import parquet, types
 
     file = parquet.ParquetFile(path)
-    facts = file.metadata
+    facts, schema = file.metadata, file.schema_arrow
     groups = [facts.row_group(i) for i in range(facts.num_row_groups)]
-    unpacked = sum(group.column(i).total_uncompressed_size for group in groups for i in range(facts.num_columns))
+    unpacked = sum(group.column(i).total_uncompressed_size for group in groups for i in range(group.num_columns))
     if max(facts.num_rows * BYTES_OF_A_ROW, unpacked) > max_bytes:
-        raise too_large(max_bytes, f"of columns, of which a row counts for {BYTES_OF_A_ROW} or more")
-    names = [str(name) for name in file.schema_arrow.names]
-    texts = [field.name for field in file.schema_arrow if str(field.type) in ("string", "large_string")]
+        raise _too_large(max_bytes)
+    flat = [field.name for field in schema if _is_flat(field.type)]
     # as dictionaries, so that a long text that comes again and again takes no more memory than it has in the file
-    file = parquet.ParquetFile(path, read_dictionary=texts)
-    return names, file.iter_batches(_ROWS)
+    texts = [field.name for field in schema if types.is_string(field.type) or types.is_large_string(field.type)]
+    return schema, parquet.ParquetFile(path, read_dictionary=texts).iter_batches(_ROWS, columns=flat)
 
 
-def _feather(path: Path, max_bytes: int) -> tuple[list[str], Iterator[Any]]:
+def _feather(path: Path, max_bytes: int) -> tuple[Any, Iterator[Any]]:
+    """The schema and the batches of a file, which are read as the stream that they are."""
     from pyarrow import ipc, memory_map
 
-    reader = ipc.open_file(memory_map(str(path)))
-    return [str(name) for name in reader.schema.names], map(reader.get_batch, range(reader.num_record_batches))
+    file = memory_map(str(path))
+    file.seek(_MAGIC)
+    messages, unpacked = ipc.MessageReader.open_stream(file), 0
+    for message in messages:
+        unpacked += _unpacked(message.metadata.to_pybytes(), memoryview(message.body or b""))
+        if unpacked > max_bytes:
+            raise _too_large(max_bytes)
+    file.seek(_MAGIC)
+    reader = ipc.open_stream(file)
+    return reader.schema, iter(reader)
+
+
+def _unpacked(metadata: bytes, body: memoryview) -> int:
+    """Bytes that the buffers of a message have when they are unpacked.
+
+    Source: Apache Arrow, "Columnar format", Message.fbs and compressed buffers, whose first 8 bytes are their length.
+
+    Raises:
+        struct.error: it is damaged.
+    """
+    message = _unsigned(metadata, 0)
+    kind = metadata[_field(metadata, message, 1)]
+    if kind not in _BATCHES:
+        return 0
+    batch = _linked(metadata, _field(metadata, message, 2))
+    if kind == _BATCHES[0]:
+        batch = _linked(metadata, _field(metadata, batch, 1))
+    buffers, total = _linked(metadata, _field(metadata, batch, 2)), 0
+    packed = _field(metadata, batch, 3) > 0
+    for i in range(_unsigned(metadata, buffers)):
+        offset, length = struct.unpack_from("<qq", metadata, buffers + 4 + 16 * i)
+        stated = struct.unpack_from("<q", body, offset)[0] if packed and length else -1
+        total += length if stated == -1 else stated if stated >= 0 else 2**62
+    return total
+
+
+def _unsigned(data: bytes, at: int) -> int:
+    return int(struct.unpack_from("<I", data, at)[0])
+
+
+def _linked(data: bytes, at: int) -> int:
+    """Where the link leads that is at a place of a flatbuffer."""
+    return at + _unsigned(data, at)
+
+
+def _field(data: bytes, table: int, number: int) -> int:
+    """Where a field of a table of a flatbuffer is; 0 where it is absent."""
+    layout = table - int(struct.unpack_from("<i", data, table)[0])
+    size, place = int(struct.unpack_from("<H", data, layout)[0]), 4 + 2 * number
+    offset = int(struct.unpack_from("<H", data, layout + place)[0]) if place < size else 0
+    return table + offset if offset else 0
 
 
 def _parts(batches: Iterator[Any], max_bytes: int) -> Iterator[tuple[int, Cells]]:
     import pyarrow
 
-    rows = taken = 0
+    rows = 0
     try:
         for batch in batches:
-            rows, taken = rows + batch.num_rows, taken + batch.nbytes
-            if max(rows * BYTES_OF_A_ROW, taken) > max_bytes:
-                raise too_large(max_bytes, f"of columns, of which a row counts for {BYTES_OF_A_ROW} or more")
+            batch.validate(full=True)
+            rows += batch.num_rows
+            if rows * BYTES_OF_A_ROW > max_bytes:
+                raise _too_large(max_bytes)
             yield batch.num_rows, partial(_cells, batch)
     except (pyarrow.ArrowException, OSError) as error:
         raise _damaged(error) from error
 
 
 def _cells(batch: Any, name: str) -> Any:
-    """A column: an array of numbers or moments, where they are some; otherwise a list."""
+    """A column: an array of numbers or moments; or a list of texts, in memory once each."""
     import pyarrow
     from pyarrow import types
 
-    column = batch.column(name)
-    kind = column.type
-    if types.is_timestamp(kind):
+    column = batch.column(batch.schema.get_field_index(name))
+    if types.is_dictionary(column.type):
+        known = [*column.dictionary.to_pylist(), None]
+        return [known[-1 if i is None else i] for i in column.indices.to_pylist()]
+    if types.is_timestamp(column.type):
         return column.cast(pyarrow.timestamp("ns")).to_numpy(zero_copy_only=False)
-    if types.is_integer(kind) and column.null_count:
+    if types.is_integer(column.type) and column.null_count:
         return column.cast(pyarrow.float64()).to_numpy(zero_copy_only=False)
-    if types.is_integer(kind) or types.is_floating(kind):
+    if types.is_integer(column.type) or types.is_floating(column.type):
         return column.to_numpy(zero_copy_only=False)
     return column.to_pylist()

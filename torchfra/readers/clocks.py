@@ -22,6 +22,8 @@ _YEAR_2286 = 1e10
 _DAY = 86_400.0
 _FEW = 0.1
 """Share of the times of a clock that may not have been set yet."""
+_FINER = 2
+"""How many times as many moments a column of times has to have, to be taken although another has the date."""
 _SAID = {"seconds": "seconds", "ms": "ms", "us": "microseconds", "ns": "nanoseconds"}
 
 
@@ -70,8 +72,8 @@ class Clock:
 
     @property
     def doubt(self) -> tuple[bool, bool]:
-        """What to sort by: whether it is no text of dates, and whether it lacks the date."""
-        return self.form in PER_SECOND, not self.since_1970
+        """What to sort by: whether it lacks the date, and whether it is no text."""
+        return not self.since_1970, self.form in PER_SECOND
 
 
 def clock_of(head: Head, told: Told) -> tuple[Clock, list[str]]:
@@ -96,6 +98,10 @@ def clock_of(head: Head, told: Told) -> tuple[Clock, list[str]]:
     if not clocks:
         raise refusals[0] if refusals else LookupError("time")
     best = min(clocks, key=lambda clock: clock.doubt)
+    moments = {clock: len({str(cell) for name in clock.columns for cell in head.cells(name)}) for clock in clocks}
+    finest = max(clocks, key=lambda clock: moments[clock])
+    if moments[finest] > _FINER * moments[best]:
+        best = finest  # such as ms since a start beside a date of whole seconds: fixes of one moment would be lost
     return best, [name for name in candidates if name not in best.columns]
 
 
@@ -113,21 +119,21 @@ def _clock(name: str, head: Head, told: Told) -> Clock:
     if told.time_format is not None:
         return _told_clock(name, told.time_format)
     values = _values(some)
-    if len(values) < len(some) and (clock := _text_clock((name,), some)) is not None:
+    if len(values) < len(some) and (clock := _text_clock((name,), some, _is_danish(head))) is not None:
         return clock
     if len(some) and not len(values) and plain(name) in SINCE_1970:
         return Clock((name,), INSTANT, "iso", True)  # which names the cell that is no time, as a number does
     return _numeric(name, values, told)
 
 
-def _text_clock(columns: tuple[str, ...], some: Sequence[Any]) -> Clock | None:
+def _text_clock(columns: tuple[str, ...], some: Sequence[Any], day_first: bool) -> Clock | None:
     """How texts tell the time; None where they do not.
 
     Raises:
         ValueError: the day may be the month.
     """
     try:
-        form = form_of([cell for cell in some if isinstance(cell, str)])
+        form = form_of([cell for cell in some if isinstance(cell, str)], day_first=day_first)
     except ValueError as error:
         raise ValueError(f"column {columns[-1]}: {error}") from None
     if form is None:
@@ -135,9 +141,8 @@ def _text_clock(columns: tuple[str, ...], some: Sequence[Any]) -> Clock | None:
     read, write = form
     if read == "iso":
         return Clock(columns, replace(INSTANT, joined=columns[:-1] and columns), write, True)
-    return Clock(
-        columns, replace(_text_kind(read, str(some[0])), joined=columns[:-1] and columns), write, read != CLOCK
-    )
+    kind = replace(_text_kind(read, str(some[0])), joined=columns[:-1] and columns)
+    return Clock(columns, kind, write, read != CLOCK)
 
 
 def _text_kind(form: str, example: str) -> Kind:
@@ -202,10 +207,16 @@ def _dated(clock: Clock, head: Head) -> Clock:
     if clock.form != CLOCK:
         return clock
     for date in found(head.names, "date"):
-        together = [f"{a} {b}".strip() for a, b in zip(head.cells(date), head.cells(clock.columns[0]), strict=True)]
-        if date not in clock.columns and (dated := _text_clock((date, *clock.columns), list(filter(None, together)))):
+        columns = (date, *clock.columns)
+        together = [" ".join(map(str, cells)).strip() for cells in zip(*map(head.cells, columns), strict=True)]
+        if date not in clock.columns and (dated := _text_clock(columns, [*filter(None, together)], _is_danish(head))):
             return dated
     return clock
+
+
+def _is_danish(head: Head) -> bool:
+    """Whether it is a log of ships as the Danish Maritime Authority gives them out, with the day before the month."""
+    return "typeofmobile" in map(plain, head.names)
 
 
 def _values(cells: Sequence[Any]) -> NDArray[np.float64]:

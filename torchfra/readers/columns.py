@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from torchfra.readers.times import seconds_of
+from torchfra.readers.times import seconds_of, usual_iso_seconds
 
 Array: TypeAlias = NDArray[np.float64]
 Cells: TypeAlias = Callable[[str], Sequence[Any] | NDArray[Any]]
@@ -25,6 +25,8 @@ _SIGNS_OF_DECIMALS = re.compile(r"[0-9.eE+\- ,]*")
 _SIGNS_WITH_COMMAS = re.compile(r"[0-9,eE+\- ;]*")
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 60
+short = _SHORT.repr
+"""What came, for an error message, cut off where it is long or deep."""
 
 
 class Head(NamedTuple):
@@ -125,9 +127,9 @@ def numbers(cells: Sequence[Any] | NDArray[Any], kind: Kind, name: str, first: i
 
     def refused(i: int, advice: str = "") -> ValueError:
         where = f"in data row {first + i + 1}, column {name}"
-        return ValueError(f"expected {kind.said} {where}, received {_SHORT.repr(cells[i])}{advice}")
+        return ValueError(f"expected {kind.said} {where}, received {short(cells[i])}{advice}")
 
-    values = _array(cells, kind) if isinstance(cells, np.ndarray) else _plain_decimals(cells, kind)
+    values = _array(cells, kind) if isinstance(cells, np.ndarray) else _plain(cells, kind)
     if values is None:
         convert = _converter(kind)
         values = np.empty(len(cells))
@@ -151,7 +153,7 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
 
         def instant(cell: Any) -> float:
             if not isinstance(cell, str):
-                return _instant(cell, kind)
+                return number(cell) if kind.form == "iso" else _instant(cell, kind)
             if cell not in known:
                 known[cell] = _instant(cell, kind)
             return known[cell]
@@ -170,10 +172,12 @@ def _array(cells: NDArray[Any], kind: Kind) -> Array | None:
     return cells.astype(np.float64) if cells.dtype.kind in "fiu" else None
 
 
-def _plain_decimals(cells: Sequence[Any], kind: Kind) -> Array | None:
-    """Cells that are all empty or decimal numbers, fast; None for others."""
+def _plain(cells: Sequence[Any], kind: Kind) -> Array | None:
+    """Cells that are all empty or decimal numbers, or usual ISO text, fast; None for others."""
     if kind.form not in ("", "iso"):
         return None  # a form may be of digits alone
+    if kind.form == "iso" and (seconds := usual_iso_seconds(cells)) is not None:
+        return seconds * kind.per_unit
     try:
         if kind.decimal == "," and _SIGNS_WITH_COMMAS.fullmatch(";".join(cells)):
             return np.array([float(cell.replace(",", ".") or "nan") for cell in cells])
@@ -201,7 +205,7 @@ def text(cells: Sequence[Any] | NDArray[Any], name: str, known: dict[Any, str], 
     for i, cell in enumerate(cells):
         if isinstance(cell, bool | list | dict):
             where = f"in data row {first + i + 1}, column {name}"
-            raise ValueError(f"expected text {where}, received {_SHORT.repr(cell)}")
+            raise ValueError(f"expected text {where}, received {short(cell)}")
         if cell not in known:
             whole = isinstance(cell, float) and cell.is_integer()  # a table with gaps has numbers of ships as such
             known[cell] = "" if cell is None or cell != cell else str(int(cell) if whole else cell).strip()

@@ -35,7 +35,8 @@ def csv_sheet(file: Any, told: Told, headers: str, repairs: Counter[str] | None,
     Raises:
         ValueError: there is no header, or a column comes twice; later, a row of another length.
     """
-    rows = Rows(io.TextIOWrapper(file, "utf-8-sig", newline=""), max_bytes)
+    wide = file.peek(2)[:2] in (b"\xff\xfe", b"\xfe\xff")  # as Excel writes "Unicode text"
+    rows = Rows(io.TextIOWrapper(file, "utf-16" if wide else "utf-8-sig", newline=""), max_bytes)
     sign = _begin(rows, told)
     said = () if sign == "," else (f"separated by {_SIGNS.get(sign, repr(sign))}",)
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from torchfra.readers.columns import Cells
+from torchfra.readers.columns import Cells, short
 from torchfra.readers.sheets import Sheet, points_sheet, repeated, whole_text
 
 _POINTS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2}
@@ -110,7 +110,7 @@ def _places(coordinates: Any, properties: dict[str, Any], depth: int, number: in
     records = []
     for i, place in enumerate(places):
         if not isinstance(place, list) or not 2 <= len(place) <= 4:
-            raise ValueError(f"expected longitude, latitude[, altitude], received {str(place)[:60]}")
+            raise ValueError(f"expected longitude, latitude[, altitude], received {short(place)}")
         axes = dict(zip(("longitude", "latitude", "altitude"), place, strict=False))
         records.append(({"time": times[i]} if depth else {}) | shared | axes)
     return records

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,8 +25,12 @@ _ALTITUDES_IN_FEET = {"altitude", "alt", "altbaro", "altgeom"}
 """Of aircraft, as these send them; OpenSky has baroaltitude and geoaltitude in metres."""
 
 
-_WHOLE = re.compile(r"-?[0-9]{7,}")
-"""Coordinates in 1e-7 degrees, as autopilots have them."""
+_PLAIN = (str, int, float, np.generic)
+"""What cells are that are neither missing nor nested."""
+_LENGTHS = {1.0: "metres", METRES["ft"]: "feet", 1e-3: "millimetres"}
+_WHOLE = re.compile(r"[+-]?[0-9]+")
+_AUTOPILOT = 1e-7
+"""Degrees in the numbers of autopilots, whose altitudes are in millimetres."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,7 @@ def layout_of(head: Head, told: Told, name: str) -> Layout:
     clock, unused = _clock(head, told, columns)
     word = _word(head)
     columns |= _labels(head, asked, word)
-    length = _length(columns, told, word)
+    length = _length(columns, told, word, head)
     noise = noise_of(head.names, asked, 1.0 if "latitude" in columns else length, word == "ship")
     wanted: Wanted = {clock.column: clock.kind}
     wanted |= {column: _kind(role, column, head, length, word) for role, column in columns.items()}
@@ -104,11 +108,8 @@ def _places(names: list[str], asked: Mapping[str, str]) -> dict[str, str]:
     if "x" in asked or not {"latitude", "longitude"} <= degrees.keys():
         if {"x", "y"} <= metres.keys():
             return metres
-        some = {
-            role: column for part in (degrees, metres) for role, column in part.items() if role not in ("z", "altitude")
-        }
-        pairs = (("latitude", "longitude"), ("x", "y"))
-        missing = [role for pair in pairs if some.keys() & set(pair) for role in pair if role not in some]
+        some, pairs = {*degrees, *metres}, (("latitude", "longitude"), ("x", "y"))
+        missing = [role for pair in pairs if some & {*pair} for role in pair if role not in some]
         raise ValueError(f"{HEADERS}; {f'missing {listed(missing)}, ' if missing else ''}received {listed(names)}")
     return degrees
 
@@ -133,38 +134,50 @@ def _word(head: Head) -> str:
 
 def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
     """Columns that say which target a row is of, what else it is called, and what marks a new position."""
-    taken: dict[str, str] = {}
-    if "id" in asked:
-        taken["id"] = asked["id"]
-    for column in found(head.names, "id"):
-        if "id" not in taken and not _counts(column, head):
-            taken["id"] = column
-    if word != "target":
-        calls = [column for column in found(head.names, "call") if column != taken.get("id")]
-        calls = [column for column in calls if (plain(column) == "callsign") == (word == "aircraft")]
-        taken |= dict(zip(["call"], calls, strict=False))
+    ids = [asked["id"]] if "id" in asked else [name for name in found(head.names, "id") if not _counts(name, head)]
+    calls = [name for name in found(head.names, "call") if (plain(name) == "callsign") == (word == "aircraft")]
+    calls = [] if word == "target" else calls
+    if not ids and len(set(filter(None, _texts(head, calls)))) > 1:
+        ids = calls[:1]
+    taken = dict(zip(["id"], ids, strict=False))
+    taken |= dict(zip(["call"], [name for name in calls if name not in ids[:1]], strict=False))
     if word == "aircraft":
         taken |= dict(zip(["update"], found(head.names, "update"), strict=False))
-        altitudes = {plain(column): column for column in reversed(found(head.names, "altitude"))}
+        altitudes = {plain(name): name for name in reversed(found(head.names, "altitude"))}
         if "altitude" not in altitudes and altitudes.keys() >= {"baroaltitude", "geoaltitude"}:
             taken["second"] = altitudes["geoaltitude"]
     return taken
 
 
-def _counts(column: str, head: Head) -> bool:
+def _counts(name: str, head: Head) -> bool:
     """Whether a column numbers the rows instead of naming targets."""
-    if plain(column) not in COUNTERS:
+    if plain(name) not in COUNTERS:
         return False
-    cells = [str(cell) for cell in head.cells(column) if isinstance(cell, str | int | float | np.generic)]
+    cells = _texts(head, [name])
     return len(set(cells)) == len(cells) > 2
 
 
-def _length(columns: Mapping[str, str], told: Told, word: str) -> float:
+def _texts(head: Head, names: Sequence[str]) -> list[str]:
+    """The cells of the first of these columns that are text or numbers."""
+    cells = head.cells(names[0]) if names else []
+    return [str(cell).strip() for cell in cells if isinstance(cell, _PLAIN)]
+
+
+def _is_whole(head: Head, name: str | None, digits: int) -> bool:
+    """Whether a column has whole numbers, one of at least so many digits."""
+    texts = [] if name is None else [*filter(None, _texts(head, [name]))]
+    return max(map(len, texts), default=0) >= digits and all(map(_WHOLE.fullmatch, texts))
+
+
+def _length(columns: Mapping[str, str], told: Told, word: str, head: Head) -> float:
     """Metres in the unit of x, y and z, or of altitudes."""
     lengths = [columns[role] for role in ("altitude", "x", "y", "z") if role in columns]
     units = [METRES[ending] for column in lengths if (ending := unit(column) or "") in METRES]
     feet = word == "aircraft" and plain(columns.get("altitude", "")) in _ALTITUDES_IN_FEET
-    return METRES[told.units] if told.units else units[0] if units else METRES["ft" if feet else "m"]
+    if told.units or units:
+        return METRES[told.units] if told.units else units[0]
+    autopilot = _is_whole(head, columns.get("latitude"), 7) and _is_whole(head, columns.get("altitude"), 1)
+    return 1e-3 if autopilot else METRES["ft" if feet else "m"]
 
 
 def _kind(role: str, column: str, head: Head, length: float, word: str) -> Kind | None:
@@ -177,10 +190,7 @@ def _kind(role: str, column: str, head: Head, length: float, word: str) -> Kind 
         return Kind(unit=length)
     limit = _LIMITS[role]
     kind = Kind(f"degrees within +-{limit:g}", limit=limit, absent=_ABSENT[role] if word == "ship" else np.nan)
-    whole = [
-        cell for cell in head.cells(column) if isinstance(cell, str | int | np.integer) and _WHOLE.fullmatch(str(cell))
-    ]
-    return replace(kind, limit=limit * 1e7, unit=1e-7) if whole else kind
+    return replace(kind, limit=limit / _AUTOPILOT, unit=_AUTOPILOT) if _is_whole(head, column, 7) else kind
 
 
 def _has_commas(head: Head, columns: Mapping[str, str]) -> bool:
@@ -195,12 +205,14 @@ def _with_points(head: Head) -> Callable[[str], list[Any]]:
 
 def _said(columns: Mapping[str, str], length: float, told: Told, wanted: Wanted) -> list[str]:
     """Lines on positions and targets."""
-    unit_said = "feet" if length == METRES["ft"] else "metres"
+    unit_said = _LENGTHS[length]
     places = [columns[role] for role in ("latitude", "longitude", "x", "y", "z") if role in columns]
     how = "" if "latitude" in columns else f", in {unit_said}"
-    if any(kind is not None and kind.unit == 1e-7 for kind in wanted.values()):
+    if any(kind is not None and kind.unit == _AUTOPILOT for kind in wanted.values()):
         how = ", in 1e-7 degrees"
     lines = [f"position: {', '.join(places)}{how}"]
     if "altitude" in columns:
-        lines.append(f"altitude: {columns['altitude']}, in {unit_said}" + ("" if told.units else " (--units)"))
+        lines.append(
+            f"altitude: {columns['altitude']}, in {unit_said}" + ("" if told.units else "; --units takes others")
+        )
     return lines + ([f"targets: {columns['id']}"] if "id" in columns else [])

@@ -33,7 +33,8 @@ def read(
         origin: latitude, longitude in degrees and altitude in m that become (0, 0, 0); if None, the first fix of the
             first target in the file.
         max_bytes: of text that the file may hold, unpacked: a row counts for 64 or more, a name for 4096, a byte of
-            JSON or XML for 24.  Ten million rows of CSV are within the default, 1 GiB, and need 1.6 GiB of memory.
+            JSON for 24 and of XML for 32.  Ten million rows of CSV are within the default, 1 GiB, and need 1.6 GiB of
+            memory.
         words: what the file does not say or says wrongly: see ``Told``.
 
     Returns:
@@ -107,9 +108,8 @@ def _recording(target: Target, layout: Layout, origin: Origin | None) -> Recordi
     """A target in metres."""
     place, height = target.place, target.height
     if origin is not None:
-        position = to_enu(place[:, 0], place[:, 1], origin[2] if height is None else height, origin)[
-            :, : 2 if height is None else 3
-        ]
+        position = to_enu(place[:, 0], place[:, 1], origin[2] if height is None else height, origin)
+        position = position if height is not None else position[:, :2]
     else:
         position = place if height is None else np.column_stack([place, height])
     return Recording(

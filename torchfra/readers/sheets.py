@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 from torchfra.readers.bounded import too_large
 from torchfra.readers.columns import Cells
 
-BYTES_OF_A_TREE = 24
-"""What a byte of JSON or XML counts for: it is read as a whole, and takes up more memory."""
+_WEIGHTS = {"JSON": 24, "XML": 32}
+"""What a byte counts for: it is read as a whole, and takes up more memory."""
 
 
 class Sheet(NamedTuple):
@@ -36,14 +36,15 @@ def repeated(names: Iterable[str]) -> str:
 
 
 def whole_text(file: Any, max_bytes: int, what: str) -> str:
-    """All text of a file.
+    """All text of a file of ``"JSON"`` or ``"XML"``.
 
     Raises:
         ValueError: there is too much.
     """
-    data = file.read(max_bytes // BYTES_OF_A_TREE + 1)
-    if len(data) > max_bytes // BYTES_OF_A_TREE:
-        raise too_large(max_bytes, f"of text, of which one of {what} counts for {BYTES_OF_A_TREE}")
+    most = max_bytes // _WEIGHTS[what]
+    data = file.read(most + 1)
+    if len(data) > most:
+        raise too_large(max_bytes, f"of text, of which one of {what} counts for {_WEIGHTS[what]}")
     return str(data.decode("utf-8-sig"))
 
 

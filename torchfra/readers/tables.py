@@ -7,6 +7,7 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -19,6 +20,7 @@ from torchfra.readers.columns import Array, Cells, Head, Kind, numbers, text
 from torchfra.readers.csv_files import csv_sheet
 from torchfra.readers.json_files import json_sheet
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
+from torchfra.readers.pairs import pair_of, parted
 from torchfra.readers.sheets import Sheet, listed
 from torchfra.readers.told import Told
 from torchfra.readers.xml_files import is_xml, xml_sheet
@@ -67,7 +69,7 @@ def read_table(
         headers: beginning of the error message where there is no header.
         repairs: where to count rows of CSV with more or fewer fields than the header, whose cells become empty; None
             refuses them, and tables without rows.
-        max_bytes: of text; a row counts for 64 bytes or more, a name for 4096 and a byte of JSON or XML for 24.
+        max_bytes: of text; a row counts for 64 bytes or more, a name for 4096, a byte of JSON for 24 and of XML for 32.
         told: how cells are written.
 
     Raises:
@@ -111,11 +113,18 @@ def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int) -> 
     """
     growing, parts = _Growing(sheet.names, max_bytes), iter(sheet.parts)
     first = next(parts, None)
+    pair = None
     if sheet.names and first is not None:
         cells = first[1]
-        growing.want(choose(Head(sheet.names, lambda name: cells(name)[:_HEAD], sheet.said, sheet.commas, sheet.json)))
+        begin = cache(lambda name: cells(name)[:_HEAD])
+        head = Head(sheet.names, begin, sheet.said, sheet.commas, sheet.json)
+        if (pair := pair_of(head)) is not None:
+            names = [*(name for name in sheet.names if name != pair), "latitude", "longitude"]
+            said = (*sheet.said, f"latitude, longitude: both in {pair}")
+            head = head._replace(names=names, cells=parted(head.cells, pair), said=said)
+        growing.want(choose(head))
     for rows, cells in chain([first] if first else [], parts):
-        growing.add(rows, cells)
+        growing.add(rows, cells if pair is None else parted(cells, pair))
     return growing.table()
 
 
@@ -163,4 +172,4 @@ class _Growing:
 
 def _joined(cells: Cells, columns: tuple[str, ...]) -> list[str]:
     """The cells of several columns, one after the other."""
-    return [" ".join(map(str, parts)).strip() for parts in zip(*map(cells, columns), strict=True)]
+    return [" ".join(str(part or "") for part in parts).strip() for parts in zip(*map(cells, columns), strict=True)]

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from typing import Any
 from xml.etree import ElementTree
+from xml.parsers import expat
 
+from torchfra.readers.columns import short
 from torchfra.readers.sheets import DECIMAL, Sheet, needs, points_sheet, whole_text
 
 _NUMBERS = re.compile(r"""\s(lat|lon)\s*=\s*["']([^"'<]*)["']|<(?:\w+:)?(ele|hdop)>([^<]*)<""")
 """Those of a GPX file, which gpxpy reads as Python does."""
+_DEEPEST = 64
+"""Elements around another; some ten in files of people."""
 
 
 def is_xml(start: bytes) -> bool:
@@ -24,14 +29,42 @@ def xml_sheet(file: Any, max_bytes: int) -> Sheet:
         ValueError: neither, or it defines entities.
         ImportError: gpxpy is needed and not installed.
     """
-    text = whole_text(file, max_bytes, "XML")
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise ValueError("expected GPX or KML without <!DOCTYPE> and <!ENTITY>, received one that has them")
-    text = re.sub(r"^\s*<\?xml[^>]*\?>", "", text)
-    root = re.search(r"<(?:\w+:)?(gpx|kml)[\s>]", text[:10_000])
-    if root is None:
+    text = re.sub(r"^\s*<\?xml[^>]*\?>", "", whole_text(file, max_bytes, "XML"))
+    root = _checked_root(text)
+    if root not in ("gpx", "kml"):
         raise ValueError("expected GPX or KML, received other XML")
-    return _gpx_sheet(text) if root[1] == "gpx" else _kml_sheet(text)
+    return _gpx_sheet(text) if root == "gpx" else _kml_sheet(text)
+
+
+def _checked_root(text: str) -> str:
+    """The name of the outermost element.
+
+    Raises:
+        ValueError: the text is no XML, defines entities, or is nested so deeply that what reads it may fall over.
+    """
+    parser, depth, root = expat.ParserCreate(), 0, list[str]()
+
+    def begin(name: str, _: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth == 1:
+            root.append(name.rpartition(":")[2])
+        if depth > _DEEPEST:
+            raise ValueError(f"expected elements within at most {_DEEPEST} others, received more")
+
+    def end(_: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def refuse(*_: object) -> None:
+        raise ValueError("expected GPX or KML without <!DOCTYPE>, received one that has it")
+
+    parser.StartElementHandler, parser.EndElementHandler, parser.StartDoctypeDeclHandler = begin, end, refuse
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        raise ValueError(f"expected GPX or KML, received other text ({error})") from error
+    return root[0]
 
 
 def _gpx_sheet(text: str) -> Sheet:
@@ -41,8 +74,8 @@ def _gpx_sheet(text: str) -> Sheet:
         raise needs("gpxpy", "GPX") from error
     for found in _NUMBERS.finditer(text):
         value = found[2] if found[1] else found[4]
-        if not DECIMAL.fullmatch(value):
-            raise ValueError(f"expected a number as {found[1] or found[3]}, received {value[:60]!r}")
+        if value.strip() and not DECIMAL.fullmatch(value):
+            raise ValueError(f"expected a number as {found[1] or found[3]}, received {short(value)}")
     try:
         gpx = gpxpy.parse(text)
     except (gpxpy.gpx.GPXException, ValueError, TypeError) as error:
@@ -59,10 +92,8 @@ def _gpx_sheet(text: str) -> Sheet:
             for column, cell in zip(columns.values(), row, strict=True):
                 column.append(cell)
     others = len(gpx.waypoints) + sum(len(route.points) for route in gpx.routes)
-    said = (
-        f"GPX: {len(gpx.tracks)} tracks" + (f"; {others} waypoints and points of routes left out" if others else ""),
-    )
-    return _timed(columns, said, "GPX")
+    left_out = f"; {others} waypoints and points of routes left out" if others else ""
+    return _timed(columns, (f"GPX: {len(gpx.tracks)} tracks{left_out}",), "GPX")
 
 
 def _kml_sheet(text: str) -> Sheet:
@@ -80,14 +111,13 @@ def _kml_sheet(text: str) -> Sheet:
         lines += any(_tag(part) == "LineString" for part in parts)
         for track in tracks:
             times = [part.text for part in track if _tag(part) == "when"]
-            places = [(part.text or "").split() for part in track if _tag(part) == "coord"]
+            places = [part for part in track if _tag(part) == "coord"]
             if len(times) != len(places):
                 raise ValueError(f"expected a time for each of {len(places)} places of a track, received {len(times)}")
-            _add(columns, times, places, name or f"track {number + 1}")
+            _add(columns, times, ((part.text or "").split() for part in places), name or f"track {number + 1}")
         when = [part.text for part in parts if _tag(part) == "when"]
-        point = [
-            part.text or "" for one in parts if _tag(one) == "Point" for part in one if _tag(part) == "coordinates"
-        ]
+        inner = [part for one in parts if _tag(one) == "Point" for part in one]
+        point = [part.text or "" for part in inner if _tag(part) == "coordinates"]
         if not tracks and when and point:
             _add(columns, when[:1], [point[0].strip().split(",")], "")
     if not columns["time"] and lines:
@@ -95,7 +125,7 @@ def _kml_sheet(text: str) -> Sheet:
     return _timed(columns, ("KML: longitude, latitude[, altitude in metres]",), "KML")
 
 
-def _add(columns: dict[str, list[Any]], times: list[str | None], places: list[list[str]], name: str) -> None:
+def _add(columns: dict[str, list[Any]], times: Iterable[str | None], places: Iterable[list[str]], name: str) -> None:
     """Adds points.
 
     Raises:
@@ -103,7 +133,7 @@ def _add(columns: dict[str, list[Any]], times: list[str | None], places: list[li
     """
     for time, place in zip(times, places, strict=True):
         if place and not 2 <= len(place) <= 3:
-            raise ValueError(f"expected longitude, latitude[, altitude], received {' '.join(place)[:60]!r}")
+            raise ValueError(f"expected longitude, latitude[, altitude], received {short(' '.join(place))}")
         longitude, latitude, altitude = (*place, "", "", "")[:3]
         for column, cell in zip(columns.values(), (time, latitude, longitude, altitude, name), strict=True):
             column.append(cell)

@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from torchfra.app.outputs.places import turned
 from torchfra.cleaning import Cleaned
-from torchfra.geodesy import to_geodetic
+from torchfra.geodesy import to_geodetic, turned
 from torchfra.readers.columns import Array
 
 

@@ -11,7 +11,7 @@ from torchfra.app.atomic_write import write as write_whole
 from torchfra.app.atomic_write import write_json
 from torchfra.app.outputs import csv_table, geojson, gpx, kml, parquet
 from torchfra.app.outputs.metadata import metadata
-from torchfra.app.outputs.points import check_degrees
+from torchfra.app.outputs.points import origin_of
 from torchfra.cleaning import Cleaned
 from torchfra.readers import Recording
 
@@ -25,8 +25,8 @@ FORMATS: dict[str, Callable[[Sequence[Cleaned]], bytes]] = {
 """What makes a file of some targets, by its ending."""
 MAPS = (".gpx", ".geojson", ".kml")
 """Those that hold latitudes and longitudes only."""
-_NEEDS = {".parquet": ("pyarrow", "parquet"), ".gpx": ("gpxpy", "gpx")}
-"""The package that a format needs, and the extra that brings it."""
+_NEEDS = {".parquet": "pyarrow", ".gpx": "gpxpy"}
+"""The package that a format needs."""
 
 
 def check_format(ending: str, recordings: Sequence[Recording] = ()) -> None:
@@ -38,12 +38,12 @@ def check_format(ending: str, recordings: Sequence[Recording] = ()) -> None:
     """
     if ending not in FORMATS:
         raise ValueError(f"out: expected a folder or a file ending in {', '.join(FORMATS)}, received {ending!r}")
-    package, extra = _NEEDS.get(ending, ("", ""))
-    if package and find_spec(package) is None:
-        raise ImportError(f"out: {ending} needs {package}: pip install 'torchfra[{extra}]', or take .csv or .geojson")
+    package = _NEEDS.get(ending)
+    if package is not None and find_spec(package) is None:
+        raise ImportError(f"out: {ending} needs {package}: pip install 'torchfra[formats]', or take .csv or .geojson")
     if ending in MAPS:
         for recording in recordings:
-            check_degrees(recording)
+            origin_of(recording)
 
 
 def write(results: Sequence[Cleaned], path: Path, settings: Mapping[str, Any]) -> None:

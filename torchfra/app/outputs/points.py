@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torchfra.app.outputs.table import columns
 from torchfra.app.outputs.times import dates
 from torchfra.cleaning import Cleaned, Segment
-from torchfra.geodesy import to_geodetic
+from torchfra.geodesy import Origin, to_geodetic
 from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
 
@@ -43,7 +43,7 @@ def points(cleaned: Cleaned) -> Points:
     Raises:
         ValueError: the recording has x and y without an origin.
     """
-    check_degrees(cleaned.recording)
+    origin = origin_of(cleaned.recording)
     good, rejected = ~cleaned.failed, cleaned.flag == "outlier"
     table, at = columns(cleaned), np.flatnonzero(good)
     stamps = dates(cleaned)
@@ -55,29 +55,29 @@ def points(cleaned: Cleaned) -> Points:
     ]
     return Points(
         cleaned.recording.name,
-        _place(cleaned, cleaned.position[good]),
+        _place(cleaned.position[good], origin),
         None if stamps is None else [stamps[i] for i in at],
         attributes,
-        _place(cleaned, cleaned.raw[rejected]),
+        _place(cleaned.raw[rejected], origin),
         table["row"][rejected].tolist(),
         manoeuvres,
     )
 
 
-def check_degrees(recording: Recording) -> None:
-    """Checks that a track has a place on the earth.
+def origin_of(recording: Recording) -> Origin:
+    """Where on the earth a track is.
 
     Raises:
-        ValueError: it has not.
+        ValueError: it has x and y without an origin.
     """
     if recording.origin is None:
         name = recording.source.name or recording.name
         raise ValueError(f"out: maps need latitudes and longitudes, and {name} has x and y: take .csv or .parquet")
+    return recording.origin
 
 
-def _place(cleaned: Cleaned, position: Array) -> Array:
-    assert cleaned.recording.origin is not None
-    latitude, longitude, altitude = to_geodetic(position, cleaned.recording.origin)
+def _place(position: Array, origin: Origin) -> Array:
+    latitude, longitude, altitude = to_geodetic(position, origin)
     return np.stack([longitude, latitude, altitude][: position.shape[1]], 1)
 
 

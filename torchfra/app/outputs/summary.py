@@ -14,6 +14,8 @@ from torchfra.tables import printable
 
 LONGEST_NAME = 100
 """Characters of a target's name in a line."""
+_NOUNS = {"climbing": "climb", "descending": "descent", "speeding up": "acceleration", "slowing down": "deceleration"}
+"""What a manoeuvre is called that is counted."""
 
 
 def summary(cleaned: Cleaned) -> dict[str, Any]:
@@ -77,8 +79,8 @@ def settings_line(found: Found) -> str:
 
 def manoeuvres(cleaned: Cleaned) -> str:
     """How many there are of which kind, and how long they take together."""
-    kinds = Counter(segment.kind for segment in cleaned.segments)
-    listed = ", ".join(f"{count} {kind}{'s' * (count > 1 and kind.endswith('turn'))}" for kind, count in kinds.items())
+    kinds = Counter(_NOUNS.get(segment.kind, segment.kind) for segment in cleaned.segments)
+    listed = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in kinds.items())
     return f"{listed} in {duration(sum(segment.end - segment.begin for segment in cleaned.segments))}"
 
 

@@ -76,6 +76,16 @@ class View(NamedTuple):
     regimes: dict[str, Array]
     """Probabilities ``(T,)`` by name, the calm one first."""
 
+    def shades(self) -> list[tuple[float, float]]:
+        """Begin and end of the time with any manoeuvre."""
+        spans: list[tuple[float, float]] = []
+        for begin, end, _ in sorted(self.manoeuvres):
+            if spans and begin <= spans[-1][1]:
+                spans[-1] = spans[-1][0], max(end, spans[-1][1])
+            else:
+                spans.append((begin, end))
+        return spans
+
 
 def view(cleaned: Cleaned) -> View:
     """What there is to be seen of a track."""

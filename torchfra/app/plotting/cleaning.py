@@ -10,10 +10,12 @@ from matplotlib.figure import Figure
 from torchfra.app.outputs.colours import BLACK, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
 from torchfra.app.outputs.view import MOST_STD, SURE, Band, View, beyond, view
 from torchfra.app.plotting.labels import SIZE, Array, beside, in_free_places, show
-from torchfra.app.plotting.style import TITLE, any_letters, without_box, words
+from torchfra.app.plotting.style import TITLE, any_letters, finish, without_box, words
 from torchfra.cleaning import Cleaned
 
-_LETTERS = 85
+_MANY = 50
+"""Rejected fixes whose marks are small, so that the path is seen."""
+_LETTERS = 76
 """Of the name of a manoeuvre, that are as wide as a panel."""
 _MOST_LISTED = 3
 """Fixes beyond the edge of the map whose distance is written there."""
@@ -39,6 +41,7 @@ def cleaned(of: Cleaned) -> Figure:
         _draw_regimes(panels["regimes"], shown)
     _finish_time([panels[row] for row in rows], shown)
     figure.suptitle(words(shown.title, TITLE))
+    show(panels["map"], *shown.window)  # about: the layout needs the numbers at its axes
     with any_letters():
         figure.draw_without_rendering()  # labels are put where there is room, which the layout decides
     figure.set_layout_engine("none")
@@ -51,15 +54,15 @@ def _draw_map(axes: Axes, of: View) -> None:
     edges = of.sides[good]
     quads = np.stack([edges[:-1, 0], edges[1:, 0], edges[1:, 1], edges[:-1, 1]], 1)
     axes.add_collection(PolyCollection(list(quads), facecolor=PALE_BLUE, edgecolor=PALE_BLUE, linewidth=0.5, zorder=1))
-    for begin, end, _ in of.manoeuvres:
+    for begin, end in of.shades():
         part = of.path[(of.time >= begin) & (of.time <= end)]
         axes.plot(*part.T, color=ORANGE, linewidth=5, alpha=0.6, solid_capstyle="butt", zorder=2)
     axes.plot(*of.recorded[~of.rejected].T, linestyle="none", marker=".", markersize=3, color=GREY, zorder=3)
     axes.plot(*of.path.T, color=BLUE, linewidth=1.3, zorder=4)
-    axes.plot(*of.recorded[of.rejected].T, linestyle="none", marker="x", markersize=6, color=RED, zorder=5)
+    size = 6 if of.rejected.sum() < _MANY else 3.5
+    axes.plot(*of.recorded[of.rejected].T, linestyle="none", marker="x", markersize=size, color=RED, zorder=3.5)
     axes.set(xlabel=f"east, {of.unit}", ylabel=f"north, {of.unit}")
-    axes.grid(alpha=0.25)
-    without_box(axes)
+    finish(axes)
 
 
 def _label_map(axes: Axes, of: View) -> None:
@@ -74,7 +77,7 @@ def _label_map(axes: Axes, of: View) -> None:
         listed = ", ".join(said[:_MOST_LISTED]) + more
         axes.set_title(f"rejected beyond the edge: {listed}", fontsize=SIZE, color=RED, loc="left")
     points = {"cleaned": of.path, "recorded": of.recorded[~of.rejected], "rejected": of.recorded[of.rejected]}
-    turns = [of.path[(of.time >= begin) & (of.time <= end)] for begin, end, _ in of.manoeuvres]
+    turns = [of.path[(of.time >= begin) & (of.time <= end)] for begin, end in of.shades()]
     if turns:
         points["manoeuvre"] = np.concatenate(turns)
     finite = {name: places[np.isfinite(places).all(1)] for name, places in points.items()}
@@ -137,9 +140,9 @@ def _finish_time(rows: list[Axes], of: View) -> None:
     for axes in rows:
         axes.set_xlim(0, end)
         if axes.get_label() != "regimes":
-            for begin, last, _ in of.manoeuvres:
+            for begin, last in of.shades():
                 axes.axvspan(begin, last, color=ORANGE, alpha=0.22, linewidth=0, zorder=0)
-            axes.grid(alpha=0.25)
+            finish(axes)
         without_box(axes)
     for axes in rows[:-1]:
         axes.tick_params(labelbottom=False)

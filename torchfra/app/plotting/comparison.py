@@ -13,7 +13,7 @@ from torchfra.app.evaluate import Flight
 from torchfra.app.outputs.colours import APART, GREY
 from torchfra.app.plotting.labels import SIZE, Array, at_ends
 from torchfra.app.plotting.maps import draw_map, label_map
-from torchfra.app.plotting.style import TITLE, any_letters, plain_ticks, without_box, words
+from torchfra.app.plotting.style import TITLE, any_letters, finish, plain_ticks, without_box, words
 
 _ROW = 0.27
 """Height of a filter's row, inches."""
@@ -99,8 +99,7 @@ def _draw_time(
         axes.plot(dt * np.arange(1, len(curve) + 1), curve, color=colours[name], linewidth=1.4)
     plain_ticks(axes.yaxis)
     axes.set_title("over time, all runs", fontsize=10)
-    axes.grid(alpha=0.25)
-    without_box(axes)
+    finish(axes)
     known = {name: curve[~np.isnan(curve)] for name, curve in curves.items()}
     return {name: curve[-1] if len(curve) else high for name, curve in known.items()}
 

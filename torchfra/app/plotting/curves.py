@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchfra.app.outputs.colours import BLACK, BLUE
 from torchfra.app.plotting.labels import Array, name_lines
-from torchfra.app.plotting.style import TITLE, line_styles, plain_ticks, without_box, words
+from torchfra.app.plotting.style import TITLE, finish, line_styles, words
 
 _ROOM = 30.0
 """How far errors are followed beyond their median over all lines, as a factor; a name at the upper edge is beyond."""
@@ -114,8 +114,7 @@ def scaling(panels: dict[str, list[tuple[float, float]]], title: str) -> Figure:
         axes.set(xlabel=size)
         if max(pairs)[0] > 100:
             axes.set_xscale("log")
-        axes.grid(alpha=0.25)
-        without_box(axes)
+        finish(axes)
     figure.suptitle(words(title, TITLE))
     return figure
 
@@ -128,8 +127,7 @@ def _line(axes: Axes, x: Any, y: Any, style: Mapping[str, Any]) -> Line2D:
 def _finished(figure: Figure, lines: Mapping[Axes, Mapping[str, Line2D]]) -> Figure:
     """The figure with a grid in its axes and a name at each line."""
     for axes in lines:
-        axes.grid(alpha=0.25)
-        without_box(axes)
+        finish(axes)
     name_lines(figure, lines)
     return figure
 
@@ -140,4 +138,3 @@ def _limit(axes: Axes, curves: Sequence[Array]) -> None:
     known = values[np.isfinite(values) & (values > 0)]
     if len(known):
         axes.set_ylim(known.min() / 1.15, min(known.max(), _ROOM * float(np.median(known))) * 1.15)
-        plain_ticks(axes.yaxis)

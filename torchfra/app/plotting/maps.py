@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from torchfra.app.evaluate import Flight
 from torchfra.app.outputs.colours import GREY
 from torchfra.app.plotting.labels import Array, in_free_places
-from torchfra.app.plotting.style import without_box, words
+from torchfra.app.plotting.style import finish, words
 
 _OUTLIER = "#000000"
 _ROOM = 1.5
@@ -43,8 +43,7 @@ def draw_map(axes: Axes, flight: Flight, colours: Mapping[str, str]) -> None:
     axes.set(xlabel=f"x, {unit}", ylabel=f"y, {unit}", aspect="equal", adjustable="datalim")
     name = flight.name if len(flight.name) <= _LONGEST else f"...{flight.name[3 - _LONGEST :]}"
     axes.set_title(f"{words(name)}, {flight.time[0]:g} to {flight.time[-1]:g} s{_outside(flight)}", fontsize=10)
-    axes.grid(alpha=0.25)
-    without_box(axes)
+    finish(axes)
 
 
 def label_map(axes: Axes, flight: Flight, colours: Mapping[str, str]) -> None:

@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from torchfra.app.outputs.colours import APART, BLUE, DARK, GREY, RED
 from torchfra.app.outputs.summary import summary
 from torchfra.app.plotting.labels import SIZE, Array, in_free_places, show
-from torchfra.app.plotting.style import any_letters, plain_ticks, without_box, words
+from torchfra.app.plotting.style import any_letters, finish, plain_ticks, without_box, words
 from torchfra.cleaning import Cleaned
+from torchfra.readers.repairs import plural
 
 _MOST_ROWS = 40
 """Targets that have a row; of more, those with the largest share of rejected fixes."""
@@ -32,32 +33,34 @@ def overview(results: Sequence[Cleaned]) -> Figure:
     paths = _draw_map(panels["map"], results, colours)
     _draw_rows(panels["rows"], [of[i] for i in order], colours, len(of))
     fixes, rejected = sum(s["fixes"] for s in of), sum(s["flags"]["outlier"] for s in of)
-    figure.suptitle(f"{len(of)} tracks: {fixes:,} fixes, {rejected:,} rejected")
+    figure.suptitle(f"{len(of)} {plural(results[0].recording.source.word)}: {fixes:,} fixes, {rejected:,} rejected")
+    every = np.concatenate([*paths.values()] or [np.zeros((1, 2))])
+    margin = 0.04 * max(float(np.ptp(every, axis=0).max()), 1e-3)
+    window = every.min(0) - margin, every.max(0) + margin
+    show(panels["map"], *window)  # about: the layout needs the numbers at its axes
     with any_letters():
         figure.draw_without_rendering()
     figure.set_layout_engine("none")
-    every = np.concatenate([*paths.values()] or [np.zeros((1, 2))])
-    margin = 0.04 * max(float(np.ptp(every, axis=0).max()), 1e-3)
-    show(panels["map"], every.min(0) - margin, every.max(0) + margin)
+    show(panels["map"], *window)
     in_free_places(panels["map"], {name: paths[name] for name in colours if name in paths}, colours)
     return figure
 
 
 def _draw_map(axes: Axes, results: Sequence[Cleaned], colours: dict[str, str]) -> dict[str, Array]:
     """Draws the path of each target from its first to its last fix that was kept; returns what it drew."""
-    size = max(float(np.ptp(c.position[np.isfinite(c.position).all(1)], axis=0).max(initial=0)) for c in results)
+    every = [cleaned.position[np.isfinite(cleaned.position).all(1), :2] for cleaned in results]
+    size = float(np.ptp(np.concatenate(every), axis=0).max()) if any(map(len, every)) else 0.0
     unit, metres = ("km", 1000.0) if size >= 2000 else ("m", 1.0)
     paths = {}
-    for cleaned in results:
-        name, path = cleaned.recording.name, cleaned.position[np.isfinite(cleaned.position).all(1), :2] / metres
-        if len(path):
+    for cleaned, of in zip(results, every, strict=True):
+        if len(path := of / metres):
+            name = cleaned.recording.name
             paths[name] = path
             axes.plot(*path.T, color=colours.get(name, BLUE), linewidth=1.1, alpha=1.0 if colours else 0.6)
             axes.plot(*path[0], ".", color=colours.get(name, BLUE), markersize=4)
     axes.set(xlabel=f"east, {unit}", ylabel=f"north, {unit}")
     axes.set_title("cleaned tracks, a dot where each begins", fontsize=10)
-    axes.grid(alpha=0.25)
-    without_box(axes)
+    finish(axes)
     return paths
 
 

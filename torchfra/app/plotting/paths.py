@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
 from torchfra.app.outputs.colours import APART, BLACK, DARK, GREY
 from torchfra.app.plotting.labels import SIZE, in_free_places
-from torchfra.app.plotting.style import TITLE, any_letters, line_styles, without_box, words
+from torchfra.app.plotting.style import TITLE, any_letters, finish, line_styles, words
 
 _WIDE = {"color": BLACK, "linewidth": 4, "alpha": 0.25, "solid_capstyle": "round"}
 """How a true path looks, on which estimates are seen."""
@@ -36,8 +37,7 @@ def tracks(truth: Tensor, estimates: dict[str, Tensor], title: str, stations: Te
             axes.plot(*path.T, color=DARK, linestyle=":", linewidth=1)
         shown["stations"] = paths.reshape(-1, 2)
     axes.set(xlabel="x, km", ylabel="y, km", title=words(title, TITLE), aspect="equal", adjustable="datalim")
-    axes.grid(alpha=0.25)
-    without_box(axes)
+    finish(axes)
     with any_letters():
         figure.draw_without_rendering()  # labels are put where there is room, which the layout decides
     colours = {"truth": DARK, "stations": DARK} | {name: style["color"] for name, style in styles.items()}
@@ -61,7 +61,10 @@ def in_space(truth: Tensor, estimates: Tensor, measured: Tensor, title: str) -> 
         colour = APART[i % len(APART)]
         axes.plot(*(path[:, :3].mT / 1000).numpy(), **_WIDE)
         axes.plot(*(mean[:, :3].mT / 1000).numpy(), color=colour, linewidth=1.4)
-        axes.text(*(path[-1, :3] / 1000).tolist(), f" target {i + 1}", color=colour, fontsize=SIZE)
+        others = torch.cat([truth[:i], truth[i + 1 :]])[..., :3].reshape(-1, 3)
+        apart = torch.cdist(path[:, :3].contiguous(), others).amin(-1) if len(others) else path[:, 0]
+        axes.text(*(path[apart.nan_to_num(0.0).argmax(), :3] / 1000).tolist(), f" target {i + 1}", color=colour,
+                  fontsize=SIZE)  # fmt: skip
     axes.set(xlabel="east, km", ylabel="north, km", zlabel="up, km")
     axes.set_title(f"{words(title, TITLE)}\nwide: truth; lines: filtered; dots: measured", fontsize=10)
     return figure

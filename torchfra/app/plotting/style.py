@@ -66,6 +66,15 @@ def line_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
     return styles
 
 
+def finish(axes: Axes) -> None:
+    """Gives axes a grid and, where they are logarithmic, ticks that are written out; takes two of their spines away."""
+    axes.grid(alpha=0.25)
+    for axis, scale in ((axes.xaxis, axes.get_xscale()), (axes.yaxis, axes.get_yscale())):
+        if scale == "log":
+            plain_ticks(axis)
+    without_box(axes)
+
+
 def without_box(axes: Axes) -> None:
     """Takes the upper and the right spine away."""
     axes.spines[["top", "right"]].set_visible(False)

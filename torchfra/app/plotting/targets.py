@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchfra.app.outputs.colours import BLACK, RED
 from torchfra.app.plotting.labels import name_lines
-from torchfra.app.plotting.style import TITLE, line_styles, without_box, words
+from torchfra.app.plotting.style import TITLE, finish, line_styles, words
 
 _QUANTITIES = (("range", "m", 1.0), ("azimuth", "mrad", 1e3), ("elevation", "mrad", 1e3))
 
@@ -36,8 +36,7 @@ def by_target(of: dict[str, dict[str, Any]], dt: float, title: str) -> Figure:
                 for name, curve in curves.items()
             }
             axes.set(ylabel=f"target {i + 1}: {key}, {unit}", yscale="log")
-            axes.grid(alpha=0.25)
-            without_box(axes)
+            finish(axes)
     for axes in grid[-1]:
         axes.set(xlabel="time, s")
     figure.suptitle(f"root mean square error, {words(title, TITLE)}")
@@ -62,8 +61,7 @@ def raw_and_filtered(ranges: dict[str, tuple[Tensor, Tensor]], dt: float, title:
         (line,) = axes.plot(time, filtered, color=RED, linewidth=1.4)
         lines[axes] = {"measured": dots, "filtered": line}
         axes.set(xlabel="time, s", ylabel=words(f"{name}: range error, m"))
-        axes.grid(alpha=0.25)
-        without_box(axes)
+        finish(axes)
     figure.suptitle(words(title, TITLE))
     name_lines(figure, lines)
     return figure

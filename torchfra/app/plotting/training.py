@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from torchfra.app.outputs.colours import BLUE, RED
 from torchfra.app.plotting.labels import name_lines
-from torchfra.app.plotting.style import TITLE, line_styles, without_box, words
+from torchfra.app.plotting.style import TITLE, finish, line_styles, words
 
 _ROW = 0.18
 """Height of a name beside the values, inches."""
@@ -37,7 +37,6 @@ def learning_curve(rows: list[dict[str, float]], start: dict[str, float], title:
     loss.set(ylabel="loss", title=words(title, TITLE))
     values.set(xlabel="iteration", ylabel="times the start", yscale="log")
     for axes in (loss, values):
-        axes.grid(alpha=0.25)
-        without_box(axes)
+        finish(axes)
     name_lines(figure, {loss: {"training batch": batch, "validation, hard decision": valid}, values: learned})
     return figure

@@ -12,7 +12,7 @@ from torchfra import tree
 from torchfra.filters.base import Mix
 from torchfra.filters.checks import check_models
 from torchfra.filters.gpb.hindsight import GPBPast, WayBack
-from torchfra.filters.gpb.merging import lifted, log_share, together
+from torchfra.filters.gpb.merging import lifted, log_share, merged, together
 from torchfra.filters.gpb.qualities import Qualities, entry
 from torchfra.filters.gpb.regimes import Regimes
 from torchfra.filters.gpb.seeing import by_points_or_slope, exactly
@@ -135,7 +135,7 @@ class GPB(WayBack):
         log_likelihood = joint.flatten(0, 2).logsumexp(0)
         joint = joint - log_likelihood
 
-        after, log_after = self.merge(lifted(predicted, corrected.belief), joint)
+        after, log_after = merged(self.regimes, lifted(predicted, corrected.belief), joint)
         ends = tree.stack([after, before], 1), torch.stack([log_after, self.hindsight(joint, shares)], 1)
         belief, settled = tree.unbind(together(*ends), 2)
         outlier = (joint[1].exp().unsqueeze(-1) * corrected.outlier).sum((0, 1))
@@ -216,25 +216,6 @@ class GPB(WayBack):
         pair = tree.stack([before, repeated(common, len(self.bank))], 0)
         mix = pooled if self.motion.linear else moment_match  # predictions are made triangular anyway
         return mix(pair, torch.stack([shares.own, shares.common])), log_ahead, shares
-
-    def merge(self, beliefs: Gaussian, joint: Tensor) -> tuple[Gaussian, Tensor]:
-        """What is left of hypotheses ``(2, R, 2, ...)``: for clean and dirty and each motion, ``(2, ..., K)``."""
-        every = [x.movedim(0, 2) for x in (*beliefs, joint)]  # (R, 2, 2, ...): regime, before, now
-        levels, others = self.regimes.count, slice(self.regimes.count, self.regimes.count + len(self.bank) - 1)
-        own = every if len(self.bank) == 1 else [torch.cat([x[:levels], x[others.stop :]]) for x in every]
-        mean, root, weight = (x.flatten(0, 1) for x in own)
-        log_own = weight.logsumexp(0)
-        first = moment_match(Gaussian(mean, root), weight - log_own)
-        if len(self.bank) == 1:
-            return Gaussian(first.mean.unsqueeze(-2), first.scale_tril.unsqueeze(-3)), log_own.unsqueeze(-1)
-        mean, root, weight = (x[others].transpose(0, 1) for x in every)  # (before, others, now, ...)
-        log_others = weight.logsumexp(0)
-        rest = moment_match(Gaussian(mean, root), weight - log_others)
-        after = Gaussian(
-            torch.cat([first.mean.unsqueeze(-2), rest.mean.movedim(0, -2)], -2),
-            torch.cat([first.scale_tril.unsqueeze(-3), rest.scale_tril.movedim(0, -3)], -3),
-        )
-        return after, torch.cat([log_own.unsqueeze(-1), log_others.movedim(0, -1)], -1)
 
     def hindsight(self, joint: Tensor, shares: Shares | None) -> Tensor:
         """Log weights ``(2, ..., K)`` of the beliefs before a step, now that it is measured."""

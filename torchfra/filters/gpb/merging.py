@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
+from torchfra.filters.gpb.regimes import Regimes
 from torchfra.gaussian.mixture import moment_match
 from torchfra.linalg.triangular import apply, hstack
 from torchfra.types import Gaussian
@@ -15,6 +17,26 @@ def lifted(predicted: Gaussian, belief: Gaussian) -> Gaussian:
     gain = root[..., : belief.mean.shape[-1]]
     own = gain @ belief.scale_tril
     return Gaussian(mean + apply(gain, belief.mean), hstack(own, root[..., gain.shape[-1] :]))
+
+
+def merged(regimes: Regimes, beliefs: Gaussian, joint: Tensor) -> tuple[Gaussian, Tensor]:
+    """What is left of hypotheses ``(2, R, 2, ...)``, now, regime and before: for clean and dirty, ``(2, ..., K)``."""
+    every = [x.movedim(0, 2) for x in (*beliefs, joint)]  # (R, before, now, ...)
+    first, end = regimes.count, regimes.count + regimes.motions - 1
+    own = every if regimes.motions == 1 else [torch.cat([x[:first], x[end:]]) for x in every]
+    mean, root, weight = (x.flatten(0, 1) for x in own)
+    log_own = weight.logsumexp(0)
+    one = moment_match(Gaussian(mean, root), weight - log_own)
+    if regimes.motions == 1:
+        return Gaussian(one.mean.unsqueeze(-2), one.scale_tril.unsqueeze(-3)), log_own.unsqueeze(-1)
+    mean, root, weight = (x[first:end].transpose(0, 1) for x in every)  # (before, others, now, ...)
+    log_others = weight.logsumexp(0)
+    rest = moment_match(Gaussian(mean, root), weight - log_others)
+    after = Gaussian(
+        torch.cat([one.mean.unsqueeze(-2), rest.mean.movedim(0, -2)], -2),
+        torch.cat([one.scale_tril.unsqueeze(-3), rest.scale_tril.movedim(0, -3)], -3),
+    )
+    return after, torch.cat([log_own.unsqueeze(-1), log_others.movedim(0, -1)], -1)
 
 
 def together(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
