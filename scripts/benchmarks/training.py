@@ -70,7 +70,7 @@ def plain_qr() -> Iterator[None]:
 
     class Plain:
         @staticmethod
-        def apply(a):
+        def apply(a, beside):
             lower = torch.linalg.qr(a.mT).R.mT
             return lower * lower.diagonal(dim1=-2, dim2=-1).sign().unsqueeze(-2)
 
