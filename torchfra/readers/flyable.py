@@ -157,8 +157,8 @@ def _arc_length(path: Array) -> Array:
 def _knots(time: Array) -> Array:
     """The times, and others between those that are more than ``_KNOT`` apart."""
     parts = np.ceil(np.diff(time) / _KNOT - 1e-6).astype(int).clip(1)
-    inner = [np.linspace(a, b, count, endpoint=False) for a, b, count in zip(time, time[1:], parts, strict=False)]
-    return np.append(np.concatenate(inner), time[-1])
+    place = np.arange(parts.sum()) - np.repeat(parts.cumsum() - parts, parts)
+    return np.append(np.repeat(time[:-1], parts) + place * np.repeat(np.diff(time) / parts, parts), time[-1])
 
 
 def _legs(position: Array) -> Array:
