@@ -32,6 +32,7 @@ def clean(
     q: float | None = None,
     smooth: bool = True,
     dt: float | None = None,
+    repair: bool = True,
     compile: bool = False,
     max_bytes: int = MAX_BYTES,
     **words: Any,
@@ -47,6 +48,8 @@ def clean(
         q: density of the process noise per second, m^2/s^3.  None finds it.
         smooth: whether each estimate knows the fixes after it.
         dt: seconds; also estimates at every multiple of it after the first fix; not of a ``DataFrame``.
+        repair: whether fixes of aircraft whose time stamps are off by seconds are first put in place, where tracks show
+            it: see ``cleaning.clean_tracks``.
         compile: whether to run compiled, which pays for long tracks; needs a C++ compiler.
         max_bytes: of text that a file may hold.
         words: columns by name, such as ``time="when", lat="breite"``, and how they are written: see
@@ -63,7 +66,7 @@ def clean(
         ImportError: what reads a file is not installed.
     """
     settings: dict[str, Any] = {"filter": filter, "bank": bank, "sigma": sigma, "q": q, "smooth": smooth, "dt": dt,
-                                "compile": compile}  # fmt: skip
+                                "repair": repair, "compile": compile}  # fmt: skip
     if isinstance(data, str | Path):
         return clean_tracks(read(data, max_bytes=max_bytes, **words), **settings)
     if _is_frame(data):
