@@ -76,7 +76,11 @@ def nll(estimate: Estimate, truth: Tensor, states: slice | None = None, *, angle
 def innovation_nll(estimate: Estimate) -> Tensor:
     """Negative log density of each measurement under its prediction.  It needs no truth: for recorded tracks.
 
-    Source: the prediction error decomposition, Schweppe (1965).
+    Where the model is linear its gradient is, to rounding, the one made of smoothed moments (Fisher's identity), so
+    that a loss of smoothed estimates would add nothing but the way back.
+
+    Source: the prediction error decomposition, Schweppe (1965); Cappe, Moulines & Ryden (2005), section 10.1, for
+    the identity.
     """
     return -estimate.log_likelihood.mean(-1)
 
