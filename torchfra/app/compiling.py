@@ -87,7 +87,7 @@ def compiled(
 
     def attempt(f: Filter) -> Filter | CompileError | NotImplementedError:
         if fallback is not None and f.slow_to_compile:
-            return CompileError("its kernel takes a minute or more; --compile makes it")
+            return CompileError("its kernel takes long to compile; --compile makes it")
         try:
             with torch.no_grad():  # which holds for this thread only
                 g = copy.copy(f).compile()

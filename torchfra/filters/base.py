@@ -41,7 +41,7 @@ class Filter(Smoother):
 
     kernel_numbers: tuple[str, ...] = ()
     """Attributes that are plain numbers, which compiled kernels read when they run."""
-    slow_to_compile = False  # a minute or more: commands compile such a filter only when told to
+    slow_to_compile = False  # a quarter of a minute or more: commands compile such a filter only when told to
     scans = False
     """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
 

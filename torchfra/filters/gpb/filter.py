@@ -97,7 +97,7 @@ class GPB(WayBack):
 
     @property
     def slow_to_compile(self) -> bool:  # type: ignore[override]  # of this bank, not of the class
-        """Whether its kernel takes a minute or more: that of a bank of more than three motions."""
+        """Whether its kernel takes a quarter of a minute or more: that of a bank of more than three motions."""
         return len(self.bank) > 3
 
     @property
