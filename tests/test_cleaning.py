@@ -200,3 +200,14 @@ def test_the_kind_of_a_target_follows_from_its_speed_unless_the_file_says(speed,
     assert (
         kind_of(Recording("a", recording.time, recording.position, None, {}, source=Source(word="ship")))[0] == "ship"
     )
+
+
+def test_heights_in_steps_are_as_uncertain_as_their_rounding_and_make_no_outliers():
+    rng, time = np.random.default_rng(3), np.arange(0.0, 300.0)
+    climb = np.interp(time, [0, 60, 180, 300], [900, 900, 1900, 1900])
+    position = np.stack([200 * time, 0 * time, climb], 1) + 0.3 * rng.standard_normal((300, 3))
+    position[:, 2] = 7.62 * np.round(climb / 7.62)
+    (cleaned,) = clean_tracks([Recording("climb", time, position, None, {})])
+    assert not (cleaned.flag == "outlier").any()
+    assert np.abs(cleaned.position[:, 2] - climb).mean() < 7.62 / 4
+    assert cleaned.std[:, 2].mean() > 0.5

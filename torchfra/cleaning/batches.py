@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchfra.geodesy import to_geodetic
 from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
 
@@ -60,6 +61,16 @@ def steps_of(recording: Recording, dt: float | None = None) -> Steps:
         np.concatenate([steps.row, np.full(more, -1)])[order],
         np.concatenate([steps.std, np.ones((more, d))])[order],
     )
+
+
+def step_of_heights(recording: Recording) -> float:
+    """Metres between the heights that a recording can tell: 7.6 of altitudes in steps of 25 ft, about 0 of others."""
+    if recording.position.shape[1] == 2:
+        return 0.0
+    here = recording.position[np.isfinite(recording.position).all(1)]
+    heights = here[:, 2] if recording.origin is None else to_geodetic(here, recording.origin)[2]
+    gaps = np.diff(np.unique(heights.round(3)))
+    return float(np.quantile(gaps, 0.1)) if len(gaps) else 0.0
 
 
 def padded(several: Sequence[Steps]) -> tuple[Tensor, Tensor, Tensor]:

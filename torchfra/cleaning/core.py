@@ -6,12 +6,11 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TypeAlias
 
 import numpy as np
 import torch
 
-from torchfra.cleaning.batches import Steps, groups, steps_of
+from torchfra.cleaning.batches import Steps, groups, step_of_heights, steps_of
 from torchfra.cleaning.cleaned import Cleaned, Found
 from torchfra.cleaning.flags import flags
 from torchfra.cleaning.kinds import BANKS, check_kind, kind_of
@@ -28,7 +27,6 @@ from torchfra.readers.recording import Recording
 
 DEFAULT = "gpb"
 """The filter that is used unless told otherwise."""
-Work: TypeAlias = Callable[[Sequence[Recording]], list[Cleaned]]
 
 
 def clean_tracks(
@@ -76,15 +74,16 @@ def clean_tracks(
         work = partial(work, compile=compile, fallback=fallback)
     repair = repair and smooth
     placed = [in_place(recording) if repair and stamps_are_off(recording) else recording for recording in recordings]
+    coarse = [step_of_heights(recording) for recording in recordings]
     done: dict[int, Cleaned] = {}
     for group in groups(placed):
-        part = [placed[i] for i in group]
+        part, steps = [placed[i] for i in group], [coarse[i] for i in group]
         try:
-            done |= zip(group, work(part), strict=True)
+            done |= zip(group, work(part, coarse=steps), strict=True)
         except CompileError:
             raise
         except Exception:  # of one of them; the others shall not pay for it
-            done |= {i: _alone(placed[i], work, filter, smooth) for i in group}
+            done |= {i: _alone(placed[i], partial(work, coarse=[coarse[i]]), filter, smooth) for i in group}
     return as_recorded([done[i] for i in range(len(placed))], recordings)
 
 
@@ -110,8 +109,8 @@ def check_settings(
 
 
 def _cleaned(
-    recordings: Sequence[Recording], *, name: str, bank: str | Bank | None, settings: Settings, dt: float | None,
-    compile: bool = False, fallback: Fallback | None = None,
+    recordings: Sequence[Recording], *, coarse: Sequence[float], name: str, bank: str | Bank | None,
+    settings: Settings, dt: float | None, compile: bool = False, fallback: Fallback | None = None,
 ) -> list[Cleaned]:  # fmt: skip
     """Recordings of the same dimensions as one batch."""
     if any(np.isinf(recording.position).any() for recording in recordings):
@@ -120,7 +119,8 @@ def _cleaned(
     kinds = [(bank, "as told") if isinstance(bank, str) else kind_of(recording) for recording in recordings]
     own = bank if isinstance(bank, Bank) else None
     default = name == DEFAULT and own is None
-    found = answers(tracks, [kind for kind, _ in kinds], settings if default else settings._replace(smooth=False))
+    told = settings if default else settings._replace(smooth=False)
+    found = answers(tracks, [kind for kind, _ in kinds], told, coarse)
     every = [_found(name, settings, own, kind, answer) for kind, answer in zip(kinds, found, strict=True)]
     if not default:
         return _by_filter(recordings, tracks, every, own, compile, fallback)

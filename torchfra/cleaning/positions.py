@@ -65,13 +65,14 @@ class Answer(NamedTuple):
     q: float
 
 
-def answers(tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings) -> list[Answer]:
+def answers(tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[float]) -> list[Answer]:
     """Tracks of the same dimensions, cleaned.
 
     Args:
         tracks: steps of each.
         kinds: name of the kind of each.
         settings: what they are cleaned with.
+        coarse: metres between the heights that each can tell.
     """
     rows = [row for i, steps in enumerate(tracks) for row in _rows(i, len(steps.time))]
     z, gap, std = padded([tracks[row.track].part(row.begin, row.end) for row in rows])
@@ -84,7 +85,10 @@ def answers(tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings) -
         variance = std[..., axes].square().mean(-1).T.contiguous()
         z_axes = z[..., axes].permute(1, 2, 0).contiguous()
         fixes = Fixes(z_axes, gap.T.contiguous(), variance, torch.zeros_like(variance))
-        least = _LEAST_OF_HEIGHT * parts[0].sigma if parts else torch.zeros_like(most)
+        least = torch.zeros_like(most)
+        if parts:  # the error of a rounded height is even within half a step to either side
+            rounded = torch.tensor([coarse[row.track] / math.sqrt(12) for row in rows], dtype=torch.float64)
+            least = rounded.maximum(_LEAST_OF_HEIGHT * parts[0].sigma)
         sigma = first_sigma(fixes, levels, owner) if settings.sigma is None else torch.full_like(most, settings.sigma)
         parts.append(Part(fixes, levels, sigma.maximum(least), least))
     known, parts, outlier = fitted(
