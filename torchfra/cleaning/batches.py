@@ -109,8 +109,7 @@ def groups(recordings: Sequence[Recording]) -> list[list[int]]:
 def _std(recording: Recording) -> Array:
     if recording.sigma is None:
         return np.ones_like(recording.position)
-    std: Array = np.broadcast_to(recording.sigma.reshape(len(recording.time), -1), recording.position.shape)
-    return std
+    return np.array(np.broadcast_to(recording.sigma.reshape(len(recording.time), -1), recording.position.shape))
 
 
 def _nearest(time: Array, at: Array) -> NDArray[np.intp]:

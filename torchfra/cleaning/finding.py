@@ -67,13 +67,14 @@ def levels_up_to(acceleration: Tensor, period: Tensor, count: int, q: float | No
 
 def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood on a coarse grid below what third differences allow."""
+    fixes = fixes.together()
     return likeliest(fixes, levels, owner, _rough(fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1))
 
 
 def finer_sigma(part: Part, owner: Tensor) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood near those that are known."""
     factors = _FINE ** torch.arange(2, -3, -1, dtype=part.sigma.dtype)
-    return likeliest(part.fixes, part.levels, owner, part.sigma * factors.unsqueeze(1))
+    return likeliest(part.fixes.together(), part.levels, owner, part.sigma * factors.unsqueeze(1))
 
 
 def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor) -> Tensor:
@@ -82,7 +83,7 @@ def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor) -> Ten
     Between them by the parabola through the largest and its neighbours.
 
     Args:
-        fixes: with the variance in units of sigma squared.
+        fixes: one after the other, with the variance in units of sigma squared.
         levels: of the process noise.
         owner: ``(B,)`` numbers; rows of the same one have one standard deviation.
         sigma: that are tried.
