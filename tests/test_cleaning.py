@@ -158,7 +158,7 @@ def test_a_target_that_fails_says_so_and_stops_no_other():
     bad = Recording("bad", good.time, np.full_like(good.position, np.inf), None, {})
     one, other = clean_tracks([bad, good], sigma=SIGMA)
     assert one.failed.all()
-    assert one.found.said == ("failed: position: expected finite metres or NaN, received infinity",)
+    assert one.found.failure == "position: expected finite metres or NaN, received infinity"
     assert not other.failed.any()
 
 
@@ -213,7 +213,7 @@ def test_heights_in_steps_are_as_uncertain_as_their_rounding_and_make_no_outlier
     assert cleaned.std[:, 2].mean() > 0.5
 
 
-def test_steps_between_fixes_do_not_change_what_is_found_nor_the_estimates_at_the_fixes():
+def test_steps_between_fixes_change_neither_sigma_nor_the_estimates_at_the_fixes():
     rng, time = np.random.default_rng(4), np.arange(0.0, 900.0, 3.0)
     position = np.stack([1.5 * time, 40 * np.sin(time / 60)], 1) + 4.0 * rng.standard_normal((300, 2))
     walk = Recording("walk", time, position, None, {})
@@ -221,7 +221,7 @@ def test_steps_between_fixes_do_not_change_what_is_found_nor_the_estimates_at_th
     fix = dense.row >= 0
     assert len(dense.time) == 898
     assert dense.found.sigma == pytest.approx(plain.found.sigma, rel=0.02)
-    assert np.abs(dense.position[fix] - plain.position).mean() < 0.5 * plain.std.mean()
+    assert np.abs(dense.position[fix] - plain.position).mean() < 0.2 * plain.std.mean()
 
 
 def test_a_sigma_for_each_fix_is_taken_without_a_warning():

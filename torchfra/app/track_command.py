@@ -47,10 +47,6 @@ WORTHWHILE, WORTHWHILE_OF_BANKS = 5_000, 50_000
 """Steps of the longest tracks that take an interpreted filter about as long as compiling it."""
 
 
-_FAILED = "failed: "
-"""In front of what is said of a target that could not be cleaned."""
-
-
 def add_to(commands: Any) -> None:
     """Adds the command to a parser's subparsers."""
     command = commands.add_parser(
@@ -141,14 +137,13 @@ def _cleaned(
     )  # fmt: skip
     done = {}
     for cleaned in results:
-        reasons = [said.removeprefix(_FAILED) for said in cleaned.found.said if said.startswith(_FAILED)]
-        if not reasons:
+        if not cleaned.found.failure:
             done[cleaned.recording] = cleaned
         elif len(recordings) == 1:
-            raise ValueError(reasons[0])
+            raise ValueError(cleaned.found.failure)
         else:
             with failures.of(printable(cleaned.recording.name)):
-                raise ValueError(reasons[0])
+                raise ValueError(cleaned.found.failure)
     return done
 
 

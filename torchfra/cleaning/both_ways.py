@@ -23,8 +23,6 @@ class Smoothed(NamedTuple):
     """What the filter said."""
     evidence: Tensor
     """``(T, B)`` log of how much likelier this fix is as an outlier."""
-    squared: Tensor
-    """``(T, B)`` expected squared error per axis of a fix, if it is clean, m^2."""
 
 
 def both_ways(fixes: Fixes, levels: Levels, doubt: Doubt = USUAL) -> Smoothed:
@@ -73,11 +71,8 @@ def settled(belief: Belief, log_weights: Tensor, fixes: Fixes, doubt: Doubt, ahe
     joint = joint - joint.flatten(1, 2).logsumexp(1)[:, None, None]
     both = Belief(*(torch.stack(x, -3) for x in zip(clean, belief, strict=True)))
     whole, _ = merged(joint.flatten(1, 2), Belief(*(x.flatten(-3, -2) for x in both)), 1)
-    weight = joint[:, 0]
-    squared = clean.pp + torch.where(missing, 0.0, z - clean.position).square().mean(0)
-    squared = (weight * squared).sum(1) / weight.sum(1)
     outlier = torch.where(fixes.missing, 0.0, joint[:, 1].exp().sum(1))
-    return Smoothed(whole, joint.exp().sum(1), outlier, ahead, fit[1] - fit[0], squared)
+    return Smoothed(whole, joint.exp().sum(1), outlier, ahead, fit[1] - fit[0])
 
 
 def _product(a: Belief, b: Belief) -> tuple[Belief, Tensor]:

@@ -44,7 +44,9 @@ class Found:
     found: frozenset[str] = frozenset()
     """Which of ``sigma``, ``q`` and ``bank`` were found and not told."""
     said: tuple[str, ...] = ()
-    """Lines for a person: why this bank, what the innovations say, what was doubtful."""
+    """Lines for a person: why this bank, sigma of the height, time stamps that were off."""
+    failure: str = ""
+    """Why the track could not be cleaned at all; "" if it was."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,13 +20,14 @@ from torchfra.cleaning.segments import inside, segments
 from torchfra.cleaning.stamps import as_recorded, in_place, stamps_are_off
 from torchfra.filters import Filter
 from torchfra.geodesy import to_geodetic
-from torchfra.kernel.build import CompileError
 from torchfra.motion.bank import Bank
 from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
 
 DEFAULT = "gpb"
 """The filter that is used unless told otherwise."""
+FAILURES = (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError)
+"""What a track may do to its own work; all else is a mistake of the program and is raised."""
 
 
 def clean_tracks(
@@ -80,9 +81,7 @@ def clean_tracks(
         part, steps = [placed[i] for i in group], [coarse[i] for i in group]
         try:
             done |= zip(group, work(part, coarse=steps), strict=True)
-        except CompileError:
-            raise
-        except Exception:  # of one of them; the others shall not pay for it
+        except FAILURES:  # of one of them; the others shall not pay for it
             done |= {i: _alone(placed[i], partial(work, coarse=[coarse[i]]), filter, smooth) for i in group}
     return as_recorded([done[i] for i in range(len(placed))], recordings)
 
@@ -124,9 +123,12 @@ def _cleaned(
     every = [_found(name, settings, own, kind, answer) for kind, answer in zip(kinds, found, strict=True)]
     if not default:
         return _by_filter(recordings, tracks, every, own, compile, fallback)
-    regimes = [np.stack([1 - answer.manoeuvre, answer.manoeuvre], 1) for answer in found]
-    columns = zip(recordings, tracks, found, every, regimes, strict=True)
-    return [_result(*each[:2], *each[2][:5], each[3], REGIMES, each[4]) for each in columns]
+    results = []
+    for recording, steps, answer, of in zip(recordings, tracks, found, every, strict=True):
+        mean, covariance, nis, outlier, manoeuvre, *_ = answer
+        regimes = np.stack([1 - manoeuvre, manoeuvre], 1)
+        results.append(_result(recording, steps, mean, covariance, nis, outlier, manoeuvre, of, REGIMES, regimes))
+    return results
 
 
 def _result(
@@ -142,9 +144,8 @@ def _result(
     found = replace(found, nis=float(nis[good].mean() / d) if good.any() else math.nan)
     arrays = mean, covariance, nis, outlier, manoeuvre, flag
     result = Cleaned(recording, steps.time, steps.row, steps.raw, *arrays, found, listed, names, regimes)
-    if failed := int(result.failed.sum()):
-        said = (*found.said, f"failed: NaN or infinity in {failed} of {len(steps.time)} steps")
-        result = replace(result, found=replace(found, said=said))
+    if result.failed.all():
+        result = replace(result, found=replace(found, failure=f"NaN or infinity in all of {len(steps.time)} steps"))
     return result
 
 
@@ -203,13 +204,11 @@ def _alone(
     """A recording by itself; one of NaN, that says why, if it cannot be cleaned."""
     try:
         return work([recording])[0]
-    except CompileError:
-        raise
-    except Exception as error:
+    except FAILURES as error:
         steps = steps_of(recording)
         k, d = steps.raw.shape
         nothing, mean, covariance = (np.full((k, *[2 * d] * rank), np.nan) for rank in (0, 1, 2))
-        found = Found(name, smooth, "", math.nan, math.nan, math.nan, said=(f"failed: {error}",))
+        found = Found(name, smooth, "", math.nan, math.nan, math.nan, failure=str(error))
         return Cleaned(
             recording, steps.time, steps.row, steps.raw, mean, covariance, nothing, nothing, nothing, np.full(k, ""),
             found,

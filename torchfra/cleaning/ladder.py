@@ -175,10 +175,9 @@ def _start(fixes: Fixes, levels: Levels, doubt: Doubt) -> tuple[Belief, Tensor]:
     shape = (2, *levels.q.shape)
     position = first[:, None, None].expand(-1, *shape)
     pp, vv = z.new_full(shape, 1e8), z.new_full(shape, 1e5)
-    share = z.new_tensor([1 - doubt.share, doubt.share]).log()
-    return Belief(position, torch.zeros_like(position), pp, torch.zeros_like(pp), vv), share[
-        :, None, None
-    ] + levels.log_share
+    log_quality = z.new_tensor([1 - doubt.share, doubt.share]).log()[:, None, None]
+    belief = Belief(position, torch.zeros_like(position), pp, torch.zeros_like(pp), vv)
+    return belief, log_quality + levels.log_share
 
 
 def _predicted(x: Belief, q: Tensor, gap: Tensor) -> Belief:

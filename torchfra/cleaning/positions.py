@@ -25,8 +25,8 @@ _CORE, _OVERLAP = 256, 64
 _FEW = 60
 """Fixes from which on a track has a sigma of its own; others of a batch are looked at together."""
 _CALM = 0.05
-"""Of the hardest acceleration, what a level of process noise may bring over ten seconds and still be calm.  So is ten
-times the usual one of a track."""
+"""A level of process noise is calm while it changes the speed over ten seconds by less than this share of the kind's
+hardest acceleration times ten seconds, or while it is below ten times the track's usual level."""
 _LEAST_OF_HEIGHT = 1 / 3
 """Of the sigma across the ground, what that of the height is at least: heights often come in coarse steps."""
 REGIMES = ("calm", "manoeuvre")

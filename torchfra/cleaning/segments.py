@@ -38,11 +38,13 @@ class _Rule(NamedTuple):
     """Median standard deviation in a segment, from which on nothing is known of the quantity."""
 
 
-_TURN = _Rule(("left turn", "right turn"), 0.5, 0.5, 1.5, 1.0, 2.0, 15.0, 30.0)
+_TURN = _Rule(
+    ("left turn", "right turn"), noise=0.5, low=0.5, high=1.5, rate=1.0, lasting=2.0, change=15.0, unsure=30.0
+)
 """Of the direction of flight, degrees."""
-_SPEED = _Rule(("speeding up", "slowing down"), 0.1, 0.2, 0.5, 0.5, 4.0, 4.0)
+_SPEED = _Rule(("speeding up", "slowing down"), noise=0.1, low=0.2, high=0.5, rate=0.5, lasting=4.0, change=4.0)
 """m/s."""
-_CLIMB = _Rule(("climbing", "descending"), 0.5, 1.0, 2.0, 2.5, 10.0, 30.0)
+_CLIMB = _Rule(("climbing", "descending"), noise=0.5, low=1.0, high=2.0, rate=2.5, lasting=10.0, change=30.0)
 """Of the height, m."""
 
 

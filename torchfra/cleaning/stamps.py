@@ -1,4 +1,4 @@
-"""Aircraft whose fixes bear time stamps that are off by seconds: put along their own path to where they were."""
+"""Fixes of aircraft whose time stamps are off by seconds are moved along the path to where the aircraft was."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ def in_place(recording: Recording) -> Recording:
 def as_recorded(cleaned: Sequence[Cleaned], recordings: Sequence[Recording]) -> list[Cleaned]:
     """Results of recordings whose fixes were put in place, with the fixes where they were recorded.
 
-    By how far fixes were moved is added to the uncertainty along the track: how late all stamps are together, nothing
-    tells.
+    How far fixes were usually moved is added to the standard deviation along the track, as a track alone does not tell
+    whether all of its stamps are late.
     """
     return [
         one if one.recording is raw else _as_recorded(one, raw) for one, raw in zip(cleaned, recordings, strict=True)

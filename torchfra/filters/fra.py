@@ -131,7 +131,7 @@ class FRA(Soft, GaussianFilter):
 
     def look(self, belief: Gaussian, frame: Frame) -> tuple[Prediction, Whitened]:
         """The prediction of a step, and the measurement against it."""
-        prediction = self.predict(belief, frame)
+        prediction = self.predicted(belief, frame)
         return prediction, self.compare(prediction.belief, frame)
 
     def settle(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Kept]:

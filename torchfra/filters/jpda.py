@@ -160,7 +160,7 @@ class JPDA(Soft, ScanFilter):
         """One scan; equation numbers of Chen, Zou & Wu.  ``mix`` is not looked at."""
         f, (belief, fading, noise) = self.inner, tree.insert_batch_dimension(state.inner)
         miss = log_miss(self.detection, self.gate, state.missed)
-        prediction, searched = search(f.predict(belief, frame), state.missed, state.searched, miss, self.lost)
+        prediction, searched = search(f.predicted(belief, frame), state.missed, state.searched, miss, self.lost)
         scan = self.look(prediction.belief, noise, frame)
         association = self.associate(scan, miss)  # (25)-(27)
         noise = self.learn_noise(noise, scan.whitened, association, frame, "innovation")  # (19)

@@ -109,7 +109,7 @@ class SRCKF(GaussianFilter):
 
     def advance(self, state: State, frame: Frame, mix: Mix | None = None) -> tuple[State, Record]:
         """One step; equation numbers of Wang et al. (2021)."""
-        prediction = self.predict(state.belief if mix is None else mix(state.belief), frame)  # (8)-(13)
+        prediction = self.predicted(state.belief if mix is None else mix(state.belief), frame)  # (8)-(13)
         whitened = self.compare(prediction.belief, frame)  # (14)-(21)
         if not self.plain:
             return self.update(prediction, whitened, state, frame)

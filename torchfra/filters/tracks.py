@@ -75,7 +75,7 @@ class GaussianFilter(TrackFilter):
         """Whether some weights of the rule are negative, so that covariances may need repair."""
         return self.motion_rule.signed or self.sensor_rule.signed
 
-    def predict(self, belief: Gaussian, frame: Frame) -> Prediction:
+    def predicted(self, belief: Gaussian, frame: Frame) -> Prediction:
         """The belief one step later."""
         return predict(self.motion, self.motion_rule, belief, frame)
 

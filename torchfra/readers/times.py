@@ -111,7 +111,7 @@ def _plain_iso(text: str) -> str:
     """ISO text as Python 3.10 reads it: six digits after the point, and zones such as +02:00."""
     found = _ISO.fullmatch(text)
     if found is None:
-        raise ValueError
+        raise ValueError(f"expected a time in ISO 8601, received {text!r}")
     part, zone = found["part"] or "", found["zone"] or ""
     if not (part or zone):
         return text

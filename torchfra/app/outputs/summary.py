@@ -30,10 +30,10 @@ def summary(cleaned: Cleaned) -> dict[str, Any]:
         "steps": len(cleaned.time),
         "seconds": float(cleaned.time[-1]),
         "flags": counts,
-        "median_correction": _largest(off[measured & ~rejected], 0.5),
-        "largest_correction": _largest(off[measured & ~rejected]),
-        "largest_rejected": _largest(off[rejected]),
-        "median_std": _largest(np.sqrt((of.along**2 + of.across**2) / 2), 0.5),
+        "median_correction": _quantile(off[measured & ~rejected], 0.5),
+        "largest_correction": _quantile(off[measured & ~rejected]),
+        "largest_rejected": _quantile(off[rejected]),
+        "median_std": _quantile(np.sqrt((of.along**2 + of.across**2) / 2), 0.5),
         "failed": bool(cleaned.failed.any()),
         "repairs": cleaned.recording.repairs,
         "filter": found.filter, "smooth": found.smooth, "bank": found.bank, "sigma": found.sigma, "q": found.q,
@@ -100,7 +100,7 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.1f} min" if seconds >= 120 else f"{seconds:.0f} s"
 
 
-def _largest(values: Any, share: float = 1.0) -> float:
+def _quantile(values: Any, share: float = 1.0) -> float:
     """A quantile of what is finite; NaN of nothing."""
     known = values[np.isfinite(values)]
     return float(np.quantile(known, share)) if len(known) else np.nan
