@@ -26,7 +26,7 @@ from torchfra.readers.recording import Recording
 
 DEFAULT = "gpb"
 """The filter that is used unless told otherwise."""
-FAILURES = (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError)
+FAILURES = (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError)  # type: ignore[attr-defined]
 """What a track may do to its own work; all else is a mistake of the program and is raised."""
 
 
