@@ -6,7 +6,7 @@ import copy
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.distributions import constraints
 
 from torchfra import tree
@@ -21,6 +21,7 @@ from torchfra.gaussian.update import density
 from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg.triangular import whiten
 from torchfra.motion.bank import Bank
+from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
 PER_MODEL = ("transition", "shift", "process_noise", "adaptation")
@@ -79,6 +80,10 @@ class Around(TrackFilter):
     def sensor(self) -> Any:  # type: ignore[override]
         """The sensor."""
         return self.inner.sensor
+
+    def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
+        """Its parts, by name, that are others around another sensor."""
+        return {"inner": self.inner.with_sensor(sensor)}
 
     def matrix_back(self, turn: Turn, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
@@ -168,14 +173,14 @@ class IMM(Around):
 
     def advance(self, state: IMMState, frame: Frame, mix: Mix | None = None) -> tuple[IMMState, Record]:
         """One step; ``mix`` is not looked at, as this filter mixes itself."""
-        matrix = self.transition(state.log_weights).log()
+        matrix = held(self.transition(state.log_weights).log(), frame.dt)
         inner, log_weights, record = cycle(self.inner, state.inner, state.log_weights, matrix, for_each_model(frame))
         record = record._replace(info=IMMInfo(log_weights.exp()))
         return IMMState(record.belief, inner, log_weights), record
 
     def matrix_back(self, turn: Turn, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
-        return self.transition(like).log(), for_each_model(turn.frame)
+        return held(self.transition(like).log(), turn.frame.dt), for_each_model(turn.frame)
 
 
 def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame: Frame) -> tuple[Any, Tensor, Record]:
@@ -211,6 +216,13 @@ def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame:
     log_density = (predicted + log_density).logsumexp(-1)
     past = ModelsStep(record.belief, record.info, log_weights)
     return state, log_weights, Record(belief, *innovation, normalised, None, log_density, past=past)
+
+
+def held(matrix: Tensor, dt: Tensor) -> Tensor:
+    """Logs ``(..., K, K)`` of a transition over ``dt (...)`` seconds: over none, no model gives way to another."""
+    same = torch.eye(matrix.shape[-1], dtype=torch.bool, device=matrix.device)
+    still = torch.where(same, torch.zeros_like(matrix), -torch.inf)
+    return torch.where((dt == 0)[..., None, None], still, matrix)
 
 
 def for_each_model(frame: Frame) -> Frame:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchfra.adaptive.fading import NoFading
 from torchfra.filters.base import Filter
@@ -69,6 +69,10 @@ class GaussianFilter(TrackFilter):
             raise ValueError(f"rule: expected torchfra.gaussian.third_degree or the like, received {rule!r}")
         self.motion_rule = rule(motion.size)
         self.sensor_rule = self.motion_rule.marginal(sensor.reads)
+
+    def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
+        """Its parts, by name, that are others around another sensor."""
+        return {"sensor": sensor, "sensor_rule": self.motion_rule.marginal(sensor.reads)}  # type: ignore[dict-item]
 
     @property
     def signed(self) -> bool:

@@ -22,6 +22,8 @@ from torchfra.types import Gaussian
 class ConstantGainFilter(TrackFilter):
     """Abstract: a filter of positions, axis by axis."""
 
+    instants = False
+    one_sensor = "constant gains are chosen for one sensor's noise"
     gamma: Hyper | None
 
     def __init__(self, motion: Motion, sensor: Sensor, initiation: str, period: Value | None) -> None:
