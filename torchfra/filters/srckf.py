@@ -124,6 +124,12 @@ class SRCKF(GaussianFilter):
         """A state with the innovations that the one ``before`` remembers."""
         return state._replace(fading=before.fading)
 
+    def would_see(self, state: State, beliefs: Gaussian, frame: Frame) -> Gaussian:
+        """What is measured, less what hypotheses ``(K, ..., n)`` expect, by the noise as it is known."""
+        whitened = self.compare(beliefs, frame)
+        root, _ = innovation(self.noise.known(whitened, state.noise, frame.seen))
+        return Gaussian(whitened.residual, self.noise.nominal(root, state.noise, frame.seen))
+
     def advance(self, state: State, frame: Frame, mix: Mix | None = None) -> tuple[State, Record]:
         """One step; equation numbers of Wang et al. (2021)."""
         prediction = self.predicted(state.belief if mix is None else mix(state.belief), frame)  # (8)-(13)

@@ -139,11 +139,13 @@ def check_seconds(dt: Time, dtype: torch.dtype, instants: bool = True) -> None:
     Raises:
         ValueError: one is not.
     """
-    seconds = torch.as_tensor(dt).to(dtype)
-    bad = ~((seconds >= 0 if instants else seconds > 0) & (seconds < torch.inf))
+    given = torch.as_tensor(dt)
+    seconds = given.to(dtype)
+    bad = ~((seconds > 0) & (seconds < torch.inf))
+    if instants:
+        bad = bad & (given != 0)
     if bool(bad.any()):
-        least = "of 0 or more" if instants else "above 0"
-        _refuse("dt", f"seconds {least} and finite in {dtype}", torch.as_tensor(dt), bad)
+        _refuse("dt", f"seconds above 0 {'(or just 0) ' * instants}and finite in {dtype}", given, bad)
 
 
 def _singular(noise: Tensor, seen: Tensor) -> Tensor:

@@ -17,7 +17,7 @@ from torchfra.filters.gpb.qualities import Qualities, entry
 from torchfra.filters.gpb.regimes import Regimes
 from torchfra.filters.gpb.sensing import Sensing
 from torchfra.filters.gpb.states import GPBInfo, GPBState, Shares, Step
-from torchfra.filters.imm import for_each_model
+from torchfra.filters.interaction import for_each_model
 from torchfra.filters.records import Record
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
@@ -177,6 +177,13 @@ class GPB(Sensing):
         far = torch.where(frame.dt == 0, 0.0, far)  # over no time nothing jumps
         jumped = self.regimes.jumped(agile, far, self.motion.position)
         return Gaussian(*map(torch.cat, zip(predicted, jumped, strict=True))), far
+
+    def foresee(self, state: GPBState, frame: Frame) -> tuple[Gaussian, Tensor]:
+        """Hypotheses ``(2 R, ..., n)`` of the state after a step, and logs of their weights."""
+        before = tree.stack([state.clean, state.dirty], 0)
+        predicted, log_ahead, _, _ = self.look_ahead(before, state.log_weights.movedim(-2, 0), frame)
+        flat: Gaussian = tree.map_tensors(lambda x: x.flatten(0, 1), predicted)
+        return flat, log_share(log_ahead.flatten(0, 1))
 
     def interact(self, before: Gaussian, log_weights: Tensor, dt: Tensor) -> tuple[Gaussian, Tensor, Shares | None]:
         """The motions ``(2, ..., K)`` mixed, log weights ``(2, ..., R)`` of the regimes ahead, and who contributed.

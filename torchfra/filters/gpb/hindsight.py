@@ -12,7 +12,7 @@ from torchfra.filters.gpb.merging import log_share, together
 from torchfra.filters.gpb.qualities import entry
 from torchfra.filters.gpb.regimes import Regimes, in_front
 from torchfra.filters.hindsight import inside
-from torchfra.filters.imm import for_each_model, held
+from torchfra.filters.interaction import for_each_model, held
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.future import Future, future
