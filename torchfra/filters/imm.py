@@ -81,6 +81,10 @@ class Around(TrackFilter):
         """Its parts, by name, that are others around another sensor."""
         return {"inner": self.inner.with_sensor(sensor)}
 
+    def remembering(self, state: Any, before: Any) -> Any:
+        """A state whose models remember what those of the one ``before`` do."""
+        return state._replace(inner=self.inner.remembering(state.inner, before.inner))
+
     def lead(self, state: Any, frame: Frame) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
         raise TypeError(f"{type(self).__name__} needs a lead to predict")
