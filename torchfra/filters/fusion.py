@@ -41,7 +41,7 @@ class Fused:
         if steps != len(self.which):
             raise ValueError(f"which: expected the number of a sensor for each of {steps} steps, received {self.which}")
         beyond = torch.arange(max(sizes)) >= torch.tensor([sizes[k] for k in self.which]).unsqueeze(-1)
-        wrong = (~measurements.z.isnan() & beyond.to(measurements.z.device)).flatten(0, -3).any(0)
+        wrong = (~measurements.z.isnan() & beyond.to(measurements.z.device)).reshape(-1, *beyond.shape).any(0)
         if bool(wrong.any()):
             k, i = wrong.nonzero()[0].tolist()
             expected = f"NaN beyond the {sizes[self.which[k]]} elements of sensor {self.which[k]} at step {k}"
