@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchfra.hyper import Value
 from torchfra.sensors.base import Sensor
+from torchfra.sensors.places import from_u
 
 
 class Ranges(Sensor):
@@ -87,10 +88,8 @@ class Ranges(Sensor):
         if self.anchors is not None:
             return self.anchors
         each = self.reads if self.height is None else 3
-        if u is None or u.shape[-1] < each * self.size:
-            expected = f"the positions of {self.size} anchors, (..., {each * self.size})"
-            raise ValueError(f"u: expected {expected}, received {None if u is None else f'(..., {u.shape[-1]})'}")
-        places: Tensor = u[..., : each * self.size].unflatten(-1, (self.size, each))
+        flat = from_u(u, each * self.size, f"the positions of {self.size} anchors")
+        places: Tensor = flat.unflatten(-1, (self.size, each))
         return places
 
     def describe(self) -> str:
