@@ -105,7 +105,7 @@ class Around(TrackFilter):
     def last(self, past: ModelsPast) -> tuple[Models, Told]:
         """The last step, which no later measurement speaks of."""
         models = Models(past.inner.belief, past.log_weights)
-        return models, together(models, past.active)
+        return models, together(models, past.active, self.motion)
 
     def retreat(self, turn: Turn, after: Models) -> tuple[Models, Told]:
         """One step back, of all models."""
@@ -115,7 +115,7 @@ class Around(TrackFilter):
             return several
         matrix, frame = self.matrix_back(turn, after.log_weights)
         models = retreat(self.inner, Turn(turn.past, turn.ahead.inner, frame), matrix, after)
-        return models, together(models, turn.past.active)
+        return models, together(models, turn.past.active, self.motion)
 
 
 class IMM(Around):
@@ -191,21 +191,22 @@ def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame:
     Returns:
         The filter's state, the log weights after, and what all models together keep of the step.
     """
-    joint = matrix + log_weights.unsqueeze(-1)
+    joint, motion = matrix + log_weights.unsqueeze(-1), inner.motion
     predicted = joint.logsumexp(-2)  # eq. (5): (..., K) before the measurement
     shares = (joint - predicted.unsqueeze(-2)).movedim(-2, 0)  # eq. (6): [was, ..., now]
 
     def interact(belief: Gaussian) -> Gaussian:
         """Eqs. (7), (8)."""
         mean, root = models_first(belief)
-        return moment_match(repeated(Gaussian(mean, root), shares.shape[-1]), shares)
+        return moment_match(repeated(Gaussian(mean, root), shares.shape[-1]), shares, motion.angles)
 
     state, record = inner.advance(state, frame, interact)
     assert record.residual is not None
     log_density = without_failed(density(record.root, record.normalised))
     log_weights = predicted + (log_density if record.evidence is None else without_failed(record.evidence))
     log_weights = log_weights - log_weights.logsumexp(-1, keepdim=True)  # eq. (9)
-    belief = moment_match(models_first(record.belief), log_weights.movedim(-1, 0))  # eqs. (10), (11)
+    belief = moment_match(models_first(record.belief), log_weights.movedim(-1, 0), motion.angles)  # eqs. (10), (11)
+    belief = belief._replace(mean=motion.canonical(belief.mean))
     innovation = moment_match(models_first(Gaussian(record.residual, record.root)), predicted.movedim(-1, 0))
     normalised = whiten(innovation.scale_tril, innovation.mean)
     log_density = (predicted + log_density).logsumexp(-1)
