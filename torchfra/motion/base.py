@@ -78,7 +78,8 @@ class Motion(nn.Module):
         kinds: what each is, out of ``torchfra.motion.KINDS``; likewise.
 
     Raises:
-        ValueError: ``dims`` or ``size`` below 1, ``q`` below 0, names or kinds that are not one for each component.
+        ValueError: ``dims`` or ``size`` below 1, ``q`` below 0, names or kinds that are not one for each component,
+            angles that are none.
         TypeError: (where the class is defined) ``linear = True`` without a ``transition``, or the other way round.
     """
 
@@ -129,6 +130,9 @@ class Motion(nn.Module):
         self.position = slice(0, dims) if position is None else position
         self.velocity = slice(dims, 2 * dims) if velocity is None else velocity
         self.angles = self.angles if angles is None else tuple(angles)
+        if not set(self.angles) <= set(range(self.size)):
+            expected = f"numbers of components, 0 to {self.size - 1}"
+            raise ValueError(f"angles: expected {expected}, received {self.angles}")
         default = usual(self.size, dims, orders, self.position, self.velocity, self.angles)
         self.components, self.kinds = checked(self.size, components, kinds, default)
         if q is not None:
