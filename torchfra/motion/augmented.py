@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
+from torchfra.linalg.triangular import block_diagonal
 from torchfra.motion.base import Adaptation, Motion
 
 
@@ -58,7 +59,7 @@ class Augmented(Motion):
 
     def transition(self, dt: Tensor) -> Tensor:
         """``F (..., n, n)``, a block for each motion, if all are linear."""
-        return _blocks([part.transition(dt) for part in self._parts])
+        return block_diagonal([part.transition(dt) for part in self._parts])
 
     def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
         """Known changes of the state ``(..., n)``; None if no motion has any."""
@@ -76,13 +77,15 @@ class Augmented(Motion):
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, r)``, a block for each motion."""
-        return _blocks([part.process_noise(dt) for part in self._parts])
+        return block_diagonal([part.process_noise(dt) for part in self._parts])
 
     def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
         """The same at a predicted mean ``(..., n)``."""
         roots = [part.process_noise(dt) for part in self._parts]
         parts = zip(self._parts, roots, mean.split(self._sizes, -1), strict=True)
-        return _blocks([root if part.linear else part.process_noise_at(root, own, dt) for part, root, own in parts])
+        return block_diagonal(
+            [root if part.linear else part.process_noise_at(root, own, dt) for part, root, own in parts]
+        )
 
     def canonical(self, mean: Tensor) -> Tensor:
         """The same state ``(..., n)`` with its angles as each motion writes them."""
@@ -101,16 +104,6 @@ class Augmented(Motion):
     @property
     def _parts(self) -> list[Motion]:
         return list(self.parts)  # type: ignore[arg-type]  # a ModuleList does not know what it holds
-
-
-def _blocks(parts: Sequence[Tensor]) -> Tensor:
-    """Matrices ``(..., a, b)`` along the diagonal of one, batches broadcast."""
-    batch = torch.broadcast_shapes(*(part.shape[:-2] for part in parts))
-    wide, rows, before = sum(part.shape[-1] for part in parts), [], 0
-    for part in parts:
-        rows.append(pad(part, (before, wide - before - part.shape[-1])).expand(*batch, -1, -1))
-        before += part.shape[-1]
-    return torch.cat(rows, -2)
 
 
 def _different(names: Sequence[str]) -> list[str]:

@@ -2,19 +2,25 @@
 
 from torchfra.sensors.base import MeasurementNoise, Sensor
 from torchfra.sensors.camera import Camera, facing
+from torchfra.sensors.composed import Biased, Pseudoranges, Stacked, TimeDifferences
 from torchfra.sensors.direction import Bearings, RangeBearing
 from torchfra.sensors.infrared import InfraredLaser
 from torchfra.sensors.position import Position
-from torchfra.sensors.ranges import Ranges
+from torchfra.sensors.ranges import RangeRates, Ranges
 
 __all__ = [
     "Bearings",
+    "Biased",
     "Camera",
     "InfraredLaser",
     "MeasurementNoise",
     "Position",
+    "Pseudoranges",
     "RangeBearing",
+    "RangeRates",
     "Ranges",
     "Sensor",
+    "Stacked",
+    "TimeDifferences",
     "facing",
 ]
