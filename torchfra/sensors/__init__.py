@@ -2,11 +2,12 @@
 
 from torchfra.sensors.base import MeasurementNoise, Sensor
 from torchfra.sensors.camera import Camera, facing
-from torchfra.sensors.composed import Biased, Pseudoranges, Stacked, TimeDifferences
+from torchfra.sensors.composed import Biased, Stacked
 from torchfra.sensors.direction import Bearings, RangeBearing
 from torchfra.sensors.infrared import InfraredLaser
 from torchfra.sensors.position import Position
 from torchfra.sensors.ranges import RangeRates, Ranges
+from torchfra.sensors.signals import Pseudoranges, TimeDifferences
 
 __all__ = [
     "Bearings",

@@ -1,18 +1,15 @@
-"""Sensors made of others: several as one, biases that are in the state, differences of ranges, satellites."""
+"""Sensors made of others: several as one, and biases that are in the state."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import accumulate, pairwise
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from torchfra.hyper import Value
 from torchfra.linalg.triangular import block_diagonal
 from torchfra.sensors.base import MeasurementNoise, Sensor
-from torchfra.sensors.ranges import RangeRates, Ranges
 
 
 class Stacked(Sensor):
@@ -63,7 +60,7 @@ class Stacked(Sensor):
         """``(..., m, m)`` a root of the covariance of the noise, if a part has correlated noise; else None."""
         if all(part.root is None for part in self._parts):
             return None
-        return block_diagonal([_root(part) for part in self._parts])
+        return block_diagonal([noise_root(part) for part in self._parts])
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The measurement ``(..., m)`` of each part, one after the other."""
@@ -166,82 +163,11 @@ class Biased(Sensor):
         return f"{self.unbiased.describe()} with a bias"
 
 
-class Pseudoranges(Biased):
-    """Pseudoranges of satellites, m, and how fast they grow, m/s: ranges and rates off by the receiver's clock.
-
-    The state is that of ``Augmented(ConstantVelocity(q, 3), Clock(...))``, in the coordinates of the satellites.  Their
-    own clocks, the turn of the Earth and the air are taken to be corrected.  A satellite that is not there is NaN.
-
-    Args:
-        count: satellites, whose positions come with each step, ``u (..., 3 m)``; with ``rates`` their velocities
-            behind them, ``u (..., 6 m)``.
-        std: of the pseudoranges, m; a number or ``(..., m)``.
-        rates: of their rates, m/s; a number or ``(..., m)``.  None for no rates.
-        clock: component of the state that holds the clock's offset, m, with its drift, m/s, behind it.
-
-    Raises:
-        ValueError: no satellites, ``clock`` below 0.
-
-    Source: Brown & Hwang (2012), "Introduction to Random Signals and Applied Kalman Filtering", section 9.4.
-    """
-
-    def __init__(self, count: int, std: Value, rates: Value | None = None, *, clock: int = 6) -> None:
-        ranges = Ranges(count=count, std=std, dims=3)
-        if rates is None:
-            super().__init__(ranges, clock)
-        else:
-            both = Stacked(ranges, RangeRates(count=count, std=rates, dims=3))
-            super().__init__(both, [clock] * count + [clock + 1] * count)
-        self.count = count
-
-    def describe(self) -> str:
-        """How many satellites."""
-        return f"pseudoranges of {self.count} satellites"
-
-
-class TimeDifferences(Sensor):
-    """Differences of arrival times at anchors against the first one, times the speed of the signal: m.
-
-    The first arrival is in all differences, so that their noise is correlated.
-
-    Args:
-        anchors: as of ``Ranges``, like ``options``; of ``m + 1`` anchors there are ``m`` differences.
-        std: of each arrival, times the speed, m; a number or ``(..., m + 1)`` with one per anchor.
-        options: ``count``, ``dims``, ``height`` and ``noise`` (of the arrivals) of ``Ranges``.
-
-    Raises:
-        ValueError: as of ``Ranges``, or a single anchor.
-
-    Source: Foy (1976), "Position-Location Solutions by Taylor-Series Estimation".
-    """
-
-    def __init__(self, anchors: Any = None, std: Value | None = None, **options: Any) -> None:
-        arrivals = Ranges(anchors, std, **options)
-        if arrivals.size < 2:
-            raise ValueError(f"anchors: expected 2 or more for a difference, received {arrivals.size}")
-        self._lay_out(arrivals.reads, [False] * (arrivals.size - 1))
-        self.arrivals, self.dims = arrivals, arrivals.dims
-
-    @property
-    def root(self) -> Tensor | None:  # type: ignore[override]  # of the arrivals
-        """``(..., m, m + 1)`` a root of the covariance of the noise."""
-        arrivals = _root(self.arrivals)
-        return arrivals[..., 1:, :] - arrivals[..., :1, :]
-
-    def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
-        """The differences ``(..., m)`` of distances."""
-        away = self.arrivals(x, u)
-        return away[..., 1:] - away[..., :1]
-
-    def describe(self) -> str:
-        """How many, and of what."""
-        return f"time differences of {self.arrivals.describe()}"
-
-
-def _root(sensor: Sensor) -> Tensor:
+def noise_root(sensor: Sensor) -> Tensor:
     """A root ``(..., m, m)`` of the covariance of a sensor's noise."""
     if sensor.root is not None or sensor.std is None:
         assert sensor.root is not None
         return sensor.root
     std: Tensor = sensor.std.elements()
-    return std.expand(*std.shape[:-1], sensor.size).diag_embed()
+    root: Tensor = std.expand(*std.shape[:-1], sensor.size).diag_embed()
+    return root
