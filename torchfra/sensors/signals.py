@@ -77,7 +77,8 @@ class TimeDifferences(Sensor):
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The differences ``(..., m)`` of distances."""
         away = self.arrivals(x, u)
-        return away[..., 1:] - away[..., :1]
+        differences: Tensor = away[..., 1:] - away[..., :1]
+        return differences
 
     def describe(self) -> str:
         """How many, and of what."""
