@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -30,7 +31,7 @@ def look_ahead(f: Any, state: Any, frame: Frame) -> Ahead:
         frame: of the step, with nothing measured.
     """
     beliefs, log_weights = f.foresee(state, frame)
-    belief = _together(beliefs, log_weights)
+    belief = _together(beliefs, log_weights, f.motion.angles)
     belief = belief._replace(mean=f.motion.canonical(belief.mean))
     z = f.sensor.at_points(belief.mean, frame.u)
     noise = f.sensor.measurement_noise(z)
@@ -40,8 +41,8 @@ def look_ahead(f: Any, state: Any, frame: Frame) -> Ahead:
     return Ahead(belief, Gaussian(z - apart, noise.colour(root)))
 
 
-def _together(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
-    """One Gaussian for hypotheses ``(K, ...)``."""
+def _together(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] = ()) -> Gaussian:
+    """One Gaussian for hypotheses ``(K, ...)`` whose components are ``angles`` here and there."""
     if len(log_weights) > 1:
-        return moment_match(beliefs, log_weights)
+        return moment_match(beliefs, log_weights, angles)
     return Gaussian(beliefs.mean[0], beliefs.scale_tril[0])

@@ -92,7 +92,7 @@ class Around(TrackFilter):
     def foresee(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
         """A hypothesis ``(K, ..., n)`` of the state after a step for each model, and logs of their weights."""
         matrix, frame = self.lead(state, frame)
-        log_weights, interact = interaction(state.log_weights, matrix)
+        log_weights, interact = interaction(state.log_weights, matrix, self.motion)
         belief = self.inner.predicted(interact(state.inner.belief), frame).belief  # type: ignore[operator]
         return models_first(belief), log_weights.movedim(-1, 0)
 
@@ -127,7 +127,7 @@ class Around(TrackFilter):
     def last(self, past: ModelsPast) -> tuple[Models, Told]:
         """The last step, which no later measurement speaks of."""
         models = Models(past.inner.belief, past.log_weights)
-        return models, together(models, past.active)
+        return models, together(models, past.active, self.motion)
 
     def retreat(self, turn: Turn, after: Models) -> tuple[Models, Told]:
         """One step back, of all models."""
@@ -137,7 +137,7 @@ class Around(TrackFilter):
             return several
         matrix, frame = self.matrix_back(turn, after.log_weights)
         models = retreat(self.inner, Turn(turn.past, turn.ahead.inner, frame), matrix, after)
-        return models, together(models, turn.past.active)
+        return models, together(models, turn.past.active, self.motion)
 
 
 class IMM(Around):

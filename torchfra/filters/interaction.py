@@ -15,6 +15,7 @@ from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import models_first, moment_match, repeated, without_failed
 from torchfra.gaussian.update import density
 from torchfra.linalg.triangular import whiten
+from torchfra.motion.base import Motion
 from torchfra.types import Gaussian
 
 PER_MODEL = ("transition", "shift", "process_noise", "adaptation")
@@ -34,13 +35,15 @@ def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame:
     Returns:
         The filter's state, the log weights after, and what all models together keep of the step.
     """
-    predicted, interact = interaction(log_weights, matrix)
+    motion = inner.motion
+    predicted, interact = interaction(log_weights, matrix, motion)
     state, record = inner.advance(state, frame, interact)
     assert record.residual is not None
     log_density = without_failed(density(record.root, record.normalised))
     log_weights = predicted + (log_density if record.evidence is None else without_failed(record.evidence))
     log_weights = log_weights - log_weights.logsumexp(-1, keepdim=True)  # eq. (9)
-    belief = moment_match(models_first(record.belief), log_weights.movedim(-1, 0))  # eqs. (10), (11)
+    belief = moment_match(models_first(record.belief), log_weights.movedim(-1, 0), motion.angles)  # eqs. (10), (11)
+    belief = belief._replace(mean=motion.canonical(belief.mean))
     innovation = moment_match(models_first(Gaussian(record.residual, record.root)), predicted.movedim(-1, 0))
     normalised = whiten(innovation.scale_tril, innovation.mean)
     log_density = (predicted + log_density).logsumexp(-1)
@@ -48,7 +51,7 @@ def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame:
     return state, log_weights, Record(belief, *innovation, normalised, None, log_density, past=past)
 
 
-def interaction(log_weights: Tensor, matrix: Tensor) -> tuple[Tensor, Mix]:
+def interaction(log_weights: Tensor, matrix: Tensor, motion: Motion) -> tuple[Tensor, Mix]:
     """Logs ``(..., K)`` of the models' probabilities after a transition, and what mixes their beliefs for it."""
     joint = matrix + log_weights.unsqueeze(-1)
     predicted = joint.logsumexp(-2)  # eq. (5): (..., K) before the measurement
@@ -57,7 +60,7 @@ def interaction(log_weights: Tensor, matrix: Tensor) -> tuple[Tensor, Mix]:
     def interact(belief: Gaussian) -> Gaussian:
         """Eqs. (7), (8)."""
         mean, root = models_first(belief)
-        return moment_match(repeated(Gaussian(mean, root), shares.shape[-1]), shares)
+        return moment_match(repeated(Gaussian(mean, root), shares.shape[-1]), shares, motion.angles)
 
     return predicted, interact
 

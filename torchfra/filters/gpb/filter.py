@@ -61,8 +61,8 @@ class GPB(Sensing):
         rule: from a number of states to the rule that carries a Gaussian through a function.
 
     Raises:
-        ValueError: a motion whose state has angles (its beliefs cannot be merged), regimes of other motions, blocks
-            that do not cover the measurement once, correlated noise between blocks, or a rule with negative weights.
+        ValueError: regimes of other motions, blocks that do not cover the measurement once, correlated noise between
+            blocks, or a rule with negative weights.
 
     Source: Harrison & Stevens (1976), Kirkendall (1992) for regimes and outliers as hypotheses; Bar-Shalom, Li &
     Kirubarajan (2001), section 11.6, for GPB2 and IMM; Daeipour & Bar-Shalom (1995) for modes of the noise.
@@ -81,8 +81,6 @@ class GPB(Sensing):
         rule: Callable[[int], Rule] = third_degree,
     ) -> None:
         check_models(motion, sensor)
-        if motion.angles:
-            raise ValueError(f"motion: expected a state without angles, received {motion.describe()}")
         super().__init__(motion if isinstance(motion, Bank) else Bank([motion]), sensor, rule)
         if lag not in (0, 1):
             raise ValueError(f"lag: expected 0 or 1 steps, received {lag!r}")
@@ -129,9 +127,9 @@ class GPB(Sensing):
         log_likelihood = joint.flatten(0, 2).logsumexp(0)
         joint = joint - log_likelihood
 
-        after, log_after = merged(self.regimes, lifted(predicted, corrected.belief), joint)
+        after, log_after = merged(self.regimes, lifted(predicted, corrected.belief), joint, self.motion.angles)
         ends = tree.stack([after, before], 1), torch.stack([log_after, self.hindsight(joint, shares)], 1)
-        belief, settled = tree.unbind(together(*ends), 2)
+        belief, settled = tree.unbind(together(*ends, self.motion), 2)
         outlier = (joint[1].exp().unsqueeze(-1) * corrected.outlier).sum((0, 1))
         log_regimes = joint.logsumexp(2).movedim(1, -1)  # (2, ..., R)
         if_dirty = outlier / log_regimes[1].logsumexp(-1, keepdim=True).exp()
@@ -151,7 +149,7 @@ class GPB(Sensing):
     def compare_all(self, seen: Gaussian, log_ahead: Tensor, frame: Frame) -> tuple[Whitened, Whitened]:
         """The measurement against all predictions, ``(1, R, 2, ...)``, and against the Gaussian with their moments."""
         flat = tree.map_tensors(lambda x: x.flatten(0, 1), seen)
-        expected = moment_match(flat, log_share(log_ahead.flatten(0, 1)))
+        expected = moment_match(flat, log_share(log_ahead.flatten(0, 1)), self.motion.angles)
         every = [torch.cat([x, y.unsqueeze(0)]) for x, y in zip(flat, expected, strict=True)]
         whitened = self.compare(Gaussian(*every), frame)
         each = tree.map_tensors(lambda x: x[:-1].unflatten(0, (1, *log_ahead.shape[:2])), whitened)
@@ -202,10 +200,10 @@ class GPB(Sensing):
             return before, log_ahead, None
         origin, ahead = of_motion(left) - all_left, of_motion(log_ahead)
         shares = Shares(of_motion(stayed) - ahead, of_motion(drawn) - ahead, origin)
-        common = moment_match(models_first(before), origin.movedim(-1, 0))
+        common = moment_match(models_first(before), origin.movedim(-1, 0), self.motion.angles)
         pair = tree.stack([before, repeated(common, len(self.bank))], 0)
         mix = pooled if self.motion.linear else moment_match  # predictions are made triangular anyway
-        return mix(pair, torch.stack([shares.own, shares.common])), log_ahead, shares
+        return mix(pair, torch.stack([shares.own, shares.common]), self.motion.angles), log_ahead, shares
 
     def hindsight(self, joint: Tensor, shares: Shares | None) -> Tensor:
         """Log weights ``(2, ..., K)`` of the beliefs before a step, now that it is measured."""
