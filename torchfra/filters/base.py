@@ -28,7 +28,7 @@ Mix = Callable[[Gaussian], Gaussian]
 class Filter(Smoother):
     """Abstract: ``TrackFilter`` for tracks of one target, ``ScanFilter`` for scans of several.
 
-    A subclass gives ``begin`` and ``advance``.  A module keeps nothing of a track; it runs in dtype and device of ``z``.
+    A subclass gives ``begin`` and ``advance``.  It keeps nothing of a track; it runs where ``z`` is, in its dtype.
 
     Args:
         motion: how targets move; None for a filter around another one, whose models are its own.
