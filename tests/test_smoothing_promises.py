@@ -175,9 +175,9 @@ def test_a_track_that_fails_fails_alone():
     ("call", "message"),
     [
         (lambda f: f.smooth(Z, PRIOR, lag=0), r"lag: expected at least 1 step, received 0"),
-        (lambda f: f.smooth(Z, PRIOR, dt=0.0), r"dt: expected seconds above 0"),
+        (lambda f: f.smooth(Z, PRIOR, dt=-1.0), r"dt: expected seconds above 0"),
         (lambda f: f.smooth(Z, PRIOR, estimate=f(Z[:4], PRIOR)), r"estimate: .*\(6, 4\), received \(4, 4\)"),
-        (lambda f: f.smooth(Z, PRIOR, estimate=f(Z, PRIOR), dt=0.0), r"dt: expected seconds above 0"),
+        (lambda f: f.smooth(Z, PRIOR, estimate=f(Z, PRIOR), dt=-1.0), r"dt: expected seconds above 0"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_named(call, message):

@@ -220,8 +220,8 @@ class Compiled:
         if plan is None:
             check()
         elif isinstance(dt, Tensor) or measurements.std is not None or measurements.noise is not None:
-            check_values(measurements.as_track())
-        data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype), *rest)
+            check_values(measurements.as_track(), f.instants)
+        data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype, f.instants), *rest)
         if plan is None:
             with BUILDING:
                 if len(now.steps) == _FORMS:
@@ -231,7 +231,7 @@ class Compiled:
 
 
 @lru_cache(maxsize=64)
-def _seconds(dt: float, dtype: torch.dtype) -> Tensor:
-    """A time step that is known to be above 0 and finite."""
-    check_seconds(dt, dtype)
+def _seconds(dt: float, dtype: torch.dtype, instants: bool) -> Tensor:
+    """A time step that is known to be finite, and 0 or more (without ``instants`` more)."""
+    check_seconds(dt, dtype, instants)
     return torch.tensor(dt, dtype=dtype)
