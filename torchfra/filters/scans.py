@@ -11,7 +11,6 @@ from torchfra import tree
 from torchfra.filters.base import Filter
 from torchfra.filters.records import Record
 from torchfra.filters.smoothing import Told, Turn
-from torchfra.filters.srckf import SRCKF
 from torchfra.filters.tracks import Past
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.hyper import hypers
@@ -37,7 +36,7 @@ class ScanFilter(Filter):
 
     scans = True
     keeps_past = True
-    inner: SRCKF
+    inner: Any
 
     def compile(self, *args: object, **options: object) -> ScanFilter:  # type: ignore[override]  # torch's returns None
         """With arguments ``nn.Module.compile``; without, there are no kernels for scans.
@@ -88,7 +87,8 @@ class ScanFilter(Filter):
 
     def last(self, past: ScanPast) -> tuple[Gaussian, Told]:
         """The last scan, which no later one speaks of."""
-        return self.inner.last(past.inner)
+        last: tuple[Gaussian, Told] = self.inner.last(past.inner)
+        return last
 
     def retreat(self, turn: Turn, after: Gaussian) -> tuple[Gaussian, Told]:
         """One scan back, of each target for itself."""
