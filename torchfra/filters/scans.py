@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.filters.base import Filter
+from torchfra.filters.gpb import GPB
 from torchfra.filters.records import Record
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import Past
@@ -52,6 +53,8 @@ class ScanFilter(Filter):
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """The batch of scenes, checked; targets are no part of it."""
         batch = super()._batch(measurements, prior, name)
+        if isinstance(self.inner, GPB):
+            self.inner.qualities.check_noise("noise", measurements.noise)
         count = prior.mean.shape[-2]
         for path, hyper in hypers(self).items():
             if hyper.batch_rank and hyper.raw.shape[-1 - hyper.event_dim] not in (1, count):
