@@ -58,7 +58,8 @@ def in_reach(gate: Gate, sensor: Sensor, predicted: Gaussian, z: Tensor, tempera
         largest: Tensor = _quantiles(gate, z)[seen.sum(-1)]
         return nis <= largest
     candidates = Candidates(torch.where(seen, z, centre), centre.expand_as(z), seen.to(z), nis)
-    return (gate(candidates, sensor, temperature) > -torch.inf) & seen.any(-1)
+    membership: Tensor = gate(candidates, sensor, temperature)
+    return (membership > -torch.inf) & seen.any(-1)
 
 
 def _quantiles(gate: ChiSquare, like: Tensor) -> Tensor:
