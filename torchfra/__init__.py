@@ -15,6 +15,7 @@ from torchfra import (
     robust,
     scenarios,
     sensors,
+    targets,
     testing,
 )
 from torchfra.app.clean import clean, track
@@ -48,6 +49,7 @@ __all__ = [
     "scenarios",
     "sensors",
     "summary",
+    "targets",
     "testing",
     "track",
 ]
