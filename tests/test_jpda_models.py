@@ -15,7 +15,7 @@ from torchfra.association import ChiSquare, Clutter, Euclidean
 from torchfra.filters import IMM, JPDA, SRCKF
 from torchfra.filters.fixed_lag import FixedLag
 from torchfra.motion import Bank, ConstantVelocity, CoordinatedTurn, aircraft
-from torchfra.sensors import Bearings, Position
+from torchfra.sensors import Position, Ranges
 from torchfra.types import Gaussian
 
 STD, STEPS, VOLUME = 2.0, 12, 400.0
@@ -263,7 +263,10 @@ def test_what_cannot_be_followed_is_named_with_its_reason():
             refused()
     with pytest.raises(ValueError, match="share_noise: expected an inner filter that estimates"):
         around("imm", share_noise=True)
-    bearings = presets.jpda(ConstantVelocity(1.0), Bearings(0.1), inner=presets.gpb, clutter=Clutter(extent=[1.0, 1.0]))
+    ranges = presets.jpda(
+        ConstantVelocity(1.0), Ranges(tensor([[0.0, 0.0], [9.0, 0.0]]), 1.0), inner=presets.gpb,
+        clutter=Clutter(extent=[1.0, 1.0]),
+    )  # fmt: skip
     correlated = torch.tensor([[1.0, 0.0], [0.5, 1.0]]).double().expand(STEPS, 5, 2, 2)
     with pytest.raises(ValueError, match="noise: expected noise that is independent between blocks"):
-        bearings(crowd(), start("gpb"), u=torch.zeros(4).double(), noise=correlated)
+        ranges(crowd(), start("gpb"), noise=correlated)
