@@ -1,0 +1,114 @@
+"""A single step of a compiled filter, made ready once for each form of call, so that a call does little but run it."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch._C._dynamo.guards import TensorGuards
+
+from torchfra.gaussian.arguments import check_values
+from torchfra.gaussian.inputs import Measurements
+from torchfra.kernel.program import Ready
+from torchfra.tree import flattener, unflattener
+
+_FORMS = 64
+"""How many forms are remembered."""
+_TRACKS = 1024
+"""At most, of a form that is remembered: the memory of a step's results is held for each."""
+
+
+class ReadyStep:
+    """A step for tensors of one form.
+
+    Args:
+        ready: the kernel.
+        state: one like those to come.
+        tensors: what the kernel reads: the leaves of the state, data, values.
+        made: the state and the record that the kernel writes, of one track.
+    """
+
+    def __init__(self, ready: Ready, state: Any, tensors: Sequence[Tensor], made: Any) -> None:
+        self.run, self.made = ready, unflattener(made)
+        self._leaves = flattener(state)
+        sizes, strides = [list(x.shape) for x in tensors], [list(x.stride()) for x in tensors]
+        self._fit = TensorGuards(*tensors, dynamic_dims_sizes=sizes, dynamic_dims_strides=strides).check
+
+    def tensors(self, state: Any, others: Sequence[Tensor]) -> tuple[Tensor, ...] | None:
+        """What the kernel reads; None for tensors of another form."""
+        try:
+            leaves = self._leaves(state)
+        except (IndexError, TypeError):  # another structure
+            return None
+        if leaves is None:
+            return None
+        tensors = (*leaves, *others)
+        return tensors if self._fit(*tensors) else None
+
+
+class ReadySteps:
+    """All that have been made ready."""
+
+    def __init__(self) -> None:
+        self._known: dict[Hashable, list[ReadyStep]] = {}
+
+    def __call__(self, state: Any, measurements: Measurements, values: Sequence[Tensor]) -> tuple[Any, Any] | None:
+        """The next state and the record of the step; None where no step is ready.
+
+        Args:
+            state: before the step.
+            measurements: of it, with a tensor as time step.
+            values: what the filter holds.
+
+        Raises:
+            ValueError: the time step or the noise has a bad value.
+        """
+        steps = self._known.get(_kind(state, measurements), ())
+        others = [*(x for x in measurements if x is not None), *values] if steps else values
+        for step in steps:
+            tensors = step.tensors(state, others)
+            if tensors is not None:
+                check_changing(measurements)
+                made: tuple[Any, Any] = step.made(step.run(tensors))
+                return made
+        return None
+
+    def add(self, step: ReadyStep, state: Any, measurements: Measurements) -> None:
+        """Remembers a step; all others are forgotten when there are too many."""
+        if sum(map(len, self._known.values())) >= _FORMS:
+            self._known = {}
+        kind = _kind(state, measurements)
+        self._known[kind] = [step, *self._known.get(kind, ())]
+
+
+def may_be_ready(tracks: int) -> bool:
+    """Whether a step of so many tracks is worth being remembered."""
+    return tracks <= _TRACKS
+
+
+def _kind(state: Any, measurements: Measurements) -> Hashable:
+    _, _, u, std, noise = measurements
+    return type(state), u is None, std is None, noise is None, torch.is_grad_enabled()
+
+
+def check_changing(measurements: Measurements) -> None:
+    """Checks the values that come with each measurement, where they are tensors.
+
+    Raises:
+        ValueError: one is bad.
+    """
+    z, dt, _, std, noise = measurements
+    changing = [x for x in (dt, std) if isinstance(x, Tensor)]
+    if noise is not None or not all(is_ordinary(x, z.dtype) for x in changing):
+        check_values(measurements.as_track())
+
+
+def is_ordinary(x: Tensor, dtype: torch.dtype) -> bool:
+    """Whether a few time steps or deviations are good beyond doubt, seen without arithmetic on tensors."""
+    if x.dim() > 1 or x.numel() > 16:
+        return False
+    limits = torch.finfo(dtype)
+    values = x.tolist()
+    return all(limits.tiny <= value <= limits.max for value in (values if x.dim() else [values]))
