@@ -141,7 +141,8 @@ class Version:
         leaves, data = flatten(state), [x for x in measurements if x is not None]
         tensors = [*leaves, *data, *self.read()]
         gradients = torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
-        if gradients or plan.counts or not may_be_ready(plan.batch.numel()):
+        twice = len({*map(id, tensors)}) < len(tensors)  # as in the first state of some filters; guards refuse that
+        if gradients or twice or plan.counts or not may_be_ready(plan.batch.numel()):
             return
         full, step = self.full(plan, tensors), plan.kernels.step
         if any(x.data_ptr() != y.data_ptr() for x, y in zip(full, tensors, strict=True)):
