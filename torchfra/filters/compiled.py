@@ -12,7 +12,7 @@ from torch.autograd import forward_ad
 
 from torchfra.filters import traced
 from torchfra.filters.compiled_back import given
-from torchfra.filters.compiled_step import check_changing, is_ordinary
+from torchfra.filters.compiled_step import Data, check_changing, is_ordinary
 from torchfra.filters.compiled_version import Version
 from torchfra.gaussian.arguments import check_seconds
 from torchfra.gaussian.inputs import Frame, Measurements
@@ -59,7 +59,7 @@ class Compiled:
             isinstance(z, Tensor)
             and z.is_cpu
             and z.dtype in SCALARS
-            and not is_traced(z)
+            and not is_traced()
             and torch._C._functorch.peek_interpreter_stack() is None
             and forward_ad._current_level < 0
         )
@@ -98,17 +98,16 @@ class Compiled:
         z, dt, u, std, noise = measurements
         if not isinstance(dt, (Tensor, float, int)):
             check()
-        now, seconds = self._now(f), dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype)
-        measurements = Measurements(z, seconds, u, std, noise)
-        done = now.ready(state, measurements, now.read())
-        return self._prepare(now, state, measurements, check) if done is None else done
+        now = self._now(f)
+        data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype), u, std, noise)
+        checked = not isinstance(dt, Tensor) and std is None and noise is None
+        done = now.ready(state, data, now.read(), checked)
+        return self._prepare(now, state, data, check) if done is None else done
 
     @staticmethod
-    def _prepare(
-        now: Version, state: Any, measurements: Measurements, check: Callable[[], Frame]
-    ) -> tuple[Any, Innovation]:
+    def _prepare(now: Version, state: Any, data: Data, check: Callable[[], Frame]) -> tuple[Any, Innovation]:
         """The same where no step is ready, which then becomes ready if it can."""
-        tensors = (*measurements, *flatten(state), *now.read())
+        tensors = (*data, *flatten(state), *now.read())
         form = (type(state), *(None if x is None else (x.shape, x.dtype) for x in tensors))
         plan = now.steps.get(form)
         if plan is None:
@@ -116,11 +115,11 @@ class Compiled:
             with BUILDING:
                 if len(now.steps) == _FORMS:
                     now.steps.clear()
-                plan = now.steps[form] = now.plan(traced.observe, state, measurements, (False,) * 5)
+                plan = now.steps[form] = now.plan(traced.observe, state, data, (False,) * 5)
         else:
-            check_changing(measurements)
-        now.get_ready(plan, state, measurements)
-        return now.run(plan, 1, state, measurements)
+            check_changing(data)
+        now.get_ready(plan, state, data)
+        return now.run(plan, 1, state, data)
 
 
 @lru_cache(maxsize=64)

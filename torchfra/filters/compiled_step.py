@@ -9,15 +9,21 @@ import torch
 from torch import Tensor
 from torch._C._dynamo.guards import TensorGuards
 
-from torchfra.gaussian.arguments import check_values
+from torchfra.gaussian.arguments import PRECISIONS, check_values
 from torchfra.gaussian.inputs import Measurements
 from torchfra.kernel.program import Ready
 from torchfra.tree import flattener, unflattener
 
+Data = tuple[Tensor, Tensor, Tensor | None, Tensor | None, Tensor | None]
+"""``z``, ``dt``, ``u``, ``std``, ``noise`` of a step."""
 _FORMS = 64
 """How many forms are remembered."""
 _TRACKS = 1024
 """At most, of a form that is remembered: the memory of a step's results is held for each."""
+
+
+_RANGES = {dtype: (torch.finfo(dtype).tiny, torch.finfo(dtype).max) for dtype in PRECISIONS}
+"""From the least normal number on to the largest, in each precision."""
 
 
 class ReadyStep:
@@ -34,7 +40,8 @@ class ReadyStep:
         self.run, self.made = ready, unflattener(made)
         self._leaves = flattener(state)
         sizes, strides = [list(x.shape) for x in tensors], [list(x.stride()) for x in tensors]
-        self._fit = TensorGuards(*tensors, dynamic_dims_sizes=sizes, dynamic_dims_strides=strides).check
+        guards: Any = TensorGuards  # whose types are not those that it takes
+        self._fit = guards(*tensors, dynamic_dims_sizes=sizes, dynamic_dims_strides=strides).check
 
     def tensors(self, state: Any, others: Sequence[Tensor]) -> tuple[Tensor, ...] | None:
         """What the kernel reads; None for tensors of another form."""
@@ -54,32 +61,36 @@ class ReadySteps:
     def __init__(self) -> None:
         self._known: dict[Hashable, list[ReadyStep]] = {}
 
-    def __call__(self, state: Any, measurements: Measurements, values: Sequence[Tensor]) -> tuple[Any, Any] | None:
+    def __call__(
+        self, state: Any, data: Data, values: Sequence[Tensor], checked: bool
+    ) -> tuple[Any, Any] | None:
         """The next state and the record of the step; None where no step is ready.
 
         Args:
             state: before the step.
-            measurements: of it, with a tensor as time step.
+            data: of the step.
             values: what the filter holds.
+            checked: whether the values that come with the measurement are known to be good.
 
         Raises:
             ValueError: the time step or the noise has a bad value.
         """
-        steps = self._known.get(_kind(state, measurements), ())
-        others = [*(x for x in measurements if x is not None), *values] if steps else values
+        steps = self._known.get(_kind(state, data), ())
+        others = [*(x for x in data if x is not None), *values] if steps else values
         for step in steps:
             tensors = step.tensors(state, others)
             if tensors is not None:
-                check_changing(measurements)
+                if not checked:
+                    check_changing(data)
                 made: tuple[Any, Any] = step.made(step.run(tensors))
                 return made
         return None
 
-    def add(self, step: ReadyStep, state: Any, measurements: Measurements) -> None:
+    def add(self, step: ReadyStep, state: Any, data: Data) -> None:
         """Remembers a step; all others are forgotten when there are too many."""
         if sum(map(len, self._known.values())) >= _FORMS:
             self._known = {}
-        kind = _kind(state, measurements)
+        kind = _kind(state, data)
         self._known[kind] = [step, *self._known.get(kind, ())]
 
 
@@ -88,27 +99,25 @@ def may_be_ready(tracks: int) -> bool:
     return tracks <= _TRACKS
 
 
-def _kind(state: Any, measurements: Measurements) -> Hashable:
-    _, _, u, std, noise = measurements
+def _kind(state: Any, data: Data) -> Hashable:
+    _, _, u, std, noise = data
     return type(state), u is None, std is None, noise is None, torch.is_grad_enabled()
 
 
-def check_changing(measurements: Measurements) -> None:
-    """Checks the values that come with each measurement, where they are tensors.
+def check_changing(data: Data) -> None:
+    """Checks the values that come with each measurement.
 
     Raises:
         ValueError: one is bad.
     """
-    z, dt, _, std, noise = measurements
-    changing = [x for x in (dt, std) if isinstance(x, Tensor)]
-    if noise is not None or not all(is_ordinary(x, z.dtype) for x in changing):
-        check_values(measurements.as_track())
+    z, dt, _, std, noise = data
+    if noise is not None or not all(x is None or is_ordinary(x, z.dtype) for x in (dt, std)):
+        check_values(Measurements(*data).as_track())
 
 
 def is_ordinary(x: Tensor, dtype: torch.dtype) -> bool:
     """Whether a few time steps or deviations are good beyond doubt, seen without arithmetic on tensors."""
     if x.dim() > 1 or x.numel() > 16:
         return False
-    limits = torch.finfo(dtype)
-    values = x.tolist()
-    return all(limits.tiny <= value <= limits.max for value in (values if x.dim() else [values]))
+    least, most = _RANGES[dtype]
+    return all(least <= value <= most for value in x.reshape(-1).tolist())

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from torchfra.filters import traced
 from torchfra.filters.compiled_back import Given, retreat
-from torchfra.filters.compiled_step import ReadyStep, ReadySteps, may_be_ready
+from torchfra.filters.compiled_step import Data, ReadyStep, ReadySteps, may_be_ready
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import Hyper
 from torchfra.kernel.run import Kernels
@@ -136,10 +136,9 @@ class Version:
         dtypes = [dtype] * len(kernels.step.zero) + [torch.float64 if x.double else dtype for x in inputs.values()]
         return Plan(kernels, batch, shapes, dtypes, counts)
 
-    def get_ready(self, plan: Plan, state: Any, measurements: Measurements) -> None:
+    def get_ready(self, plan: Plan, state: Any, data: Data) -> None:
         """Makes later steps like this one ready, if they need no gradient and all is read where it lies."""
-        leaves, data = flatten(state), [x for x in measurements if x is not None]
-        tensors = [*leaves, *data, *self.read()]
+        tensors = [*flatten(state), *(x for x in data if x is not None), *self.read()]
         gradients = torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
         twice = len({*map(id, tensors)}) < len(tensors)  # as in the first state of some filters; guards refuse that
         if gradients or twice or plan.counts or not may_be_ready(plan.batch.numel()):
@@ -149,7 +148,7 @@ class Version:
             return
         ready = plan.kernels.forwards(plan.batch).ready(plan.batch, 1, full)
         if ready is not None:
-            self.ready.add(ReadyStep(ready, state, tensors, (step.state, step.record)), state, measurements)
+            self.ready.add(ReadyStep(ready, state, tensors, (step.state, step.record)), state, data)
 
     def full(self, plan: Plan, tensors: Sequence[Tensor]) -> list[Tensor]:
         """Leaves of the state, data and values as kernels take them: with the full batch."""

@@ -77,7 +77,7 @@ class Program:
         return [(x, 1, len(port.ids) * tracks, tracks) for x, port in zip(written, self._writes, strict=True)]
 
     def ready(self, batch: torch.Size, steps: int, tensors: Sequence[Tensor]) -> Ready | None:
-        """All of a call but addresses, for tensors that lie in memory like these; None if some of them must be copied."""
+        """All of a call but addresses, for tensors that lie in memory like these; None if some must be copied."""
         tracks = batch.numel()
         ports = [strided(x, port, len(batch), tracks) for x, port in zip(tensors, self._reads, strict=True)]
         if any(x.data_ptr() != y.data_ptr() or x.is_neg() for (x, *_), y in zip(ports, tensors, strict=True)):

@@ -16,6 +16,7 @@ from torchfra.kernel.program import BUILDING, Program, batch_first
 from torchfra.kernel.step import Step
 from torchfra.tree import unflatten
 
+
 class Kernels:
     """All programs of one step.
 
