@@ -61,9 +61,7 @@ class ReadySteps:
     def __init__(self) -> None:
         self._known: dict[Hashable, list[ReadyStep]] = {}
 
-    def __call__(
-        self, state: Any, data: Data, values: Sequence[Tensor], checked: bool
-    ) -> tuple[Any, Any] | None:
+    def __call__(self, state: Any, data: Data, values: Sequence[Tensor], checked: bool) -> tuple[Any, Any] | None:
         """The next state and the record of the step; None where no step is ready.
 
         Args:
