@@ -15,6 +15,7 @@ from torchfra import (
     robust,
     scenarios,
     sensors,
+    stream,
     testing,
 )
 from torchfra.app.clean import clean, track
@@ -47,6 +48,7 @@ __all__ = [
     "robust",
     "scenarios",
     "sensors",
+    "stream",
     "summary",
     "testing",
     "track",

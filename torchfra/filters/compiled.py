@@ -99,16 +99,16 @@ class Compiled:
         if not isinstance(dt, (Tensor, float, int)):
             check()
         now = self._now(f)
-        data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype), u, std, noise)
+        data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype, f.instants), u, std, noise)
         checked = not isinstance(dt, Tensor) and std is None and noise is None
-        done = now.ready(state, data, now.read(), checked)
-        return self._prepare(now, state, data, check) if done is None else done
+        done = now.ready(state, data, now.read(), None if checked else f.instants)
+        return self._prepare(f, now, state, data, check) if done is None else done
 
     @staticmethod
-    def _prepare(now: Version, state: Any, data: Data, check: Callable[[], Frame]) -> tuple[Any, Innovation]:
+    def _prepare(f: Any, now: Version, state: Any, data: Data, check: Callable[[], Frame]) -> tuple[Any, Innovation]:
         """The same where no step is ready, which then becomes ready if it can."""
         tensors = (*data, *flatten(state), *now.read())
-        form = (type(state), *(None if x is None else (x.shape, x.dtype) for x in tensors))
+        form = (type(state), *((x.shape, x.dtype) if isinstance(x, Tensor) else type(x) for x in tensors))
         plan = now.steps.get(form)
         if plan is None:
             check()
@@ -117,15 +117,15 @@ class Compiled:
                     now.steps.clear()
                 plan = now.steps[form] = now.plan(traced.observe, state, data, (False,) * 5)
         else:
-            check_changing(data)
+            check_changing(data, f.instants)
         now.get_ready(plan, state, data)
         return now.run(plan, 1, state, data)
 
 
 @lru_cache(maxsize=64)
-def _seconds(dt: float, dtype: torch.dtype) -> Tensor:
+def _seconds(dt: float, dtype: torch.dtype, instants: bool) -> Tensor:
     """A time step that has been checked."""
     seconds = torch.tensor(dt, dtype=dtype)
     if not is_ordinary(seconds, dtype):
-        check_seconds(dt, dtype)
+        check_seconds(dt, dtype, instants)
     return seconds

@@ -61,14 +61,16 @@ class ReadySteps:
     def __init__(self) -> None:
         self._known: dict[Hashable, list[ReadyStep]] = {}
 
-    def __call__(self, state: Any, data: Data, values: Sequence[Tensor], checked: bool) -> tuple[Any, Any] | None:
+    def __call__(
+        self, state: Any, data: Data, values: Sequence[Tensor], instants: bool | None
+    ) -> tuple[Any, Any] | None:
         """The next state and the record of the step; None where no step is ready.
 
         Args:
             state: before the step.
             data: of the step.
             values: what the filter holds.
-            checked: whether the values that come with the measurement are known to be good.
+            instants: whether ``dt`` may be 0, to check what comes with the measurement; None where that is good.
 
         Raises:
             ValueError: the time step or the noise has a bad value.
@@ -78,8 +80,8 @@ class ReadySteps:
         for step in steps:
             tensors = step.tensors(state, others)
             if tensors is not None:
-                if not checked:
-                    check_changing(data)
+                if instants is not None:
+                    check_changing(data, instants)
                 made: tuple[Any, Any] = step.made(step.run(tensors))
                 return made
         return None
@@ -102,7 +104,7 @@ def _kind(state: Any, data: Data) -> Hashable:
     return type(state), u is None, std is None, noise is None, torch.is_grad_enabled()
 
 
-def check_changing(data: Data) -> None:
+def check_changing(data: Data, instants: bool) -> None:
     """Checks the values that come with each measurement.
 
     Raises:
@@ -110,7 +112,7 @@ def check_changing(data: Data) -> None:
     """
     z, dt, _, std, noise = data
     if noise is not None or not all(x is None or is_ordinary(x, z.dtype) for x in (dt, std)):
-        check_values(Measurements(*data).as_track())
+        check_values(Measurements(*data).as_track(), instants)
 
 
 def is_ordinary(x: Tensor, dtype: torch.dtype) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -170,3 +171,13 @@ def hstack(*blocks: Tensor) -> Tensor:
         batch = torch.broadcast_shapes(*(b.shape[:-2] for b in blocks))
         blocks = tuple(b.expand(batch + b.shape[-2:]) for b in blocks)
     return torch.cat(blocks, -1)
+
+
+def block_diagonal(blocks: Sequence[Tensor]) -> Tensor:
+    """Matrices ``(..., n_i, p_i)`` along the diagonal of one; their batch dimensions are broadcast."""
+    batch = torch.broadcast_shapes(*(b.shape[:-2] for b in blocks))
+    wide, before, rows = sum(b.shape[-1] for b in blocks), 0, []
+    for block in blocks:
+        rows.append(pad(block, (before, wide - before - block.shape[-1])).expand(*batch, -1, -1))
+        before += block.shape[-1]
+    return torch.cat(rows, -2)
