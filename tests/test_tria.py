@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import Expressions
-from torchfra.kernel.run import Program, batch_first
+from torchfra.kernel.program import Program, batch_first
 from torchfra.kernel.source import Port, Scan
 from torchfra.linalg import gram_pinv, hstack, safe_divide, safe_log, safe_sqrt, tria, tria_beside, whiten
 from torchfra.linalg.tracing import elementary
