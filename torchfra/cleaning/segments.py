@@ -53,9 +53,10 @@ _CLIMB = _Rule(("climbing", "descending"), noise=0.5, low=1.0, high=2.0, rate=2.
 def segments(time: Array, mean: Array, covariance: Array, height: Array | None = None) -> tuple[Segment, ...]:
     """The manoeuvres of a track, by the time at which they begin.
 
-    What is listed turns by 15 degrees or more at 1 deg/s or more or by 30 degrees at 0.15 deg/s or more, changes its speed by 4 m/s or more at 0.5 m/s^2 or
-    more, climbs 30 m or more at 2.5 m/s or more, each by more than what is unsure.  A segment begins and ends where the
-    rate of that change passes half of what it is in the segment, or 1.5 deg/s, 0.5 m/s^2 and 2 m/s if that is less.
+    What is listed turns by 15 degrees or more at 1 deg/s or more, or by 30 degrees at 0.15 deg/s, changes its speed by
+    4 m/s or more at 0.5 m/s^2 or more, climbs 30 m or more at 2.5 m/s or more, each by more than what is unsure.  A
+    segment begins and ends where the rate of that change passes half of what it is in the segment, or 1.5 deg/s,
+    0.5 m/s^2 and 2 m/s if that is less.
 
     Args:
         time: ``(T,)`` seconds.
