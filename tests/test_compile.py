@@ -14,7 +14,7 @@ from torchfra.filters import SRCKF
 from torchfra.kernel import build
 from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import Expressions
-from torchfra.kernel.run import Program, batch_first
+from torchfra.kernel.program import Program, batch_first
 from torchfra.kernel.source import Port, Scan
 from torchfra.kernel.step import Input, Step
 from torchfra.motion import ConstantVelocity

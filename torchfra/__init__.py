@@ -16,6 +16,7 @@ from torchfra import (
     scenarios,
     sensors,
     stream,
+    targets,
     testing,
 )
 from torchfra.app.clean import clean, track
@@ -50,6 +51,7 @@ __all__ = [
     "sensors",
     "stream",
     "summary",
+    "targets",
     "testing",
     "track",
 ]
