@@ -255,6 +255,13 @@ def test_what_does_not_fit_is_named(wrong, message):
         f(**right | wrong)
 
 
+@pytest.mark.parametrize("name", SEVERAL)
+def test_the_sensor_that_a_filter_was_made_with_is_its_own(name):
+    f, z = made(name), measured()[:, :6]
+    close(f(z, prior_of(f), sensors=[RADAR, GPS], which=[1] * 6).mean, f(z, prior_of(f)).mean)
+    assert f.with_sensor(GPS) is f
+
+
 def test_filters_that_are_of_one_sensor_say_why():
     z = torch.zeros(2, 2, **F64)
     reasons = {"iaukf": "estimate of the measurement noise", "alphabeta": "constant gains are chosen for one sensor"}
