@@ -28,8 +28,8 @@ def numbers(pattern, text):
     return [float(x) for match in re.findall(pattern, text) for x in ([match] if isinstance(match, str) else match)]
 
 
-def test_there_are_six_numbered_examples_of_80_lines_or_fewer():
-    assert [int(name[:2]) for name in EXAMPLES] == [1, 2, 3, 4, 5, 6]
+def test_there_are_seven_numbered_examples_of_80_lines_or_fewer():
+    assert [int(name[:2]) for name in EXAMPLES] == [1, 2, 3, 4, 5, 6, 7]
     assert all(len(path.read_text().splitlines()) <= 80 for path in EXAMPLES.values())
 
 
@@ -94,3 +94,11 @@ def test_the_filter_that_estimates_the_measurement_noise_tracks_crossing_targets
     fixed, _, estimated, _ = numbers(r"median +([\d.]+) m, largest +([\d.]+) m", output)
     assert estimated < 0.7 * fixed
     assert output.count("missed") == 2
+
+
+def test_late_measurements_of_a_camera_help_a_radar_where_they_belong(capsys):
+    load("07_fusion").main(["--seconds", "15"])
+    output = capsys.readouterr().out
+    alone, left_out, both = numbers(r"RMSE +([\d.]+) m", output)
+    assert both < 0.7 * min(alone, left_out)
+    assert "to the last bit: True" in output
