@@ -10,19 +10,24 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchfra.filters.base import Filter
 from torchfra.filters.checks import check_models
+from torchfra.filters.imm import IMM
 from torchfra.filters.srckf import SRCKF
+from torchfra.kernel.build import CompileError, compiler
+from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.testing import refusals
 from torchfra.testing.battery import tried
 from torchfra.testing.case import CHECKS, STEPS, TRACKS, make_case
 from torchfra.testing.lines import line_of_error, told, with_line
-from torchfra.testing.parts import CHECKS_OF_BOTH, CHECKS_OF_MOTIONS, CHECKS_OF_SENSORS, Part, parts_of
+from torchfra.testing.parts import Part, checks_of, parts_of
 from torchfra.types import Gaussian
 
 TYPICAL = {"position": (100.0, 10.0), "velocity": (3.0, 1.0), "angle": (0.1, 0.05), "rate": (0.1, 0.05)}
 """Of a kind of component a value and its std, in its unit; 1 and 1 of others."""
+WORDS = {"passed": "right", "skipped": "skipped"}
 
 
 class Found(NamedTuple):
@@ -52,18 +57,21 @@ class ModelReport:
     @property
     def problems(self) -> tuple[str, ...]:
         """What is wrong, in words."""
-        return tuple(f"{x.where}, {x.check}: {x.reason}" for x in self.found if x.verdict == "failed")
+        return tuple(self._grouped("failed"))
 
     def __str__(self) -> str:
         count = len(self.problems)
         lines = [f"{self.models}: {count or 'no'} problem{'s' * (count != 1)}"]
         lines += [f"  {i}. {problem}" for i, problem in enumerate(self.problems, 1)]
-        for verdict, word in (("passed", "right"), ("skipped", "skipped")):
-            those = [x for x in self.found if x.verdict == verdict]
-            for where, reason in dict.fromkeys((x.where, x.reason) for x in those):
-                checks = ", ".join(x.check for x in those if (x.where, x.reason) == (where, reason))
-                lines.append(f"  {word}: {where}: {checks}{f': {reason}' if reason else ''}")
+        lines += [f"  {word}: {said}" for verdict, word in WORDS.items() for said in self._grouped(verdict)]
         return "\n".join(lines)
+
+    def _grouped(self, verdict: str) -> Iterator[str]:
+        """Where and what, for each reason of a verdict."""
+        those = [x for x in self.found if x.verdict == verdict]
+        for where, reason in dict.fromkeys((x.where, x.reason) for x in those):
+            checks = ", ".join(x.check for x in those if (x.where, x.reason) == (where, reason))
+            yield f"{where}: {checks}{f': {reason}' if reason else ''}"
 
 
 def check_model(
@@ -123,15 +131,16 @@ def _typical(motion: Motion, state: Tensor | None) -> Gaussian:
 
 def _by_itself(part: Part) -> Iterator[Found]:
     """What comes of each check on one motion or sensor, up to the first that fails."""
-    for check in CHECKS_OF_BOTH + (CHECKS_OF_MOTIONS if isinstance(part.model, Motion) else CHECKS_OF_SENSORS):
+    for check, tried_on in checks_of(part):
         name = check.__name__.replace("_", " ")
         try:
-            check(part)
+            check(tried_on)
         except AssertionError as error:
-            yield Found(part.name, name, "failed", with_line(str(error), line_of_error(error) or part.line))
+            line = line_of_error(error) or tried_on.line
+            yield Found(tried_on.name, name, "failed", with_line(str(error), line))
             return
         except Exception as error:
-            yield Found(part.name, name, "failed", told(error, part.line))
+            yield Found(tried_on.name, name, "failed", told(error, tried_on.line))
             return
         yield Found(part.name, name, "passed")
 
@@ -143,20 +152,35 @@ def _in_a_filter(
     try:
         z, prior = _simulated(motion, sensor, belief, dt, u, seed)
         known = None if u is None else u.double().expand(STEPS, -1)
-        case = make_case(SRCKF(motion, sensor), z, prior, dt, known, seed, thorough=False)
+        case = make_case(_filter(motion, sensor), z, prior, dt, known, seed, thorough=False)
     except Exception as error:
         return (Found("in a filter", "a simulated track", "failed", told(error)),)
     names = [name for name, check in CHECKS.items() if check.function.__module__ != refusals.__name__]
     where = {"eager": "in a filter", "compiled": "in a compiled filter"}
+    without: tuple[Found, ...] = ()
+    if compiled:
+        try:
+            compiler()
+        except CompileError as error:
+            compiled, without = False, (Found(where["compiled"], "all", "skipped", str(error)),)
     outcomes = tried(case, names, compiled=compiled).outcomes
-    return tuple(Found(where[o.way], o.check.replace("_", " "), o.verdict, o.reason) for o in outcomes)
+    return *(Found(where[o.way], o.check.replace("_", " "), o.verdict, o.reason) for o in outcomes), *without
+
+
+def _filter(motion: Motion, sensor: Sensor) -> Filter:
+    """The plain filter of both; of several motions, that which lets them interact."""
+    inner = SRCKF(motion, sensor)
+    if not isinstance(motion, Bank):
+        return inner
+    count = len(motion)
+    return IMM(inner, transition=0.9 * torch.eye(count) + 0.1 / count)
 
 
 def _simulated(
     motion: Motion, sensor: Sensor, belief: Gaussian, dt: float, u: Tensor | None, seed: int
 ) -> tuple[Tensor, Gaussian]:
     """Tracks that begin at a belief, measured."""
-    one = motion[0] if motion.stacked else motion  # type: ignore[index]  # a bank
+    one = motion[0] if isinstance(motion, Bank) else motion
     generator, seconds = torch.Generator().manual_seed(seed), torch.full((TRACKS,), dt, dtype=torch.float64)
     known = None if u is None else u.double().expand(TRACKS, -1)
     prior = Gaussian(belief.mean.expand(TRACKS, -1), belief.scale_tril)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.testing.expectations import expect
@@ -37,11 +38,14 @@ class Part:
     u: Tensor | None
     """``(3, k)``."""
 
-    def __call__(self, *shape: int) -> Tensor:
-        """What it gives for a batch of this shape, of which the last dimension is 3, or for a single state."""
-        x, dt = (self.x, self.dt) if shape else (self.x[0], self.dt[0])
-        u = self.u if self.u is None or shape else self.u[0]
-        return self.function(x.expand(*shape, -1), dt.expand(shape), u if u is None else u.expand(*shape, -1))
+    def method(self, name: str) -> Part:
+        """The same with another method to blame."""
+        kind = type(self.model)
+        return replace(self, name=f"{kind.__name__}.{name}", line=line_of_method(getattr(kind, name)))
+
+    def together(self) -> Tensor:
+        """What it gives for all states at once."""
+        return self.function(self.x, self.dt, self.u)
 
 
 def parts_of(
@@ -53,34 +57,35 @@ def parts_of(
     x = belief.mean + 0.3 * noise @ belief.scale_tril.mT
     seconds = dt * torch.tensor([1.0, 0.5, 1.5], dtype=torch.float64)
     known = None if u is None else u.double().expand(BATCH, -1)
-    motions = list(motion) if motion.stacked else [motion]  # type: ignore[call-overload]  # a bank
+    motions = motion[:] if isinstance(motion, Bank) else [motion]
     for one in motions:
-        method = type(one).transition if one.linear else type(one).forward
-        name = f"{type(one).__name__}.{method.__name__}"
-        yield Part(one, name, line_of_method(method), one.forward, one.size, x, seconds, known)
-    method = type(sensor).forward
-    name, line = f"{type(sensor).__name__}.forward", line_of_method(method)
-    yield Part(sensor, name, line, lambda x, dt, u: sensor.forward(x, u), sensor.size, x, seconds, known)
+        part = Part(one, "", "", one.forward, one.size, x, seconds, known)
+        yield part.method("transition" if one.linear else "forward")
+    part = Part(sensor, "", "", lambda x, dt, u: sensor.forward(x, u), sensor.size, x, seconds, known)
+    yield part.method("forward")
 
 
 def shapes(part: Part) -> None:
     """One state, a batch and a batch of batches; and nothing is written into them."""
-    before = part.x.clone()
     for shape in ((), (BATCH,), (2, BATCH)):
         given = f"for states {(*shape, part.x.shape[-1])} and dt {shape}"
+        x = (part.x if shape else part.x[0]).expand(*shape, -1).clone()
+        dt = (part.dt if shape else part.dt[0]).expand(shape)
+        u = part.u if part.u is None else (part.u if shape else part.u[0]).expand(*shape, -1)
+        before = x.clone()
         try:
-            found = part(*shape)
+            found = part.function(x, dt, u)
         except Exception as error:
             raise type(error)(f"{given}: {error}") from error
+        expect(torch.equal(before, x), "the states that it was given", "as they were", "others, written in place")
         expected = (*shape, part.size)
         expect(tuple(found.shape) == expected, given, f"what has the shape {expected}", tuple(found.shape))
-        expect(bool(found.isfinite().all()), given, "finite numbers", found.tolist())
-    expect(torch.equal(before, part.x), "the states that it was given", "as they were", "others, written in place")
+        expect(bool(found.isfinite().all()), given, "finite numbers", _rounded(found))
 
 
 def batches(part: Part) -> None:
     """Each entry of a batch, with its own ``dt`` and ``u``, gives what it gives alone."""
-    together = part(BATCH)
+    together = part.together()
     for i in range(BATCH):
         u = None if part.u is None else part.u[i]
         alone = part.function(part.x[i], part.dt[i], u)
@@ -124,7 +129,7 @@ def gradients(part: Part) -> None:
 def vmap(part: Part) -> None:
     """``torch.func.vmap`` gives what the batch gives."""
     mapped = torch.func.vmap(part.function, in_dims=(0, 0, None if part.u is None else 0))(part.x, part.dt, part.u)
-    same = torch.allclose(mapped, part(BATCH), rtol=1e-9, atol=1e-9)
+    same = torch.allclose(mapped, part.together(), rtol=1e-9, atol=1e-9)
     expect(same, "vmap over a batch", "what the batch gives", "something else")
 
 
@@ -133,16 +138,25 @@ def process_noise(part: Part) -> None:
     motion, n = part.model, part.x.shape[-1]
     assert isinstance(motion, Motion)
     for shape in ((), (5,), (5, BATCH)):
-        dt = part.dt[0].expand(shape)
-        root = motion.process_noise(dt)
-        what = f"{type(motion).__name__}.process_noise for dt {shape}"
+        given = f"for dt {shape}"
+        try:
+            root = motion.process_noise(part.dt[0].expand(shape))
+        except Exception as error:
+            raise type(error)(f"{given}: {error}") from error
         fits = root.dim() >= 2 and root.shape[-2] == n and root.shape[:-2] in (shape, ())
-        expect(fits, what, f"a root {(*shape, n, 'r')}", tuple(root.shape))
-        expect(bool(root.isfinite().all()), what, "finite numbers", _rounded(root))
+        expect(fits, given, f"a root {(*shape, n, 'r')}", tuple(root.shape))
+        expect(bool(root.isfinite().all()), given, "finite numbers", _rounded(root))
+
+
+def process_noise_at(part: Part) -> None:
+    """The same at predicted means, of a motion that is not linear."""
+    motion, n = part.model, part.x.shape[-1]
+    assert isinstance(motion, Motion)
     if not motion.linear:
         root = motion.process_noise_at(motion.process_noise(part.dt), part.x, part.dt)
-        what, fits = f"{type(motion).__name__}.process_noise_at", root.dim() >= 2 and root.shape[-2] == n
-        expect(fits and bool(root.isfinite().all()), what, f"finite roots ({BATCH}, {n}, r)", tuple(root.shape))
+        fits = root.dim() >= 2 and root.shape[-2] == n
+        expect(fits, f"for means {tuple(part.x.shape)}", f"roots ({BATCH}, {n}, r)", tuple(root.shape))
+        expect(bool(root.isfinite().all()), f"for means {tuple(part.x.shape)}", "finite numbers", _rounded(root))
 
 
 def linearity(part: Part) -> None:
@@ -156,7 +170,7 @@ def linearity(part: Part) -> None:
             not bool(offset.any()), "measurement of the state 0, of a sensor with linear = True", 0, _rounded(offset)
         )
     double = part.function(2 * part.x, part.dt, part.u) - offset
-    same = torch.allclose(double, 2 * (part(BATCH) - offset), rtol=1e-9, atol=1e-9)
+    same = torch.allclose(double, 2 * (part.together() - offset), rtol=1e-9, atol=1e-9)
     expect(same, "twice a state, as linear is True", "twice what it gives", "something else")
 
 
@@ -179,9 +193,15 @@ def angles(part: Part) -> None:
             expect(right, what, "an angle in rad, declared in angles=", f"a jump by a turn in {unit}")
 
 
-CHECKS_OF_BOTH: tuple[Callable[[Part], None], ...] = (shapes, batches, precision, linearity, gradients, vmap)
-CHECKS_OF_MOTIONS: tuple[Callable[[Part], None], ...] = (process_noise,)
-CHECKS_OF_SENSORS: tuple[Callable[[Part], None], ...] = (angles,)
+def checks_of(part: Part) -> Iterator[tuple[Callable[[Part], None], Part]]:
+    """Checks, in their order, and what each is tried on."""
+    for check in (shapes, batches, precision, linearity, gradients, vmap):
+        yield check, part
+    if isinstance(part.model, Sensor):
+        yield angles, part
+    else:
+        yield process_noise, part.method("process_noise")
+        yield process_noise_at, part.method("process_noise_at")
 
 
 def _rounded(x: Tensor) -> str:
