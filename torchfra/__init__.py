@@ -15,6 +15,8 @@ from torchfra import (
     robust,
     scenarios,
     sensors,
+    stream,
+    targets,
     testing,
 )
 from torchfra.app.clean import clean, track
@@ -49,7 +51,9 @@ __all__ = [
     "robust",
     "scenarios",
     "sensors",
+    "stream",
     "summary",
+    "targets",
     "testing",
     "track",
 ]

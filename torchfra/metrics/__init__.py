@@ -7,14 +7,17 @@ filters estimate in::
 """
 
 from torchfra.metrics.errors import diverged, error, nees, rmse, track_rmse
+from torchfra.metrics.lives import Lives, lives
 from torchfra.metrics.sets import GOSPA, OSPA, gospa, ospa, swaps
 
 __all__ = [
     "GOSPA",
     "OSPA",
+    "Lives",
     "diverged",
     "error",
     "gospa",
+    "lives",
     "nees",
     "ospa",
     "rmse",

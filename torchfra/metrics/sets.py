@@ -138,19 +138,29 @@ def _assigned(pairs: Tensor, limit: float, within: bool = False) -> tuple[Tensor
 
     With ``within`` pairs at the limit do not count.
     """
-    try:
-        from scipy.optimize import linear_sum_assignment
-    except ImportError:
-        raise ImportError("assignments need scipy: pip install torchfra[assignment]") from None
+    assign = linear_sum_assignment()
     flat = pairs.detach().cpu().reshape(-1, *pairs.shape[-2:])
     totals, counts = torch.zeros(len(flat), dtype=flat.dtype), torch.zeros(len(flat), dtype=flat.dtype)
     for i, cost in enumerate(flat):
         finite = cost[cost.isfinite().any(-1)][:, cost.isfinite().any(-2)].clamp_max(limit)
         if finite.numel():
             rows: Any
-            rows, columns = linear_sum_assignment(finite.numpy())
+            rows, columns = assign(finite.numpy())
             chosen = finite[rows, columns]
             chosen = chosen[chosen < limit] if within else chosen
             totals[i], counts[i] = chosen.sum(), len(chosen)
     shape = pairs.shape[:-2]
     return totals.to(pairs).reshape(shape), counts.to(pairs).reshape(shape)
+
+
+def linear_sum_assignment() -> Any:
+    """The function of that name.
+
+    Raises:
+        ImportError: scipy is not installed.
+    """
+    try:
+        from scipy.optimize import linear_sum_assignment as function
+    except ImportError:
+        raise ImportError("assignments need scipy: pip install torchfra[assignment]") from None
+    return function

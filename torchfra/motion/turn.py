@@ -75,7 +75,7 @@ class CoordinatedTurn(Motion):
         if self.spectral:
             at, weight = gauss_legendre(dt)
             moved = self._moved(dt.unsqueeze(-1) * at, self.rate(dt).unsqueeze(-1))[..., self.dims :]
-            columns = moved * (self.q(dt) * dt).sqrt()[..., None, None, None] * weight.sqrt()[:, None, None]
+            columns = moved * (self.q(dt).sqrt() * dt.sqrt())[..., None, None, None] * weight.sqrt()[:, None, None]
             return self._with_acceleration(tria(columns.movedim(-3, -2).flatten(-2)))
         return self._with_acceleration(acceleration_gain(dt, self.q(dt), (2, 1), self.dims))
 

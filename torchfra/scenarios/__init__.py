@@ -4,6 +4,7 @@ from torchfra.scenarios.adsb import adsb_models, adsb_turns
 from torchfra.scenarios.base import Scenario, Tracks
 from torchfra.scenarios.bearings import bearings_manoeuvre, bearings_outliers
 from torchfra.scenarios.clutter import clutter_crossing, clutter_straight, noise_change
+from torchfra.scenarios.clutter_many import clutter_many
 from torchfra.scenarios.growth import growth
 from torchfra.scenarios.ranges import ranges_outliers
 from torchfra.scenarios.recorded import recorded
@@ -19,6 +20,7 @@ __all__ = [
     "bearings_manoeuvre",
     "bearings_outliers",
     "clutter_crossing",
+    "clutter_many",
     "clutter_straight",
     "growth",
     "level_then_weave",

@@ -89,7 +89,7 @@ def scans(
 
     def block(rng: np.random.Generator, numbers: Tensor) -> Tracks:
         truth, z, prior = targets(rng, motion, dt, STARTS, conditions)
-        return Tracks(truth, _scanned(rng, truth, z, conditions), None, prior)
+        return Tracks(truth, scanned(rng, truth, z, conditions), None, prior)
 
     keys = ("noise_scale", "change", "clutter", "region", "detection")
     settings = {"counts": counts} | {key: getattr(conditions, key) for key in keys} | more
@@ -103,8 +103,11 @@ def scans(
 def targets(
     rng: np.random.Generator, motion: Motion, dt: float, starts: Tensor, conditions: Conditions
 ) -> tuple[Tensor, Tensor, Gaussian]:
-    """Truth ``(BLOCK, N, T, 6)``, measurements ``(BLOCK, N, T, 3)`` and priors ``(BLOCK, N)`` of the targets."""
-    count, seconds = len(starts), torch.tensor(dt, dtype=torch.float64)
+    """Truth ``(BLOCK, N, T, 6)``, measurements ``(BLOCK, N, T, 3)`` and priors ``(BLOCK, N)`` of the targets.
+
+    ``starts`` are their states ``(N, 6)``, or ``(BLOCK, N, 6)`` of each run, one step before the first scan.
+    """
+    count, seconds = starts.shape[-2], torch.tensor(dt, dtype=torch.float64)
     offsets = torch.from_numpy(rng.standard_normal((BLOCK, count, 6))) @ ROOT
     shocks = torch.from_numpy(rng.standard_normal((STEPS, BLOCK, count, 3))) * math.sqrt(conditions.truth_noise / Q)
     draw = torch.from_numpy(rng.standard_normal((BLOCK, count, STEPS, 3)))
@@ -121,7 +124,7 @@ def targets(
     return truth, z, belief_from_cartesian(Gaussian(starts + offsets, ROOT))
 
 
-def _scanned(rng: np.random.Generator, truth: Tensor, z: Tensor, conditions: Conditions) -> Tensor:
+def scanned(rng: np.random.Generator, truth: Tensor, z: Tensor, conditions: Conditions) -> Tensor:
     """Scans ``(BLOCK, T, J, 3)`` in random order: measurements of targets, some missed, and false ones around them."""
     count, clutter = truth.shape[1], conditions.clutter
     missed = torch.from_numpy(rng.random((BLOCK, count, STEPS))) >= conditions.detection

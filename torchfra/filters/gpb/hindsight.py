@@ -12,7 +12,7 @@ from torchfra.filters.gpb.merging import log_share, together
 from torchfra.filters.gpb.qualities import entry
 from torchfra.filters.gpb.regimes import Regimes, in_front
 from torchfra.filters.hindsight import inside
-from torchfra.filters.imm import for_each_model
+from torchfra.filters.interaction import for_each_model, held
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.future import Future, future
@@ -60,6 +60,13 @@ class WayBack(GaussianFilter):
         """Whether the way back can run as a kernel: that of one motion."""
         return self.regimes.motions == 1
 
+    def check_smooths_several(self) -> None:
+        """Raises a ``NotImplementedError``: there is no smoother over several sensors."""
+        raise NotImplementedError(
+            f"{type(self).__name__}: hypotheses of outliers are of one sensor on the way back; smooth several with "
+            "presets.srckf or fra, or a bank of motions around them"
+        )
+
     def past(self, belief: Gaussian, info: Any, state: Any, steps: GPBPast) -> GPBPast:  # type: ignore[override]
         """What is known of all hypotheses after each step."""
         return steps
@@ -103,8 +110,8 @@ def _retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
     """
     past, frame = turn.past, turn.frame
     regimes, before, far = f.regimes, past.beliefs(), turn.ahead.far
-    prior = _prior(f, past, far)  # (now, was, ..., regime was, regime now)
-    mixed, _, _ = f.interact(before, past.log_weights.movedim(-2, 0))
+    prior = _prior(f, past, far, frame.dt)  # (now, was, ..., regime was, regime now)
+    mixed, _, _ = f.interact(before, past.log_weights.movedim(-2, 0), frame.dt)
     frame = adapted(for_each_model(frame), mixed.mean)  # as the filter has adapted it
     predicted = _predicted(f, f.carry(mixed, frame, None), far.movedim(-1, 0), prior.logsumexp(-2))
     ahead = _of_regimes(f, f.carry(_each_motion(before), frame, None), far.movedim(-1, 0))
@@ -124,10 +131,10 @@ def _retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
     return GPBPast(clean, dirty, log_weights.movedim(0, -2), past.outlier, past.far)
 
 
-def _prior(f: Any, past: GPBPast, far: Tensor) -> Tensor:
+def _prior(f: Any, past: GPBPast, far: Tensor, dt: Tensor) -> Tensor:
     """Logs ``(2, 2, ..., R, R)`` of the probabilities of two steps: quality now and before, regime before and now."""
     log_weights = past.log_weights.movedim(-2, 0)
-    joint = log_weights.unsqueeze(-1) + f.regimes.transition(log_weights)
+    joint = log_weights.unsqueeze(-1) + held(f.regimes.transition(log_weights), dt)
     joint = f.regimes.rarer(joint.movedim(-1, 0), far.movedim(-1, 0).unsqueeze(-1)).movedim(0, -1)
     log_quality, _ = f.qualities.ahead(past.outlier)
     together: Tensor = log_quality[..., None, None] + joint

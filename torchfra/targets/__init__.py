@@ -1,0 +1,25 @@
+"""Targets that come and go: births from measurements that are nobody's, confirmation, deletion and identities.
+
+``Targets`` is a manager around ``torchfra.filters.JPDA``.  ``torchfra/targets/README.md`` shows how to use it.
+"""
+
+from torchfra.targets.births import Birth, OnePoint, TwoPoint
+from torchfra.targets.manager import Targets
+from torchfra.targets.merging import Merging
+from torchfra.targets.rules import SPRT, Confirmation, Deletion, MOfN
+from torchfra.targets.state import TargetsEstimate, TargetsState, Track
+
+__all__ = [
+    "SPRT",
+    "Birth",
+    "Confirmation",
+    "Deletion",
+    "MOfN",
+    "Merging",
+    "OnePoint",
+    "Targets",
+    "TargetsEstimate",
+    "TargetsState",
+    "Track",
+    "TwoPoint",
+]

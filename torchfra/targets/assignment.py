@@ -1,0 +1,18 @@
+"""What scipy does here: neighbours, connected components, and the assignment of one set to another."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+
+def scipy(part: str) -> Any:
+    """A part of scipy, such as ``"spatial"``, imported when it is needed.
+
+    Raises:
+        ImportError: scipy is not installed.
+    """
+    try:
+        return import_module(f"scipy.{part}")
+    except ImportError:
+        raise ImportError("targets that come and go need scipy: pip install torchfra[assignment]") from None

@@ -1,0 +1,158 @@
+"""How targets begin: from measurements that are no other target's."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import pad
+
+from torchfra.linalg.triangular import tria
+from torchfra.motion.base import Motion
+from torchfra.targets.assignment import scipy
+from torchfra.targets.places import from_cartesian, known_components
+from torchfra.targets.state import Unexplained, rows
+from torchfra.types import Gaussian
+
+_SIGMAS = 3.0
+"""Standard deviations of the positions by which two of them may be farther apart than the speed allows."""
+
+
+class Newborn(NamedTuple):
+    """Targets ``(K,)`` that begin."""
+
+    belief: Gaussian
+    """In the coordinates of the motion."""
+    scene: Tensor
+    """``(K,)``."""
+    hits: int
+    """Measurements that each begins with, in as many scans."""
+
+
+class Birth(nn.Module):
+    """Abstract: a subclass defines ``forward``.
+
+    Args:
+        more: standard deviation of the components of a state beside position and velocity, which begin with 0: one
+            number, in their units.
+
+    Raises:
+        ValueError: a value that is not above 0.
+    """
+
+    def __init__(self, more: float) -> None:
+        super().__init__()
+        self.more = _positive("more", more)
+
+    def forward(self, motion: Motion, now: Unexplained, before: Unexplained) -> tuple[Newborn, Unexplained]:
+        """Who begins, and which measurements of this scan the next scan's births may begin with.
+
+        Args:
+            motion: of the targets.
+            now: measurements of this scan that are no target's.
+            before: what the last call has left, now so many seconds ago.
+        """
+        raise TypeError(f"{type(self).__name__} must define forward")
+
+    def belief(self, motion: Motion, mean: Tensor, root: Tensor) -> Gaussian:
+        """Beliefs in the coordinates of a motion from ``[position, velocity]``: ``(K, 2 dims)``, ``(K, 2 dims, r)``."""
+        known = known_components(motion).to(mean.device)
+        others = mean.new_ones(motion.size).index_fill(0, known, 0.0)
+        place = torch.nn.functional.one_hot(known, motion.size).to(mean)  # (2 dims, n)
+        both = torch.cat([place.mT @ root, torch.diag(self.more * others).expand(len(mean), -1, -1)], -1)
+        return from_cartesian(motion, Gaussian(mean @ place, tria(both)))
+
+
+class OnePoint(Birth):
+    """Every measurement that is no target's begins one: its position is known, its velocity is not.
+
+    Args:
+        velocity: standard deviation of the velocity in each direction, m/s, around 0.
+        more: of the components beside position and velocity, in their units.
+
+    Raises:
+        ValueError: a value that is not above 0.
+
+    Source: Bar-Shalom, Li & Kirubarajan (2001), section 5.5.4, one-point initialisation.
+    """
+
+    def __init__(self, velocity: float = 30.0, more: float = 1.0) -> None:
+        super().__init__(more)
+        self.velocity = _positive("velocity", velocity)
+
+    def forward(self, motion: Motion, now: Unexplained, before: Unexplained) -> tuple[Newborn, Unexplained]:
+        """A target for each measurement; none is left."""
+        position, root = now.position
+        dims = motion.dims
+        free = torch.eye(dims, dtype=root.dtype, device=root.device).expand_as(root) * self.velocity
+        both = torch.cat([pad(root, (0, dims)), pad(free, (dims, 0))], -2)
+        belief = self.belief(motion, pad(position, (0, dims)), both)
+        return Newborn(belief, now.scene, 1), rows(now, slice(0))
+
+    def extra_repr(self) -> str:
+        """The standard deviation of the velocity."""
+        return f"velocity={self.velocity:g}"
+
+
+class TwoPoint(Birth):
+    """Two measurements in consecutive scans that are no target's begin one: the velocity is their difference.
+
+    Of all pairs that the speed allows those are taken whose distances have the least sum; no measurement is in two.
+
+    Args:
+        speed: highest speed of a target, m/s.
+        more: standard deviation of the components beside position and velocity, in their units.
+
+    Raises:
+        ValueError: a value that is not above 0.
+
+    Source: Bar-Shalom, Li & Kirubarajan (2001), section 5.5.3, two-point differencing.
+    """
+
+    def __init__(self, speed: float = 100.0, more: float = 1.0) -> None:
+        super().__init__(more)
+        self.speed = _positive("speed", speed)
+
+    def forward(self, motion: Motion, now: Unexplained, before: Unexplained) -> tuple[Newborn, Unexplained]:
+        """A target for each pair; what is in none is left."""
+        old, new = self._pairs(now, before)
+        (first, first_root), since = before.position, before.since[old][:, None]
+        position, root = now.position.mean[new], now.position.scale_tril[new]
+        velocity = (position - first[old]) / since
+        moved = torch.cat([root, -first_root[old]], -1) / since.unsqueeze(-1)
+        both = torch.cat([pad(root, (0, motion.dims)), moved], -2)
+        left = torch.ones_like(now.scene, dtype=torch.bool).index_fill(0, new, False)
+        belief = self.belief(motion, torch.cat([position, velocity], -1), both)
+        return Newborn(belief, now.scene[new], 2), rows(now, left)
+
+    def _pairs(self, now: Unexplained, before: Unexplained) -> tuple[Tensor, Tensor]:
+        """Rows of the measurements before and now that belong together."""
+        pairs = [torch.zeros(2, 0, dtype=torch.int64, device=now.scene.device)]
+        for scene in before.scene.unique():
+            old, new = ((x.scene == scene).nonzero().squeeze(-1) for x in (before, now))
+            cost, allowed = self._costs(rows(before, old), rows(now, new))
+            i, j = (torch.from_numpy(x).to(old) for x in scipy("optimize").linear_sum_assignment(cost))
+            pairs.append(torch.stack([old[i], new[j]])[:, allowed[i, j]])
+        old, new = torch.cat(pairs, 1)
+        return old, new
+
+    def _costs(self, before: Unexplained, now: Unexplained) -> tuple[Any, Tensor]:
+        """Distances ``(K, L)``, one for all that are too far, and which are not."""
+        distance = (before.position.mean.unsqueeze(1) - now.position.mean).norm(dim=-1)
+        spread = [torch.linalg.matrix_norm(x.position.scale_tril) for x in (before, now)]
+        reach = self.speed * before.since.unsqueeze(-1) + _SIGMAS * (spread[0].unsqueeze(-1) + spread[1])
+        allowed = distance <= reach
+        far = distance.sum() + 1  # more than all that is allowed together
+        return torch.where(allowed, distance, far).numpy(force=True), allowed
+
+    def extra_repr(self) -> str:
+        """The highest speed."""
+        return f"speed={self.speed:g}"
+
+
+def _positive(name: str, value: float) -> float:
+    if not 0 < value < math.inf:
+        raise ValueError(f"{name}: expected a number above 0, received {value}")
+    return float(value)

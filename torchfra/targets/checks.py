@@ -1,0 +1,109 @@
+"""Checks of what is handed to a manager of targets, before any work."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchfra.filters.jpda import JPDA
+from torchfra.filters.lost_tracks import log_miss
+from torchfra.gaussian.inputs import Time, batch_rank
+from torchfra.targets.scan import Look
+from torchfra.targets.state import TargetsState
+
+
+def check_filter(filter: object) -> None:
+    """Whether a filter can have any number of targets that come and go.
+
+    Raises:
+        ValueError: it cannot.
+    """
+    if not isinstance(filter, JPDA):
+        raise ValueError(f"filter: expected a JPDA around a filter of one target, received {type(filter).__name__}")
+    if not filter.sensor.locates:
+        received = filter.sensor.describe()
+        raise ValueError(f"filter: expected a sensor that measures where a target is, received {received}")
+    if batch_rank(filter):
+        raise ValueError("filter: expected hyperparameters that are the same for all targets, received a batch of them")
+    if filter.share_noise:
+        raise ValueError("filter: expected targets with their own estimates of the noise, received share_noise=True")
+    if not bool(log_miss(filter.detection, filter.gate, torch.zeros(())) > -torch.inf):
+        raise ValueError(
+            "filter: expected a detection below 1 or a gate of a probability, so that targets may be missed"
+        )
+
+
+def check_parts(**parts: tuple[object, type]) -> None:
+    """Whether each part is of its kind, or None.
+
+    Raises:
+        ValueError: names the first that is not.
+    """
+    for name, (part, kind) in parts.items():
+        if part is not None and not isinstance(part, kind):
+            expected = f"a {kind.__name__} of torchfra.targets"
+            raise ValueError(f"{name}: expected {expected}, received {type(part).__name__}")
+
+
+def check_scan(filter: JPDA, state: TargetsState, z: Tensor, dt: Time, u: Tensor | None) -> Look:
+    """One scan of each scene, in one form.
+
+    Raises:
+        ValueError: a shape or a value that does not fit.
+    """
+    if not isinstance(state, TargetsState):
+        raise ValueError(f"state: expected what init or step has returned, received {type(state).__name__}")
+    scenes, like = len(state.next_identity), state.belief.mean
+    _check_scans(filter, z, "(J, m) or (R, J, m)", (2, 3))
+    if z.dim() == 2:
+        z = z.unsqueeze(0)
+    if len(z) != scenes:
+        raise ValueError(f"z: expected {scenes} scenes as the state has, received {len(z)}")
+    return Look(z.to(like), _seconds(dt, (scenes,)).to(like), _inputs(u, (scenes,), like))
+
+
+def check_scans(filter: JPDA, z: Tensor, dt: Time, u: Tensor | None) -> list[Look]:
+    """All scans of sequences ``(..., T, J, m)``, the scenes along one dimension.
+
+    Raises:
+        ValueError: a shape or a value that does not fit.
+    """
+    _check_scans(filter, z, "(..., T, J, m)", range(3, 99))
+    if 0 in z.shape[:-2]:
+        raise ValueError(f"z: expected one scene and one scan or more, received {tuple(z.shape)}")
+    scans = z.reshape(-1, *z.shape[-3:])
+    scenes, steps = scans.shape[:2]
+    seconds = _seconds(dt, (steps,)).to(z)
+    inputs = _inputs(u, (*z.shape[:-3], steps), z)
+    inputs = None if inputs is None else inputs.reshape(scenes, steps, -1)
+    return [
+        Look(scans[:, t], seconds[t].expand(scenes), None if inputs is None else inputs[:, t]) for t in range(steps)
+    ]
+
+
+def _check_scans(filter: JPDA, z: Tensor, shape: str, ranks: tuple[int, ...] | range) -> None:
+    size = filter.sensor.size
+    if not isinstance(z, Tensor) or z.dim() not in ranks or z.shape[-1] != size or not z.is_floating_point():
+        received = f"{tuple(z.shape)}, {z.dtype}" if isinstance(z, Tensor) else type(z).__name__
+        raise ValueError(f"z: expected floating-point scans {shape} with m of {size}, received {received}")
+    if bool(z.isinf().any()):
+        raise ValueError("z: expected finite measurements, or NaN where there is none, received an infinite one")
+
+
+def _seconds(dt: Time, shape: tuple[int, ...]) -> Tensor:
+    seconds = torch.as_tensor(dt)
+    if seconds.dim() > 1 or (seconds.dim() and seconds.shape != shape):
+        raise ValueError(f"dt: expected a number or {shape}, received {tuple(seconds.shape)}")
+    if not all(0 < x < math.inf for x in seconds.flatten().tolist()):
+        raise ValueError(f"dt: expected finite seconds above 0, received {seconds.tolist()}")
+    return seconds.expand(shape)
+
+
+def _inputs(u: Tensor | None, shape: tuple[int, ...], like: Tensor) -> Tensor | None:
+    if u is None:
+        return None
+    if not isinstance(u, Tensor) or u.dim() < 1 or len(u.shape) > len(shape) + 1 or not bool(u.isfinite().all()):
+        raise ValueError(f"u: expected finite numbers {(*shape, 'k')}, received {tuple(u.shape)}")
+    return u.to(like).expand(*shape, u.shape[-1])

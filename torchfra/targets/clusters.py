@@ -1,0 +1,96 @@
+"""Targets that share measurements, in groups that a filter takes in one call."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torchfra.targets.assignment import scipy
+
+Numbers = NDArray[np.intp]
+
+
+class Group(NamedTuple):
+    """Clusters with the same number of targets, and about as many measurements."""
+
+    targets: Tensor
+    """``(C, k)`` rows of the targets."""
+    measurements: Tensor
+    """``(C, J)`` numbers of the measurements; -1 for none."""
+
+
+class _Members(NamedTuple):
+    """Things in the order of their clusters."""
+
+    number: Numbers
+    start: Numbers
+    """``(C,)`` where each cluster begins."""
+    size: Numbers
+    """``(C,)``."""
+
+
+def clusters(reach: Tensor, scene: Tensor, there: Tensor) -> list[Group]:
+    """Clusters of targets that share measurements, directly or through others.
+
+    Args:
+        reach: ``(N, J)`` bool: which measurements of its scene each target may have.
+        scene: ``(N,)`` of each target.
+        there: ``(R, J)`` bool: which measurements there are.
+
+    Returns:
+        Groups whose measurements are numbered ``scene * J + j``.  A target without any has the first one of its scene,
+        which is in none of its gates, so that it was missed and not just not looked for.
+
+    Raises:
+        ImportError: scipy is not installed.
+    """
+    target, j = (x.numpy(force=True) for x in reach.nonzero().unbind(-1))
+    measurement = scene.numpy(force=True)[target] * there.shape[-1] + j
+    targets, used = _components(target, measurement, len(reach))
+    first = _first(there)[scene.numpy(force=True)]
+    # Few sizes of scans, so that there are few calls: powers of two.
+    width = 2 ** np.ceil(np.log2(used.size.clip(1))).astype(np.intp)
+    groups = []
+    for k, J in np.unique(np.stack([targets.size, width]), axis=1).T:
+        chosen = np.flatnonzero((targets.size == k) & (width == J))
+        rows, columns = (_table(x, chosen, size) for x, size in ((targets, k), (used, J)))
+        columns[:, 0] = np.where(columns[:, 0] < 0, first[rows[:, 0]], columns[:, 0])
+        groups.append(Group(*(torch.from_numpy(x).to(reach.device) for x in (rows, columns))))
+    return groups
+
+
+def _components(target: Numbers, measurement: Numbers, count: int) -> tuple[_Members, _Members]:
+    """Targets and measurements in the order of the connected components of the graph of these pairs."""
+    used, place = np.unique(measurement, return_inverse=True)
+    sparse, size = scipy("sparse"), count + len(used)
+    links = sparse.coo_matrix((np.ones(len(target)), (target, count + place)), (size, size))
+    label = scipy("sparse.csgraph").connected_components(links, directed=False)[1]
+    cluster, of_target = np.unique(label[:count], return_inverse=True)  # each measurement has a target
+    return _ordered(np.arange(count), of_target, len(cluster)), _ordered(
+        used, np.searchsorted(cluster, label[count:]), len(cluster)
+    )
+
+
+def _ordered(number: Numbers, cluster: Numbers, count: int) -> _Members:
+    size = np.bincount(cluster, minlength=count)
+    return _Members(number[np.argsort(cluster, kind="stable")], np.cumsum(size) - size, size)
+
+
+def _table(members: _Members, chosen: Numbers, width: int) -> Any:
+    """The numbers ``(C, width)`` of these clusters; -1 where one has fewer."""
+    place = np.arange(width)
+    inside = place < members.size[chosen, None]
+    at = np.where(inside, members.start[chosen, None] + place, 0)
+    return np.where(inside, members.number[at] if len(members.number) else -1, -1)
+
+
+def _first(there: Tensor) -> Numbers:
+    """The number of the first measurement of each scene ``(R,)``; -1 where there is none."""
+    some, J = there.numpy(force=True), there.shape[-1]
+    if J == 0:
+        return np.full(len(some), -1)
+    return np.asarray(np.where(some.any(-1), some.argmax(-1) + J * np.arange(len(some)), -1))

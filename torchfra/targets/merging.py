@@ -1,0 +1,63 @@
+"""Two tracks of one target: which of them ends."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from torchfra.linalg.triangular import hstack, tria, whiten
+from torchfra.motion.base import Motion
+from torchfra.targets.clusters import Group
+from torchfra.targets.state import Track
+from torchfra.types import Gaussian
+
+
+class Merging(nn.Module):
+    """Targets of one cluster whose states hardly differ are one: the confirmed stays, of two the older.
+
+    What is compared is the whole state, so that targets whose paths cross stay two.  Tracks of one target have shared
+    its measurements: their difference is far smaller than the sum of their covariances says.
+
+    Args:
+        distance: root of the mean square of the difference, in standard deviations of each component, below which two
+            are one.
+
+    Raises:
+        ValueError: a distance that is not above 0.
+
+    Source: Blackman & Popoli (1999), section 6.2.6; the test of Bar-Shalom, Li & Kirubarajan (2001), section 8.4, with
+    a threshold far below that of chance.
+    """
+
+    def __init__(self, distance: float = 0.3) -> None:
+        super().__init__()
+        if not 0 < distance < math.inf:
+            raise ValueError(f"distance: expected a number above 0, received {distance}")
+        self.distance = float(distance)
+
+    def forward(self, motion: Motion, belief: Gaussian, track: Track, groups: list[Group]) -> Tensor:
+        """Which targets ``(N,)`` end because another is the same.
+
+        Args:
+            motion: of the targets.
+            belief: ``(N,)``.
+            track: of each.
+            groups: clusters of them.
+        """
+        ends = torch.zeros_like(track.confirmed)
+        for targets in (group.targets for group in groups if group.targets.shape[-1] > 1):
+            one, other = targets[:, torch.combinations(torch.arange(targets.shape[-1]))].flatten(0, 1).unbind(-1)
+            gap = motion.difference(belief.mean[one], belief.mean[other])
+            root = tria(hstack(belief.scale_tril[one], belief.scale_tril[other]))
+            same = whiten(root, gap).square().mean(-1) < self.distance**2
+            rank = [track.confirmed[x].to(torch.int64) for x in (one, other)]
+            older = track.identity[one] < track.identity[other]
+            stays = (rank[0] > rank[1]) | ((rank[0] == rank[1]) & older)
+            ends[torch.where(stays, other, one)[same]] = True
+        return ends
+
+    def extra_repr(self) -> str:
+        """The distance."""
+        return f"distance={self.distance:g}"

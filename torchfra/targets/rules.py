@@ -1,0 +1,138 @@
+"""When a target is confirmed, and when it ends."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from torchfra.targets.state import Track
+
+
+class Confirmation(nn.Module):
+    """Abstract: a subclass defines ``forward``."""
+
+    window = 1
+    """How many scans back it looks."""
+    scored = False
+    """Whether it looks at the score."""
+
+    def forward(self, track: Track) -> tuple[Tensor, Tensor]:
+        """Which tentative targets ``(N,)`` are confirmed, and which are given up."""
+        raise TypeError(f"{type(self).__name__} must define forward")
+
+
+class MOfN(Confirmation):
+    """Confirmed once measured in M of the last N scans, given up once that cannot come true in the first N.
+
+    Args:
+        m: scans in which a target must be measured, those of its birth counted.
+        n: of so many.
+
+    Raises:
+        ValueError: not ``1 <= m <= n``.
+
+    Source: Blackman & Popoli (1999), "Design and Analysis of Modern Tracking Systems", section 6.2; Bar-Shalom, Li
+    & Kirubarajan (2001), section 3.4, for the chances of the logic.
+    """
+
+    def __init__(self, m: int = 3, n: int = 5) -> None:
+        super().__init__()
+        if not (isinstance(m, int) and isinstance(n, int) and 1 <= m <= n):
+            raise ValueError(f"m, n: expected whole numbers with 1 <= m <= n, received {m}, {n}")
+        self.m, self.window = m, n
+
+    def forward(self, track: Track) -> tuple[Tensor, Tensor]:
+        """By the number of scans in which each was measured, and missed, among the last N."""
+        measured = track.hits[:, : self.window].sum(-1)
+        missed = track.age.clamp_max(self.window) - measured
+        return measured >= self.m, missed > self.window - self.m
+
+    def extra_repr(self) -> str:
+        """M of N."""
+        return f"{self.m} of {self.window}"
+
+
+class SPRT(Confirmation):
+    """Sequential probability ratio test of the score: whether the target exists, or its measurements are false ones.
+
+    The score of a scan is ``log(1 - P_D P_G) - log P(missed | scan)``: the density of the scan with the target over
+    that without it.  That is exact among other targets too, where the number of false measurements is Poisson.
+
+    Args:
+        false: probability that what begins with a false measurement is confirmed.
+        missed: probability that a target that is there is given up before it is confirmed.
+
+    Raises:
+        ValueError: probabilities that are not above 0, or that sum to 1 or more.
+
+    Source: Wald (1945), "Sequential Tests of Statistical Hypotheses"; Sittler (1964), "An Optimal Data Association
+    Problem in Surveillance Theory"; Blackman & Popoli (1999), section 6.2; Musicki, Evans & Stankovic (1994),
+    "Integrated Probabilistic Data Association", for the ratio of a scan.
+    """
+
+    scored = True
+
+    def __init__(self, false: float = 1e-4, missed: float = 1e-2) -> None:
+        super().__init__()
+        if not (false > 0 and missed > 0 and false + missed < 1):
+            raise ValueError(f"false, missed: expected probabilities above 0 with a sum below 1, received "
+                             f"{false}, {missed}")  # fmt: skip
+        self.upper, self.lower = math.log((1 - missed) / false), math.log(missed / (1 - false))
+
+    def forward(self, track: Track) -> tuple[Tensor, Tensor]:
+        """By the bounds that the score has passed."""
+        return track.score >= self.upper, track.score <= self.lower
+
+    def extra_repr(self) -> str:
+        """Both bounds of the score."""
+        return f"lower={self.lower:.4g}, upper={self.upper:.4g}"
+
+
+class Deletion(nn.Module):
+    """When a target ends, tentative or confirmed: by any of these; None for one that does not count.
+
+    Args:
+        misses: scans in a row in which it was missed.
+        drop: probability such that the score has fallen by more than its log below the highest so far.
+        spread: largest standard deviation of the position in any direction, m.
+
+    Raises:
+        ValueError: a number of scans below 1, a probability that is not in (0, 1), a length that is not above 0, or
+            nothing at all, so that no target would ever end.
+
+    Source: Blackman & Popoli (1999), section 6.2.5, for the drop of the score.
+    """
+
+    def __init__(self, misses: int | None = 5, *, drop: float | None = None, spread: float | None = None) -> None:
+        super().__init__()
+        if misses is None and drop is None and spread is None:
+            raise ValueError("misses, drop, spread: expected at least one of them, received none")
+        if misses is not None and not (isinstance(misses, int) and misses >= 1):
+            raise ValueError(f"misses: expected 1 scan or more, received {misses!r}")
+        if drop is not None and not 0 < drop < 1:
+            raise ValueError(f"drop: expected a probability above 0 and below 1, received {drop}")
+        if spread is not None and not spread > 0:
+            raise ValueError(f"spread: expected metres above 0, received {spread}")
+        self.misses, self.drop, self.spread = misses, drop, spread
+
+    def forward(self, track: Track, position: Tensor) -> Tensor:
+        """Which targets ``(N,)`` end.
+
+        Args:
+            track: of the targets.
+            position: ``(N, dims, n)`` a root of the covariance of each position, m.
+        """
+        ends = torch.zeros_like(track.confirmed)
+        if self.misses is not None:
+            ends = ends | (track.misses >= self.misses)
+        if self.drop is not None:
+            ends = ends | (track.score - track.best < math.log(self.drop))
+        if self.spread is not None:
+            ends = ends | (torch.linalg.matrix_norm(position, 2) > self.spread)
+        return ends
+
+    def extra_repr(self) -> str:
+        """What ends a target."""
+        return f"misses={self.misses}, drop={self.drop}, spread={self.spread}"

@@ -1,0 +1,99 @@
+"""What is known of targets that come and go: rows, one for each target that is there."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra import tree
+from torchfra.types import Gaussian
+
+
+class Track(NamedTuple):
+    """What decides whether targets ``(N,)`` are confirmed and when they end."""
+
+    identity: Tensor
+    """Whole numbers from 0, of each scene; none is ever used again."""
+    scene: Tensor
+    """To which of the scenes that run side by side each belongs."""
+    confirmed: Tensor
+    """Bool; the others are tentative."""
+    hits: Tensor
+    """``(N, W)`` bool: in which of the last W scans, the newest first, each was measured rather than missed."""
+    age: Tensor
+    """Scans since the birth, those of the birth counted."""
+    misses: Tensor
+    """Scans in a row in which each was missed."""
+    score: Tensor
+    """Log likelihood ratio of the scans since the birth: that the target exists, over that it does not."""
+    best: Tensor
+    """The highest score so far."""
+
+
+class Unexplained(NamedTuple):
+    """Measurements ``(K,)`` of a scan that are no target's, from which targets may begin."""
+
+    position: Gaussian
+    """``(K, dims)`` where each lies in space, m."""
+    scene: Tensor
+    """``(K,)``."""
+    since: Tensor
+    """``(K,)`` seconds ago."""
+
+
+class TargetsState(NamedTuple):
+    """The targets that are there after a scan, N of them in all scenes together."""
+
+    filter: Any
+    """State of the filter, rows of ``(N, ...)``."""
+    track: Track
+    unexplained: Unexplained
+    next_identity: Tensor
+    """``(R,)`` of each scene."""
+
+    @property
+    def belief(self) -> Gaussian:
+        """``(N,)``, tentative targets included."""
+        belief: Gaussian = self.filter.belief
+        return belief
+
+    @property
+    def confirmed(self) -> Gaussian:
+        """Beliefs of the confirmed targets alone."""
+        belief: Gaussian = rows(self.belief, self.track.confirmed)
+        return belief
+
+    @property
+    def identity(self) -> Tensor:
+        """Identities of the confirmed targets, in the order of ``confirmed``."""
+        return self.track.identity[self.track.confirmed]
+
+
+class TargetsEstimate(NamedTuple):
+    """The K targets that were ever confirmed, of whole sequences of scans."""
+
+    mean: Tensor
+    """``(..., K, T, n)``; NaN where the target is not there, or not confirmed yet."""
+    scale_tril: Tensor
+    """``(..., K, T, n, n)``, likewise."""
+    identity: Tensor
+    """``(..., K)``; -1 where a scene has fewer than K."""
+    log_likelihood: Tensor
+    """``(..., T)`` log density of each scan against one of false measurements alone, tentative targets included."""
+
+    @property
+    def confirmed(self) -> Tensor:
+        """``(..., K, T)`` bool: whether the target is there and confirmed."""
+        return ~self.mean.isnan().any(-1)
+
+
+def rows(trees: Any, index: Tensor | slice) -> Any:
+    """The rows of all tensors of a tree: by number, in any shape, or where a mask is True."""
+    return tree.map_tensors(lambda x: x[index], trees)
+
+
+def joined(*trees: Any) -> Any:
+    """The rows of one tree after those of another of the same form."""
+    return tree.map_tensors(lambda *parts: torch.cat(parts), *trees)
