@@ -74,6 +74,11 @@ class Timeless(Drag):
         return torch.eye(4, dtype=dt.dtype) * dt
 
 
+class Dividing(Drag):
+    def forward(self, x, dt, u=None):
+        return super().forward(x, dt, u) * (dt / dt).unsqueeze(-1)
+
+
 class Bearing(Sensor):
     def __init__(self, angle=False, degrees=False):
         super().__init__(2, [angle], 0.01)
@@ -137,6 +142,7 @@ def test_models_that_are_right_have_no_problems(motion, sensor, options):
         (Shorter(), RANGES, r"shapes: .*expected what has the shape \(4,\), received \(3,\)", "def forward("),
         (InPlace(), RANGES, "shapes: the states that it was given: expected as they were", "def forward("),
         (Together(), RANGES, "batches: state 0 of a batch.*: expected what it gives alone", "def forward("),
+        (Dividing(), RANGES, "no time: for states .3, 4. and a dt of 0: expected finite numbers", "def forward("),
         (Double(), RANGES, "precision: dtype for states in float32 .*received torch.float64", "def forward("),
         (Rounded(), RANGES, r"gradients: gradient with respect to component 0: expected \[1, 1, 1\]", "def forward("),
         (Noisy(), RANGES, r"process noise: for dt \(\): expected a root .*received \(3, 3\)", "def process_noise("),

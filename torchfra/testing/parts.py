@@ -94,6 +94,13 @@ def batches(part: Part) -> None:
         expect(same, what, f"what it gives alone, {_rounded(alone)}", _rounded(together[i]))
 
 
+def no_time(part: Part) -> None:
+    """A ``dt`` of 0, for a second measurement at the same instant."""
+    given = f"for states {tuple(part.x.shape)} and a dt of 0"
+    found = part.function(part.x, 0 * part.dt, part.u)
+    expect(bool(found.isfinite().all()), given, "finite numbers", _rounded(found))
+
+
 def precision(part: Part) -> None:
     """float32 stays float32."""
     u = None if part.u is None else part.u.float()
@@ -137,10 +144,10 @@ def process_noise(part: Part) -> None:
     """Of a motion: a root ``(..., n, r)`` for a ``dt`` without dimensions, for steps and for steps of tracks."""
     motion, n = part.model, part.x.shape[-1]
     assert isinstance(motion, Motion)
-    for shape in ((), (5,), (5, BATCH)):
-        given = f"for dt {shape}"
+    for seconds, shape in ((part.dt[0], ()), (part.dt[0], (5,)), (part.dt[0], (5, BATCH)), (0 * part.dt[0], ())):
+        given = f"for dt {shape}" if seconds else "for a dt of 0"
         try:
-            root = motion.process_noise(part.dt[0].expand(shape))
+            root = motion.process_noise(seconds.expand(shape))
         except Exception as error:
             raise type(error)(f"{given}: {error}") from error
         fits = root.dim() >= 2 and root.shape[-2] == n and root.shape[:-2] in (shape, ())
@@ -195,7 +202,7 @@ def angles(part: Part) -> None:
 
 def checks_of(part: Part) -> Iterator[tuple[Callable[[Part], None], Part]]:
     """Checks, in their order, and what each is tried on."""
-    for check in (shapes, batches, precision, linearity, gradients, vmap):
+    for check in (shapes, batches, no_time, precision, linearity, gradients, vmap):
         yield check, part
     if isinstance(part.model, Sensor):
         yield angles, part
