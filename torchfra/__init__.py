@@ -15,6 +15,7 @@ from torchfra import (
     robust,
     scenarios,
     sensors,
+    stream,
     targets,
     testing,
 )
@@ -48,6 +49,7 @@ __all__ = [
     "robust",
     "scenarios",
     "sensors",
+    "stream",
     "summary",
     "targets",
     "testing",

@@ -85,14 +85,6 @@ class Fixes(NamedTuple):
         """``(T, B)``."""
         return self.z.isnan().any(1)
 
-    def together(self) -> Fixes:
-        """The same with all that is missing at the end: a step between fixes tells nothing of them."""
-        order = self.missing.to(torch.int8).argsort(stable=True, dim=0)
-        time = self.gap.cumsum(0).gather(0, order)
-        gap = torch.cat([self.gap[:1], time.diff(dim=0)]).clamp_min(1e-3)  # behind the last fix it says nothing
-        variance, odds = (x.gather(0, order) for x in (self.variance, self.odds))
-        return Fixes(self.z.gather(0, order.unsqueeze(1).expand_as(self.z)), gap, variance, odds)
-
     def backwards(self) -> Fixes:
         """The same with time reversed."""
         gap = torch.cat([self.gap[:1], self.gap[1:].flip(0)])
