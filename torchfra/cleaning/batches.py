@@ -35,7 +35,7 @@ class Steps(NamedTuple):
     @property
     def measured(self) -> NDArray[np.bool_]:
         """``(T,)`` which of them have a position; all where none has."""
-        there = ~np.isnan(self.raw).any(1)
+        there = np.asarray(~np.isnan(self.raw).any(1))
         return there if there.any() else ~there
 
     def part(self, begin: int, end: int) -> Steps:
