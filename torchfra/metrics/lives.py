@@ -102,7 +102,7 @@ def _followers(estimates: NDArray[np.float64], targets: NDArray[np.float64], cut
             i, j = assign(cost)
             good = near[rows[i], columns[j]]
             follower[rows[i[good]], t] = columns[j[good]]
-        last = follower[:, t]
+        last[:] = follower[:, t]
     return follower
 
 

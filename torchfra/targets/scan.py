@@ -82,7 +82,7 @@ def _reach(filter: JPDA, state: Any, scene: Tensor, look: Look) -> Tensor:
     belief = _advance(filter, alone, nothing, scene, look)[0].belief
     u = None if look.u is None else look.u[scene]
     predicted = expected(filter.sensor, Gaussian(*(x.squeeze(1) for x in belief)), u)
-    return in_reach(filter.gate, filter.sensor, predicted, look.z[scene], filter.temperature)
+    return in_reach(filter.gate, filter.sensor, predicted, look.z, scene, filter.temperature)
 
 
 def _advance(filter: JPDA, state: Any, z: Tensor, scene: Tensor, look: Look) -> tuple[Any, Any]:
