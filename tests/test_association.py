@@ -150,6 +150,25 @@ def test_belief_propagation_gives_each_measurement_to_one_target_if_all_are_alwa
             assert (close.evidence - sure.evidence).abs().max() < 1
 
 
+@pytest.mark.parametrize("diffuse", [True, False])
+def test_large_clusters_have_the_result_that_each_has_alone(diffuse):
+    """Of 5 and 7 targets, with different numbers of measurements, between targets that share none."""
+    rng = np.random.default_rng(2)
+    blocks = [random_scan(rng, targets, count) for targets, count in ((1, 2), (5, 6), (1, 0), (7, 12), (2, 3))]
+    ratios = [log_ratio(L, 0.9, c) for L, c in blocks]
+    together = associate(torch.block_diag(*(r.exp() for r in ratios)).log(), math.log(0.1), diffuse=diffuse)
+    row = column = 0
+    for r in ratios:
+        targets, count = r.shape
+        mine = together.log_weights[row : row + targets].exp()
+        if count:
+            alone = associate(r, math.log(0.1), diffuse=diffuse)
+            torch.testing.assert_close(mine[:, 1 + column : 1 + column + count], alone.log_weights[:, 1:].exp())
+            torch.testing.assert_close(together.evidence[row : row + targets].sum(), alone.evidence.sum())
+        torch.testing.assert_close(mine.sum(-1), torch.ones(targets).double())
+        row, column = row + targets, column + count
+
+
 def test_belief_propagation_is_exact_if_no_measurement_is_shared():
     L, c = random_scan(np.random.default_rng(7), 5, 15, share=1.0)
     L *= np.kron(np.eye(5), np.ones((3, 1)))

@@ -107,6 +107,8 @@ def test_batches_vmap_lags_and_reruns_give_the_same(name):
     torch.testing.assert_close(torch.func.vmap(smooth)(z), together, rtol=1e-7, atol=1e-7)
     torch.testing.assert_close(smooth(z, lag=STEPS), together, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(smooth(z, estimate=f(z, PRIOR)), together, rtol=0, atol=0)
+    kept = f(z, PRIOR, past=True)
+    torch.testing.assert_close(smooth(z, estimate=kept, lag=STEPS), together, rtol=1e-9, atol=1e-9)
     lagged = smooth(z, lag=2)
     for k in (0, 3, STEPS - 2):
         whole = smooth(z[:, : k + 3])

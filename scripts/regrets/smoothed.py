@@ -27,12 +27,11 @@ _STEPS = 20_000
 
 
 def estimates(f: Filter, scenario: Scenario, tracks: Any) -> dict[str, Estimate]:
-    """By kind, in the coordinates of the truth; the filter runs once for all that can do with its estimate."""
+    """By kind, in the coordinates of the truth; the filter runs once for all of them."""
     given: dict[str, Any] = {"z": tracks.z, "prior": tracks.prior, "u": tracks.u, "dt": scenario.dt}
-    whole = f.smooth(**given)
-    filtered = whole.info.filtered
-    every = {"filtered": as_filtered(filtered), "smoothed": whole}
-    every |= {kind: f.smooth(**given, lag=lag, estimate=filtered) for kind, lag in KINDS.items() if lag}
+    filtered = f(**given, past=True)
+    every = {kind: f.smooth(**given, lag=lag, estimate=filtered) for kind, lag in KINDS.items() if lag != 0}
+    every["filtered"] = as_filtered(filtered)
     return {kind: scenario.cartesian(every[kind]) for kind in KINDS}
 
 

@@ -76,6 +76,14 @@ def find_clusters(gated: Tensor, membership: Tensor) -> Clusters:
         membership: ``(R, N, J)`` from 0 (outside) to 1 (inside).
     """
     members = same_cluster(gated)
-    # The membership of each measurement in the gates of each target's cluster: (R, N, J).
-    weight = torch.where(members.unsqueeze(-1), membership.unsqueeze(-3), 0.0).amax(-2)
+    # Targets that share a measurement are in one cluster: each measurement is in the gates of a single one.
+    inside = (members.to(torch.float32) @ gated.to(torch.float32)) > 0  # (R, N, J)
+    weight = torch.where(inside, membership.amax(-2, keepdim=True), 0.0)
     return Clusters(members, members.sum(-1), (weight > 0).sum(-1), weight.sum(-1))
+
+
+def choose(mask: Tensor, yes: Association, no: Association) -> Association:
+    """``yes`` for targets in ``mask (R, N)``, else ``no``."""
+    return Association(
+        torch.where(mask.unsqueeze(-1), yes.log_weights, no.log_weights), torch.where(mask, yes.evidence, no.evidence)
+    )

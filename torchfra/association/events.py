@@ -53,7 +53,7 @@ def _joint_events(targets: int, measurements: int) -> Tensor:
     return torch.tensor(feasible, dtype=torch.int64)
 
 
-def sum_over_events(log_ratio: Tensor, log_miss: Tensor, weight: Tensor, *, diffuse: bool) -> tuple[Tensor, Tensor]:
+def sum_over_events(log_ratio: Tensor, log_miss: Tensor, weight: Tensor, diffuse: bool) -> tuple[Tensor, Tensor]:
     """Marginal probabilities of one cluster from all of its joint events.
 
     Args:

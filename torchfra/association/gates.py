@@ -50,7 +50,7 @@ class Gate(nn.Module):
         if temperature > 0:
             soft = logsigmoid(-beyond / temperature)
             return torch.where(soft > _LOWEST_MEMBERSHIP, soft, -torch.inf)
-        return torch.where(beyond > 0, -torch.inf, 0.0)
+        return torch.zeros_like(beyond).masked_fill(beyond > 0, -torch.inf)
 
     def beyond(self, candidates: Candidates, sensor: Sensor) -> Tensor:
         """``(..., N, J)`` distance beyond the edge of the gate, as a fraction of its size; negative inside."""

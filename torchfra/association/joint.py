@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from torch import Tensor
 
-from torchfra.association.clusters import Association, GatedScans, find_clusters
-from torchfra.association.exact import associate_by_events
-from torchfra.association.messages import belief_propagation
+from torchfra.association.clusters import Association, GatedScans, choose, find_clusters
+from torchfra.association.events import sum_over_events
+from torchfra.association.messages import belief_propagation, each_alone, sum_by_messages
+from torchfra.association.tables import associate_by_tables
 from torchfra.linalg.tracing import is_traced
 
 _TRACED_ITERATIONS = 50
@@ -79,10 +82,15 @@ def _associate(scans: GatedScans, exact: tuple[int, int], iterations: int) -> As
     table = min(exact[0], targets), min(exact[1], count)
     several = clusters.size > 1
     small = several & (clusters.size <= exact[0]) & (clusters.gated <= exact[1])
-    # Single targets need no messages, nor do clusters whose events are enumerated.
-    any_large = (targets, count) != table if traced else bool((several & ~small).any())
-    rounds = (min(iterations, _TRACED_ITERATIONS) if traced else iterations) if any_large else 0
-    association = belief_propagation(scans, rounds)
+    large = several & ~small
+    association = each_alone(scans)
+    if traced:
+        if (targets, count) != table:
+            found = belief_propagation(scans, min(iterations, _TRACED_ITERATIONS))
+            association = choose(several, found, association)
+    elif bool(large.any()):
+        solve = partial(sum_by_messages, iterations=iterations)
+        association = associate_by_tables(scans, large, (targets, count), solve, association)
     if targets > 1 and min(table) >= 1 and (traced or bool(small.any())):
-        association = associate_by_events(scans, small, table, association)
+        association = associate_by_tables(scans, small, table, sum_over_events, association)
     return association

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad, softplus
 
-from torchfra.association.clusters import Association, Clusters, GatedScans
+from torchfra.association.clusters import Association, Clusters, GatedScans, find_clusters
 from torchfra.linalg.safe import safe_divide
 from torchfra.linalg.tracing import is_traced
 
@@ -18,13 +18,34 @@ _CONVERGED = 1e-10
 """Largest change of a log message at which the iterations stop."""
 
 
+def each_alone(scans: GatedScans) -> Association:
+    """Exact association of targets that share no measurement, each by itself; of others it says nothing."""
+    log_ratio, gated = _poisson_ratio(scans), scans.gated
+    impossible = torch.where(gated.any(-1), -torch.inf, 0.0)  # an always measured target is missed if its gate is empty
+    log_miss = torch.where(scans.log_miss == -torch.inf, impossible, scans.log_miss)
+    beliefs = torch.cat([log_miss.unsqueeze(-1), log_ratio], -1)
+    log_total = beliefs.logsumexp(-1)
+    return Association(beliefs - log_total.unsqueeze(-1), log_total)
+
+
+def sum_by_messages(
+    log_ratio: Tensor, log_miss: Tensor, weight: Tensor, diffuse: bool, *, iterations: int
+) -> tuple[Tensor, Tensor]:
+    """Marginal probabilities of one cluster; arguments and results as of ``events.sum_over_events``."""
+    gated = log_ratio > -torch.inf
+    clusters = find_clusters(gated, gated.to(log_ratio))
+    clusters = clusters._replace(weight=weight.unsqueeze(-1).expand(clusters.weight.shape))
+    found = belief_propagation(GatedScans(log_ratio, log_miss, gated, clusters, diffuse), iterations)
+    return found.log_weights, found.evidence.sum(-1)
+
+
 def belief_propagation(scans: GatedScans, iterations: int) -> Association:
-    """Association by sum-product messages: exact for clusters of one target, approximate for larger ones.
+    """Association by sum-product messages: approximate where targets share measurements.
 
     Args:
         scans: measurements against targets.  Where they are diffuse, the number of false measurements is taken as
             Poisson, with the rate that gives the same odds to as many detections as the cluster has targets.
-        iterations: largest number of rounds of messages; 0 if all clusters have one target.
+        iterations: largest number of rounds of messages.
 
     Error against the sum over all events, for 4 targets with up to 10 measurements in shared gates drawn at random:
     of the probabilities 0.001 to 0.003 on average, below 0.04 in 99 % of the cases, 0.2 in the worst of 22,000; of the
@@ -33,11 +54,8 @@ def belief_propagation(scans: GatedScans, iterations: int) -> Association:
     Source: Williams & Lau (2014), "Approximate evaluation of marginal association probabilities with belief
     propagation".
     """
-    log_ratio, clusters = scans.log_ratio, scans.clusters
-    if scans.diffuse:
-        log_ratio = log_ratio - _log_poisson_rate(clusters).unsqueeze(-1)
-    always_measured = scans.log_miss == -torch.inf
-    detected, missed = _finite_weights(log_ratio, scans.log_miss, scans.gated, clusters.members)
+    clusters, always_measured = scans.clusters, scans.log_miss == -torch.inf
+    detected, missed = _finite_weights(_poisson_ratio(scans), scans.log_miss, scans.gated, clusters.members)
     to_target = _converge(detected, missed, iterations)
     beliefs = torch.cat([missed, detected + to_target], -1)
     log_total = beliefs.logsumexp(-1)
@@ -47,20 +65,12 @@ def belief_propagation(scans: GatedScans, iterations: int) -> Association:
     # The finite weight of an impossible miss counts as 1 among events, and so must it here.
     share = share - torch.where(always_measured, missed.squeeze(-1) * log_weights[..., 0].exp(), 0.0)
     evidence = (clusters.members.to(share) @ share.unsqueeze(-1)).squeeze(-1) / clusters.size
-    alone, single = clusters.size == 1, _single_target(log_ratio, scans.log_miss, scans.gated)
-    return Association(
-        torch.where(alone.unsqueeze(-1), single.log_weights, log_weights),
-        torch.where(alone, single.evidence, evidence),
-    )
+    return Association(log_weights, evidence)
 
 
-def _single_target(log_ratio: Tensor, log_miss: Tensor, gated: Tensor) -> Association:
-    """Exact association of each target by itself."""
-    impossible = torch.where(gated.any(-1), -torch.inf, 0.0)  # an always measured target is missed if its gate is empty
-    log_miss = torch.where(log_miss == -torch.inf, impossible, log_miss)
-    beliefs = torch.cat([log_miss.unsqueeze(-1), log_ratio], -1)
-    log_total = beliefs.logsumexp(-1)
-    return Association(beliefs - log_total.unsqueeze(-1), log_total)
+def _poisson_ratio(scans: GatedScans) -> Tensor:
+    """Log ratios ``(R, N, J)`` against Poisson false measurements, which stand for those of a diffuse number."""
+    return scans.log_ratio - _log_poisson_rate(scans.clusters).unsqueeze(-1) if scans.diffuse else scans.log_ratio
 
 
 def _log_poisson_rate(clusters: Clusters) -> Tensor:
@@ -114,8 +124,7 @@ def _bethe_correction(detected: Tensor, missed: Tensor, to_target: Tensor, gated
 
 def _log_sum_of_others(x: Tensor) -> Tensor:
     """For each entry of ``x (..., n)`` the log of the sum over all others of the last dimension."""
-    n = x.shape[-1]
-    if n == 1:
+    if x.shape[-1] == 1:
         return torch.full_like(x, -torch.inf)
-    itself = torch.eye(n, dtype=torch.bool, device=x.device)
-    return torch.where(itself, -torch.inf, x.unsqueeze(-2)).logsumexp(-1)
+    before, after = x[..., :-1].logcumsumexp(-1), x[..., 1:].flip(-1).logcumsumexp(-1).flip(-1)
+    return torch.logaddexp(pad(before, (1, 0), value=-torch.inf), pad(after, (0, 1), value=-torch.inf))

@@ -28,8 +28,7 @@ Mix = Callable[[Gaussian], Gaussian]
 class Filter(Smoother):
     """Abstract: ``TrackFilter`` for tracks of one target, ``ScanFilter`` for scans of several.
 
-    A subclass gives ``begin`` and ``advance``.  Nothing of a track is ever kept in the module.  All is computed in the
-    dtype and on the device of the measurements.
+    A subclass gives ``begin`` and ``advance``.  A module keeps nothing of a track; it runs in dtype and device of ``z``.
 
     Args:
         motion: how targets move; None for a filter around another one, whose models are its own.
@@ -60,8 +59,7 @@ class Filter(Smoother):
         transforms of ``torch.func`` the filter runs as without.  ``torchfra/kernel/README.md`` has the details.
 
         Args:
-            args: with any argument this is ``nn.Module.compile``, and so ``torch.compile``, instead:
-                ``f.compile(backend="inductor")``.
+            args: with any this is ``nn.Module.compile``, and so ``torch.compile``: ``f.compile(backend="inductor")``.
             options: likewise.
 
         Returns:
@@ -158,6 +156,7 @@ class Filter(Smoother):
         noise: Tensor | None = None,
         truncate: int | None = None,
         checkpoint: int | None = None,
+        past: bool = False,
     ) -> Estimate:
         """Whole tracks, or sequences of scans.
 
@@ -173,15 +172,18 @@ class Filter(Smoother):
             truncate: steps after which gradients flow no further back (truncated back-propagation); None for all.
             checkpoint: steps between states that are kept for the way back, which computes the steps between anew:
                 less memory for more time.  None keeps everything, and after ``compile`` a state every sqrt(T) steps.
+            past: whether the estimate shall hold what ``smooth(estimate=)`` needs: of several models what each knew.
 
         Returns:
             Estimates ``(..., T, n)``, of several targets ``(..., N, T, n)``.
 
         Raises:
             ValueError: a shape or a value that does not fit.
+            NotImplementedError: ``past`` of a filter that cannot be smoothed.
         """
         check_lengths(truncate=truncate, checkpoint=checkpoint)
-        return self._forth(Measurements(z, dt, u, std, noise), prior, checkpoint, truncate)[0]
+        run = self._remembered if past else self._forth
+        return run(Measurements(z, dt, u, std, noise), prior, checkpoint, truncate)[0]
 
     def keep(self, state: Any, frame: Frame, past: bool = False) -> tuple[Any, Kept]:
         """One step on a prepared frame: the next state, and what the estimate (and the way back) needs of it."""

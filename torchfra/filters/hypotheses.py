@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Collection
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -15,6 +16,44 @@ from torchfra.gaussian.update import repaired_root
 from torchfra.linalg.safe import safe_divide
 from torchfra.linalg.tracing import is_traced
 from torchfra.types import Gaussian, Prediction, Whitened
+
+C = TypeVar("C", Whitened, Frame)
+
+
+class JPDAState(NamedTuple):
+    """What is known of the targets after a scan."""
+
+    inner: Any
+    """Of the filters, ``(..., N)``."""
+    missed: Tensor
+    """``(..., N)`` expected number of scans since each was measured last."""
+    searched: Tensor
+    """``(..., N)`` how often the covariance of each has been quadrupled for that."""
+
+    @property
+    def belief(self) -> Gaussian:
+        """``(..., N)``."""
+        belief: Gaussian = self.inner.belief
+        return belief
+
+
+class JPDAInfo(NamedTuple):
+    """Per step and target."""
+
+    association: Tensor
+    """``(..., N, T, J + 1)`` probabilities: that the target was missed, and that each measurement is its own."""
+    fading: Tensor | None = None
+    """``(..., N, T)`` fading factors, if the inner filter has them."""
+    noise: Tensor | None = None
+    """``(..., N, T, m)`` estimated variances of the measurement noise, as multiples of the nominal ones; or None."""
+    weights: Tensor | None = None
+    """``(..., N, T, J, m)`` of a robust inner filter: by which it would divide the noise of each measurement."""
+    repaired: Tensor | None = None
+    """``(..., N, T)`` covariances that were not positive definite and were repaired; of rules with negative
+    weights."""
+    inner: Any = None
+    """What a filter of several models or regimes says of each target, ``(..., N, T)``: its ``info``, as expected over
+    what may have happened.  None of an ``SRCKF``."""
 
 
 class Scan(NamedTuple):
@@ -44,19 +83,29 @@ def gated(log_weights: Tensor, whitened: Whitened) -> tuple[Tensor, Whitened]:
         whitened: the measurements.
     """
     inside = log_weights[..., 1:] > -torch.inf
-    if is_traced(log_weights) or inside.numel() == 0:
+    if is_traced(log_weights):
         return log_weights, whitened
-    most = max(int(inside.sum(-1).amax()), 1)
-    if most == inside.shape[-1]:
+    order = gated_first(inside)
+    if order.shape == inside.shape:
         return log_weights, whitened
-    order = inside.to(torch.int8).argsort(dim=-1, descending=True, stable=True)[..., :most]
     chances = _taken(log_weights[..., 1:], 0, order, inside.shape)
-    return torch.cat([log_weights[..., :1], chances], -1), _chosen(whitened, order, inside.shape)
+    return torch.cat([log_weights[..., :1], chances], -1), chosen(whitened, order, inside.shape)
+
+
+def gated_first(inside: Tensor) -> Tensor:
+    """Numbers ``(..., N, K)`` of measurements, first of those ``inside (..., N, J)`` the gate.
+
+    K is what the fullest gate holds; all of them where code is traced.
+    """
+    order = inside.to(torch.int8).argsort(dim=-1, descending=True, stable=True)
+    if is_traced(inside) or inside.numel() == 0:
+        return order
+    return order[..., : max(int(inside.sum(-1).amax()), 1)]
 
 
 def likeliest(share: Tensor, whitened: Whitened) -> Whitened:
     """Of the measurements ``(..., N, J)`` the one with the largest ``share (..., N, J)``, ``(..., N, 1)``."""
-    return _chosen(whitened, share.argmax(-1, keepdim=True), share.shape)
+    return chosen(whitened, share.argmax(-1, keepdim=True), share.shape)
 
 
 def weighted_mean(x: Tensor, share: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
@@ -104,10 +153,13 @@ def target_repairs(prediction: Prediction, whitened: Whitened) -> Tensor | None:
     return add_counts(None if prediction.repaired is None else prediction.repaired.squeeze(-1), measured)
 
 
-def _chosen(whitened: Whitened, order: Tensor, shape: torch.Size) -> Whitened:
-    """Of measurements ``shape = (..., N, J)`` those whose numbers are in ``order (..., N, K)``."""
-    chosen: Whitened = tree.map_ranked(lambda rank, x: _taken(x, rank, order, shape), whitened)
-    return chosen
+def chosen(trees: C, order: Tensor, shape: torch.Size, only: Collection[str] | None = None) -> C:
+    """Of measurements ``shape = (..., N, J)`` those whose numbers are in ``order (..., N, K)``.
+
+    With ``only``, other fields of the tuple stay as they are.
+    """
+    taken: C = tree.map_ranked(lambda rank, x: _taken(x, rank, order, shape), trees, only=only)
+    return taken
 
 
 def _taken(x: Tensor, rank: int, order: Tensor, shape: torch.Size) -> Tensor:

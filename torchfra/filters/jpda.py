@@ -3,79 +3,48 @@
 from __future__ import annotations
 
 import copy
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.distributions import constraints
 
 from torchfra import tree
-from torchfra.adaptive.fading import Memory
 from torchfra.association.clusters import Association
 from torchfra.association.clutter import Clutter
 from torchfra.association.events import check_exact
 from torchfra.association.gates import Candidates, Gate
 from torchfra.association.joint import associate
+from torchfra.filters.apart import compares, measured, missed, together, widened
 from torchfra.filters.base import Filter, Mix
+from torchfra.filters.combined import learned, update, widen
 from torchfra.filters.hypotheses import (
+    JPDAInfo,
+    JPDAState,
     Scan,
     combined,
-    gated,
-    likeliest,
-    missed_or_measured,
     target_repairs,
-    weighted_mean,
 )
-from torchfra.filters.lost_tracks import log_miss, missed_scans, search
+from torchfra.filters.lost_tracks import log_miss, missed_scans, search, wider
+from torchfra.filters.merging import check_merges
 from torchfra.filters.records import Record
 from torchfra.filters.scans import ScanFilter
 from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import SRCKF, State
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import moment_match
 from torchfra.gaussian.update import density, innovation
 from torchfra.hyper import Hyper, Value, hypers
-from torchfra.linalg.safe import safe_divide
-from torchfra.types import Gaussian, Prediction, Whitened
-
-
-class JPDAState(NamedTuple):
-    """What is known of the targets after a scan."""
-
-    inner: State
-    """Of the filters, ``(..., N)``."""
-    missed: Tensor
-    """``(..., N)`` expected number of scans since each was measured last."""
-    searched: Tensor
-    """``(..., N)`` how often the covariance of each has been quadrupled for that."""
-
-    @property
-    def belief(self) -> Gaussian:
-        """``(..., N)``."""
-        return self.inner.belief
-
-
-class JPDAInfo(NamedTuple):
-    """Per step and target."""
-
-    association: Tensor
-    """``(..., N, T, J + 1)`` probabilities: that the target was missed, and that each measurement is its own."""
-    fading: Tensor | None
-    """``(..., N, T)`` fading factors, if the inner filter has them."""
-    noise: Tensor | None
-    """``(..., N, T, m)`` estimated variances of the measurement noise, as multiples of the nominal ones; or None."""
-    weights: Tensor | None
-    """``(..., N, T, J, m)`` of a robust inner filter: by which it would divide the noise of each measurement."""
-    repaired: Tensor | None
-    """``(..., N, T)`` covariances that were not positive definite and were repaired; of rules with negative
-    weights."""
+from torchfra.types import Gaussian
 
 
 class JPDA(Soft, ScanFilter):
-    """Joint probabilistic data association around a Gaussian filter.
+    """Joint probabilistic data association around a filter of one target.
 
     Each target's update is the Gaussian with the moments of all that may have happened: that it was missed, or that any
-    one of the measurements in its gate is its own.
+    one of the measurements in its gate is its own.  Of a filter of several models or regimes a measurement counts by
+    its likelihood under all of them, each then has such a Gaussian of its own, and its probability is that of all that
+    may have happened: nothing but the merging is approximate.
 
     Measurements come as scans: ``z (..., T, J, m)`` of J measurements at most, in any order; a row of NaN is none.
     Targets are the last dimension of the batch: priors are ``(..., N, n)``, estimates ``(..., N, T, n)``.  A
@@ -83,14 +52,16 @@ class JPDA(Soft, ScanFilter):
 
     Args:
         inner: an ``SRCKF``, plain, robust, with fading factors or an estimate of the noise, which learn from the
-            combined innovation; copies of it, gate and clutter run here.
+            combined innovation; an ``IMM`` or ``VSIMM`` of it without such an estimate; a ``GPB``.  Copies of it, gate
+            and clutter run here.
             Hyperparameters may differ between targets, ``(N,)``, and between scenes, ``(B, 1)`` or ``(B, N)``.
-        gate: which measurements may be a target's (``torchfra.association.Gate``).
+        gate: which measurements may be a target's (``torchfra.association.Gate``), by the Gaussian with the moments of
+            its prediction.
         clutter: how dense false ones are.
         detection: probability that a target is measured, up to 1.
         lost: a track that has been missed so often in a row that chance has at most this probability must have followed
             something false: its covariance then quadruples with every further miss, five times at most, until it is
-            measured again.  0 for tracks that are never taken for lost.
+            measured again (of several models before they are carried on).  0 for tracks that are never taken for lost.
         share_noise: whether all targets share their estimates of the noise, averaged by how probably each was measured.
         exact: targets and measurements of a cluster up to which all joint events are summed; see ``association``.
         temperature: 0 for gates with a hard edge; above, the width of the edge as a share of the gate, through which
@@ -104,7 +75,8 @@ class JPDA(Soft, ScanFilter):
         ValueError: another filter than that, a sensor that gate or clutter cannot work with, a value out of its range.
 
     Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eqs. (25)-(30), and (19) with the innovations
-    weighted by their probabilities, which is our reading.
+    weighted by their probabilities, which is our reading; Chen & Tugnait (2001), "Tracking of Multiple Maneuvering
+    Targets in Clutter Using IMM/JPDA Filtering and Fixed-Lag Smoothing", of several models.
     """
 
     def __init__(
@@ -120,10 +92,8 @@ class JPDA(Soft, ScanFilter):
         temperature: float = 0.0,
     ) -> None:
         super().__init__()
-        if not isinstance(inner, SRCKF) or inner.motion.stacked:
-            received = f"{type(inner).__name__} of {inner.motion.describe()}"
-            raise ValueError(f"inner: expected an SRCKF of one motion, received {received}")
-        if share_noise and inner.noise.adapt == "never":
+        check_merges(inner)
+        if share_noise and (not isinstance(inner, SRCKF) or inner.noise.adapt == "never"):
             raise ValueError(
                 "share_noise: expected an inner filter that estimates the noise, received one that does not"
             )
@@ -139,7 +109,7 @@ class JPDA(Soft, ScanFilter):
         self.share_noise, self.exact, self.lost = share_noise, exact, lost
         self.temperature = temperature
         for hyper in hypers(self).values():
-            hyper.shared_dims = 1  # all measurements share the values of their target
+            hyper.shared_dims += 1  # all measurements share the values of their target
 
     @property
     def motion(self) -> Any:  # type: ignore[override]
@@ -153,39 +123,70 @@ class JPDA(Soft, ScanFilter):
 
     def begin(self, belief: Gaussian) -> JPDAState:
         """The state of beliefs: no target missed yet."""
-        nothing = torch.zeros_like(belief.mean[..., 0])
-        return JPDAState(self.inner.begin(belief), nothing, nothing)
+        nothing, rank = torch.zeros_like(belief.mean[..., 0]), belief.mean.dim() - 1
+        inner = self.inner.begin(tree.insert_batch_dimension(belief))
+        return JPDAState(tree.map_tensors(lambda x: x.squeeze(rank), inner), nothing, nothing)
 
     def advance(self, state: JPDAState, frame: Frame, mix: Mix | None = None) -> tuple[JPDAState, Record]:
-        """One scan; equation numbers of Chen, Zou & Wu.  ``mix`` is not looked at."""
-        f, (belief, fading, noise) = self.inner, tree.insert_batch_dimension(state.inner)
-        miss = log_miss(self.detection, self.gate, state.missed)
-        prediction, searched = search(f.predicted(belief, frame), state.missed, state.searched, miss, self.lost)
-        scan = self.look(prediction.belief, noise, frame)
-        association = self.associate(scan, miss)  # (25)-(27)
-        noise = self.learn_noise(noise, scan.whitened, association, frame, "innovation")  # (19)
-        known = f.noise.known(scan.whitened, noise, frame.seen)
-        widened, known, fading, factor = self.widen(prediction, known, fading, scan, association, frame)
-        belief, weights = self.update(widened.belief, known, scan, association, frame)  # (28)-(30)
-        if f.noise.adapt == "residual":
-            noise = self.learn_noise(
-                noise, f.compare(tree.insert_batch_dimension(belief), frame), association, frame, "residual"
-            )
-        inner = State(belief, *tree.remove_batch_dimension((fading, noise)))
-        missed, repaired = (
-            missed_scans(state.missed, association, frame.seen),
-            target_repairs(prediction, scan.whitened),
-        )
-        info = JPDAInfo(association.log_weights.exp(), factor, f.noise.scale(inner.noise), weights, repaired)
+        """One scan; ``mix`` is not looked at."""
+        miss, times, searched = log_miss(self.detection, self.gate, state.missed), None, state.searched
+        if self.lost:
+            times, searched = search(state.missed, state.searched, miss, self.lost)
+        follow = self.by_innovations if isinstance(self.inner, SRCKF) else self.by_states
+        inner, scan, association, info = follow(state.inner, times, miss, frame)
         innovation = combined(association.probabilities, scan.whitened.residual, scan.root, scan.normalised, frame)
-        record = Record(belief, *innovation, info, association.evidence, past=searched)
-        return JPDAState(inner, missed, searched), record
+        record = Record(inner.belief, *innovation, info, association.evidence, past=searched)
+        return JPDAState(inner, missed_scans(state.missed, association, frame.seen), searched), record
 
-    def look(self, belief: Gaussian, noise: Any, frame: Frame) -> Scan:
-        """The measurements of a scan against the prediction of each target."""
-        whitened = self.inner.compare(belief, frame)
-        root, normalised = innovation(self.inner.noise.known(whitened, noise, frame.seen))
-        root = self.inner.noise.nominal(root, noise, frame.seen)
+    def by_innovations(
+        self, state: State, times: Tensor | None, miss: Tensor, frame: Frame
+    ) -> tuple[State, Scan, Association, JPDAInfo]:
+        """A scan of one motion: one gain for all measurements; equation numbers of Chen, Zou & Wu.
+
+        Args:
+            state: of the inner filter.
+            times: factor ``(..., N)`` on the root of what is predicted; None for none.
+            miss: log of the probability that a target has no measurement in its gate.
+            frame: of the scan.
+        """
+        f, (belief, fading, noise) = self.inner, tree.insert_batch_dimension(state)
+        prediction = f.predicted(belief, frame)
+        prediction = prediction if times is None else wider(prediction, times)
+        scan = self.look(f, prediction.belief, noise, frame)
+        repaired = target_repairs(prediction, scan.whitened)
+        association = self.associate(scan, self.inside(scan), miss)  # (25)-(27)
+        learn = partial(learned, f.noise, association=association, frame=frame, share_noise=self.share_noise)
+        noise = learn(noise, scan.whitened, "innovation")  # (19)
+        known = f.noise.known(scan.whitened, noise, frame.seen)
+        prediction, known, fading, factor = widen(f, prediction, known, fading, scan, association, frame)
+        belief, weights = update(f, prediction.belief, known, scan, association, frame)  # (28)-(30)
+        if f.noise.adapt == "residual":
+            left = f.compare(tree.insert_batch_dimension(belief), frame)
+            noise = learn(noise, left, "residual")
+        inner = State(belief, *tree.remove_batch_dimension((fading, noise)))
+        info = JPDAInfo(association.log_weights.exp(), factor, f.noise.scale(inner.noise), weights, repaired)
+        return inner, scan, association, info
+
+    def by_states(
+        self, state: Any, times: Tensor | None, miss: Tensor, frame: Frame
+    ) -> tuple[Any, Scan, Association, JPDAInfo]:
+        """A scan of several models or regimes: a state for every measurement, merged; arguments as above."""
+        f, state = self.inner, state if times is None else widened(state, times)
+        none, record = missed(f, state, frame, self.sensor)
+        scan = self.look(compares(f), record.belief, None, frame)
+        inside = self.inside(scan)
+        each = measured(f, state, frame, inside > -torch.inf)
+        scan = scan._replace(log_density=each.log_density)
+        association = self.associate(scan, inside, miss)
+        inner, info = together(f, none, each, association)
+        return inner, scan, association, JPDAInfo(association.log_weights.exp(), inner=info)
+
+    def look(self, f: Any, belief: Gaussian, noise: Any, frame: Frame) -> Scan:
+        """The measurements of a scan against the prediction ``belief (..., N, 1)`` of a filter for each target."""
+        whitened, side = f.compare(belief, frame), None if noise is None else f.noise
+        known = whitened if side is None else side.known(whitened, noise, frame.seen)
+        root, normalised = innovation(known)
+        root = root if side is None else side.nominal(root, noise, frame.seen)
         seen, unit = frame.seen > 0, frame.measurement_noise
         gap = unit.colour(whitened.residual.unsqueeze(-1)).squeeze(-1)
         expected = self.sensor.at_points(belief.mean, frame.u)
@@ -194,55 +195,33 @@ class JPDA(Soft, ScanFilter):
         candidates = Candidates(z, predicted, frame.seen, normalised.square().sum(-1))
         return Scan(whitened, root, normalised, candidates, density(root, normalised) + unit.log_norm)
 
-    def associate(self, scan: Scan, miss: Tensor) -> Association:
+    def inside(self, scan: Scan) -> Tensor:
+        """Log membership ``(..., N, J)`` of measurements in gates; minus infinity outside, and where missing."""
+        candidates = scan.candidates
+        measured = candidates.seen.sum(-1) > 0
+        return torch.where(measured, self.gate(candidates, self.sensor, self.temperature), -torch.inf)
+
+    def associate(self, scan: Scan, inside: Tensor, miss: Tensor) -> Association:
         """Which measurement is whose: eqs. (25)-(27)."""
         candidates, fit = scan.candidates, scan.log_density
         odds = self.detection(fit).log() - self.clutter(candidates, self.sensor)
-        measured = candidates.seen.sum(-1) > 0
-        inside = torch.where(measured, self.gate(candidates, self.sensor, self.temperature), -torch.inf)
         ratio = torch.where(inside > -torch.inf, fit + odds + inside, -torch.inf)
         return associate(
             ratio, miss.to(fit), diffuse=self.clutter.rate is None, log_membership=inside, exact=self.exact
         )
 
-    def learn_noise(self, memory: Any, whitened: Whitened, association: Association, frame: Frame, when: str) -> Any:
-        """The memory of the measurement noise after a scan, if ``when`` is when the inner filter learns: eq. (19)."""
-        side, share = self.inner.noise, association.probabilities
-        if side.adapt != when:
-            return memory
-        memory = side(memory, *weighted_mean(side.excess(whitened), share, frame.seen))
-        if not self.share_noise:
-            return memory
-        measured = share.sum(-1)[..., None, None]  # how probably each target was
-        total = measured.sum(-3, keepdim=True)
-        mean = safe_divide((measured * memory.scale).sum(-3, keepdim=True), total)
-        return memory._replace(scale=torch.where(total >= 0.5, mean, memory.scale))
+    def finish(self, state: JPDAState, belief: Gaussian, info: JPDAInfo) -> tuple[Gaussian, JPDAInfo]:
+        """What the inner filter decides late."""
+        if info.inner is None:
+            return belief, info
+        belief, inner = self.inner.finish(state.inner, belief, info.inner)
+        return belief, info._replace(inner=inner)
 
-    def widen(
-        self, prediction: Prediction, known: Whitened, memory: Memory | None, scan: Scan, association: Association,
-        frame: Frame,
-    ) -> tuple[Prediction, Whitened, Memory | None, Tensor | None]:  # fmt: skip
-        """Prediction and measurements with fading factors, the innovations remembered, and the factors ``(..., N)``."""
-        if memory is None:
-            return prediction, known, None, None
-        f, share = self.inner, association.probabilities
-        residual, total = weighted_mean(known.residual, share, frame.seen)
-        memory = f.fading.remember(memory, residual, (total >= 0.5).to(residual))
-        nearest = likeliest(share, known)
-        nis = scan.candidates.nis.gather(-1, share.argmax(-1, keepdim=True))
-        factor = f.fading(prediction, nearest, memory, f.robust(nearest.residual, nis))
-        factor = torch.where(total.amax(-1) >= 0.5, factor, 1.0)  # nothing was measured that could ask for it
-        prediction = f.fading.inflate(prediction, factor)
-        return prediction, f.compare(prediction.belief, frame), memory, factor.squeeze(-1)
-
-    def update(
-        self, predicted: Gaussian, known: Whitened, scan: Scan, association: Association, frame: Frame
-    ) -> tuple[Gaussian, Tensor | None]:
-        """The Gaussian with the moments of all that may have happened, and the weights of a robust filter."""
-        robust, log_weights = self.inner.robust, association.log_weights
-        if robust.plain:
-            log_weights, known = gated(log_weights, known)
-        weights = robust(known.residual, scan.candidates.nis)
-        each = robust.correct(predicted, known, weights, frame.measurement_noise)
-        belief = moment_match(missed_or_measured(predicted, each.belief), log_weights.movedim(-1, 0))
-        return self.inner.canonical(belief), None if robust.plain else weights
+    def check_smooths(self) -> None:
+        """Raises a ``NotImplementedError`` where the inner filter is one of several models or regimes."""
+        if not isinstance(self.inner, SRCKF):
+            name = type(self.inner).__name__
+            raise NotImplementedError(
+                f"JPDA around {name}: the way back of {name} weighs its models by measurements that are known to be "
+                "the target's; smooth a JPDA around an SRCKF"
+            )

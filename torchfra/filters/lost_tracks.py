@@ -37,22 +37,22 @@ def missed_scans(before: Tensor, association: Association, seen: Tensor) -> Tens
     return torch.where(some, association.log_weights[..., 0].exp() * (before + 1), before)
 
 
-def search(
-    prediction: Prediction, missed: Tensor, searched: Tensor, log_miss: Tensor, lost: float
-) -> tuple[Prediction, Tensor]:
-    """A prediction as wide as it must be where the track seems lost, and how often ``(..., N)`` it has been widened.
+def search(missed: Tensor, searched: Tensor, log_miss: Tensor, lost: float) -> tuple[Tensor, Tensor]:
+    """Factor ``(..., N)`` on the root of the covariance of a track that seems lost, and how often it has been widened.
 
     Args:
-        prediction: of targets ``(..., N, 1)``.
         missed: ``(..., N)`` scans since the last measurement.
         searched: ``(..., N)`` how often the covariance has been quadrupled.
         log_miss: see above.
-        lost: probability to be missed so often by chance, below which a track seems lost; 0 for never.
+        lost: probability to be missed so often by chance, below which a track seems lost.
     """
-    if lost == 0:
-        return prediction, searched
     patience = math.log(lost) / log_miss
     wanted = (missed - patience).clamp(0.0, _SEARCH)
-    times = (2.0 ** (wanted - searched).clamp_min(0.0))[..., None, None, None]  # of the root
+    return 2.0 ** (wanted - searched).clamp_min(0.0), wanted
+
+
+def wider(prediction: Prediction, times: Tensor) -> Prediction:
+    """A prediction ``(..., N, 1)`` whose covariance has a root ``times (..., N)`` as large."""
+    factor = times[..., None, None, None]
     (mean, root), spread, process_noise, repaired = prediction
-    return Prediction(Gaussian(mean, times * root), times * spread, times * process_noise, repaired), wanted
+    return Prediction(Gaussian(mean, factor * root), factor * spread, factor * process_noise, repaired)

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.filters.base import Filter
+from torchfra.filters.gpb import GPB
 from torchfra.filters.records import Record
 from torchfra.filters.smoothing import Told, Turn
-from torchfra.filters.srckf import SRCKF
 from torchfra.filters.tracks import Past
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.hyper import hypers
@@ -37,7 +37,7 @@ class ScanFilter(Filter):
 
     scans = True
     keeps_past = True
-    inner: SRCKF
+    inner: Any
 
     def compile(self, *args: object, **options: object) -> ScanFilter:  # type: ignore[override]  # torch's returns None
         """With arguments ``nn.Module.compile``; without, there are no kernels for scans.
@@ -53,6 +53,8 @@ class ScanFilter(Filter):
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """The batch of scenes, checked; targets are no part of it."""
         batch = super()._batch(measurements, prior, name)
+        if isinstance(self.inner, GPB):
+            self.inner.qualities.check_noise("noise", measurements.noise)
         count = prior.mean.shape[-2]
         for path, hyper in hypers(self).items():
             if hyper.batch_rank and hyper.raw.shape[-1 - hyper.event_dim] not in (1, count):
@@ -88,7 +90,8 @@ class ScanFilter(Filter):
 
     def last(self, past: ScanPast) -> tuple[Gaussian, Told]:
         """The last scan, which no later one speaks of."""
-        return self.inner.last(past.inner)
+        last: tuple[Gaussian, Told] = self.inner.last(past.inner)
+        return last
 
     def retreat(self, turn: Turn, after: Gaussian) -> tuple[Gaussian, Told]:
         """One scan back, of each target for itself."""

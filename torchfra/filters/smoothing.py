@@ -104,8 +104,9 @@ class Smoother(nn.Module):
             checkpoint: steps between states that are kept for gradients, both ways.
             lag: steps after which measurements are no longer looked at: the estimate of each step then is that of the
                 measurements up to so many later.  None for all there are.
-            estimate: what ``forward`` gave for the same arguments, so that it need not run again.  (Filters of several
-                models run again all the same: an estimate does not hold what each model knew.)
+            estimate: what ``forward`` gave for the same arguments, so that it need not run again.  Filters of several
+                models run again all the same, unless it was told ``past=True``: else an estimate does not hold what
+                each model knew.
 
         Returns:
             Smoothed beliefs in the shapes of ``forward``; ``nis`` and ``log_likelihood`` are those of the filter, and
@@ -166,6 +167,14 @@ class Smoother(nn.Module):
         """
         raise TypeError(f"{type(self).__name__} needs a past, a last and a retreat to smooth")
 
+    def _remembered(
+        self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None
+    ) -> tuple[Estimate]:
+        """The filtered estimate, which holds its past."""
+        self.check_smooths()
+        estimate, past = self._filtered(measurements, prior, checkpoint, truncate, None)
+        return (estimate._replace(past=past),)
+
     def _filtered(
         self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
         estimate: Estimate | None,
@@ -179,6 +188,8 @@ class Smoother(nn.Module):
             if estimate.mean.shape != expected:
                 received = tuple(estimate.mean.shape)
                 raise ValueError(f"estimate: expected one of these tracks, {expected}, received {received}")
+            if estimate.past is not None:
+                return estimate._replace(past=None), estimate.past
         if estimate is None or self.keeps_past:
             estimate, state, steps = self._forth(measurements, prior, checkpoint, truncate, self.keeps_past)
         return estimate, self.past(Gaussian(estimate.mean, estimate.scale_tril), estimate.info, state, steps)

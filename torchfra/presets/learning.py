@@ -24,7 +24,9 @@ def with_learning(f: F, names: Collection[str]) -> F:
     Raises:
         ValueError: a name that the filter does not have, or a value on the edge of its range.
     """
-    inner = f.inner if isinstance(f, Around | JPDA) else f
+    inner: Filter = f
+    while isinstance(inner, Around | JPDA):
+        inner = inner.inner
     chosen = {id(hyper) for hyper in named(f, names).values() if not hyper.raw.requires_grad}
     for part in ("motion", "sensor"):
         model = getattr(inner, part)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from functools import partial
+from typing import Any
 
 from torchfra.association.clutter import Clutter
 from torchfra.association.gates import ChiSquare, Euclidean, Gate
+from torchfra.filters.base import Filter
 from torchfra.filters.jpda import JPDA
-from torchfra.filters.srckf import SRCKF
 from torchfra.hyper import Value
 from torchfra.motion.base import Motion
 from torchfra.presets.adaptive import iaukf
@@ -18,17 +19,19 @@ from torchfra.sensors.base import Sensor
 
 
 def jpda(
-    motion: Motion, sensor: Sensor, *, clutter: Clutter, inner: Callable[[Motion, Sensor], SRCKF] = srckf,
-    gate: Gate | None = None, detection: Value = 0.95, lost: float = 0.0, share_noise: bool = False,
+    motion: Motion | Sequence[Motion], sensor: Sensor, *, clutter: Clutter,
+    inner: Callable[[Any, Sensor], Filter] = srckf, gate: Gate | None = None, detection: Value = 0.95,
+    lost: float = 0.0, share_noise: bool = False,
     exact: tuple[int, int] = (4, 10), temperature: float = 0.0, learn: Collection[str] = (),
 ) -> JPDA:  # fmt: skip
     """Joint probabilistic data association.  Source: Fortmann, Bar-Shalom & Scheffe (1983).
 
     Args:
-        motion: how targets move.
+        motion: how targets move; several where the inner filter takes them.
         sensor: what is measured.
         clutter: how dense false measurements are: ``association.Clutter``.
-        inner: the filter of each target, ``(motion, sensor) -> SRCKF``: a preset, or a ``functools.partial`` of one.
+        inner: the filter of each target, ``(motion, sensor) -> Filter``: a preset (one of ``srckf``'s kind, ``gpb``, or
+            an interacting one), or a ``functools.partial`` of one.
         gate: measurements that may be a target's; ``ChiSquare(0.999)`` if None: ``torchfra.association``.
         detection: probability that a target is measured: ``filters.JPDA``.
         lost: probability of so many misses in a row below which a track widens; 0 for never: ``filters.JPDA``.

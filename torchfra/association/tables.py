@@ -1,15 +1,19 @@
-"""Exact association of small clusters: each is packed into a small table, whose joint events are enumerated."""
+"""Association of clusters apart from each other: each is packed into a small table of its targets and measurements."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchfra.association.clusters import Association, GatedScans
-from torchfra.association.events import sum_over_events
+from torchfra.association.clusters import Association, GatedScans, choose
 from torchfra.linalg.tracing import is_traced
+
+Solve = Callable[[Tensor, Tensor, Tensor, bool], tuple[Tensor, Tensor]]
+"""From ``log_ratio (K, n, j)``, ``log_miss (K, n)`` and ``weight (K,)`` of clusters, and whether they are diffuse, to
+log probabilities ``(K, n, j + 1)`` and the log ``(K,)`` of the sum over all joint events."""
 
 
 class _Packed(NamedTuple):
@@ -31,25 +35,22 @@ class _Packed(NamedTuple):
     """``(K, J)`` bool: which measurements are in the gates of the cluster."""
 
 
-def associate_by_events(
-    scans: GatedScans, chosen: Tensor, table: tuple[int, int], otherwise: Association
+def associate_by_tables(
+    scans: GatedScans, chosen: Tensor, table: tuple[int, int], solve: Solve, otherwise: Association
 ) -> Association:
-    """Association of the clusters of several targets by the sum over their joint events.
+    """Association of some clusters, all by the same way to sum over their joint events.
 
     Args:
         scans: measurements against targets.
-        chosen: ``(R, N)`` bool: whether the target's cluster is to be enumerated.
-        table: number of targets and of gated measurements that the largest chosen cluster has, or more.
+        chosen: ``(R, N)`` bool: whether the target's cluster is one of them.
+        table: number of targets and of gated measurements that the largest of them has, or more.
+        solve: sums over the events of each.
         otherwise: the association of the other targets.
     """
     packed = _pack(scans, chosen, table)
     weight = scans.clusters.weight[packed.run, packed.head]
-    log_weights, log_total = sum_over_events(packed.log_ratio, packed.log_miss, weight, diffuse=scans.diffuse)
-    exact = _unpack(scans, packed, log_weights, log_total)
-    return Association(
-        torch.where(chosen.unsqueeze(-1), exact.log_weights, otherwise.log_weights),
-        torch.where(chosen, exact.evidence, otherwise.evidence),
-    )
+    solved = solve(packed.log_ratio, packed.log_miss, weight, scans.diffuse)
+    return choose(chosen, _unpack(scans, packed, *solved), otherwise)
 
 
 def _pack(scans: GatedScans, chosen: Tensor, table: tuple[int, int]) -> _Packed:

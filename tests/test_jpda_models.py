@@ -1,0 +1,269 @@
+"""Joint association around interacting models and around GPB is that of plain loops, and keeps every promise."""
+
+import math
+from functools import partial
+
+import numpy as np
+import oracles
+import pytest
+import torch
+from oracles import gpb as regimes
+from oracles import joint_models
+
+from torchfra import losses, presets
+from torchfra.association import ChiSquare, Clutter, Euclidean
+from torchfra.filters import IMM, JPDA, SRCKF
+from torchfra.filters.fixed_lag import FixedLag
+from torchfra.motion import Bank, ConstantVelocity, CoordinatedTurn, aircraft
+from torchfra.sensors import Bearings, Position
+from torchfra.types import Gaussian
+
+STD, STEPS, VOLUME = 2.0, 12, 400.0
+TURN = CoordinatedTurn(0.3, 0.5)
+PAIR = Bank([ConstantVelocity(0.05), TURN])
+GPB = {
+    "levels": (0.1, 30.0), "jumps": (200.0,), "stay": (0.9, 0.8, 0.7, 0.1), "renew": (0.5, 0.3, 0.15, 0.05),
+    "qualities": ((0.9, 0.1), (0.6, 0.4)), "sizes": (9.0, 400.0), "shares": (0.6, 0.4), "poor": 0.3, "start": 50.0,
+}  # fmt: skip
+INNER = {
+    "imm": (presets.imm_srckf, PAIR),
+    "vsimm": (presets.vsimm_srckf, aircraft(4.0)),
+    "robust": (partial(presets.imm, inner=presets.rsrckf), PAIR),
+    "fading": (partial(presets.imm, inner=presets.asrckf), PAIR),
+    "gpb": (presets.gpb, ConstantVelocity(0.5)),
+    "bank": (partial(presets.gpb, lag=1), PAIR),
+}
+each = pytest.mark.parametrize("name", INNER)
+
+
+def tensor(x):
+    return torch.tensor(x, dtype=torch.float64)
+
+
+def crowd(steps=STEPS, seed=0, batch=()):
+    """Scans of two targets that meet, one of them turning, with false measurements and missed ones."""
+    rng = torch.Generator().manual_seed(seed)
+    t = torch.arange(1, steps + 1).double()
+    one = torch.stack([6 * t, 0.0 * t], -1)
+    other = torch.stack([6 * t, 20 - 4 * t + 0.3 * t**2], -1)
+    own = torch.stack([one, other], -2).expand(*batch, steps, 2, 2)
+    own = own + STD * torch.randn(own.shape, generator=rng).double()
+    own = torch.where(torch.rand(own.shape[:-1], generator=rng).unsqueeze(-1) < 0.1, math.nan, own)
+    false = one.unsqueeze(-2) + 25 * torch.randn(*batch, steps, 3, 2, generator=rng).double()
+    return torch.cat([false[..., :2, :], own, false[..., 2:, :]], -2)
+
+
+def priors(size, *places):
+    """Beliefs at places, moving right, of states of any size."""
+    mean = torch.zeros(len(places), size).double()
+    mean[:, :2], mean[:, 2] = tensor(places), 6.0
+    root = tensor([3.0, 3.0, 2.0, 2.0, 0.5, 0.5][:size]).diag()
+    return Gaussian(mean, root.expand(len(places), size, size))
+
+
+def around(name, **options):
+    inner, motion = INNER[name]
+    values = {"clutter": Clutter(VOLUME, rate=1.0), "detection": 0.9, "gate": ChiSquare(0.9999)} | options
+    return presets.jpda(motion, Position(STD), inner=inner, **values)
+
+
+def start(name, *places):
+    return priors(INNER[name][1].size, *(places or ((0.0, 0.0), (0.0, 20.0))))
+
+
+def carried(motion):
+    """A motion's matrices for an oracle."""
+    dt = tensor(1.0)
+    return motion.transition(dt).numpy(), motion.process_noise(dt).numpy()
+
+
+def same(estimate, probabilities, truth):
+    for name, mine in (
+        ("association", estimate.info.association), ("mean", estimate.mean), ("P", estimate.covariance),
+        ("probabilities", probabilities),
+    ):  # fmt: skip
+        scale = np.abs(truth[name]).max()
+        np.testing.assert_allclose(mine.movedim(0, 1), truth[name], rtol=1e-9, atol=1e-9 * scale, err_msg=name)
+    doubtful = truth["association"].max(-1) < 0.9
+    assert doubtful.sum() > 4  # it was not always plain whose a measurement is
+
+
+@pytest.mark.parametrize("rate", [None, 2.0])
+def test_interacting_models_of_two_targets_are_those_of_plain_loops(rate):
+    z, prior = crowd(), priors(4, (0.0, 0.0), (0.0, 20.0))
+    transition, initial = tensor([[0.8, 0.2], [0.3, 0.7]]), tensor([0.6, 0.4])
+    f = JPDA(
+        IMM(SRCKF(PAIR, Position(STD)), transition=transition, initial=initial),
+        gate=Euclidean(15.0), clutter=Clutter(VOLUME, rate=rate), detection=0.9,
+    )  # fmt: skip
+    motions = [(lambda x, F=F, Q=Q: (F, 0.0, Q @ Q.T)) for F, Q in map(carried, PAIR)]
+    targets = [
+        joint_models.models(mean, P, motions, np.eye(2, 4), STD**2 * np.eye(2), transition.numpy(), initial.numpy())
+        for mean, P in zip(prior.mean.numpy(), prior.covariance.numpy(), strict=True)
+    ]
+    truth = joint_models.follow(
+        z.numpy(), targets, PD=0.9, density=(rate or 1.0) / VOLUME, gate=15.0, diffuse=rate is None
+    )
+    estimate = f(z, prior)
+    same(estimate, estimate.info.inner.probabilities, truth)
+    assert truth["probabilities"].max() > 0.7  # models were told apart
+    assert truth["probabilities"].min() < 0.3
+
+
+def test_gpb_of_two_targets_is_that_of_plain_loops():
+    z, prior, motion = crowd(), priors(4, (0.0, 0.0), (0.0, 20.0)), ConstantVelocity(0.05)
+    f = presets.jpda(
+        motion, Position(STD), inner=partial(presets.gpb, **GPB), gate=Euclidean(15.0), detection=0.9,
+        clutter=Clutter(VOLUME, rate=2.0),
+    )  # fmt: skip
+    F, SQ = carried(motion)
+    # One motion: its two levels, and the jump after the second of them.
+    stay, renew = (np.delete(GPB[name], 2) for name in ("stay", "renew"))
+    odds = renew / renew.sum()
+    r = regimes.Regimes(
+        [0, 0], list(GPB["levels"]), list(GPB["jumps"]), regimes.renewing_chain(list(stay), list(odds)), odds, 1
+    )
+    q = regimes.Qualities([[0, 1]], np.array(GPB["qualities"]), list(GPB["sizes"]), list(GPB["shares"]))
+    model = oracles.Model(F, SQ, STD * np.eye(2), lambda x, k: x[:2], np.zeros(2))
+    targets = [
+        joint_models.regimes(mean, P, [regimes.carried(F, SQ)], model, r, q, GPB["poor"], GPB["start"])
+        for mean, P in zip(prior.mean.numpy(), prior.covariance.numpy(), strict=True)
+    ]
+    truth = joint_models.follow(z.numpy(), targets, PD=0.9, density=2.0 / VOLUME, gate=15.0, diffuse=False)
+    estimate = f(z, prior)
+    same(estimate, estimate.info.inner.regimes, truth)
+
+
+@each
+def test_without_false_measurements_and_always_detected_it_is_the_filter_itself(name):
+    inner, motion = INNER[name]
+    z = crowd(20)[:, 2]  # with missed scans
+    assert z.isnan().any()
+    prior = start(name, (0.0, 0.0))
+    plain = inner(motion, Position(STD))(z, Gaussian(prior.mean[0], prior.scale_tril[0]))
+    joint = around(name, clutter=Clutter(1e9), detection=1.0, gate=Euclidean(1e6))(z.unsqueeze(1), prior)
+    torch.testing.assert_close(joint.mean[0], plain.mean, rtol=1e-12, atol=1e-11)
+    torch.testing.assert_close(joint.scale_tril[0], plain.scale_tril, rtol=1e-12, atol=1e-11)
+    for mine, theirs in zip(joint.info.inner, plain.info, strict=True):
+        if isinstance(mine, torch.Tensor):
+            torch.testing.assert_close(mine[0], theirs, rtol=1e-10, atol=1e-12)
+
+
+@each
+def test_the_order_of_measurements_and_of_targets_does_not_matter(name):
+    f, z, prior = around(name, lost=1e-2), crowd(), start(name)
+    plain = f(z, prior)
+    other = f(z[:, [4, 2, 0, 3, 1]], Gaussian(prior.mean.flip(0), prior.scale_tril.flip(0)))
+    torch.testing.assert_close(other.mean.flip(0), plain.mean, rtol=1e-9, atol=1e-9)
+    padded = f(torch.cat([z, torch.full((STEPS, 2, 2), math.nan).double()], 1), prior)
+    torch.testing.assert_close(padded.mean, plain.mean, rtol=1e-9, atol=1e-9)
+
+
+@each
+def test_scans_without_a_measurement_in_a_gate_are_pure_predictions(name):
+    f, prior = around(name), start(name)
+    none = torch.full((3, 2, 2), math.nan).double()
+    empty, far = f(none, prior), f(torch.full((3, 2, 2), 1e5).double(), prior)
+    torch.testing.assert_close(far.mean, empty.mean)
+    torch.testing.assert_close(far.scale_tril, empty.scale_tril)
+    plain = INNER[name][0](INNER[name][1], Position(STD))(none[:, 0], prior._replace(mean=prior.mean))
+    torch.testing.assert_close(empty.mean, plain.mean)
+
+
+@each
+def test_streaming_is_the_whole_and_a_batch_is_its_scenes(name):
+    f, z, prior = around(name, lost=1e-2), crowd(batch=(3,)), start(name)
+    prior = Gaussian(prior.mean.expand(3, -1, -1), prior.scale_tril.expand(3, -1, -1, -1))
+    whole, alone = f(z, prior), f(z[1], start(name))
+    torch.testing.assert_close(whole.mean[1], alone.mean, rtol=1e-10, atol=1e-10)
+    mapped = torch.func.vmap(lambda z, mean, root: f(z, Gaussian(mean, root)).mean)(z, *prior)
+    torch.testing.assert_close(mapped, whole.mean, rtol=1e-9, atol=1e-9)
+    state = f.init(start(name))
+    for k in range(STEPS):
+        state, innovation = f.step(state, z[1, k])
+    filtered = getattr(alone.info.inner, "filtered", alone)
+    torch.testing.assert_close(state.belief.mean, filtered.mean[:, -1], rtol=1e-10, atol=1e-10)
+    torch.testing.assert_close(innovation.log_likelihood, alone.log_likelihood[:, -1])
+
+
+@each
+def test_a_target_that_fails_lets_the_others_go_on(name):
+    f, z, prior = around(name), crowd(), start(name)
+    mean = prior.mean.clone()
+    mean[0, 2] = math.nan
+    estimate = f(z, Gaussian(mean, prior.scale_tril))
+    assert estimate.failed.tolist() == [True, False]
+    alone = f(z, Gaussian(prior.mean[1:], prior.scale_tril[1:]))
+    torch.testing.assert_close(estimate.mean[1], alone.mean[0], rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize(("name", "learn"), [
+    ("imm", ("transition", "detection", "q")), ("gpb", ("stay", "detection", "probability")),
+])  # fmt: skip
+def test_gradients_are_those_of_finite_differences(name, learn):
+    f = around(name, learn=learn, temperature=0.1)
+    z, names = crowd(4), [parameter for parameter, _ in f.named_parameters()]
+
+    def run(*values):
+        estimate = torch.func.functional_call(f, dict(zip(names, values, strict=True)), (z, start(name)))
+        return losses.innovation_nll(estimate), estimate.mean.sum(), estimate.scale_tril.sum()
+
+    assert torch.autograd.gradcheck(run, [p.detach().clone().requires_grad_() for p in f.parameters()], atol=1e-5)
+
+
+def test_values_may_differ_between_targets():
+    z, prior = crowd(), start("imm", (0.0, 0.0), (0.0, 5e4))
+    for name, options, values in (
+        ("imm", {"initial": tensor([[0.9, 0.1], [0.2, 0.8]])}, "initial"),
+        ("gpb", {"poor": tensor([0.1, 0.6])}, "poor"),
+    ):
+        inner, motion = INNER[name]
+        build = partial(presets.jpda, motion, Position(STD), clutter=Clutter(VOLUME, rate=1.0), detection=0.9)
+        both = build(inner=partial(inner, **options))(z, prior)
+        alone = build(inner=partial(inner, **{values: options[values][0]}))(
+            z, Gaussian(prior.mean[:1], prior.scale_tril[:1])
+        )
+        torch.testing.assert_close(both.mean[0], alone.mean[0], rtol=1e-9, atol=1e-9)
+
+
+def test_a_lost_track_of_several_models_searches_and_finds():
+    """A start 60 m off, of a track that believes in 3 m."""
+    t = torch.arange(1, 31).double()
+    truth = torch.stack([60 + 6 * t, 0 * t], -1)
+    z, prior = truth.unsqueeze(1) + torch.randn(30, 1, 2).double(), priors(4, (0.0, 0.0))
+    error = {}
+    for lost in (0.0, 1e-3):
+        f = presets.jpda(
+            Bank([ConstantVelocity(1e-3), ConstantVelocity(1e-2)]), Position(STD), inner=presets.imm_srckf, lost=lost,
+            gate=ChiSquare(0.99), clutter=Clutter(1e5, rate=0.5), detection=0.9,
+        )  # fmt: skip
+        error[lost] = (f(z, Gaussian(prior.mean, 0.5 * prior.scale_tril)).mean[0, :, :2] - truth).norm(dim=-1)
+    assert error[0.0][:15].min() > 20
+    assert error[1e-3][20:].max() < 5
+
+
+def test_what_cannot_be_followed_is_named_with_its_reason():
+    build = partial(presets.jpda, sensor=Position(STD), clutter=Clutter(VOLUME))
+    for inner, motion, said in (
+        (presets.fra, ConstantVelocity(1.0), "received FRA of .*decides about a measurement by the next"),
+        (presets.imm_fra, PAIR, "received IMM of FRA .*decides"),
+        (partial(presets.imm, inner=presets.iaukf), PAIR, "expected models without an estimate of the measurement"),
+        (
+            presets.alphabeta,
+            ConstantVelocity(1.0),
+            "expected an SRCKF of one motion, IMM or VSIMM of several",
+        ),
+        (SRCKF, PAIR, "expected an SRCKF of one motion"),
+    ):
+        with pytest.raises(ValueError, match=f"inner: .*{said}"):
+            build(motion, inner=inner)
+    f = around("gpb")
+    for refused in (lambda: f.smooth(crowd(), start("gpb")), lambda: FixedLag(f, 2)):
+        with pytest.raises(NotImplementedError, match="JPDA around GPB"):
+            refused()
+    with pytest.raises(ValueError, match="share_noise: expected an inner filter that estimates"):
+        around("imm", share_noise=True)
+    bearings = presets.jpda(ConstantVelocity(1.0), Bearings(0.1), inner=presets.gpb, clutter=Clutter(extent=[1.0, 1.0]))
+    correlated = torch.tensor([[1.0, 0.0], [0.5, 1.0]]).double().expand(STEPS, 5, 2, 2)
+    with pytest.raises(ValueError, match="noise: expected noise that is independent between blocks"):
+        bearings(crowd(), start("gpb"), u=torch.zeros(4).double(), noise=correlated)

@@ -1,0 +1,127 @@
+"""One state for several: what is left of hypotheses about a step, each of which has led to a state of a filter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra import tree
+from torchfra.filters.base import Filter
+from torchfra.filters.gpb import GPB, GPBState
+from torchfra.filters.imm import Around, IMMState
+from torchfra.filters.srckf import SRCKF, State
+from torchfra.filters.vsimm import VSIMMState
+from torchfra.gaussian.mixture import moment_match
+from torchfra.types import Gaussian
+
+
+def check_merges(inner: Filter) -> None:
+    """Checks that states of a filter can be merged, and so that it can follow one of several targets.
+
+    Raises:
+        ValueError: they cannot.
+    """
+    around, core = isinstance(inner, Around), inner.inner if isinstance(inner, Around) else inner
+    if isinstance(core, SRCKF):
+        if around and core.noise.adapt != "never":
+            raise ValueError(
+                "inner: expected models without an estimate of the measurement noise, which is the sensor's and not "
+                f"a model's, received {type(inner).__name__} of one that estimates it"
+            )
+        if around or not core.motion.stacked:
+            return
+    elif isinstance(core, GPB):
+        return
+    what = type(inner).__name__ + (f" of {type(core).__name__}" if around else f" of {core.motion.describe()}")
+    why = " (FRA decides about a measurement by the next one, and neither is known to be the target's)"
+    raise ValueError(
+        f"inner: expected an SRCKF of one motion, IMM or VSIMM of several, or a GPB, received {what}"
+        f"{why if type(core).__name__ == 'FRA' else ''}"
+    )
+
+
+def merged(inner: Filter, states: Any, log_weights: Tensor) -> Any:
+    """The state that has the moments of several.
+
+    Args:
+        inner: the filter; what it keeps apart, models and regimes, stays apart.
+        states: of it, hypotheses in front: ``(P, ...)``.
+        log_weights: ``(P, ...)`` logs of the probabilities of the hypotheses; minus infinity for one that does not
+            count.
+    """
+    if isinstance(inner, GPB):
+        return _of_regimes(inner, states, log_weights)
+    if isinstance(inner, Around):
+        return _of_models(inner, states, log_weights)
+    return State(moment_match(states.belief, log_weights), *averaged(states[1:], log_weights))
+
+
+def averaged(trees: Any, log_weights: Tensor) -> Any:
+    """Trees ``(P, ...)`` as one: beliefs by their moments, truth values of the first, all else by the mean.
+
+    Args:
+        trees: of hypotheses, in front.
+        log_weights: as in ``merged``.
+    """
+
+    def mean(x: Tensor) -> Tensor:
+        if x.dtype == torch.bool:
+            return x[0]
+        weight = log_weights.exp().reshape(log_weights.shape + (1,) * (x.dim() - log_weights.dim()))
+        return (weight * torch.where(weight > 0, x, 0.0)).sum(0)
+
+    def both(x: Any) -> Any:
+        return moment_match(x, log_weights) if isinstance(x, Gaussian) else tree.map_tensors(mean, x)
+
+    return on_beliefs(both, trees)
+
+
+def on_beliefs(function: Callable[[Any], Any], trees: Any) -> Any:
+    """``function`` of every belief, and of every tensor outside of one."""
+    if isinstance(trees, tuple) and not isinstance(trees, Gaussian):
+        parts = [on_beliefs(function, part) for part in trees]
+        return type(trees)(*parts) if hasattr(trees, "_fields") else tuple(parts)
+    return function(trees)
+
+
+def _of_models(inner: Around, states: Any, log_weights: Tensor) -> IMMState | VSIMMState:
+    """Each model by its share of each hypothesis: the probability of both together is what counts."""
+    after, shares = _shared(_joint(log_weights.unsqueeze(-1), states.log_weights), log_weights.unsqueeze(-1))
+    every: IMMState | VSIMMState = states._replace(
+        belief=moment_match(states.belief, log_weights),
+        inner=merged(inner.inner, states.inner, shares),
+        log_weights=after,
+    )
+    if isinstance(every, VSIMMState):
+        return every._replace(active=every.active[0])  # chosen before the measurement: the same for all
+    return every
+
+
+def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
+    """Clean and dirty, each motion of each, by the share of each hypothesis."""
+    joint = _joint(log_weights[..., None, None], states.log_weights)  # (P, ..., 2, R)
+    _, shares = _shared(inner.regimes.of_motion(joint), log_weights[..., None, None])  # (P, ..., 2, K)
+    _, dirty = _shared(joint[..., 1, :].logsumexp(-1), log_weights)
+    return GPBState(
+        moment_match(states.belief, log_weights),
+        moment_match(states.settled, log_weights),
+        moment_match(states.clean, shares[..., 0, :]),
+        moment_match(states.dirty, shares[..., 1, :]),
+        joint.logsumexp(0),
+        averaged(states.outlier, dirty),
+    )
+
+
+def _joint(log_weights: Tensor, inside: Tensor) -> Tensor:
+    """Of hypotheses and what is kept apart inside of them; what does not count may be NaN."""
+    return torch.where(log_weights > -torch.inf, log_weights + inside, -torch.inf)
+
+
+def _shared(joint: Tensor, log_weights: Tensor) -> tuple[Tensor, Tensor]:
+    """Sums over hypotheses ``(P, ...)``, and their shares in them; ``log_weights`` in a sum of nothing."""
+    total = joint.logsumexp(0)
+    nothing = total == -torch.inf
+    return total, torch.where(nothing, log_weights, joint - torch.where(nothing, 0.0, total))
