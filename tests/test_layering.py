@@ -13,8 +13,8 @@ LIBRARY, RECIPES = Path(torchfra.__file__).parent, Path(train.__file__).parent
 LEVELS = [
     {"version"}, {"tables"}, {"angles"}, {"tree"}, {"linalg"}, {"types"}, {"hyper"}, {"state_files"}, {"coordinates"},
     {"geodesy"}, {"readers"}, {"losses"}, {"metrics"},
-    {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"kernel"}, {"filters"}, {"targets"},
-    {"testing"},
+    {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"kernel"}, {"filters"},
+    {"targets"}, {"testing"},
     {"presets"},
     {"scenarios"}, {"catalogue"}, {"cleaning"}, {"app"}, {"__init__", "__main__"},
 ]  # fmt: skip

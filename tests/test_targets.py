@@ -1,6 +1,5 @@
 """Targets come and go in streams and batches, around any filter of scans; clusters change nothing."""
 
-import builtins
 import importlib
 import math
 
@@ -10,6 +9,7 @@ from joint import plane
 
 from torchfra import metrics, presets, scenarios, tree
 from torchfra.association import ChiSquare, Clutter, Euclidean
+from torchfra.gaussian.inputs import Measurements
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, aircraft
 from torchfra.sensors import Bearings, Position, RangeBearing
 from torchfra.targets import SPRT, Deletion, Merging, MOfN, OnePoint, Targets, TwoPoint
@@ -57,7 +57,7 @@ def test_clusters_one_by_one_are_the_whole_scan_at_once():
     state = f.init(Gaussian(mean, torch.diag(torch.tensor([3.0, 3.0, 1.0, 1.0]).double()).expand(12, 4, 4)))
     z = torch.cat([mean[1:, :2] + 2, 60 * torch.rand(8, 2, generator=rng).double()])
     z[3] = math.nan
-    whole, record = f.advance(state, f._frame(state, tree_measurements(z)))
+    whole, record = f.advance(state, f._frame(state, Measurements(z)))
     scene = torch.zeros(12, dtype=torch.int64)
     parts, said, groups = look_at(f, state, scene, Look(z[None], torch.ones(1).double(), None))
     assert len({group.targets.shape[-1] for group in groups}) > 1
@@ -66,12 +66,6 @@ def test_clusters_one_by_one_are_the_whole_scan_at_once():
     torch.testing.assert_close(said.log_missed, record.info.association[..., 0].log(), rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(said.explained[0], record.info.association[..., 1:].sum(-2), rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(said.density, record.density, rtol=1e-9, atol=1e-9)
-
-
-def tree_measurements(z):
-    from torchfra.gaussian.inputs import Measurements
-
-    return Measurements(z)
 
 
 def test_a_batch_of_scenes_is_each_scene_alone_and_a_stream_of_scans():
@@ -104,7 +98,7 @@ def test_the_estimate_goes_into_the_metrics_as_it_is():
 
 
 def test_identities_are_never_used_again():
-    truth, z = moving([(0, 0, 5, 0)], 40)
+    _, z = moving([(0, 0, 5, 0)], 40)
     z[12:24] = math.nan
     states = run(Targets(plane(), birth=TwoPoint(20.0), confirmation=MOfN(2, 3), deletion=Deletion(3)), z)
     assert states[11].identity.tolist() == [0]
@@ -121,7 +115,8 @@ def test_a_scan_without_measurements_is_one_in_which_all_were_missed():
         state = run(targets, z)[-1]
         state = targets.step(state, empty)
         assert state.track.misses.tolist() == [1]
-        torch.testing.assert_close(state.track.score[0], (run(targets, z)[-1].track.score + math.log(1 - 0.9 * 0.9999))[0])
+        expected = run(targets, z)[-1].track.score + math.log(1 - 0.9 * 0.9999)
+        torch.testing.assert_close(state.track.score, expected)
         assert len(targets.step(state, empty).identity) == 0
 
 
@@ -137,11 +132,10 @@ def test_rows_of_nan_and_their_order_change_nothing():
 def test_there_may_be_any_number_of_targets():
     side = 12
     starts = [(100.0 * i, 100.0 * j, 3.0, 1.0) for i in range(side) for j in range(side)]
-    truth, z = moving(starts, 6)
+    _, z = moving(starts, 9)
     f = presets.jpda(ConstantVelocity(0.5), Position(2.0), clutter=Clutter(1.5e6, rate=1.0), detection=0.9)
-    states = run(Targets(f, birth=TwoPoint(20.0), deletion=Deletion(1)), [*z, *z[:3, :2]])
-    assert [len(s.identity) for s in states[4:]] == [side**2, side**2, *[len(states[6].identity)] * 3]
-    assert len(states[6].identity) <= 2
+    states = run(Targets(f, birth=TwoPoint(20.0), deletion=Deletion(1)), [*z[:6], *z[6:, :2]])
+    assert [len(s.identity) for s in states[4:]] == [side**2, side**2, 2, 2, 2]
 
 
 def test_two_tracks_of_one_target_become_one_and_targets_that_cross_stay_two():
@@ -165,7 +159,7 @@ def test_aircraft_in_spherical_coordinates_begin_where_the_sensor_says(birth):
     f = presets.jpda(scenario.motion, scenario.sensor, clutter=scenario.clutter, detection=scenario.detection)
     estimate = scenario.cartesian(Targets(f, birth=birth)(tracks.z))
     lives = metrics.lives(estimate.mean, tracks.truth, scenario.truth_position)
-    assert (lives.followed[0] >= lives.length[0] - 8).all()
+    assert (lives.followed[0] >= 0.85 * lives.length[0]).all()
     assert lives.switches.sum() == 0
 
 
@@ -194,7 +188,7 @@ def test_any_filter_of_scans_has_targets_that_come_and_go(make):
 
 
 def test_missing_elements_are_marginalised_and_begin_nothing():
-    truth, z = moving([(0, 0, 5, 0)], 12)
+    _, z = moving([(0, 0, 5, 0)], 12)
     z[6:8, 0, 1] = math.nan
     states = run(Targets(plane(), birth=TwoPoint(20.0), deletion=Deletion(2)), z)
     assert states[-1].identity.tolist() == [0]
@@ -203,7 +197,7 @@ def test_missing_elements_are_marginalised_and_begin_nothing():
 
 
 def test_gates_of_metres_and_soft_gates_are_gates_too():
-    truth, z = moving(FOUR, 10)
+    _, z = moving(FOUR, 10)
     for options in ({"gate": Euclidean(40.0)}, {"gate": ChiSquare(0.999), "temperature": 0.1}):
         estimate = Targets(plane(**options), birth=TwoPoint(20.0))(with_clutter(z, 3, 150.0))
         assert estimate.confirmed[:, -1].sum() == 4
@@ -242,7 +236,6 @@ def test_without_scipy_it_is_said_what_to_install(monkeypatch):
     monkeypatch.setattr("torchfra.targets.assignment.import_module", without)
     with pytest.raises(ImportError, match=r"pip install torchfra\[assignment\]"):
         run(Targets(plane()), moving(FOUR, 3)[1])
-    assert builtins.__import__("torchfra.targets")
 
 
 # ---------------------------------------------------------------- what does not fit is named

@@ -32,9 +32,9 @@ def manage(
     birth: dict[str, float], confirm: dict[str, Any], misses: int, drop: float | None = None,
 ) -> list[list[Target]]:  # fmt: skip
     """After each scan (J, 2) copies of the targets that are there; constant velocity, positions, Poisson clutter."""
-    I, O = np.eye(2), np.zeros((2, 2))
-    F, G = np.block([[I, dt * I], [O, I]]), np.vstack([dt**2 / 2 * I, dt * I])
-    R, H, Q = std**2 * I, np.hstack([I, O]), q * G @ G.T
+    one, none = np.eye(2), np.zeros((2, 2))
+    F, G = np.block([[one, dt * one], [none, one]]), np.vstack([dt**2 / 2 * one, dt * one])
+    R, H, Q = std**2 * one, np.hstack([one, none]), q * G @ G.T
     targets: list[Target] = []
     number, free_before, shown = 0, [], []
     for z in scans:
@@ -100,9 +100,9 @@ def begin(
     how: dict[str, float], free: list[Array], before: list[Array], dt: float, R: Array
 ) -> tuple[list[tuple[Array, Array, int]], list[Array]]:
     """Births (mean, P, measurements), and the measurements that are left for the next scan's."""
-    O = np.zeros((2, 2))
+    none = np.zeros((2, 2))
     if "velocity" in how:
-        P = np.block([[R, O], [O, how["velocity"] ** 2 * np.eye(2)]])
+        P = np.block([[R, none], [none, how["velocity"] ** 2 * np.eye(2)]])
         return [(np.r_[z, 0, 0], P, 1) for z in free], []
     reach = how["speed"] * dt + 3 * 2 * math.sqrt(np.trace(R))
     P = np.block([[R, R / dt], [R / dt, 2 * R / dt**2]])
@@ -112,12 +112,12 @@ def begin(
 
 
 def nearest(before: list[Array], now: list[Array], reach: float) -> list[tuple[int, int]]:
-    """As many pairs within reach as possible, of all such choices the one with the least sum, in order of ``before``."""
+    """As many pairs within reach as possible, and of all such choices the one with the least sum."""
     best: tuple[int, float, list[tuple[int, int]]] = (0, 0.0, [])
     for choice in itertools.product([None, *range(len(now))], repeat=len(before)):
         pairs = [(i, j) for i, j in enumerate(choice) if j is not None]
         far = [float(np.linalg.norm(now[j] - before[i])) for i, j in pairs]
-        if len({j for _, j in pairs}) == len(pairs) and all(d <= reach for d in far):
-            if (-len(pairs), sum(far)) < (-best[0], best[1]):
-                best = (len(pairs), sum(far), pairs)
+        allowed = len({j for _, j in pairs}) == len(pairs) and all(d <= reach for d in far)
+        if allowed and (-len(pairs), sum(far)) < (-best[0], best[1]):
+            best = (len(pairs), sum(far), pairs)
     return best[2]

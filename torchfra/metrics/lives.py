@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -74,13 +75,13 @@ def lives(mean: Tensor, truth: Tensor, states: slice, *, cutoff: float = 100.0) 
             f"{tuple(truth.shape)}"
         )
     estimates, targets = (
-        x[..., states].detach().double().cpu().reshape(-1, *x.shape[-3:-1], x[..., states].shape[-1]).numpy()
+        x[..., states].detach().double().cpu().reshape(math.prod(batch), *x[..., states].shape[-3:]).numpy()
         for x in (mean, truth)
     )
     follower = np.stack([_followers(e, t, cutoff) for e, t in zip(estimates, targets, strict=True)])
     there = [torch.from_numpy(~np.isnan(x).any(-1)) for x in (targets, estimates)]
     counts = _counts(torch.from_numpy(follower), *there)
-    return Lives(*(x.reshape(*batch, -1).to(mean.device) for x in counts))
+    return Lives(*(x.reshape(*batch, x.shape[-1]).to(mean.device) for x in counts))
 
 
 def _followers(estimates: NDArray[np.float64], targets: NDArray[np.float64], cutoff: float) -> NDArray[np.int64]:

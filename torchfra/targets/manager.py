@@ -17,7 +17,7 @@ from torchfra.targets.clusters import Group
 from torchfra.targets.merging import Merging
 from torchfra.targets.places import known_components, place, to_cartesian
 from torchfra.targets.records import collected
-from torchfra.targets.rules import Confirmation, Deletion, MOfN
+from torchfra.targets.rules import SPRT, Confirmation, Deletion
 from torchfra.targets.scan import Look, look_at
 from torchfra.targets.state import TargetsEstimate, TargetsState, Track, Unexplained, joined, rows
 from torchfra.types import Gaussian
@@ -37,9 +37,10 @@ class Targets(nn.Module):
     Args:
         filter: around a filter of one target; a copy of it runs here.  Its hyperparameters are the same for all
             targets, and they are not measured for certain: ``detection`` or the gate's probability is below 1.
-        birth: how targets begin; needs a sensor that ``locates``.
-        confirmation: when tentative targets are confirmed or given up.
-        deletion: when targets end.
+        birth: how targets begin, ``OnePoint()`` if None; needs a sensor that ``locates``.
+        confirmation: when tentative targets are confirmed or given up, ``SPRT()`` if None; scores need clutter of a
+            Poisson rate.
+        deletion: when targets end, ``Deletion()`` if None.
         merging: which tracks are of one target; None for never.
         free: probability that a measurement is no target's above which it may begin one.
 
@@ -63,7 +64,7 @@ class Targets(nn.Module):
             raise ValueError(f"free: expected a probability above 0 and below 1, received {free}")
         self.filter = copy.deepcopy(filter)
         self.birth = OnePoint() if birth is None else birth
-        self.confirmation = MOfN() if confirmation is None else confirmation
+        self.confirmation = SPRT() if confirmation is None else confirmation
         self.deletion = Deletion() if deletion is None else deletion
         self.merging, self.free = merging, free
         if (self.confirmation.scored or self.deletion.drop is not None) and filter.clutter.rate is None:
