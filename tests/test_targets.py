@@ -12,7 +12,7 @@ from torchfra.association import ChiSquare, Clutter, Euclidean
 from torchfra.gaussian.inputs import Measurements
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, aircraft
 from torchfra.sensors import Bearings, Position, RangeBearing
-from torchfra.targets import SPRT, Deletion, Merging, MOfN, OnePoint, Targets, TwoPoint
+from torchfra.targets import SPRT, Deletion, Merging, MOfN, OnePoint, Targets, TwoPoint, collect
 from torchfra.targets.scan import Look, look_at
 from torchfra.types import Gaussian
 
@@ -79,7 +79,9 @@ def test_a_batch_of_scenes_is_each_scene_alone_and_a_stream_of_scans():
         assert (together.identity[i, K:] == -1).all()
         torch.testing.assert_close(together.mean[i, :K], alone.mean, equal_nan=True)
         torch.testing.assert_close(together.log_likelihood[i], alone.log_likelihood)
-        for t, state in enumerate(run(targets, scene)):
+        states = run(targets, scene)
+        torch.testing.assert_close(collect(states), alone, equal_nan=True)
+        for t, state in enumerate(states):
             there = alone.confirmed[:, t]
             assert state.identity.tolist() == alone.identity[there].tolist()
             torch.testing.assert_close(state.confirmed.mean, alone.mean[there, t])
@@ -306,5 +308,9 @@ def test_sequences_and_states_that_do_not_fit_are_named():
         targets(torch.zeros(5, 3, 2).double(), dt=torch.ones(4))
     with pytest.raises(ValueError, match="state: expected what init or step has returned"):
         targets.step(None, torch.zeros(3, 2).double())
+    with pytest.raises(ValueError, match="states: expected one or more, of 2 scenes"):
+        collect([targets.init()], (2,))
+    with pytest.raises(ValueError, match="states: expected one or more"):
+        collect([])
     with pytest.raises(ValueError, match="scenes: expected 1 or more"):
         targets.init(0)

@@ -16,7 +16,7 @@ from torchfra.targets.checks import check_filter, check_parts, check_scan, check
 from torchfra.targets.clusters import Group
 from torchfra.targets.merging import Merging
 from torchfra.targets.places import known_components, place, to_cartesian
-from torchfra.targets.records import collected
+from torchfra.targets.records import collect
 from torchfra.targets.rules import SPRT, Confirmation, Deletion
 from torchfra.targets.scan import Look, look_at
 from torchfra.targets.state import TargetsEstimate, TargetsState, Track, Unexplained, joined, rows
@@ -93,7 +93,8 @@ class Targets(nn.Module):
         empty = Gaussian(nothing.reshape(0, n), nothing.reshape(0, n, n))
         position = Gaussian(nothing.reshape(0, dims), nothing.reshape(0, dims, dims))
         next_identity = torch.zeros(scenes, dtype=torch.int64, device=device)
-        return TargetsState(self.filter.begin(empty), track, Unexplained(position, none, nothing), next_identity)
+        return TargetsState(self.filter.begin(empty), track, Unexplained(position, none, nothing), next_identity,
+                            nothing.new_zeros(scenes))  # fmt: skip
 
     def step(self, state: TargetsState, z: Tensor, *, dt: Time = 1.0, u: Tensor | None = None) -> TargetsState:
         """One scan.
@@ -108,7 +109,7 @@ class Targets(nn.Module):
             ValueError: a shape or a value that does not fit.
             ImportError: scipy is not installed.
         """
-        return self._step(state, check_scan(self.filter, state, z, dt, u))[0]
+        return self._step(state, check_scan(self.filter, state, z, dt, u))
 
     def forward(self, z: Tensor, *, dt: Time = 1.0, u: Tensor | None = None) -> TargetsEstimate:
         """Whole sequences of scans, from no target on.
@@ -123,15 +124,14 @@ class Targets(nn.Module):
             ImportError: scipy is not installed.
         """
         looks = check_scans(self.filter, z, dt, u)
-        state, states, densities = self.init(len(looks[0].z), dtype=z.dtype, device=z.device), [], []
+        state, states = self.init(len(looks[0].z), dtype=z.dtype, device=z.device), []
         for look in looks:
-            scene, (state, density) = state.track.scene, self._step(state, look)
+            state = self._step(state, look)
             states.append(state)
-            densities.append(look.dt.new_zeros(len(look.dt)).index_add(0, scene, density))
-        return collected(states, densities, z.shape[:-3])
+        return collect(states, z.shape[:-3])
 
-    def _step(self, state: TargetsState, look: Look) -> tuple[TargetsState, Tensor]:
-        """The next state, and the log density of the scan, shared out among the targets that were there."""
+    def _step(self, state: TargetsState, look: Look) -> TargetsState:
+        """The next state."""
         after, said, groups = look_at(self.filter, state.filter, state.track.scene, look)
         miss = log_miss(self.filter.detection, self.filter.gate, said.log_missed)
         track = _aged(state.track, said.log_missed, miss)
@@ -144,8 +144,8 @@ class Targets(nn.Module):
         confirmed, given_up = self.confirmation(track)
         track = track._replace(confirmed=track.confirmed | confirmed)
         here = track.confirmed | ~given_up
-        state = TargetsState(rows(everyone, here), rows(track, here), unexplained, next_identity)
-        return state, said.density
+        density = torch.zeros_like(state.log_likelihood).index_add(0, state.track.scene, said.density)
+        return TargetsState(rows(everyone, here), rows(track, here), unexplained, next_identity, density)
 
     def _ends(self, belief: Gaussian, track: Track, groups: list[Group]) -> Tensor:
         """Which targets ``(N,)`` are missed too much, or are others."""

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import torch
-from torch import Tensor
 
 from torchfra.targets.state import TargetsEstimate, TargetsState
 
 
-def collected(states: list[TargetsState], densities: list[Tensor], batch: torch.Size) -> TargetsEstimate:
-    """The targets that were ever confirmed, in tensors in which each has its place.
+def collect(states: Sequence[TargetsState], batch: Sequence[int] = ()) -> TargetsEstimate:
+    """The targets that were ever confirmed, each in a place of its own.
 
     Args:
-        states: after each scan, of R scenes.
-        densities: ``(R,)`` log density of each scan.
-        batch: of the scenes.
+        states: after each scan of a stream, from the first on.
+        batch: of the scenes, their number split up; none for one scene.
+
+    Raises:
+        ValueError: no state, or another number of scenes.
     """
+    if not states or math.prod(batch) != len(states[0].next_identity):
+        received = f"{len(states)} of {len(states[0].next_identity) if states else 0} scenes"
+        raise ValueError(f"states: expected one or more, of {math.prod(batch)} scenes, received {received}")
     marks = [s.track.confirmed for s in states]
     belief = [s.confirmed for s in states]
     scene, identity = (torch.cat([x[m] for x, m in zip(xs, marks, strict=True)]) for xs in (
@@ -34,5 +41,5 @@ def collected(states: list[TargetsState], densities: list[Tensor], batch: torch.
     shape = (*batch, K)
     return TargetsEstimate(
         mean.reshape(*shape, T, n), root.reshape(*shape, T, n, n), names.reshape(shape),
-        torch.stack(densities, -1).reshape(*batch, T),
+        torch.stack([s.log_likelihood for s in states], -1).reshape(*batch, T),
     )  # fmt: skip

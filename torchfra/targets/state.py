@@ -52,6 +52,8 @@ class TargetsState(NamedTuple):
     unexplained: Unexplained
     next_identity: Tensor
     """``(R,)`` of each scene."""
+    log_likelihood: Tensor
+    """``(R,)`` log density of the last scan against one of false measurements alone, tentative targets included."""
 
     @property
     def belief(self) -> Gaussian:
