@@ -3,9 +3,9 @@
     python scripts/targets.py --runs 200 --seed 7 --json out/targets.json --picture out/targets.png
 
 - many: ten aircraft in clutter, ``scenarios.clutter_many``;
-- recorded: all flights of a day over Switzerland (sample tracks of the package ``traffic``) at the times at which they
-  were recorded, up to 200 of them at once: positions with a standard deviation of 50 m every 5 s, of which 10 % are
-  missing, among 300 false ones per scan;
+- recorded: flights over Switzerland (sample tracks of the package ``traffic``) as recorded: positions with a standard
+  deviation of 50 m every 5 s, of which 10 % are missing, among 300 false ones per scan;
+- folded: all flights of that day in two hours, so that some 190 of them are there at once;
 - crowd: 200 targets in a square of 100 km and 300 false measurements per scan, 1 s apart.
 """
 
@@ -38,9 +38,11 @@ from torchfra.association import ChiSquare
 from torchfra.tables import text_table
 from torchfra.targets import Deletion, Merging, Targets, TwoPoint, collect
 
-WHAT = ("many", "recorded", "crowd")
-DT, FIRST = 5.0, 23_000.0
-"""Seconds between scans of the recorded flights, and from the first fix of the day to the first scan."""
+WHAT = ("many", "recorded", "folded", "crowd")
+DT = 5.0
+"""Seconds between scans of the recorded flights."""
+CROWD = 120
+"""Scans of the crowd, after which it would have left the square."""
 AT_ONCE = 20
 """Runs that are simulated side by side."""
 
@@ -50,8 +52,8 @@ def main(arguments: list[str] | None = None) -> int:
     p = make_parser(__doc__)
     add_runs_options(p, 200, 7)
     p.add_argument("--what", default=",".join(WHAT), metavar="A,B", help=f"out of {', '.join(WHAT)} (default: all)")
-    p.add_argument("--scans", type=int, default=360, metavar="T", help="of the recorded flights and the crowd")
-    p.add_argument("--picture", type=Path, metavar="FILE", help="draw the recorded flights")
+    p.add_argument("--scans", type=int, default=1440, metavar="T", help="of the recorded flights (default: 1440)")
+    p.add_argument("--picture", type=Path, metavar="FILE", help="draw the recorded flights, the last of the two")
     add_json_option(p)
     add_quiet_option(p)
     options = p.parse_args(arguments)
@@ -68,13 +70,15 @@ def compare(options: argparse.Namespace) -> None:
     with torch.no_grad():
         if "many" in what:
             found["many"] = many(options.runs, options.seed)
-        if "recorded" in what:
-            world = recorded(swiss_traffic(), options.seed, DT, FIRST, options.scans)
-            found["recorded"], estimate = streamed(world)
-            if options.picture is not None:
-                save(picture(world, estimate), options.picture)
+        flights = swiss_traffic() if {"recorded", "folded"} & set(what) else []
+        for name in ("recorded", "folded"):
+            if name in what:
+                world = recorded(flights, options.seed, DT, options.scans, folded=name == "folded")
+                found[name], estimate = streamed(world)
+                if options.picture is not None:
+                    save(picture(world, estimate), options.picture)
         if "crowd" in what:
-            found["crowd"] = streamed(crowd(options.seed, options.scans))[0]
+            found["crowd"] = streamed(crowd(options.seed, min(options.scans, CROWD)))[0]
     if not options.quiet:
         keys = list(dict.fromkeys(key for figures in found.values() for key in figures))
         rows = [[key, *(f"{of[key]:.4g}" if key in of else "" for of in found.values())] for key in keys]

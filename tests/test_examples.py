@@ -28,8 +28,8 @@ def numbers(pattern, text):
     return [float(x) for match in re.findall(pattern, text) for x in ([match] if isinstance(match, str) else match)]
 
 
-def test_there_are_six_numbered_examples_of_80_lines_or_fewer():
-    assert [int(name[:2]) for name in EXAMPLES] == [1, 2, 3, 4, 5, 6]
+def test_there_are_numbered_examples_of_80_lines_or_fewer():
+    assert [int(name[:2]) for name in EXAMPLES] == [1, 2, 3, 4, 5, 6, 9]
     assert all(len(path.read_text().splitlines()) <= 80 for path in EXAMPLES.values())
 
 
@@ -94,3 +94,14 @@ def test_the_filter_that_estimates_the_measurement_noise_tracks_crossing_targets
     fixed, _, estimated, _ = numbers(r"median +([\d.]+) m, largest +([\d.]+) m", output)
     assert estimated < 0.7 * fixed
     assert output.count("missed") == 2
+
+
+def test_ten_targets_are_followed_without_a_switch(capsys):
+    load("09_ten_targets").main([])
+    output = capsys.readouterr().out
+    lives = numbers(r"there for +(\d+) scans, followed for +(\d+), found after (\d+), switches (\d+)", output)
+    assert len(lives) == 40
+    assert sum(lives[1::4]) > 0.9 * sum(lives[::4])
+    assert sum(lives[3::4]) == 0
+    assert output.count("comes") >= 10
+    assert numbers(r"GOSPA ([\d.]+) m", output)[0] < 60

@@ -36,19 +36,28 @@ class World(NamedTuple):
     """Distance from which on a target is not followed, m."""
 
 
-def recorded(recordings: Sequence[Recording], seed: int, dt: float, first: float, scans: int) -> World:
-    """Aircraft as recorded, at the times at which they were recorded, from ``first`` seconds after the earliest on."""
-    start = min(recording.time[0] for recording in recordings) + first
-    grid, rows = start + dt * np.arange(scans), []
-    for recording in recordings:
-        for time, position in resample(recording, dt, max_gap=60.0):
-            inside = (grid >= time[0]) & (grid <= time[-1])
-            if inside.sum() >= 2:
-                axes = [np.interp(grid, time, x) for x in position[:, :2].T]
-                rows.append(np.where(inside[:, None], np.stack(axes, -1), np.nan))
+def recorded(flights: Sequence[Recording], seed: int, dt: float, scans: int, *, folded: bool) -> World:
+    """Aircraft as recorded, from the middle of the recorded time on.
+
+    Args:
+        flights: without gaps, see ``torchfra.readers.flyable``.
+        seed: of the measurements.
+        dt: seconds between scans.
+        scans: how many.
+        folded: whether all flights are moved by a whole multiple of that time, so that they begin in it.
+    """
+    start, end = min(f.time[0] for f in flights), max(f.time[-1] for f in flights)
+    grid, rows = (start + end - dt * scans) / 2 + dt * np.arange(scans), []
+    for flight in flights:
+        ((time, position),) = resample(flight, 1.0, max_gap=math.inf)
+        time = time - folded * dt * scans * ((time[0] - grid[0]) // (dt * scans))
+        inside = (grid >= time[0]) & (grid <= time[-1])
+        if inside.sum() >= 2:
+            axes = [np.interp(grid, time, x) for x in position[:, :2].T]
+            rows.append(np.where(inside[:, None], np.stack(axes, -1), np.nan))
     truth = torch.from_numpy(np.stack(rows))
-    low = truth.nan_to_num(nan=math.inf).amin((0, 1)), truth.nan_to_num(nan=-math.inf).amax((0, 1))
-    return _world(truth, low, seed, dt, q=4.0, speed=350.0)
+    corners = truth.nan_to_num(nan=math.inf).amin((0, 1)), truth.nan_to_num(nan=-math.inf).amax((0, 1))
+    return _world(truth, corners, seed, dt, q=4.0, speed=350.0)
 
 
 def crowd(seed: int, scans: int, count: int = 200, width: float = 100e3) -> World:
@@ -85,8 +94,10 @@ def _world(truth: Tensor, corners: tuple[Tensor, Tensor], seed: int, dt: float, 
 def swiss_traffic() -> list[Recording]:
     """All flights of a day over Switzerland, of the sample tracks that come with the package ``traffic``.
 
+    Gaps of a minute split them, and their time stamps are mended: ``torchfra.readers.flyable``.
+
     Raises:
         ImportError: the package is not installed.
     """
     (file,) = (file for file in readers.samples("collections") if file.name.startswith("switzerland"))
-    return list(readers.read(file))
+    return [piece for recording in readers.read(file) for piece in readers.flyable(recording, max_gap=60.0)]

@@ -18,7 +18,7 @@ from torchfra.targets.merging import Merging
 from torchfra.targets.places import known_components, place, to_cartesian
 from torchfra.targets.records import collect
 from torchfra.targets.rules import SPRT, Confirmation, Deletion
-from torchfra.targets.scan import Look, look_at
+from torchfra.targets.scan import Look, Said, look_at
 from torchfra.targets.state import TargetsEstimate, TargetsState, Track, Unexplained, joined, rows
 from torchfra.types import Gaussian
 
@@ -89,12 +89,11 @@ class Targets(nn.Module):
         nothing = torch.zeros(0, dtype=dtype, device=device)
         none = torch.zeros(0, dtype=torch.int64, device=device)
         hits = none.bool().reshape(0, self.confirmation.window)
-        track = Track(none, none, none.bool(), hits, none, none, nothing, nothing)
+        track = Track(none, none, none.bool(), hits, none, none, nothing, nothing, nothing)
         empty = Gaussian(nothing.reshape(0, n), nothing.reshape(0, n, n))
         position = Gaussian(nothing.reshape(0, dims), nothing.reshape(0, dims, dims))
         next_identity = torch.zeros(scenes, dtype=torch.int64, device=device)
-        return TargetsState(self.filter.begin(empty), track, Unexplained(position, none, nothing), next_identity,
-                            nothing.new_zeros(scenes))  # fmt: skip
+        return TargetsState(self.filter.begin(empty), track, Unexplained(position, none, nothing), next_identity)
 
     def step(self, state: TargetsState, z: Tensor, *, dt: Time = 1.0, u: Tensor | None = None) -> TargetsState:
         """One scan.
@@ -134,7 +133,7 @@ class Targets(nn.Module):
         """The next state."""
         after, said, groups = look_at(self.filter, state.filter, state.track.scene, look)
         miss = log_miss(self.filter.detection, self.filter.gate, said.log_missed)
-        track = _aged(state.track, said.log_missed, miss)
+        track = _aged(state.track, said, miss)
         stays = ~self._ends(after.belief, track, groups)
         newborn, unexplained = self._births(state.unexplained, said.explained, look)
         track, next_identity = _with_newborn(rows(track, stays), newborn, state.next_identity)
@@ -144,8 +143,7 @@ class Targets(nn.Module):
         confirmed, given_up = self.confirmation(track)
         track = track._replace(confirmed=track.confirmed | confirmed)
         here = track.confirmed | ~given_up
-        density = torch.zeros_like(state.log_likelihood).index_add(0, state.track.scene, said.density)
-        return TargetsState(rows(everyone, here), rows(track, here), unexplained, next_identity, density)
+        return TargetsState(rows(everyone, here), rows(track, here), unexplained, next_identity)
 
     def _ends(self, belief: Gaussian, track: Track, groups: list[Group]) -> Tensor:
         """Which targets ``(N,)`` are missed too much, or are others."""
@@ -165,19 +163,20 @@ class Targets(nn.Module):
         return newborn, left
 
 
-def _aged(track: Track, log_missed: Tensor, log_miss: Tensor) -> Track:
+def _aged(track: Track, said: Said, log_miss: Tensor) -> Track:
     """Targets after one more scan.
 
     Args:
         track: before.
-        log_missed: ``(N,)`` log probability that each was missed, now that the scan has come.
-        log_miss: the same before it had come.
+        said: what the scan has said of them.
+        log_miss: log probability to be missed, before it came.
     """
-    hit = log_missed < math.log(0.5)
-    score = track.score + log_miss - log_missed
+    hit = said.log_missed < math.log(0.5)
+    score = track.score + log_miss - said.log_missed
     return track._replace(
         hits=torch.cat([hit.unsqueeze(-1), track.hits[:, :-1]], -1), age=track.age + 1,
         misses=torch.where(hit, 0, track.misses + 1), score=score, best=torch.maximum(track.best, score),
+        density=said.density,
     )  # fmt: skip
 
 
@@ -190,6 +189,14 @@ def _with_newborn(track: Track, newborn: Newborn, next_identity: Tensor) -> tupl
     zero, scores = torch.zeros_like(identity), track.score.new_zeros(len(identity))
     hits = torch.arange(track.hits.shape[-1], device=scene.device) < newborn.hits
     begun = Track(
-        identity, newborn.scene, zero.bool(), hits.expand(len(identity), -1), zero + newborn.hits, zero, scores, scores
+        identity,
+        newborn.scene,
+        zero.bool(),
+        hits.expand(len(identity), -1),
+        zero + newborn.hits,
+        zero,
+        scores,
+        scores,
+        scores,
     )
     return joined(track, begun), next_identity + count
