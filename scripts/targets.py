@@ -43,8 +43,8 @@ DT = 5.0
 """Seconds between scans of the recorded flights."""
 CROWD = 120
 """Scans of the crowd, after which it would have left the square."""
-AT_ONCE = 20
-"""Runs that are simulated side by side."""
+AT_ONCE, PART = 20, 10
+"""Runs that are simulated side by side, and scans that are compared with the truth at once."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -122,12 +122,14 @@ def streamed(world: World) -> tuple[dict[str, float], Tensor]:
 
 def numbers(mean: Tensor, truth: Tensor, states: slice, cutoff: float) -> dict[str, Tensor]:
     """What became of the targets of each run ``(R, ...)``, to be summed up."""
-    gospa, lives = metrics.gospa(mean, truth, states, cutoff=cutoff), metrics.lives(mean, truth, states, cutoff=cutoff)
-    parts = {f"GOSPA, {name}, m": value.mean(-1) for name, value in gospa._asdict().items()}
+    scans = zip(mean.split(PART, -2), truth.split(PART, -2), strict=True)
+    parts = [metrics.gospa(*part, states, cutoff=cutoff)._asdict() for part in scans]
+    gospa = {f"GOSPA, {name}, m": torch.cat([part[name] for part in parts], -1).mean(-1) for name in parts[0]}
+    lives = metrics.lives(mean, truth, states, cutoff=cutoff)
     of_targets = ("length", "followed", "longest", "switches", "breaks")
     counts = {name: getattr(lives, name).sum(-1) for name in of_targets}
     tracks = {"track_length": lives.track_length.sum(-1), "false": lives.false.sum(-1)}
-    return parts | counts | tracks | {
+    return gospa | counts | tracks | {
         "begun": lives.begun.nanmean(-1), "targets": (lives.length > 0).sum(-1),
         "false_tracks": lives.false_tracks, "missed_targets": lives.missed_targets,
     }  # fmt: skip

@@ -23,9 +23,8 @@ def main(arguments: list[str] | None = None) -> None:
     tracks = scenario.simulate(1, options.seed)
     truth, scans = tracks.truth[0], tracks.z[0]  # (10, 100, 6), NaN where one is not there, and (100, 40, 3)
 
-    f = presets.jpda(
-        scenario.motion, scenario.sensor, clutter=scenario.clutter, detection=scenario.detection, gate=ChiSquare(0.99999)
-    )
+    f = presets.jpda(scenario.motion, scenario.sensor, clutter=scenario.clutter, detection=scenario.detection,
+                     gate=ChiSquare(0.99999))  # fmt: skip
     targets = Targets(
         f,
         birth=TwoPoint(speed=80.0),  # two measurements in a row that are nobody's
@@ -49,7 +48,8 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"aircraft {i}: there for {lives.length[i]:3d} scans, followed for {lives.followed[i]:3d}, found after "
               f"{lives.begun[i]:.0f}, switches {lives.switches[i]}")  # fmt: skip
     gospa = metrics.gospa(estimate.mean, truth, scenario.truth_position)
-    print(f"{len(estimate.mean)} targets found, {lives.false_tracks} of them false; GOSPA {gospa.distance.mean():.1f} m")
+    found = f"{len(estimate.mean)} targets found, {lives.false_tracks} of them false"
+    print(f"{found}; GOSPA {gospa.distance.mean():.1f} m")
 
 
 if __name__ == "__main__":

@@ -122,6 +122,7 @@ def _counts(follower: Tensor, target: Tensor, track: Tensor) -> tuple[Tensor, ..
     first = torch.where(followed.any(-1), followed.int().argmax(-1), -1)
     until = torch.arange(follower.shape[-1]) < first.unsqueeze(-1)
     begun = torch.where(first >= 0, (target & until).sum(-1).double(), torch.nan)
-    busy = torch.nn.functional.one_hot(follower + 1, track.shape[1] + 1)[..., 1:].sum(1).mT  # (B, N, T)
-    false = (track & (busy == 0)).sum(-1)
+    busy = torch.zeros(len(track), track.shape[1] + 1, track.shape[2], dtype=torch.bool)
+    busy.scatter_(1, follower + 1, torch.ones_like(followed))  # the first row is that of no track
+    false = (track & ~busy[:, 1:]).sum(-1)
     return target.sum(-1), followed.sum(-1), longest, begun, switches, breaks, track.sum(-1), false
