@@ -221,7 +221,7 @@ def test_steps_between_fixes_change_neither_what_is_found_nor_the_estimates_at_t
     fix = dense.row >= 0
     assert len(dense.time) == 898
     assert (dense.found.sigma, dense.found.q) == (plain.found.sigma, plain.found.q)
-    assert np.abs(dense.position[fix] - plain.position).mean() < 0.15 * plain.std.mean()
+    assert np.abs(dense.position[fix] - plain.position).mean() < 0.05 * plain.std.mean()
 
 
 def test_a_sigma_for_each_fix_is_taken_without_a_warning():
