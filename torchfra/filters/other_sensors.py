@@ -49,8 +49,9 @@ class HasViews(nn.Module):
         Raises:
             ValueError: something else, or a filter that is of one sensor, with the reason.
         """
-        own = sensor is None or sensor is self.sensor or any(sensor is x for x in self.given)
-        return self if own else self._views(self, sensor)
+        if sensor is None or sensor is self.sensor or any(sensor is x for x in self.given):
+            return self
+        return self._views(self, sensor)
 
     def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
         """Its parts, by name, that are others around another sensor."""
