@@ -11,10 +11,11 @@ from oracles import gpb as regimes
 from oracles import joint_models
 
 from torchfra import losses, presets
+from torchfra.angles import wrap
 from torchfra.association import ChiSquare, Clutter, Euclidean
 from torchfra.filters import IMM, JPDA, SRCKF
 from torchfra.filters.fixed_lag import FixedLag
-from torchfra.motion import Bank, ConstantVelocity, CoordinatedTurn, aircraft
+from torchfra.motion import Bank, ConstantVelocity, CoordinatedTurn, Spherical, aircraft
 from torchfra.sensors import Position, Ranges
 from torchfra.types import Gaussian
 
@@ -224,6 +225,30 @@ def test_values_may_differ_between_targets():
             z, Gaussian(prior.mean[:1], prior.scale_tril[:1])
         )
         torch.testing.assert_close(both.mean[0], alone.mean[0], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("inner", [presets.imm_srckf, presets.gpb])
+def test_targets_across_the_cut_of_the_azimuth_are_those_of_any_other_direction(crossing, scans, inner):
+    """The whole scene turned, so that one target flies to and fro where the azimuth jumps by a turn."""
+    bank = Bank([crossing.motion, Spherical(ConstantVelocity(4.0, 3))])
+    f = presets.jpda(bank, crossing.sensor, inner=inner, clutter=crossing.clutter, gate=Euclidean(150.0, least=0.9999))
+    z, (mean, root) = scans.z[:, :12], scans.prior
+    azimuth, (of_state,) = 0, bank.angles
+    plain = f(z, scans.prior)
+    by = -plain.mean[0, 0, 6, of_state]
+
+    def turned(x, element):
+        x = x.clone()
+        x[..., element] = wrap(x[..., element] + by)
+        return x
+
+    other = f(turned(z, azimuth), Gaussian(turned(mean, of_state), root))
+    assert other.mean[0, 0, :, of_state].min() < 0.1
+    assert other.mean[0, 0, :, of_state].max() > 6.2
+    gap = other.mean - turned(plain.mean, of_state)
+    gap[..., of_state] = wrap(gap[..., of_state])
+    assert gap.abs().max() < 1e-9
+    torch.testing.assert_close(other.scale_tril, plain.scale_tril, rtol=1e-7, atol=1e-10)
 
 
 def test_a_lost_track_of_several_models_searches_and_finds():
