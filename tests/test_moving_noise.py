@@ -1,11 +1,14 @@
 """Process noise that follows the state is the integral of what each disturbance leaves, to many digits."""
 
+import copy
+
 import mpmath
 import pytest
 import torch
 from mpmath import mpf
 from numpy.polynomial.legendre import leggauss
 
+from torchfra.hyper import learnable
 from torchfra.motion import (
     Bicycle,
     Clock,
@@ -175,3 +178,19 @@ def test_walks_and_clocks_have_their_known_noise():
     steady = tensor([0.3 * STEP + 0.02 * STEP**3 / 3, 0.02 * STEP**2 / 2], [0.02 * STEP**2 / 2, 0.02 * STEP])
     torch.testing.assert_close(covariance(Clock(0.3, 0.02)), steady)
     assert Clock(0.3, 0.02).transition(torch.tensor(STEP).double()).tolist() == [[1, STEP], [0, 1]]
+
+
+@pytest.mark.parametrize("motion", [
+    RandomWalk(0.3), Clock(0.3, 0.02), IntegratedOrnsteinUhlenbeck(0.3, 0.1), ConstantSpeed(0.3, 0.1, spectral=True),
+    UnknownTurn(0.7, 0.02), UnknownTurn(0.7, 0.02, spectral=True), Bicycle(2.7, 0.7, 0.02),
+    Bicycle(2.7, 0.7, 0.02, spectral=True),
+], ids=lambda motion: motion.describe())  # fmt: skip
+def test_a_step_of_no_time_leaves_the_state_and_adds_no_noise_with_finite_gradients(motion):
+    motion = learnable(copy.deepcopy(motion), "all")
+    dt, mean = tensor(1.0, 0.0, 1.0), tensor(1, 2, 3, 0.4, 0.1, 3)[: motion.size].expand(3, -1)
+    torch.testing.assert_close(motion(mean, dt)[1], mean[1])
+    root = motion.process_noise(dt)
+    root = root if motion.linear else motion.process_noise_at(root, mean, dt)
+    assert (root[1] == 0).all()
+    root.square().sum().backward()
+    assert all(p.grad is None or p.grad.isfinite().all() for p in motion.parameters())

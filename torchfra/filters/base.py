@@ -13,8 +13,8 @@ from torchfra.filters.checks import check_lengths, check_models, check_state
 from torchfra.filters.compiling import Compilable
 from torchfra.filters.failures import diagnose
 from torchfra.filters.fusion import fused
-from torchfra.filters.guests import Host, Views
 from torchfra.filters.loop import run
+from torchfra.filters.other_sensors import HasViews, SensorViews
 from torchfra.filters.records import Kept, Record
 from torchfra.filters.smoothing import Smoother
 from torchfra.gaussian.arguments import check, check_belief, check_kinds
@@ -27,7 +27,7 @@ from torchfra.types import Estimate, Gaussian, Innovation
 Mix = Callable[[Gaussian], Gaussian]
 
 
-class Filter(Compilable, Host, Smoother):
+class Filter(Compilable, HasViews, Smoother):
     """Abstract: ``TrackFilter`` for tracks of one target, ``ScanFilter`` for scans of several.
 
     A subclass gives ``begin`` and ``advance``.  It keeps nothing of a track; it runs where ``z`` is, in its dtype.
@@ -47,7 +47,7 @@ class Filter(Compilable, Host, Smoother):
 
     def __init__(self, motion: Motion | None = None, sensor: Sensor | None = None) -> None:
         super().__init__()
-        self._kernels, self._views = None, Views()
+        self._kernels, self._views = None, SensorViews()
         if motion is not None and sensor is not None:
             check_models(motion, sensor)
             self.motion, self.sensor = motion, sensor

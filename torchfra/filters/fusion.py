@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from torchfra import tree
-from torchfra.filters.guests import mixed, sharing
+from torchfra.filters.other_sensors import mixed, sharing
 from torchfra.filters.records import Kept
 from torchfra.gaussian.arguments import check
 from torchfra.gaussian.inputs import Frame, Measurements, Timed

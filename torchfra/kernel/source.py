@@ -69,10 +69,18 @@ class Scan:
         return sorted(needed)
 
     def source(self, narrow: bool = False) -> str:
-        """The translation unit.
+        """The translation unit, whose function is ``run``.
 
         Args:
             narrow: whether for one track, in plain C++ that needs no headers of torch; or for many, in vectors.
+
+        Raises:
+            CompileError: the step has too many operations.
+        """
+        return "".join((*self.parts(narrow), _file("run.cpp")))
+
+    def parts(self, narrow: bool) -> tuple[str, str]:
+        """What any scan of this dtype needs, and the function ``block`` of this one.
 
         Raises:
             CompileError: the step has too many operations.
@@ -89,11 +97,11 @@ class Scan:
         step += [f"c{p}_{e} = {_number(self.book, self.after[p].ids[e])};" for p, e, _ in carried]
         after_loop = [f"put(out[{p}], {e}, {f'c{p}_{e}' if i != ZERO else 'all(0)'}, at);"
                       for p, port in enumerate(self.carry) for e, i in enumerate(port.ids)]  # fmt: skip
-        text = _template(narrow).replace("SCALAR", SCALARS[self.dtype])
-        text = text.replace("TIME", "steps - 1 - k" if self.backwards else "k")
+        head, block = (text.replace("SCALAR", SCALARS[self.dtype]) for text in _template(narrow))
+        block = block.replace("TIME", "steps - 1 - k" if self.backwards else "k")
         for mark, lines in {"FIXED": before_loop, "STEP": step, "END": after_loop}.items():
-            text = text.replace(f"    // {mark}\n", "".join(f"    {line}\n" for line in lines if line))
-        return text
+            block = block.replace(f"    // {mark}\n", "".join(f"    {line}\n" for line in lines if line))
+        return head, block
 
     def _varying(self, live: list[int]) -> set[int]:
         """The expressions that change from step to step; all others are computed once, before the loop."""
@@ -179,11 +187,17 @@ _NUMBERS = {
 
 
 @lru_cache(maxsize=2)
-def _template(narrow: bool) -> str:
-    """``template.cpp`` with ``narrow.cpp`` or ``wide.cpp`` in it, and the functions in those."""
-    folder, forms = Path(__file__).parent, _NUMBERS if narrow else _VECTORS
+def _template(narrow: bool) -> tuple[str, str]:
+    """``template.cpp``, before its function and that, with ``narrow.cpp`` or ``wide.cpp`` and the functions in it."""
+    forms = _NUMBERS if narrow else _VECTORS
     functions = "".join(forms[count].format(name) for name, count in _FUNCTIONS.items())
     if narrow:
         functions = functions.replace("std::round(", "std::nearbyint(")  # halves to the even neighbour, as torch does
-    lanes = (folder / ("narrow.cpp" if narrow else "wide.cpp")).read_text().replace("// FUNCTIONS\n", functions)
-    return (folder / "template.cpp").read_text().replace("// LANES\n", lanes)
+    lanes = _file("narrow.cpp" if narrow else "wide.cpp").replace("// FUNCTIONS\n", functions)
+    head, mark, block = _file("template.cpp").replace("// LANES\n", lanes).partition("namespace {\nvoid block(")
+    return head, mark + block
+
+
+@lru_cache
+def _file(name: str) -> str:
+    return Path(__file__).with_name(name).read_text()

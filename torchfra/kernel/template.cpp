@@ -39,7 +39,9 @@ template <class... A> inline V norm_(const A&... a) {
   const V all_of_them[] = {a...};
   return scaled_norm(all_of_them, sizeof...(a), squares);
 }
+}  // namespace
 
+namespace {
 void block(const Port* in, const Port* out, int64_t steps, Block at) {
     // FIXED
   for (int64_t k = 0; k < steps; k++) {
@@ -50,9 +52,3 @@ void block(const Port* in, const Port* out, int64_t steps, Block at) {
     // END
 }
 }  // namespace
-
-extern "C" void run(int64_t tracks, int64_t steps, int threads, const Port* in, const Port* out) {
-#pragma omp parallel for num_threads(threads) schedule(static)
-  for (int64_t first = 0; first < tracks; first += W)
-    block(in, out, steps, Block{first, tracks - first < W ? tracks - first : W, 0});
-}

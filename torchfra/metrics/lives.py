@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -74,13 +75,13 @@ def lives(mean: Tensor, truth: Tensor, states: slice, *, cutoff: float = 100.0) 
             f"{tuple(truth.shape)}"
         )
     estimates, targets = (
-        x[..., states].detach().double().cpu().reshape(-1, *x.shape[-3:-1], x[..., states].shape[-1]).numpy()
+        x[..., states].detach().double().cpu().reshape(math.prod(batch), *x[..., states].shape[-3:]).numpy()
         for x in (mean, truth)
     )
     follower = np.stack([_followers(e, t, cutoff) for e, t in zip(estimates, targets, strict=True)])
     there = [torch.from_numpy(~np.isnan(x).any(-1)) for x in (targets, estimates)]
     counts = _counts(torch.from_numpy(follower), *there)
-    return Lives(*(x.reshape(*batch, -1).to(mean.device) for x in counts))
+    return Lives(*(x.reshape(*batch, x.shape[-1]).to(mean.device) for x in counts))
 
 
 def _followers(estimates: NDArray[np.float64], targets: NDArray[np.float64], cutoff: float) -> NDArray[np.int64]:
@@ -102,7 +103,7 @@ def _followers(estimates: NDArray[np.float64], targets: NDArray[np.float64], cut
             i, j = assign(cost)
             good = near[rows[i], columns[j]]
             follower[rows[i[good]], t] = columns[j[good]]
-        last = follower[:, t]
+        last[:] = follower[:, t]
     return follower
 
 
@@ -121,6 +122,7 @@ def _counts(follower: Tensor, target: Tensor, track: Tensor) -> tuple[Tensor, ..
     first = torch.where(followed.any(-1), followed.int().argmax(-1), -1)
     until = torch.arange(follower.shape[-1]) < first.unsqueeze(-1)
     begun = torch.where(first >= 0, (target & until).sum(-1).double(), torch.nan)
-    busy = torch.nn.functional.one_hot(follower + 1, track.shape[1] + 1)[..., 1:].sum(1).mT  # (B, N, T)
-    false = (track & (busy == 0)).sum(-1)
+    busy = torch.zeros(len(track), track.shape[1] + 1, track.shape[2], dtype=torch.bool)
+    busy.scatter_(1, follower + 1, torch.ones_like(followed))  # the first row is that of no track
+    false = (track & ~busy[:, 1:]).sum(-1)
     return target.sum(-1), followed.sum(-1), longest, begun, switches, breaks, track.sum(-1), false

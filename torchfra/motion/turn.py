@@ -135,7 +135,7 @@ class UnknownTurn(Motion):
         Of densities ``(..., n, n)``, at rest and a rate of 0.
         """
         if self.spectral:
-            moved, rate = white_root(dt, self.q(dt), 2, self.dims), (self.drift(dt) * dt).sqrt()
+            moved, rate = white_root(dt, self.q(dt), 2, self.dims), self.drift(dt).sqrt() * dt.sqrt()
         else:
             moved, rate = acceleration_gain(dt, self.q(dt), (2, 1), self.dims), self.drift(dt).sqrt() * dt
         batch = torch.broadcast_shapes(moved.shape[:-2], rate.shape)

@@ -45,7 +45,7 @@ class RandomWalk(Motion):
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, n)``: ``sqrt(q dt) I``."""
-        return per_axis((self.q(dt) * dt).sqrt()[..., None, None], self.size)
+        return per_axis((self.q(dt).sqrt() * dt.sqrt())[..., None, None], self.size)
 
 
 class Clock(Motion):
@@ -80,7 +80,7 @@ class Clock(Motion):
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., 2, 3)``: of the drift, and of the offset."""
         drift = white_root(dt, self.drift(dt), 2, 1)
-        offset = (self.offset(dt) * dt).sqrt()
+        offset = self.offset(dt).sqrt() * dt.sqrt()
         offset = torch.stack([offset, torch.zeros_like(offset)], -1).unsqueeze(-1)
         batch = torch.broadcast_shapes(drift.shape[:-2], offset.shape[:-2])
         return torch.cat([drift.expand(*batch, 2, 2), offset.expand(*batch, 2, 1)], -1)

@@ -104,6 +104,10 @@ def _seconds(dt: Time, shape: tuple[int, ...]) -> Tensor:
 def _inputs(u: Tensor | None, shape: tuple[int, ...], like: Tensor) -> Tensor | None:
     if u is None:
         return None
-    if not isinstance(u, Tensor) or u.dim() < 1 or len(u.shape) > len(shape) + 1 or not bool(u.isfinite().all()):
-        raise ValueError(f"u: expected finite numbers {(*shape, 'k')}, received {tuple(u.shape)}")
+    fits = isinstance(u, Tensor) and 1 <= u.dim() <= len(shape) + 1
+    if not fits or any(a not in (1, b) for a, b in zip(u.shape[-2::-1], shape[::-1], strict=False)):
+        received = tuple(u.shape) if isinstance(u, Tensor) else type(u).__name__
+        raise ValueError(f"u: expected {(*shape, 'k')}, or fewer dimensions, received {received}")
+    if not bool(u.isfinite().all()):
+        raise ValueError("u: expected finite numbers, received NaN or infinity")
     return u.to(like).expand(*shape, u.shape[-1])

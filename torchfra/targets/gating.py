@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchfra.association.gates import Candidates, ChiSquare, Gate
-from torchfra.linalg.triangular import hstack, tria, whiten
+from torchfra.linalg.triangular import hstack, tria
 from torchfra.sensors.base import Sensor
 from torchfra.targets.assignment import scipy
 from torchfra.types import Gaussian
@@ -35,31 +35,36 @@ def expected(sensor: Sensor, belief: Gaussian, u: Tensor | None) -> Gaussian:
     return Gaussian(z[0], tria(hstack(spread, noise)))
 
 
-def in_reach(gate: Gate, sensor: Sensor, predicted: Gaussian, z: Tensor, temperature: float) -> Tensor:
-    """Which measurements ``(N, J, m)`` may be in the gate of each target: ``(N, J)`` bool; none that is missing.
+def in_reach(gate: Gate, sensor: Sensor, predicted: Gaussian, scans: Tensor, scene: Tensor, heat: float) -> Tensor:
+    """Which measurements of its scene may be in the gate of each target: ``(N, J)`` bool; none that is missing.
 
     Args:
         gate: the filter's.
         sensor: it measured.
         predicted: measurements ``(N,)``, see ``expected``.
-        z: NaN is missing.
-        temperature: of the gate.
+        scans: ``(R, J, m)``; NaN is missing.
+        scene: ``(N,)`` of each target.
+        heat: temperature of the gate.
     """
-    seen = ~z.isnan()
+    z, seen = scans[scene], ~scans.isnan()
     centre = predicted.mean.unsqueeze(-2)
-    gap = torch.where(seen, sensor.difference(torch.where(seen, z, centre), centre), 0.0)
-    nis = torch.full(z.shape[:-1], torch.inf, dtype=z.dtype, device=z.device)
-    patterns = torch.unique(seen.reshape(-1, seen.shape[-1]), dim=0)
-    for pattern in patterns[patterns.any(-1)]:  # one, unless devices measure parts of it
-        root = tria(predicted.scale_tril[:, pattern])
-        squared = whiten(root.unsqueeze(-3), gap[..., pattern]).square().sum(-1)
-        nis = torch.where((seen == pattern).all(-1), squared / _WIDER**2, nis)
-    if isinstance(gate, ChiSquare) and temperature == 0:
-        largest: Tensor = _quantiles(gate, z)[seen.sum(-1)]
+    gap = sensor.difference(z, centre)
+    kind = seen.to(torch.int64) @ (2 ** torch.arange(sensor.size, device=z.device))  # which elements, as bits
+    nis = torch.full_like(gap[..., 0], torch.inf)
+    for bits in kind.unique().tolist():  # one, unless devices measure parts of it
+        some = [i for i in range(sensor.size) if bits >> i & 1]
+        if some:
+            root = predicted.scale_tril if len(some) == sensor.size else tria(predicted.scale_tril[:, some])
+            squared = torch.linalg.solve_triangular(root, gap[..., some].mT, upper=False).square().sum(-2)
+            nis = torch.where((kind == bits)[scene], squared / _WIDER**2, nis)
+    number = seen.sum(-1)[scene]
+    if isinstance(gate, ChiSquare) and heat == 0:
+        largest: Tensor = _quantiles(gate, z)[number]
         return nis <= largest
-    candidates = Candidates(torch.where(seen, z, centre), centre.expand_as(z), seen.to(z), nis)
-    membership: Tensor = gate(candidates, sensor, temperature)
-    return (membership > -torch.inf) & seen.any(-1)
+    there = seen[scene]
+    candidates = Candidates(torch.where(there, z, centre), centre.expand_as(z), there.to(z), nis)
+    membership: Tensor = gate(candidates, sensor, heat)
+    return (membership > -torch.inf) & (number > 0)
 
 
 def _quantiles(gate: ChiSquare, like: Tensor) -> Tensor:

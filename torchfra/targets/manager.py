@@ -16,9 +16,9 @@ from torchfra.targets.checks import check_filter, check_parts, check_scan, check
 from torchfra.targets.clusters import Group
 from torchfra.targets.merging import Merging
 from torchfra.targets.places import known_components, place, to_cartesian
-from torchfra.targets.records import collected
-from torchfra.targets.rules import Confirmation, Deletion, MOfN
-from torchfra.targets.scan import Look, look_at
+from torchfra.targets.records import collect
+from torchfra.targets.rules import SPRT, Confirmation, Deletion
+from torchfra.targets.scan import Look, Said, look_at
 from torchfra.targets.state import TargetsEstimate, TargetsState, Track, Unexplained, joined, rows
 from torchfra.types import Gaussian
 
@@ -37,9 +37,10 @@ class Targets(nn.Module):
     Args:
         filter: around a filter of one target; a copy of it runs here.  Its hyperparameters are the same for all
             targets, and they are not measured for certain: ``detection`` or the gate's probability is below 1.
-        birth: how targets begin; needs a sensor that ``locates``.
-        confirmation: when tentative targets are confirmed or given up.
-        deletion: when targets end.
+        birth: how targets begin, ``OnePoint()`` if None; needs a sensor that ``locates``.
+        confirmation: when tentative targets are confirmed or given up, ``SPRT()`` if None; scores need clutter of a
+            Poisson rate.
+        deletion: when targets end, ``Deletion()`` if None.
         merging: which tracks are of one target; None for never.
         free: probability that a measurement is no target's above which it may begin one.
 
@@ -63,7 +64,7 @@ class Targets(nn.Module):
             raise ValueError(f"free: expected a probability above 0 and below 1, received {free}")
         self.filter = copy.deepcopy(filter)
         self.birth = OnePoint() if birth is None else birth
-        self.confirmation = MOfN() if confirmation is None else confirmation
+        self.confirmation = SPRT() if confirmation is None else confirmation
         self.deletion = Deletion() if deletion is None else deletion
         self.merging, self.free = merging, free
         if (self.confirmation.scored or self.deletion.drop is not None) and filter.clutter.rate is None:
@@ -88,7 +89,7 @@ class Targets(nn.Module):
         nothing = torch.zeros(0, dtype=dtype, device=device)
         none = torch.zeros(0, dtype=torch.int64, device=device)
         hits = none.bool().reshape(0, self.confirmation.window)
-        track = Track(none, none, none.bool(), hits, none, none, nothing, nothing)
+        track = Track(none, none, none.bool(), hits, none, none, nothing, nothing, nothing)
         empty = Gaussian(nothing.reshape(0, n), nothing.reshape(0, n, n))
         position = Gaussian(nothing.reshape(0, dims), nothing.reshape(0, dims, dims))
         next_identity = torch.zeros(scenes, dtype=torch.int64, device=device)
@@ -107,7 +108,7 @@ class Targets(nn.Module):
             ValueError: a shape or a value that does not fit.
             ImportError: scipy is not installed.
         """
-        return self._step(state, check_scan(self.filter, state, z, dt, u))[0]
+        return self._step(state, check_scan(self.filter, state, z, dt, u))
 
     def forward(self, z: Tensor, *, dt: Time = 1.0, u: Tensor | None = None) -> TargetsEstimate:
         """Whole sequences of scans, from no target on.
@@ -122,18 +123,17 @@ class Targets(nn.Module):
             ImportError: scipy is not installed.
         """
         looks = check_scans(self.filter, z, dt, u)
-        state, states, densities = self.init(len(looks[0].z), dtype=z.dtype, device=z.device), [], []
+        state, states = self.init(len(looks[0].z), dtype=z.dtype, device=z.device), []
         for look in looks:
-            scene, (state, density) = state.track.scene, self._step(state, look)
+            state = self._step(state, look)
             states.append(state)
-            densities.append(look.dt.new_zeros(len(look.dt)).index_add(0, scene, density))
-        return collected(states, densities, z.shape[:-3])
+        return collect(states, z.shape[:-3])
 
-    def _step(self, state: TargetsState, look: Look) -> tuple[TargetsState, Tensor]:
-        """The next state, and the log density of the scan, shared out among the targets that were there."""
+    def _step(self, state: TargetsState, look: Look) -> TargetsState:
+        """The next state."""
         after, said, groups = look_at(self.filter, state.filter, state.track.scene, look)
         miss = log_miss(self.filter.detection, self.filter.gate, said.log_missed)
-        track = _aged(state.track, said.log_missed, miss)
+        track = _aged(state.track, said, miss)
         stays = ~self._ends(after.belief, track, groups)
         newborn, unexplained = self._births(state.unexplained, said.explained, look)
         track, next_identity = _with_newborn(rows(track, stays), newborn, state.next_identity)
@@ -143,8 +143,7 @@ class Targets(nn.Module):
         confirmed, given_up = self.confirmation(track)
         track = track._replace(confirmed=track.confirmed | confirmed)
         here = track.confirmed | ~given_up
-        state = TargetsState(rows(everyone, here), rows(track, here), unexplained, next_identity)
-        return state, said.density
+        return TargetsState(rows(everyone, here), rows(track, here), unexplained, next_identity)
 
     def _ends(self, belief: Gaussian, track: Track, groups: list[Group]) -> Tensor:
         """Which targets ``(N,)`` are missed too much, or are others."""
@@ -164,19 +163,20 @@ class Targets(nn.Module):
         return newborn, left
 
 
-def _aged(track: Track, log_missed: Tensor, log_miss: Tensor) -> Track:
+def _aged(track: Track, said: Said, log_miss: Tensor) -> Track:
     """Targets after one more scan.
 
     Args:
         track: before.
-        log_missed: ``(N,)`` log probability that each was missed, now that the scan has come.
-        log_miss: the same before it had come.
+        said: what the scan has said of them.
+        log_miss: log probability to be missed, before it came.
     """
-    hit = log_missed < math.log(0.5)
-    score = track.score + log_miss - log_missed
+    hit = said.log_missed < math.log(0.5)
+    score = track.score + log_miss - said.log_missed
     return track._replace(
         hits=torch.cat([hit.unsqueeze(-1), track.hits[:, :-1]], -1), age=track.age + 1,
         misses=torch.where(hit, 0, track.misses + 1), score=score, best=torch.maximum(track.best, score),
+        density=said.density,
     )  # fmt: skip
 
 
@@ -189,6 +189,14 @@ def _with_newborn(track: Track, newborn: Newborn, next_identity: Tensor) -> tupl
     zero, scores = torch.zeros_like(identity), track.score.new_zeros(len(identity))
     hits = torch.arange(track.hits.shape[-1], device=scene.device) < newborn.hits
     begun = Track(
-        identity, newborn.scene, zero.bool(), hits.expand(len(identity), -1), zero + newborn.hits, zero, scores, scores
+        identity,
+        newborn.scene,
+        zero.bool(),
+        hits.expand(len(identity), -1),
+        zero + newborn.hits,
+        zero,
+        scores,
+        scores,
+        scores,
     )
     return joined(track, begun), next_identity + count

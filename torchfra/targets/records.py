@@ -2,37 +2,51 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
-from torchfra.targets.state import TargetsEstimate, TargetsState
+from torchfra.targets.state import TargetsEstimate, TargetsState, Track, joined, rows
+from torchfra.types import Gaussian
 
 
-def collected(states: list[TargetsState], densities: list[Tensor], batch: torch.Size) -> TargetsEstimate:
-    """The targets that were ever confirmed, in tensors in which each has its place.
+def collect(states: Sequence[TargetsState], batch: Sequence[int] = ()) -> TargetsEstimate:
+    """The targets that were ever confirmed, each in a place of its own.
 
     Args:
-        states: after each scan, of R scenes.
-        densities: ``(R,)`` log density of each scan.
-        batch: of the scenes.
+        states: after each scan of a stream, from the first on.
+        batch: of the scenes, their number split up; none for one scene.
+
+    Raises:
+        ValueError: no state, or another number of scenes.
     """
-    marks = [s.track.confirmed for s in states]
-    belief = [s.confirmed for s in states]
-    scene, identity = (torch.cat([x[m] for x, m in zip(xs, marks, strict=True)]) for xs in (
-        [s.track.scene for s in states], [s.track.identity for s in states]))  # fmt: skip
-    step = torch.cat([torch.full_like(b.mean[:, 0], t, dtype=torch.int64) for t, b in enumerate(belief)])
-    R, T, n = len(states[0].next_identity), len(states), states[0].belief.mean.shape[-1]
-    pairs, row = torch.unique(torch.stack([scene, identity], -1), dim=0, return_inverse=True)
+    if not states or math.prod(batch) != len(states[0].next_identity):
+        received = f"{len(states)} of {len(states[0].next_identity) if states else 0} scenes"
+        raise ValueError(f"states: expected one or more, of {math.prod(batch)} scenes, received {received}")
+    track: Track = joined(*(rows(s.track, s.track.confirmed) for s in states))
+    belief: Gaussian = joined(*(s.confirmed for s in states))
+    number = torch.arange(len(states), device=track.scene.device)
+    step = number.repeat_interleave(torch.stack([s.track.confirmed.sum() for s in states]))
+    R, T = len(states[0].next_identity), len(states)
+    pairs, row = torch.unique(torch.stack([track.scene, track.identity], -1), dim=0, return_inverse=True)
     count = torch.bincount(pairs[:, 0], minlength=R)
-    K = int(count.amax()) if len(pairs) else 0
-    slot = (torch.arange(len(pairs), device=row.device) - (count.cumsum(0) - count)[pairs[:, 0]])[row]
-    like = states[0].belief.mean
-    mean = like.new_full((R, K, T, n), torch.nan).index_put((scene, slot, step), torch.cat([b.mean for b in belief]))
-    root = like.new_full((R, K, T, n, n), torch.nan)
-    root = root.index_put((scene, slot, step), torch.cat([b.scale_tril for b in belief]))
-    names = torch.full((R, K), -1, device=row.device).index_put((scene, slot), identity)
-    shape = (*batch, K)
-    return TargetsEstimate(
-        mean.reshape(*shape, T, n), root.reshape(*shape, T, n, n), names.reshape(shape),
-        torch.stack(densities, -1).reshape(*batch, T),
-    )  # fmt: skip
+    K, rank = int(count.amax()), torch.arange(len(pairs), device=row.device) - (count.cumsum(0) - count)[pairs[:, 0]]
+    place = track.scene, rank[row], step
+
+    def placed(values: Tensor, empty: float) -> Tensor:
+        whole = values.new_full((R, K, T, *values.shape[1:]), empty)
+        return whole.index_put(place, values).reshape(*batch, K, T, *values.shape[1:])
+
+    identity = torch.full((R, K), -1, device=row.device).index_put(place[:2], track.identity)
+    mean, root = placed(belief.mean, torch.nan), placed(belief.scale_tril, torch.nan)
+    gone = _gone(placed((track.misses == 0).to(belief.mean), 0.0) > 0, ~mean[..., 0].isnan())
+    density = torch.where(gone, 0.0, placed(track.density, 0.0))
+    return TargetsEstimate(mean, root, identity.reshape(*batch, K), density)
+
+
+def _gone(measured: Tensor, there: Tensor) -> Tensor:
+    """Which scans ``(..., K, T)`` come after the last one in which a target that has ended was measured."""
+    later = measured.flip(-1).cumsum(-1).flip(-1) > 0
+    return ~later & ~there[..., -1:]

@@ -51,13 +51,12 @@ def look_at(filter: JPDA, state: Any, scene: Tensor, look: Look) -> tuple[Any, S
         The next state, what the scan has said, and the clusters that shared measurements.
     """
     there = ~look.z.isnan().all(-1)
-    explained = torch.zeros(there.numel(), dtype=look.z.dtype, device=look.z.device)
+    explained = look.z.new_zeros(there.numel())
     if len(scene) == 0:
         return state, Said(explained[:0], explained[:0], explained.reshape(there.shape)), []
     groups = clusters(_reach(filter, state, scene, look), scene, there)
-    table = torch.cat(
-        [look.z.flatten(0, 1), torch.full_like(look.z[:1, :1, 0], torch.nan).expand(1, filter.sensor.size)]
-    )
+    nothing = look.z.new_full((1, filter.sensor.size), torch.nan)
+    table = torch.cat([look.z.flatten(0, 1), nothing])  # the last row is none
     parts, missed, density = [], [], []
     for targets, measurements in groups:
         of, group = scene[targets[:, 0]], rows(state, targets)
@@ -78,11 +77,11 @@ def look_at(filter: JPDA, state: Any, scene: Tensor, look: Look) -> tuple[Any, S
 def _reach(filter: JPDA, state: Any, scene: Tensor, look: Look) -> Tensor:
     """Which measurements ``(N, J)`` of its scene may be in the gate of each target."""
     alone = tree.map_tensors(lambda x: x.unsqueeze(1), state)  # each target in a scene of its own, with nothing to see
-    nothing = torch.full((len(scene), 1, filter.sensor.size), torch.nan, dtype=look.z.dtype, device=look.z.device)
+    nothing = look.z.new_full((len(scene), 1, filter.sensor.size), torch.nan)
     belief = _advance(filter, alone, nothing, scene, look)[0].belief
     u = None if look.u is None else look.u[scene]
     predicted = expected(filter.sensor, Gaussian(*(x.squeeze(1) for x in belief)), u)
-    return in_reach(filter.gate, filter.sensor, predicted, look.z[scene], filter.temperature)
+    return in_reach(filter.gate, filter.sensor, predicted, look.z, scene, filter.temperature)
 
 
 def _advance(filter: JPDA, state: Any, z: Tensor, scene: Tensor, look: Look) -> tuple[Any, Any]:

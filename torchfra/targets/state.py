@@ -30,6 +30,8 @@ class Track(NamedTuple):
     """Log likelihood ratio of the scans since the birth: that the target exists, over that it does not."""
     best: Tensor
     """The highest score so far."""
+    density: Tensor
+    """Each one's share of the log density of the last scan against one of false measurements alone; 0 at the birth."""
 
 
 class Unexplained(NamedTuple):
@@ -81,7 +83,8 @@ class TargetsEstimate(NamedTuple):
     identity: Tensor
     """``(..., K)``; -1 where a scene has fewer than K."""
     log_likelihood: Tensor
-    """``(..., T)`` log density of each scan against one of false measurements alone, tentative targets included."""
+    """``(..., K, T)`` each one's share of the log density of a scan against one of false measurements alone; 0 where it
+    is not there, or is gone: after its last measurement, if it has ended."""
 
     @property
     def confirmed(self) -> Tensor:

@@ -9,7 +9,7 @@ from torchfra.filters.gpb.hindsight import WayBack
 from torchfra.filters.gpb.qualities import Qualities
 from torchfra.filters.gpb.seeing import by_points_or_slope, exactly
 from torchfra.filters.gpb.states import GPBState
-from torchfra.filters.guests import sharing
+from torchfra.filters.other_sensors import sharing
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened

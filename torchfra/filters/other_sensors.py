@@ -17,7 +17,7 @@ _VIEWS = 32
 """How many sensors a filter keeps views for: who makes a new one for every step pays for it."""
 
 
-class Host(nn.Module):
+class HasViews(nn.Module):
     """Abstract, a part of ``Filter``: views of it around other sensors.
 
     A filter gives ``parts_for``, and one that remembers measurements ``unremembered`` and ``remembering``.
@@ -27,7 +27,7 @@ class Host(nn.Module):
     """Why there may be no other sensor, where there may be none."""
     motion: Motion
     sensor: Sensor
-    _views: Views
+    _views: SensorViews
 
     @property
     def home(self) -> Any:
@@ -61,11 +61,11 @@ class Host(nn.Module):
         return state
 
 
-class Guest:
+class View:
     """Mixed into a view of a filter around another sensor; its states are those of that filter, its ``home``.
 
     What the filter remembers of measurements (innovations of late, whether the last one was an outlier) is of the
-    filter's own sensor: a guest's measurement is judged by itself, and leaves nothing to remember.
+    filter's own sensor: a view's measurement is judged by itself, and leaves nothing to remember.
     """
 
     home: Any = None
@@ -85,14 +85,14 @@ class Guest:
         return self.home.with_sensor(sensor)
 
 
-class Views:
+class SensorViews:
     """A filter's views around other sensors, each made when it is first asked for."""
 
     def __init__(self) -> None:
         self._views: dict[int, Any] = {}
 
-    def __reduce__(self) -> tuple[type[Views], tuple[()]]:
-        return Views, ()  # a copy of the filter makes its own
+    def __reduce__(self) -> tuple[type[SensorViews], tuple[()]]:
+        return SensorViews, ()  # a copy of the filter makes its own
 
     def __call__(self, f: Any, sensor: Sensor) -> Any:
         """The view of ``f`` around ``sensor``, with all that has changed in the filter."""
@@ -100,7 +100,7 @@ class Views:
         if view is None or any(f._modules[name] is not part for name, part in view.replaced.items()):
             check_models(f.motion, sensor)
             parts = f.parts_for(sensor)
-            view = sharing(f, mixed(Guest, f.__class__), _kernels=None, **parts)
+            view = sharing(f, mixed(View, f.__class__), _kernels=None, **parts)
             view.__dict__.update(home=f, replaced={name: f._modules[name] for name in parts if name != "sensor"})
             if len(self._views) == _VIEWS:
                 self._views.pop(next(iter(self._views)))

@@ -1,0 +1,157 @@
+"""Many targets that come and go: how well they are followed, and how fast.
+
+    python scripts/targets.py --runs 200 --seed 7 --json out/targets.json --picture out/targets.png
+
+- many: ten aircraft in clutter, ``scenarios.clutter_many``;
+- recorded: flights over Switzerland (sample tracks of the package ``traffic``) as recorded: positions with a standard
+  deviation of 50 m every 5 s, of which 10 % are missing, among 300 false ones per scan;
+- folded: all flights of that day in two hours, so that some 190 of them are there at once;
+- crowd: 200 targets in a square of 100 km and 300 false measurements per scan, 1 s apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import torch
+from many_targets.picture import picture
+from many_targets.worlds import World, crowd, recorded, swiss_traffic
+from torch import Tensor
+
+from torchfra import metrics, presets, scenarios
+from torchfra.app.atomic_write import write_json
+from torchfra.app.command import (
+    add_json_option,
+    add_quiet_option,
+    add_runs_options,
+    check_files,
+    check_list,
+    exit_status,
+    make_parser,
+)
+from torchfra.app.evaluate import versions
+from torchfra.app.plotting import save
+from torchfra.association import ChiSquare
+from torchfra.tables import text_table
+from torchfra.targets import Deletion, Merging, Targets, TwoPoint, collect
+
+WHAT = ("many", "recorded", "folded", "crowd")
+DT = 5.0
+"""Seconds between scans of the recorded flights."""
+CROWD = 120
+"""Scans of the crowd, after which it would have left the square."""
+AT_ONCE, PART = 20, 10
+"""Runs that are simulated side by side, and scans that are compared with the truth at once."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Prints the tables; returns the exit status: see ``torchfra.app.command.exit_status``."""
+    p = make_parser(__doc__)
+    add_runs_options(p, 200, 7)
+    p.add_argument("--what", default=",".join(WHAT), metavar="A,B", help=f"out of {', '.join(WHAT)} (default: all)")
+    p.add_argument("--scans", type=int, default=1440, metavar="T", help="of the recorded flights (default: 1440)")
+    p.add_argument("--picture", type=Path, metavar="FILE", help="draw the recorded flights, the last of the two")
+    add_json_option(p)
+    add_quiet_option(p)
+    options = p.parse_args(arguments)
+    check_list(p, "what", options.what, WHAT)
+    if options.scans < 2:
+        p.error(f"--scans: expected 2 or more, received {options.scans}")
+    return exit_status("targets", lambda: compare(options))
+
+
+def compare(options: argparse.Namespace) -> None:
+    """Runs what was asked for, prints and writes."""
+    check_files({"json": options.json, "picture": options.picture})
+    what, found = options.what.split(","), {}
+    with torch.no_grad():
+        if "many" in what:
+            found["many"] = many(options.runs, options.seed)
+        flights = swiss_traffic() if {"recorded", "folded"} & set(what) else []
+        for name in ("recorded", "folded"):
+            if name in what:
+                world = recorded(flights, options.seed, DT, options.scans, folded=name == "folded")
+                found[name], estimate = streamed(world)
+                if options.picture is not None:
+                    save(picture(world, estimate), options.picture)
+        if "crowd" in what:
+            found["crowd"] = streamed(crowd(options.seed, min(options.scans, CROWD)))[0]
+    if not options.quiet:
+        keys = list(dict.fromkeys(key for figures in found.values() for key in figures))
+        rows = [[key, *(f"{of[key]:.4g}" if key in of else "" for of in found.values())] for key in keys]
+        print(text_table(["", *found], rows))
+    if options.json is not None:
+        settings = {"runs": options.runs, "seed": options.seed, "scans": options.scans}
+        write_json(options.json, {"settings": settings, "versions": versions(), **found})
+
+
+def many(runs: int, seed: int) -> dict[str, float]:
+    """Ten aircraft in clutter."""
+    scenario = scenarios.clutter_many()
+    f = presets.jpda(scenario.motion, scenario.sensor, clutter=scenario.clutter, detection=scenario.detection,
+                     gate=ChiSquare(0.99999))  # fmt: skip
+    targets = Targets(f, birth=TwoPoint(80.0), deletion=Deletion(4), merging=Merging())
+    parts = []
+    for first in range(0, runs, AT_ONCE):
+        tracks = scenario.simulate(min(AT_ONCE, runs - first), seed, first=first)
+        estimate = scenario.cartesian(targets(tracks.z, dt=scenario.dt))
+        parts.append(numbers(estimate.mean, tracks.truth, scenario.truth_position, 100.0))
+    return summary({key: torch.cat([part[key] for part in parts]) for key in parts[0]})
+
+
+def streamed(world: World) -> tuple[dict[str, float], Tensor]:
+    """One scan after the other, each timed; also the means of all targets ``(K, T, n)``."""
+    states, times = [world.targets.init()], []
+    for scan in world.scans:
+        start = time.perf_counter()
+        states.append(world.targets.step(states[-1], scan, dt=world.dt))
+        times.append(time.perf_counter() - start)
+    estimate = collect(states[1:])
+    found = summary(numbers(estimate.mean[None], world.truth[None], slice(0, 2), world.cutoff))
+    took = 1e3 * torch.tensor(times[5:] or times)  # the first ones import what they need
+    tracks = torch.tensor([float(len(state.track.identity)) for state in states[1:]])
+    found["targets at once"] = float((~world.truth.isnan().any(-1)).sum(0).max())
+    found["tracks at once, tentative ones counted, median"] = float(tracks.median())
+    for name, share in (("median", 0.5), ("99 %", 0.99), ("largest", 1.0)):
+        found[f"ms per scan, {name}"] = float(took.quantile(share))
+    return found, estimate.mean
+
+
+def numbers(mean: Tensor, truth: Tensor, states: slice, cutoff: float) -> dict[str, Tensor]:
+    """What became of the targets of each run ``(R, ...)``, to be summed up."""
+    scans = zip(mean.split(PART, -2), truth.split(PART, -2), strict=True)
+    parts = [metrics.gospa(*part, states, cutoff=cutoff)._asdict() for part in scans]
+    gospa = {f"GOSPA, {name}, m": torch.cat([part[name] for part in parts], -1).mean(-1) for name in parts[0]}
+    lives = metrics.lives(mean, truth, states, cutoff=cutoff)
+    of_targets = ("length", "followed", "longest", "switches", "breaks")
+    counts = {name: getattr(lives, name).sum(-1) for name in of_targets}
+    tracks = {"track_length": lives.track_length.sum(-1), "false": lives.false.sum(-1)}
+    return gospa | counts | tracks | {
+        "begun": lives.begun.nanmean(-1), "targets": (lives.length > 0).sum(-1),
+        "false_tracks": lives.false_tracks, "missed_targets": lives.missed_targets,
+    }  # fmt: skip
+
+
+def summary(of: dict[str, Tensor]) -> dict[str, float]:
+    """Figures of all runs together."""
+    total = {key: float(value.double().sum()) for key, value in of.items()}
+    found = {key: float(value.mean()) for key, value in of.items() if key.startswith("GOSPA")}
+    return found | {
+        "runs without a switch of identity": float((of["switches"] == 0).double().mean()),
+        "targets": total["targets"],
+        "switches": total["switches"],
+        "breaks": total["breaks"],
+        "missed targets": total["missed_targets"],
+        "false tracks": total["false_tracks"],
+        "share of a target's life in which it is followed": total["followed"] / total["length"],
+        "share that one track follows it for": total["longest"] / total["length"],
+        "scans until it is confirmed": float(of["begun"].nanmean()),
+        "share of the tracks' scans that are false": total["false"] / max(total["track_length"], 1.0),
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())

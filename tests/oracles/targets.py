@@ -1,0 +1,123 @@
+"""Targets that come and go in the plane, by plain loops: joint association, births, confirmation, deletion."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from oracles.basics import Array
+from oracles.events import joint_events
+
+
+@dataclass
+class Target:
+    """One target: what it has been through."""
+
+    identity: int
+    mean: Array
+    P: Array
+    hits: list[bool]
+    score: float = 0.0
+    best: float = 0.0
+    confirmed: bool = False
+    history: list[Array] = field(default_factory=list)
+
+
+def manage(
+    scans: list[Array], *, std: float, q: float, dt: float, PD: float, PG: float, limit: float, density: float,
+    birth: dict[str, float], confirm: dict[str, Any], misses: int, drop: float | None = None,
+) -> list[list[Target]]:  # fmt: skip
+    """After each scan (J, 2) copies of the targets that are there; constant velocity, positions, Poisson clutter."""
+    one, none = np.eye(2), np.zeros((2, 2))
+    F, G = np.block([[one, dt * one], [none, one]]), np.vstack([dt**2 / 2 * one, dt * one])
+    R, H, Q = std**2 * one, np.hstack([one, none]), q * G @ G.T
+    targets: list[Target] = []
+    number, free_before, shown = 0, [], []
+    for z in scans:
+        likelihood = np.zeros((len(z), len(targets)))
+        for t, target in enumerate(targets):
+            target.mean, target.P = F @ target.mean, F @ target.P @ F.T + Q
+            S = H @ target.P @ H.T + R
+            for j in range(len(z)):
+                e = z[j] - H @ target.mean
+                nis = e @ np.linalg.solve(S, e)
+                if nis <= limit:
+                    likelihood[j, t] = math.exp(-nis / 2) / (2 * math.pi * math.sqrt(np.linalg.det(S)))
+        beta, missed = joint_events(likelihood, PD, np.full(len(z), density), False, PG)
+        for t, target in enumerate(targets):
+            update(target, z, beta[:, t], missed[t], H, R)
+            target.score += math.log(1 - PD * PG) - math.log(missed[t])
+            target.best = max(target.best, target.score)
+            target.hits.append(bool(missed[t] < 0.5))
+        targets = [t for t in targets if not ends(t, misses, drop)]
+        free = [z[j] for j in range(len(z)) if beta[j].sum() < 0.5]
+        begun, free_before = begin(birth, free, free_before, dt, R)
+        for mean, P, hits in begun:
+            targets.append(Target(number, mean, P, [True] * hits))
+            number += 1
+        targets = [t for t in targets if t.confirmed or stays(t, confirm)]
+        shown.append([Target(t.identity, t.mean, t.P, list(t.hits), t.score, t.best, t.confirmed) for t in targets])
+    return shown
+
+
+def update(target: Target, z: Array, beta: Array, missed: float, H: Array, R: Array) -> None:
+    """Bar-Shalom & Fortmann: the Gaussian with the moments of all that may have happened."""
+    S = H @ target.P @ H.T + R
+    K = target.P @ H.T @ np.linalg.inv(S)
+    means = [target.mean] + [target.mean + K @ (z[j] - H @ target.mean) for j in range(len(z))]
+    measured = target.P - K @ S @ K.T
+    weights = [missed, *beta]
+    mean = sum(w * x for w, x in zip(weights, means, strict=True))
+    target.P = sum(
+        w * ((target.P if i == 0 else measured) + np.outer(x - mean, x - mean))
+        for i, (w, x) in enumerate(zip(weights, means, strict=True))
+    )
+    target.mean = mean
+
+
+def ends(target: Target, misses: int, drop: float | None) -> bool:
+    """Missed so often in a row, or a score that has fallen too far."""
+    return not any(target.hits[-misses:]) or (drop is not None and target.score - target.best < math.log(drop))
+
+
+def stays(target: Target, how: dict[str, Any]) -> bool:
+    """Whether a tentative target is confirmed, which is noted, or may yet be."""
+    if "m" in how:
+        last = target.hits[-how["n"] :]
+        target.confirmed = sum(last) >= how["m"]
+        possible = sum(not hit for hit in last) <= how["n"] - how["m"]
+    else:
+        target.confirmed = target.score >= math.log((1 - how["missed"]) / how["false"])
+        possible = target.score > math.log(how["missed"] / (1 - how["false"]))
+    return target.confirmed or possible
+
+
+def begin(
+    how: dict[str, float], free: list[Array], before: list[Array], dt: float, R: Array
+) -> tuple[list[tuple[Array, Array, int]], list[Array]]:
+    """Births (mean, P, measurements), and the measurements that are left for the next scan's."""
+    none = np.zeros((2, 2))
+    if "velocity" in how:
+        P = np.block([[R, none], [none, how["velocity"] ** 2 * np.eye(2)]])
+        return [(np.r_[z, 0, 0], P, 1) for z in free], []
+    reach = how["speed"] * dt + 3 * 2 * math.sqrt(np.trace(R))
+    P = np.block([[R, R / dt], [R / dt, 2 * R / dt**2]])
+    pairs = nearest(before, free, reach)
+    begun = [(np.r_[free[j], (free[j] - before[i]) / dt], P, 2) for i, j in pairs]
+    return begun, [z for j, z in enumerate(free) if j not in {j for _, j in pairs}]
+
+
+def nearest(before: list[Array], now: list[Array], reach: float) -> list[tuple[int, int]]:
+    """As many pairs within reach as possible, and of all such choices the one with the least sum."""
+    best: tuple[int, float, list[tuple[int, int]]] = (0, 0.0, [])
+    for choice in itertools.product([None, *range(len(now))], repeat=len(before)):
+        pairs = [(i, j) for i, j in enumerate(choice) if j is not None]
+        far = [float(np.linalg.norm(now[j] - before[i])) for i, j in pairs]
+        allowed = len({j for _, j in pairs}) == len(pairs) and all(d <= reach for d in far)
+        if allowed and (-len(pairs), sum(far)) < (-best[0], best[1]):
+            best = (len(pairs), sum(far), pairs)
+    return best[2]

@@ -1,0 +1,316 @@
+"""Targets come and go in streams and batches, around any filter of scans; clusters change nothing."""
+
+import importlib
+import math
+
+import pytest
+import torch
+from joint import plane
+
+from torchfra import metrics, presets, scenarios, tree
+from torchfra.association import ChiSquare, Clutter, Euclidean
+from torchfra.gaussian.inputs import Measurements
+from torchfra.motion import ConstantAcceleration, ConstantVelocity, aircraft
+from torchfra.sensors import Bearings, Position, RangeBearing
+from torchfra.targets import SPRT, Deletion, Merging, MOfN, OnePoint, Targets, TwoPoint, collect
+from torchfra.targets.scan import Look, look_at
+from torchfra.types import Gaussian
+
+WHERE = slice(0, 2)
+
+
+def moving(starts, steps, std=2.0, seed=0):
+    """Truth ``(N, T, 4)`` of constant velocities and positions ``(T, N, 2)`` measured of it."""
+    starts = torch.tensor(starts, dtype=torch.float64)
+    t = torch.arange(1, steps + 1, dtype=torch.float64).reshape(-1, 1)
+    velocity = starts[:, None, 2:].expand(-1, steps, -1)
+    truth = torch.cat([starts[:, None, :2] + t * velocity, velocity], -1)
+    noise = torch.randn(truth[..., :2].shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    return truth, (truth[..., :2] + std * noise).transpose(0, 1)
+
+
+def with_clutter(z, count, half, seed=1):
+    """Scans with false measurements in a square."""
+    rng = torch.Generator().manual_seed(seed)
+    false = half * (2 * torch.rand(*z.shape[:-2], count, 2, generator=rng, dtype=torch.float64) - 1)
+    return torch.cat([z, false], -2)
+
+
+FOUR = [(0, 0, 5, 0), (0, 60, 5, -2), (100, -80, -3, 1), (-90, 90, 0, -4)]
+
+
+def run(targets, scans, **options):
+    """The states after each scan of a stream."""
+    state, states = targets.init(), []
+    for z in scans:
+        state = targets.step(state, z, **options)
+        states.append(state)
+    return states
+
+
+def test_clusters_one_by_one_are_the_whole_scan_at_once():
+    """Twelve targets, some close together, some alone, one without any measurement near."""
+    f = plane()
+    rng = torch.Generator().manual_seed(3)
+    mean = torch.cat([60 * torch.rand(12, 2, generator=rng), torch.randn(12, 2, generator=rng)], -1).double()
+    mean[0, :2] = 500.0
+    state = f.init(Gaussian(mean, torch.diag(torch.tensor([3.0, 3.0, 1.0, 1.0]).double()).expand(12, 4, 4)))
+    z = torch.cat([mean[1:, :2] + 2, 60 * torch.rand(8, 2, generator=rng).double()])
+    z[3] = math.nan
+    whole, record = f.advance(state, f._frame(state, Measurements(z)))
+    scene = torch.zeros(12, dtype=torch.int64)
+    parts, said, groups = look_at(f, state, scene, Look(z[None], torch.ones(1).double(), None))
+    assert len({group.targets.shape[-1] for group in groups}) > 1
+    for one, other in zip(tree.flatten(parts), tree.flatten(whole), strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-10, atol=1e-10)
+    torch.testing.assert_close(said.log_missed, record.info.association[..., 0].log(), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(said.explained[0], record.info.association[..., 1:].sum(-2), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(said.density, record.density, rtol=1e-9, atol=1e-9)
+
+
+def test_a_batch_of_scenes_is_each_scene_alone_and_a_stream_of_scans():
+    targets = Targets(plane(), birth=TwoPoint(20.0), merging=Merging())
+    scans = torch.stack([with_clutter(moving(FOUR, 15, seed=s)[1], 3, 150.0, s) for s in range(3)])
+    together = targets(scans)
+    for i, scene in enumerate(scans):
+        alone = targets(scene)
+        K = alone.identity.shape[-1]
+        assert together.identity[i, :K].tolist() == alone.identity.tolist()
+        assert (together.identity[i, K:] == -1).all()
+        torch.testing.assert_close(together.mean[i, :K], alone.mean, equal_nan=True)
+        torch.testing.assert_close(together.log_likelihood[i, :K], alone.log_likelihood)
+        states = run(targets, scene)
+        torch.testing.assert_close(collect(states), alone, equal_nan=True)
+        for t, state in enumerate(states):
+            there = alone.confirmed[:, t]
+            assert state.identity.tolist() == alone.identity[there].tolist()
+            torch.testing.assert_close(state.confirmed.mean, alone.mean[there, t])
+            torch.testing.assert_close(state.confirmed.scale_tril, alone.scale_tril[there, t])
+
+
+def test_the_estimate_goes_into_the_metrics_as_it_is():
+    truth, z = moving(FOUR, 20)
+    estimate = Targets(plane(), birth=TwoPoint(20.0))(with_clutter(z, 3, 150.0))
+    gospa = metrics.gospa(estimate.mean, truth, WHERE, cutoff=30.0)
+    assert (gospa.missed[8:] == 0).all()
+    assert (gospa.localisation[8:] < 2 * 4).all()
+    lives = metrics.lives(estimate.mean, truth, WHERE, cutoff=30.0)
+    assert lives.switches.sum() == 0
+    assert (lives.begun < 6).all()
+
+
+def test_identities_are_never_used_again():
+    _, z = moving([(0, 0, 5, 0)], 40)
+    z[12:24] = math.nan
+    states = run(Targets(plane(), birth=TwoPoint(20.0), confirmation=MOfN(2, 3), deletion=Deletion(3)), z)
+    assert states[11].identity.tolist() == [0]
+    assert states[20].identity.tolist() == []
+    assert states[-1].identity.tolist() == [1]
+    ahead = [s.next_identity.item() for s in states]
+    assert ahead == sorted(ahead)
+
+
+def test_a_scan_without_measurements_is_one_in_which_all_were_missed():
+    targets = Targets(plane(), birth=TwoPoint(20.0), confirmation=MOfN(2, 2), deletion=Deletion(2))
+    _, z = moving([(0, 0, 5, 0)], 3)
+    for empty in (z[:1, :0].squeeze(0), torch.full((4, 2), math.nan).double()):
+        state = run(targets, z)[-1]
+        state = targets.step(state, empty)
+        assert state.track.misses.tolist() == [1]
+        expected = run(targets, z)[-1].track.score + math.log(1 - 0.9 * 0.9999)
+        torch.testing.assert_close(state.track.score, expected)
+        assert len(targets.step(state, empty).identity) == 0
+
+
+def test_rows_of_nan_and_their_order_change_nothing():
+    targets, z = Targets(plane(), birth=TwoPoint(20.0)), with_clutter(moving(FOUR, 12)[1], 3, 150.0)
+    padded = torch.cat([torch.full_like(z[:, :2], math.nan), z.flip(1)], 1)
+    one, other = run(targets, z)[-1], run(targets, padded)[-1]
+    rows = [int((other.confirmed.mean - mean).norm(dim=-1).argmin()) for mean in one.confirmed.mean]
+    assert sorted(rows) == list(range(len(rows)))
+    torch.testing.assert_close(one.confirmed.mean, other.confirmed.mean[rows])
+
+
+def test_there_may_be_any_number_of_targets():
+    side = 12
+    starts = [(100.0 * i, 100.0 * j, 3.0, 1.0) for i in range(side) for j in range(side)]
+    _, z = moving(starts, 9)
+    f = presets.jpda(ConstantVelocity(0.5), Position(2.0), clutter=Clutter(1.5e6, rate=1.0), detection=0.9)
+    states = run(Targets(f, birth=TwoPoint(20.0), deletion=Deletion(1)), [*z[:6], *z[6:, :2]])
+    assert [len(s.identity) for s in states[4:]] == [side**2, side**2, 2, 2, 2]
+
+
+def test_two_tracks_of_one_target_become_one_and_targets_that_cross_stay_two():
+    f, track = plane(), [(0.0, 0.0, 5.0, 0.0)]
+    _, z = moving(track, 12)
+    twice = torch.cat([z, z + 0.5], 1)  # as if seen by two devices, for the first five scans
+    twice[5:, 1] = math.nan
+    apart = run(Targets(f, birth=TwoPoint(20.0), confirmation=MOfN(2, 2)), twice)
+    merged = run(Targets(f, birth=TwoPoint(20.0), confirmation=MOfN(2, 2), merging=Merging(1.0)), twice)
+    assert len(apart[5].identity) == 2
+    assert merged[5].identity.tolist() == [0]
+    _, z = moving([(-60, 0, 5, 0), (0, -60, 0, 5)], 24)
+    crossing = run(Targets(f, birth=TwoPoint(20.0), merging=Merging()), z)
+    assert crossing[-1].identity.tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("birth", [OnePoint(60.0), TwoPoint(90.0)], ids=["one point", "two points"])
+def test_aircraft_in_spherical_coordinates_begin_where_the_sensor_says(birth):
+    scenario = scenarios.clutter_many(count=2, clutter=2)
+    tracks = scenario.simulate(1, 3)
+    f = presets.jpda(scenario.motion, scenario.sensor, clutter=scenario.clutter, detection=scenario.detection)
+    estimate = scenario.cartesian(Targets(f, birth=birth)(tracks.z))
+    lives = metrics.lives(estimate.mean, tracks.truth, scenario.truth_position)
+    assert (lives.followed[0] >= 0.85 * lives.length[0]).all()
+    assert lives.switches.sum() == 0
+
+
+def test_a_radar_that_moves_says_where_targets_are():
+    truth, _ = moving([(300.0, 400.0, 10.0, 5.0)], 12)
+    sensor = RangeBearing(torch.tensor([2.0, 0.002]).double())
+    u = torch.stack([torch.arange(12.0) * 7, torch.full((12,), -50.0)], -1).double()
+    z = sensor(truth[0], u).unsqueeze(1)
+    f = presets.jpda(ConstantVelocity(0.1), sensor, clutter=Clutter(1e6, rate=1.0), detection=0.9)
+    estimate = Targets(f, birth=TwoPoint(30.0))(z, u=u)
+    assert (estimate.mean[0, 4:, :2] - truth[0, 4:, :2]).norm(dim=-1).max() < 1.0
+
+
+@pytest.mark.parametrize("make", [
+    lambda s, **o: presets.jpda(aircraft(0.5), s, inner=presets.gpb, **o),
+    lambda s, **o: presets.jpda(aircraft(0.5), s, inner=presets.imm_srckf, **o),
+    lambda s, **o: presets.jpda(ConstantAcceleration(0.5), s, inner=presets.rsrckf, **o),
+    lambda s, **o: presets.iaukf_jpda(ConstantVelocity(0.5), s, **o),
+], ids=["gpb", "imm", "robust", "noise estimated"])  # fmt: skip
+def test_any_filter_of_scans_has_targets_that_come_and_go(make):
+    f = make(Position(2.0), clutter=Clutter(9e4, rate=3.0), detection=0.9)
+    truth, z = moving(FOUR, 10)
+    estimate = Targets(f, birth=TwoPoint(20.0, more=2.0), merging=Merging())(with_clutter(z, 3, 150.0))
+    gospa = metrics.gospa(estimate.mean, truth, WHERE, cutoff=30.0)
+    assert (gospa.missed[-3:] == 0).all()
+
+
+def test_missing_elements_are_marginalised_and_begin_nothing():
+    _, z = moving([(0, 0, 5, 0)], 12)
+    z[6:8, 0, 1] = math.nan
+    states = run(Targets(plane(), birth=TwoPoint(20.0), deletion=Deletion(2)), z)
+    assert states[-1].identity.tolist() == [0]
+    assert states[-1].next_identity.item() == 1
+    assert states[7].track.misses.tolist() == [0]
+
+
+def test_gates_of_metres_and_soft_gates_are_gates_too():
+    _, z = moving(FOUR, 10)
+    for options in ({"gate": Euclidean(40.0)}, {"gate": ChiSquare(0.999), "temperature": 0.1}):
+        estimate = Targets(plane(**options), birth=TwoPoint(20.0))(with_clutter(z, 3, 150.0))
+        assert estimate.confirmed[:, -1].sum() == 4
+
+
+def test_gradients_flow_through_the_lives_of_targets():
+    f = plane(learn=("detection", "q"))
+    targets = Targets(f, birth=TwoPoint(20.0))
+    estimate = targets(with_clutter(moving(FOUR, 8)[1], 3, 150.0))
+    (estimate.log_likelihood.sum() + estimate.mean[estimate.confirmed].sum()).backward()
+    assert all(p.grad is not None and p.grad.abs().sum() > 0 for p in targets.parameters())
+    assert all(p.grad is None for p in f.parameters())  # a copy runs
+
+
+def test_single_precision_stays_single():
+    estimate = Targets(plane(), birth=TwoPoint(20.0))(with_clutter(moving(FOUR, 8)[1], 3, 150.0).float())
+    assert estimate.mean.dtype == estimate.log_likelihood.dtype == torch.float32
+    assert estimate.confirmed[:, -1].sum() == 4
+
+
+def test_nothing_is_found_in_nothing():
+    estimate = Targets(plane())(torch.full((2, 5, 3, 2), math.nan).double())
+    assert estimate.mean.shape == (2, 0, 5, 4)
+    assert estimate.identity.shape == (2, 0)
+    assert estimate.log_likelihood.shape == (2, 0, 5)
+
+
+def test_without_scipy_it_is_said_what_to_install(monkeypatch):
+    real = importlib.import_module
+
+    def without(name, *rest):
+        if name.startswith("scipy"):
+            raise ImportError(name)
+        return real(name, *rest)
+
+    monkeypatch.setattr("torchfra.targets.assignment.import_module", without)
+    with pytest.raises(ImportError, match=r"pip install torchfra\[assignment\]"):
+        run(Targets(plane()), moving(FOUR, 3)[1])
+
+
+# ---------------------------------------------------------------- what does not fit is named
+
+
+@pytest.mark.parametrize(("make", "message"), [
+    (lambda: Targets(presets.srckf(ConstantVelocity(1.0), Position(1.0))), "filter: expected a JPDA"),
+    (lambda: Targets(plane(detection=torch.tensor([[0.9, 0.8]]))), "filter: expected hyperparameters"),
+    (lambda: Targets(plane(), birth=MOfN()), "birth: expected a Birth"),
+    (lambda: Targets(plane(), confirmation=3), "confirmation: expected a Confirmation"),
+    (lambda: Targets(plane(), deletion=MOfN()), "deletion: expected a Deletion"),
+    (lambda: Targets(plane(), merging=True), "merging: expected a Merging"),
+    (lambda: Targets(plane(), free=1.0), "free: expected a probability"),
+    (lambda: Targets(plane(detection=1.0, gate=Euclidean(10.0))), "filter: expected a detection below 1"),
+    (lambda: Targets(plane(clutter=Clutter(1e4))), "expected clutter of a Poisson rate"),
+    (lambda: Targets(plane(clutter=Clutter(1e4)), confirmation=MOfN(), deletion=Deletion(drop=0.1)), "Poisson rate"),
+    (lambda: OnePoint(0.0), "velocity: expected a number above 0"),
+    (lambda: OnePoint(more=-1.0), "more: expected a number above 0"),
+    (lambda: TwoPoint(math.inf), "speed: expected a number above 0"),
+    (lambda: MOfN(4, 3), "m, n: expected whole numbers"),
+    (lambda: MOfN(0, 3), "m, n: expected whole numbers"),
+    (lambda: SPRT(0.6, 0.6), "false, missed: expected probabilities"),
+    (lambda: SPRT(0.0), "false, missed: expected probabilities"),
+    (lambda: Deletion(None), "misses, drop, spread: expected at least one"),
+    (lambda: Deletion(0), "misses: expected 1 scan or more"),
+    (lambda: Deletion(drop=2.0), "drop: expected a probability"),
+    (lambda: Deletion(spread=0.0), "spread: expected metres above 0"),
+    (lambda: Merging(0.0), "distance: expected a number above 0"),
+])  # fmt: skip
+def test_arguments_that_do_not_fit_are_named(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_a_sensor_that_does_not_locate_has_no_births():
+    sensor = Bearings(0.01, stations=torch.tensor([[0.0, 0.0], [100.0, 0.0]]).double())
+    f = presets.jpda(ConstantVelocity(1.0), sensor, clutter=Clutter(extent=[6.28, 6.28], rate=2.0))
+    with pytest.raises(ValueError, match="filter: expected a sensor that measures where a target is"):
+        Targets(f)
+
+
+@pytest.mark.parametrize(("z", "options", "message"), [
+    (torch.zeros(3, 3).double(), {}, r"z: expected floating-point scans \(J, m\)"),
+    (torch.zeros(2).double(), {}, "z: expected floating-point scans"),
+    (torch.zeros(3, 2, dtype=torch.int64), {}, "z: expected floating-point scans"),
+    ([[0.0, 0.0]], {}, "z: expected floating-point scans"),
+    (torch.zeros(2, 3, 2).double(), {}, "z: expected 1 scenes"),
+    (torch.full((1, 2), math.inf).double(), {}, "z: expected finite measurements"),
+    (torch.zeros(3, 2).double(), {"dt": 0.0}, "dt: expected finite seconds above 0"),
+    (torch.zeros(3, 2).double(), {"dt": math.nan}, "dt: expected finite seconds above 0"),
+    (torch.zeros(3, 2).double(), {"dt": torch.ones(3)}, r"dt: expected a number or \(1,\)"),
+    (torch.zeros(3, 2).double(), {"u": torch.full((2,), math.nan)}, "u: expected finite numbers"),
+    (torch.zeros(3, 2).double(), {"u": torch.zeros(4, 2)}, "u: expected"),
+])  # fmt: skip
+def test_scans_that_do_not_fit_are_named(z, options, message):
+    targets = Targets(plane())
+    with pytest.raises(ValueError, match=message):
+        targets.step(targets.init(), z, **options)
+
+
+def test_sequences_and_states_that_do_not_fit_are_named():
+    targets = Targets(plane())
+    with pytest.raises(ValueError, match=r"z: expected floating-point scans \(..., T, J, m\)"):
+        targets(torch.zeros(3, 2).double())
+    with pytest.raises(ValueError, match="z: expected one scene and one scan or more"):
+        targets(torch.zeros(0, 3, 2).double())
+    with pytest.raises(ValueError, match=r"dt: expected a number or \(5,\)"):
+        targets(torch.zeros(5, 3, 2).double(), dt=torch.ones(4))
+    with pytest.raises(ValueError, match="state: expected what init or step has returned"):
+        targets.step(None, torch.zeros(3, 2).double())
+    with pytest.raises(ValueError, match="states: expected one or more, of 2 scenes"):
+        collect([targets.init()], (2,))
+    with pytest.raises(ValueError, match="states: expected one or more"):
+        collect([])
+    with pytest.raises(ValueError, match="scenes: expected 1 or more"):
+        targets.init(0)

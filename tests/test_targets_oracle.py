@@ -1,0 +1,71 @@
+"""Births, confirmation, deletion and identities are those of plain loops, scan by scan."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from oracles.targets import manage
+
+from torchfra import presets
+from torchfra.association import ChiSquare, Clutter
+from torchfra.motion import ConstantVelocity
+from torchfra.sensors import Position
+from torchfra.targets import SPRT, Deletion, MOfN, OnePoint, Targets, TwoPoint
+
+STD, Q, DT, PD, PG, WIDTH, RATE = 2.0, 0.25, 2.0, 0.8, 0.99, 150.0, 1.5
+BIRTHS = {"one point": (OnePoint(4.0), {"velocity": 4.0}), "two points": (TwoPoint(12.0), {"speed": 12.0})}
+CONFIRMATIONS = {
+    "3 of 5": (MOfN(3, 5), {"m": 3, "n": 5}),
+    "2 of 2": (MOfN(2, 2), {"m": 2, "n": 2}),
+    "score": (SPRT(1e-3, 0.02), {"false": 1e-3, "missed": 0.02}),
+}
+DELETIONS = {"misses": (Deletion(3), {"misses": 3}), "drop": (Deletion(4, drop=0.01), {"misses": 4, "drop": 0.01})}
+
+
+def scans(seed, steps=30):
+    """Two targets, one of which goes and one of which comes, missed now and then, among false measurements."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for k in range(steps):
+        there = [(-40 + 4 * k, 10 + k)] if k < 20 else []
+        there += [(50 - 3 * k, -30 + 2 * k)] if k >= 6 else []
+        z = [np.array(x) + STD * rng.standard_normal(2) for x in there if rng.random() < PD]
+        z += list(rng.uniform(-WIDTH / 2, WIDTH / 2, (rng.poisson(RATE), 2)))
+        found.append(rng.permutation(np.array(z).reshape(-1, 2)))
+    return found
+
+
+def manager(birth, confirmation, deletion):
+    f = presets.jpda(
+        ConstantVelocity(Q), Position(STD), clutter=Clutter(WIDTH**2, rate=RATE), detection=PD, gate=ChiSquare(PG),
+        exact=(6, 6),
+    )  # fmt: skip
+    return Targets(f, birth=birth, confirmation=confirmation, deletion=deletion)
+
+
+@pytest.mark.parametrize("deletion", DELETIONS)
+@pytest.mark.parametrize("confirmation", CONFIRMATIONS)
+@pytest.mark.parametrize("birth", BIRTHS)
+def test_every_scan_leaves_the_targets_of_plain_loops(birth, confirmation, deletion):
+    (birth, born), (confirmation, how), (deletion, when) = (
+        BIRTHS[birth], CONFIRMATIONS[confirmation], DELETIONS[deletion],
+    )  # fmt: skip
+    z = scans(0)
+    expected = manage(
+        z, std=STD, q=Q, dt=DT, PD=PD, PG=PG, limit=-2 * math.log(1 - PG), density=RATE / WIDTH**2, birth=born,
+        confirm=how, **when,
+    )  # fmt: skip
+    targets = manager(birth, confirmation, deletion)
+    state, most, confirmed = targets.init(), 0, set()
+    for scan, there in zip(z, expected, strict=True):
+        state = targets.step(state, torch.from_numpy(scan), dt=DT)
+        assert state.track.identity.tolist() == [t.identity for t in there]
+        assert state.track.confirmed.tolist() == [t.confirmed for t in there]
+        np.testing.assert_allclose(state.track.score, [t.score for t in there], rtol=1e-9, atol=1e-9)
+        if there:
+            np.testing.assert_allclose(state.belief.mean, [t.mean for t in there], rtol=1e-8, atol=1e-8)
+            np.testing.assert_allclose(state.belief.covariance, [t.P for t in there], rtol=1e-7, atol=1e-7)
+        most, confirmed = max(most, len(there)), confirmed | set(state.identity.tolist())
+    assert most >= 3  # there was something to decide
+    assert len(confirmed) >= 2
