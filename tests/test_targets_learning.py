@@ -12,7 +12,7 @@ from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
 from torchfra.targets import Deletion, PoissonBirths, Targets, TwoPoint
 
-WIDTH, FALSE, DETECTION, BIRTHS, SURVIVAL = 800.0, 4, 0.85, 0.3, 0.97
+WIDTH, FALSE, DETECTION, BIRTHS, SURVIVAL = 800.0, 4, 0.85, 0.3, 0.99
 
 
 def scenes(runs, steps, seed):
@@ -48,7 +48,7 @@ def test_births_and_detection_are_found_from_scans_alone():
         gate=ChiSquare(0.9999), learn=("detection",),
     )  # fmt: skip
     targets, births = Targets(f, birth=TwoPoint(25.0), deletion=Deletion(6)), learnable(PoissonBirths(0.1), "rate")
-    z = scenes(8, 50, 0)
+    z = scenes(8, 40, 0)
     found = []
 
     def of_scans():
@@ -64,7 +64,7 @@ def test_births_and_detection_are_found_from_scans_alone():
         loss.backward()
         return loss
 
-    torch.optim.LBFGS(targets.parameters(), lr=0.7, max_iter=5).step(of_scans)
+    torch.optim.LBFGS(targets.parameters(), lr=0.8, max_iter=4).step(of_scans)
     torch.optim.LBFGS(births.parameters(), max_iter=20).step(of_births)
     assert targets.filter.detection().item() == pytest.approx(DETECTION, abs=0.03)
     assert births.rate().item() == pytest.approx(BIRTHS, rel=0.2)
