@@ -14,7 +14,7 @@ from torchfra.filters import SRCKF
 from torchfra.kernel import build
 from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import Expressions
-from torchfra.kernel.run import Program, batch_first
+from torchfra.kernel.program import Program, batch_first
 from torchfra.kernel.source import Port, Scan
 from torchfra.kernel.step import Input, Step
 from torchfra.motion import ConstantVelocity
@@ -274,7 +274,7 @@ def test_what_does_not_fit_is_named_as_without(make, tracks):
     f.step(state, tracks.z[:, 0], u=tracks.u[0])
     for _ in range(2):
         with pytest.raises(ValueError, match="dt: expected seconds above 0"):
-            f.step(state, tracks.z[:, 0], u=tracks.u[0], dt=0.0)
+            f.step(state, tracks.z[:, 0], u=tracks.u[0], dt=-1.0)
         with pytest.raises(ValueError, match="state: expected one from a prior of batch"):
             f.step(state, tracks.z[:, 0].expand(3, 4, 2), u=tracks.u[0])
 

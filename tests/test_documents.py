@@ -47,6 +47,10 @@ SMALL = {
         {"--kinds": "ships", "--flights": "1", "--runs": "1", "--steps": "60", "--periods": "5", "--noises": "15"},
         {},
     ),
+    "scripts/peers_targets.py": (
+        {"--runs": "1", "--scans": "10", "--targets": "2", "--clutter": "2"},
+        {"--trackers": "srckf"},
+    ),
     "scripts/particles.py": ({"--runs": "2", "--particles": "50"}, {}),
     "scripts/benchmark.py": ({"--batch": "1", "--passes": "1", "--modes": "eager"}, {"--filters": "srckf"}),
     "scripts/targets.py": ({"--runs": "1", "--scans": "3"}, {}),

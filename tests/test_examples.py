@@ -28,8 +28,8 @@ def numbers(pattern, text):
     return [float(x) for match in re.findall(pattern, text) for x in ([match] if isinstance(match, str) else match)]
 
 
-def test_there_are_numbered_examples_of_80_lines_or_fewer():
-    assert [int(name[:2]) for name in EXAMPLES] == [1, 2, 3, 4, 5, 6, 9]
+def test_there_are_nine_numbered_examples_of_80_lines_or_fewer():
+    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 10)]
     assert all(len(path.read_text().splitlines()) <= 80 for path in EXAMPLES.values())
 
 
@@ -76,7 +76,9 @@ def test_the_network_in_front_prints_errors_of_three_filters(capsys):
 
 def test_a_model_of_the_turn_beats_constant_velocity(capsys):
     load("04_own_model").main(["--steps", "25"])
-    pairs = numbers(r"RMSE +([\d.]+) m with.*, +([\d.]+) m without", capsys.readouterr().out)
+    output = capsys.readouterr().out
+    assert output.startswith("UnknownTurn and DopplerRadar: no problems\n")
+    pairs = numbers(r"RMSE +([\d.]+) m with.*, +([\d.]+) m without", output)
     assert len(pairs) == 6
     assert all(own < other for own, other in zip(pairs[::2], pairs[1::2], strict=True))
 
@@ -94,6 +96,24 @@ def test_the_filter_that_estimates_the_measurement_noise_tracks_crossing_targets
     fixed, _, estimated, _ = numbers(r"median +([\d.]+) m, largest +([\d.]+) m", output)
     assert estimated < 0.7 * fixed
     assert output.count("missed") == 2
+
+
+def test_late_measurements_of_a_camera_help_a_radar_where_they_belong(capsys):
+    load("07_fusion").main(["--seconds", "15"])
+    output = capsys.readouterr().out
+    alone, left_out, both = numbers(r"RMSE +([\d.]+) m", output)
+    assert both < 0.7 * min(alone, left_out)
+    assert "to the last bit: True" in output
+
+
+def test_a_filter_that_knows_the_delay_and_how_a_vehicle_rolls_is_the_best(capsys):
+    load("08_ranges_on_a_vehicle").main(["--runs", "4", "--steps", "120"])
+    output = capsys.readouterr().out
+    blind, straight, turning, rolling = numbers(r"position RMSE ([\d.]+) m", output)
+    assert blind > 5 * straight
+    assert max(turning, rolling) < straight
+    assert all(abs(delay - 0.6) < 0.05 for delay in numbers(r"delay ([\d.]+) m", output))
+    assert "Augmented and Biased: no problems" in output
 
 
 def test_ten_targets_are_followed_without_a_switch(capsys):

@@ -103,7 +103,7 @@ def test_it_maps_over_hyperparameters_and_takes_a_batch_of_them(name, make, trac
         ({"prior": Gaussian(torch.zeros(3, 6), torch.eye(6))}, "broadcast"),
         ({"u": torch.zeros(5, 4)}, r"u: expected \(\.\.\., 12, k\), received \(5, 4\)"),
         ({"u": None}, "u: expected the positions of 2 stations"),
-        ({"dt": 0.0}, "dt: expected seconds above 0"),
+        ({"dt": -1.0}, "dt: expected seconds above 0"),
         ({"dt": torch.ones(5)}, "dt: expected a number"),
         ({"std": torch.ones(4, STEPS, 3)}, "std: expected"),
         ({"noise": torch.ones(4, STEPS, 2)}, "noise: expected"),

@@ -84,9 +84,24 @@ def test_level_flight_over_a_round_earth_is_no_descent():
     assert segments(time, mean, covariance, height=np.full(200, 9000.0)) == ()
 
 
+@pytest.mark.parametrize(("rate", "speed"), [(0.6, 230.0), (-0.3, 8.0)])
+def test_a_slow_turn_of_a_large_angle_is_one_whose_rate_is_known(rate, speed):
+    flown = path_of(during(60, 60 + round(60 / abs(rate)), rate, 400), speed=speed, std=(3.0, 0.02 * speed))
+    (turn,) = segments(*flown)
+    assert turn.kind == ("left turn" if rate > 0 else "right turn")
+    assert turn.rate * (turn.end - turn.begin) == pytest.approx(60.0 * np.sign(rate), abs=12)
+    noisier = path_of(during(60, 60 + round(60 / abs(rate)), rate, 400), speed=speed, std=(3.0, 0.4 * speed))
+    assert segments(*noisier) == ()
+
+
+def test_a_slow_turn_is_not_listed_beside_a_faster_one_in_it():
+    (turn,) = segments(*path_of(during(60, 200, 0.4, 400) + during(120, 140, 3.0, 400)))
+    assert turn.rate > 1.5
+
+
 def test_a_short_or_a_small_change_is_no_manoeuvre():
     assert segments(*path_of(during(60, 64, 3.0))) == ()
-    assert segments(*path_of(during(60, 180, 0.4))) == ()
+    assert segments(*path_of(during(60, 180, 0.2))) == ()
     assert segments(*path_of(0.0, during(60, 66, 0.6))) == ()
     assert segments(*path_of(0.0, during(60, 180, 0.3))) == ()
     assert segments(*path_of(0.0, 0.0, during(60, 180, 1.2), dims=3)) == ()

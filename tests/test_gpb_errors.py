@@ -7,8 +7,8 @@ from test_gpb import ANCHORS, MOTION, PRIOR, SENSORS, STEPS, VALUES, measured, s
 from torchfra import presets
 from torchfra.filters import GPB, Qualities, Regimes
 from torchfra.gaussian import fifth_degree
-from torchfra.motion import ConstantVelocity, Spherical
-from torchfra.sensors import Position, RangeBearing, Ranges
+from torchfra.motion import ConstantVelocity
+from torchfra.sensors import Position, Ranges
 
 
 def test_the_parts_make_the_filter_that_the_preset_makes():
@@ -60,11 +60,7 @@ def with_blocks(*blocks):
 ROOT = torch.eye(4).double() + 0.2
 
 
-RADAR = RangeBearing(torch.ones(3).double(), dims=3)
-
-
 @pytest.mark.parametrize(("motion", "sensor", "said"), [
-    (Spherical(ConstantVelocity(1.0, 3)), RADAR, "motion: expected a state without angles"),
     ([MOTION, ConstantVelocity(1.0)], Position(5.0), "models: expected motions of one state"),
     ([], Position(5.0), "models: expected motions of one state"),
     (Position(5.0), Position(5.0), "motion: expected one, several or a Bank, received Position"),

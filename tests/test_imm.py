@@ -317,7 +317,9 @@ def test_a_bank_that_knows_the_turn_follows_it_with_a_robust_filter_inside():
 
 
 def test_what_does_not_fit_is_named():
-    with pytest.raises(ValueError, match=r"models: expected motions of one state.*ConstantVelocity of 4"):
+    with pytest.raises(
+        ValueError, match=r"models: expected motions of one state.*ConstantVelocity of \[x, y, vx, vy\]; "
+    ):
         Bank([ConstantVelocity(1.0), ConstantAcceleration(1.0)])
     with pytest.raises(ValueError, match="models: expected several motions or a Bank"):
         presets.imm(ConstantAcceleration(1.0), SENSOR)

@@ -125,7 +125,7 @@ def test_what_does_not_fit_is_named(crossing):
             r"prior.mean: expected \(..., N, 6\)",
         ),
         (torch.zeros(5, 2, 3).double(), good, {"std": torch.ones(5, 3).double()}, "std: expected"),
-        (torch.zeros(5, 2, 3).double(), good, {"dt": 0.0}, "dt: expected"),
+        (torch.zeros(5, 2, 3).double(), good, {"dt": -1.0}, "dt: expected"),
         (torch.zeros(4, 5, 2, 3).double(), Gaussian(good.mean.expand(3, 2, 6), good.scale_tril), {}, "batch: expected"),
         (torch.zeros(5, 2, 3).double(), good, {"truncate": 0}, "truncate"),
         (

@@ -11,11 +11,12 @@ from oracles import gpb as regimes
 from oracles import joint_models
 
 from torchfra import losses, presets
+from torchfra.angles import wrap
 from torchfra.association import ChiSquare, Clutter, Euclidean
 from torchfra.filters import IMM, JPDA, SRCKF
 from torchfra.filters.fixed_lag import FixedLag
-from torchfra.motion import Bank, ConstantVelocity, CoordinatedTurn, aircraft
-from torchfra.sensors import Bearings, Position
+from torchfra.motion import Bank, ConstantVelocity, CoordinatedTurn, Spherical, aircraft
+from torchfra.sensors import Position, Ranges
 from torchfra.types import Gaussian
 
 STD, STEPS, VOLUME = 2.0, 12, 400.0
@@ -226,6 +227,30 @@ def test_values_may_differ_between_targets():
         torch.testing.assert_close(both.mean[0], alone.mean[0], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("inner", [presets.imm_srckf, presets.gpb])
+def test_targets_across_the_cut_of_the_azimuth_are_those_of_any_other_direction(crossing, scans, inner):
+    """The whole scene turned, so that one target flies to and fro where the azimuth jumps by a turn."""
+    bank = Bank([crossing.motion, Spherical(ConstantVelocity(4.0, 3))])
+    f = presets.jpda(bank, crossing.sensor, inner=inner, clutter=crossing.clutter, gate=Euclidean(150.0, least=0.9999))
+    z, (mean, root) = scans.z[:, :12], scans.prior
+    azimuth, (of_state,) = 0, bank.angles
+    plain = f(z, scans.prior)
+    by = -plain.mean[0, 0, 6, of_state]
+
+    def turned(x, element):
+        x = x.clone()
+        x[..., element] = wrap(x[..., element] + by)
+        return x
+
+    other = f(turned(z, azimuth), Gaussian(turned(mean, of_state), root))
+    assert other.mean[0, 0, :, of_state].min() < 0.1
+    assert other.mean[0, 0, :, of_state].max() > 6.2
+    gap = other.mean - turned(plain.mean, of_state)
+    gap[..., of_state] = wrap(gap[..., of_state])
+    assert gap.abs().max() < 1e-9
+    torch.testing.assert_close(other.scale_tril, plain.scale_tril, rtol=1e-7, atol=1e-10)
+
+
 def test_a_lost_track_of_several_models_searches_and_finds():
     """A start 60 m off, of a track that believes in 3 m."""
     t = torch.arange(1, 31).double()
@@ -263,7 +288,10 @@ def test_what_cannot_be_followed_is_named_with_its_reason():
             refused()
     with pytest.raises(ValueError, match="share_noise: expected an inner filter that estimates"):
         around("imm", share_noise=True)
-    bearings = presets.jpda(ConstantVelocity(1.0), Bearings(0.1), inner=presets.gpb, clutter=Clutter(extent=[1.0, 1.0]))
+    ranges = presets.jpda(
+        ConstantVelocity(1.0), Ranges(tensor([[0.0, 0.0], [9.0, 0.0]]), 1.0), inner=presets.gpb,
+        clutter=Clutter(extent=[1.0, 1.0]),
+    )  # fmt: skip
     correlated = torch.tensor([[1.0, 0.0], [0.5, 1.0]]).double().expand(STEPS, 5, 2, 2)
     with pytest.raises(ValueError, match="noise: expected noise that is independent between blocks"):
-        bearings(crowd(), start("gpb"), u=torch.zeros(4).double(), noise=correlated)
+        ranges(crowd(), start("gpb"), noise=correlated)

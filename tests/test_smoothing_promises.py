@@ -175,11 +175,21 @@ def test_a_track_that_fails_fails_alone():
     ("call", "message"),
     [
         (lambda f: f.smooth(Z, PRIOR, lag=0), r"lag: expected at least 1 step, received 0"),
-        (lambda f: f.smooth(Z, PRIOR, dt=0.0), r"dt: expected seconds above 0"),
+        (lambda f: f.smooth(Z, PRIOR, dt=-1.0), r"dt: expected seconds above 0"),
         (lambda f: f.smooth(Z, PRIOR, estimate=f(Z[:4], PRIOR)), r"estimate: .*\(6, 4\), received \(4, 4\)"),
-        (lambda f: f.smooth(Z, PRIOR, estimate=f(Z, PRIOR), dt=0.0), r"dt: expected seconds above 0"),
+        (lambda f: f.smooth(Z, PRIOR, estimate=f(Z, PRIOR), dt=-1.0), r"dt: expected seconds above 0"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_named(call, message):
     with pytest.raises(ValueError, match=message):
         call(presets.srckf(MOTION, SENSOR))
+
+
+def test_compiled_a_certain_direction_tells_nothing_either():
+    f = presets.srckf(ConstantVelocity(0.0), SENSOR)  # no noise: velocities stay what they were
+    root = torch.diag(torch.tensor([3.0, 0.0, 0.5, 0.0])).double()  # nothing is uncertain along y
+    z = torch.randn(5, 6, 2, generator=torch.Generator().manual_seed(0)).double()
+    eager = f.smooth(z, Gaussian(PRIOR.mean, root))
+    fast = f.compile().smooth(z, Gaussian(PRIOR.mean, root))
+    close(fast, eager)
+    assert (fast.scale_tril[..., 1, :].abs() < 1e-12).all()

@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 
 from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import Expressions
-from torchfra.kernel.run import Program, batch_first
+from torchfra.kernel.program import Program, batch_first
 from torchfra.kernel.source import Port, Scan
 from torchfra.linalg import gram_pinv, hstack, safe_divide, safe_log, safe_sqrt, tria, tria_beside, whiten
 from torchfra.linalg.tracing import elementary
+from torchfra.linalg.triangular import eliminated
 
 torch.manual_seed(0)
 
@@ -243,3 +244,20 @@ def test_safe_functions_run_under_torch_compile_and_in_kernels(name):
     traced = function(as_entries(book := Expressions(), x))
     assert isinstance(traced, Entries)
     np.testing.assert_allclose([book.values[i] for i in traced.ids.tolist()], values)
+
+
+def test_rows_are_taken_out_of_others_at_any_rank():
+    rng = torch.Generator().manual_seed(3)
+    a = torch.randn(4, 5, 7, generator=rng).double()
+    a[0, 1] = 2 * a[0, 0]  # it depends on the row above
+    a[1, 0] = 0.0
+    root, cross, rest, dependent = eliminated(a, 3, 1e-13)
+    assert dependent.tolist() == [[False, True, False], [True, False, False], [False] * 3, [False] * 3]
+    rebuilt = torch.where(dependent.unsqueeze(-2), 0.0, root)  # without the ones that stand for nothing
+    whole = torch.cat([torch.cat([rebuilt, torch.zeros(4, 3, 7)], -1), torch.cat([cross, rest], -1)], -2).double()
+    own = a[:, :3] @ a[:, :3].mT
+    independent = (~dependent).unsqueeze(-1) & (~dependent).unsqueeze(-2)
+    product = whole @ whole.mT
+    torch.testing.assert_close(torch.where(independent, product[:, :3, :3], 0.0), torch.where(independent, own, 0.0))
+    torch.testing.assert_close(product[:, 3:, 3:], a[:, 3:] @ a[:, 3:].mT)
+    torch.testing.assert_close(cross[2:], tria(a)[2:, 3:, :3])  # of full rank

@@ -15,12 +15,14 @@ from torchfra import (
     robust,
     scenarios,
     sensors,
+    stream,
     targets,
     testing,
 )
 from torchfra.app.clean import clean, track
 from torchfra.app.memory import keep_memory
 from torchfra.hyper import Hyper, learnable, summary
+from torchfra.testing.models import check_model
 from torchfra.types import Cause, Estimate, Failure, Gaussian, Innovation
 from torchfra.version import __version__ as __version__
 
@@ -33,6 +35,7 @@ __all__ = [
     "Innovation",
     "adaptive",
     "association",
+    "check_model",
     "clean",
     "coordinates",
     "filters",
@@ -48,6 +51,7 @@ __all__ = [
     "robust",
     "scenarios",
     "sensors",
+    "stream",
     "summary",
     "targets",
     "testing",

@@ -13,6 +13,11 @@ def wrap(angle: Tensor) -> Tensor:
     return angle - 2 * math.pi * torch.round(angle / (2 * math.pi))
 
 
+def near(angle: Tensor, other: Tensor) -> Tensor:
+    """The same angle within half a turn of another, rad; as it is where it is already."""
+    return angle - 2 * math.pi * torch.round((angle - other) / (2 * math.pi))
+
+
 def turned(azimuth: Tensor) -> Tensor:
     """The same azimuth in [0, 2 pi)."""
     turn = 2 * math.pi

@@ -1,7 +1,7 @@
 """A motion and a sensor of your own: a turn of unknown rate, seen by a Doppler radar.
 
-You learn what a ``Motion`` and a ``Sensor`` have to provide.  Both are plain tensor code without a batch loop: the last
-dimension holds states or measurements, and everything in front of it broadcasts.  Gradients and every preset follow.
+You learn what a ``Motion`` and a ``Sensor`` have to provide: plain tensor code whose last dimension holds states or
+measurements; all in front of it broadcasts.  Gradients and every preset follow; ``check_model`` says what is wrong.
 """
 
 import argparse
@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from torchfra import Gaussian, Hyper, metrics, presets
+from torchfra import Gaussian, Hyper, check_model, metrics, presets
 from torchfra.motion import ConstantVelocity, Motion
 from torchfra.sensors import Sensor
 
@@ -20,7 +20,7 @@ class UnknownTurn(Motion):
     """States ``[x, y, vx, vy, rate]``: the velocity turns by ``rate``, rad/s, which drifts by ``drift`` rad/s per s."""
 
     def __init__(self, q: float, drift: float) -> None:
-        super().__init__(dims=2, orders=2, q=q, size=5)  # positions come first, then velocities
+        super().__init__(dims=2, orders=2, q=q, size=5, components=("x", "y", "vx", "vy", "rate"))
         self.drift = Hyper(drift, name="drift")  # constrained to be positive; learn="drift" would learn it
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
@@ -58,6 +58,7 @@ def main(arguments: list[str] | None = None) -> None:
     steps = parser.parse_args(arguments).steps
     rng, like = torch.Generator().manual_seed(0), {"dtype": torch.float64}
     motion, radar = UnknownTurn(q=0.1, drift=0.01), DopplerRadar(torch.tensor([30.0, 0.01, 2.0], **like))
+    print(check_model(motion, radar))
     truth = [torch.tensor([5000.0, 5000.0, 100.0, 0.0, 0.0], **like).repeat(100, 1)]
     for k in range(steps):
         truth.append(motion(truth[-1], torch.tensor(1.0, **like)))

@@ -1,7 +1,8 @@
 """Streaming: one measurement at a time, with gaps and uneven time steps.
 
 You learn the loop around ``init`` and ``step``, that NaN marks what was not measured, that ``dt`` may differ from step
-to step, and that one call on the entire track gives the same estimates.
+to step, and that one call on the entire track gives the same estimates.  Where measurements come late, twice or from
+several sensors, a ``Tracker`` keeps the times: see the seventh example.
 """
 
 import argparse

@@ -32,10 +32,19 @@ class Steps(NamedTuple):
     std: Array
     """``(T, d)`` what the file says of each fix's standard deviation per axis, m; 1 where it says nothing."""
 
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """``(T,)`` which of them have a position; all where none has."""
+        there = ~np.isnan(self.raw).any(1)
+        return np.asarray(there if there.any() else ~there)
+
     def part(self, begin: int, end: int) -> Steps:
         """The steps from one to before another."""
-        cut = slice(begin, end)
-        return Steps(self.time[cut], self.raw[cut], self.row[cut], self.std[cut])
+        return self.at(slice(begin, end))
+
+    def at(self, chosen: slice | NDArray[np.bool_]) -> Steps:
+        """Some of the steps."""
+        return Steps(self.time[chosen], self.raw[chosen], self.row[chosen], self.std[chosen])
 
 
 def steps_of(recording: Recording, dt: float | None = None) -> Steps:

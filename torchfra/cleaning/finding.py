@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -26,7 +27,9 @@ SHORT = 0
 _FEW = 2.0
 """Fixes that shares of levels are worth before any was seen."""
 _SLOWEST = 1e-5
-"""Least density of the process noise, m^2/s^3."""
+"""Least density of the process noise, m^2/s^3, ..."""
+_STILL = 0.1
+"""and what it may move a target by between two fixes, m."""
 _LASTING = 300.0, 15.0
 """Mean time that the least and the largest process noise last, s."""
 _RARER = 3.0
@@ -59,7 +62,8 @@ def levels_up_to(acceleration: Tensor, period: Tensor, count: int, q: float | No
     """
     place = torch.linspace(0.0, 1.0, count, dtype=period.dtype).unsqueeze(1)
     top = (acceleration.square() * period).clamp_min(10 * _SLOWEST)
-    density = _SLOWEST * (top / _SLOWEST) ** place
+    least = (3 * _STILL**2 / period**3).clamp_max(_SLOWEST)
+    density = least * (top / least) ** place
     lasting = (_LASTING[0] * (_LASTING[1] / _LASTING[0]) ** place).expand_as(density)
     rarer = -_RARER * place if q is None else -0.5 * (density / max(q, _SLOWEST)).log10().square()
     return Levels(density, rarer.expand_as(density).log_softmax(0), lasting)
@@ -67,14 +71,13 @@ def levels_up_to(acceleration: Tensor, period: Tensor, count: int, q: float | No
 
 def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood on a coarse grid below what third differences allow."""
-    fixes = fixes.together()
     return likeliest(fixes, levels, owner, _rough(fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1))
 
 
 def finer_sigma(part: Part, owner: Tensor) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood near those that are known."""
     factors = _FINE ** torch.arange(2, -3, -1, dtype=part.sigma.dtype)
-    return likeliest(part.fixes.together(), part.levels, owner, part.sigma * factors.unsqueeze(1))
+    return likeliest(part.fixes, part.levels, owner, part.sigma * factors.unsqueeze(1))
 
 
 def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor) -> Tensor:
@@ -132,10 +135,8 @@ def _rough(fixes: Fixes, owner: Tensor) -> Tensor:
     return most.clamp_min(LEAST_SIGMA * 2.0**_COARSE / 4)
 
 
-def fitted(
-    parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool, smooth: bool = True, rounds: int = 2
-) -> tuple[list[Smoothed], list[Part], Tensor]:
-    """Smoothed estimates of all parts, and what they were made with.
+def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool, rounds: int = 2) -> list[Part]:
+    """Parts with what is found of all of their fixes.
 
     Each round takes the levels' shares as smoothing has found them, and what the axes across the ground say of an
     outlier is told to the height, and the other way round.  The last takes the likeliest sigma nearby too.
@@ -145,11 +146,7 @@ def fitted(
         owner: ``(B,)`` numbers; rows of the same one are of one track, or of tracks that are looked at together.
         find_sigma: whether to find sigma.
         find_q: whether to find the shares of the levels.
-        smooth: whether the estimates that are given back know later fixes.
         rounds: of finding.
-
-    Returns:
-        What is known of each part, the parts, and ``(T, B)`` probabilities of outliers.
     """
     for left in reversed(range(rounds)):
         known = [both_ways(part.scaled, part.levels) for part in parts]
@@ -158,13 +155,18 @@ def fitted(
         parts = _told(parts, known)
         if find_sigma and not left:
             parts = [part._replace(sigma=finer_sigma(part, owner).maximum(part.least)) for part in parts]
+    return parts
+
+
+def estimated(parts: Sequence[Part], *, smooth: bool) -> tuple[list[Smoothed], Tensor]:
+    """What is known of each part, from all fixes or those before; and ``(T, B)`` probabilities of outliers."""
     if smooth:
         known = [both_ways(part.scaled, part.levels) for part in parts]
-    else:
-        parts = [part._replace(fixes=part.fixes._replace(odds=torch.zeros_like(part.fixes.odds))) for part in parts]
-        known = [filtered(look_ahead(part.scaled, part.levels), part.scaled) for part in parts]
+    else:  # what other axes say of an outlier is of all fixes
+        alone = [part.scaled._replace(odds=torch.zeros_like(part.fixes.odds)) for part in parts]
+        known = [filtered(look_ahead(x, part.levels), x) for x, part in zip(alone, parts, strict=True)]
     odds = known[0].ahead.dirty.logit() + torch.stack([of.evidence for of in known]).sum(0)
-    return known, parts, torch.where(parts[0].fixes.missing, 0.0, odds.sigmoid())
+    return known, torch.where(parts[0].fixes.missing, 0.0, odds.sigmoid())
 
 
 def _told(parts: list[Part], known: list[Smoothed]) -> list[Part]:

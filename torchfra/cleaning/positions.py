@@ -13,9 +13,9 @@ from torch import Tensor
 
 from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.both_ways import Smoothed
-from torchfra.cleaning.finding import SHORT, Part, first_sigma, fitted, levels_up_to
+from torchfra.cleaning.finding import SHORT, Part, estimated, first_sigma, fitted, levels_up_to
 from torchfra.cleaning.kinds import KINDS
-from torchfra.cleaning.ladder import Fixes, merged
+from torchfra.cleaning.ladder import Fixes, Levels
 from torchfra.readers.columns import Array
 
 _AXES = ((slice(0, 2), "acceleration", 8), (slice(2, 3), "climb", 5))
@@ -74,31 +74,67 @@ def answers(tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, c
         settings: what they are cleaned with.
         coarse: metres between the heights that each can tell.
     """
-    rows = [row for i, steps in enumerate(tracks) for row in _rows(i, len(steps.time))]
-    z, gap, std = padded([tracks[row.track].part(row.begin, row.end) for row in rows])
-    owner = _owners([row.track for row in rows], [int((steps.row >= 0).sum()) for steps in tracks])
-    period = torch.tensor([period_of(tracks[row.track]) for row in rows], dtype=torch.float64)
-    parts: list[Part] = []
-    for axes, hardest, count in _AXES[: z.shape[-1] - 1]:
-        most = torch.tensor([getattr(KINDS[kinds[row.track]], hardest) for row in rows], dtype=torch.float64)
-        levels = levels_up_to(most, period, count, settings.q)
-        variance = std[..., axes].square().mean(-1).T.contiguous()
-        z_axes = z[..., axes].permute(1, 2, 0).contiguous()
-        fixes = Fixes(z_axes, gap.T.contiguous(), variance, torch.zeros_like(variance))
-        least = torch.zeros_like(most)
-        if parts:  # the error of a rounded height is even within half a step to either side
-            rounded = torch.tensor([coarse[row.track] / math.sqrt(12) for row in rows], dtype=torch.float64)
-            least = rounded.maximum(_LEAST_OF_HEIGHT * parts[0].sigma)
-        sigma = first_sigma(fixes, levels, owner) if settings.sigma is None else torch.full_like(most, settings.sigma)
-        parts.append(Part(fixes, levels, sigma.maximum(least), least))
-    known, parts, outlier = fitted(
-        parts, owner, find_sigma=settings.sigma is None, find_q=settings.q is None, smooth=settings.smooth
-    )
+    seen = [steps.at(steps.measured) for steps in tracks]
+    rows, parts = _parts(seen, kinds, settings, coarse)
+    parts = fitted(parts, _owners(rows, seen), find_sigma=settings.sigma is None, find_q=settings.q is None)
+    if any(len(some.time) < len(every.time) for some, every in zip(seen, tracks, strict=True)):
+        rows, parts = _between(tracks, rows, parts)
+    known, outlier = estimated(parts, smooth=settings.smooth)
     calm = [_CALM * KINDS[kinds[row.track]].acceleration for row in rows]
     return _joined(tracks, rows, parts, known, outlier, torch.tensor(calm, dtype=torch.float64))
 
 
-def _rows(track: int, count: int) -> list[Row]:
+def _parts(
+    tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[float]
+) -> tuple[list[Row], list[Part]]:
+    """Rows of tracks, and what is known of their axes at first."""
+    rows = _rows(tracks)
+    z, gap, std = padded([tracks[row.track].part(row.begin, row.end) for row in rows])
+    period = torch.tensor([period_of(tracks[row.track]) for row in rows], dtype=torch.float64)
+    parts: list[Part] = []
+    for axes, hardest, count in _AXES[: z.shape[-1] - 1]:
+        most = torch.tensor([getattr(KINDS[kinds[row.track]], hardest) for row in rows], dtype=torch.float64)
+        levels, fixes = levels_up_to(most, period, count, settings.q), _fixes(z, gap, std, axes)
+        least = torch.zeros_like(most)
+        if parts:  # the error of a rounded height is even within half a step to either side
+            rounded = torch.tensor([coarse[row.track] / math.sqrt(12) for row in rows], dtype=torch.float64)
+            least = rounded.maximum(_LEAST_OF_HEIGHT * parts[0].sigma)
+        told = None if settings.sigma is None else torch.full_like(most, settings.sigma)
+        sigma = first_sigma(fixes, levels, _owners(rows, tracks)) if told is None else told
+        parts.append(Part(fixes, levels, sigma.maximum(least), least))
+    return rows, parts
+
+
+def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]) -> tuple[list[Row], list[Part]]:
+    """The same with steps between the fixes; what was found of the fixes holds there too."""
+    every = _rows(tracks)
+    z, gap, std = padded([tracks[row.track].part(row.begin, row.end) for row in every])
+    first = torch.tensor([next(b for b, row in enumerate(rows) if row.track == of.track) for of in every])
+    more = []
+    for (axes, *_), part in zip(_AXES, parts, strict=False):
+        fixes = _fixes(z, gap, std, axes)
+        for b, row in enumerate(every):
+            measured = tracks[row.track].measured
+            odds = np.zeros(len(measured))
+            odds[measured] = _whole(part.fixes.odds, rows, row.track)
+            fixes.odds[: row.end - row.begin, b] = torch.from_numpy(odds[row.begin : row.end])
+        levels = Levels(*(x[:, first] for x in part.levels))
+        more.append(Part(fixes, levels, part.sigma[first], part.least[first]))
+    return every, more
+
+
+def _fixes(z: Tensor, gap: Tensor, std: Tensor, axes: slice) -> Fixes:
+    """Some of the axes of rows ``(B, T, d)``, with time first."""
+    variance = std[..., axes].square().mean(-1).T.contiguous()
+    return Fixes(z[..., axes].permute(1, 2, 0).contiguous(), gap.T.contiguous(), variance, torch.zeros_like(variance))
+
+
+def _rows(tracks: Sequence[Steps]) -> list[Row]:
+    """Tracks as rows, that overlap where they are long."""
+    return [row for i, steps in enumerate(tracks) for row in _rows_of(i, len(steps.time))]
+
+
+def _rows_of(track: int, count: int) -> list[Row]:
     """A track as rows that overlap, if it is long."""
     parts = max(1, math.ceil(count / _CORE))
     edges = np.linspace(0, count, parts + 1).round().astype(int).tolist()
@@ -108,9 +144,15 @@ def _rows(track: int, count: int) -> list[Row]:
     ]
 
 
-def _owners(tracks: Sequence[int], fixes: Sequence[int]) -> Tensor:
+def _owners(rows: Sequence[Row], tracks: Sequence[Steps]) -> Tensor:
     """Which rows have values in common ``(B,)``: those of a track, and those of all that have few fixes."""
-    return torch.tensor([SHORT if fixes[track] < _FEW else SHORT + 1 + track for track in tracks])
+    return torch.tensor([SHORT if len(tracks[row.track].time) < _FEW else SHORT + 1 + row.track for row in rows])
+
+
+def _whole(x: Tensor, rows: Sequence[Row], track: int) -> Array:
+    """What rows ``(T, B, ...)`` say of a track."""
+    own = [(b, row) for b, row in enumerate(rows) if row.track == track]
+    return np.concatenate([x[row.first - row.begin : row.last - row.begin, b].numpy() for b, row in own])
 
 
 def period_of(steps: Steps) -> float:
@@ -131,16 +173,10 @@ def _joined(
     manoeuvre = (known[0].levels * (parts[0].levels.q > 10 * q.maximum(calm.square()))).sum(1)
     found = []
     for i in range(len(tracks)):
-        own = [(b, row) for b, row in enumerate(rows) if row.track == i]
-        cuts = [(b, slice(row.first - row.begin, row.last - row.begin)) for b, row in own]
-
-        def whole(x: Tensor, cuts: list[tuple[int, slice]] = cuts) -> Array:
-            return np.concatenate([x[cut, b].numpy() for b, cut in cuts])
-
-        first = own[0][0]
+        first = next(b for b, row in enumerate(rows) if row.track == i)
         height = float(parts[1].sigma[first]) if len(parts) == 2 else math.nan
-        arrays = whole(mean), whole(covariance), whole(nis), whole(outlier), whole(manoeuvre)
-        found.append(Answer(*arrays, float(parts[0].sigma[first]), height, float(q[first])))
+        a, b, c, d, e = (_whole(x, rows, i) for x in (mean, covariance, nis, outlier, manoeuvre))
+        found.append(Answer(a, b, c, d, e, float(parts[0].sigma[first]), height, float(q[first])))
     return found
 
 
@@ -159,9 +195,13 @@ def _moments(known: Sequence[Smoothed]) -> tuple[Tensor, Tensor]:
 
 
 def _nis(part: Part, known: Smoothed) -> Tensor:
-    """Normalised innovation squared ``(T, B)`` of these axes; 0 where nothing is measured."""
-    expected, _ = merged(known.ahead.log_weights, known.ahead.belief, 1)
-    fixes = part.scaled
-    residual = fixes.z.movedim(1, 0) - expected.position
-    nis = residual.square().sum(0) / (expected.pp + fixes.variance)
-    return torch.where(fixes.missing, 0.0, nis)
+    """Normalised innovation squared ``(T, B)`` of these axes; 0 where nothing is measured.
+
+    It is the mean over the levels as the fix makes them likely, which is ``d`` on average if all is right.
+    """
+    fixes, expected = part.scaled, known.ahead.belief
+    residual = fixes.z.movedim(1, 0).unsqueeze(2) - expected.position
+    variance = expected.pp + fixes.variance.unsqueeze(1)
+    nis = residual.square().sum(0) / variance
+    fit = known.ahead.log_weights - 0.5 * (nis + len(residual) * variance.log())
+    return torch.where(fixes.missing, 0.0, (fit.nan_to_num().softmax(1) * nis).sum(1))

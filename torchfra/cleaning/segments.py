@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from torchfra.cleaning.cleaned import Segment
 from torchfra.readers.columns import Array
 
-_LONGEST = 10.0
-"""Seconds over which the rate of change is taken at most."""
 _SURE = 3.0
 """Standard deviations that the change over a segment must have."""
 
@@ -36,12 +34,16 @@ class _Rule(NamedTuple):
     """Least change."""
     unsure: float = math.inf
     """Median standard deviation in a segment, from which on nothing is known of the quantity."""
+    longest: float = 10.0
+    """Seconds over which the rate is taken at most."""
 
 
 _TURN = _Rule(
     ("left turn", "right turn"), noise=0.5, low=0.5, high=1.5, rate=1.0, lasting=2.0, change=15.0, unsure=30.0
 )
 """Of the direction of flight, degrees."""
+_SLOW_TURN = _TURN._replace(noise=0.05, low=0.1, rate=0.15, lasting=20.0, change=30.0, longest=60.0)
+"""Of ships and airliners: slow, and large in all."""
 _SPEED = _Rule(("speeding up", "slowing down"), noise=0.1, low=0.2, high=0.5, rate=0.5, lasting=4.0, change=4.0)
 """m/s."""
 _CLIMB = _Rule(("climbing", "descending"), noise=0.5, low=1.0, high=2.0, rate=2.5, lasting=10.0, change=30.0)
@@ -51,9 +53,10 @@ _CLIMB = _Rule(("climbing", "descending"), noise=0.5, low=1.0, high=2.0, rate=2.
 def segments(time: Array, mean: Array, covariance: Array, height: Array | None = None) -> tuple[Segment, ...]:
     """The manoeuvres of a track, by the time at which they begin.
 
-    What is listed turns by 15 degrees or more at 1 deg/s or more, changes its speed by 4 m/s or more at 0.5 m/s^2 or
-    more, climbs 30 m or more at 2.5 m/s or more, each by more than what is unsure.  A segment begins and ends where the
-    rate of that change passes half of what it is in the segment, or 1.5 deg/s, 0.5 m/s^2 and 2 m/s if that is less.
+    What is listed turns by 15 degrees or more at 1 deg/s or more, or by 30 degrees at 0.15 deg/s, changes its speed by
+    4 m/s or more at 0.5 m/s^2 or more, climbs 30 m or more at 2.5 m/s or more, each by more than what is unsure.  A
+    segment begins and ends where the rate of that change passes half of what it is in the segment, or 1.5 deg/s,
+    0.5 m/s^2 and 2 m/s if that is less.
 
     Args:
         time: ``(T,)`` seconds.
@@ -72,7 +75,10 @@ def segments(time: Array, mean: Array, covariance: Array, height: Array | None =
     aside = np.stack([-ahead[:, 1], ahead[:, 0]], 1)
     along, across = (np.sqrt(np.einsum("ti,tij,tj->t", u, spread, u)) for u in (ahead, aside))
     heading = np.degrees(np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0])))
-    found = [*_changes(time, heading, np.degrees(across / speed).clip(max=180.0), _TURN)]
+    unsure = np.degrees(across / speed).clip(max=180.0)
+    found = [*_changes(time, heading, unsure, _TURN)]
+    slow = [one for one in _changes(time, heading, unsure, _SLOW_TURN) if abs(one.rate) < _TURN.rate]
+    found += [one for one in slow if not any(one.begin < turn.end and turn.begin < one.end for turn in found)]
     found += _changes(time, speed, along, _SPEED)
     if d == 3:
         above = mean[:, 2] if height is None else height[finite]
@@ -92,7 +98,7 @@ def _changes(time: Array, value: Array, std: Array, rule: _Rule) -> Iterator[Seg
     """Segments in which a value ``(T,)`` of which ``std (T,)`` is known rises or falls."""
     at = np.sort(np.concatenate([time, (time[1:] + time[:-1]) / 2]))
     level, unsure = np.interp(at, time, value), np.interp(at, time, std)
-    half = (math.sqrt(2) * unsure / rule.noise).clip(np.median(np.diff(time)), _LONGEST) / 2
+    half = (math.sqrt(2) * unsure / rule.noise).clip(np.median(np.diff(time)), rule.longest) / 2
     before, after = (at - half).clip(time[0]), (at + half).clip(max=time[-1])
     rate = (np.interp(after, time, value) - np.interp(before, time, value)) / (after - before)
     rate[unsure > 2 * rule.unsure] = 0.0

@@ -1,5 +1,6 @@
 """The filters themselves; ``torchfra.presets`` has them ready made."""
 
+from torchfra.filters.ahead import Ahead
 from torchfra.filters.alphabeta import AlphaBeta
 from torchfra.filters.alphabeta.bank import AlphaBetaBank
 from torchfra.filters.alphabeta.memory import AlphaBetaInfo
@@ -24,6 +25,7 @@ __all__ = [
     "JPDA",
     "SRCKF",
     "VSIMM",
+    "Ahead",
     "AlphaBeta",
     "AlphaBetaBank",
     "AlphaBetaInfo",

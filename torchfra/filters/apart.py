@@ -63,7 +63,7 @@ def together(inner: Filter, none: tuple[Any, Any], each: Pairs, association: Ass
     own = chances[..., 1:].gather(-1, each.number).movedim(-1, 0)
     log_weights = torch.cat([chances[..., 0].unsqueeze(0), own])
     state, info = tree.map_tensors(lambda *xs: torch.cat(xs), none, (each.states, each.info))
-    return merged(inner, state, log_weights), averaged(info, log_weights)
+    return merged(inner, state, log_weights), averaged(info, log_weights, inner.motion.angles)
 
 
 def widened(state: Any, times: Tensor) -> Any:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchfra.filters.checks import check_lengths, check_models, check_state
+from torchfra.filters.compiling import Compilable
 from torchfra.filters.failures import diagnose
+from torchfra.filters.fusion import fused
 from torchfra.filters.loop import run
+from torchfra.filters.other_sensors import HasViews, SensorViews
 from torchfra.filters.records import Kept, Record
 from torchfra.filters.smoothing import Smoother
 from torchfra.gaussian.arguments import check, check_belief, check_kinds
@@ -21,14 +24,13 @@ from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.types import Estimate, Gaussian, Innovation
 
-F = TypeVar("F", bound="Filter")
 Mix = Callable[[Gaussian], Gaussian]
 
 
-class Filter(Smoother):
+class Filter(Compilable, HasViews, Smoother):
     """Abstract: ``TrackFilter`` for tracks of one target, ``ScanFilter`` for scans of several.
 
-    A subclass gives ``begin`` and ``advance``.  A module keeps nothing of a track; it runs in dtype and device of ``z``.
+    A subclass gives ``begin`` and ``advance``.  It keeps nothing of a track; it runs where ``z`` is, in its dtype.
 
     Args:
         motion: how targets move; None for a filter around another one, whose models are its own.
@@ -38,45 +40,17 @@ class Filter(Smoother):
         ValueError: the sensor reads more components than the motion's state has.
     """
 
-    kernel_numbers: tuple[str, ...] = ()
-    """Attributes that are plain numbers, which compiled kernels read when they run."""
-    slow_to_compile = False  # a quarter of a minute or more: commands compile such a filter only when told to
     scans = False
     """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
+    instants = True
+    """Whether a step may take no time, as that to a second measurement at the same instant."""
 
     def __init__(self, motion: Motion | None = None, sensor: Sensor | None = None) -> None:
         super().__init__()
-        self._kernels: Any = None
+        self._kernels, self._views = None, SensorViews()
         if motion is not None and sensor is not None:
             check_models(motion, sensor)
             self.motion, self.sensor = motion, sensor
-
-    def compile(self: F, *args: Any, **options: Any) -> F:  # type: ignore[override]  # torch's own returns None
-        """From here on run as compiled kernels, on the CPU: same results (to rounding), same gradients.
-
-        It needs a C++ compiler (``g++``, or what ``CXX`` names), and some seconds for a form of call that no earlier
-        process has compiled.  Gradients are of first order.  On other devices, under ``torch.compile`` and in
-        transforms of ``torch.func`` the filter runs as without.  ``torchfra/kernel/README.md`` has the details.
-
-        Args:
-            args: with any this is ``nn.Module.compile``, and so ``torch.compile``: ``f.compile(backend="inductor")``.
-            options: likewise.
-
-        Returns:
-            The filter itself.
-
-        Raises:
-            CompileError: (a ``RuntimeError``) when a kernel is needed and there is no compiler, or the step is too
-                large for one: seven models in space with ``fra`` for each, say.
-            NotImplementedError: then too, if the filter does what kernels cannot.
-        """
-        if args or options:
-            super().compile(*args, **options)
-        else:
-            from torchfra.filters.compiled import Compiled
-
-            self._kernels = Compiled()
-        return self
 
     def init(self, prior: Gaussian) -> Any:
         """The state before the first measurement.
@@ -120,6 +94,7 @@ class Filter(Smoother):
         u: Tensor | None = None,
         std: Tensor | None = None,
         noise: Tensor | None = None,
+        sensor: Sensor | None = None,
     ) -> tuple[Any, Innovation]:
         """One measurement (or scan), for streaming.
 
@@ -127,10 +102,11 @@ class Filter(Smoother):
             state: from ``init`` or the step before; it is not changed.
             z: ``(..., m)``, of scans ``(..., J, m)``; NaN is missing, and a step with nothing measured is a pure
                 prediction.
-            dt: seconds since the last step, a number or ``(...)``.
+            dt: seconds since the last step, a number or ``(...)``; 0 for another measurement at the same instant.
             u: ``(..., k)`` what the models need to know, such as where the stations are.
             std: like ``z``: standard deviation of this measurement's noise, instead of the sensor's.
             noise: like ``z`` with one more ``m``: root of the noise covariance, instead of the sensor's.
+            sensor: that has measured, if it is not the filter's own: see ``with_sensor``.
 
         Returns:
             The next state, whose ``belief`` is the estimate, and what the measurement said.
@@ -138,6 +114,9 @@ class Filter(Smoother):
         Raises:
             ValueError: a shape or a value that does not fit.
         """
+        if sensor is not None and sensor is not self.sensor:
+            other: tuple[Any, Innovation] = self.with_sensor(sensor).step(state, z, dt=dt, u=u, std=std, noise=noise)
+            return other
         measurements = Measurements(z, dt, u, std, noise)
         frame = partial(self._frame, state, measurements)
         if self._kernels is not None and self._kernels.takes(z):
@@ -157,6 +136,8 @@ class Filter(Smoother):
         truncate: int | None = None,
         checkpoint: int | None = None,
         past: bool = False,
+        sensors: Sequence[Sensor] | None = None,
+        which: Tensor | Sequence[int] | None = None,
     ) -> Estimate:
         """Whole tracks, or sequences of scans.
 
@@ -172,6 +153,9 @@ class Filter(Smoother):
             truncate: steps after which gradients flow no further back (truncated back-propagation); None for all.
             checkpoint: steps between states that are kept for the way back, which computes the steps between anew:
                 less memory for more time.  None keeps everything, and after ``compile`` a state every sqrt(T) steps.
+            sensors: where steps have several: ``z (..., T, m)`` has the elements of the largest, NaN behind those
+                of a smaller; ``std`` and ``noise`` likewise, and so has ``info`` what it says of elements.
+            which: ``(T,)`` number of each step's sensor, beside ``sensors``; ``dt`` 0 for two at the same instant.
             past: whether the estimate shall hold what ``smooth(estimate=)`` needs: of several models what each knew.
 
         Returns:
@@ -182,8 +166,10 @@ class Filter(Smoother):
             NotImplementedError: ``past`` of a filter that cannot be smoothed.
         """
         check_lengths(truncate=truncate, checkpoint=checkpoint)
-        run = self._remembered if past else self._forth
-        return run(Measurements(z, dt, u, std, noise), prior, checkpoint, truncate)[0]
+        f = self if sensors is None and which is None else fused(self, sensors, which)
+        run = f._remembered if past else f._forth
+        estimate: Estimate = run(Measurements(z, dt, u, std, noise), prior, checkpoint, truncate)[0]
+        return estimate
 
     def keep(self, state: Any, frame: Frame, past: bool = False) -> tuple[Any, Kept]:
         """One step on a prepared frame: the next state, and what the estimate (and the way back) needs of it."""
@@ -206,15 +192,22 @@ class Filter(Smoother):
         n, z = self.motion.size, measurements.z
         mean, root = (x.to(z) for x in prior)
         state = self.init(Gaussian(mean.expand((*batch, n)), root.expand((*batch, n, n))))
-        if self._kernels is not None and self._kernels.takes(z):
-            state, kept = self._kernels.forward(self, state, measurements, checkpoint, truncate, past)
-        else:
-            frames, log_norm = self._frames(measurements, len(batch))
-            state, record = run(self.advance, state, frames, len(batch), checkpoint, truncate, past)
-            kept = Kept(record.belief, *self._scores(record, log_norm.movedim(0, -1)), record.info, record.past)
+        state, kept = self._pass(state, measurements, len(batch), checkpoint, truncate, past)
         belief, info = self.finish(state, kept.belief, kept.info)
         failure = diagnose(self, belief, kept.log_likelihood, measurements, prior)
         return Estimate(*belief, kept.nis, kept.log_likelihood, info, failure), state, kept.past
+
+    def _pass(
+        self, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
+        past: bool,
+    ) -> tuple[Any, Kept]:  # fmt: skip
+        """The state after all steps, and what is kept of each."""
+        if self._kernels is not None and self._kernels.takes(measurements.z):
+            done: tuple[Any, Kept] = self._kernels.forward(self, state, measurements, checkpoint, truncate, past)
+            return done
+        frames, log_norm = self._frames(measurements, rank)
+        state, record = run(self.advance, state, frames, rank, checkpoint, truncate, past)
+        return state, Kept(record.belief, *self._scores(record, log_norm.movedim(0, -1)), record.info, record.past)
 
     def _frame(self, state: Any, measurements: Measurements) -> Frame:
         """The frame of a single step, checked."""
@@ -234,7 +227,9 @@ class Filter(Smoother):
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """The batch of all, checked, with the dimensions of the hyperparameters; messages call the prior ``name``."""
-        batch = check(measurements, prior, self.motion, self.sensor, scans=self.scans, name=name)
+        batch = check(
+            measurements, prior, self.motion, self.sensor.size, scans=self.scans, name=name, instants=self.instants
+        )
         return torch.Size((1,) * (self._rank() - self.scans - len(batch))) + batch
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:

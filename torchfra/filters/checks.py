@@ -23,7 +23,8 @@ def check_models(motion: Motion, sensor: Sensor) -> None:
             received = model.__name__ if isinstance(model, type) else type(model).__name__
             raise ValueError(f"{name}: expected an instance of torchfra's {kind.__name__}, received {received}")
     if sensor.reads > motion.size:
-        raise ValueError(f"sensor: expected one that reads at most {motion.size} states, this reads {sensor.reads}")
+        expected = f"one that reads at most {motion.size} states [{', '.join(motion.components)}]"
+        raise ValueError(f"sensor: expected {expected}, this reads {sensor.reads}")
     if sensor.dims is not None and sensor.dims > motion.dims:
         raise ValueError(f"sensor: expected one of at most {motion.dims} dimensions of space, received {sensor.dims}")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from torch import Tensor, nn
@@ -9,8 +10,11 @@ from torch import Tensor, nn
 from torchfra import tree
 from torchfra.filters.base import Filter
 from torchfra.filters.checks import check_lengths
+from torchfra.filters.fusion import joined
+from torchfra.filters.records import Record
 from torchfra.filters.smoothing import Told, sweep
 from torchfra.gaussian.inputs import Frame, Measurements, Time
+from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Innovation
 
 
@@ -81,6 +85,7 @@ class FixedLag(nn.Module):
         u: Tensor | None = None,
         std: Tensor | None = None,
         noise: Tensor | None = None,
+        sensor: Sensor | None = None,
     ) -> tuple[FixedLagState, Innovation]:
         """One measurement (or scan); arguments and errors are those of ``Filter.step``.
 
@@ -88,20 +93,30 @@ class FixedLag(nn.Module):
             The next state, with the estimate now in ``belief`` and that of ``lag`` steps back in ``lagged``, and what
             the measurement said.
         """
-        f = self.filter
-        frame = f._frame(state.inner, Measurements(z, dt, u, std, noise))
-        inner, record = f.advance(state.inner, frame)
-        moment = Moment(record.belief, record.info, record.past if f.keeps_past else None, frame)
+        f: Filter = self.filter.with_sensor(sensor)
+        if f is not self.filter:
+            self.filter.check_smooths_several()
+        inner, record, moment = remember(f, state.inner, Measurements(z, dt, u, std, noise))
         window = (*state.window, moment)[-self.lag - 1 :]
-        innovation = Innovation(*f._innovation(record, frame), *f._scores(record, frame.measurement_noise.log_norm))
-        return FixedLagState(inner, window, self.back(inner, window)), innovation
-
-    def back(self, inner: Any, window: tuple[Moment, ...]) -> Told:
-        """What is told of the first step of a window that ends in the filter's state ``inner``."""
-        f, rank = self.filter, inner.belief.mean.dim() - 1
-        belief, info, steps = tree.stack([moment[:3] for moment in window], rank)
-        past = f.past(*f.finish(inner, belief, info), inner, steps)
-        *earlier, now = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(window))
-        told = sweep(f, [*earlier, f.fresh(now)], [moment.frame for moment in window], rank, None, None)
+        told, rank = go_back(self.filter, inner, window), inner.belief.mean.dim() - 1
         first: Told = tree.map_tensors(lambda x: x.select(rank, 0), told)
-        return first
+        log_norm = moment.frame.measurement_noise.log_norm
+        innovation = Innovation(*f._innovation(record, moment.frame), *f._scores(record, log_norm))
+        return FixedLagState(inner, window, first), innovation
+
+
+def remember(f: Filter, state: Any, measurements: Measurements) -> tuple[Any, Record, Moment]:
+    """One step of a filter: the next state, its record, and what is kept of it."""
+    frame = f._frame(state, measurements)
+    state, record = f.advance(state, frame)
+    return state, record, Moment(record.belief, record.info, record.past if f.keeps_past else None, frame)
+
+
+def go_back(f: Filter, inner: Any, window: Sequence[Moment]) -> Told:
+    """What is told of all steps of a window that ends in the filter's state ``inner``, time behind the batch."""
+    rank = inner.belief.mean.dim() - 1
+    steps = [tree.map_tensors(lambda x: x.unsqueeze(rank), moment[:3]) for moment in window]
+    belief, info, steps = joined(steps, rank)
+    past = f.past(*f.finish(inner, belief, info), inner, steps)
+    *earlier, now = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(window))
+    return sweep(f, [*earlier, f.fresh(now)], [moment.frame for moment in window], rank, None, None)

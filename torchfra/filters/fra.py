@@ -109,6 +109,14 @@ class FRA(Soft, GaussianFilter):
             belief, belief, belief, belief, belief, normal, self.fading.begin(belief.mean, self.sensor.size)
         )
 
+    def unremembered(self, state: FRAState) -> FRAState:
+        """A state that remembers no innovations."""
+        return state._replace(memory=self.fading.begin(state.belief.mean, self.sensor.size))
+
+    def remembering(self, state: FRAState, before: FRAState) -> FRAState:
+        """A state with the innovations that the one ``before`` remembers."""
+        return state._replace(memory=before.memory)
+
     def advance(self, state: FRAState, frame: Frame, mix: Mix | None = None) -> tuple[FRAState, Record]:
         """One step: the one before is settled, then this one is normal or forks."""
         settled, kept = self.settle(state, frame)

@@ -12,6 +12,7 @@ from torchfra.gaussian.future import future
 from torchfra.gaussian.mixture import models_first, moment_match, repeated, without_failed
 from torchfra.gaussian.model import adapted
 from torchfra.linalg.triangular import apply
+from torchfra.motion.base import Motion
 from torchfra.types import Gaussian
 
 
@@ -66,9 +67,10 @@ def remembered(inner: Any, state: Any, steps: ModelsStep) -> ModelsPast:
     return ModelsPast(swapped(inner.past(belief, info, None, None)), steps.log_weights, steps.active)
 
 
-def together(models: Models, active: Tensor | None) -> Told:
+def together(models: Models, active: Tensor | None, motion: Motion) -> Told:
     """All models as one belief, and their probabilities, 0 of those that are not ``active``."""
-    belief = moment_match(models_first(models.belief), models.log_weights.movedim(-1, 0))
+    belief = moment_match(models_first(models.belief), models.log_weights.movedim(-1, 0), motion.angles)
+    belief = belief._replace(mean=motion.canonical(belief.mean))
     weights = models.log_weights.exp()
     return Told(belief, weights if active is None else (weights.unsqueeze(-2) @ active).squeeze(-2))
 
@@ -89,11 +91,12 @@ def retreat(inner: Any, turn: Turn, matrix: Tensor, after: Models) -> Models:
     joint = matrix + turn.past.log_weights.unsqueeze(-1)
     share = joint - joint.logsumexp(-2, keepdim=True)
     before = repeated(models_first(turn.past.inner.belief), share.shape[-1])  # (was, ..., now)
-    mixed = moment_match(before, share.movedim(-2, 0))
+    mixed = moment_match(before, share.movedim(-2, 0), inner.motion.angles)
     frame = adapted(turn.frame, mixed.mean)  # as the filter has adapted it
     predicted, _ = inner.carry(mixed, frame, turn.ahead.factor).belief()
-    later = future(predicted, after.belief)
-    each, fit = later.told(inner.carry(before, frame, turn.ahead.factor))
+    difference = inner.motion.difference
+    later = future(predicted, after.belief, difference)
+    each, fit = later.told(inner.carry(before, frame, turn.ahead.factor), difference)
     joint = without_failed((share + without_failed(fit).movedim(0, -2)).log_softmax(-2))
     joint = joint + after.log_weights.unsqueeze(-2)
     log_weights = joint.logsumexp(-1)

@@ -6,25 +6,22 @@ import copy
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.base import Filter, Mix
 from torchfra.filters.hindsight import Models, ModelsPast, ModelsStep, remembered, retreat, together
+from torchfra.filters.interaction import cycle, for_each_model, held, interaction
 from torchfra.filters.records import Record
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import TrackFilter
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import models_first, moment_match, repeated, without_failed
-from torchfra.gaussian.update import density
+from torchfra.gaussian.mixture import models_first, repeated
 from torchfra.hyper import Hyper, Value, hypers
-from torchfra.linalg.triangular import whiten
 from torchfra.motion.bank import Bank
+from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
-
-PER_MODEL = ("transition", "shift", "process_noise", "adaptation")
-"""Of a frame, what a ``Bank`` gives for each model."""
 
 
 class IMMState(NamedTuple):
@@ -80,6 +77,31 @@ class Around(TrackFilter):
         """The sensor."""
         return self.inner.sensor
 
+    def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
+        """Its parts, by name, that are others around another sensor."""
+        return {"inner": self.inner.with_sensor(sensor)}
+
+    def remembering(self, state: Any, before: Any) -> Any:
+        """A state whose models remember what those of the one ``before`` do."""
+        return state._replace(inner=self.inner.remembering(state.inner, before.inner))
+
+    def lead(self, state: Any, frame: Frame) -> tuple[Tensor, Frame]:
+        """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
+        raise TypeError(f"{type(self).__name__} needs a lead to predict")
+
+    def foresee(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
+        """A hypothesis ``(K, ..., n)`` of the state after a step for each model, and logs of their weights."""
+        matrix, frame = self.lead(state, frame)
+        log_weights, interact = interaction(state.log_weights, matrix, self.motion)
+        belief = self.inner.predicted(interact(state.inner.belief), frame).belief  # type: ignore[operator]
+        return models_first(belief), log_weights.movedim(-1, 0)
+
+    def would_see(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
+        """What is measured, less what hypotheses ``(K, ..., n)`` expect: ``(K, ..., m)`` in units of the noise."""
+        mean, root = beliefs.mean.movedim(0, -2), beliefs.scale_tril.movedim(0, -3)
+        f: Any = self.inner
+        return models_first(f.would_see(state.inner, Gaussian(mean, root), for_each_model(frame)))
+
     def matrix_back(self, turn: Turn, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
         raise TypeError(f"{type(self).__name__} needs a matrix_back to smooth")
@@ -105,7 +127,7 @@ class Around(TrackFilter):
     def last(self, past: ModelsPast) -> tuple[Models, Told]:
         """The last step, which no later measurement speaks of."""
         models = Models(past.inner.belief, past.log_weights)
-        return models, together(models, past.active)
+        return models, together(models, past.active, self.motion)
 
     def retreat(self, turn: Turn, after: Models) -> tuple[Models, Told]:
         """One step back, of all models."""
@@ -115,7 +137,7 @@ class Around(TrackFilter):
             return several
         matrix, frame = self.matrix_back(turn, after.log_weights)
         models = retreat(self.inner, Turn(turn.past, turn.ahead.inner, frame), matrix, after)
-        return models, together(models, turn.past.active)
+        return models, together(models, turn.past.active, self.motion)
 
 
 class IMM(Around):
@@ -168,52 +190,15 @@ class IMM(Around):
 
     def advance(self, state: IMMState, frame: Frame, mix: Mix | None = None) -> tuple[IMMState, Record]:
         """One step; ``mix`` is not looked at, as this filter mixes itself."""
-        matrix = self.transition(state.log_weights).log()
-        inner, log_weights, record = cycle(self.inner, state.inner, state.log_weights, matrix, for_each_model(frame))
+        matrix, frame = self.lead(state, frame)
+        inner, log_weights, record = cycle(self.inner, state.inner, state.log_weights, matrix, frame)
         record = record._replace(info=IMMInfo(log_weights.exp()))
         return IMMState(record.belief, inner, log_weights), record
 
+    def lead(self, state: Any, frame: Frame) -> tuple[Tensor, Frame]:
+        """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
+        return held(self.transition(state.log_weights).log(), frame.dt), for_each_model(frame)
+
     def matrix_back(self, turn: Turn, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
-        return self.transition(like).log(), for_each_model(turn.frame)
-
-
-def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame: Frame) -> tuple[Any, Tensor, Record]:
-    """Interaction, filtering, probabilities and fusion: eqs. (5)-(11).
-
-    Args:
-        inner: the filter of all models.
-        state: of that filter; its batch ends in the models.
-        log_weights: ``(..., K)`` before.
-        matrix: ``(..., K, K)`` logs of the transition, ``[was, now]``.
-        frame: for each model.
-
-    Returns:
-        The filter's state, the log weights after, and what all models together keep of the step.
-    """
-    joint = matrix + log_weights.unsqueeze(-1)
-    predicted = joint.logsumexp(-2)  # eq. (5): (..., K) before the measurement
-    shares = (joint - predicted.unsqueeze(-2)).movedim(-2, 0)  # eq. (6): [was, ..., now]
-
-    def interact(belief: Gaussian) -> Gaussian:
-        """Eqs. (7), (8)."""
-        mean, root = models_first(belief)
-        return moment_match(repeated(Gaussian(mean, root), shares.shape[-1]), shares)
-
-    state, record = inner.advance(state, frame, interact)
-    assert record.residual is not None
-    log_density = without_failed(density(record.root, record.normalised))
-    log_weights = predicted + (log_density if record.evidence is None else without_failed(record.evidence))
-    log_weights = log_weights - log_weights.logsumexp(-1, keepdim=True)  # eq. (9)
-    belief = moment_match(models_first(record.belief), log_weights.movedim(-1, 0))  # eqs. (10), (11)
-    innovation = moment_match(models_first(Gaussian(record.residual, record.root)), predicted.movedim(-1, 0))
-    normalised = whiten(innovation.scale_tril, innovation.mean)
-    log_density = (predicted + log_density).logsumexp(-1)
-    past = ModelsStep(record.belief, record.info, log_weights)
-    return state, log_weights, Record(belief, *innovation, normalised, None, log_density, past=past)
-
-
-def for_each_model(frame: Frame) -> Frame:
-    """The same for every model: a batch that ends in the models, which matrices of a ``Bank`` have already."""
-    wide: Frame = tree.insert_batch_dimension(frame, only=[name for name in Frame._fields if name not in PER_MODEL])
-    return wide
+        return held(self.transition(like).log(), turn.frame.dt), for_each_model(turn.frame)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -56,15 +56,17 @@ def merged(inner: Filter, states: Any, log_weights: Tensor) -> Any:
         return _of_regimes(inner, states, log_weights)
     if isinstance(inner, Around):
         return _of_models(inner, states, log_weights)
-    return State(moment_match(states.belief, log_weights), *averaged(states[1:], log_weights))
+    belief = moment_match(states.belief, log_weights, inner.motion.angles)
+    return State(belief, *averaged(states[1:], log_weights))
 
 
-def averaged(trees: Any, log_weights: Tensor) -> Any:
+def averaged(trees: Any, log_weights: Tensor, angles: Sequence[int] = ()) -> Any:
     """Trees ``(P, ...)`` as one: beliefs by their moments, truth values of the first, all else by the mean.
 
     Args:
         trees: of hypotheses, in front.
         log_weights: as in ``merged``.
+        angles: components of beliefs that are angles, rad.
     """
 
     def mean(x: Tensor) -> Tensor:
@@ -74,7 +76,7 @@ def averaged(trees: Any, log_weights: Tensor) -> Any:
         return (weight * torch.where(weight > 0, x, 0.0)).sum(0)
 
     def both(x: Any) -> Any:
-        return moment_match(x, log_weights) if isinstance(x, Gaussian) else tree.map_tensors(mean, x)
+        return moment_match(x, log_weights, angles) if isinstance(x, Gaussian) else tree.map_tensors(mean, x)
 
     return on_beliefs(both, trees)
 
@@ -91,7 +93,7 @@ def _of_models(inner: Around, states: Any, log_weights: Tensor) -> IMMState | VS
     """Each model by its share of each hypothesis: the probability of both together is what counts."""
     after, shares = _shared(_joint(log_weights.unsqueeze(-1), states.log_weights), log_weights.unsqueeze(-1))
     every: IMMState | VSIMMState = states._replace(
-        belief=moment_match(states.belief, log_weights),
+        belief=moment_match(states.belief, log_weights, inner.motion.angles),
         inner=merged(inner.inner, states.inner, shares),
         log_weights=after,
     )
@@ -105,11 +107,12 @@ def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
     joint = _joint(log_weights[..., None, None], states.log_weights)  # (P, ..., 2, R)
     _, shares = _shared(inner.regimes.of_motion(joint), log_weights[..., None, None])  # (P, ..., 2, K)
     _, dirty = _shared(joint[..., 1, :].logsumexp(-1), log_weights)
+    angles = inner.motion.angles
     return GPBState(
-        moment_match(states.belief, log_weights),
-        moment_match(states.settled, log_weights),
-        moment_match(states.clean, shares[..., 0, :]),
-        moment_match(states.dirty, shares[..., 1, :]),
+        moment_match(states.belief, log_weights, angles),
+        moment_match(states.settled, log_weights, angles),
+        moment_match(states.clean, shares[..., 0, :], angles),
+        moment_match(states.dirty, shares[..., 1, :], angles),
         joint.logsumexp(0),
         averaged(states.outlier, dirty),
     )

@@ -37,6 +37,7 @@ class ScanFilter(Filter):
 
     scans = True
     keeps_past = True
+    one_sensor = "gate and clutter are of the elements of one sensor"
     inner: Any
 
     def compile(self, *args: object, **options: object) -> ScanFilter:  # type: ignore[override]  # torch's returns None

@@ -12,9 +12,11 @@ from torch import Tensor, nn
 
 from torchfra import tree
 from torchfra.filters.checks import check_lengths
+from torchfra.filters.fusion import fused
 from torchfra.filters.loop import scan
 from torchfra.gaussian.inputs import Frame, Measurements, Time
 from torchfra.motion.base import Motion
+from torchfra.sensors.base import Sensor
 from torchfra.types import Estimate, Gaussian
 
 
@@ -86,6 +88,8 @@ class Smoother(nn.Module):
         checkpoint: int | None = None,
         lag: int | None = None,
         estimate: Estimate | None = None,
+        sensors: Sequence[Sensor] | None = None,
+        which: Tensor | Sequence[int] | None = None,
     ) -> Estimate:
         """Whole tracks, each step by the measurements before and after it: Rauch-Tung-Striebel after the filter.
 
@@ -104,9 +108,10 @@ class Smoother(nn.Module):
             checkpoint: steps between states that are kept for gradients, both ways.
             lag: steps after which measurements are no longer looked at: the estimate of each step then is that of the
                 measurements up to so many later.  None for all there are.
-            estimate: what ``forward`` gave for the same arguments, so that it need not run again.  Filters of several
-                models run again all the same, unless it was told ``past=True``: else an estimate does not hold what
-                each model knew.
+            estimate: what ``forward`` gave for the same arguments, so that it need not run again; of several models,
+                if it was told ``past=True``: else an estimate does not hold what each knew, and they run all the same.
+            sensors: as of ``forward``.
+            which: likewise.
 
         Returns:
             Smoothed beliefs in the shapes of ``forward``; ``nis`` and ``log_likelihood`` are those of the filter, and
@@ -114,17 +119,19 @@ class Smoother(nn.Module):
 
         Raises:
             ValueError: as of ``forward``; ``lag`` below 1, or an estimate of other tracks.
-            NotImplementedError: a filter of constant gains, which do not say how a state follows from the next.
+            NotImplementedError: constant gains, which do not say how states follow from each other; or ``GPB`` over
+                several sensors, as its way back is of one sensor's outliers.
         """
-        self.check_smooths()
+        f: Any = self if sensors is None and which is None else fused(self, sensors, which)
+        f.check_smooths()
         check_lengths(lag=lag, truncate=truncate, checkpoint=checkpoint)
         measurements = Measurements(z, dt, u, std, noise)
-        filtered, past = self._filtered(measurements, prior, checkpoint, truncate, estimate)
+        filtered, past = f._filtered(measurements, prior, checkpoint, truncate, estimate)
         rank = filtered.mean.dim() - 2
         if lag is None and self.kernels_back and self._kernels is not None and self._kernels.takes(z):
             told: Told = self._kernels.back(self, past, measurements, rank)
         else:
-            frames, _ = self._frames(measurements, rank)
+            frames, _ = f._frames(measurements, rank)
             *steps, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(frames))
             told = sweep(self, [*steps, self.decided(last)], frames, rank, checkpoint, lag)
         info = SmoothInfo(filtered, told.probabilities, told.outlier, told.repaired)
@@ -132,6 +139,9 @@ class Smoother(nn.Module):
 
     def check_smooths(self) -> None:
         """Raises a ``NotImplementedError`` that says why, of a filter that cannot be smoothed."""
+
+    def check_smooths_several(self) -> None:
+        """Raises a ``NotImplementedError`` that says why, of a filter that cannot be smoothed over several sensors."""
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: Any) -> Any:
         """What the way back needs: a tree of ``(..., T, ...)`` tensors.
@@ -230,14 +240,10 @@ def _lagged(f: Smoother, window: Any, turn: Turn) -> tuple[Any, Told]:
     if ahead is turn.ahead:
         before, told = f.retreat(turn, window)
     else:
-        before, told = f.retreat(turn._replace(ahead=ahead), _part(window, 0, 1))
+        before, told = f.retreat(turn._replace(ahead=ahead), tree.map_tensors(lambda x: x[:1], window))
         if len(tree.flatten(window)[0]) > 1:
-            older, told = f.retreat(turn, _part(window, 1, None))
+            older, told = f.retreat(turn, tree.map_tensors(lambda x: x[1:], window))
             before = tree.map_tensors(lambda *xs: torch.cat(xs), before, older)
     now, _ = f.last(f.fresh(turn.past))
     window = tree.map_tensors(lambda x, older: torch.cat([x.unsqueeze(0), older[:-1]]), now, before)
     return window, tree.map_tensors(lambda x: x[-1], told)
-
-
-def _part(window: Any, first: int, last: int | None) -> Any:
-    return tree.map_tensors(lambda x: x[first:last], window)

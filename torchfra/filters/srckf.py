@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchfra.adaptive.fading import Memory, NoFading
 from torchfra.adaptive.noise import NoiseMemory, NominalNoise, SageHusa
@@ -106,6 +106,29 @@ class SRCKF(GaussianFilter):
     def begin(self, belief: Gaussian) -> State:
         """The state of a belief: nothing remembered yet."""
         return State(belief, self.fading.begin(belief.mean, self.sensor.size), self.noise.begin(belief.mean))
+
+    def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
+        """Its parts, by name, that are others around another sensor."""
+        if not self.noise.plain:
+            raise ValueError(
+                "sensor: expected None beside an estimate of the measurement noise, which is of the elements of the "
+                f"filter's own sensor, received {sensor.describe()}"
+            )
+        return super().parts_for(sensor)
+
+    def unremembered(self, state: State) -> State:
+        """A state that remembers no innovations."""
+        return state._replace(fading=self.fading.begin(state.belief.mean, self.sensor.size))
+
+    def remembering(self, state: State, before: State) -> State:
+        """A state with the innovations that the one ``before`` remembers."""
+        return state._replace(fading=before.fading)
+
+    def would_see(self, state: State, beliefs: Gaussian, frame: Frame) -> Gaussian:
+        """What is measured, less what hypotheses ``(K, ..., n)`` expect, by the noise as it is known."""
+        whitened = self.compare(beliefs, frame)
+        root, _ = innovation(self.noise.known(whitened, state.noise, frame.seen))
+        return Gaussian(whitened.residual, self.noise.nominal(root, state.noise, frame.seen))
 
     def advance(self, state: State, frame: Frame, mix: Mix | None = None) -> tuple[State, Record]:
         """One step; equation numbers of Wang et al. (2021)."""

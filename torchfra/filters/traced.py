@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchfra import tree
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.kernel.entries import Entries
 from torchfra.kernel.expressions import Expressions
@@ -17,7 +18,11 @@ def begin(f: Any) -> Any:
     """The state before the first measurement."""
     n, dtype, book = f.motion.size, torch.float64, Expressions()
     root = Entries.inputs(book, (n, n), dtype).ids.tril()
-    return f.begin(Gaussian(Entries.inputs(book, (n,), dtype), Entries(book, root, dtype)))
+    state = f.begin(Gaussian(Entries.inputs(book, (n,), dtype), Entries(book, root, dtype)))
+    if f.home is f:
+        return state
+    # What a view keeps of a measurement is not nothing, as it seems to be from the view's own steps.
+    return f.remembering(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
 
 
 def _frame(f: Any, data: dict[str, Tensor]) -> Frame:

@@ -6,17 +6,20 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchfra.adaptive.fading import NoFading
+from torchfra.filters.ahead import Ahead, look_ahead
 from torchfra.filters.base import Filter
+from torchfra.filters.checks import check_state
 from torchfra.filters.records import Record, scores
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.gaussian.cubature import third_degree
-from torchfra.gaussian.inputs import Frame, Measurements, make_frames
+from torchfra.gaussian.inputs import Frame, Measurements, Time, make_frames
 from torchfra.gaussian.model import Carried, compare, predict, propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.smoothing import reverse
+from torchfra.gaussian.update import innovation
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Prediction, Whitened
@@ -35,6 +38,37 @@ class Past(NamedTuple):
 
 class TrackFilter(Filter):
     """Abstract: measurements ``z (..., T, m)``, beliefs ``(..., n)``."""
+
+    def predict(self, state: Any, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None) -> Ahead:
+        """What is expected after ``dt`` seconds, without a measurement; it runs interpreted.
+
+        Of several models or hypotheses it has the moments.  ``FRA`` looks ahead from its provisional estimate.
+
+        Args:
+            state: from ``init`` or ``step``; it is not changed.
+            dt: seconds from there, 0 or more, a number or ``(...)``.
+            u: ``(..., k)`` what the models need to know then.
+            sensor: whose measurement is expected, if it is not the filter's own.
+
+        Returns:
+            The state's mean and root, and those of a measurement.
+
+        Raises:
+            ValueError: a shape or a value that does not fit.
+        """
+        f = self.with_sensor(sensor)
+        check_state(f, state)
+        mean = state.belief.mean
+        nothing = mean.new_full((*mean.shape[:-1], f.sensor.size), torch.nan)
+        return look_ahead(f, state, f._frame(state, Measurements(nothing, dt, u)))
+
+    def foresee(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
+        """Hypotheses ``(K, ..., n)`` of the state after a step, and logs ``(K, ...)`` of their weights."""
+        raise TypeError(f"{type(self).__name__} needs a foresee and a would_see to predict")
+
+    def would_see(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
+        """What is measured, less what hypotheses ``(K, ..., n)`` expect: ``(K, ..., m)`` in units of the noise."""
+        raise TypeError(f"{type(self).__name__} needs a foresee and a would_see to predict")
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
         """A frame for each step, and the log norms of the measurement noise, time first."""
@@ -70,6 +104,10 @@ class GaussianFilter(TrackFilter):
         self.motion_rule = rule(motion.size)
         self.sensor_rule = self.motion_rule.marginal(sensor.reads)
 
+    def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
+        """Its parts, by name, that are others around another sensor."""
+        return {"sensor": sensor, "sensor_rule": self.motion_rule.marginal(sensor.reads)}  # type: ignore[dict-item]
+
     @property
     def signed(self) -> bool:
         """Whether some weights of the rule are negative, so that covariances may need repair."""
@@ -82,6 +120,17 @@ class GaussianFilter(TrackFilter):
     def compare(self, belief: Gaussian, frame: Frame) -> Whitened:
         """The measurement against a predicted belief."""
         return compare(self.sensor, self.sensor_rule, belief, frame)
+
+    def foresee(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
+        """The only hypothesis of the state after a step, and the log of its weight."""
+        belief = self.predicted(state.belief, frame).belief
+        mean, root = (x.unsqueeze(0) for x in belief)
+        return Gaussian(mean, root), torch.zeros_like(mean[..., 0])
+
+    def would_see(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
+        """What is measured, less what hypotheses ``(K, ..., n)`` expect: ``(K, ..., m)`` in units of the noise."""
+        whitened = self.compare(beliefs, frame)
+        return Gaussian(whitened.residual, innovation(whitened)[0])
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: Any) -> Past:
         """What the way back needs: beliefs, and the fading factors that were chosen."""

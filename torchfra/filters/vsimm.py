@@ -12,7 +12,8 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.base import Filter, Mix
-from torchfra.filters.imm import PER_MODEL, Around, cycle, for_each_model
+from torchfra.filters.imm import Around
+from torchfra.filters.interaction import PER_MODEL, cycle, for_each_model, held
 from torchfra.filters.records import Record
 from torchfra.filters.smoothing import Turn
 from torchfra.gaussian.inputs import Frame
@@ -109,20 +110,32 @@ class VSIMM(Around):
 
     def advance(self, state: VSIMMState, frame: Frame, mix: Mix | None = None) -> tuple[VSIMMState, Record]:
         """One step; ``mix`` is not looked at, as this filter mixes itself."""
-        active, goes_on = self.choose(state.active, state.log_weights)
-        matrix = self.matrix(state.active, active, goes_on).log()
-        frame = _of_active(for_each_model(frame), active)
+        active, matrix, frame = self.chosen(state, frame)
         inner, log_weights, record = cycle(self.inner, state.inner, state.log_weights, matrix, frame)
         weights = (log_weights.exp().unsqueeze(-2) @ active).squeeze(-2)
         info = VSIMMInfo(weights, active.sum(-2) > 0)
         record = record._replace(info=info, past=record.past._replace(active=active))
         return VSIMMState(record.belief, inner, log_weights, active), record
 
+    def chosen(self, state: VSIMMState, frame: Frame) -> tuple[Tensor, Tensor, Frame]:
+        """The set ``(..., A, K)`` of a step, logs ``(..., A, A)`` of the transition to it, and its frame."""
+        active, goes_on = self.choose(state.active, state.log_weights)
+        instant = (frame.dt == 0).unsqueeze(-1)  # over no time the set stays
+        active = torch.where(instant.unsqueeze(-1), state.active, active)
+        goes_on = torch.where(instant, torch.ones_like(goes_on), goes_on)
+        matrix = held(self.matrix(state.active, active, goes_on).log(), frame.dt)
+        return active, matrix, _of_active(for_each_model(frame), active)
+
+    def lead(self, state: Any, frame: Frame) -> tuple[Tensor, Frame]:
+        """Logs ``(..., A, A)`` of the transition of a step, ``[was, now]``, and its frame for each active model."""
+        return self.chosen(state, frame)[1:]
+
     def matrix_back(self, turn: Turn, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., A, A)`` of the transition of a step, ``[was, now]``, and its frame for each active model."""
         was, now = turn.past.active, turn.ahead.active
         goes_on = (was * now).sum(-1)  # a model that goes on keeps its place
-        return self.matrix(was, now, goes_on).log(), _of_active(for_each_model(turn.frame), now)
+        matrix = held(self.matrix(was, now, goes_on).log(), turn.frame.dt)
+        return matrix, _of_active(for_each_model(turn.frame), now)
 
     def choose(self, active: Tensor, log_weights: Tensor) -> tuple[Tensor, Tensor]:
         """The set for the next step, ``(..., A, K)``, and ``(..., A)`` 1 where a model goes on running.

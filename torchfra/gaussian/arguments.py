@@ -12,7 +12,6 @@ from torchfra.gaussian.inputs import Measurements, Time
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.motion.base import Motion
-from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
 PRECISIONS = (torch.float32, torch.float64)
@@ -22,10 +21,11 @@ def check(
     measurements: Measurements,
     prior: Gaussian,
     motion: Motion,
-    sensor: Sensor,
+    size: int,
     *,
     scans: bool = False,
     name: str = "prior",
+    instants: bool = True,
 ) -> torch.Size:
     """The batch of what a user hands in, once kinds, shapes and values are known to fit.
 
@@ -33,16 +33,17 @@ def check(
         measurements: of whole tracks.
         prior: ``(..., n)`` and ``(..., n, n)``.
         motion: gives ``n``.
-        sensor: gives ``m``.
+        size: ``m``.
         scans: whether measurements are ``(..., T, J, m)`` and priors ``(..., N, n)``; targets are no part of the batch.
         name: what error messages call the prior.
+        instants: whether a step may take no time.
 
     Raises:
         ValueError: names the argument, what was expected and what came.
     """
     check_belief(prior, name)
     check_kinds(measurements)
-    batch = _batches(measurements, prior, motion.size, sensor.size, scans, name)
+    batch = _batches(measurements, prior, motion.size, size, scans, name)
     z, dt = measurements.z, measurements.dt
     if scans and prior.scale_tril.dim() > 2 and prior.scale_tril.shape[-3] != prior.mean.shape[-2]:
         count, shape = prior.mean.shape[-2], tuple(prior.scale_tril.shape)
@@ -57,7 +58,7 @@ def check(
     except RuntimeError:
         received = ", ".join(f"{name} {tuple(shape)}" for name, shape in batch.items())
         raise ValueError(f"batch: expected shapes that broadcast, received {received}") from None
-    check_values(measurements)
+    check_values(measurements, instants)
     return whole
 
 
@@ -107,10 +108,11 @@ def _check_tensor(name: str, x: Any, precisions: Sequence[torch.dtype] = ()) -> 
         raise ValueError(f"{name}: expected real numbers, received {x.dtype}")
 
 
-def check_values(measurements: Measurements) -> None:
-    """Checks that time steps and noise are positive and finite, as numbers of the precision of ``z``.
+def check_values(measurements: Measurements, instants: bool = True) -> None:
+    """Checks that time steps are finite and not negative, and noise positive, as numbers of the precision of ``z``.
 
-    Noise counts where something is measured.  Code that is traced is not checked.
+    Noise counts where something is measured.  Code that is traced is not checked.  Without ``instants`` steps of no
+    time are refused.
 
     Raises:
         ValueError: names the argument and the first value that is not.
@@ -118,7 +120,7 @@ def check_values(measurements: Measurements) -> None:
     z, dt, _, std, noise = measurements
     if is_traced(*(x for x in measurements if isinstance(x, Tensor))):
         return
-    check_seconds(dt, z.dtype)
+    check_seconds(dt, z.dtype, instants)
     if std is not None:
         std = std.to(z)
         bad = ~((std > 0) & (std < torch.inf) | z.isnan())
@@ -131,16 +133,19 @@ def check_values(measurements: Measurements) -> None:
             _refuse("noise", expected, noise, singular, event=2)
 
 
-def check_seconds(dt: Time, dtype: torch.dtype) -> None:
-    """Checks that time steps are positive and finite, as numbers of this precision.
+def check_seconds(dt: Time, dtype: torch.dtype, instants: bool = True) -> None:
+    """Checks that time steps are finite and not negative, as numbers of this precision; 0 is for ``instants``.
 
     Raises:
         ValueError: one is not.
     """
-    seconds = torch.as_tensor(dt).to(dtype)
+    given = torch.as_tensor(dt)
+    seconds = given.to(dtype)
     bad = ~((seconds > 0) & (seconds < torch.inf))
+    if instants:
+        bad = bad & (given != 0)
     if bool(bad.any()):
-        _refuse("dt", f"seconds above 0 and finite in {dtype}", torch.as_tensor(dt), bad)
+        _refuse("dt", f"seconds above 0 {'(or just 0) ' * instants}and finite in {dtype}", given, bad)
 
 
 def _singular(noise: Tensor, seen: Tensor) -> Tensor:

@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from torchfra.gaussian.model import Carried
+from torchfra.gaussian.rules import Difference
 from torchfra.gaussian.smoothing import invertible
 from torchfra.linalg.gram import downdate, gram_information
 from torchfra.linalg.triangular import apply, hstack, tria_beside
@@ -36,12 +37,13 @@ class Future(NamedTuple):
     value: Tensor
     """``(..., n)``."""
 
-    def told(self, ahead: Carried) -> Told:
+    def told(self, ahead: Carried, difference: Difference = torch.sub) -> Told:
         """What this says of beliefs ``(..., n)`` that are carried as far as its state, in units of their roots.
 
         What does not follow a belief is noise here, ``N = I + slope Q slope^T``, and often that of many beliefs: in
         units of it, ``N^-1/2 value = A u + N(0, I)`` for ``u ~ N(0, I)``.  ``tria([[I, A^T], [0, e^T]]) = [[R, 0],
         [y^T, d]]`` then holds what is left: ``u ~ N(R^-T y, R^-T R^-1)``, and the density ``exp(-d^2 / 2) / det R``.
+        ``difference`` subtracts two states.
         """
         n = ahead.mean.shape[-1]
         rest = ahead.spread.shape[-1] - n
@@ -52,7 +54,7 @@ class Future(NamedTuple):
             root, _ = downdate(root, self.slope @ ahead.lost)
         seen = torch.linalg.solve_triangular(root, hstack(self.slope, self.value.unsqueeze(-1)), upper=False)
         slope = seen[..., :n]
-        residual = seen[..., n] - apply(slope, ahead.mean - self.origin)
+        residual = seen[..., n] - apply(slope, difference(ahead.mean, self.origin))
         rows = hstack(slope @ ahead.spread[..., rest:], residual.unsqueeze(-1)).mT  # [A, e]^T
         lower = tria_beside(pad(eye.diagonal(), (0, 1)), rows)
         left = torch.linalg.solve_triangular(lower[..., :n, :n].mT, eye, upper=True)
@@ -64,15 +66,15 @@ def _log_det(root: Tensor) -> Tensor:
     return root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
 
-def future(predicted: Gaussian, smoothed: Gaussian) -> Future:
+def future(predicted: Gaussian, smoothed: Gaussian, difference: Difference = torch.sub) -> Future:
     """The measurement that makes of a ``predicted`` belief ``(..., n)`` the ``smoothed`` one.
 
     In units of the predicted root the smoothed belief is ``N(w, W W^T)``.  Eigenvalues ``p`` of ``W W^T`` are below 1
     where later measurements have told something: there the information is ``1 / p - 1``.  Directions of more, which
-    the merging of several models can leave, say nothing.
+    the merging of several models can leave, say nothing.  ``difference`` subtracts two states.
     """
     root, certain = invertible(predicted.scale_tril, 4 * predicted.mean.shape[-1])
-    gap = (smoothed.mean - predicted.mean).unsqueeze(-1)
+    gap = difference(smoothed.mean, predicted.mean).unsqueeze(-1)
     known = torch.where(certain.unsqueeze(-1), 0.0, hstack(gap, smoothed.scale_tril))
     inside = torch.linalg.solve_triangular(root, known, upper=False)
     slope, weight = gram_information(inside[..., 1:])

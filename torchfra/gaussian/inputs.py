@@ -51,6 +51,13 @@ class Measurements(NamedTuple):
         return Measurements(z.unsqueeze(-2 - scans), dt, u, std, noise)
 
 
+@event_ranks(z=1, dt=0, u=1, std=1, noise=2)
+class Timed(Measurements):
+    """Part of a track whose steps have a ``dt`` each, even if the part is a single step."""
+
+    varying_dt = True
+
+
 @event_ranks(z=1, seen=1, dt=0, u=1, transition=2, shift=1, process_noise=2)
 class Frame(NamedTuple):
     """All of a step that does not depend on the belief."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
+from torchfra.angles import near
 from torchfra.linalg.triangular import tria
 from torchfra.types import Gaussian
 
 
-def moment_match(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
+def moment_match(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] = ()) -> Gaussian:
     """The Gaussian with the mean and the covariance of a mixture.
 
     ``tria([sqrt(w_i) S_i, sqrt(w_i) (mean_i - mean)])`` over all i: no covariance is formed.
@@ -19,29 +22,46 @@ def moment_match(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
             roots ``(K, ..., n, p)`` will do.
         log_weights: ``(K, ...)``, whose exponentials sum to one over the first dimension; minus infinity for a belief
             that does not count, and may then be NaN.
+        angles: components that are angles, rad.  Their moments are those of the angles within half a turn of the
+            likeliest belief's: the same whichever belief they count from, as long as all lie in one half of the circle.
 
     Source: Bar-Shalom, Li & Kirubarajan (2001), section 1.4.16, for the moments.
     """
-    middle, columns = _moments(beliefs, log_weights)
+    middle, columns = _moments(beliefs, log_weights, angles)
     zeros = torch.zeros_like(middle).unsqueeze(-1).expand(*middle.shape, middle.shape[-1])
     return Gaussian(middle, tria(torch.cat([zeros, *columns], -1), padded=True))
 
 
-def pooled(beliefs: Gaussian, log_weights: Tensor) -> Gaussian:
+def pooled(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] = ()) -> Gaussian:
     """As ``moment_match``, with a root ``(..., n, K (p + 1))``, for what makes it triangular later."""
-    middle, columns = _moments(beliefs, log_weights)
+    middle, columns = _moments(beliefs, log_weights, angles)
     return Gaussian(middle, torch.cat(columns, -1))
 
 
-def _moments(beliefs: Gaussian, log_weights: Tensor) -> tuple[Tensor, list[Tensor]]:
+def _moments(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int]) -> tuple[Tensor, list[Tensor]]:
     """The mean ``(..., n)``, and columns of a root of the covariance, ``(..., n, p)`` and ``(..., n, 1)``."""
     counts = log_weights != -torch.inf  # NaN does count: it must show in the result
     root = (0.5 * log_weights).exp()  # not the root of a weight: its gradient at 0 is infinite
     mean = torch.where(counts.unsqueeze(-1), beliefs.mean, 0.0)
+    if angles:
+        mean = _together(mean, log_weights, angles)
     middle = (root.square().unsqueeze(-1) * mean).sum(0)
     spread = root[..., None, None] * torch.where(counts[..., None, None], beliefs.scale_tril, 0.0)
     apart = (root.unsqueeze(-1) * (mean - middle)).unsqueeze(-1)
     return middle, [x for pair in zip(spread.unbind(), apart.unbind(), strict=True) for x in pair]
+
+
+def _together(mean: Tensor, log_weights: Tensor, angles: Sequence[int]) -> Tensor:
+    """Means ``(K, ..., n)`` with their angles within half a turn of the likeliest one's."""
+    columns = list(mean.unbind(-1))
+    for i in angles:
+        if i < len(columns):  # else they are of components that a sensor does not read
+            column, weight = torch.broadcast_tensors(columns[i], log_weights)
+            likeliest, most = column[0], weight[0]
+            for angle, w in zip(column[1:], weight[1:], strict=True):
+                likeliest, most = torch.where(w > most, angle, likeliest), torch.maximum(w, most)
+            columns[i] = near(column, likeliest)
+    return torch.stack(torch.broadcast_tensors(*columns), -1)
 
 
 def repeated(belief: Gaussian, count: int) -> Gaussian:

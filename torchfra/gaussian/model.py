@@ -68,7 +68,7 @@ def propagate(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Car
         mean, spread = apply(transition, mean), transition @ root
         return Carried(mean if frame.shift is None else mean + frame.shift, spread, frame.process_noise, None)
     mean, spread, lost = rule(lambda x: motion.at_points(x, frame.dt, frame.u), belief, motion.difference)
-    return Carried(mean, spread, motion.process_noise_at(frame.process_noise, mean), lost)
+    return Carried(mean, spread, motion.process_noise_at(frame.process_noise, mean, frame.dt), lost)
 
 
 def adapted(frame: Frame, mean: Tensor) -> Frame:

@@ -11,7 +11,8 @@ from torch.nn.functional import pad
 from torchfra.gaussian.model import Carried
 from torchfra.gaussian.rules import Difference
 from torchfra.linalg.gram import downdate
-from torchfra.linalg.triangular import hstack, tria
+from torchfra.linalg.tracing import is_elementary
+from torchfra.linalg.triangular import eliminated, hstack, tria
 from torchfra.tree import event_ranks
 from torchfra.types import Gaussian
 
@@ -65,14 +66,21 @@ def reverse(belief: Gaussian, ahead: Carried) -> Reversed:
     if ahead.lost is not None:
         root, repaired = downdate(tria(columns[..., :-n]), ahead.lost)
         columns = hstack(root, columns[..., -n:])
-    columns = pad(columns, (2 * n, 0))  # behind the zeros that tria wants
     now = pad(belief.scale_tril.expand(*columns.shape[:-2], n, n), (columns.shape[-1] - n, 0))
-    lower = tria(torch.cat([columns, now], -2), padded=True)
+    root, cross, left, certain = _split(torch.cat([columns, now], -2), n)
+    return Reversed(belief.mean, ahead.mean, root, cross, left, certain, repaired)
+
+
+def _split(joint: Tensor, n: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """``S-``, ``L21``, a root of what is left and the certain directions, of a ``joint`` root ``(..., 2 n, p)``."""
+    terms = 3 * n + joint.shape[-1]
+    if is_elementary():
+        return eliminated(joint, n, _rounding(terms, joint.dtype))  # what is left need not be a triangle
+    lower = tria(joint)
     cross, left = lower[..., n:, :n], lower[..., n:, n:]
-    root, certain = invertible(lower[..., :n, :n], sum(columns.shape[-2:]))
+    root, certain = invertible(lower[..., :n, :n], terms)
     untold = certain.unsqueeze(-2)
-    left = hstack(left, torch.where(untold, cross, 0.0))
-    return Reversed(belief.mean, ahead.mean, root, torch.where(untold, 0.0, cross), left, certain, repaired)
+    return root, torch.where(untold, 0.0, cross), hstack(left, torch.where(untold, cross, 0.0)), certain
 
 
 def invertible(root: Tensor, terms: int) -> tuple[Tensor, Tensor]:
@@ -80,7 +88,11 @@ def invertible(root: Tensor, terms: int) -> tuple[Tensor, Tensor]:
 
     These are the pivots, ``(..., n)`` bool, at the level of the rounding errors of sums of so many terms.
     """
-    rounding = 4 * terms * torch.finfo(root.dtype).eps
     held = root.detach()
-    certain = held.diagonal(dim1=-2, dim2=-1) <= rounding * held.square().sum(-1).sqrt()
+    certain = held.diagonal(dim1=-2, dim2=-1) <= _rounding(terms, root.dtype) * held.square().sum(-1).sqrt()
     return torch.where(certain.unsqueeze(-1), 0.0, root) + torch.diag_embed(certain.to(root)), certain
+
+
+def _rounding(terms: int, dtype: torch.dtype) -> float:
+    """Relative errors of sums of so many terms."""
+    return 4 * terms * torch.finfo(dtype).eps

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-from array import array
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
@@ -13,89 +12,9 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from torchfra.kernel import build
-from torchfra.kernel.source import Port, Scan
+from torchfra.kernel.program import BUILDING, Program, batch_first
 from torchfra.kernel.step import Step
 from torchfra.tree import unflatten
-
-BUILDING = threading.RLock()
-"""Held while caches of kernels are looked up and filled: threads that need the same kernels make them once.
-
-Tracing itself needs no lock: every trace has its own copy of the module.
-"""
-
-_TRACKS_PER_THREAD = 16
-"""Tracks at least for each thread."""
-
-
-class Program:
-    """A scan, compiled."""
-
-    def __init__(self, scan: Scan) -> None:
-        self._dtype = scan.dtype
-        self._reads, self._writes = scan.carry + scan.reads, scan.after + scan.writes
-        with BUILDING:
-            source = scan.source()
-        self._run = build.load(source)  # outside: several filters compile at the same time
-
-    def __call__(self, batch: torch.Size, steps: int, tensors: Sequence[Tensor]) -> list[Tensor]:
-        """Runs it.
-
-        Args:
-            batch: shape of the batch of tracks.
-            steps: of time.
-            tensors: what it reads: ``(..., entries)`` or ``(..., T, entries)`` where ``...`` is the batch, whose
-                entries have any shape.
-
-        Returns:
-            What it wrote, with tracks innermost: ``batch_first`` moves them to the front.
-        """
-        tracks = batch.numel()
-        ports = [_strided(x, port, len(batch), tracks) for x, port in zip(tensors, self._reads, strict=True)]
-        written = []
-        for port in self._writes:
-            shape = ((steps,) if port.timed else ()) + tuple(port.shape) + tuple(batch)
-            written.append(torch.empty(shape, dtype=torch.bool if port.truth else self._dtype))
-        ports += [(x, 1, len(port.ids) * tracks, tracks) for x, port in zip(written, self._writes, strict=True)]
-        table = array("q", [number for x, *strides in ports for number in (x.data_ptr(), *strides)])
-        address = table.buffer_info()[0]
-        threads = max(1, min(torch.get_num_threads(), -(-tracks // _TRACKS_PER_THREAD)))
-        self._run(tracks, steps, threads, address, address + 32 * len(tensors))
-        return written
-
-
-def batch_first(x: Tensor, rank: int) -> Tensor:
-    """What a program wrote, with its ``rank`` batch dimensions moved to the front."""
-    inner = x.dim() - rank
-    return x.permute([*range(inner, x.dim()), *range(inner)]) if rank else x
-
-
-def _strided(x: Tensor, port: Port, rank: int, tracks: int) -> tuple[Tensor, int, int, int]:
-    """The tensor, copied if it must be, and its strides from track to track, step to step, entry to entry."""
-    x = x.resolve_neg()  # a sign may be put off, and memory does not tell; a real tensor is its own conjugate
-    x = torch.zeros(x.shape, dtype=x.dtype) if x._is_zerotensor() else x  # which has no memory
-    count = len(port.ids)
-    if x.is_contiguous():
-        return x, count * (x.shape[rank] if port.timed else 1) if tracks > 1 else 0, count, 1
-    sizes, strides, split = x.shape, x.stride(), rank + port.timed
-    track, entry = _stride(sizes[:rank], strides[:rank]), _stride(sizes[split:], strides[split:])
-    if track is None or entry is None:
-        return _strided(x.contiguous(), port, rank, tracks)
-    return x, track, strides[rank] if port.timed else 0, entry
-
-
-def _stride(sizes: Sequence[int], strides: Sequence[int]) -> int | None:
-    """From one entry to the next over several dimensions; None if that is not the same everywhere."""
-    first = reach = None
-    for size, stride in zip(reversed(sizes), reversed(strides), strict=True):
-        if size == 1:
-            continue
-        if first is None:
-            first = stride
-        elif stride != reach:
-            return None
-        reach = stride * size
-    return first or 0
 
 
 class Kernels:
@@ -110,15 +29,19 @@ class Kernels:
         self._programs: dict[tuple[Any, ...], Program] = {}
         self._making = threading.Lock()
 
-    def program(self, kind: str, *how: Any) -> Program:
+    def forwards(self, batch: torch.Size) -> Program:
+        """What filters a batch of this shape; a single step of one track has a program of its own, for its speed."""
+        return self.program("forwards", narrow=batch.numel() == 1 and not self.step.repeated)
+
+    def program(self, kind: str, *how: Any, narrow: bool = False) -> Program:
         """``"forwards"``, ``"trajectory"`` or ``"backwards"`` of the step, see there."""
-        key = (kind, *how)
+        key = (kind, narrow, *how)
         if key not in self._programs:
             with self._making:
                 if key not in self._programs:
                     with BUILDING:
                         scan = getattr(self.step, kind)(*how)
-                    self._programs[key] = Program(scan)
+                    self._programs[key] = Program(scan, narrow)
         return self._programs[key]
 
     def run(
@@ -145,7 +68,7 @@ class Kernels:
             starts = sorted({*range(0, steps, length), *range(0, steps, truncate or steps)})
             done = _Run.apply(self, batch, (*starts, steps), truncate, *state, *inputs)  # type: ignore[no-untyped-call]
         else:
-            done = self.program("forwards")(batch, steps, (*state, *inputs))
+            done = self.forwards(batch)(batch, steps, (*state, *inputs))
         rest = iter([batch_first(x, len(batch)) for x in done])
         return unflatten(self.step.state, rest), unflatten(self.step.record, rest)
 
@@ -165,7 +88,7 @@ class _Run(torch.autograd.Function):
         done: list[Tensor] = []
         for first, last in pairwise(starts):
             begun += state
-            done = kernels.program("forwards")(batch, last - first, (*state, *_part(step, inputs, first, last, rank)))
+            done = kernels.forwards(batch)(batch, last - first, (*state, *_part(step, inputs, first, last, rank)))
             state = tuple(batch_first(x, rank) for x in done[:count])
             kept.append(done[count:])
         ctx.save_for_backward(*inputs, *begun)

@@ -1,4 +1,4 @@
-"""C++ for a loop over time whose step is expressions: blocks of tracks side by side in vector registers."""
+"""C++ for a loop over time whose step is expressions: one track, or blocks of them side by side in vector registers."""
 
 from __future__ import annotations
 
@@ -29,6 +29,8 @@ class Port:
     """Whether the same entry of neighbouring tracks lies side by side, as in what kernels write."""
     truth: bool = False
     """Whether it holds truth values."""
+    double: bool = False
+    """Whether it is read in double precision, whatever the arithmetic is in."""
 
 
 @dataclass
@@ -66,8 +68,19 @@ class Scan:
                 todo += self.book.nodes[number][1]
         return sorted(needed)
 
-    def source(self) -> str:
-        """The translation unit.
+    def source(self, narrow: bool = False) -> str:
+        """The translation unit, whose function is ``run``.
+
+        Args:
+            narrow: whether for one track, in plain C++ that needs no headers of torch; or for many, in vectors.
+
+        Raises:
+            CompileError: the step has too many operations.
+        """
+        return "".join((*self.parts(narrow), _file("run.cpp")))
+
+    def parts(self, narrow: bool) -> tuple[str, str]:
+        """What any scan of this dtype needs, and the function ``block`` of this one.
 
         Raises:
             CompileError: the step has too many operations.
@@ -84,11 +97,11 @@ class Scan:
         step += [f"c{p}_{e} = {_number(self.book, self.after[p].ids[e])};" for p, e, _ in carried]
         after_loop = [f"put(out[{p}], {e}, {f'c{p}_{e}' if i != ZERO else 'all(0)'}, at);"
                       for p, port in enumerate(self.carry) for e, i in enumerate(port.ids)]  # fmt: skip
-        text = _template().replace("SCALAR", SCALARS[self.dtype])
-        text = text.replace("TIME", "steps - 1 - k" if self.backwards else "k")
+        head, block = (text.replace("SCALAR", SCALARS[self.dtype]) for text in _template(narrow))
+        block = block.replace("TIME", "steps - 1 - k" if self.backwards else "k")
         for mark, lines in {"FIXED": before_loop, "STEP": step, "END": after_loop}.items():
-            text = text.replace(f"    // {mark}\n", "".join(f"    {line}\n" for line in lines if line))
-        return text
+            block = block.replace(f"    // {mark}\n", "".join(f"    {line}\n" for line in lines if line))
+        return head, block
 
     def _varying(self, live: list[int]) -> set[int]:
         """The expressions that change from step to step; all others are computed once, before the loop."""
@@ -101,7 +114,7 @@ class Scan:
 
     def _loads(self, timed: bool, needed: set[int]) -> list[str]:
         return [
-            f"const V v{i} = {'load' if port.packed else 'get'}(in[{p}], {e}, at);"
+            f"const V v{i} = {'load' if port.packed else 'get<double>' if port.double else 'get'}(in[{p}], {e}, at);"
             for p, port in enumerate(self.reads, len(self.carry))
             if port.timed == timed
             for e, i in enumerate(port.ids)
@@ -143,7 +156,7 @@ def _statement(book: Expressions, number: int) -> str:
     truth = book.is_bool(number)
     if op in ("and", "or", "not"):
         masks = [_mask(book, i) for i in args]
-        text = f"~{masks[0]}" if op == "not" else f"{masks[0]} {'&' if op == 'and' else '|'} {masks[1]}"
+        text = f"!{masks[0]}" if op == "not" else f"{masks[0]} {'&' if op == 'and' else '|'} {masks[1]}"
     elif op == "select":
         mask, *choices = args
         yes, no = (_mask(book, i) if truth else _number(book, i) for i in choices)
@@ -161,14 +174,30 @@ _OPERATORS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "
 _FUNCTIONS = {"sqrt": 1, "abs": 1, "exp": 1, "expm1": 1, "log": 1, "log1p": 1, "erf": 1, "sin": 1, "cos": 1, "tan": 1,
               "asin": 1, "acos": 1, "atan": 1, "sinh": 1, "cosh": 1, "tanh": 1, "round": 1, "floor": 1, "ceil": 1,
               "trunc": 1, "atan2": 2, "hypot": 2, "pow": 2}  # fmt: skip
-"""Functions of torch's vectors, with the number of their arguments."""
+"""Functions of torch's vectors and of C++, with the number of their arguments."""
 
-_UNARY = "inline V {0}_(const V& a) {{ return raw(vec(a).{0}()); }}\n"
-_BINARY = "inline V {0}_(const V& a, const V& b) {{ return raw(vec(a).{0}(vec(b))); }}\n"
+_VECTORS = {
+    1: "inline V {0}_(const V& a) {{ return raw(vec(a).{0}()); }}\n",
+    2: "inline V {0}_(const V& a, const V& b) {{ return raw(vec(a).{0}(vec(b))); }}\n",
+}
+_NUMBERS = {
+    1: "inline V {0}_(V a) {{ return std::{0}(a); }}\n",
+    2: "inline V {0}_(V a, V b) {{ return std::{0}(a, b); }}\n",
+}
 
 
-@lru_cache(maxsize=1)
-def _template() -> str:
-    """``template.cpp`` with the functions in it."""
-    functions = "".join((_UNARY if count == 1 else _BINARY).format(name) for name, count in _FUNCTIONS.items())
-    return Path(__file__).with_name("template.cpp").read_text().replace("// FUNCTIONS\n", functions)
+@lru_cache(maxsize=2)
+def _template(narrow: bool) -> tuple[str, str]:
+    """``template.cpp``, before its function and that, with ``narrow.cpp`` or ``wide.cpp`` and the functions in it."""
+    forms = _NUMBERS if narrow else _VECTORS
+    functions = "".join(forms[count].format(name) for name, count in _FUNCTIONS.items())
+    if narrow:
+        functions = functions.replace("std::round(", "std::nearbyint(")  # halves to the even neighbour, as torch does
+    lanes = _file("narrow.cpp" if narrow else "wide.cpp").replace("// FUNCTIONS\n", functions)
+    head, mark, block = _file("template.cpp").replace("// LANES\n", lanes).partition("namespace {\nvoid block(")
+    return head, mark + block
+
+
+@lru_cache
+def _file(name: str) -> str:
+    return Path(__file__).with_name(name).read_text()

@@ -29,6 +29,8 @@ class Input(NamedTuple):
     """Whether each step has its own value."""
     value: bool
     """Whether it is a parameter, a buffer or a number of the module (its name is then the path), and not data."""
+    double: bool = False
+    """Whether it is given in double precision to a step in single precision."""
 
 
 class Trace(NamedTuple):
@@ -153,7 +155,7 @@ class Step:
         return Scan(trace.book, before, after, self._reads(trace), writes, self.last_first, self.dtype)
 
     def _reads(self, trace: Trace) -> list[Port]:
-        return [Port(_ids(trace.inputs[name]), x.shape, x.timed) for name, x in self.inputs.items()]
+        return [Port(_ids(trace.inputs[name]), x.shape, x.timed, double=x.double) for name, x in self.inputs.items()]
 
     def backwards(self, graded: Sequence[bool], needed: Sequence[str]) -> Scan:
         """The adjoint, which runs the other way.

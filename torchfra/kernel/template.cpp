@@ -1,19 +1,9 @@
-#if defined(__AVX512F__) && defined(__AVX512BW__) && defined(__AVX512DQ__) && defined(__AVX512VL__)
-#define CPU_CAPABILITY_AVX512
-#elif defined(__AVX2__) && defined(__FMA__)
-#define CPU_CAPABILITY_AVX2
-#endif
-#include <ATen/cpu/vec/vec.h>
 #include <cmath>
 #include <cstdint>
 #include <limits>
 
 namespace {
 using Scalar = SCALAR;
-using Vec = at::vec::Vectorized<Scalar>;
-constexpr int64_t W = Vec::size();
-typedef Scalar V __attribute__((vector_size(W * sizeof(Scalar))));
-typedef decltype(V() < V()) M;
 
 // A tensor: where it is, and how far it is to the next track, the next step, the next entry.
 struct Port { char* data; int64_t track, time, entry; };
@@ -23,34 +13,13 @@ struct Block { int64_t first, lanes, step; };
 template <class T> inline T* at_(const Port& p, int64_t entry, const Block& at) {
   return reinterpret_cast<T*>(p.data) + at.first * p.track + at.step * p.time + entry * p.entry;
 }
-inline V all(Scalar a) { return V{} + a; }
-__attribute__((noinline)) V get(const Port& p, int64_t entry, const Block& at) {
-  const Scalar* from = at_<Scalar>(p, entry, at);
-  if (p.track == 0) return all(*from);
-  V v;
-  for (int64_t i = 0; i < W; i++) v[i] = from[(i < at.lanes ? i : at.lanes - 1) * p.track];
-  return v;
-}
-inline V load(const Port& p, int64_t entry, const Block& at) {
-  if (at.lanes < W) return get(p, entry, at);
-  V v;
-  __builtin_memcpy(&v, at_<Scalar>(p, entry, at), sizeof v);
-  return v;
-}
-inline void put(const Port& p, int64_t entry, const V& v, const Block& at) {
-  __builtin_memcpy(at_<Scalar>(p, entry, at), &v, at.lanes < W ? at.lanes * sizeof(Scalar) : sizeof v);
-}
-inline void mark(const Port& p, int64_t entry, const M& v, const Block& at) {
-  bool* to = at_<bool>(p, entry, at);
-  for (int64_t i = 0; i < at.lanes; i++) to[i] = v[i] != 0;
-}
-inline Vec vec(const V& a) { return Vec::loadu(&a); }
-inline V raw(const Vec& a) { V r; a.store(&r); return r; }
-// FUNCTIONS
+}  // namespace
+
+// LANES
+namespace {
 inline V max_(const V& a, const V& b) { return (a > b) | (a != a) ? a : b; }
 inline V min_(const V& a, const V& b) { return (a < b) | (a != a) ? a : b; }
 
-inline bool any(const M& m) { return vec((V)m).zero_mask() != (1 << W) - 1; }
 // Sums of squares from LEAST to MOST have lost nothing to under- or overflow; outside, factors UP and DOWN bring them there.
 constexpr bool wide = sizeof(Scalar) == 8;
 constexpr Scalar LEAST = wide ? 0x1p-960 : 0x1p-100, MOST = wide ? 0x1p1000 : 0x1p120;
@@ -70,7 +39,9 @@ template <class... A> inline V norm_(const A&... a) {
   const V all_of_them[] = {a...};
   return scaled_norm(all_of_them, sizeof...(a), squares);
 }
+}  // namespace
 
+namespace {
 void block(const Port* in, const Port* out, int64_t steps, Block at) {
     // FIXED
   for (int64_t k = 0; k < steps; k++) {
@@ -81,9 +52,3 @@ void block(const Port* in, const Port* out, int64_t steps, Block at) {
     // END
 }
 }  // namespace
-
-extern "C" void run(int64_t tracks, int64_t steps, int threads, const Port* in, const Port* out) {
-#pragma omp parallel for num_threads(threads) schedule(static)
-  for (int64_t first = 0; first < tracks; first += W)
-    block(in, out, steps, Block{first, tracks - first < W ? tracks - first : W, 0});
-}

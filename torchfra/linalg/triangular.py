@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -91,6 +92,37 @@ def _orthogonalise(a: Tensor) -> Tensor:
     return torch.cat(columns, -1)
 
 
+def eliminated(a: Tensor, count: int, rounding: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The first ``count`` rows of ``a (..., n, p)`` taken out of the others by modified Gram-Schmidt, of any rank.
+
+    ``[[L, 0], [cross, rest]]`` is a root of ``a a^T``, but for rows that depend on those above them: such a row takes
+    nothing out of those below, and has a 1 on the diagonal of ``L`` and zeros beside it and below.
+
+    Args:
+        a: the rows.
+        count: how many are taken out.
+        rounding: share of its norm that a row which depends on others may keep.
+
+    Returns:
+        ``L (..., count, count)``, ``cross (..., n - count, count)``, ``rest (..., n - count, p)``, and which rows
+        depend on others, ``(..., count)`` bool.
+    """
+    least = rounding * _norms(a[..., :count, :].detach())
+    columns, dependent, rest = [], [], a
+    for j in range(count):
+        row, rest = rest[..., :1, :], rest[..., 1:, :]
+        norm = _norms(row)
+        depends = norm.detach() <= least[..., j : j + 1, :]
+        norm = torch.where(depends, 1.0, norm)
+        unit = torch.where(depends, 0.0, row / norm)
+        below = (rest * unit).sum(-1, keepdim=True)
+        rest = rest - below * unit
+        columns.append(pad(torch.cat([norm, below], -2), (0, 0, j, 0)))
+        dependent.append(depends.squeeze(-1))
+    lower = torch.cat(columns, -1)
+    return lower[..., :count, :], lower[..., count:, :], rest, torch.cat(dependent, -1)
+
+
 def _norms(a: Tensor) -> Tensor:
     """Euclidean norms of rows, ``(..., n, 1)``, scaled as in LAPACK so that no square over- or underflows."""
     if is_elementary():
@@ -170,3 +202,13 @@ def hstack(*blocks: Tensor) -> Tensor:
         batch = torch.broadcast_shapes(*(b.shape[:-2] for b in blocks))
         blocks = tuple(b.expand(batch + b.shape[-2:]) for b in blocks)
     return torch.cat(blocks, -1)
+
+
+def block_diagonal(blocks: Sequence[Tensor]) -> Tensor:
+    """Matrices ``(..., n_i, p_i)`` along the diagonal of one; their batch dimensions are broadcast."""
+    batch = torch.broadcast_shapes(*(b.shape[:-2] for b in blocks))
+    wide, before, rows = sum(b.shape[-1] for b in blocks), 0, []
+    for block in blocks:
+        rows.append(pad(block, (before, wide - before - block.shape[-1])).expand(*batch, -1, -1))
+        before += block.shape[-1]
+    return torch.cat(rows, -2)

@@ -88,7 +88,7 @@ def _followers(estimates: NDArray[np.float64], targets: NDArray[np.float64], cut
     """The track ``(M, T)`` that follows each target in each scan; -1 for none."""
     assign = linear_sum_assignment()
     follower = np.full(targets.shape[:2], -1)
-    last = np.full(len(targets), -1)
+    last: NDArray[np.int64] = np.full(len(targets), -1)
     for t in range(targets.shape[1]):
         gap = np.linalg.norm(targets[:, None, t] - estimates[None, :, t], axis=-1)
         near = gap < cutoff  # nothing is near what does not exist
@@ -96,7 +96,7 @@ def _followers(estimates: NDArray[np.float64], targets: NDArray[np.float64], cut
         kept = kept[near[kept, last[kept]]]
         follower[kept, t] = last[kept]
         near[kept], near[:, last[kept]] = False, False
-        rows, columns = np.flatnonzero(near.any(1)), np.flatnonzero(near.any(0))
+        rows, columns = (np.flatnonzero(near.any(axis)) for axis in (1, 0))
         if len(rows):
             # Any pair that is near costs less than none.
             cost = np.where(near, gap, 1e3 * cutoff * len(targets))[np.ix_(rows, columns)]

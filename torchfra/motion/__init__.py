@@ -1,23 +1,36 @@
 """How targets move."""
 
+from torchfra.motion.augmented import Augmented
 from torchfra.motion.bank import Bank, Embedded, aircraft, people, ships, vehicles
 from torchfra.motion.base import Adaptation, Motion
-from torchfra.motion.correlated import CurrentStatistical, Singer, WhiteJerk
+from torchfra.motion.bicycle import Bicycle
+from torchfra.motion.components import KINDS
+from torchfra.motion.correlated import CurrentStatistical, IntegratedOrnsteinUhlenbeck, Singer, WhiteJerk
 from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
+from torchfra.motion.speed import ConstantSpeed
 from torchfra.motion.spherical import Spherical
-from torchfra.motion.turn import CoordinatedTurn
+from torchfra.motion.turn import CoordinatedTurn, UnknownTurn
+from torchfra.motion.walks import Clock, RandomWalk
 
 __all__ = [
+    "KINDS",
     "Adaptation",
+    "Augmented",
     "Bank",
+    "Bicycle",
+    "Clock",
     "ConstantAcceleration",
+    "ConstantSpeed",
     "ConstantVelocity",
     "CoordinatedTurn",
     "CurrentStatistical",
     "Embedded",
+    "IntegratedOrnsteinUhlenbeck",
     "Motion",
+    "RandomWalk",
     "Singer",
     "Spherical",
+    "UnknownTurn",
     "WhiteJerk",
     "aircraft",
     "people",

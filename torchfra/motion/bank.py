@@ -25,13 +25,13 @@ class Bank(Motion):
     It is linear if all of them are.
 
     Args:
-        models: motions of the same state, without angles.
+        models: motions of the same state: of the same size and angles, and of kinds that do not contradict each other.
         neighbours: for each model the numbers of those that become active when it is likely, where only a few models
             run at a time (``filters.VSIMM``).
         first: the numbers of the models that are active first there.
 
     Raises:
-        ValueError: no models, states that differ, or states with angles.
+        ValueError: no models, or states that differ.
     """
 
     stacked = 1
@@ -43,13 +43,15 @@ class Bank(Motion):
         neighbours: Sequence[Sequence[int]] | None = None,
         first: Sequence[int] | None = None,
     ) -> None:
-        if len({(m.dims, m.orders, m.size) for m in models}) != 1:
-            received = ", ".join(f"{type(m).__name__} of {m.size}" for m in models) or "none"
+        states = {(m.dims, m.orders, m.size, tuple(m.angles)) for m in models}
+        if len(states) != 1 or not all(_agree(models[0].kinds, m.kinds) for m in models):
+            received = "; ".join(f"{type(m).__name__} of [{', '.join(m.components)}]" for m in models) or "none"
             raise ValueError(f"models: expected motions of one state (see orders= and Embedded), received {received}")
-        if any(m.angles for m in models):
-            raise ValueError("models: expected motions whose states mix, received one whose state has angles")
         like = models[0]
-        super().__init__(like.dims, like.orders, None, size=like.size, position=like.position, velocity=like.velocity)
+        super().__init__(
+            like.dims, like.orders, None, size=like.size, position=like.position, velocity=like.velocity,
+            angles=like.angles, components=like.components, kinds=like.kinds,
+        )  # fmt: skip
         self.models = nn.ModuleList(models)
         self.neighbours, self.first = neighbours, first
 
@@ -104,9 +106,23 @@ class Bank(Motion):
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., K, n, r)``, filled up with zeros to the widest."""
-        parts = [model.process_noise(dt) for model in self._motions]
-        wide = max(part.shape[-1] for part in parts)
-        return _stack([pad(part, (0, wide - part.shape[-1])) for part in parts], 2)
+        return _stack(_as_wide([model.process_noise(dt) for model in self._motions]), 2)
+
+    def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
+        """``S_Q (..., K, n, r)`` at predicted means ``(..., K, n)``, of models that are not linear."""
+        if all(m.linear or type(m).process_noise_at is Motion.process_noise_at for m in self._motions):
+            return process_noise
+        dt = dt.expand(mean.shape[:-1])
+        process_noise = process_noise.expand(*mean.shape[:-1], *process_noise.shape[-2:])
+        parts = [
+            root if m.linear else m.process_noise_at(root, mean.select(-2, k), dt.select(-1, k))
+            for k, (m, root) in enumerate(zip(self._motions, process_noise.unbind(-3), strict=True))
+        ]
+        return _stack(_as_wide(parts), 2)
+
+    def canonical(self, mean: Tensor) -> Tensor:
+        """States ``(..., n)`` with their angles as the first model writes them."""
+        return self._motions[0].canonical(mean)
 
     def adaptation(self, dt: Tensor) -> Adaptation | None:
         """How each model follows the estimated acceleration, ``(..., K, ...)``; one that does not stays as it is."""
@@ -211,6 +227,17 @@ def _manoeuvring(rates: Sequence[float], limit: float, q: Value, dims: int, spec
     ]
     neighbours = ((2, 3, 4), (2, 0), (3, 4, 1), (5, 2, 0), (6, 2, 0), (3, 2), (4, 2))
     return Bank(models, neighbours=neighbours, first=(0, 2, 3, 4))
+
+
+def _agree(kinds: Sequence[str], others: Sequence[str]) -> bool:
+    """Whether components may be the same: of one kind, or one of a kind that was not told."""
+    return all(a == b or "other" in (a, b) for a, b in zip(kinds, others, strict=True))
+
+
+def _as_wide(roots: Sequence[Tensor]) -> list[Tensor]:
+    """Roots ``(..., n, r)`` filled up with zeros to the widest."""
+    wide = max(root.shape[-1] for root in roots)
+    return [pad(root, (0, wide - root.shape[-1])) for root in roots]
 
 
 def _stack(parts: Sequence[Tensor], event: int) -> Tensor:

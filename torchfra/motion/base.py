@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -13,12 +14,16 @@ from torchfra.angles import wrap
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.triangular import apply
 from torchfra.motion.blocks import acceleration_gain
+from torchfra.motion.components import checked, usual
 from torchfra.tree import event_ranks
 
 
 @event_ranks(response=2, scale=1, decrease=1)
 class Adaptation(NamedTuple):
-    """How a step of a linear motion depends on the acceleration estimated before it, which is taken as known."""
+    """How a step of a linear motion depends on the acceleration estimated before it, which is taken as known.
+
+    States begin with ``[position, velocity, acceleration]``.
+    """
 
     response: Tensor
     """``(..., n, dims)`` what an acceleration of 1 m/s^2 adds to the state over the step."""
@@ -30,10 +35,11 @@ class Adaptation(NamedTuple):
     def __call__(self, mean: Tensor, shift: Tensor | None, process_noise: Tensor) -> tuple[Tensor, Tensor]:
         """Shift ``(..., n)`` and root of the process noise ``(..., n, q)`` of a step from ``mean (..., n)``."""
         dims = self.response.shape[-1]
-        acceleration = mean[..., -dims:]
+        acceleration = mean[..., 2 * dims : 3 * dims]
         scale, decrease = (torch.where(acceleration < 0, x[..., 1:], x[..., :1]) for x in (self.scale, self.decrease))
         factor = scale * (1 - decrease * acceleration.abs()).clamp_min(0.0)
-        factor = torch.cat([factor] * (mean.shape[-1] // dims), -1)
+        others = torch.ones_like(mean[..., 3 * dims :])
+        factor = torch.cat([factor] * 3 + [others.expand(*factor.shape[:-1], -1)], -1)
         added = apply(self.response, acceleration)
         return added if shift is None else shift + added, process_noise * factor.unsqueeze(-1)
 
@@ -67,9 +73,13 @@ class Motion(nn.Module):
         size: components of the state, ``n``; by default ``dims * orders``.
         position: which components are the position; by default the first ``dims``.
         velocity: which are the velocity; by default the ``dims`` after those, as far as there are any.
+        angles: which are angles that differences of states wrap; by default those of the class.
+        components: names of the components, ``("x", "y", "vx", "vy")``; by default as their places tell.
+        kinds: what each is, out of ``torchfra.motion.KINDS``; likewise.
 
     Raises:
-        ValueError: ``dims`` or ``size`` below 1, ``q`` below 0.
+        ValueError: ``dims`` or ``size`` below 1, ``q`` below 0, names or kinds that are not one for each component,
+            angles that are none.
         TypeError: (where the class is defined) ``linear = True`` without a ``transition``, or the other way round.
     """
 
@@ -82,7 +92,11 @@ class Motion(nn.Module):
     velocity: slice
     """Components that are the velocity, or the rates of other coordinates; empty if the state has none."""
     angles: tuple[int, ...] = ()
-    """Components of the state that are angles, rad: differences of states wrap them."""
+    """Components of the state that are angles, rad: differences of states wrap them, and mixtures of states."""
+    components: tuple[str, ...]
+    """Names of the components of the state."""
+    kinds: tuple[str, ...]
+    """What each component is, out of ``torchfra.motion.KINDS``."""
     stacked = 0
     """Dimensions that this motion puts between batch and state: 1 for a ``Bank``, several motions side by side."""
 
@@ -102,6 +116,9 @@ class Motion(nn.Module):
         size: int | None = None,
         position: slice | None = None,
         velocity: slice | None = None,
+        angles: Sequence[int] | None = None,
+        components: Sequence[str] | None = None,
+        kinds: Sequence[str] | None = None,
     ) -> None:
         super().__init__()
         if dims < 1:
@@ -112,6 +129,12 @@ class Motion(nn.Module):
             raise ValueError(f"size: expected 1 or more components of the state, received {self.size}")
         self.position = slice(0, dims) if position is None else position
         self.velocity = slice(dims, 2 * dims) if velocity is None else velocity
+        self.angles = self.angles if angles is None else tuple(angles)
+        if not set(self.angles) <= set(range(self.size)):
+            expected = f"numbers of components, 0 to {self.size - 1}"
+            raise ValueError(f"angles: expected {expected}, received {self.angles}")
+        default = usual(self.size, dims, orders, self.position, self.velocity, self.angles)
+        self.components, self.kinds = checked(self.size, components, kinds, default)
         if q is not None:
             self.q = Hyper(q, constraints.nonnegative, name="q")
 
@@ -168,10 +191,10 @@ class Motion(nn.Module):
         """
         return acceleration_gain(dt, self.q(dt), range(2, 2 - self.orders, -1), self.dims)
 
-    def process_noise_at(self, process_noise: Tensor, mean: Tensor) -> Tensor:
-        """The root ``(..., n, r)`` of ``process_noise`` mapped to a predicted mean ``(..., n)``, if it depends on that.
+    def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
+        """The root ``(..., n, r)`` of ``process_noise`` at a predicted mean ``(..., n)``, if it depends on that.
 
-        Asked of motions that are not linear.
+        Asked of motions that are not linear, after a step of ``dt (...)``.
         """
         return process_noise
 
@@ -192,5 +215,5 @@ class Motion(nn.Module):
         return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(self).__name__).lower()
 
     def extra_repr(self) -> str:
-        """Dimensions of space and of the state."""
-        return f"dims={self.dims}, size={self.size}"
+        """Dimensions of space and of the state, and what that holds."""
+        return f"dims={self.dims}, size={self.size}, state=[{', '.join(self.components)}]"

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
+
+from torchfra.linalg.triangular import tria
 
 
 def taylor(dt: Tensor, power: Tensor) -> Tensor:
@@ -74,6 +76,40 @@ def gauss_legendre(like: Tensor) -> tuple[Tensor, Tensor]:
 def _gauss_legendre() -> tuple[list[float], list[float]]:
     at, weight = np.polynomial.legendre.leggauss(20)
     return ((at + 1) / 2).tolist(), (weight / 2).tolist()
+
+
+def driven(response: Callable[[Tensor], Tensor], dt: Tensor, variance: Tensor, *, spectral: bool) -> Tensor:
+    """Root of the process noise that disturbances of these variances leave in a state over a step ``dt (...)``.
+
+    Args:
+        response: from how long ago a disturbance of 1 came, ``(..., 20)``, to what it has made of the state,
+            ``(..., 20, n, r)``.
+        dt: seconds.
+        variance: ``(..., r)`` of each, constant over the step; of spectral ones the density.
+        spectral: whether they are white noise in time.
+    """
+    at, weight = gauss_legendre(dt)
+    columns = response(dt.unsqueeze(-1) * at) * variance.sqrt()[..., None, None, :]
+    dt, weight = dt[..., None, None, None], weight[:, None, None]
+    if not spectral:
+        return (columns * (dt * weight)).sum(-3)
+    return tria((columns * (dt * weight).sqrt()).movedim(-3, -2).flatten(-2))
+
+
+def arc(angle: Tensor) -> tuple[Tensor, Tensor]:
+    """``sin(a) / a`` and ``(1 - cos(a)) / a``, smooth at 0: of an arc of length 1, how far it leads and to the side."""
+    return torch.sinc(angle / torch.pi), angle / 2 * torch.sinc(angle / (2 * torch.pi)).square()
+
+
+def arc_of_rate(angle: Tensor) -> tuple[Tensor, Tensor]:
+    """``(a - sin(a)) / a^2`` and ``(1 - cos(a)) / a^2``, smooth at 0: how an arc moves with its rate."""
+    small = angle.abs() < 0.5
+    near, series = torch.where(small, angle, 0.0).square(), torch.zeros_like(angle)
+    for k in range(7, -1, -1):
+        series = 1 / math.factorial(2 * k + 3) - near * series
+    safe = torch.where(small, 1.0, angle)
+    ahead = torch.where(small, angle * series, (safe - safe.sin()) / safe.square())
+    return ahead, torch.sinc(angle / (2 * torch.pi)).square() / 2
 
 
 def zero_rows(root: Tensor, size: int) -> Tensor:

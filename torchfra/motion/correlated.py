@@ -1,6 +1,7 @@
 """Motions driven by process noise in continuous time: white jerk, Singer's, and the current statistical model.
 
-States ``[position, velocity, acceleration]``, ``da/dt = -alpha (a - level) + process noise``.
+States ``[position, velocity, acceleration]``, ``da/dt = -alpha (a - level) + process noise``; of the integrated
+Ornstein-Uhlenbeck process ``[position, velocity]``, ``dv/dt = -alpha v + process noise``.
 """
 
 from __future__ import annotations
@@ -77,6 +78,41 @@ class Singer(Motion):
         return root
 
 
+class IntegratedOrnsteinUhlenbeck(Motion):
+    """Velocity of zero mean, correlated over about ``1 / alpha`` seconds: how people and ships wander.
+
+    Args:
+        q: variance of the velocity itself, m^2/s^2.
+        alpha: rate at which the correlation decays, 1/s; towards 0 the velocity is constant.
+        dims: dimensions of space.
+
+    The process noise is exact as that of ``Singer``.
+
+    Raises:
+        ValueError: a value out of its range.
+
+    Source: Uhlenbeck & Ornstein (1930), "On the Theory of the Brownian Motion"; Stone, Streit, Corwin & Bell (2014),
+    "Bayesian Multiple Target Tracking".
+    """
+
+    linear = True
+
+    def __init__(self, q: Value, alpha: Value, dims: int = 2) -> None:
+        super().__init__(dims, 2, q)
+        self.alpha = Hyper(alpha, constraints.nonnegative, name="alpha")
+
+    def transition(self, dt: Tensor) -> Tensor:
+        """``F (..., n, n)`` for ``dt (...)``."""
+        _, moved, left = _response(self.alpha(dt), dt)
+        block = torch.stack([torch.ones_like(moved), moved, torch.zeros_like(moved), left], -1)
+        return per_axis(block.unflatten(-1, (2, 2)), self.dims)
+
+    def process_noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., n, n)`` for ``dt (...)``."""
+        alpha = self.alpha(dt)
+        return scaled_per_axis((2 * alpha * self.q(dt)).sqrt(), white_noise_root(alpha, dt, 2), self.dims)
+
+
 class CurrentStatistical(Singer):
     """Singer's motion around the current acceleration, with less process noise the nearer that is to its limit.
 
@@ -117,11 +153,11 @@ class CurrentStatistical(Singer):
         return Adaptation(per_axis(moved.unsqueeze(-1), self.dims), scale, decrease)
 
 
-def white_noise_root(alpha: Tensor, dt: Tensor) -> Tensor:
-    """Root of the process noise of one axis, ``(..., 3, 3)``, for white noise of density 1 on the acceleration."""
+def white_noise_root(alpha: Tensor, dt: Tensor, orders: int = 3) -> Tensor:
+    """Root of the process noise of one axis, ``(..., orders, orders)``, for white noise of density 1 on the highest."""
     at, weight = gauss_legendre(dt)
     alpha, dt = torch.broadcast_tensors(alpha, dt)
-    columns = torch.stack(_response(alpha.unsqueeze(-1), dt.unsqueeze(-1) * at), -2)
+    columns = torch.stack(_response(alpha.unsqueeze(-1), dt.unsqueeze(-1) * at)[-orders:], -2)
     return tria(columns * dt.sqrt()[..., None, None] * weight.sqrt())
 
 

@@ -9,6 +9,9 @@ from torchfra.angles import turned
 from torchfra.coordinates import AZIMUTH, ELEVATION, PLACE, RATES, from_cartesian, from_east, jacobian, to_cartesian
 from torchfra.motion.base import Motion
 
+COMPONENTS = ("omega", "elevation rate", "opening", "azimuth", "elevation", "inverse range")
+KINDS = ("rate", "rate", "other", "angle", "angle", "other")
+
 
 class Spherical(Motion):
     """A Cartesian motion as one of modified spherical coordinates: a state is mapped there, moved and mapped back.
@@ -34,7 +37,7 @@ class Spherical(Motion):
         if (motion.dims, motion.size) != (3, 6) or motion.stacked:
             raise ValueError(f"motion: expected one of 3 positions and 3 velocities, received {motion.describe()}")
         from_east(azimuth_from)
-        super().__init__(3, 2, None, position=PLACE, velocity=RATES)
+        super().__init__(3, 2, None, position=PLACE, velocity=RATES, components=COMPONENTS, kinds=KINDS)
         self.cartesian, self.azimuth_from = motion, azimuth_from
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
@@ -51,7 +54,7 @@ class Spherical(Motion):
         """``S_Q (..., 6, r)`` in Cartesian coordinates."""
         return self.cartesian.process_noise(dt)
 
-    def process_noise_at(self, process_noise: Tensor, mean: Tensor) -> Tensor:
+    def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
         """The root in modified spherical coordinates, at a predicted mean ``(..., 6)``: eqs. (4), (15)."""
         return jacobian(mean, self.azimuth_from) @ process_noise
 

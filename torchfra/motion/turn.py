@@ -1,4 +1,4 @@
-"""Turns of known rate."""
+"""Turns, of known rate and of one that is in the state."""
 
 from __future__ import annotations
 
@@ -7,11 +7,21 @@ import math
 import torch
 from torch import Tensor
 from torch.distributions import constraints
+from torch.nn.functional import pad
 
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
-from torchfra.motion.blocks import acceleration_gain, gauss_legendre, zero_padded
+from torchfra.motion.blocks import (
+    acceleration_gain,
+    arc,
+    arc_of_rate,
+    driven,
+    gauss_legendre,
+    white_root,
+    zero_padded,
+)
+from torchfra.motion.components import axis_name
 from torchfra.motion.polynomial import check_orders
 
 
@@ -55,9 +65,7 @@ class CoordinatedTurn(Motion):
     def _moved(self, dt: Tensor, rate: Tensor) -> Tensor:
         """The transition of position and velocity."""
         dt, angle = torch.broadcast_tensors(dt, rate * dt)
-        # sin(a)/a and (1 - cos(a))/a, smooth at 0
-        along, across = torch.sinc(angle / torch.pi), angle / 2 * torch.sinc(angle / (2 * torch.pi)).square()
-        moved, turned = self._plane(along, across), self._plane(angle.cos(), angle.sin())
+        moved, turned = _plane(self.dims, *arc(angle)), _plane(self.dims, angle.cos(), angle.sin())
         still = torch.eye(self.dims, dtype=dt.dtype, device=dt.device).expand_as(turned)
         top, bottom = torch.cat([still, dt[..., None, None] * moved], -1), torch.cat([still * 0, turned], -1)
         return torch.cat([top, bottom], -2)
@@ -67,7 +75,7 @@ class CoordinatedTurn(Motion):
         if self.spectral:
             at, weight = gauss_legendre(dt)
             moved = self._moved(dt.unsqueeze(-1) * at, self.rate(dt).unsqueeze(-1))[..., self.dims :]
-            columns = moved * (self.q(dt) * dt).sqrt()[..., None, None, None] * weight.sqrt()[:, None, None]
+            columns = moved * (self.q(dt).sqrt() * dt.sqrt())[..., None, None, None] * weight.sqrt()[:, None, None]
             return self._with_acceleration(tria(columns.movedim(-3, -2).flatten(-2)))
         return self._with_acceleration(acceleration_gain(dt, self.q(dt), (2, 1), self.dims))
 
@@ -77,7 +85,7 @@ class CoordinatedTurn(Motion):
             return matrix
         rate = self.rate(matrix)
         zero = torch.zeros_like(rate)
-        across = self._plane(zero, rate)
+        across = _plane(self.dims, zero, rate)
         across = across * torch.ones(self.dims, dtype=rate.dtype, device=rate.device).index_fill_(
             0, torch.arange(2, self.dims, device=rate.device), 0.0
         )
@@ -85,9 +93,84 @@ class CoordinatedTurn(Motion):
         batch = torch.broadcast_shapes(across.shape[:-2], velocity.shape[:-2])
         return torch.cat([matrix.expand(batch + matrix.shape[-2:]), across @ velocity], -2)
 
-    def _plane(self, c: Tensor, s: Tensor) -> Tensor:
-        """``(..., dims, dims)``: ``[[c, -s], [s, c]]`` in the plane of the turn, 1 on the other axes."""
-        rows = torch.stack([torch.stack([c, -s], -1), torch.stack([s, c], -1)], -2)
-        rest = torch.eye(self.dims, dtype=c.dtype, device=c.device)[2:]
-        rows = torch.nn.functional.pad(rows, (0, self.dims - 2))
-        return torch.cat([rows, rest.expand(c.shape + rest.shape)], -2)
+
+class UnknownTurn(Motion):
+    """A turn in the plane of the first two axes whose rate is in the state and drifts, the others at constant velocity.
+
+    States ``[position, velocity, rate]``; the rate counts counter-clockwise from x to y, rad/s.
+
+    Args:
+        q: variance of the acceleration noise, m^2/s^4; of a spectral one its density, m^2/s^3.
+        drift: variance of the change of the rate per second, rad^2/s^4; of a spectral one its density, rad^2/s^3.
+        dims: dimensions of space, 2 or more.
+        spectral: whether both are white noise in time, so that two short steps are the same as a long one, and not
+            constant over each step; their integral follows the turn at the predicted mean, exact to first order in
+            what they change and to rounding for steps of up to two turns.
+
+    Raises:
+        ValueError: ``dims`` below 2, a value below 0.
+
+    Source: Bar-Shalom, Li & Kirubarajan (2001), section 11.7.  The spectral noise is derived here.
+    """
+
+    def __init__(self, q: Value, drift: Value, dims: int = 2, *, spectral: bool = False) -> None:
+        if dims < 2:
+            raise ValueError(f"dims: expected 2 or more dimensions for a turn, received {dims}")
+        names = [letter + axis_name(axis, dims) for letter in ("", "v") for axis in range(dims)]
+        kinds = ["position"] * dims + ["velocity"] * dims + ["rate"]
+        super().__init__(dims, 2, q, size=2 * dims + 1, components=[*names, "rate"], kinds=kinds)
+        self.drift = Hyper(drift, constraints.nonnegative, name="drift")
+        self.spectral = spectral
+
+    def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
+        """The state ``(..., n)`` after ``dt (...)`` seconds, without process noise."""
+        position, velocity, rate = x.split([self.dims, self.dims, 1], -1)
+        dt, angle = dt.unsqueeze(-1), rate * dt.unsqueeze(-1)
+        moved = position + dt * _turned(velocity, *arc(angle), rest=1.0)
+        return torch.cat([moved, _turned(velocity, angle.cos(), angle.sin(), rest=1.0), rate + 0 * dt], -1)
+
+    def process_noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., n, dims + 1)``: ``sqrt(q) [dt^2/2; dt]`` and ``sqrt(drift) dt``.
+
+        Of densities ``(..., n, n)``, at rest and a rate of 0.
+        """
+        if self.spectral:
+            moved, rate = white_root(dt, self.q(dt), 2, self.dims), self.drift(dt).sqrt() * dt.sqrt()
+        else:
+            moved, rate = acceleration_gain(dt, self.q(dt), (2, 1), self.dims), self.drift(dt).sqrt() * dt
+        batch = torch.broadcast_shapes(moved.shape[:-2], rate.shape)
+        corner = pad(rate.expand(batch)[..., None, None], (moved.shape[-1], 0))
+        return torch.cat([pad(moved.expand(*batch, -1, -1), (0, 1)), corner], -2)
+
+    def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
+        """The same; of densities ``(..., n, n)`` as the turn at the predicted mean ``(..., n)`` bends it."""
+        if not self.spectral:
+            return process_noise
+        velocity, rate = mean[..., None, self.dims : 2 * self.dims], mean[..., -1:]
+
+        def response(ago: Tensor) -> Tensor:
+            ago, angle = torch.broadcast_tensors(ago, rate * ago)
+            moved, turned = _plane(self.dims, *arc(angle)), _plane(self.dims, angle.cos(), angle.sin())
+            pushed = pad(torch.cat([ago[..., None, None] * moved, turned], -2), (0, 0, 0, 1))
+            ahead, aside = (x.unsqueeze(-1) for x in arc_of_rate(angle))
+            ago = ago.unsqueeze(-1)
+            bent = [ago.square() * _turned(velocity, ahead, aside), ago * _turned(velocity, 0 * ahead, 1 + 0 * aside)]
+            return torch.cat([pushed, torch.cat([*bent, torch.ones_like(ago)], -1).unsqueeze(-1)], -1)
+
+        q, drift = torch.broadcast_tensors(self.q(mean), self.drift(mean))
+        return driven(response, dt, torch.stack([q] * self.dims + [drift], -1), spectral=True)
+
+
+def _turned(velocity: Tensor, c: Tensor, s: Tensor, rest: float = 0.0) -> Tensor:
+    """Velocities ``(..., dims)`` times ``[[c, -s], [s, c]]`` in the plane of the turn, the others times ``rest``."""
+    vx, vy, others = velocity[..., :1], velocity[..., 1:2], velocity[..., 2:]
+    batch = torch.broadcast_shapes(velocity.shape[:-1], c.shape[:-1])
+    return torch.cat([c * vx - s * vy, s * vx + c * vy, (rest * others).expand(*batch, -1)], -1)
+
+
+def _plane(dims: int, c: Tensor, s: Tensor) -> Tensor:
+    """``(..., dims, dims)``: ``[[c, -s], [s, c]]`` in the plane of the turn, 1 on the other axes."""
+    rows = torch.stack([torch.stack([c, -s], -1), torch.stack([s, c], -1)], -2)
+    rest = torch.eye(dims, dtype=c.dtype, device=c.device)[2:]
+    rows = pad(rows, (0, dims - 2))
+    return torch.cat([rows, rest.expand(c.shape + rest.shape)], -2)

@@ -14,7 +14,8 @@ others.
 So read are the state vectors of OpenSky, the tracks of ``traffic``, and logs of ships such as the Danish ones.
 Times are ISO text, UTC where it names no zone, dates in other forms, or numbers: s, ms, us or ns since 1970 by their
 size, or seconds since any start.  Lengths are metres unless the name of a column or ``units`` says feet; altitudes that
-aircraft send (``altitude`` beside icao24 or a callsign) are feet.  What was taken for what is in ``Source.said``.
+aircraft send (``altitude`` beside icao24 or a callsign) are feet, flight levels hundreds of feet.  What was taken for
+what is in ``Source.said``.
 
 A number is a decimal one in ASCII digits, such as -1.5e3.  Empty cells, null and NaN in any letters are missing.  All
 else is refused, also "inf", 1_000 and 0x10; so are times in two units, columns or keys that come twice, XML with

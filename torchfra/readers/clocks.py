@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchfra.readers.columns import INSTANT, SECONDS, Head, Kind, number
+from torchfra.readers.columns import INSTANT, SECONDS, Head, Kind, joined, number
 from torchfra.readers.spelling import SINCE_1970, found, plain, unit
-from torchfra.readers.times import CLOCK, PER_SECOND, form_of, written
+from torchfra.readers.times import CLOCK, PER_SECOND, form_of, seconds_of, written
 from torchfra.readers.told import Told
 
 YEAR_1980 = 315_532_800.0
@@ -88,7 +88,7 @@ def clock_of(head: Head, told: Told) -> tuple[Clock, list[str]]:
         ValueError: its times are not understood.
     """
     if told.time is not None:
-        return _clock(told.time, head, told), []
+        return _dated(_clock(told.time, head, told), head), []
     candidates, clocks, refusals = found(head.names, "time"), list[Clock](), list[ValueError]()
     for name in candidates:
         try:
@@ -117,7 +117,7 @@ def _clock(name: str, head: Head, told: Told) -> Clock:
     some = [cell for cell in column if isinstance(cell, str | int | float | np.generic) and cell == cell]
     some = [cell for cell in some if not isinstance(cell, str) or cell.strip()]
     if told.time_format is not None:
-        return _told_clock(name, told.time_format)
+        return _told_clock(name, told.time_format, head)
     values = _values(some)
     if len(values) < len(some) and (clock := _text_clock((name,), some, _is_danish(head))) is not None:
         return clock
@@ -149,10 +149,15 @@ def _text_kind(form: str, example: str) -> Kind:
     return Kind(f"a time such as {example.strip()[:40]}", limit=math.inf, per_unit=1e3, form=form)
 
 
-def _told_clock(name: str, form: str) -> Clock:
+def _told_clock(name: str, form: str, head: Head) -> Clock:
+    """A column in a form that is told; with the one of the date before it, where only both are of this form."""
     if form in PER_SECOND:
         return Clock((name,), _unit_kind(form, False), form, False)
     kind = INSTANT if form == "iso" else _text_kind(form, form)
+    for columns in ((name,), *((date, name) for date in found(head.names, "date") if date != name)):
+        with suppress(ValueError, StopIteration):
+            seconds_of(next(filter(None, joined(head.cells, columns))), form)
+            return Clock(columns, replace(kind, joined=columns[:-1] and columns), form, form != CLOCK)
     return Clock((name,), kind, form, form != CLOCK)
 
 
@@ -208,8 +213,8 @@ def _dated(clock: Clock, head: Head) -> Clock:
         return clock
     for date in found(head.names, "date"):
         columns = (date, *clock.columns)
-        together = [" ".join(map(str, cells)).strip() for cells in zip(*map(head.cells, columns), strict=True)]
-        if date not in clock.columns and (dated := _text_clock(columns, [*filter(None, together)], _is_danish(head))):
+        together = [*filter(None, joined(head.cells, columns))]
+        if date not in clock.columns and (dated := _text_clock(columns, together, _is_danish(head))):
             return dated
     return clock
 

@@ -219,3 +219,8 @@ def grouped(labels: Sequence[str]) -> dict[str, NDArray[np.intp]]:
     order = np.argsort(places, kind="stable")
     parts = np.split(order, np.cumsum(np.bincount(places))[:-1]) if len(labels) else []
     return dict(zip(place, parts, strict=True))
+
+
+def joined(cells: Cells, columns: tuple[str, ...]) -> list[str]:
+    """The cells of several columns, one after the other; "" where all are empty."""
+    return [" ".join(str(part or "") for part in parts).strip() for parts in zip(*map(cells, columns), strict=True)]

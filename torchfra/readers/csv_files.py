@@ -8,10 +8,12 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from functools import partial
+from itertools import islice
 from typing import Any
 
 from torchfra.readers.bounded import Rows
-from torchfra.readers.columns import Cells, number
+from torchfra.readers.columns import Cells, Head, number
+from torchfra.readers.guesses import looks_like
 from torchfra.readers.sheets import Sheet, listed, repeated
 from torchfra.readers.spelling import is_header
 from torchfra.readers.told import Told
@@ -19,32 +21,42 @@ from torchfra.readers.told import Told
 _SIGNS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 _COMMENTS = ("#", "%", "//")
 """How lines begin that are for people."""
+UTF_8 = "utf-8-sig"
+_GUESSED_FROM = 100
+"""Rows of which it is guessed what their columns hold."""
 _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)")
 
 
-def csv_sheet(file: Any, told: Told, headers: str, repairs: Counter[str] | None, max_bytes: int) -> Sheet:
+def csv_sheet(
+    file: Any, told: Told | None, headers: str, repairs: Counter[str] | None, max_bytes: int, encoding: str = UTF_8
+) -> Sheet:
     """The rows of a file.
 
     Args:
         file: open for reading.
-        told: by the caller.
+        told: by the caller, who may name columns by their numbers, from 1 on, where there is no header; None where no
+            columns are told.
         headers: beginning of the error message where there is no header.
         repairs: see ``tables.read_table``.
         max_bytes: of text.
+        encoding: of its text.
 
     Raises:
         ValueError: there is no header, or a column comes twice; later, a row of another length.
     """
     wide = file.peek(2)[:2] in (b"\xff\xfe", b"\xfe\xff")  # as Excel writes "Unicode text"
-    rows = Rows(io.TextIOWrapper(file, "utf-16" if wide else "utf-8-sig", newline=""), max_bytes)
-    sign = _begin(rows, told)
-    said = () if sign == "," else (f"separated by {_SIGNS.get(sign, repr(sign))}",)
+    rows = Rows(io.TextIOWrapper(file, "utf-16" if wide else encoding, newline=""), max_bytes)
+    sign = _begin(rows, told or Told())
+    said = [] if encoding == UTF_8 else [f"text is no UTF-8: read as {encoding}"]
+    said += [] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]
     try:
+        if _numbered(rows, sign, told, headers):
+            said.append("no header: columns by their numbers")
         rows.start(sign)
         names = _header(rows.first(), headers)
     except csv.Error as error:
         raise _no_csv(error) from error
-    return Sheet(names, _parts(rows, names, repairs), said, commas=sign != ",")
+    return Sheet(names, _parts(rows, names, repairs), tuple(said), commas=sign != ",")
 
 
 def _begin(rows: Rows, told: Told) -> str:
@@ -70,6 +82,28 @@ def _begin(rows: Rows, told: Told) -> str:
                 return sign
     rows.head = text
     return next((sign for sign in signs if is_header(_split(line_of_names, sign))), signs[0])
+
+
+def _numbered(rows: Rows, sign: str, told: Told | None, headers: str) -> bool:
+    """Puts numbers of the columns in front as their header, if there is none and the caller names columns so.
+
+    Raises:
+        ValueError: there is none, and the caller does not.
+    """
+    first = list(
+        islice(csv.reader(io.StringIO(rows.head, newline=""), delimiter=sign, skipinitialspace=sign == " "), 1)
+    )
+    cells, asked = first[0] if first else [], {*told.columns().values()} if told else set()
+    if len(cells) < 2 or sum(map(_is_number, cells)) < 2 or is_header(cells) or asked & {*cells}:
+        return False
+    names = [str(i + 1) for i in range(len(cells))]
+    if not asked or not asked <= {*names}:
+        several = [_split(line, sign) for line in islice(io.StringIO(rows.head), _GUESSED_FROM)]
+        full = [row for row in several if len(row) == len(names)]
+        head = Head(names, lambda name: [row[int(name) - 1] for row in full])
+        raise ValueError(f"{headers}; received {listed(cells)}{looks_like(head) if told else ''}")
+    rows.head = sign.join(names) + "\n" + rows.head
+    return True
 
 
 def _is_comment(line: str) -> bool:
@@ -122,7 +156,7 @@ def _header(row: list[str], headers: str) -> list[str]:
     if not row:
         raise ValueError("expected a track, received an empty file")
     names = [name.strip() for name in row]
-    if len(names) == 1 or all(_is_number(name) for name in names):
+    if len(names) == 1:
         raise ValueError(f"{headers}; received {listed(names)}")
     if twice := repeated(names):
         raise ValueError(f"expected every column once, received several named {twice}")

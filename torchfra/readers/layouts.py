@@ -11,10 +11,11 @@ import numpy as np
 
 from torchfra.readers.clocks import Clock, clock_of
 from torchfra.readers.columns import Head, Kind
+from torchfra.readers.guesses import looks_like
 from torchfra.readers.noises import noise_of
 from torchfra.readers.recording import Source
 from torchfra.readers.sheets import listed
-from torchfra.readers.spelling import AIRCRAFT, COUNTERS, NAMES, SHIPS, found, plain, unit
+from torchfra.readers.spelling import AIRCRAFT, COUNTERS, FLIGHT_LEVELS, NAMES, SHIPS, found, plain, unit
 from torchfra.readers.tables import HEADERS, Wanted
 from torchfra.readers.told import METRES, Told
 
@@ -27,7 +28,10 @@ _ALTITUDES_IN_FEET = {"altitude", "alt", "altbaro", "altgeom"}
 
 _PLAIN = (str, int, float, np.generic)
 """What cells are that are neither missing nor nested."""
-_LENGTHS = {1.0: "metres", METRES["ft"]: "feet", 1e-3: "millimetres"}
+_FLIGHT_LEVEL = 100 * METRES["ft"]
+_LENGTHS = {
+    1.0: "metres", METRES["ft"]: "feet", 1e-3: "millimetres", _FLIGHT_LEVEL: "flight levels (hundreds of feet)",
+}  # fmt: skip
 _WHOLE = re.compile(r"[+-]?[0-9]+")
 _AUTOPILOT = 1e-7
 """Degrees in the numbers of autopilots, whose altitudes are in millimetres."""
@@ -65,7 +69,7 @@ def layout_of(head: Head, told: Told, name: str) -> Layout:
     asked = told.columns()
     if absent := [column for column in asked.values() if column not in head.names]:
         raise ValueError(f"expected a column {listed(absent)}, received {listed(head.names)}")
-    columns = _places(head.names, asked)
+    columns = _places(head, asked)
     comma = told.decimal == "," or (told.decimal is None and head.commas and _has_commas(head, columns))
     if comma:
         head = head._replace(cells=_with_points(head), said=(*head.said, "decimal commas"))
@@ -93,12 +97,13 @@ def layout_of(head: Head, told: Told, name: str) -> Layout:
     return Layout(wanted, columns, tuple(noise.columns), clock, source)
 
 
-def _places(names: list[str], asked: Mapping[str, str]) -> dict[str, str]:
+def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
     """Columns of the coordinates, of degrees where there are both of these.
 
     Raises:
         ValueError: one is missing, or all.
     """
+    names = head.names
 
     def chosen(*roles: str) -> dict[str, str]:
         best = {role: [asked[role]] if role in asked else found(names, role)[:1] for role in roles}
@@ -110,7 +115,8 @@ def _places(names: list[str], asked: Mapping[str, str]) -> dict[str, str]:
             return metres
         some, pairs = {*degrees, *metres}, (("latitude", "longitude"), ("x", "y"))
         missing = [role for pair in pairs if some & {*pair} for role in pair if role not in some]
-        raise ValueError(f"{HEADERS}; {f'missing {listed(missing)}, ' if missing else ''}received {listed(names)}")
+        lacking = f"missing {listed(missing)}, " if missing else ""
+        raise ValueError(f"{HEADERS}; {lacking}received {listed(names)}{looks_like(head)}")
     return degrees
 
 
@@ -120,7 +126,8 @@ def _clock(head: Head, told: Told, columns: Mapping[str, str]) -> tuple[Clock, l
     try:
         return clock_of(head._replace(names=names), told)
     except LookupError:
-        raise ValueError(f"{HEADERS}; missing time, received {listed(head.names)}") from None
+        guess = looks_like(head, columns.values())
+        raise ValueError(f"{HEADERS}; missing time, received {listed(head.names)}{guess}") from None
 
 
 def _word(head: Head) -> str:
@@ -176,6 +183,10 @@ def _length(columns: Mapping[str, str], told: Told, word: str, head: Head) -> fl
     feet = word == "aircraft" and plain(columns.get("altitude", "")) in _ALTITUDES_IN_FEET
     if told.units or units:
         return METRES[told.units] if told.units else units[0]
+    if plain(columns.get("z", "")) in FLIGHT_LEVELS:
+        raise ValueError(f"z: expected heights in the unit of x and y, received flight levels in {columns['z']}")
+    if plain(columns.get("altitude", "")) in FLIGHT_LEVELS:
+        return _FLIGHT_LEVEL
     autopilot = _is_whole(head, columns.get("latitude"), 7) and _is_whole(head, columns.get("altitude"), 1)
     return 1e-3 if autopilot else METRES["ft" if feet else "m"]
 

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 from torchfra.readers.bounded import too_large
 from torchfra.readers.columns import Cells
 
+_LONGEST_LIST = 200
+"""Signs of names that are listed."""
 _WEIGHTS = {"JSON": 24, "XML": 32}
 """What a byte counts for: it is read as a whole, and takes up more memory."""
 
@@ -26,8 +28,13 @@ class Sheet(NamedTuple):
 
 
 def listed(names: Iterable[str]) -> str:
-    """Names for an error message, cut off where they are too many."""
-    return ", ".join(names)[:200] or "(none)"
+    """Names for a person, as many as fit into a line or two."""
+    every, length = list(names), 0
+    for count, name in enumerate(every):
+        length += len(name) + 2
+        if length > _LONGEST_LIST:
+            return ", ".join([*every[:count], f"and {len(every) - count} more"]) if count else f"{name[:200]}..."
+    return ", ".join(every) or "(none)"
 
 
 def repeated(names: Iterable[str]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Iterable
 
 UNITS = {
@@ -16,13 +17,19 @@ UNITS = {
 NAMES = {
     "time": ("t", "time", "timestamp", "datetime", "dateandtime", "basedatetime", "utc", "timeutc", "datetimeutc",
              "utctime", "dateutc", "timestamputc", "receivedtime", "unixtime", "unix", "epoch", "unixtimestamp",
-             "gpstime", "stamp", "elapsed", "elapsedtime", "timeelapsed", "seconds", "sec", "secs", "ms", "date", "ts"),
-    "date": ("date", "day", "dateutc"),
-    "x": ("x", "east", "easting", "posx", "px", "e"), "y": ("y", "north", "northing", "posy", "py", "n"),
-    "z": ("z", "up", "posz", "pz", "altitude", "alt", "height", "u"),
-    "latitude": ("latitude", "lat"), "longitude": ("longitude", "lon", "lng", "long"),
+             "gpstime", "stamp", "elapsed", "elapsedtime", "timeelapsed", "timeboot", "timesinceboot", "bootms",
+             "timeunix", "zeitstempel", "datumuhrzeit", "datumzeit", "zeit", "uhrzeit", "horodatage", "datetheure",
+             "dateheure", "temps", "heure", "fechahora", "fechayhora", "tiempo", "hora", "seconds", "sec", "secs", "ms",
+             "date", "datum", "fecha", "ts"),
+    "date": ("date", "day", "dateutc", "datum", "tag", "jour", "fecha", "dia"),
+    "x": ("x", "east", "easting", "posx", "px", "e", "rechtswert", "ostwert"),
+    "y": ("y", "north", "northing", "posy", "py", "n", "hochwert", "nordwert"),
+    "z": ("z", "up", "posz", "pz", "altitude", "alt", "height", "u", "hohe", "hoehe", "altitud"),
+    "latitude": ("latitude", "lat", "latitud", "breitengrad", "breite"),
+    "longitude": ("longitude", "lon", "lng", "long", "longitud", "langengrad", "laengengrad", "lange", "laenge"),
     "altitude": ("altitude", "alt", "baroaltitude", "geoaltitude", "altbaro", "altgeom", "height", "elevation", "ele",
-                 "elev", "altitudemsl", "altmsl", "hae", "altitudeabovesealevel", "heightabovetakeoff", "z"),
+                 "elev", "altitudemsl", "altmsl", "hae", "altitudeabovesealevel", "heightabovetakeoff", "z",
+                 "flightlevel", "fl", "hohe", "hoehe", "altitud", "altura", "hauteur"),
     "id": ("icao24", "icao", "hex", "mmsi", "trackid", "tracknumber", "targetid", "objectid", "vesselid", "shipid",
            "flightid", "deviceid", "vehicleid", "individuallocalidentifier", "tagid", "uavid", "droneid", "target",
            "object", "vessel", "ship", "vehicle", "device", "individual", "trip", "tripid", "imo", "id", "name"),
@@ -33,11 +40,13 @@ NAMES = {
     "sigma_x": ("sigmax", "stdx", "sigmaeast"), "sigma_y": ("sigmay", "stdy", "sigmanorth"),
     "sigma_z": ("sigmaz", "stdz", "sigmaup"),
 }  # fmt: skip
-"""By what they hold, the best first; in small letters, without signs, units and words such as "gps" in front."""
-_IN_FRONT = {"gps", "gnss", "pos", "position", "location", "field", "coord", "coordinate"}
+"""By what they hold, the best first; in small letters without marks, signs, units and such words as "gps" in front."""
+_IN_FRONT = {"geographische", "gps", "gnss", "pos", "position", "location", "field", "coord", "coordinate"}
 SINCE_1970 = {"timestamp", "utc", "timeutc", "utctime", "unixtime", "unix", "epoch", "unixtimestamp", "timestamputc"}
 """Names of times that are a date too."""
 AIRCRAFT = {"icao24", "icao", "hex", "callsign", "squawk", "lastposition", "lastposupdate", "baroaltitude", "altbaro"}
+FLIGHT_LEVELS = {"flightlevel", "fl", "modec", "modecaltitude"}
+"""Names of altitudes in hundreds of feet."""
 SHIPS = {"mmsi", "imo", "shiptype", "vesseltype", "typeofmobile", "vesselname", "shipname"}
 """Names of columns that only these have; ships have a callsign too."""
 COUNTERS = {"id", "name", "objectid", "target", "object", "trip", "tripid"}
@@ -75,9 +84,14 @@ def is_header(names: Iterable[str]) -> bool:
 
 
 def _words(name: str) -> list[str]:
-    """The words of a name, which signs or capitals part: "TimeUS" and "time [us]" are both "time" and "us"."""
-    parted = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", name.strip())
-    return re.findall(r"[a-z0-9]+", parted.lower())
+    """The words of a name, which signs or capitals part: "TimeUS" and "time [us]" are both "time" and "us".
+
+    Letters stand without their marks.
+    """
+    bare = unicodedata.normalize("NFKD", name.strip())
+    bare = "".join(letter for letter in bare if not unicodedata.combining(letter))
+    parted = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", bare).lower()
+    return re.findall(r"[a-z0-9]+", re.sub(r"(?<=time|tamp|boot)(?=(?:ms|us|ns)\b)", " ", parted))
 
 
 _KNOWN = {name for names in NAMES.values() for name in names}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import re
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -16,8 +17,8 @@ import numpy as np
 
 from torchfra.readers.arrow_files import arrow_sheet, is_arrow
 from torchfra.readers.bounded import BYTES_OF_A_TEXT, MAX_BYTES, check_bound, open_bounded, too_large
-from torchfra.readers.columns import Array, Cells, Head, Kind, numbers, text
-from torchfra.readers.csv_files import csv_sheet
+from torchfra.readers.columns import Array, Cells, Head, Kind, joined, numbers, text
+from torchfra.readers.csv_files import UTF_8, csv_sheet
 from torchfra.readers.json_files import json_sheet
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
 from torchfra.readers.pairs import pair_of, parted
@@ -32,6 +33,9 @@ HEADERS = (
     "--lat, --lon"
 )
 """The beginning of an error message."""
+_WESTERN = "cp1252"
+"""What text is that older programs for Windows have written in western Europe, if it is no UTF-8."""
+_NO_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 _HEAD = 1000
 """Rows that are looked at before all are read."""
 
@@ -77,20 +81,36 @@ def read_table(
         ImportError: what reads it is not installed.
     """
     check_bound(max_bytes)
-    with open_bounded(path, max_bytes) as file:
+
+    def read(encoding: str) -> Table:
+        with open_bounded(path, max_bytes) as file:
+            sheet = _sheet(file, path, told, headers, repairs, max_bytes, encoding)
+            return table_of(sheet, choose, max_bytes)
+
+    try:
+        table = read(UTF_8)
+    except (EOFError, gzip.BadGzipFile, zlib.error, UnicodeDecodeError) as error:
+        refused = f"expected UTF-8 text or a complete gzip file of it, received neither ({error})"
+        if not isinstance(error, UnicodeDecodeError) or not _is_text(path, max_bytes):
+            raise ValueError(refused) from error
         try:
-            sheet = _sheet(file, path, told or Told(), headers, repairs, max_bytes)
-            table = table_of(sheet, choose, max_bytes)
-        except (EOFError, gzip.BadGzipFile, zlib.error, UnicodeDecodeError) as error:
-            raise ValueError(
-                f"expected UTF-8 text or a complete gzip file of it, received neither ({error})"
-            ) from error
+            table = read(_WESTERN)
+        except ValueError as other:
+            raise ValueError(f"{refused}; as {_WESTERN}: {other}") from other
     if repairs is None and not table.rows:
         raise ValueError(f"expected rows, received none under the columns {listed(table.names)}")
     return table
 
 
-def _sheet(file: Any, path: Path, told: Told, headers: str, repairs: Counter[str] | None, max_bytes: int) -> Sheet:
+def _is_text(path: Path, max_bytes: int) -> bool:
+    """Whether a file begins as one of text: without signs that only machines read."""
+    with open_bounded(path, max_bytes) as file:
+        return not _NO_TEXT.search(file.peek(1))
+
+
+def _sheet(
+    file: Any, path: Path, told: Told | None, headers: str, repairs: Counter[str] | None, max_bytes: int, encoding: str
+) -> Sheet:
     """The rows of a file by its ending, or else by how it begins."""
     suffix = Path(path.name.removesuffix(".gz")).suffix.lower()
     start = file.peek(1).removeprefix(b"\xef\xbb\xbf").lstrip()
@@ -102,7 +122,7 @@ def _sheet(file: Any, path: Path, told: Told, headers: str, repairs: Counter[str
         return xml_sheet(file, max_bytes)
     if is_nmea(start, suffix):
         return nmea_sheet(file, max_bytes)
-    return csv_sheet(file, told, headers, repairs, max_bytes)
+    return csv_sheet(file, told, headers, repairs, max_bytes, encoding)
 
 
 def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int) -> Table:
@@ -158,7 +178,7 @@ class _Growing:
         for name in self.texts:
             self.texts[name] += text(cells(name), name, self.known, self.rows)
         for name, kind in self.kinds.items():
-            column = cells(name) if not kind.joined else _joined(cells, kind.joined)
+            column = cells(name) if not kind.joined else joined(cells, kind.joined)
             self.numbers[name].append(numbers(column, kind, name, self.rows))
         self.rows += rows
         if len(self.known) * BYTES_OF_A_TEXT > self.max_bytes:
@@ -166,10 +186,5 @@ class _Growing:
 
     def table(self) -> Table:
         """All of it; what has grown is then gone."""
-        joined = {name: np.concatenate(self.numbers.pop(name)) for name in list(self.numbers)}
-        return Table(self.names, self.rows, joined, self.texts)
-
-
-def _joined(cells: Cells, columns: tuple[str, ...]) -> list[str]:
-    """The cells of several columns, one after the other."""
-    return [" ".join(str(part or "") for part in parts).strip() for parts in zip(*map(cells, columns), strict=True)]
+        whole = {name: np.concatenate(self.numbers.pop(name)) for name in list(self.numbers)}
+        return Table(self.names, self.rows, whole, self.texts)

@@ -1,17 +1,27 @@
 """What sensors measure."""
 
 from torchfra.sensors.base import MeasurementNoise, Sensor
+from torchfra.sensors.camera import Camera, facing
+from torchfra.sensors.composed import Biased, Stacked
 from torchfra.sensors.direction import Bearings, RangeBearing
 from torchfra.sensors.infrared import InfraredLaser
 from torchfra.sensors.position import Position
-from torchfra.sensors.ranges import Ranges
+from torchfra.sensors.ranges import RangeRates, Ranges
+from torchfra.sensors.signals import Pseudoranges, TimeDifferences
 
 __all__ = [
     "Bearings",
+    "Biased",
+    "Camera",
     "InfraredLaser",
     "MeasurementNoise",
     "Position",
+    "Pseudoranges",
     "RangeBearing",
+    "RangeRates",
     "Ranges",
     "Sensor",
+    "Stacked",
+    "TimeDifferences",
+    "facing",
 ]

@@ -71,6 +71,7 @@ class Sensor(nn.Module):
     reads: int
     """Leading state components that the sensor looks at, ``d``."""
     angles: Tensor
+    std: Hyper | None
     root: Tensor | None
     blocks: tuple[tuple[int, ...], ...]
     """Elements that come from the same device, which share an estimate of the measurement noise; one block by default.
@@ -93,10 +94,7 @@ class Sensor(nn.Module):
     def __init__(
         self, reads: int, angles: Sequence[bool], std: Value | None = None, noise: Tensor | None = None
     ) -> None:
-        super().__init__()
-        self.reads, self.size = reads, len(angles)
-        self.blocks = (tuple(range(self.size)),)
-        self.std: Hyper | None = None
+        self._lay_out(reads, angles)
         self.register_buffer("root", None)
         if (std is None) == (noise is None):
             raise ValueError("std, noise: expected exactly one of the two")
@@ -106,6 +104,13 @@ class Sensor(nn.Module):
             self.std = Hyper(std, event_dim=int(isinstance(std, Tensor) and std.dim() > 0), name="std")
         if noise is not None:
             self.root = _checked_root(noise, self.size)
+
+    def _lay_out(self, reads: int, angles: Sequence[bool]) -> None:
+        """All but the noise."""
+        super().__init__()
+        self.reads, self.size = reads, len(angles)
+        self.blocks = (tuple(range(self.size)),)
+        self.std = None
         self._some, self._all = any(angles), all(angles)
         self.register_buffer("angles", torch.tensor(angles), persistent=False)
 

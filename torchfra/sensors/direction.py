@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchfra.hyper import Value
 from torchfra.sensors.base import Sensor
+from torchfra.sensors.places import from_u
 
 
 class Bearings(Sensor):
@@ -47,10 +48,8 @@ class Bearings(Sensor):
         if self.stations is not None:
             stations = self.stations.to(x)
         else:
-            if u is None or u.shape[-1] < 2 * self.size:
-                expected = f"the positions of {self.size} stations, (..., {2 * self.size})"
-                raise ValueError(f"u: expected {expected}, received {None if u is None else f'(..., {u.shape[-1]})'}")
-            stations = u[..., : 2 * self.size].unflatten(-1, (self.size, 2))
+            flat = from_u(u, 2 * self.size, f"the positions of {self.size} stations")
+            stations = flat.unflatten(-1, (self.size, 2))
         offset = x[..., None, :2] - stations
         return torch.atan2(offset[..., 0], offset[..., 1])
 

@@ -1,4 +1,4 @@
-"""Ranges from anchors: ultra-wideband, acoustic or radio beacons."""
+"""Ranges from anchors, and how fast they grow: ultra-wideband, acoustic or radio beacons."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchfra.hyper import Value
 from torchfra.sensors.base import Sensor
+from torchfra.sensors.places import from_u
 
 
 class Ranges(Sensor):
@@ -37,6 +38,9 @@ class Ranges(Sensor):
     """
 
     anchors: Tensor | None
+    dims: int
+    orders = 1
+    """Derivatives of the position that are looked at, itself included."""
 
     def __init__(
         self,
@@ -56,7 +60,7 @@ class Ranges(Sensor):
         if dims is None:
             dims = 2 if places is None or height is not None else places.shape[-1]
         self._check_height(dims, height, None if places is None else places.shape[-1])
-        super().__init__(dims, [False] * (len(places) if places is not None else count or 0), std, noise)
+        super().__init__(self.orders * dims, [False] * (len(places) if places is not None else count or 0), std, noise)
         self.blocks = tuple((i,) for i in range(self.size))
         self.dims, self.height = dims, None if height is None else float(height)
         self.register_buffer("anchors", places, persistent=False)  # values learned at one place go to another
@@ -75,28 +79,61 @@ class Ranges(Sensor):
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The distance ``(..., m)`` of states from each anchor.  On an anchor it has the gradient 0."""
-        places = self._where(u).to(x)
-        squared = (x[..., None, : self.reads] - places[..., : self.reads]).square().sum(-1)
+        return self._away(x, self._from_anchors(u, 1)[0].to(x))[1]
+
+    def _away(self, x: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
+        """Ways ``(..., m, dims)`` and distances ``(..., m)`` from each anchor to states."""
+        offset = x[..., None, : self.dims] - places[..., : self.dims]
+        squared = offset.square().sum(-1)
         if self.height is not None:
             squared = squared + (self.height - places[..., 2]).square()
         touching = squared == 0
-        return torch.where(touching, 0.0, torch.where(touching, 1.0, squared).sqrt())
+        return offset, torch.where(touching, 0.0, torch.where(touching, 1.0, squared).sqrt())
 
-    def _where(self, u: Tensor | None) -> Tensor:
-        """The anchors' positions ``(..., m, c)``."""
+    def _from_anchors(self, u: Tensor | None, count: int) -> tuple[Tensor, ...]:
+        """The anchors' positions ``(..., m, c)``, and as many of their derivatives."""
         if self.anchors is not None:
-            return self.anchors
-        each = self.reads if self.height is None else 3
-        if u is None or u.shape[-1] < each * self.size:
-            expected = f"the positions of {self.size} anchors, (..., {each * self.size})"
-            raise ValueError(f"u: expected {expected}, received {None if u is None else f'(..., {u.shape[-1]})'}")
-        places: Tensor = u[..., : each * self.size].unflatten(-1, (self.size, each))
+            return self.anchors, *[torch.zeros_like(self.anchors)] * (count - 1)
+        each = self.dims if self.height is None else 3
+        what = " and velocities" * (count > 1)
+        flat = from_u(u, count * each * self.size, f"the positions{what} of {self.size} anchors")
+        places: tuple[Tensor, ...] = flat.unflatten(-1, (count, self.size, each)).unbind(-3)
         return places
 
     def describe(self) -> str:
         """How many ranges, and the target's height if it is known."""
         known = "" if self.height is None else f" at a height of {self.height:g} m"
         return f"ranges from {self.size} anchor{'s' * (self.size > 1)}{known}"
+
+
+class RangeRates(Ranges):
+    """How fast the distances of the target from anchors grow, m/s: of a Doppler radar, say.
+
+    States begin with position and velocity.  Beside ``Ranges`` in ``Stacked`` they are range and range rate.
+
+    Args:
+        anchors: as of ``Ranges``, like all others that are not below.
+        std: of the measurement noise, m/s; a number or ``(..., m)`` with one per anchor.
+        count: instead of ``anchors``, how many there are whose positions and velocities come with each step:
+            ``u (..., 2 m c)`` is all positions, as of ``Ranges``, and then all velocities, m/s.
+
+    Raises:
+        ValueError: as of ``Ranges``.
+    """
+
+    orders = 2
+
+    def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
+        """The rate ``(..., m)`` at which each distance grows.  On an anchor it is 0."""
+        places, moving = (at.to(x) for at in self._from_anchors(u, 2))
+        offset, distance = self._away(x, places)
+        velocity = x[..., None, self.dims : 2 * self.dims] - moving[..., : self.dims]
+        along = (offset * velocity).sum(-1)
+        return along / torch.where(distance == 0, 1.0, distance)
+
+    def describe(self) -> str:
+        """How many, and the target's height if it is known."""
+        return super().describe().replace("ranges", "range rates")
 
 
 def _places(anchors: Any) -> Tensor:

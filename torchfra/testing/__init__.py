@@ -2,5 +2,6 @@
 
 from torchfra.testing.battery import Outcome, Report, check_filter
 from torchfra.testing.case import CHECKS, Case
+from torchfra.testing.models import ModelReport, check_model
 
-__all__ = ["CHECKS", "Case", "Outcome", "Report", "check_filter"]
+__all__ = ["CHECKS", "Case", "ModelReport", "Outcome", "Report", "check_filter", "check_model"]

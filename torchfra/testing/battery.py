@@ -12,6 +12,7 @@ from torchfra.filters.base import Filter
 from torchfra.tables import text_table
 from torchfra.testing import copies, derivatives, refusals, results  # noqa: F401  they hold the checks
 from torchfra.testing.case import CHECKS, Case, SkipCheck, make_case
+from torchfra.testing.lines import told
 from torchfra.types import Gaussian
 
 
@@ -82,15 +83,19 @@ def check_filter(
     unknown = {*only, *skip} - CHECKS.keys()
     if unknown:
         raise ValueError(f"only, skip: expected names of testing.CHECKS, received {', '.join(sorted(unknown))}")
-    case = make_case(filter, z, prior, dt, u, seed, thorough)
     names = [name for name in CHECKS if (not only or name in only) and name not in skip]
-    tried = [(name, way) for name in names for way in CHECKS[name].ways if compiled or way == "eager"]
-    report = Report(type(filter).__name__, tuple(_outcome(case, name, way) for name, way in tried))
+    report = tried(make_case(filter, z, prior, dt, u, seed, thorough), names, compiled=compiled)
     failed = report.of("failed")
     if failed:
         reasons = "\n".join(f"{name}, {way}: {reason}" for name, way, _, reason in failed)
-        raise AssertionError(f"{report.filter}: {len(failed)} of {len(tried)} checks failed\n{reasons}")
+        raise AssertionError(f"{report.filter}: {len(failed)} of {len(report.outcomes)} checks failed\n{reasons}")
     return report
+
+
+def tried(case: Case, names: Collection[str], *, compiled: bool) -> Report:
+    """What comes of the checks of these names."""
+    ways = [(name, way) for name in names for way in CHECKS[name].ways if compiled or way == "eager"]
+    return Report(type(case.filter).__name__, tuple(_outcome(case, name, way) for name, way in ways))
 
 
 def _outcome(case: Case, name: str, way: str) -> Outcome:
@@ -102,5 +107,5 @@ def _outcome(case: Case, name: str, way: str) -> Outcome:
     except AssertionError as error:
         return Outcome(name, way, "failed", str(error))
     except Exception as error:
-        return Outcome(name, way, "failed", f"expected no error, received {type(error).__name__}: {error}")
+        return Outcome(name, way, "failed", told(error))
     return Outcome(name, way, "passed")

@@ -40,8 +40,11 @@ def shapes_that_do_not_fit_are_named(case: Case) -> None:
 
 @check("eager", "compiled")
 def time_steps_must_be_seconds_above_zero(case: Case) -> None:
-    """Not zero, negative, NaN, infinite, complex or nothing, as a number and at one step among others."""
-    numbers = (0.0, -1.0, math.nan, math.inf)
+    """Not negative, NaN, infinite, complex or nothing, as a number and at one step among others.
+
+    Zero is for a second measurement at the same instant, of filters that have that.
+    """
+    numbers = (-1.0, math.nan, math.inf) if case.filter.instants else (0.0, -1.0, math.nan, math.inf)
     for dt in (*numbers, 1j, None, "1"):
         _refuse(case, "dt", dt=dt)
         _refuse_step(case, "dt", dt=dt)

@@ -12,6 +12,7 @@ from torchfra.filters.records import Record
 from torchfra.filters.tracks import TrackFilter
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value, one_of
+from torchfra.linalg.triangular import hstack, tria
 from torchfra.motion.base import Motion
 from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.sensors.base import Sensor
@@ -22,6 +23,8 @@ from torchfra.types import Gaussian
 class ConstantGainFilter(TrackFilter):
     """Abstract: a filter of positions, axis by axis."""
 
+    instants = False
+    one_sensor = "constant gains are chosen for one sensor's noise"
     gamma: Hyper | None
 
     def __init__(self, motion: Motion, sensor: Sensor, initiation: str, period: Value | None) -> None:
@@ -52,6 +55,20 @@ class ConstantGainFilter(TrackFilter):
         """Position, velocity(, acceleration) ``(..., d)`` of a mean."""
         components: tuple[Tensor, ...] = mean.unflatten(-1, (self.motion.orders, self.motion.dims)).unbind(-2)
         return components
+
+    def foresee(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
+        """The state after a step with nothing measured, and the log of its weight."""
+        _, record = self.advance(state, frame)
+        belief, _ = self.finish(state, record.belief, None)
+        return Gaussian(*(x.unsqueeze(0) for x in belief)), torch.zeros_like(belief.mean[..., 0]).unsqueeze(0)
+
+    def would_see(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
+        """What is measured, less what hypotheses ``(K, ..., n)`` expect: ``(K, ..., m)`` in units of the noise."""
+        mean, root = (x[..., : self.sensor.size, :] for x in (beliefs.mean.unsqueeze(-1), beliefs.scale_tril))
+        noise = frame.measurement_noise
+        one = torch.ones_like(frame.z).diag_embed().expand(*mean.shape[:-1], -1)
+        whitened = noise.whiten(frame.z.unsqueeze(-1) - mean).squeeze(-1)
+        return Gaussian(whitened, tria(hstack(one, noise.whiten(root))))
 
     def check_smooths(self) -> None:
         """There is no smoother.

@@ -11,16 +11,16 @@ from torch.distributions import constraints
 from torchfra import tree
 from torchfra.filters.base import Mix
 from torchfra.filters.checks import check_models
-from torchfra.filters.gpb.hindsight import GPBPast, WayBack
+from torchfra.filters.gpb.hindsight import GPBPast
 from torchfra.filters.gpb.merging import lifted, log_share, merged, together
 from torchfra.filters.gpb.qualities import Qualities, entry
 from torchfra.filters.gpb.regimes import Regimes
-from torchfra.filters.gpb.seeing import by_points_or_slope, exactly
+from torchfra.filters.gpb.sensing import Sensing
 from torchfra.filters.gpb.states import GPBInfo, GPBState, Shares, Step
-from torchfra.filters.imm import for_each_model
+from torchfra.filters.interaction import for_each_model
 from torchfra.filters.records import Record
 from torchfra.gaussian.cubature import third_degree
-from torchfra.gaussian.inputs import Frame, Measurements
+from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import models_first, moment_match, pooled, repeated
 from torchfra.gaussian.model import propagate
 from torchfra.gaussian.rules import Rule
@@ -32,7 +32,7 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
 
-class GPB(WayBack):
+class GPB(Sensing):
     """Generalised pseudo-Bayes over regimes of the motion and qualities of the measurement.
 
     A step's regime is a Markov chain: calm, agile or a jump of a motion, and the other motions of a bank.  The quality
@@ -61,8 +61,8 @@ class GPB(WayBack):
         rule: from a number of states to the rule that carries a Gaussian through a function.
 
     Raises:
-        ValueError: a motion whose state has angles (its beliefs cannot be merged), regimes of other motions, blocks
-            that do not cover the measurement once, correlated noise between blocks, or a rule with negative weights.
+        ValueError: regimes of other motions, blocks that do not cover the measurement once, correlated noise between
+            blocks, or a rule with negative weights.
 
     Source: Harrison & Stevens (1976), Kirkendall (1992) for regimes and outliers as hypotheses; Bar-Shalom, Li &
     Kirubarajan (2001), section 11.6, for GPB2 and IMM; Daeipour & Bar-Shalom (1995) for modes of the noise.
@@ -81,8 +81,6 @@ class GPB(WayBack):
         rule: Callable[[int], Rule] = third_degree,
     ) -> None:
         check_models(motion, sensor)
-        if motion.angles:
-            raise ValueError(f"motion: expected a state without angles, received {motion.describe()}")
         super().__init__(motion if isinstance(motion, Bank) else Bank([motion]), sensor, rule)
         if lag not in (0, 1):
             raise ValueError(f"lag: expected 0 or 1 steps, received {lag!r}")
@@ -104,12 +102,6 @@ class GPB(WayBack):
     def bank(self) -> Bank:
         """The motions."""
         return self.motion  # type: ignore[return-value]
-
-    def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
-        """The batch of all that was handed in, checked."""
-        batch = super()._batch(measurements, prior, name)
-        self.qualities.check_noise("noise", measurements.noise)
-        return batch
 
     def begin(self, belief: Gaussian) -> GPBState:
         """The state of a belief: as it is, and widened, for every motion."""
@@ -135,9 +127,9 @@ class GPB(WayBack):
         log_likelihood = joint.flatten(0, 2).logsumexp(0)
         joint = joint - log_likelihood
 
-        after, log_after = merged(self.regimes, lifted(predicted, corrected.belief), joint)
+        after, log_after = merged(self.regimes, lifted(predicted, corrected.belief), joint, self.motion.angles)
         ends = tree.stack([after, before], 1), torch.stack([log_after, self.hindsight(joint, shares)], 1)
-        belief, settled = tree.unbind(together(*ends), 2)
+        belief, settled = tree.unbind(together(*ends, self.motion), 2)
         outlier = (joint[1].exp().unsqueeze(-1) * corrected.outlier).sum((0, 1))
         log_regimes = joint.logsumexp(2).movedim(1, -1)  # (2, ..., R)
         if_dirty = outlier / log_regimes[1].logsumexp(-1, keepdim=True).exp()
@@ -154,20 +146,10 @@ class GPB(WayBack):
         )
         return GPBState(belief, settled, *carried), record
 
-    def compare(self, belief: Gaussian, frame: Frame) -> Whitened:
-        """The measurement against a predicted belief; by the slope at its mean where its points show none.
-
-        From points on all sides of an anchor ranges do not tell where the target is: a belief that wide would learn
-        nothing, and widen on.
-        """
-        if self.sensor.linear:
-            return exactly(self.sensor, belief, frame)
-        return by_points_or_slope(lambda x: super(GPB, self).compare(x, frame), belief)
-
     def compare_all(self, seen: Gaussian, log_ahead: Tensor, frame: Frame) -> tuple[Whitened, Whitened]:
         """The measurement against all predictions, ``(1, R, 2, ...)``, and against the Gaussian with their moments."""
         flat = tree.map_tensors(lambda x: x.flatten(0, 1), seen)
-        expected = moment_match(flat, log_share(log_ahead.flatten(0, 1)))
+        expected = moment_match(flat, log_share(log_ahead.flatten(0, 1)), self.motion.angles)
         every = [torch.cat([x, y.unsqueeze(0)]) for x, y in zip(flat, expected, strict=True)]
         whitened = self.compare(Gaussian(*every), frame)
         each = tree.map_tensors(lambda x: x[:-1].unflatten(0, (1, *log_ahead.shape[:2])), whitened)
@@ -180,7 +162,7 @@ class GPB(WayBack):
 
         Also ``(2, ...)`` how far the measurement is: its normalised innovation squared per element.
         """
-        mixed, log_ahead, shares = self.interact(before, log_weights)
+        mixed, log_ahead, shares = self.interact(before, log_weights, frame.dt)
         mean, spread, noise, _ = propagate(self.motion, self.motion_rule, mixed, for_each_model(frame))
         predicted, far = self.with_jumps(self.regimes.predictions(mean, spread, noise), frame)
         return predicted, self.regimes.rarer(log_ahead.movedim(-1, 0), far), shares, far
@@ -190,32 +172,38 @@ class GPB(WayBack):
         agile = entry(predicted, self.regimes.count - 1)
         whitened = self.compare(self.read(agile), frame)
         far = innovation(whitened)[1].square().sum(-1) / frame.seen.sum(-1).clamp_min(1.0)
+        far = torch.where(frame.dt == 0, 0.0, far)  # over no time nothing jumps
         jumped = self.regimes.jumped(agile, far, self.motion.position)
         return Gaussian(*map(torch.cat, zip(predicted, jumped, strict=True))), far
 
-    def read(self, predicted: Gaussian) -> Gaussian:
-        """Of states, what the sensor reads."""
-        d = self.sensor.reads
-        return Gaussian(predicted.mean[..., :d], predicted.scale_tril[..., :d, :d])
+    def foresee(self, state: GPBState, frame: Frame) -> tuple[Gaussian, Tensor]:
+        """Hypotheses ``(2 R, ..., n)`` of the state after a step, and logs of their weights."""
+        before = tree.stack([state.clean, state.dirty], 0)
+        predicted, log_ahead, _, _ = self.look_ahead(before, state.log_weights.movedim(-2, 0), frame)
+        flat: Gaussian = tree.map_tensors(lambda x: x.flatten(0, 1), predicted)
+        return flat, log_share(log_ahead.flatten(0, 1))
 
-    def interact(self, before: Gaussian, log_weights: Tensor) -> tuple[Gaussian, Tensor, Shares | None]:
+    def interact(self, before: Gaussian, log_weights: Tensor, dt: Tensor) -> tuple[Gaussian, Tensor, Shares | None]:
         """The motions ``(2, ..., K)`` mixed, log weights ``(2, ..., R)`` of the regimes ahead, and who contributed.
 
         As regimes that do not stay are drawn anew, a motion's belief is a mixture of its own and of one that all share.
+        Over ``dt (...)`` of 0 seconds every regime stays.
         """
         of_motion, (log_stay, log_leave) = self.regimes.of_motion, self.regimes.log_stay(log_weights)
         left = log_weights + log_leave
         all_left = left.logsumexp(-1, keepdim=True)
-        stayed, drawn = log_weights + log_stay, all_left + self.regimes.log_renew(log_weights)
+        instant = (dt == 0).unsqueeze(-1)
+        stayed = log_weights + torch.where(instant, 0.0, log_stay)
+        drawn = torch.where(instant, -torch.inf, all_left + self.regimes.log_renew(log_weights))
         log_ahead = torch.stack([stayed, drawn]).logsumexp(0)
         if len(self.bank) == 1:
             return before, log_ahead, None
         origin, ahead = of_motion(left) - all_left, of_motion(log_ahead)
         shares = Shares(of_motion(stayed) - ahead, of_motion(drawn) - ahead, origin)
-        common = moment_match(models_first(before), origin.movedim(-1, 0))
+        common = moment_match(models_first(before), origin.movedim(-1, 0), self.motion.angles)
         pair = tree.stack([before, repeated(common, len(self.bank))], 0)
         mix = pooled if self.motion.linear else moment_match  # predictions are made triangular anyway
-        return mix(pair, torch.stack([shares.own, shares.common])), log_ahead, shares
+        return mix(pair, torch.stack([shares.own, shares.common]), self.motion.angles), log_ahead, shares
 
     def hindsight(self, joint: Tensor, shares: Shares | None) -> Tensor:
         """Log weights ``(2, ..., K)`` of the beliefs before a step, now that it is measured."""

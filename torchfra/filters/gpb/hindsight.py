@@ -12,12 +12,13 @@ from torchfra.filters.gpb.merging import log_share, together
 from torchfra.filters.gpb.qualities import entry
 from torchfra.filters.gpb.regimes import Regimes, in_front
 from torchfra.filters.hindsight import inside
-from torchfra.filters.imm import for_each_model
+from torchfra.filters.interaction import for_each_model, held
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.future import Future, future
 from torchfra.gaussian.mixture import moment_match, repeated, without_failed
 from torchfra.gaussian.model import Carried, adapted
+from torchfra.motion.base import Motion
 from torchfra.types import Gaussian
 
 
@@ -40,12 +41,12 @@ class GPBPast(NamedTuple):
         both: Gaussian = tree.stack([self.clean, self.dirty], 0)
         return both
 
-    def told(self, regimes: Regimes) -> Told:
+    def told(self, regimes: Regimes, motion: Motion) -> Told:
         """All hypotheses together, and the probabilities of regimes and outliers."""
         log_weights = self.log_weights.movedim(-2, 0)
         weights = log_weights.exp()
         outlier = weights[1].sum(-1, keepdim=True) * self.outlier
-        return Told(together(self.beliefs(), regimes.of_motion(log_weights)), weights.sum(0), outlier)
+        return Told(together(self.beliefs(), regimes.of_motion(log_weights), motion), weights.sum(0), outlier)
 
 
 class WayBack(GaussianFilter):
@@ -58,6 +59,13 @@ class WayBack(GaussianFilter):
     def kernels_back(self) -> bool:  # type: ignore[override]  # of this bank, not of the class
         """Whether the way back can run as a kernel: that of one motion."""
         return self.regimes.motions == 1
+
+    def check_smooths_several(self) -> None:
+        """Raises a ``NotImplementedError``: there is no smoother over several sensors."""
+        raise NotImplementedError(
+            f"{type(self).__name__}: hypotheses of outliers are of one sensor on the way back; smooth several with "
+            "presets.srckf or fra, or a bank of motions around them"
+        )
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: GPBPast) -> GPBPast:  # type: ignore[override]
         """What is known of all hypotheses after each step."""
@@ -75,7 +83,7 @@ class WayBack(GaussianFilter):
 
     def last(self, past: GPBPast) -> tuple[GPBPast, Told]:  # type: ignore[override]
         """The last step, which no later measurement speaks of."""
-        return past, past.told(self.regimes)
+        return past, past.told(self.regimes, self.motion)
 
     def retreat(self, turn: Turn, after: GPBPast) -> tuple[GPBPast, Told]:  # type: ignore[override]
         """One step back, of all hypotheses."""
@@ -85,7 +93,7 @@ class WayBack(GaussianFilter):
             )
             return several
         before = _retreat(self, turn, after)
-        return before, before.told(self.regimes)
+        return before, before.told(self.regimes, self.motion)
 
 
 def _retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
@@ -102,12 +110,13 @@ def _retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
     """
     past, frame = turn.past, turn.frame
     regimes, before, far = f.regimes, past.beliefs(), turn.ahead.far
-    prior = _prior(f, past, far)  # (now, was, ..., regime was, regime now)
-    mixed, _, _ = f.interact(before, past.log_weights.movedim(-2, 0))
+    prior = _prior(f, past, far, frame.dt)  # (now, was, ..., regime was, regime now)
+    mixed, _, _ = f.interact(before, past.log_weights.movedim(-2, 0), frame.dt)
     frame = adapted(for_each_model(frame), mixed.mean)  # as the filter has adapted it
     predicted = _predicted(f, f.carry(mixed, frame, None), far.movedim(-1, 0), prior.logsumexp(-2))
     ahead = _of_regimes(f, f.carry(_each_motion(before), frame, None), far.movedim(-1, 0))
-    each, fit = _each_regime(regimes, future(predicted, after.beliefs())).told(ahead)  # (R, now, motion was, was, ...)
+    later = _each_regime(regimes, future(predicted, after.beliefs(), f.motion.difference))
+    each, fit = later.told(ahead, f.motion.difference)  # (R, now, motion was, was, ...)
 
     fit = without_failed(fit).movedim(2, -1)  # (R, now, was, ..., motion was)
     fit = regimes.of_each(fit, -1).movedim(0, -1)  # (now, was, ..., regime was, regime now)
@@ -122,10 +131,10 @@ def _retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
     return GPBPast(clean, dirty, log_weights.movedim(0, -2), past.outlier, past.far)
 
 
-def _prior(f: Any, past: GPBPast, far: Tensor) -> Tensor:
+def _prior(f: Any, past: GPBPast, far: Tensor, dt: Tensor) -> Tensor:
     """Logs ``(2, 2, ..., R, R)`` of the probabilities of two steps: quality now and before, regime before and now."""
     log_weights = past.log_weights.movedim(-2, 0)
-    joint = log_weights.unsqueeze(-1) + f.regimes.transition(log_weights)
+    joint = log_weights.unsqueeze(-1) + held(f.regimes.transition(log_weights), dt)
     joint = f.regimes.rarer(joint.movedim(-1, 0), far.movedim(-1, 0).unsqueeze(-1)).movedim(0, -1)
     log_quality, _ = f.qualities.ahead(past.outlier)
     together: Tensor = log_quality[..., None, None] + joint
@@ -149,12 +158,12 @@ def _predicted(f: Any, ahead: Carried, far: Tensor, log_weights: Tensor) -> Gaus
 
     own = (torch.cat([x[:first], jump]).flatten(0, 1).unsqueeze(1) for x, jump in zip(levels, jumped, strict=True))
     share_own = torch.cat([share[:, :first], share[:, first + others :]], 1).movedim(0, 2).flatten(0, 1)
-    merged = moment_match(Gaussian(*own), log_share(share_own))  # (now, ...)
+    merged = moment_match(Gaussian(*own), log_share(share_own), f.motion.angles)  # (now, ...)
     if not others:
         return Gaussian(merged.mean.unsqueeze(-2), merged.scale_tril.unsqueeze(-3))
     other = Gaussian(*(x[first:].transpose(0, 1).unsqueeze(1) for x in levels))  # (was, 1, motion, ...)
     share_others = share[:, first : first + others].movedim(2, 0)
-    mean, root = moment_match(other, log_share(share_others))  # (now, motion, ...)
+    mean, root = moment_match(other, log_share(share_others), f.motion.angles)  # (now, motion, ...)
     return Gaussian(
         torch.cat([merged.mean.unsqueeze(-2), mean.movedim(1, -2)], -2),
         torch.cat([merged.scale_tril.unsqueeze(-3), root.movedim(1, -3)], -3),

@@ -1,0 +1,177 @@
+"""Targets that come and go among false measurements: torchfra's manager and Stone Soup's trackers on the same scans.
+
+    python scripts/peers_targets.py                                   10 targets, 30 false measurements per scan
+    python scripts/peers_targets.py --targets 30 --clutter 100 --runs 3 --json targets.json
+
+Targets fly nearly straight in a square; positions are measured, some are missed, false ones lie anywhere.  All trackers
+know the models, the detection and the density of false measurements, and end a target after five scans without one;
+none is told how many there are.  Prints for each tracker GOSPA (cutoff 100 m, mean
+over scans and runs) with the parts of its square, how often a target's track became another one per run, and the
+milliseconds per scan.  Each tracker of Stone Soup runs in a process of its own, one after the other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchfra import metrics, presets
+from torchfra.app.atomic_write import write_json
+from torchfra.app.command import add_json_option, check_files, check_list, exit_status, make_parser
+from torchfra.app.evaluate import versions
+from torchfra.association import ChiSquare, Clutter
+from torchfra.motion import Bank, ConstantVelocity
+from torchfra.sensors import Position
+from torchfra.tables import text_table
+from torchfra.targets import SPRT, Deletion, Targets, TwoPoint
+
+WORKER = Path(__file__).parent / "benchmarks" / "stone_soup.py"
+Q, STD, SPEED, DETECTION, GATE, SIDE = 0.5, 10.0, 15.0, 0.95, 0.999, 2000.0
+"""Acceleration noise (m^2/s^3), noise of a position (m), speed in each direction (m/s), probabilities, square (m)."""
+CUTOFF = 100.0
+"""Of the GOSPA metric, m."""
+OURS = ("srckf", "imm", "gpb")
+PEERS = {"stonesoup-jpda": "jpda", "stonesoup-mfa": "mfa"}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the comparison; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    return exit_status("peers_targets", lambda: compare(checked(parser(), arguments)))
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = make_parser(__doc__)
+    p.add_argument("--targets", type=int, default=10, help="targets (default: 10)")
+    p.add_argument("--clutter", type=int, default=30, help="expected false measurements per scan (default: 30)")
+    p.add_argument("--scans", type=int, default=60, help="scans of a run, 1 s apart (default: 60)")
+    p.add_argument("--runs", type=int, default=5, help="runs (default: 5)")
+    p.add_argument("--seed", type=int, default=0, help="of the random numbers (default: 0)")
+    p.add_argument("--trackers", default=",".join((*OURS, *PEERS)), help="out of %(default)s")
+    add_json_option(p)
+    return p
+
+
+def checked(p: argparse.ArgumentParser, arguments: list[str] | None) -> argparse.Namespace:
+    """The options, or the end of the program with a message if they make no sense."""
+    options = p.parse_args(arguments)
+    check_list(p, "trackers", options.trackers, (*OURS, *PEERS))
+    for name in ("targets", "clutter", "runs"):
+        if getattr(options, name) < 1:
+            p.error(f"--{name}: expected 1 or more, received {getattr(options, name)}")
+    if options.scans < 10:
+        p.error(f"--scans: expected 10 or more, received {options.scans}")
+    return options
+
+
+def compare(options: argparse.Namespace) -> None:
+    """Tracks by what the options say, prints the results and writes them."""
+    check_files({"json": options.json})
+    truth, z = simulated(options)
+    rows: list[dict[str, Any]] = []
+    for name in options.trackers.split(","):
+        found = here(name, z, options.clutter) if name in OURS else elsewhere(name, z, options.clutter)
+        if found is not None:
+            rows.append(scored(name, *found, truth))
+    cells = [[f"{row[key]:.1f}" if isinstance(row[key], float) else row[key] for key in row] for row in rows]
+    if rows:
+        print(text_table([key.replace("_", " ") for key in rows[0]], cells))
+    if options.json is not None:
+        settings = {key: str(value) if isinstance(value, Path) else value for key, value in vars(options).items()}
+        write_json(options.json, {"settings": settings, "versions": versions(), "rows": rows})
+
+
+def simulated(options: argparse.Namespace) -> tuple[Tensor, Tensor]:
+    """Truth ``(R, N, T, 4)``, NaN where a target is not there, and scans ``(R, T, J, 2)``."""
+    rng = np.random.default_rng(options.seed)
+    runs, count, steps = options.runs, options.targets, options.scans
+    motion, dt = ConstantVelocity(Q, spectral=True), torch.tensor(1.0, dtype=torch.float64)
+    matrix, root = motion.transition(dt).numpy(), motion.process_noise(dt).numpy()
+    place = rng.uniform(0, SIDE, (runs, count, 2))
+    state = np.concatenate([place, SPEED * rng.standard_normal((runs, count, 2))], -1)
+    states = []
+    for _ in range(steps):
+        state = state @ matrix.T + rng.standard_normal((runs, count, root.shape[1])) @ root.T
+        states.append(state)
+    truth, step = np.stack(states, 2), np.arange(steps)
+    first, last = (rng.uniform(a * steps, b * steps, (runs, count, 1)) for a, b in ((0, 0.3), (0.7, 1)))
+    truth[~((step >= np.floor(first)) & (step <= last))] = np.nan
+    own = truth[..., :2] + STD * rng.standard_normal((runs, count, steps, 2))
+    own[rng.random(own.shape[:-1]) >= DETECTION] = np.nan
+    number = rng.poisson(options.clutter, (runs, steps, 1))
+    false = rng.uniform(0, SIDE, (runs, steps, number.max(), 2))
+    false[np.arange(number.max()) >= number] = np.nan
+    return torch.from_numpy(truth), torch.from_numpy(np.concatenate([own.swapaxes(1, 2), false], 2))
+
+
+def tracker(name: str, clutter: int) -> Targets:
+    """Torchfra's manager around a filter."""
+    sensor, false = Position(STD), Clutter(SIDE**2, rate=float(clutter))
+    motion: Any = ConstantVelocity(Q, spectral=True)
+    inner: Callable[..., Any] = getattr(presets, name)
+    if name == "imm":
+        motion = Bank([motion, ConstantVelocity(16 * Q, spectral=True)])
+    joint = presets.jpda(motion, sensor, inner=inner, clutter=false, detection=DETECTION, gate=ChiSquare(GATE))
+    return Targets(joint, birth=TwoPoint(speed=4 * SPEED), confirmation=SPRT(1e-4), deletion=Deletion(5, drop=1e-4))
+
+
+def here(name: str, z: Tensor, clutter: int) -> tuple[list[Tensor], list[float]]:
+    """Tracks ``(K, T, n)`` of each run, and the seconds: one run after the other, one scan after the other."""
+    targets, found, seconds = tracker(name, clutter), [], []
+    with torch.no_grad():
+        targets(z[0, :5])  # warm
+        for scans in z:
+            start = time.perf_counter()
+            found.append(targets(scans).mean)
+            seconds.append(time.perf_counter() - start)
+    return found, seconds
+
+
+def elsewhere(name: str, z: Tensor, clutter: int) -> tuple[list[Tensor], list[float]] | None:
+    """The same by Stone Soup, in a process of its own; None where it is not installed."""
+    python = os.environ.get("TORCHFRA_PEERS_PYTHON", sys.executable)
+    with tempfile.TemporaryDirectory() as folder:
+        job, tracks = Path(folder) / "job.npz", Path(folder) / "tracks.npz"
+        np.savez(job, z=z.numpy(), q=Q, std=STD, speed=SPEED, detection=DETECTION, gate=GATE, density=clutter / SIDE**2)
+        command = [python, str(WORKER), PEERS[name], str(job), str(tracks)]
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+        answer = json.loads(done.stdout.splitlines()[-1])
+        if "missing" in answer:
+            print(f"{name}: not installed ({answer['missing']}): pip install 'torchfra[bench]'")
+            return None
+        with np.load(tracks) as arrays:
+            return [torch.from_numpy(arrays[key]) for key in arrays.files], answer["seconds"]
+
+
+def scored(name: str, found: list[Tensor], seconds: list[float], truth: Tensor) -> dict[str, Any]:
+    """What a tracker has reached."""
+    position, scans = slice(0, 2), truth.shape[-2]
+    scores = [metrics.gospa(mean, run, position, cutoff=CUTOFF) for mean, run in zip(found, truth, strict=True)]
+    distance, *squares = (
+        torch.stack([getattr(score, part) ** power for score in scores]).mean().item()
+        for part, power in (("distance", 1), ("localisation", 2), ("missed", 2), ("false", 2))
+    )
+    lives = [metrics.lives(mean, run, position, cutoff=CUTOFF) for mean, run in zip(found, truth, strict=True)]
+    switches = statistics.mean(float(life.switches.sum()) for life in lives)
+    return {
+        "tracker": name, "gospa_m": distance,
+        **dict(zip(("localisation_m2", "missed_m2", "false_m2"), squares, strict=True)),
+        "switches": switches, "ms_per_scan": 1000 * statistics.median(seconds) / scans,
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(main())

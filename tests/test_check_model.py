@@ -1,0 +1,195 @@
+"""A motion or a sensor of one's own that is wrong is told in words, with the line that is to blame."""
+
+import re
+
+import pytest
+import torch
+
+from torchfra import Hyper, check_model
+from torchfra.motion import Augmented, Bank, Bicycle, ConstantVelocity, Motion, RandomWalk
+from torchfra.sensors import Biased, Camera, Ranges, Sensor, Stacked
+
+ANCHORS = torch.tensor([[0.0, 0.0], [300.0, 0.0], [0.0, 300.0]], dtype=torch.float64)
+RANGES = Ranges(ANCHORS, 0.3)
+STRAIGHT = ConstantVelocity(1.0)
+
+
+class Drag(Motion):
+    """Right."""
+
+    def __init__(self):
+        super().__init__(2, 2, 0.1)
+        self.drag = Hyper(0.1, name="drag")
+
+    def forward(self, x, dt, u=None):
+        velocity = x[..., 2:] * torch.exp(-self.drag(x) * dt).unsqueeze(-1)
+        return torch.cat([x[..., :2] + dt.unsqueeze(-1) * velocity, velocity], -1)
+
+
+class Deciding(Drag):
+    def forward(self, x, dt, u=None):
+        if dt > 1.2:
+            return x
+        return super().forward(x, dt, u)
+
+
+class Broadcast(Drag):
+    def forward(self, x, dt, u=None):
+        return torch.cat([x[..., :2] + dt * x[..., 2:], x[..., 2:]], -1)
+
+
+class Shorter(Drag):
+    def forward(self, x, dt, u=None):
+        return super().forward(x, dt, u)[..., :3]
+
+
+class InPlace(Drag):
+    def forward(self, x, dt, u=None):
+        x[..., :2] += dt.unsqueeze(-1) * x[..., 2:]
+        return x.clone()
+
+
+class Together(Drag):
+    def forward(self, x, dt, u=None):
+        return super().forward(x, dt, u) + x.mean()
+
+
+class Double(Drag):
+    def forward(self, x, dt, u=None):
+        return super().forward(x, dt, u) + torch.zeros(4, dtype=torch.float64)
+
+
+class Rounded(Drag):
+    def forward(self, x, dt, u=None):
+        return super().forward(x.detach(), dt, u) + 0 * x
+
+
+class Noisy(Drag):
+    def process_noise(self, dt):
+        return torch.eye(3, dtype=dt.dtype)
+
+
+class Timeless(Drag):
+    def process_noise(self, dt):
+        return torch.eye(4, dtype=dt.dtype) * dt
+
+
+class Dividing(Drag):
+    def forward(self, x, dt, u=None):
+        return super().forward(x, dt, u) * (dt / dt).unsqueeze(-1)
+
+
+class Bearing(Sensor):
+    def __init__(self, angle=False, degrees=False):
+        super().__init__(2, [angle], 0.01)
+        self.degrees = degrees
+
+    def forward(self, x, u=None):
+        angle = torch.atan2(x[..., :1], x[..., 1:2])
+        return torch.rad2deg(angle) if self.degrees else angle
+
+
+class Curved(Sensor):
+    linear = True
+
+    def __init__(self):
+        super().__init__(2, [False, False], 1.0)
+
+    def forward(self, x, u=None):
+        return x[..., :2] ** 2
+
+
+class Root(Sensor):
+    def __init__(self):
+        super().__init__(2, [False], 1.0)
+
+    def forward(self, x, u=None):
+        return (x[..., :1] - x[..., :1]).abs().sqrt() + x[..., 1:2]
+
+
+class Needy(Sensor):
+    def __init__(self):
+        super().__init__(2, [False, False], 1.0)
+
+    def forward(self, x, u=None):
+        return x[..., :2] - u[..., :2]
+
+
+@pytest.mark.parametrize(
+    ("motion", "sensor", "options"),
+    [
+        (Drag(), RANGES, {}),
+        (Augmented(Bicycle(2.7, 1.0, 0.1), RandomWalk(0.1, 1, kind="bias")), Biased(RANGES, 5), {"dt": 0.1}),
+        (Bank([STRAIGHT, Drag()]), Stacked(Bearing(angle=True), RANGES), {}),
+        (STRAIGHT, Needy(), {"u": torch.ones(2)}),
+        (ConstantVelocity(1.0, 3), Camera(800.0, 1.0, position=[0, 0, 0], rotation=torch.eye(3)), {
+            "state": torch.tensor([5.0, 2.0, 100.0, 0.0, 1.0, -1.0])}),
+    ],
+)  # fmt: skip
+def test_models_that_are_right_have_no_problems(motion, sensor, options):
+    report = check_model(motion, sensor, **options)
+    assert report.ok, report
+    assert not report.problems
+    assert f"{type(motion).__name__} and {type(sensor).__name__}: no problems" in str(report)
+    assert "right: in a filter: it maps over tracks, " in str(report)
+
+
+@pytest.mark.parametrize(
+    ("motion", "sensor", "said", "line"),
+    [
+        (Deciding(), RANGES, "shapes: .*for states .3, 4. and dt .3,.: Boolean value", "if dt > 1.2:"),
+        (Broadcast(), RANGES, "shapes: .*for states .3, 4. and dt .3,.: The size of tensor a", "return torch.cat("),
+        (Shorter(), RANGES, r"shapes: .*expected what has the shape \(4,\), received \(3,\)", "def forward("),
+        (InPlace(), RANGES, "shapes: the states that it was given: expected as they were", "def forward("),
+        (Together(), RANGES, "batches: state 0 of a batch.*: expected what it gives alone", "def forward("),
+        (Dividing(), RANGES, "no time: for states .3, 4. and a dt of 0: expected finite numbers", "def forward("),
+        (Double(), RANGES, "precision: dtype for states in float32 .*received torch.float64", "def forward("),
+        (Rounded(), RANGES, r"gradients: gradient with respect to component 0: expected \[1, 1, 1\]", "def forward("),
+        (Noisy(), RANGES, r"process noise: for dt \(\): expected a root .*received \(3, 3\)", "def process_noise("),
+        (Timeless(), RANGES, r"process noise: .* for dt \(5,\)", "return torch.eye(4, dtype=dt.dtype) * dt"),
+        (STRAIGHT, Bearing(), "angles: element 0 .* expected an angle in rad, declared in angles=, .* in rad", "def f"),
+        (STRAIGHT, Bearing(True, True), "angles: element 0 .* received a jump by a turn in degrees", "def forward("),
+        (STRAIGHT, Curved(), "linearity: twice a state, as linear is True", "def forward("),
+        (STRAIGHT, Root(), "gradients: gradient: expected finite numbers", "def forward("),
+        (STRAIGHT, Needy(), "TypeError: .*'NoneType' object is not subscriptable", "return x[..., :2] - u[..., :2]"),
+    ],
+)
+def test_what_is_wrong_is_told_with_the_line_of_the_user(motion, sensor, said, line):
+    report = check_model(motion, sensor)
+    assert not report.ok
+    (problem,) = report.problems
+    words, where = problem.split("\n     ")
+    wrong = sensor if motion is STRAIGHT else motion
+    assert words.startswith(f"{type(wrong).__name__}.{'process_noise' if 'noise' in said else 'forward'}: ")
+    assert re.search(said, words), words
+    assert where.startswith(f"{__file__}, line "), where
+    assert line in where, where
+    assert f"1 problem\n  1. {problem}" in str(report)
+    assert "skipped: in a filter: all: until they are right by themselves" in str(report)
+
+
+def test_every_motion_and_sensor_that_is_wrong_is_told():
+    report = check_model(Bank([Shorter(), STRAIGHT, Double()]), Bearing())
+    assert [problem.split(":")[0] for problem in report.problems] == [
+        "Shorter.forward",
+        "Double.forward",
+        "Bearing.forward",
+    ]
+
+
+def test_a_filter_is_compiled_where_there_is_a_compiler_and_skipped_with_a_word_where_not(monkeypatch, tmp_path):
+    assert "right: in a compiled filter: " in str(check_model(STRAIGHT, RANGES, compiled=True))
+    monkeypatch.setenv("CXX", str(tmp_path / "none"))
+    monkeypatch.setenv("TORCHFRA_CACHE", str(tmp_path / "cache"))
+    report = check_model(Drag(), RANGES, compiled=True)
+    assert report.ok, report
+    assert "skipped: in a compiled filter: all: compile: expected a C++ compiler" in str(report)
+
+
+def test_arguments_that_do_not_fit_are_refused_before_any_work():
+    with pytest.raises(ValueError, match="motion: expected an instance of torchfra's Motion, received Position"):
+        check_model(type("Position", (), {})(), RANGES)
+    with pytest.raises(ValueError, match=r"state: expected \(4,\) of \[x, y, vx, vy\], received \(3,\)"):
+        check_model(STRAIGHT, RANGES, state=torch.ones(3))
+    with pytest.raises(ValueError, match=r"u: expected \(k,\), received \(2, 2\)"):
+        check_model(STRAIGHT, RANGES, u=torch.ones(2, 2))

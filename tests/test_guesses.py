@@ -1,0 +1,125 @@
+"""What names do not say of a table is read where it is plain, and guessed in the error message where it is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from torchfra.readers import read
+
+ROWS = [(10 * i, 47 + i / 1e4, 8 + i / 1e4, 350 + i) for i in range(5)]
+TIMES = [f"12:26:{10 * i:02}" for i in range(5)]
+
+
+def table(header, rows=ROWS, sign=","):
+    return "\n".join([header] * bool(header) + [sign.join(map(str, row)) for row in rows]) + "\n"
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(content):
+        path = tmp_path / "a.csv"
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write
+
+
+# ---------------------------------------------------------------- names
+
+
+@pytest.mark.parametrize("name", ["FL", "flight_level", "FlightLevel"])
+@pytest.mark.parametrize("told", [False, True])
+def test_flight_levels_are_hundreds_of_feet_found_or_told(write, name, told):
+    path = write(table(f"time,lat,lon,{name}"))
+    (track,) = read(path, alt=name if told else None)
+    assert track.origin[2] == pytest.approx(35000 * 0.3048)
+    assert f"altitude: {name}, in flight levels (hundreds of feet); --units takes others" in track.source.said
+    assert read(path, units="m")[0].origin[2] == 350
+
+
+def test_flight_levels_are_no_heights_beside_metres(write):
+    with pytest.raises(ValueError, match="z: expected heights in the unit of x and y, received flight levels in FL"):
+        read(write(table("t,x,y,FL")), z="FL")
+
+
+@pytest.mark.parametrize(("name", "per_second"), [
+    ("time_boot_ms", 1e3), ("timeboot_ms", 1e3), ("timestamp_ms", 1e3), ("timestampms", 1e3), ("TimeUS", 1e6),
+    ("time_usec", 1e6), ("timeus", 1e6), ("elapsed [ms]", 1e3),
+])  # fmt: skip
+def test_times_since_a_device_was_switched_on_are_read_in_the_unit_of_their_name(write, name, per_second):
+    (track,) = read(write(table(f"{name},lat,lon,alt", [(t * round(per_second), *place) for t, *place in ROWS])))
+    np.testing.assert_allclose(track.time, 10.0 * np.arange(5))
+
+
+@pytest.mark.parametrize("header", [
+    "Zeit;Breite;Länge;Höhe", "Zeitstempel;Breitengrad;Längengrad;Hoehe", "Tiempo;Latitud;Longitud;Altitud",
+    "Temps;Latitude;Longitude;Hauteur", "zeit;geographische Breite;geographische Länge;Höhe [m]",
+])  # fmt: skip
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
+def test_headers_in_other_languages_are_read_as_programs_there_write_them(write, header, encoding):
+    text = table(header, sign=";").replace(".", ",").encode(encoding)
+    (track,) = read(write(text))
+    assert track.source.columns["latitude"] == header.split(";")[1]
+    assert track.position.shape == (5, 3)
+    west = encoding == "cp1252" and not header.isascii()
+    assert ("text is no UTF-8: read as cp1252" in track.source.said) == west
+
+
+def test_what_is_no_text_at_all_is_no_western_text_either(write):
+    with pytest.raises(ValueError, match="expected UTF-8 text or a complete gzip file of it, received neither"):
+        read(write(b"t,x,y\x00\n0,1,\xff\n"))
+    with pytest.raises(ValueError, match=r"expected UTF-8 .*; as cp1252: expected a number in data row 1, column y"):
+        read(write(b"t,x,y\n0,1,\xff\n"))
+
+
+def test_a_date_goes_with_the_time_of_the_day_that_is_told(write):
+    rows = [("2020-09-13", clock, a, o) for clock, (_, a, o, _) in zip(TIMES, ROWS, strict=True)]
+    (track,) = read(write(table("date,clock,lat,lon", rows)), time="clock")
+    assert (track.time[0], track.source.said[0]) == (1_600_000_000 - 40, "time: date and clock, ISO text")
+    rows = [("03/04/2020", *row[1:]) for row in rows]
+    with pytest.raises(ValueError, match="may have the day or the month first: use --time-format '%d/%m/%Y %H:%M:%S'"):
+        read(write(table("date,clock,lat,lon", rows)), time="clock")
+    (track,) = read(write(table("date,clock,lat,lon", rows)), time="clock", time_format="%m/%d/%Y %H:%M:%S")
+    assert track.source.written(track.time[:1]) == ["03/04/2020 12:26:00"]
+
+
+# ---------------------------------------------------------------- guesses
+
+
+@pytest.mark.parametrize(("header", "rows", "said"), [
+    ("when,lat,lon", [row[:3] for row in ROWS], "missing time, received when, lat, lon; looks like --time when"),
+    ("lat,lon,alt", [(47, 8, 350)] * 5, "lat, lon, alt; rows need a time, such as seconds since the first of them"),
+    ("when,b,l,h", ROWS, "received when, b, l, h; looks like --time when --lat b --lon l"),
+    ("", ROWS, "received 0, 47.0, 8.0, 350; looks like --time 1 --lat 2 --lon 3"),
+    ("", [(clock, o + 100, a) for clock, (_, a, o, _) in zip(TIMES, ROWS, strict=True)],
+     "looks like --time 1 --lat 3 --lon 2"),
+    ("", [(3.5 * i, -i, i) for i in range(5)], "received 0.0, 0, 0; looks like --time 1 --x 2 --y 3"),
+    ("", [(1, 1, 1)] * 5, "received 1, 1, 1$"),
+])  # fmt: skip
+def test_columns_that_no_name_tells_are_guessed_by_what_is_in_them(write, header, rows, said):
+    with pytest.raises(ValueError, match=f"expected a header with a time and .* {said}"):
+        read(write(table(header, rows)))
+
+
+@pytest.mark.parametrize("sign", [",", ";", "\t", " "])
+def test_columns_without_a_header_may_be_told_by_their_numbers(write, sign):
+    text = table("", sign=sign)
+    (track,) = read(write(text), time="1", lat="2", lon="3", alt="4")
+    (other,) = read(write(table("time,lat,lon,alt")))
+    np.testing.assert_array_equal(track.position, other.position)
+    np.testing.assert_array_equal(track.row, range(5))
+    assert "no header: columns by their numbers" in track.source.said
+    with pytest.raises(ValueError, match="looks like --time 1 --lat 2 --lon 3"):
+        read(write(text), time="1", lat="2", lon="9")
+
+
+def test_a_header_of_numbers_is_one_where_its_columns_are_told(write):
+    (track,) = read(write(table("0,1,2,3")), time="0", lat="1", lon="2", alt="3")
+    np.testing.assert_array_equal(track.time, 10 * np.arange(5))
+
+
+def test_ignored_columns_are_listed_whole_and_counted_where_they_are_too_many(write):
+    names = [f"a_long_name_of_a_column_{i}" for i in range(20)]
+    (track,) = read(write(table(",".join(["t,x,y", *names]), [(*row[:3], *range(20)) for row in ROWS])))
+    assert track.source.said[-1] == f"ignored: {', '.join(names[:7])}, and 13 more"

@@ -1,0 +1,64 @@
+"""Trackers of targets that come and go are compared on the same scans, those of others in processes of their own."""
+
+import importlib.util
+import json
+
+import peers_targets
+import pytest
+import torch
+
+SMALL = ["--targets", "3", "--clutter", "3", "--scans", "20", "--runs", "1"]
+
+
+def compared(tmp_path, *arguments):
+    path = tmp_path / "targets.json"
+    assert peers_targets.main([*SMALL, *arguments, "--json", str(path)]) == 0
+    return {row["tracker"]: row for row in json.loads(path.read_text())["rows"]}
+
+
+def test_filters_of_torchfra_follow_the_targets_and_the_table_says_how_well(tmp_path, capsys):
+    rows = compared(tmp_path, "--trackers", "srckf,imm,gpb")
+    assert list(rows) == ["srckf", "imm", "gpb"]
+    for row in rows.values():
+        assert row["gospa_m"] < 100  # three targets that nobody follows are 122 m
+        assert row["ms_per_scan"] > 0
+        assert row["gospa_m"] ** 2 <= 1.001 * sum(row[f"{part}_m2"] for part in ("localisation", "missed", "false"))
+    assert "gospa m" in capsys.readouterr().out
+
+
+def test_scans_hold_the_targets_and_as_many_false_measurements_as_are_asked_for(monkeypatch):
+    options = peers_targets.parser().parse_args(["--runs", "20", "--clutter", "30", "--targets", "10"])
+    truth, z = peers_targets.simulated(options)
+    there = ~truth.isnan().any(-1)
+    false = (~z.isnan().any(-1)).sum((1, 2)) - peers_targets.DETECTION * there.sum((1, 2))
+    assert (false.double() / 60).mean().item() == pytest.approx(30, rel=0.03)
+    gap = z[:, :, :10].transpose(1, 2) - truth[..., :2]
+    assert gap[~gap.isnan()].std().item() == pytest.approx(peers_targets.STD, rel=0.03)
+    assert there.any(-1).all()
+    assert torch.equal(peers_targets.simulated(options)[1].nan_to_num(), z.nan_to_num())
+
+
+def test_a_peer_that_is_not_installed_is_named_and_runs_without_torch(tmp_path, monkeypatch, capsys):
+    fake = "import sys\nassert 'torch' not in sys.modules\nraise ImportError('no stonesoup here')"
+    (tmp_path / "stonesoup.py").write_text(fake)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    assert not compared(tmp_path, "--trackers", "stonesoup-jpda,stonesoup-mfa")
+    out = capsys.readouterr().out
+    assert "stonesoup-jpda: not installed (no stonesoup here)" in out
+    assert "stonesoup-mfa: not installed" in out
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("stonesoup") is None, reason="needs stonesoup")
+def test_stone_soup_follows_the_same_targets(tmp_path):
+    rows = compared(tmp_path, "--trackers", "srckf,stonesoup-jpda")
+    assert rows["stonesoup-jpda"]["gospa_m"] == pytest.approx(rows["srckf"]["gospa_m"], rel=0.5)
+
+
+@pytest.mark.parametrize("argument", [
+    ["--targets", "0"], ["--clutter", "0"], ["--runs", "0"], ["--scans", "5"], ["--trackers", "kalman"],
+])  # fmt: skip
+def test_what_makes_no_sense_is_named(argument, capsys):
+    with pytest.raises(SystemExit):
+        peers_targets.main(argument)
+    assert f"{argument[0]}: expected" in capsys.readouterr().err

@@ -1,0 +1,310 @@
+"""A track in a loop: measurements in any order, twice, not at all, and by clocks that jump."""
+
+import io
+import math
+import random
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from torchfra import Gaussian, presets
+from torchfra.motion import ConstantVelocity, Spherical, aircraft
+from torchfra.sensors import Position, RangeBearing
+from torchfra.stream import Tracker
+
+F64 = {"dtype": torch.float64}
+GPS, RADAR = Position(2.0), RangeBearing(torch.tensor([3.0, 0.02], **F64))
+SENSORS = {"gps": GPS, "radar": RADAR}
+
+
+def made(name="srckf", **options):
+    motion = aircraft(spectral=True) if "imm" in name else ConstantVelocity(1.0)
+    return getattr(presets, name)(motion, GPS, **options)
+
+
+def prior_of(f, *batch):
+    n = f.motion.size
+    mean = torch.tensor([100.0, 80.0] + [0.0] * (n - 2), **F64)
+    return Gaussian(mean.expand(*batch, n), 8 * torch.eye(n, **F64))
+
+
+def tracker(f, *batch, **options):
+    return Tracker(f, prior_of(f, *batch), **{"sensors": SENSORS, "lag": 3.0} | options)
+
+
+def events(seed=0, count=14):
+    """Times, measurements and sensors, in order (at one instant too); some with a missing element."""
+    rng, time, every = random.Random(seed), 0.0, []
+    for k in range(count):
+        time += rng.choice([0.0, 0.3, 0.9]) * rng.random()
+        if rng.random() < 0.5:
+            every.append((time, [100 + 3 * time + rng.gauss(0, 2), 80 + rng.gauss(0, 2)], "gps"))
+        else:
+            away, bearing = math.hypot(100 + 3 * time, 80.0), math.atan2(100 + 3 * time, 80.0)
+            z = [away + rng.gauss(0, 3), bearing + rng.gauss(0, 0.02)]
+            every.append((time, [z[0], math.nan] if k % 5 == 4 else z, "radar"))
+    return sorted(every, key=lambda event: (event[0], event[2], event[1][0]))
+
+
+def fed(t, every):
+    for event in every:
+        report = t.update(*event)
+    return report
+
+
+def close(a, b, tolerance=1e-12):
+    torch.testing.assert_close(a, b, rtol=tolerance, atol=tolerance, equal_nan=True)
+
+
+FILTERS = {name: made(name) for name in ("srckf", "rsrckf", "asrckf", "fra", "gpb", "imm_srckf")}
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@settings(deadline=None, max_examples=6)
+@given(seed=st.integers(0, 1000), delay=st.floats(0.0, 2.9))
+def test_late_data_is_sorted_data(name, seed, delay):
+    f, every, rng = FILTERS[name], events(seed), random.Random(seed)
+    late = sorted(every, key=lambda event: event[0] + delay * rng.random())
+    one, other = tracker(f), tracker(f)
+    first, second = fed(one, every), fed(other, late)
+    close(one.belief, other.belief)
+    close(first.belief, second.belief)
+    close(one.predict(one.time + 1.0, "radar"), other.predict(other.time + 1.0, "radar"))
+    assert one.time == other.time == every[-1][0]
+    if one.settled is not None:
+        close(one.settled.belief, other.settled.belief)
+
+
+def test_in_turn_it_is_the_filter():
+    f, every = made("gpb"), events()
+    t, state, time = tracker(f), f.init(prior_of(f)), 0.0
+    for when, z, name in every:
+        report = t.update(when, z, name)
+        state, innovation = f.step(state, torch.tensor(z, **F64), dt=when - time, sensor=SENSORS[name])
+        close(report.belief, state.belief)
+        close(report.innovation, innovation)
+        close(t.settled.belief, state.settled)
+        assert report.outcome == "used"
+        time = when
+    assert tracker(made()).settled is None
+
+
+def test_a_late_measurement_says_what_it_would_have_said():
+    every, t = events(3), tracker(made())
+    reports = [t.update(*event) for event in every]
+    again = tracker(made())
+    fed(again, every[:6] + every[7:])
+    report = again.update(*every[6])
+    assert report.outcome == "late"
+    assert report.time == every[-1][0]
+    close(report.innovation, reports[6].innovation)
+
+
+def test_what_is_older_than_the_lag_is_refused_or_counted():
+    every = events(1, 30)
+    t = tracker(made(), lag=1.0)
+    fed(t, every)
+    before, counts = t.belief, t.counts
+    with pytest.raises(ValueError, match=r"time: expected seconds since .*, received 0\.1"):
+        t.update(0.1, [0.0, 0.0], "gps")
+    assert t.counts == counts
+    lenient = tracker(made(), lag=1.0, old="count")
+    fed(lenient, every)
+    report = lenient.update(0.1, [0.0, 0.0], "gps")
+    assert (report.outcome, report.innovation, lenient.counts["old"]) == ("old", None, 1)
+    close(report.belief, before)
+    assert tracker(made(), old="count").update(-1.0, [0.0, 0.0], "gps").outcome == "old"  # before the prior
+
+
+def test_a_bound_on_steps_is_a_lag_in_measurements():
+    every = [(0.5 * k, [100.0 + k, 80.0], "gps") for k in range(12)]
+    t = tracker(made(), lag=math.inf, steps=4, old="count")
+    fed(t, every)
+    assert t.update(3.4, [104.0, 80.0], "gps").outcome == "old"
+    assert t.update(3.9, [104.0, 80.0], "gps").outcome == "late"
+    assert t.counts == {"used": 12, "late": 1, "duplicate": 0, "old": 1, "jumped": 0}
+
+
+def test_a_duplicate_is_left_out_and_counted():
+    every, t, once = events(2), tracker(made()), tracker(made())
+    fed(once, every)
+    for event in every:
+        t.update(*event)
+        report = t.update(*event)
+        assert (report.outcome, report.innovation) == ("duplicate", None)
+    close(t.belief, once.belief)
+    assert t.counts["duplicate"] == len(every)
+    last = every[-1]
+    assert t.update(last[0], [last[1][0] + 1.0, last[1][1]], last[2]).outcome == "used"
+    assert t.update(*last, std=[1.0, 1.0]).outcome == "used"  # the noise is another
+
+
+def test_a_clock_that_is_set_back_goes_on():
+    f = made("fra")
+    t, steady = tracker(f, jump=60.0), tracker(f)
+    for k in range(8):
+        t.update(1000.0 + 0.5 * k, [100.0 + k, 80.0], "gps")
+        steady.update(1000.0 + 0.5 * k, [100.0 + k, 80.0], "gps")
+    assert t.update(7.0, [108.0, 80.0], "gps").outcome == "jumped"
+    steady.update(1004.0, [108.0, 80.0], "gps")
+    for k in (2, 1, 3):  # one comes late, by the new clock
+        t.update(7.0 + 0.5 * k, [108.0 + k, 80.0], "gps")
+        steady.update(1004.0 + 0.5 * k, [108.0 + k, 80.0], "gps")
+    close(t.belief, steady.belief)
+    assert t.time == 8.5
+    assert (t.counts["jumped"], t.counts["late"]) == (1, 1)
+    close(t.predict(9.0, "gps").belief, steady.predict(1006.0, "gps").belief)
+
+
+def test_what_is_missing_is_only_predicted():
+    t = tracker(made())
+    t.update(1.0, [101.0, 80.0], "gps")
+    expected = t.predict(2.0, "gps").belief
+    close(t.update(2.0, [math.nan, math.nan], "gps").belief, expected)
+
+
+@pytest.mark.parametrize("name", ["srckf", "fra", "gpb", "imm_srckf"])
+def test_saved_and_loaded_it_goes_on_to_the_same_bits(name, tmp_path):
+    f, every = made(name), events(5, 20)
+    t = tracker(f, jump=1e3, time=-0.5)
+    fed(t, every[:9] + every[10:12])
+    torch.save(t.state_dict(), tmp_path / "track.pt")
+    again = tracker(f, jump=1e3, time=-0.5)
+    again.load_state_dict(torch.load(tmp_path / "track.pt", weights_only=True))
+    for event in [every[9], *every[12:]]:
+        one, other = t.update(*event), again.update(*event)
+        assert one.outcome == other.outcome
+        assert all(torch.equal(a, b) for a, b in zip(one.belief, other.belief, strict=True))
+        torch.testing.assert_close(one.innovation, other.innovation, rtol=0, atol=0)
+    assert t.counts == again.counts
+    assert t.time == again.time
+
+
+def test_a_track_of_another_filter_is_not_loaded():
+    t = tracker(made("gpb"))
+    for other, message in (
+        (tracker(made("fra")), "values: expected filter 'FRA', received 'GPB'"),
+        (Tracker(made("gpb"), prior_of(made("gpb"))), r"values: expected sensors \['sensor'\]"),
+        (tracker(made("gpb"), origin=[1.0, 2.0]), "values: expected origin"),
+        (tracker(made("gpb"), 3), "values: expected states of"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            other.load_state_dict(t.state_dict())
+    with pytest.raises(ValueError, match="values: expected format 1, received None"):
+        t.load_state_dict({})
+
+
+def test_several_streams_go_side_by_side():
+    f, every = made("rsrckf"), [event for event in events(7) if event[2] == "gps"]
+    side_by_side, apart = tracker(f, 3), [tracker(f) for _ in range(3)]
+    for time, z, name in every:
+        each = [[z[0] + 2 * k, z[1]] for k in range(3)]
+        belief = side_by_side.update(time, each, name).belief
+        for k, t in enumerate(apart):
+            close(t.update(time, each[k], name).belief, Gaussian(*(x[k] for x in belief)), 1e-10)
+
+
+@pytest.mark.parametrize("name", ["srckf", "fra", "imm_srckf"])
+def test_what_is_kept_is_smoothed_by_all_of_it(name):
+    f, every = made(name), events(4, 10)
+    t = tracker(f, lag=math.inf)
+    assert t.smoothed() == []
+    fed(t, every[:4] + every[5:] + every[4:5])
+    told = t.smoothed()
+    z = torch.tensor([event[1] for event in every], **F64)
+    times = torch.tensor([0.0] + [event[0] for event in every], **F64)
+    which = [list(SENSORS).index(event[2]) for event in every]
+    whole = f.smooth(z, prior_of(f), dt=times.diff(), sensors=list(SENSORS.values()), which=which, lag=len(every))
+    assert [at.time for at in told] == [event[0] for event in every]
+    close(torch.stack([at.belief.mean for at in told]), whole.mean, 1e-9)
+
+
+def test_compiled_it_is_the_same():
+    every, f = events(6), made().compile()
+    one, other = tracker(made()), tracker(f)
+    fed(one, every)
+    fed(other, every[:7] + every[8:] + every[7:8])
+    close(one.belief, other.belief, 1e-10)
+
+
+@pytest.mark.parametrize("name", ["srckf", "gpb"])
+@pytest.mark.parametrize("away", [1e3, 1e5])
+def test_with_an_origin_single_precision_keeps_a_metre_at_six_million(name, away):
+    origin, rng = torch.tensor([6.0e6, -2.2e6, 1.1e6], **F64), torch.Generator().manual_seed(1)
+    f = getattr(presets, name)(ConstantVelocity(0.5, dims=3), Position(1.0, dims=3))
+    start, speed = origin + away, torch.tensor([12.0, -7.0, 3.0], **F64)
+    root = torch.tensor([10.0, 10.0, 10.0, 20.0, 20.0, 20.0], **F64).diag()
+    prior = Gaussian(torch.cat([start, 0 * start]), root)
+    double, single = Tracker(f, prior), Tracker(f, prior, origin=origin, dtype=torch.float32)
+    plain = Tracker(f, prior, dtype=torch.float32)
+    apart = lost = 0.0
+    for k in range(1, 61):
+        z = start + 0.7 * k * speed + torch.randn(3, generator=rng, **F64)
+        exact, local, far = (t.update(0.7 * k, z).belief.mean[:3].double() for t in (double, single, plain))
+        apart, lost = max(apart, float((local - exact).norm())), max(lost, float((far - exact).norm()))
+    assert single.state.belief.mean.dtype == torch.float32
+    assert single.belief.mean.dtype == torch.float64
+    limits = {("srckf", 1e3): 0.002, ("srckf", 1e5): 0.02, ("gpb", 1e3): 0.02, ("gpb", 1e5): 0.1}
+    assert apart < limits[name, away]
+    assert lost > 5 * limits[name, away]
+    ahead, expected = single.predict(45.0), double.predict(45.0)
+    close(ahead.belief.mean[:3], expected.belief.mean[:3], 0.5 * limits[name, away])
+    close(ahead.measurement.mean, expected.measurement.mean, 0.5 * limits[name, away])
+
+
+BAD = [
+    ({"filter": "gpb"}, "filter: expected one of tracks, as presets.gpb makes, received str"),
+    ({"prior": None}, "prior: expected a Gaussian"),
+    ({"time": math.nan}, "time: expected finite seconds, received nan"),
+    ({"sensors": {}}, "sensors: expected one or more by name"),
+    ({"sensors": [GPS]}, "sensors: expected one or more by name"),
+    ({"sensors": {"far": Position(1.0, dims=3)}}, "sensor: expected one of at most 2 dimensions"),
+    ({"lag": -1.0}, "lag: expected seconds of 0 or more"),
+    ({"steps": 0}, "steps: expected 1 or more measurements"),
+    ({"old": "drop"}, r"old: expected one of \('refuse', 'count'\)"),
+    ({"jump": 2.0}, r"jump: expected seconds above the lag of 3\.0"),
+    ({"origin": [1.0, 2.0, 3.0]}, r"origin: expected a finite position \(2,\)"),
+    ({"origin": [1.0, math.inf]}, r"origin: expected a finite position \(2,\)"),
+]
+
+
+@pytest.mark.parametrize(("wrong", "message"), BAD)
+def test_what_a_tracker_cannot_be_made_of_is_named(wrong, message):
+    f = made()
+    right = {"filter": f, "prior": prior_of(f), "sensors": SENSORS, "lag": 3.0}
+    with pytest.raises(ValueError, match=message):
+        Tracker(**right | wrong)
+
+
+@pytest.mark.parametrize(
+    ("event", "message"),
+    [
+        ((math.inf, [1.0, 2.0], "gps"), "time: expected finite seconds, received inf"),
+        (("noon", [1.0, 2.0], "gps"), "time: expected finite seconds, received 'noon'"),
+        ((1.0, [1.0, 2.0]), r"sensor: expected one of \['gps', 'radar'\], received None"),
+        ((1.0, [1.0, 2.0], "sonar"), r"sensor: expected one of \['gps', 'radar'\], received 'sonar'"),
+        ((1.0, [1.0, 2.0, 3.0], "gps"), r"z: expected \(..., 2\), received \(3,\)"),
+        ((1.0, "here", "gps"), "z: expected numbers, received str"),
+        ((1.0, [[1.0, 2.0]] * 3, "gps"), "state: expected one from a prior of batch"),
+    ],
+)
+def test_a_measurement_that_does_not_fit_leaves_the_track_as_it_was(event, message):
+    t = tracker(made())
+    t.update(0.5, [100.0, 80.0], "gps")
+    before = io.BytesIO(), io.BytesIO()
+    torch.save(t.state_dict(), before[0])
+    with pytest.raises(ValueError, match=message):
+        t.update(*event)
+    torch.save(t.state_dict(), before[1])
+    assert before[0].getvalue() == before[1].getvalue()
+    with pytest.raises(ValueError, match="time: expected seconds since"):
+        t.predict(-1.0, "gps")
+
+
+def test_a_motion_that_depends_on_where_it_is_has_no_origin():
+    f = presets.srckf(Spherical(ConstantVelocity(1.0, 3)), Position(1.0, dims=3))
+    prior = Gaussian(torch.ones(f.motion.size, **F64), torch.eye(f.motion.size, **F64))
+    with pytest.raises(ValueError, match="origin: expected a motion that is the same everywhere"):
+        Tracker(f, prior, origin=[1.0] * 3)

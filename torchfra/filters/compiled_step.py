@@ -1,0 +1,123 @@
+"""A single step of a compiled filter, made ready once for each form of call, so that a call does little but run it."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch._C._dynamo.guards import TensorGuards
+
+from torchfra.gaussian.arguments import PRECISIONS, check_values
+from torchfra.gaussian.inputs import Measurements
+from torchfra.kernel.program import Ready
+from torchfra.tree import flattener, unflattener
+
+Data = tuple[Tensor, Tensor, Tensor | None, Tensor | None, Tensor | None]
+"""``z``, ``dt``, ``u``, ``std``, ``noise`` of a step."""
+_FORMS = 64
+"""How many forms are remembered."""
+_TRACKS = 1024
+"""At most, of a form that is remembered: the memory of a step's results is held for each."""
+
+
+_RANGES = {dtype: (torch.finfo(dtype).tiny, torch.finfo(dtype).max) for dtype in PRECISIONS}
+"""From the least normal number on to the largest, in each precision."""
+
+
+class ReadyStep:
+    """A step for tensors of one form.
+
+    Args:
+        ready: the kernel.
+        state: one like those to come.
+        tensors: what the kernel reads: the leaves of the state, data, values.
+        made: the state and the record that the kernel writes, of one track.
+    """
+
+    def __init__(self, ready: Ready, state: Any, tensors: Sequence[Tensor], made: Any) -> None:
+        self.run, self.made = ready, unflattener(made)
+        self._leaves = flattener(state)
+        sizes, strides = [list(x.shape) for x in tensors], [list(x.stride()) for x in tensors]
+        guards: Any = TensorGuards  # whose types are not those that it takes
+        self._fit = guards(*tensors, dynamic_dims_sizes=sizes, dynamic_dims_strides=strides).check
+
+    def tensors(self, state: Any, others: Sequence[Tensor]) -> tuple[Tensor, ...] | None:
+        """What the kernel reads; None for tensors of another form."""
+        try:
+            leaves = self._leaves(state)
+        except (IndexError, TypeError):  # another structure
+            return None
+        if leaves is None:
+            return None
+        tensors = (*leaves, *others)
+        return tensors if self._fit(*tensors) else None
+
+
+class ReadySteps:
+    """All that have been made ready."""
+
+    def __init__(self) -> None:
+        self._known: dict[Hashable, list[ReadyStep]] = {}
+
+    def __call__(
+        self, state: Any, data: Data, values: Sequence[Tensor], instants: bool | None
+    ) -> tuple[Any, Any] | None:
+        """The next state and the record of the step; None where no step is ready.
+
+        Args:
+            state: before the step.
+            data: of the step.
+            values: what the filter holds.
+            instants: whether ``dt`` may be 0, to check what comes with the measurement; None where that is good.
+
+        Raises:
+            ValueError: the time step or the noise has a bad value.
+        """
+        steps = self._known.get(_kind(state, data), ())
+        others = [*(x for x in data if x is not None), *values] if steps else values
+        for step in steps:
+            tensors = step.tensors(state, others)
+            if tensors is not None:
+                if instants is not None:
+                    check_changing(data, instants)
+                made: tuple[Any, Any] = step.made(step.run(tensors))
+                return made
+        return None
+
+    def add(self, step: ReadyStep, state: Any, data: Data) -> None:
+        """Remembers a step; all others are forgotten when there are too many."""
+        if sum(map(len, self._known.values())) >= _FORMS:
+            self._known = {}
+        kind = _kind(state, data)
+        self._known[kind] = [step, *self._known.get(kind, ())]
+
+
+def may_be_ready(tracks: int) -> bool:
+    """Whether a step of so many tracks is worth being remembered."""
+    return tracks <= _TRACKS
+
+
+def _kind(state: Any, data: Data) -> Hashable:
+    _, _, u, std, noise = data
+    return type(state), u is None, std is None, noise is None, torch.is_grad_enabled()
+
+
+def check_changing(data: Data, instants: bool) -> None:
+    """Checks the values that come with each measurement.
+
+    Raises:
+        ValueError: one is bad.
+    """
+    z, dt, _, std, noise = data
+    if noise is not None or not all(x is None or is_ordinary(x, z.dtype) for x in (dt, std)):
+        check_values(Measurements(*data).as_track(), instants)
+
+
+def is_ordinary(x: Tensor, dtype: torch.dtype) -> bool:
+    """Whether a few time steps or deviations are good beyond doubt, seen without arithmetic on tensors."""
+    if x.dim() > 1 or x.numel() > 16:
+        return False
+    least, most = _RANGES[dtype]
+    return all(least <= value <= most for value in x.reshape(-1).tolist())

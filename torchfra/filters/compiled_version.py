@@ -1,0 +1,192 @@
+"""A filter as it is at the moment: the kernels that take it for granted, and what they read of it when they run."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from torchfra.filters import traced
+from torchfra.filters.compiled_back import Given, retreat
+from torchfra.filters.compiled_step import Data, ReadyStep, ReadySteps, may_be_ready
+from torchfra.gaussian.inputs import Measurements
+from torchfra.hyper import Hyper
+from torchfra.kernel.run import Kernels
+from torchfra.kernel.step import Input, Step, frozen
+from torchfra.tree import flatten, map_tensors, ranks
+
+
+class _Value(NamedTuple):
+    """A parameter, a number, or the value of a hyperparameter."""
+
+    path: str
+    module: nn.Module
+    key: str
+    event: int
+
+    @property
+    def part(self) -> dict[str, Any]:
+        """Where it is now: learning makes a buffer a parameter."""
+        return next(part for part in (self.module._parameters, self.module._buffers, self.module.__dict__)
+                    if part.get(self.key) is not None)  # fmt: skip
+
+
+class Plan(NamedTuple):
+    """What a form of call comes to."""
+
+    kernels: Kernels
+    batch: torch.Size
+    shapes: list[torch.Size]
+    """Of what a kernel is given: leaves of the state, data, values, all with the full batch."""
+    dtypes: list[torch.dtype]
+    """Of the same."""
+    counts: bool
+    """Whether some of what is kept of a step are whole numbers."""
+
+
+class Version:
+    """A filter as it is at the moment, and the kernels that take it for granted."""
+
+    def __init__(self, f: nn.Module) -> None:
+        self.kernels: dict[tuple[Any, ...], Kernels] = {}
+        self.steps: dict[tuple[Any, ...], Plan] = {}
+        self.ready = ReadySteps()
+        self.frozen = frozen(f)
+        self.values: list[_Value] = []
+        self._parts: list[dict[str, Any]] = []
+        self._watched: list[tuple[dict[str, Any], str, Any]] = []
+        for path, module in f.named_modules():
+            numbers = getattr(module, "kernel_numbers", ())
+            parts = (module.__dict__, module._modules, module._parameters, module._buffers)
+            if not any(parts[1:]) and module.__dict__.keys() <= _EMPTY:
+                continue  # a side that does nothing has nothing that could change
+            self._parts += [part for part in parts if not isinstance(module, Hyper)]
+            for part in parts:
+                for key, x in part.items():
+                    event = 0 if key in numbers else _event(module, part, x)
+                    if event is not None:
+                        self.values.append(_Value(f"{path}.{key}".lstrip("."), module, key, event))
+                    elif part is not module.__dict__ or key not in _PLUMBING:
+                        self._watched.append((part, key, x))
+        self._owners, self._keys, self._seen = zip(*self._watched, strict=True)
+        self._tensors = [x for x in self._seen if isinstance(x, Tensor)]
+        self._sizes, self._versions = self._sizes_now(), self._versions_now()
+        self._locate()
+
+    def holds(self) -> bool:
+        """Whether nothing has changed since."""
+        return (
+            all(map(operator.is_, map(dict.get, self._owners, self._keys), self._seen))
+            and self._sizes_now() == self._sizes
+            and self._versions_now() == self._versions
+        )
+
+    def _sizes_now(self) -> list[int]:
+        return list(map(len, self._parts))
+
+    def _versions_now(self) -> list[int]:
+        return [x._version for x in self._tensors]
+
+    def _locate(self) -> None:
+        """Finds the values where they are now."""
+        self._places = [value.part for value in self.values]
+        self._names = [value.key for value in self.values]
+        self._numbers = [i for i, value in enumerate(self.values) if self._places[i] is value.module.__dict__]
+
+    def read(self) -> list[Tensor]:
+        """The values as they are at the moment."""
+        try:
+            values = list(map(dict.__getitem__, self._places, self._names))
+        except KeyError:  # a buffer has become a parameter
+            self._locate()
+            return self.read()
+        for i in self._numbers:
+            values[i] = _number(values[i])
+        return values
+
+    def plan(
+        self, advance: Callable[..., Any], state: Any, data: Sequence[Tensor | None], timed: Sequence[bool],
+        back: Given | None = None,
+    ) -> Plan:  # fmt: skip
+        """What is to be done with this ``data``, which has an entry for each step where ``timed``."""
+        first, events = flatten(state)[0], ranks(Measurements) if back is None else back.events
+        dtype, alone = first.dtype, state.belief.mean.shape[:-1] if back is None else back.batch
+        values = [(value, x, x.dim() - value.event) for value, x in zip(self.values, self.read(), strict=True)]
+        batch = torch.broadcast_shapes(alone, *(x.shape[:rank] for _, x, rank in values))
+        inputs, shapes = {}, []
+        for (name, event), x, varies in zip(events.items(), data, timed, strict=True):
+            if x is not None:
+                inputs[name] = Input(x.shape[x.dim() - event :], varies, False)
+                shapes.append(batch + x.shape[x.dim() - event - varies :])
+        for value, x, rank in values:
+            double = x.dtype == torch.float64 != dtype  # read as it is: to convert it would take longer than to filter
+            inputs[value.path] = Input(x.shape[rank:], False, True, double)
+            shapes.append(batch + x.shape[rank:])
+        key = (advance if back is None else retreat, dtype, tuple(inputs.items()))
+        if key not in self.kernels:
+            begin = traced.begin if back is None else back.begin
+            self.kernels[key] = Kernels(Step(self.frozen, begin, advance, inputs, dtype, timed[0], back is not None))
+        kernels = self.kernels[key]
+        counts = any(not (x.is_floating_point() or x.dtype == torch.bool) for x in flatten(kernels.step.record))
+        shapes = [batch + zero.shape for zero in kernels.step.zero] + shapes
+        dtypes = [dtype] * len(kernels.step.zero) + [torch.float64 if x.double else dtype for x in inputs.values()]
+        return Plan(kernels, batch, shapes, dtypes, counts)
+
+    def get_ready(self, plan: Plan, state: Any, data: Data) -> None:
+        """Makes later steps like this one ready, if they need no gradient and all is read where it lies."""
+        tensors = [*flatten(state), *(x for x in data if x is not None), *self.read()]
+        gradients = torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
+        twice = len({*map(id, tensors)}) < len(tensors)  # as in the first state of some filters; guards refuse that
+        if gradients or twice or plan.counts or not may_be_ready(plan.batch.numel()):
+            return
+        full, step = self.full(plan, tensors), plan.kernels.step
+        if any(x.data_ptr() != y.data_ptr() for x, y in zip(full, tensors, strict=True)):
+            return
+        ready = plan.kernels.forwards(plan.batch).ready(plan.batch, 1, full)
+        if ready is not None:
+            self.ready.add(ReadyStep(ready, state, tensors, (step.state, step.record)), state, data)
+
+    def full(self, plan: Plan, tensors: Sequence[Tensor]) -> list[Tensor]:
+        """Leaves of the state, data and values as kernels take them: with the full batch."""
+        return [
+            x if x.shape == shape and x.dtype == dtype and x.is_cpu else x.to("cpu", dtype).expand(shape)
+            for x, shape, dtype in zip(tensors, plan.shapes, plan.dtypes, strict=True)
+        ]
+
+    def run(
+        self, plan: Plan, steps: int, state: Any, data: Sequence[Tensor | None], *options: int | None
+    ) -> tuple[Any, Any]:
+        """Does it."""
+        count = len(plan.kernels.step.zero)
+        full = self.full(plan, [*flatten(state), *(x for x in data if x is not None), *self.read()])
+        state, record = plan.kernels.run(plan.batch, steps, full[:count], full[count:], *options)
+        return state, map_tensors(_whole, record, plan.kernels.step.record) if plan.counts else record
+
+
+@lru_cache(maxsize=64)
+def _number(value: float) -> Tensor:
+    return torch.tensor(value, dtype=torch.float64)
+
+
+def _whole(x: Tensor, like: Tensor) -> Tensor:
+    """A count, which kernels hold as a floating point number, as the whole number that it is."""
+    return x if like.is_floating_point() else x.to(like.dtype)
+
+
+def _event(module: nn.Module, part: dict[str, Any], x: Any) -> int | None:
+    """The number of dimensions, without a batch, of what is read when a kernel runs; None for what is part of it.
+
+    Read are hyperparameters, parameters, and buffers that have gradients.
+    """
+    if isinstance(module, Hyper) and (part is module._parameters or part is module._buffers):
+        return module.event_dim
+    read = part is module._parameters or (part is module._buffers and x is not None and x.requires_grad)
+    return x.dim() if read and x is not None else None
+
+
+_EMPTY = nn.Module().__dict__.keys()
+_PLUMBING = {*_EMPTY, "_kernels"} - {"training"}

@@ -1,0 +1,46 @@
+"""Running as compiled kernels: the switch of a filter."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+from torch import nn
+
+C = TypeVar("C", bound="Compilable")
+
+
+class Compilable(nn.Module):
+    """Abstract, a part of ``Filter``: what ``compile`` makes of it."""
+
+    kernel_numbers: tuple[str, ...] = ()
+    """Attributes that are plain numbers, which compiled kernels read when they run."""
+    slow_to_compile = False  # a quarter of a minute or more: commands compile such a filter only when told to
+    _kernels: Any
+
+    def compile(self: C, *args: Any, **options: Any) -> C:  # type: ignore[override]  # torch's own returns None
+        """From here on run as compiled kernels, on the CPU: same results (to rounding), same gradients.
+
+        It needs a C++ compiler (``g++``, or what ``CXX`` names), and some seconds for a form of call that no earlier
+        process has compiled.  Gradients are of first order.  On other devices, under ``torch.compile`` and in
+        transforms of ``torch.func`` the filter runs as without.  ``torchfra/kernel/README.md`` has the details.
+
+        Args:
+            args: with any argument this is ``nn.Module.compile``, and so ``torch.compile``, instead:
+                ``f.compile(backend="inductor")``.
+            options: likewise.
+
+        Returns:
+            The filter itself.
+
+        Raises:
+            CompileError: (a ``RuntimeError``) when a kernel is needed and there is no compiler, or the step is too
+                large for one: seven models in space with ``fra`` for each, say.
+            NotImplementedError: then too, if the filter does what kernels cannot.
+        """
+        if args or options:
+            super().compile(*args, **options)
+        else:
+            from torchfra.filters.compiled import Compiled
+
+            self._kernels = Compiled()
+        return self

@@ -1,0 +1,134 @@
+"""A filter in which each step of a track has a sensor of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from torchfra import tree
+from torchfra.filters.other_sensors import mixed, sharing
+from torchfra.filters.records import Kept
+from torchfra.gaussian.arguments import check
+from torchfra.gaussian.inputs import Frame, Measurements, Timed
+from torchfra.sensors.base import Sensor
+from torchfra.types import Gaussian
+
+
+class Fused:
+    """Mixed into a view of a filter in which each step has a sensor of its own: see ``Filter.forward``."""
+
+    home: Any = None
+    views: list[Any]
+    """The filter around each of the sensors."""
+    which: list[int]
+    """The number of each step's."""
+
+    def check_smooths(self) -> None:
+        """Raises a ``NotImplementedError`` that says why, of a filter that cannot be smoothed over several sensors."""
+        self.home.check_smooths()
+        self.home.check_smooths_several()
+
+    def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
+        """The batch of all, checked for each sensor."""
+        sizes = [view.sensor.size for view in self.views]
+        check(measurements, prior, self.home.motion, max(sizes), name=name, instants=self.home.instants)
+        steps = measurements.z.shape[-2]
+        if steps != len(self.which):
+            raise ValueError(f"which: expected the number of a sensor for each of {steps} steps, received {self.which}")
+        beyond = torch.arange(max(sizes)) >= torch.tensor([sizes[k] for k in self.which]).unsqueeze(-1)
+        wrong = (~measurements.z.isnan() & beyond.to(measurements.z.device)).reshape(-1, *beyond.shape).any(0)
+        if bool(wrong.any()):
+            k, i = wrong.nonzero()[0].tolist()
+            expected = f"NaN beyond the {sizes[self.which[k]]} elements of sensor {self.which[k]} at step {k}"
+            raise ValueError(f"z: expected {expected}, received a number in element {i}")
+        batches = [self.views[k]._batch(part, prior, name) for k, _, part in self._of_each(measurements)]
+        return torch.Size(torch.broadcast_shapes(*batches))
+
+    def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], None]:
+        """A frame for each step."""
+        frames: dict[int, Frame] = {}
+        for k, steps, part in self._of_each(measurements):
+            frames |= zip(steps, self.views[k]._frames(part, rank)[0], strict=True)
+        return [frames[step] for step in range(len(self.which))], None
+
+    def _of_each(self, measurements: Measurements) -> list[tuple[int, list[int], Measurements]]:
+        """Of each sensor that measures: its number, its steps, and its measurements."""
+        every = {k: [step for step, number in enumerate(self.which) if number == k] for k in sorted(set(self.which))}
+        size = self.views
+        return [(k, steps, _part(measurements, steps, size[k].sensor.size)) for k, steps in every.items()]
+
+    def _pass(
+        self, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
+        past: bool,
+    ) -> tuple[Any, Kept]:  # fmt: skip
+        """The state after all steps and what is kept of each: by stretches of steps of one sensor."""
+        steps = len(self.which)
+        changes = {k for k in range(1, steps) if self.which[k] != self.which[k - 1]}
+        bounds = sorted({0, steps} | changes | set(range(0, steps, truncate or steps)))
+        kept = []
+        for first, last in pairwise(bounds):
+            if truncate and first and first % truncate == 0:
+                state = tree.detach(state)
+            view = self.views[self.which[first]]
+            part = _part(measurements, list(range(first, last)), view.sensor.size)
+            state, more = view._pass(state, part, rank, checkpoint, None, past)
+            kept.append(more)
+        return state, joined(kept, rank)
+
+
+def fused(f: Any, sensors: Sequence[Sensor] | None, which: Any) -> Any:
+    """A view of a filter in which each step has one of the ``sensors``, whose numbers are ``which (T,)``.
+
+    Raises:
+        ValueError: one without the other, no sensors, or numbers of others.
+    """
+    if sensors is None or which is None:
+        missing, there = ("sensors", "which") if sensors is None else ("which", "sensors")
+        raise ValueError(f"{missing}: expected it beside {there}, received None")
+    numbers = which.tolist() if isinstance(which, Tensor) else list(which)
+    count = len(sensors)
+    if not count:
+        raise ValueError("sensors: expected one or more, received none")
+    if not all(isinstance(k, int) and not isinstance(k, bool) and 0 <= k < count for k in numbers):
+        raise ValueError(f"which: expected (T,) whole numbers from 0 to {count - 1}, received {which}")
+    new = sharing(f, mixed(Fused, f.__class__))
+    new.__dict__.update(home=f, views=[f.with_sensor(sensor) for sensor in sensors], which=numbers)
+    return new
+
+
+def _part(measurements: Measurements, steps: list[int], size: int) -> Measurements:
+    """Some steps of the measurements, and of those the first elements."""
+    z, dt, u, std, noise = measurements
+    timed = measurements.varying_dt
+    return (Timed if timed else Measurements)(
+        z[..., steps, :size],
+        dt[..., steps] if timed else dt,  # type: ignore[index]  # it is a tensor
+        None if u is None else u[..., steps, :],
+        None if std is None else std[..., steps, :size],
+        None if noise is None else noise[..., steps, :size, :size],
+    )
+
+
+def joined(parts: Sequence[Any], rank: int) -> Any:
+    """Trees of stretches of time, one behind the other along the dimension after ``rank`` of the batch.
+
+    What is of a measurement's elements is filled up to the longest: with NaN, or False, or 0 of whole numbers.
+    """
+
+    def join(*xs: Tensor) -> Tensor:
+        batch = torch.broadcast_shapes(*(x.shape[:rank] for x in xs))
+        event = [max(sizes) for sizes in zip(*(x.shape[rank + 1 :] for x in xs), strict=True)]
+        fill = torch.nan if xs[0].is_floating_point() else 0
+        filled = []
+        for x in xs:
+            short = [n - have for n, have in zip(event, x.shape[rank + 1 :], strict=True)]
+            x = x.expand(*batch, *x.shape[rank:])
+            filled.append(pad(x, [n for k in reversed(short) for n in (0, k)], value=fill) if any(short) else x)
+        return torch.cat(filled, rank)
+
+    return parts[0] if len(parts) == 1 else tree.map_tensors(join, *parts)

@@ -1,0 +1,141 @@
+"""A filter around another sensor than its own, with the same motion, hyperparameters and states."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+from torch import nn
+
+from torchfra.filters.checks import check_models
+from torchfra.gaussian.inputs import Frame
+from torchfra.motion.base import Motion
+from torchfra.sensors.base import Sensor
+from torchfra.types import Gaussian
+
+_VIEWS = 32
+"""How many sensors a filter keeps views for: who makes a new one for every step pays for it."""
+
+
+class HasViews(nn.Module):
+    """Abstract, a part of ``Filter``: views of it around other sensors.
+
+    A filter gives ``parts_for``, and one that remembers measurements ``unremembered`` and ``remembering``.
+    """
+
+    one_sensor = "this filter is made for one sensor"
+    """Why there may be no other sensor, where there may be none."""
+    motion: Motion
+    sensor: Sensor
+    _views: SensorViews
+
+    @property
+    def home(self) -> Any:
+        """The filter that this is a view of: itself, unless ``with_sensor`` has made it."""
+        return self
+
+    def with_sensor(self, sensor: Sensor | None) -> Any:
+        """The same filter around another sensor: motion, hyperparameters and states are those of this filter.
+
+        It is made once for each sensor, and compiled if this filter is.  What this filter remembers of measurements is
+        of its own sensor: another's is judged by itself.
+
+        Args:
+            sensor: reads at most the states that the motion has; None for the filter's own.
+
+        Raises:
+            ValueError: something else, or a filter that is of one sensor, with the reason.
+        """
+        return self if sensor is None or sensor is self.sensor else self._views(self, sensor)
+
+    def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
+        """Its parts, by name, that are others around another sensor."""
+        raise ValueError(f"sensor: expected None, as {self.one_sensor}, received {sensor.describe()}")
+
+    def unremembered(self, state: Any) -> Any:
+        """A state without what it remembers of measurements, for a measurement of this filter's sensor."""
+        return state
+
+    def remembering(self, state: Any, before: Any) -> Any:
+        """A state after a measurement of another sensor, with what the one ``before`` remembers."""
+        return state
+
+
+class View:
+    """Mixed into a view of a filter around another sensor; its states are those of that filter, its ``home``.
+
+    What the filter remembers of measurements (innovations of late, whether the last one was an outlier) is of the
+    filter's own sensor: a view's measurement is judged by itself, and leaves nothing to remember.
+    """
+
+    home: Any = None
+
+    def begin(self, belief: Gaussian) -> Any:
+        """The state of a belief."""
+        return self.home.begin(belief)
+
+    def advance(self, state: Any, frame: Frame, mix: Any = None) -> tuple[Any, Any]:
+        """One step, with a state that remembers nothing."""
+        parent: Any = super()
+        after, record = parent.advance(parent.unremembered(state), frame, mix)
+        return parent.remembering(after, state), record
+
+    def with_sensor(self, sensor: Sensor | None) -> Any:
+        """The filter around another sensor still."""
+        return self.home.with_sensor(sensor)
+
+
+class SensorViews:
+    """A filter's views around other sensors, each made when it is first asked for."""
+
+    def __init__(self) -> None:
+        self._views: dict[int, Any] = {}
+
+    def __reduce__(self) -> tuple[type[SensorViews], tuple[()]]:
+        return SensorViews, ()  # a copy of the filter makes its own
+
+    def __call__(self, f: Any, sensor: Sensor) -> Any:
+        """The view of ``f`` around ``sensor``, with all that has changed in the filter."""
+        view = self._views.pop(id(sensor), None)
+        if view is None or any(f._modules[name] is not part for name, part in view.replaced.items()):
+            check_models(f.motion, sensor)
+            parts = f.parts_for(sensor)
+            view = sharing(f, mixed(View, f.__class__), _kernels=None, **parts)
+            view.__dict__.update(home=f, replaced={name: f._modules[name] for name in parts if name != "sensor"})
+            if len(self._views) == _VIEWS:
+                self._views.pop(next(iter(self._views)))
+        self._views[id(sensor)] = view
+        share(f, view)
+        for name, part in view.replaced.items():
+            part.with_sensor(sensor) if hasattr(part, "with_sensor") else share(part, view._modules[name])
+        if (f._kernels is None) != (view._kernels is None):
+            view._kernels = None if f._kernels is None else type(f._kernels)()
+        return view
+
+
+@lru_cache(maxsize=64)
+def mixed(mixin: type, cls: Any) -> type:
+    """A filter's class with another mixed into it."""
+    return type(cls.__name__, (mixin, cls), {})
+
+
+def sharing(module: nn.Module, cls: type, **own: Any) -> Any:
+    """A module of another class with the parts and values of ``module``, the same and no copies, but for its ``own``.
+
+    Modules among those are its parts.
+    """
+    new: Any = module.__new__(cls)
+    new.__dict__.update(_modules={}, _own=frozenset(own))
+    share(module, new)
+    for name, x in own.items():
+        (new._modules if isinstance(x, nn.Module) else new.__dict__)[name] = x
+    return new
+
+
+def share(module: nn.Module, new: Any) -> None:
+    """Gives what ``sharing`` has made all that the module holds by now."""
+    if "_own" not in new.__dict__:
+        return  # made for itself: a rule, say
+    own: frozenset[str] = new._own | {"_modules"}
+    new.__dict__.update({name: x for name, x in module.__dict__.items() if name not in own})
+    new._modules.update({name: x for name, x in module._modules.items() if name not in own})

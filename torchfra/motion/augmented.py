@@ -1,0 +1,111 @@
+"""Several motions in one state: a target's, and biases or clocks that drift beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import pad
+
+from torchfra.linalg.triangular import block_diagonal
+from torchfra.motion.base import Adaptation, Motion
+
+
+class Augmented(Motion):
+    """The state of a motion with those of others behind it, each moving for itself.
+
+    ``Augmented(ConstantVelocity(1.0), RandomWalk(0.01, 1, kind="bias"))`` has the state ``[x, y, vx, vy, bias]``.
+    Position, velocity and dimensions of space are those of the first motion.  It is linear if all are; all get the same
+    ``dt`` and ``u``.
+
+    Args:
+        motion: the target's.
+        others: what drifts beside it.
+
+    Raises:
+        ValueError: no others, a bank (take a bank of these instead), or another than the first motion that follows an
+            estimated acceleration.
+    """
+
+    def __init__(self, motion: Motion, *others: Motion) -> None:
+        parts = [motion, *others]
+        if not others or not all(isinstance(part, Motion) and not part.stacked for part in parts):
+            received = ", ".join(type(part).__name__ for part in parts)
+            raise ValueError(f"others: expected motions beside the first, none of them a Bank, received {received}")
+        if any(type(part).adaptation is not Motion.adaptation for part in others):
+            raise ValueError("others: expected none that follows an acceleration, as only the first motion may")
+        starts = [sum(part.size for part in parts[:i]) for i in range(len(parts) + 1)]
+        super().__init__(
+            motion.dims, motion.orders, None, size=starts[-1], position=motion.position, velocity=motion.velocity,
+            angles=[start + i for start, part in zip(starts, parts, strict=False) for i in part.angles],
+            components=_different([name for part in parts for name in part.components]),
+            kinds=[kind for part in parts for kind in part.kinds],
+        )  # fmt: skip
+        self.parts, self._sizes = nn.ModuleList(parts), [part.size for part in parts]
+
+    @property
+    def linear(self) -> bool:  # type: ignore[override]  # of these motions, not of the class
+        """Whether all motions are linear."""
+        return all(part.linear for part in self._parts)
+
+    def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
+        """The state ``(..., n)`` after ``dt (...)`` seconds, without process noise."""
+        return torch.cat(self._each(lambda part, own: part(own, dt, u), x), -1)
+
+    def at_points(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
+        """``forward`` for points ``(p, ..., n)`` of one step: linear motions compute their transition once."""
+        return torch.cat(self._each(lambda part, own: part.at_points(own, dt, u), x), -1)
+
+    def transition(self, dt: Tensor) -> Tensor:
+        """``F (..., n, n)``, a block for each motion, if all are linear."""
+        return block_diagonal([part.transition(dt) for part in self._parts])
+
+    def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
+        """Known changes of the state ``(..., n)``; None if no motion has any."""
+        parts = [part.shift(dt, u) for part in self._parts]
+        if all(part is None for part in parts):
+            return None
+        every = [dt.new_zeros(n) if part is None else part for n, part in zip(self._sizes, parts, strict=True)]
+        batch = torch.broadcast_shapes(*(part.shape[:-1] for part in every))
+        return torch.cat([part.expand(*batch, -1) for part in every], -1)
+
+    def adaptation(self, dt: Tensor) -> Adaptation | None:
+        """That of the first motion; the others stay as they are."""
+        own = self._parts[0].adaptation(dt)
+        return own and own._replace(response=pad(own.response, (0, 0, 0, self.size - self._sizes[0])))
+
+    def process_noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., n, r)``, a block for each motion."""
+        return block_diagonal([part.process_noise(dt) for part in self._parts])
+
+    def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
+        """The same at a predicted mean ``(..., n)``."""
+        roots = [part.process_noise(dt) for part in self._parts]
+        parts = zip(self._parts, roots, mean.split(self._sizes, -1), strict=True)
+        return block_diagonal(
+            [root if part.linear else part.process_noise_at(root, own, dt) for part, root, own in parts]
+        )
+
+    def canonical(self, mean: Tensor) -> Tensor:
+        """The same state ``(..., n)`` with its angles as each motion writes them."""
+        return torch.cat(self._each(lambda part, own: part.canonical(own), mean), -1)
+
+    def describe(self) -> str:
+        """All motions."""
+        return " with ".join(part.describe() for part in self._parts)
+
+    def _each(self, function: Callable[[Motion, Tensor], Tensor], x: Tensor) -> list[Tensor]:
+        """A function of each motion and its components of states ``(..., n)``, batches broadcast."""
+        every = [function(part, own) for part, own in zip(self._parts, x.split(self._sizes, -1), strict=True)]
+        batch = torch.broadcast_shapes(*(own.shape[:-1] for own in every))
+        return [own.expand(*batch, -1) for own in every]
+
+    @property
+    def _parts(self) -> list[Motion]:
+        return list(self.parts)  # type: ignore[arg-type]  # a ModuleList does not know what it holds
+
+
+def _different(names: Sequence[str]) -> list[str]:
+    """Names, numbered where they come again."""
+    return [name if name not in names[:i] else f"{name} ({names[:i].count(name) + 1})" for i, name in enumerate(names)]

@@ -1,0 +1,94 @@
+"""A vehicle that steers."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+from torch.distributions import constraints
+
+from torchfra.hyper import Hyper, Value
+from torchfra.motion.base import Motion
+from torchfra.motion.blocks import arc, arc_of_rate, driven
+
+
+class Bicycle(Motion):
+    """A vehicle in the plane that rolls without slip: the kinematic bicycle.
+
+    States ``[x, y, speed, heading, steering]``: m, m, m/s, rad, rad.  The heading counts counter-clockwise from +x, the
+    steering angle of the front wheel to the left, and it stays below a quarter of a turn.  Speed and steering are as
+    they were but for noise, so that a step is an arc.  The process noise is that of the accelerations and of how fast
+    it steers, carried along the arc at the predicted mean, exact to first order in what they change.
+
+    Args:
+        wheelbase: distance between the axles, m.
+        q: variance of the acceleration along the way, m^2/s^4; of a spectral one its density, m^2/s^3.
+        steer: variance of the rate at which the steering angle changes, rad^2/s^2; of a spectral one its density,
+            rad^2/s.
+        rear: how far in front of the rear axle the state's position is, m.
+        spectral: whether both are white noise in time, so that two short steps are the same as a long one, and not
+            constant over each step.
+
+    Raises:
+        ValueError: ``wheelbase`` not above 0, ``rear`` below 0 or not finite, a variance below 0.
+
+    Source: Kong, Pfeiffer, Schildbach & Borrelli (2015), "Kinematic and Dynamic Vehicle Models for Autonomous Driving
+    Control Design", eq. (1).  The noise is derived here.
+    """
+
+    def __init__(self, wheelbase: Value, q: Value, steer: Value, *, rear: float = 0.0, spectral: bool = False) -> None:
+        if not 0 <= rear < math.inf:
+            raise ValueError(f"rear: expected finite metres, 0 or more, received {rear}")
+        super().__init__(
+            2, 2, q, size=5, velocity=slice(0, 0), angles=(3,),
+            components=("x", "y", "speed", "heading", "steering"),
+            kinds=("position", "position", "velocity", "angle", "angle"),
+        )  # fmt: skip
+        self.wheelbase = Hyper(wheelbase, name="wheelbase")
+        self.steer = Hyper(steer, constraints.nonnegative, name="steer")
+        self.rear, self.spectral = float(rear), spectral
+
+    def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
+        """The state ``(..., 5)`` after ``dt (...)`` seconds, without process noise."""
+        px, py, speed, heading, steering = x.unbind(-1)
+        curvature, slip, _, _ = self._rolls(steering, self.wheelbase(x))
+        turn = dt * speed * curvature
+        chord = dt * speed * torch.sinc(turn / (2 * math.pi))
+        ahead = heading + slip + turn / 2
+        moved = [px + chord * ahead.cos(), py + chord * ahead.sin()]
+        return torch.stack(torch.broadcast_tensors(*moved, speed, heading + turn, steering), -1)
+
+    def process_noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., 5, r)`` straight on along x at a speed of 1 m/s."""
+        return self.process_noise_at(dt, dt.new_tensor([0.0, 0.0, 1.0, 0.0, 0.0]), dt)
+
+    def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
+        """``S_Q (..., 5, r)`` at a predicted mean ``(..., 5)``."""
+        _, _, speed, heading, steering = (x.unsqueeze(-1) for x in mean.unbind(-1))
+        curvature, slip, curvature_rate, slip_rate = self._rolls(steering, self.wheelbase(mean).unsqueeze(-1))
+        ahead = heading + slip
+        forward = torch.stack([ahead.cos(), ahead.sin()], -1)
+        left = torch.stack([-ahead.sin(), ahead.cos()], -1)
+
+        def response(ago: Tensor) -> Tensor:
+            ago, turn = torch.broadcast_tensors(ago, speed * curvature * ago)
+            (along, across), (along_rate, across_rate) = arc(turn), arc_of_rate(turn)
+            bent = speed * curvature_rate * ago
+            shift = (slip_rate * across + bent * along_rate, slip_rate * along + bent * across_rate)
+            aside = (speed * ago).unsqueeze(-1) * (shift[0].unsqueeze(-1) * forward + shift[1].unsqueeze(-1) * left)
+            one, zero = torch.ones_like(ago), torch.zeros_like(ago)
+            pushed = [ago.unsqueeze(-1) * forward, torch.stack([one, curvature * ago, zero], -1)]
+            steered = [aside, torch.stack([zero, bent, one], -1)]
+            return torch.stack([torch.cat(pushed, -1), torch.cat(steered, -1)], -1)
+
+        variances = torch.stack(torch.broadcast_tensors(self.q(mean), self.steer(mean)), -1)
+        return driven(response, dt, variances, spectral=self.spectral)
+
+    def _rolls(self, steering: Tensor, wheelbase: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Curvature of the way, 1/m, and slip of its direction against the heading; how both follow the steering."""
+        t, share = steering.tan(), self.rear / wheelbase
+        slope = 1 + t.square()
+        long = 1 + (share * t).square()
+        curvature, slip = t / (wheelbase * long.sqrt()), (share * t).atan()
+        return curvature, slip, slope / (wheelbase * long**1.5), share * slope / long

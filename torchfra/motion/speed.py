@@ -1,0 +1,64 @@
+"""Motion at nearly constant speed, whose direction wanders."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.distributions import constraints
+
+from torchfra.hyper import Hyper, Value
+from torchfra.motion.base import Motion
+from torchfra.motion.blocks import acceleration_gain, white_root
+
+
+class ConstantSpeed(Motion):
+    """Nearly constant speed: a target whose direction wanders, the more sideways the faster it goes.
+
+    States ``[position, velocity]``.  Accelerations across the velocity are those of turns at random rates, of variance
+    ``wander speed^2`` on top of ``q``; along it they have the variance ``q``, so that the speed hardly changes.  The
+    mean goes straight on.
+
+    Args:
+        q: variance of the acceleration noise in every direction, m^2/s^4; of a spectral one its density, m^2/s^3.
+        wander: variance of the rate of turns about every axis across the velocity, rad^2/s^2; of a spectral one its
+            density, rad^2/s.
+        dims: dimensions of space.
+        spectral: whether the noise is white in time, so that two short steps are the same as a long one, and not
+            constant over each step.
+
+    Raises:
+        ValueError: ``dims`` below 1, ``q`` not above 0, ``wander`` below 0.
+
+    Source: Li & Jilkov (2003), "Survey of Maneuvering Target Tracking. Part I": accelerations across the velocity keep
+    the speed.  Differs: they are noise here.
+    """
+
+    def __init__(self, q: Value, wander: Value, dims: int = 3, *, spectral: bool = False) -> None:
+        super().__init__(dims, 2, None)
+        self.q = Hyper(q, name="q")
+        self.wander = Hyper(wander, constraints.nonnegative, name="wander")
+        self.spectral = spectral
+
+    def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
+        """The state ``(..., n)`` after ``dt (...)`` seconds, straight on."""
+        position, velocity = x.split(self.dims, -1)
+        return torch.cat([position + dt.unsqueeze(-1) * velocity, velocity + 0 * dt.unsqueeze(-1)], -1)
+
+    def process_noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., n, r)`` for ``dt (...)``, at rest."""
+        if self.spectral:
+            return white_root(dt, self.q(dt), 2, self.dims)
+        return acceleration_gain(dt, self.q(dt), (2, 1), self.dims)
+
+    def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
+        """The root ``(..., n, r)`` at a predicted mean ``(..., n)``: that at rest times a root of the accelerations'.
+
+        ``q I + wander (|v|^2 I - v v^T)`` has the root ``a I - b v v^T``, which is smooth at ``v = 0``.
+        """
+        velocity, q, wander = mean[..., self.dims :], self.q(mean), self.wander(mean)
+        across = (q + wander * velocity.square().sum(-1)).sqrt()
+        along = (wander / (across + q.sqrt()))[..., None, None] * velocity.unsqueeze(-1) * velocity.unsqueeze(-2)
+        eye = torch.eye(self.dims, dtype=mean.dtype, device=mean.device)
+        root = (across[..., None, None] * eye - along) / q.sqrt()[..., None, None]
+        each: Tensor = process_noise.unflatten(-1, (-1, self.dims)) @ root.unsqueeze(-3)
+        return each.flatten(-2)

@@ -1,0 +1,86 @@
+"""What drifts at random: random walks, of positions or of biases, and clocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torch.distributions import constraints
+
+from torchfra.hyper import Hyper, Value
+from torchfra.motion.base import Motion
+from torchfra.motion.blocks import per_axis, white_root
+
+
+class RandomWalk(Motion):
+    """What stays as it is but for white noise: a position, or a bias beside other motions in ``Augmented``.
+
+    Args:
+        q: density of the noise, the variance that a second adds: m^2/s of positions.
+        dims: components.
+        kind: what they are, out of ``torchfra.motion.KINDS``.
+        components: their names; by default the axes of positions, and numbered others.
+
+    Raises:
+        ValueError: ``q`` below 0, ``dims`` below 1, an unknown kind.
+
+    Source: Bar-Shalom, Li & Kirubarajan (2001), section 6.2, with white noise on the first derivative.
+    """
+
+    linear = True
+
+    def __init__(
+        self, q: Value, dims: int = 2, *, kind: str = "position", components: Sequence[str] | None = None
+    ) -> None:
+        where = None if kind == "position" else slice(0, 0)
+        if components is None and where is not None:
+            components = [f"{kind} {i}" for i in range(dims)] if dims > 1 else [kind]
+        kinds = [kind] * dims
+        super().__init__(dims, 1, q, position=where, velocity=slice(0, 0), components=components, kinds=kinds)
+
+    def transition(self, dt: Tensor) -> Tensor:
+        """``I (..., n, n)``."""
+        return torch.eye(self.size, dtype=dt.dtype, device=dt.device).expand(*dt.shape, self.size, self.size)
+
+    def process_noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., n, n)``: ``sqrt(q dt) I``."""
+        return per_axis((self.q(dt).sqrt() * dt.sqrt())[..., None, None], self.size)
+
+
+class Clock(Motion):
+    """The clock of a receiver: states ``[clock, drift]``, its offset and how that grows, as distances at light speed.
+
+    Args:
+        offset: density of the white noise on the offset itself, m^2/s.
+        drift: density of the white noise on the drift, m^2/s^3.
+
+    Raises:
+        ValueError: a value below 0.
+
+    Source: Brown & Hwang (2012), "Introduction to Random Signals and Applied Kalman Filtering", section 9.3, times the
+    square of the speed of light.
+    """
+
+    linear = True
+
+    def __init__(self, offset: Value, drift: Value) -> None:
+        super().__init__(
+            1, 2, None, position=slice(0, 0), velocity=slice(0, 0), components=("clock", "drift"), kinds=("clock",) * 2
+        )
+        self.offset = Hyper(offset, constraints.nonnegative, name="offset")
+        self.drift = Hyper(drift, constraints.nonnegative, name="drift")
+
+    def transition(self, dt: Tensor) -> Tensor:
+        """``[[1, dt], [0, 1]] (..., 2, 2)``."""
+        one, zero = torch.ones_like(dt), torch.zeros_like(dt)
+        matrix: Tensor = torch.stack([one, dt, zero, one], -1).unflatten(-1, (2, 2))
+        return matrix
+
+    def process_noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., 2, 3)``: of the drift, and of the offset."""
+        drift = white_root(dt, self.drift(dt), 2, 1)
+        offset = self.offset(dt).sqrt() * dt.sqrt()
+        offset = torch.stack([offset, torch.zeros_like(offset)], -1).unsqueeze(-1)
+        batch = torch.broadcast_shapes(drift.shape[:-2], offset.shape[:-2])
+        return torch.cat([drift.expand(*batch, 2, 2), offset.expand(*batch, 2, 1)], -1)

@@ -1,0 +1,66 @@
+"""Guesses which columns of a table may hold a track where their names do not say it, for error messages."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Sequence
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from torchfra.readers.columns import Array, Head, number
+from torchfra.readers.times import form_of
+
+_DEGREES = re.compile(r"\s*[+-]?[0-9]{1,3}[.,][0-9]{4,}\s*")
+"""A latitude or longitude to 10 m or better."""
+_FEW = 4
+"""Columns of numbers up to which the first two may be x and y."""
+
+
+def looks_like(head: Head, known: Collection[str] = ()) -> str:
+    """What options the columns look like: "; looks like --time 1 --lat 2 --lon 3", or "" where they look like nothing.
+
+    Args:
+        head: of the table.
+        known: columns that are understood; where there are any, only the time is guessed.
+    """
+    names = [name for name in head.names if name not in known]
+    cells = {name: [cell for cell in head.cells(name) if cell is not None and str(cell).strip()] for name in names}
+    values = {name: found for name in names if len(found := _numbers(cells[name]))}
+    time = next((name for name in names if name not in values and _is_time(cells[name])), "")
+    time = time or next((name for name, column in values.items() if _grows(column)), "")
+    if known:
+        return f"; looks like --time {time}" if time else "; rows need a time, such as seconds since the first of them"
+    places = _places({name: column for name, column in values.items() if name != time}, cells)
+    return f"; looks like --time {time} {places}" if time and places else ""
+
+
+def _places(values: dict[str, Array], cells: dict[str, list[Any]]) -> str:
+    """Options for two columns of numbers; "" where none can be positions."""
+    fine = {name: sum(_DEGREES.fullmatch(str(cell)) is not None for cell in cells[name]) for name in values}
+    degrees = [name for name, column in values.items() if 2 * fine[name] > len(column) and np.abs(column).max() <= 180]
+    if len(degrees) >= 2:
+        lat, lon = degrees[:2] if np.abs(values[degrees[0]]).max() <= 90 else degrees[1::-1]
+        return f"--lat {lat} --lon {lon}"
+    moving = [name for name, column in values.items() if len(np.unique(column)) > 1]
+    return f"--x {moving[0]} --y {moving[1]}" if 2 <= len(moving) < _FEW else ""
+
+
+def _numbers(cells: Sequence[Any]) -> Array:
+    """The cells as numbers; none where one is something else."""
+    with suppress(ValueError, TypeError, OverflowError):
+        return np.array([number(cell.replace(",", ".") if isinstance(cell, str) else float(cell)) for cell in cells])
+    return np.empty(0)
+
+
+def _is_time(cells: Sequence[Any]) -> bool:
+    """Whether these are texts that tell times."""
+    texts = [cell for cell in cells if isinstance(cell, str)]
+    with suppress(ValueError):
+        return len(texts) == len(cells) and form_of(texts) is not None
+    return True  # of which the day may be the month
+
+
+def _grows(values: Array) -> bool:
+    return len(values) > 1 and bool((np.diff(values) > 0).all())

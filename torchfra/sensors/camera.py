@@ -1,0 +1,107 @@
+"""A pinhole camera: where on its image the target is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra.hyper import Hyper, Value
+from torchfra.sensors.base import Sensor
+from torchfra.sensors.places import finite, from_u
+
+
+class Camera(Sensor):
+    """The pixel ``[column, row]`` at which a pinhole camera without distortion sees the target.
+
+    ``centre + focal [right / depth, down / depth]`` of the target as the camera sees it: so far to the right, downwards
+    and in front of it, m.  A target that is not in the image is missing, NaN.  Behind the camera the formula holds on
+    and mirrors the target, so that a belief may reach there; in the plane of the camera, at depth 0, nothing is finite.
+
+    Args:
+        focal: focal length in pixels; a number, or ``(2,)`` for columns and rows.
+        std: of the measurement noise, pixels; a number or ``(..., 2)``.
+        centre: ``(2,)`` the pixel on the camera's axis.
+        position: ``(3,)`` where the camera is in the coordinates of the state, m.
+        rotation: ``(3, 3)`` whose rows are the directions to the right, downwards and forward, in the coordinates of
+            the state; ``facing`` makes one.  Without both, the pose comes with each step: ``u (..., 12)`` is the
+            position and then the rotation row by row.
+        height: of the target, m, where states are in the plane; otherwise they are in space.
+        noise: instead of ``std``, a root of the covariance of correlated measurement noise.
+
+    Raises:
+        ValueError: one of ``position`` and ``rotation`` without the other, a ``rotation`` that is none, shapes that do
+            not fit, and what is not finite.
+
+    Source: Hartley & Zisserman (2004), "Multiple View Geometry in Computer Vision", section 6.1.
+    """
+
+    centre: Tensor
+    pose: Tensor | None
+
+    def __init__(
+        self,
+        focal: Value,
+        std: Value | None = None,
+        *,
+        centre: Any = (0.0, 0.0),
+        position: Any = None,
+        rotation: Any = None,
+        height: float | None = None,
+        noise: Tensor | None = None,
+    ) -> None:
+        if (position is None) != (rotation is None):
+            raise ValueError(f"position, rotation: expected both or neither, received {position} and {rotation}")
+        if isinstance(focal, Tensor) and focal.dim() and focal.shape[-1] != 2:
+            raise ValueError(f"focal: expected a number or (..., 2), received {tuple(focal.shape)}")
+        super().__init__(3 if height is None else 2, [False, False], std, noise)
+        self.dims = self.reads
+        self.focal = Hyper(focal, event_dim=int(isinstance(focal, Tensor) and focal.dim() > 0), name="focal")
+        self.height = None if height is None else float(finite(height, name="height"))
+        pose = None
+        if rotation is not None:
+            place, turn = finite(position, 3, name="position"), _checked(finite(rotation, 3, 3, name="rotation"))
+            pose = torch.cat([place, turn.flatten().to(place)])
+        self.register_buffer("centre", finite(centre, 2, name="centre"), persistent=False)
+        self.register_buffer("pose", pose, persistent=False)
+
+    def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
+        """The pixel ``(..., 2)`` of states ``(..., 3)`` or longer, given the pose ``u (..., 12)`` if it moves."""
+        pose = from_u(u, 12, "a camera's position and rotation") if self.pose is None else self.pose.to(x)
+        at = x[..., : self.dims]
+        if self.height is not None:
+            at = torch.cat([at, torch.full_like(at[..., :1], self.height)], -1)
+        seen = (pose[..., 3:].unflatten(-1, (3, 3)) * (at - pose[..., :3]).unsqueeze(-2)).sum(-1)
+        pixel: Tensor = self.centre.to(x) + self.focal.elements(x) * seen[..., :2] / seen[..., 2:]
+        return pixel
+
+    def describe(self) -> str:
+        """A camera, that moves or stands."""
+        return "moving camera" if self.pose is None else "camera"
+
+
+def facing(position: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> Tensor:
+    """Rotation ``(..., 3, 3)`` of a level camera at ``position (..., 3)`` that looks at ``target (..., 3)``.
+
+    Its rows are the directions to the right, downwards and forward; ``up`` is the direction that rows of the image run
+    against.
+
+    Raises:
+        ValueError: a camera that looks along ``up``, or at itself.
+    """
+    position, target, up = (torch.as_tensor(x, dtype=torch.float64) for x in (position, target, up))
+    forward = torch.nn.functional.normalize(target - position, dim=-1)
+    right = torch.linalg.cross(*torch.broadcast_tensors(forward, up))
+    if not bool((right.norm(dim=-1) > 1e-9 * up.norm(dim=-1)).all()):
+        raise ValueError("target: expected a point that is neither at the camera nor straight above or below it")
+    right = torch.nn.functional.normalize(right, dim=-1)
+    return torch.stack([right, torch.linalg.cross(forward, right), forward], -2)
+
+
+def _checked(rotation: Tensor) -> Tensor:
+    """The rotation, if its rows are three directions at right angles, right-handed."""
+    off = (rotation @ rotation.mT - torch.eye(3).to(rotation)).abs().max()
+    if off > 1e-4 or torch.linalg.det(rotation) < 0:
+        raise ValueError(f"rotation: expected three directions at right angles, received {rotation.tolist()}")
+    return rotation

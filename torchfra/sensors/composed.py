@@ -1,0 +1,173 @@
+"""Sensors made of others: several as one, and biases that are in the state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate, pairwise
+
+import torch
+from torch import Tensor, nn
+
+from torchfra.linalg.triangular import block_diagonal
+from torchfra.sensors.base import MeasurementNoise, Sensor
+
+
+class Stacked(Sensor):
+    """Several sensors that measure at the same instant, as one: their measurements one after the other.
+
+    What one of them did not measure is NaN.  Their noise is independent, and learns as theirs; blocks, angles and noise
+    stay those of each.
+
+    Args:
+        sensors: the parts.
+        inputs: how many entries of ``u`` each gets, in order; by default all get the whole ``u``.
+
+    Raises:
+        ValueError: no sensors, or ``inputs`` that are not a number for each of them.
+    """
+
+    def __init__(self, *sensors: Sensor, inputs: Sequence[int] | None = None) -> None:
+        if not sensors or not all(isinstance(sensor, Sensor) for sensor in sensors):
+            received = ", ".join(type(sensor).__name__ for sensor in sensors) or "none"
+            raise ValueError(f"sensors: expected one or more, received {received}")
+        if inputs is not None and (len(inputs) != len(sensors) or min(inputs) < 0):
+            raise ValueError(f"inputs: expected entries of u for each of {len(sensors)} sensors, received {inputs}")
+        angles = [angle for sensor in sensors for angle in sensor.angles.tolist()]
+        self._lay_out(max(sensor.reads for sensor in sensors), angles)
+        self.parts, self.inputs = nn.ModuleList(sensors), None if inputs is None else tuple(inputs)
+        self._sizes = [sensor.size for sensor in sensors]
+        starts = [0, *accumulate(self._sizes)]
+        self.blocks = tuple(
+            tuple(start + i for i in block)
+            for start, sensor in zip(starts, sensors, strict=False)
+            for block in sensor.blocks
+        )
+        dims = [sensor.dims for sensor in sensors if sensor.dims is not None]
+        self.dims = max(dims) if dims else None
+
+    @property
+    def linear(self) -> bool:  # type: ignore[override]  # of these sensors, not of the class
+        """Whether all are linear, and get the same ``u``."""
+        return self.inputs is None and all(part.linear for part in self._parts)
+
+    @property
+    def locates(self) -> bool:  # type: ignore[override]  # of these sensors, not of the class
+        """Whether one of them locates."""
+        return any(part.locates for part in self._parts)
+
+    @property
+    def root(self) -> Tensor | None:  # type: ignore[override]  # of these sensors
+        """``(..., m, m)`` a root of the covariance of the noise, if a part has correlated noise; else None."""
+        if all(part.root is None for part in self._parts):
+            return None
+        return block_diagonal([noise_root(part) for part in self._parts])
+
+    def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
+        """The measurement ``(..., m)`` of each part, one after the other."""
+        return torch.cat([part(x, own) for part, own in zip(self._parts, self._inputs(u), strict=True)], -1)
+
+    def difference(self, a: Tensor, b: Tensor) -> Tensor:
+        """``a - b`` of measurements ``(..., m)``, as each part subtracts."""
+        each = zip(self._parts, a.split(self._sizes, -1), b.split(self._sizes, -1), strict=True)
+        return torch.cat([part.difference(x, y) for part, x, y in each], -1)
+
+    def locate(self, z: Tensor) -> Tensor:
+        """Where the first part that locates has measured the target, as there."""
+        for part, own in zip(self._parts, z.split(self._sizes, -1), strict=True):
+            if part.locates:
+                return part.locate(own)
+        return super().locate(z)
+
+    def measurement_noise(self, z: Tensor, std: Tensor | None = None, root: Tensor | None = None) -> MeasurementNoise:
+        """The noise of measurements ``z (..., m)``: that of each part, unless it is given for all."""
+        if std is not None or root is not None:
+            return super().measurement_noise(z, std, root)
+        each = [part.measurement_noise(own) for part, own in zip(self._parts, z.split(self._sizes, -1), strict=True)]
+        std, scale = torch.cat([part.std for part in each], -1), torch.cat([part.scale for part in each], -1)
+        log_norm = torch.stack([part.log_norm for part in each]).sum(0)
+        if all(part.mix is None for part in each):
+            return MeasurementNoise(std, scale, None, None, log_norm)
+        roots = [part.std.diag_embed() if part.root is None else part.root for part in each]
+        mixes = [part.scale.diag_embed() if part.mix is None else part.mix for part in each]
+        return MeasurementNoise(std, scale, block_diagonal(roots), block_diagonal(mixes), log_norm)
+
+    def describe(self) -> str:
+        """All parts."""
+        return " and ".join(part.describe() for part in self._parts)
+
+    def _inputs(self, u: Tensor | None) -> Sequence[Tensor | None]:
+        """What each part gets of ``u``."""
+        if self.inputs is None:
+            return [u] * len(self._parts)
+        if u is None or u.shape[-1] != sum(self.inputs):
+            received = None if u is None else f"(..., {u.shape[-1]})"
+            raise ValueError(
+                f"u: expected (..., {sum(self.inputs)}), {self.inputs} of each sensor, received {received}"
+            )
+        bounds = pairwise([0, *accumulate(self.inputs)])
+        return [u[..., first:last] if last > first else None for first, last in bounds]
+
+    @property
+    def _parts(self) -> list[Sensor]:
+        return list(self.parts)  # type: ignore[arg-type]  # a ModuleList does not know what it holds
+
+
+class Biased(Sensor):
+    """A sensor whose measurements are off by what components of the state say: biases, or the offset of a clock.
+
+    ``Augmented(motion, RandomWalk(q, 1, kind="bias"))`` has such a component behind those of the target.
+
+    Args:
+        sensor: what would be measured without.
+        bias: number of the component that is added to every element, or one for each element, None for nothing.
+
+    Raises:
+        ValueError: numbers below 0, or not one for each element.
+    """
+
+    def __init__(self, sensor: Sensor, bias: int | Sequence[int | None]) -> None:
+        each = [bias] * sensor.size if isinstance(bias, int) else list(bias)
+        if len(each) != sensor.size or any(i is not None and i < 0 for i in each):
+            expected = f"a component of the state, or one for each of {sensor.size} elements"
+            raise ValueError(f"bias: expected {expected}, received {bias}")
+        self._lay_out(max([sensor.reads, *(i + 1 for i in each if i is not None)]), sensor.angles.tolist())
+        self.unbiased, self.bias = sensor, tuple(each)
+        self.blocks, self.dims = sensor.blocks, sensor.dims
+
+    @property
+    def linear(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
+        """Whether it is without the bias."""
+        return self.unbiased.linear
+
+    @property
+    def root(self) -> Tensor | None:  # type: ignore[override]  # of that sensor
+        """As of that sensor."""
+        return self.unbiased.root
+
+    def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
+        """The measurement ``(..., m)`` with its biases."""
+        zero = torch.zeros_like(x[..., 0])
+        added: Tensor = self.unbiased(x, u) + torch.stack([zero if i is None else x[..., i] for i in self.bias], -1)
+        return added
+
+    def difference(self, a: Tensor, b: Tensor) -> Tensor:
+        """As of that sensor."""
+        return self.unbiased.difference(a, b)
+
+    def measurement_noise(self, z: Tensor, std: Tensor | None = None, root: Tensor | None = None) -> MeasurementNoise:
+        """As of that sensor."""
+        return self.unbiased.measurement_noise(z, std, root)
+
+    def describe(self) -> str:
+        """The sensor, and that it is biased."""
+        return f"{self.unbiased.describe()} with a bias"
+
+
+def noise_root(sensor: Sensor) -> Tensor:
+    """A root ``(..., m, m)`` of the covariance of a sensor's noise."""
+    if sensor.root is not None or sensor.std is None:
+        assert sensor.root is not None
+        return sensor.root
+    std: Tensor = sensor.std.elements()
+    root: Tensor = std.expand(*std.shape[:-1], sensor.size).diag_embed()
+    return root

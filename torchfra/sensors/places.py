@@ -1,0 +1,34 @@
+"""Where anchors, stations and cameras are, and what comes of them with each step."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+def from_u(u: Tensor | None, count: int, what: str) -> Tensor:
+    """The first ``count`` entries of ``u (..., k)``.
+
+    Raises:
+        ValueError: no ``u``, or a shorter one; ``what`` says what was expected.
+    """
+    if u is None or u.shape[-1] < count:
+        received = None if u is None else f"(..., {u.shape[-1]})"
+        raise ValueError(f"u: expected {what}, (..., {count}), received {received}")
+    return u[..., :count]
+
+
+def finite(value: Any, *shape: int, name: str) -> Tensor:
+    """Known numbers of a shape as a tensor; numbers that are in none become doubles.
+
+    Raises:
+        ValueError: another shape, or what is not finite.
+    """
+    given = value if isinstance(value, Tensor) else torch.as_tensor(value, dtype=torch.float64)
+    given = given if given.is_floating_point() else given.double()
+    if given.shape != shape or not bool(given.isfinite().all()):
+        received = tuple(given.shape) if given.shape != shape else given.tolist()
+        raise ValueError(f"{name}: expected finite numbers {shape}, received {received}")
+    return given

@@ -1,0 +1,85 @@
+"""Ranges by signals whose clocks do not agree: satellites, and time differences of arrival."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from torch import Tensor
+
+from torchfra.hyper import Value
+from torchfra.sensors.base import Sensor
+from torchfra.sensors.composed import Biased, Stacked, noise_root
+from torchfra.sensors.ranges import RangeRates, Ranges
+
+
+class Pseudoranges(Biased):
+    """Pseudoranges of satellites, m, and how fast they grow, m/s: ranges and rates off by the receiver's clock.
+
+    The state is that of ``Augmented(ConstantVelocity(q, 3), Clock(...))``, in the coordinates of the satellites.  Their
+    own clocks, the turn of the Earth and the air are taken to be corrected.  A satellite that is not there is NaN.
+
+    Args:
+        count: satellites, whose positions come with each step, ``u (..., 3 m)``; with ``rates`` their velocities
+            behind them, ``u (..., 6 m)``.
+        std: of the pseudoranges, m; a number or ``(..., m)``.
+        rates: of their rates, m/s; a number or ``(..., m)``.  None for no rates.
+        clock: component of the state that holds the clock's offset, m, with its drift, m/s, behind it.
+
+    Raises:
+        ValueError: no satellites, ``clock`` below 0.
+
+    Source: Brown & Hwang (2012), "Introduction to Random Signals and Applied Kalman Filtering", section 9.4.
+    """
+
+    def __init__(self, count: int, std: Value, rates: Value | None = None, *, clock: int = 6) -> None:
+        ranges = Ranges(count=count, std=std, dims=3)
+        if rates is None:
+            super().__init__(ranges, clock)
+        else:
+            both = Stacked(ranges, RangeRates(count=count, std=rates, dims=3))
+            super().__init__(both, [clock] * count + [clock + 1] * count)
+        self.count = count
+
+    def describe(self) -> str:
+        """How many satellites."""
+        return f"pseudoranges of {self.count} satellites"
+
+
+class TimeDifferences(Sensor):
+    """Differences of arrival times at anchors against the first one, times the speed of the signal: m.
+
+    The first arrival is in all differences, so that their noise is correlated.
+
+    Args:
+        anchors: as of ``Ranges``, like ``options``; of ``m + 1`` anchors there are ``m`` differences.
+        std: of each arrival, times the speed, m; a number or ``(..., m + 1)`` with one per anchor.
+        options: ``count``, ``dims``, ``height`` and ``noise`` (of the arrivals) of ``Ranges``.
+
+    Raises:
+        ValueError: as of ``Ranges``, or a single anchor.
+
+    Source: Foy (1976), "Position-Location Solutions by Taylor-Series Estimation".
+    """
+
+    def __init__(self, anchors: Any = None, std: Value | None = None, **options: Any) -> None:
+        arrivals = Ranges(anchors, std, **options)
+        if arrivals.size < 2:
+            raise ValueError(f"anchors: expected 2 or more for a difference, received {arrivals.size}")
+        self._lay_out(arrivals.reads, [False] * (arrivals.size - 1))
+        self.arrivals, self.dims = arrivals, arrivals.dims
+
+    @property
+    def root(self) -> Tensor | None:  # type: ignore[override]  # of the arrivals
+        """``(..., m, m + 1)`` a root of the covariance of the noise."""
+        arrivals = noise_root(self.arrivals)
+        return arrivals[..., 1:, :] - arrivals[..., :1, :]
+
+    def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
+        """The differences ``(..., m)`` of distances."""
+        away = self.arrivals(x, u)
+        differences: Tensor = away[..., 1:] - away[..., :1]
+        return differences
+
+    def describe(self) -> str:
+        """How many, and of what."""
+        return f"time differences of {self.arrivals.describe()}"

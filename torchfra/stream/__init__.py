@@ -1,0 +1,6 @@
+"""Tracking in a loop: times in, estimates out, in whatever order measurements come."""
+
+from torchfra.stream.tracker import Report, Tracker
+from torchfra.stream.window import At
+
+__all__ = ["At", "Report", "Tracker"]

@@ -1,0 +1,76 @@
+"""What a tracker is given, checked before any work."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra.filters.tracks import TrackFilter
+from torchfra.hyper import one_of
+from torchfra.sensors.base import Sensor
+
+OWN = "sensor"
+"""The name of the filter's own sensor, where there are no others."""
+
+
+def check_sensors(filter: Any, sensors: Mapping[str, Sensor] | None) -> dict[str, Sensor]:
+    """The sensors of a tracker by name, once the filter is known to take each of them.
+
+    Raises:
+        ValueError: no filter of tracks, no sensors, names that are none, or a sensor that the filter cannot have.
+    """
+    if not isinstance(filter, TrackFilter):
+        raise ValueError(f"filter: expected one of tracks, as presets.gpb makes, received {type(filter).__name__}")
+    if sensors is None:
+        return {OWN: filter.sensor}
+    if not isinstance(sensors, Mapping) or not sensors or not all(isinstance(name, str) for name in sensors):
+        raise ValueError(f"sensors: expected one or more by name, received {sensors!r}")
+    for sensor in sensors.values():
+        filter.with_sensor(sensor)
+    return dict(sensors)
+
+
+def check_counts(lag: float, steps: int | None, old: str, jump: float | None) -> None:
+    """Checks what is kept of a track, and what is done with what comes too late.
+
+    Raises:
+        ValueError: names the first that is wrong.
+    """
+    if not isinstance(lag, int | float) or not lag >= 0:
+        raise ValueError(f"lag: expected seconds of 0 or more, received {lag!r}")
+    if steps is not None and not (isinstance(steps, int) and steps >= 1):
+        raise ValueError(f"steps: expected 1 or more measurements, or None, received {steps!r}")
+    one_of(old=(old, ("refuse", "count")))
+    if jump is not None and not (isinstance(jump, int | float) and math.inf > jump > lag):
+        raise ValueError(f"jump: expected seconds above the lag of {lag}, or None, received {jump!r}")
+
+
+def seconds(name: str, x: Any) -> float:
+    """A finite number, if this is one.
+
+    Raises:
+        ValueError: it is not.
+    """
+    try:
+        value = float(x)
+    except (TypeError, ValueError):
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{name}: expected finite seconds, received {x!r}")
+    return value
+
+
+def numbers(name: str, x: Any, device: torch.device) -> Tensor:
+    """Numbers as a tensor in double precision.
+
+    Raises:
+        ValueError: they are none.
+    """
+    try:
+        return torch.as_tensor(x, dtype=torch.float64, device=device)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{name}: expected numbers, received {type(x).__name__}: {error}") from None

@@ -1,0 +1,87 @@
+"""What comes into a tracker and goes out of it: tensors by names of sensors, in the filter's dtype and coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra.sensors.base import Sensor
+from torchfra.stream.arguments import check_sensors, numbers
+from torchfra.stream.origin import Origin
+from torchfra.stream.window import Entry
+from torchfra.types import Gaussian
+
+
+class Intake:
+    """Measurements as the filter takes them, and beliefs as they are outside.
+
+    Args:
+        filter: of the tracker.
+        sensors: by name; None for the filter's own.
+        origin: see ``Tracker``.
+        dtype: of the filter.
+        device: where it runs.
+
+    Raises:
+        ValueError: see ``Tracker``.
+    """
+
+    def __init__(
+        self, filter: Any, sensors: Mapping[str, Sensor] | None, origin: Any, dtype: torch.dtype, device: torch.device
+    ) -> None:
+        named = check_sensors(filter, sensors)
+        self.names, self.sensors = list(named), list(named.values())
+        self.filter, self.dtype, self.device = filter, dtype, device
+        self.origin = None if origin is None else Origin(filter.motion, origin, dtype)
+
+    def number(self, name: str | None) -> int:
+        """The number of a sensor, by its name.
+
+        Raises:
+            ValueError: there is none of that name, or no name where there are several.
+        """
+        if name is None and len(self.names) == 1:
+            return 0
+        if name not in self.names:
+            raise ValueError(f"sensor: expected one of {self.names}, received {name!r}")
+        return self.names.index(name)
+
+    def sensor(self, entry: Entry) -> Sensor:
+        """The sensor that has measured."""
+        return self.sensors[entry.sensor]
+
+    def entry(self, time: float, z: Any, name: str | None, u: Any, std: Any, noise: Any) -> Entry:
+        """A measurement as the filter takes it.
+
+        Raises:
+            ValueError: no numbers, a number of them that is not the sensor's, or no such sensor.
+        """
+        number, measured = self.number(name), numbers("z", z, self.device)
+        sensor = self.sensors[number]
+        if measured.shape[-1:] != (sensor.size,):
+            raise ValueError(f"z: expected (..., {sensor.size}), received {tuple(measured.shape)}")
+        local = measured.to(self.dtype) if self.origin is None else self.origin.measured(sensor, measured)
+        rest = (self.tensor(what, x) for what, x in (("u", u), ("std", std), ("noise", noise)))
+        return Entry(time, number, local, *rest)
+
+    def tensor(self, name: str, x: Any) -> Tensor | None:
+        """Numbers in the filter's dtype, if there are any."""
+        return None if x is None else numbers(name, x, self.device).to(self.dtype)
+
+    def inward(self, belief: Gaussian) -> Gaussian:
+        """A belief from outside, as the filter has it."""
+        if self.origin is not None:
+            return self.origin.inward(belief)
+        return Gaussian(*(x.to(self.dtype) for x in belief))
+
+    def outward(self, belief: Gaussian) -> Gaussian:
+        """A belief of the filter, as it is outside."""
+        return belief if self.origin is None else self.origin.outward(belief)
+
+    def kind(self) -> dict[str, Any]:
+        """What the tracker is of, in words and numbers."""
+        origin = None if self.origin is None else self.origin.offset.tolist()
+        return {"filter": type(self.filter).__name__, "sensors": self.names, "origin": origin}

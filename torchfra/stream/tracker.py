@@ -1,0 +1,250 @@
+"""A track in a loop: measurements in whatever order they come, the estimate after each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import torch
+
+from torchfra.filters.ahead import Ahead
+from torchfra.filters.fixed_lag import go_back, remember
+from torchfra.filters.tracks import TrackFilter
+from torchfra.gaussian.arguments import check_belief
+from torchfra.sensors.base import Sensor
+from torchfra.stream.arguments import check_counts, seconds
+from torchfra.stream.intake import Intake
+from torchfra.stream.saved import restored, saved
+from torchfra.stream.window import At, Entry, Window
+from torchfra.types import Gaussian, Innovation
+
+OUTCOMES = ("used", "late", "duplicate", "old", "jumped")
+
+
+class Report(NamedTuple):
+    """What a measurement has changed."""
+
+    time: float
+    """s, of the newest measurement."""
+    belief: Gaussian
+    """The estimate then."""
+    outcome: str
+    """``"used"`` in turn; ``"late"``, put in where it belongs; ``"duplicate"`` or ``"old"``, left out; or ``"jumped"``:
+    used, after the clock had been set back."""
+    innovation: Innovation | None
+    """What it said; None of one that was left out."""
+
+
+class Tracker:
+    """A filter in a loop: times and measurements in, estimates out.
+
+    Measurements may come late: those since ``lag`` seconds before the newest are kept with the states after them, and
+    one in between filters all after it again, so that estimates are those of the same measurements in the order of
+    their times, to the last bit.  (At one instant sensors come in their order.)  A measurement that has come before
+    (time, sensor, value and noise the same) is left out.  NaN is missing.  No gradients flow.
+
+    With an ``origin`` the filter has positions relative to it, and beliefs and measurements outside are in double
+    precision.  At 6e6 m, with a sensor of 1 m, a float32 ``srckf`` is then within 2 mm of the float64 one up to 10 km
+    from the origin and within 2 cm up to 100 km, ``gpb`` within 2 cm and 10 cm; without an origin they are 0.6 and 3 m
+    off.  Linear sensors are told of the origin; others must stand relative to it (their places, and ``u``).
+
+    Args:
+        filter: any of tracks; compiled, it runs so.
+        prior: the belief at ``time``; its batch is that of several streams, measured at the same times.
+        time: seconds, by any clock.
+        sensors: by name, where there are others than the filter's own: see ``Filter.with_sensor``.
+        lag: seconds that a measurement may come late; infinity for all there are.
+        steps: measurements that are kept at most; None for as many as there are in ``lag``.
+        old: ``"refuse"`` a measurement that comes later than that by an error, or ``"count"`` it and leave it out.
+        jump: seconds above ``lag``: a measurement that is so much before the newest comes from a clock that was set
+            back.  It then counts as a usual step (the last one) after the newest, and times go on from there.  None
+            for a clock that never is.
+        origin: ``(dims,)`` position, m.
+        dtype: of the filter; None for the prior's.
+
+    Raises:
+        ValueError: what is none of those, a sensor that the filter cannot have, or a motion that is not the same
+            everywhere, beside an origin.
+    """
+
+    def __init__(
+        self,
+        filter: TrackFilter,
+        prior: Gaussian,
+        *,
+        time: float = 0.0,
+        sensors: Mapping[str, Sensor] | None = None,
+        lag: float = 0.0,
+        steps: int | None = None,
+        old: str = "refuse",
+        jump: float | None = None,
+        origin: Any = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        check_counts(lag, steps, old, jump)
+        like = check_belief(prior).mean
+        self._intake = Intake(filter, sensors, origin, like.dtype if dtype is None else dtype, like.device)
+        self.filter, self.lag, self.steps, self.old, self.jump = filter, float(lag), steps, old, jump
+        with torch.no_grad():
+            self._window = Window(seconds("time", time), filter.init(self._intake.inward(prior)))
+        self._counts = dict.fromkeys(OUTCOMES, 0)
+        self._behind = self._gap = 0.0  # of the clock outside, after jumps; seconds of the last step
+
+    @property
+    def time(self) -> float:
+        """Seconds, of the newest measurement, or of the prior."""
+        return self._window.newest - self._behind
+
+    @property
+    def state(self) -> Any:
+        """The filter's state now."""
+        return self._window.before(len(self._window.entries))[1]
+
+    @property
+    def belief(self) -> Gaussian:
+        """The estimate now, by all that has come in."""
+        return self._intake.outward(self.state.belief)
+
+    @property
+    def settled(self) -> At | None:
+        """The estimate of the measurement before, of filters that settle it by the next one; None of others."""
+        entries, state = self._window.entries, self.state
+        if not entries or not hasattr(state, "settled"):
+            return None
+        time, _ = self._window.before(len(entries) - 1)
+        return At(time - self._behind, self._intake.outward(state.settled))
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many measurements had each outcome: see ``Report``."""
+        return dict(self._counts)
+
+    @torch.no_grad()
+    def update(
+        self,
+        time: float,
+        z: Any,
+        sensor: str | None = None,
+        *,
+        u: Any = None,
+        std: Any = None,
+        noise: Any = None,
+    ) -> Report:
+        """Takes a measurement in.
+
+        Args:
+            time: seconds, by the same clock as all others.
+            z: ``(..., m)`` numbers; NaN is missing.
+            sensor: its name, if the tracker has several.
+            u: ``(..., k)`` what the models need to know at that time.
+            std: ``(..., m)`` standard deviations of this measurement's noise, instead of the sensor's.
+            noise: ``(..., m, m)`` root of its covariance, likewise.
+
+        Raises:
+            ValueError: a value or a shape that does not fit, no such sensor, or a measurement that is too old and to be
+                refused.  The track stays as it was.
+        """
+        inside = seconds("time", time) + self._behind
+        window = self._window
+        jumped = self.jump is not None and inside <= window.newest - self.jump
+        if jumped:
+            inside = window.newest + self._gap
+        entry = self._intake.entry(inside, z, sensor, u, std, noise)
+        if window.holds(entry):
+            return self._report("duplicate")
+        if inside < window.newest - self.lag or window.precedes(inside):
+            if self.old == "refuse":
+                since = max(window.newest - self.lag, window.time) - self._behind
+                raise ValueError(f"time: expected seconds since {since}, received {time}")
+            return self._report("old")
+        late, gap = inside < window.newest, inside - window.newest
+        innovation = self._put(entry)
+        if jumped:
+            self._behind = inside - float(time)
+        elif gap > 0:
+            self._gap = gap
+        window.trim(window.newest - self.lag, self.steps)
+        return self._report("jumped" if jumped else "late" if late else "used", innovation)
+
+    @torch.no_grad()
+    def predict(self, time: float, sensor: str | None = None, *, u: Any = None) -> Ahead:
+        """What is expected at a time: the state, and what a sensor would measure.
+
+        Args:
+            time: seconds, not before the measurements that are kept; the estimate is that of the last one up to it.
+            sensor: its name, if the tracker has several.
+            u: ``(..., k)`` what the models need to know at that time.
+
+        Raises:
+            ValueError: a time before that, or no such sensor.
+        """
+        inside, intake = seconds("time", time) + self._behind, self._intake
+        there = intake.sensors[intake.number(sensor)]
+        if inside < self._window.time:
+            since = self._window.time - self._behind
+            raise ValueError(f"time: expected seconds since {since}, received {time}")
+        since, state = self._window.at(inside)
+        ahead = self.filter.predict(state, inside - since, u=intake.tensor("u", u), sensor=there)
+        return ahead if intake.origin is None else intake.origin.ahead(there, ahead)
+
+    @torch.no_grad()
+    def smoothed(self) -> list[At]:
+        """Estimates at the times of all measurements that are kept, each by all of them, the oldest first.
+
+        The first is the one of a fixed lag.
+
+        Raises:
+            NotImplementedError: see ``Filter.smooth``.
+        """
+        self.filter.check_smooths()
+        time, state, moments = self._window.time, self._window.state, []
+        for entry in self._window.entries:
+            f = self.filter.with_sensor(self._intake.sensor(entry))
+            if f is not self.filter:
+                self.filter.check_smooths_several()
+            state, _, moment = remember(f, state, entry.after(time))
+            moments.append(moment)
+            time = entry.time
+        if not moments:
+            return []
+        beliefs, rank = go_back(self.filter, state, moments).belief, state.belief.mean.dim() - 1
+        each = [Gaussian(*pair) for pair in zip(*(x.unbind(rank) for x in beliefs), strict=True)]
+        times = [entry.time - self._behind for entry in self._window.entries]
+        return [At(time, self._intake.outward(belief)) for time, belief in zip(times, each, strict=True)]
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that the track is, in tensors, numbers and words: for ``torch.save``, and ``load_state_dict``."""
+        clock = {"behind": self._behind, "gap": self._gap}
+        return saved(self._window, self._intake.kind()) | {"clock": clock, "counts": self.counts}
+
+    def load_state_dict(self, values: Mapping[str, Any]) -> None:
+        """Goes on with a track that was saved, by the same filter, sensors and arguments, to the same bits.
+
+        Args:
+            values: from ``state_dict``, or of it from ``torch.load(..., weights_only=True)``.
+
+        Raises:
+            ValueError: they are not of a tracker like this one.
+        """
+        self._window = restored(values, self._window, self._intake.kind())
+        self._behind, self._gap = values["clock"]["behind"], values["clock"]["gap"]
+        self._counts = dict(values["counts"])
+
+    def _put(self, entry: Entry) -> Innovation:
+        """Puts an entry where it belongs, and filters it and all after it; what it said."""
+        window = self._window
+        place = window.place(entry)
+        (time, state), done, said = window.before(place), [], []
+        for each in (entry, *window.entries[place:]):
+            z, dt, u, std, noise = each.after(time)
+            sensor = self._intake.sensor(each)
+            state, innovation = self.filter.step(state, z, dt=dt, u=u, std=std, noise=noise, sensor=sensor)
+            done.append(each._replace(state=state))
+            said.append(innovation)
+            time = each.time
+        window.entries[place:] = done
+        return said[0]
+
+    def _report(self, outcome: str, innovation: Innovation | None = None) -> Report:
+        self._counts[outcome] += 1
+        return Report(self.time, self.belief, outcome, innovation)

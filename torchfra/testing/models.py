@@ -1,0 +1,194 @@
+"""Try a motion and a sensor by themselves and on a short track, and say in words what is wrong."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra.filters.base import Filter
+from torchfra.filters.checks import check_models
+from torchfra.filters.imm import IMM
+from torchfra.filters.srckf import SRCKF
+from torchfra.kernel.build import CompileError, compiler
+from torchfra.motion.bank import Bank
+from torchfra.motion.base import Motion
+from torchfra.sensors.base import Sensor
+from torchfra.testing import refusals
+from torchfra.testing.battery import tried
+from torchfra.testing.case import CHECKS, STEPS, TRACKS, make_case
+from torchfra.testing.lines import line_of_error, told, with_line
+from torchfra.testing.parts import Part, checks_of, parts_of
+from torchfra.types import Gaussian
+
+TYPICAL = {"position": (100.0, 10.0), "velocity": (3.0, 1.0), "angle": (0.1, 0.05), "rate": (0.1, 0.05)}
+"""Of a kind of component a value and its std, in its unit; 1 and 1 of others."""
+WORDS = {"passed": "right", "skipped": "skipped"}
+
+
+class Found(NamedTuple):
+    """What came of one check."""
+
+    where: str
+    """A method, or ``"in a filter"`` or ``"in a compiled filter"``."""
+    check: str
+    verdict: str
+    """``"passed"``, ``"skipped"`` or ``"failed"``."""
+    reason: str = ""
+    """Why it was skipped, or what was expected and what came, and which line is to blame."""
+
+
+@dataclass(frozen=True)
+class ModelReport:
+    """What came of trying a motion and a sensor; as text, what is wrong and where, and what was found to be right."""
+
+    models: str
+    found: tuple[Found, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether no check has failed."""
+        return not self.problems
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What is wrong, in words."""
+        return tuple(self._grouped("failed"))
+
+    def __str__(self) -> str:
+        count = len(self.problems)
+        lines = [f"{self.models}: {count or 'no'} problem{'s' * (count != 1)}"]
+        lines += [f"  {i}. {problem}" for i, problem in enumerate(self.problems, 1)]
+        lines += [f"  {word}: {said}" for verdict, word in WORDS.items() for said in self._grouped(verdict)]
+        return "\n".join(lines)
+
+    def _grouped(self, verdict: str) -> Iterator[str]:
+        """Where and what, for each reason of a verdict."""
+        those = [x for x in self.found if x.verdict == verdict]
+        for where, reason in dict.fromkeys((x.where, x.reason) for x in those):
+            checks = ", ".join(x.check for x in those if (x.where, x.reason) == (where, reason))
+            yield f"{where}: {checks}{f': {reason}' if reason else ''}"
+
+
+def check_model(
+    motion: Motion,
+    sensor: Sensor,
+    *,
+    state: Tensor | None = None,
+    dt: float = 1.0,
+    u: Tensor | None = None,
+    compiled: bool = False,
+    seed: int = 0,
+) -> ModelReport:
+    """Try a motion and a sensor of your own on all that filters ask of them, and say in words what is wrong.
+
+    Each is tried by itself first: shapes, batches, a ``dt`` for each state, precision, gradients, ``vmap``, process
+    noise, angles that are not declared; then both in a filter on short tracks: see ``check_filter``.  Copies of them
+    are tried, in float64.
+
+    Args:
+        motion: how targets move; of a ``Bank`` all its motions.
+        sensor: what is measured.
+        state: ``(n,)`` a state near which both should work; by default one that goes with ``motion.kinds``.
+        dt: seconds of a step.
+        u: ``(k,)`` what the models need to know at a step.
+        compiled: whether to try the compiled filter too, which takes some seconds of a C++ compiler.
+        seed: of the tracks.
+
+    Returns:
+        A report: ``ok``, ``problems``, and as text all of it, with the lines of yours that are to blame.
+
+    Raises:
+        ValueError: what is neither a motion nor a sensor, two that do not go together, or a state or ``u`` of another
+            shape.
+    """
+    check_models(motion, sensor)
+    if state is not None and state.shape != (motion.size,):
+        expected = f"({motion.size},) of [{', '.join(motion.components)}]"
+        raise ValueError(f"state: expected {expected}, received {tuple(state.shape)}")
+    if u is not None and u.dim() != 1:
+        raise ValueError(f"u: expected (k,), received {tuple(u.shape)}")
+    motion, sensor = copy.deepcopy(motion).double(), copy.deepcopy(sensor).double()
+    belief = _typical(motion, state)
+    names = f"{type(motion).__name__} and {type(sensor).__name__}"
+    found = [x for part in parts_of(motion, sensor, belief, dt, u, seed) for x in _by_itself(part)]
+    if any(x.verdict == "failed" for x in found):
+        found.append(Found("in a filter", "all", "skipped", "until they are right by themselves"))
+        return ModelReport(names, tuple(found))
+    return ModelReport(names, (*found, *_in_a_filter(motion, sensor, belief, dt, u, compiled, seed)))
+
+
+def _typical(motion: Motion, state: Tensor | None) -> Gaussian:
+    """A belief around a state."""
+    each = [TYPICAL.get(kind, (1.0, 1.0)) for kind in motion.kinds]
+    mean, std = torch.tensor(each, dtype=torch.float64).unbind(-1)
+    return Gaussian(mean if state is None else state.double(), std.diag())
+
+
+def _by_itself(part: Part) -> Iterator[Found]:
+    """What comes of each check on one motion or sensor, up to the first that fails."""
+    for check, tried_on in checks_of(part):
+        name = check.__name__.replace("_", " ")
+        try:
+            check(tried_on)
+        except AssertionError as error:
+            line = line_of_error(error) or tried_on.line
+            yield Found(tried_on.name, name, "failed", with_line(str(error), line))
+            return
+        except Exception as error:
+            yield Found(tried_on.name, name, "failed", told(error, tried_on.line))
+            return
+        yield Found(part.name, name, "passed")
+
+
+def _in_a_filter(
+    motion: Motion, sensor: Sensor, belief: Gaussian, dt: float, u: Tensor | None, compiled: bool, seed: int
+) -> tuple[Found, ...]:
+    """What comes of the checks of ``check_filter``, but for those of arguments, on the plain filter of both."""
+    try:
+        z, prior = _simulated(motion, sensor, belief, dt, u, seed)
+        known = None if u is None else u.double().expand(STEPS, -1)
+        case = make_case(_filter(motion, sensor), z, prior, dt, known, seed, thorough=False)
+    except Exception as error:
+        return (Found("in a filter", "a simulated track", "failed", told(error)),)
+    names = [name for name, check in CHECKS.items() if check.function.__module__ != refusals.__name__]
+    where = {"eager": "in a filter", "compiled": "in a compiled filter"}
+    without: tuple[Found, ...] = ()
+    if compiled:
+        try:
+            compiler()
+        except CompileError as error:
+            compiled, without = False, (Found(where["compiled"], "all", "skipped", str(error)),)
+    outcomes = tried(case, names, compiled=compiled).outcomes
+    return *(Found(where[o.way], o.check.replace("_", " "), o.verdict, o.reason) for o in outcomes), *without
+
+
+def _filter(motion: Motion, sensor: Sensor) -> Filter:
+    """The plain filter of both; of several motions, that which lets them interact."""
+    inner = SRCKF(motion, sensor)
+    if not isinstance(motion, Bank):
+        return inner
+    count = len(motion)
+    return IMM(inner, transition=0.9 * torch.eye(count) + 0.1 / count)
+
+
+def _simulated(
+    motion: Motion, sensor: Sensor, belief: Gaussian, dt: float, u: Tensor | None, seed: int
+) -> tuple[Tensor, Gaussian]:
+    """Tracks that begin at a belief, measured."""
+    one = motion[0] if isinstance(motion, Bank) else motion
+    generator, seconds = torch.Generator().manual_seed(seed), torch.full((TRACKS,), dt, dtype=torch.float64)
+    known = None if u is None else u.double().expand(TRACKS, -1)
+    prior = Gaussian(belief.mean.expand(TRACKS, -1), belief.scale_tril)
+    x, measured = prior.mean, []
+    with torch.no_grad():
+        for _ in range(STEPS):
+            x = one(x, seconds, known)
+            z = sensor(x, known)
+            noise = torch.randn(*z.shape, 1, dtype=torch.float64, generator=generator)
+            measured.append(z + sensor.measurement_noise(z).colour(noise).squeeze(-1))
+    return torch.stack(measured, 1), prior
