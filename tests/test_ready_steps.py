@@ -146,6 +146,17 @@ def test_a_gradient_flows_through_a_step_that_is_ready_without_one(ready):
     close([torch.autograd.grad(f.step(state, z, u=given["u"])[0].belief.mean.sum(), z)[0]], [slope])
 
 
+def test_a_step_of_inference_mode_does_not_spoil_a_later_gradient(make, tracks):
+    f = make("fra", temperature=0.5, learn=("threshold",)).compile()
+    belief = Gaussian(tracks.prior.mean[0], tracks.prior.scale_tril)
+    given = {"z": tracks.z[0, 0], "u": tracks.u[0], "dt": 0.875}  # neither has been seen before
+    with torch.inference_mode():
+        f.step(f.init(belief), **given)
+    state, innovation = f.step(f.init(belief), **given)
+    (slope,) = torch.autograd.grad(state.belief.mean.sum() + innovation.nis, f.robust.threshold.raw)
+    assert slope.isfinite()
+
+
 def test_fast_trees_are_the_trees():
     tree = (Gaussian(torch.zeros(2), torch.ones(2, 2)), None, (torch.zeros(1), 3))
     assert [x.data_ptr() for x in flattener(tree)(tree)] == [x.data_ptr() for x in flatten(tree)]

@@ -105,7 +105,7 @@ class Version:
             self._locate()
             return self.read()
         for i in self._numbers:
-            values[i] = _number(values[i])
+            values[i] = number(values[i])
         return values
 
     def plan(
@@ -168,8 +168,10 @@ class Version:
 
 
 @lru_cache(maxsize=64)
-def _number(value: float) -> Tensor:
-    return torch.tensor(value, dtype=torch.float64)
+def number(value: float, dtype: torch.dtype = torch.float64) -> Tensor:
+    """A number as a tensor that nobody changes, and that may be saved for a gradient wherever it was first needed."""
+    with torch.inference_mode(False):
+        return torch.tensor(value, dtype=dtype)
 
 
 def _whole(x: Tensor, like: Tensor) -> Tensor:
