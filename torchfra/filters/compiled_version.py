@@ -129,7 +129,9 @@ class Version:
         key = (advance if back is None else retreat, dtype, tuple(inputs.items()))
         if key not in self.kernels:
             begin = traced.begin if back is None else back.begin
-            self.kernels[key] = Kernels(Step(self.frozen, begin, advance, inputs, dtype, timed[0], back is not None))
+            with torch.inference_mode(False):  # in which torch does not take operations apart
+                step = Step(self.frozen, begin, advance, inputs, dtype, timed[0], back is not None)
+            self.kernels[key] = Kernels(step)
         kernels = self.kernels[key]
         counts = any(not (x.is_floating_point() or x.dtype == torch.bool) for x in flatten(kernels.step.record))
         shapes = [batch + zero.shape for zero in kernels.step.zero] + shapes
