@@ -35,8 +35,8 @@ class Steps(NamedTuple):
     @property
     def measured(self) -> NDArray[np.bool_]:
         """``(T,)`` which of them have a position; all where none has."""
-        there = np.asarray(~np.isnan(self.raw).any(1))
-        return there if there.any() else ~there
+        there = ~np.isnan(self.raw).any(1)
+        return np.asarray(there if there.any() else ~there)
 
     def part(self, begin: int, end: int) -> Steps:
         """The steps from one to before another."""

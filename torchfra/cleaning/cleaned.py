@@ -45,6 +45,8 @@ class Found:
     """Which of ``sigma``, ``q`` and ``bank`` were found and not told."""
     said: tuple[str, ...] = ()
     """Lines for a person: why this bank, sigma of the height, time stamps that were off."""
+    doubt: str = ""
+    """Why sigma is hardly known, where it was found; "" if it is."""
     failure: str = ""
     """Why the track could not be cleaned at all; "" if it was."""
 

@@ -26,6 +26,9 @@ from torchfra.readers.recording import Recording
 
 DEFAULT = "gpb"
 """The filter that is used unless told otherwise."""
+_FEW, _SURER = 10, 0.9
+"""Fixes below which sigma is a guess; and the share of its standard deviation above which an estimate is no surer than
+its fix alone, so that others tell nothing of it."""
 FAILURES = (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError)  # type: ignore[attr-defined]
 """What a track may do to its own work; all else is a mistake of the program and is raised."""
 
@@ -142,11 +145,24 @@ def _result(
     flag = flags(fix, nis, outlier, manoeuvre, inside(steps.time, listed), GATE[d])
     good = fix & (flag != "outlier")
     found = replace(found, nis=float(nis[good].mean() / d) if good.any() else math.nan)
+    if "sigma" in found.found:
+        found = replace(found, doubt=_doubt(steps, covariance, found.sigma))
     arrays = mean, covariance, nis, outlier, manoeuvre, flag
     result = Cleaned(recording, steps.time, steps.row, steps.raw, *arrays, found, listed, names, regimes)
     if result.failed.all():
         result = replace(result, found=replace(found, failure=f"NaN or infinity in all of {len(steps.time)} steps"))
     return result
+
+
+def _doubt(steps: Steps, covariance: Array, sigma: float) -> str:
+    """Why the fixes hardly tell sigma; "" if they do: then each estimate is surer than its own fix alone."""
+    seen, at = steps.at(steps.measured), covariance[steps.measured]
+    if len(seen.time) < _FEW:
+        return f"{len(seen.time)} fixes tell little of sigma"
+    surer = np.sqrt(np.trace(at[:, :2, :2], axis1=1, axis2=2) / 2) / (sigma * seen.std[:, 0])
+    if np.median(surer) < _SURER:
+        return ""
+    return f"fixes every {period_of(seen):.3g} s hardly tell noise from motion: sigma is unsure"
 
 
 def _found(name: str, settings: Settings, own: Bank | None, kind: tuple[str, str], answer: Answer) -> Found:

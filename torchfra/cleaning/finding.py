@@ -27,7 +27,9 @@ SHORT = 0
 _FEW = 2.0
 """Fixes that shares of levels are worth before any was seen."""
 _SLOWEST = 1e-5
-"""Least density of the process noise, m^2/s^3."""
+"""Least density of the process noise, m^2/s^3, ..."""
+_STILL = 0.1
+"""and what it may move a target by between two fixes, m."""
 _LASTING = 300.0, 15.0
 """Mean time that the least and the largest process noise last, s."""
 _RARER = 3.0
@@ -60,7 +62,8 @@ def levels_up_to(acceleration: Tensor, period: Tensor, count: int, q: float | No
     """
     place = torch.linspace(0.0, 1.0, count, dtype=period.dtype).unsqueeze(1)
     top = (acceleration.square() * period).clamp_min(10 * _SLOWEST)
-    density = _SLOWEST * (top / _SLOWEST) ** place
+    least = (3 * _STILL**2 / period**3).clamp_max(_SLOWEST)
+    density = least * (top / least) ** place
     lasting = (_LASTING[0] * (_LASTING[1] / _LASTING[0]) ** place).expand_as(density)
     rarer = -_RARER * place if q is None else -0.5 * (density / max(q, _SLOWEST)).log10().square()
     return Levels(density, rarer.expand_as(density).log_softmax(0), lasting)

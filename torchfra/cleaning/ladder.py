@@ -15,6 +15,8 @@ import torch
 from torch import Tensor
 
 _LOG_TWO_PI = math.log(2 * math.pi)
+_UNCHANGED = torch.tensor([[0.0, -1e6], [-1e6, 0.0]], dtype=torch.float64)[:, :, None, None]
+"""Logs of probabilities that what was a clean fix before is one now, and so of outliers, where there is no new fix."""
 
 
 class Belief(NamedTuple):
@@ -41,6 +43,8 @@ class Doubt(NamedTuple):
     """Probability of one after another."""
     least: float = 100.0
     """Least mean square error per axis of an outlier, in units of the variance of a clean fix."""
+    same: float = 0.5
+    """Probability that an outlier after another is as far off in the same direction."""
 
     @property
     def share(self) -> float:
@@ -118,6 +122,7 @@ def look_ahead(fixes: Fixes, levels: Levels, doubt: Doubt = USUAL) -> Ahead:
     before = torch.tensor([[1 - doubt.new, 1 - doubt.still], [doubt.new, doubt.still]], dtype=fixes.z.dtype)
     chain, log_new, outlier = before.log()[:, :, None, None], levels.log_new, torch.full_like(fixes.gap[0], doubt.share)
     kept: list[tuple[Belief, Tensor, Tensor, Tensor, Tensor]] = []
+    last, elapsed = torch.full_like(fixes.z[0], torch.nan), torch.zeros_like(fixes.gap[0])
     for z, gap, variance, odds, missing in zip(*fixes, fixes.missing, strict=True):
         if kept:
             mixed, log_weights = redrawn(belief, log_weights, levels.lasting, log_new, gap.unsqueeze(0))
@@ -126,7 +131,10 @@ def look_ahead(fixes: Fixes, levels: Levels, doubt: Doubt = USUAL) -> Ahead:
         prediction = _pair((log_weights[1] - log_weights[0]).sigmoid(), _entry(belief, 0), _entry(belief, 1))
         of_level = torch.logaddexp(log_weights[0], log_weights[1])
         clean, log_density = corrected(belief, z, variance, missing, doubt)
-        joint = chain + log_weights + log_density  # (2, 2, J, B): now, before
+        elapsed = elapsed + gap
+        log_density[1, 1] = _again(log_density[1, 1], _entry(belief, 1), z - last, elapsed, variance, doubt)
+        last, elapsed = torch.where(missing, last, z), missing * elapsed
+        joint = torch.where(missing, _UNCHANGED, chain) + log_weights + log_density  # (2, 2, J, B): now, before
         share = (joint[:, 1] - joint[:, 0]).sigmoid()
         after = torch.logaddexp(joint[:, 0], joint[:, 1]) + torch.stack([torch.zeros_like(odds), odds]).unsqueeze(1)
         weights, log_likelihood = _shares(after.flatten(0, 1), 0)
@@ -198,6 +206,19 @@ def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, doubt: Do
         left * x.pp, left * x.pv, x.vv - gain_v * x.pv,
     )  # fmt: skip
     return after, log_density
+
+
+def _again(log_density: Tensor, x: Belief, moved: Tensor, elapsed: Tensor, variance: Tensor, doubt: Doubt) -> Tensor:
+    """Log density ``(J, B)`` of an outlier after another, which may be as far off in the same direction.
+
+    Then fixes have moved by ``moved (d, B)`` in some seconds as the target has.
+    """
+    residual, d = moved.unsqueeze(1) - elapsed * x.velocity, len(moved)
+    wide = 2 * variance + elapsed.square() * x.vv
+    squared = d * _over_axes(residual, residual)
+    same = -0.5 * (squared / wide + d * (wide.log() + _LOG_TWO_PI))
+    other = log_density + math.log1p(-doubt.same)
+    return torch.where(squared.isnan(), log_density, torch.logaddexp(other, same + math.log(doubt.same)))
 
 
 def _pair(share: Tensor, a: Belief, b: Belief) -> Belief:

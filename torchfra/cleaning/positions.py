@@ -15,7 +15,7 @@ from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.both_ways import Smoothed
 from torchfra.cleaning.finding import SHORT, Part, estimated, first_sigma, fitted, levels_up_to
 from torchfra.cleaning.kinds import KINDS
-from torchfra.cleaning.ladder import Fixes, Levels, merged
+from torchfra.cleaning.ladder import Fixes, Levels
 from torchfra.readers.columns import Array
 
 _AXES = ((slice(0, 2), "acceleration", 8), (slice(2, 3), "climb", 5))
@@ -195,9 +195,13 @@ def _moments(known: Sequence[Smoothed]) -> tuple[Tensor, Tensor]:
 
 
 def _nis(part: Part, known: Smoothed) -> Tensor:
-    """Normalised innovation squared ``(T, B)`` of these axes; 0 where nothing is measured."""
-    expected, _ = merged(known.ahead.log_weights, known.ahead.belief, 1)
-    fixes = part.scaled
-    residual = fixes.z.movedim(1, 0) - expected.position
-    nis = residual.square().sum(0) / (expected.pp + fixes.variance)
-    return torch.where(fixes.missing, 0.0, nis)
+    """Normalised innovation squared ``(T, B)`` of these axes; 0 where nothing is measured.
+
+    It is the mean over the levels as the fix makes them likely, which is ``d`` on average if all is right.
+    """
+    fixes, expected = part.scaled, known.ahead.belief
+    residual = fixes.z.movedim(1, 0).unsqueeze(2) - expected.position
+    variance = expected.pp + fixes.variance.unsqueeze(1)
+    nis = residual.square().sum(0) / variance
+    fit = known.ahead.log_weights - 0.5 * (nis + len(residual) * variance.log())
+    return torch.where(fixes.missing, 0.0, (fit.nan_to_num().softmax(1) * nis).sum(1))

@@ -37,7 +37,7 @@ def summary(cleaned: Cleaned) -> dict[str, Any]:
         "failed": bool(cleaned.failed.any()),
         "repairs": cleaned.recording.repairs,
         "filter": found.filter, "smooth": found.smooth, "bank": found.bank, "sigma": found.sigma, "q": found.q,
-        "nis": found.nis, "found": sorted(found.found), "said": list(found.said),
+        "nis": found.nis, "doubt": found.doubt, "found": sorted(found.found), "said": list(found.said),
         "segments": [segment._asdict() for segment in cleaned.segments],
         "regimes": list(cleaned.regimes),
     }  # fmt: skip
@@ -58,6 +58,8 @@ def line(cleaned: Cleaned) -> str:
     parts.append(f"sure to {metres(of['median_std'])} per axis")
     if np.isfinite(of["nis"]):
         parts.append(f"NIS {of['nis']:.2f} of 1")
+    if of["doubt"]:
+        parts.append(of["doubt"])
     if of["repairs"]:
         parts.append("repaired: " + ", ".join(f"{count} {what}" for what, count in of["repairs"].items()))
     if of["failed"]:
@@ -69,7 +71,7 @@ def settings_line(found: Found) -> str:
     """With what a track was cleaned, and which of it was found."""
 
     def how(name: str) -> str:
-        return "found" if name in found.found else "told"
+        return "told" if name not in found.found else "found, unsure" if name == "sigma" and found.doubt else "found"
 
     return (
         f"{found.filter}, {'smoothed' if found.smooth else 'on line'}, for {found.bank} ({how('bank')}); "
