@@ -264,6 +264,8 @@ def test_without_scipy_it_is_said_what_to_install(monkeypatch):
 @pytest.mark.parametrize(("make", "message"), [
     (lambda: Targets(presets.srckf(ConstantVelocity(1.0), Position(1.0))), "filter: expected a JPDA"),
     (lambda: Targets(plane(detection=torch.tensor([[0.9, 0.8]]))), "filter: expected hyperparameters"),
+    (lambda: Targets(presets.jpda(ConstantVelocity(1.0, 3), Position(1.0), clutter=Clutter(1e4, rate=1.0))),
+     "filter: expected a sensor that locates in 3 dimensions"),
     (lambda: Targets(plane(), birth=MOfN()), "birth: expected a Birth"),
     (lambda: Targets(plane(), confirmation=3), "confirmation: expected a Confirmation"),
     (lambda: Targets(plane(), deletion=MOfN()), "deletion: expected a Deletion"),
