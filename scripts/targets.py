@@ -53,7 +53,7 @@ def main(arguments: list[str] | None = None) -> int:
     add_runs_options(p, 200, 7)
     p.add_argument("--what", default=",".join(WHAT), metavar="A,B", help=f"out of {', '.join(WHAT)} (default: all)")
     p.add_argument("--scans", type=int, default=360, metavar="T", help="of the recorded flights (default: 360)")
-    p.add_argument("--picture", type=Path, metavar="FILE", help="draw the recorded flights, the last of the two")
+    p.add_argument("--picture", type=Path, metavar="FILE", help="draw the recorded flights, else the folded ones")
     add_json_option(p)
     add_quiet_option(p)
     options = p.parse_args(arguments)
@@ -71,7 +71,7 @@ def compare(options: argparse.Namespace) -> None:
         if "many" in what:
             found["many"] = many(options.runs, options.seed)
         flights = swiss_traffic() if {"recorded", "folded"} & set(what) else []
-        for name in ("recorded", "folded"):
+        for name in ("folded", "recorded"):
             if name in what:
                 world = recorded(flights, options.seed, DT, options.scans, folded=name == "folded")
                 found[name], estimate = streamed(world)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchfra import presets, readers
-from torchfra.association import Clutter
+from torchfra.association import ChiSquare, Clutter
 from torchfra.motion import ConstantVelocity
 from torchfra.readers import Recording, resample
 from torchfra.sensors import Position
@@ -86,7 +86,7 @@ def _world(truth: Tensor, corners: tuple[Tensor, Tensor], seed: int, dt: float, 
         false = rng.uniform(low.numpy(), high.numpy(), (rng.poisson(FALSE), 2))
         scans.append(torch.from_numpy(rng.permutation(np.concatenate([measured, false]))))
     clutter = Clutter(volume=float((high - low).prod()), rate=float(FALSE))
-    f = presets.jpda(ConstantVelocity(q), Position(STD), clutter=clutter, detection=DETECTION)
+    f = presets.jpda(ConstantVelocity(q), Position(STD), clutter=clutter, detection=DETECTION, gate=ChiSquare(0.99999))
     manager = Targets(f, birth=TwoPoint(speed), deletion=Deletion(5), merging=Merging())
     return World(truth, scans, dt, manager, 10 * STD)
 

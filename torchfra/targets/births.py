@@ -75,7 +75,8 @@ class OnePoint(Birth):
     Raises:
         ValueError: a value that is not above 0.
 
-    Source: Bar-Shalom, Li & Kirubarajan (2001), section 5.5.4, one-point initialisation.
+    Source: Bar-Shalom, Li & Kirubarajan (2001), "Estimation with Applications to Tracking and Navigation", section
+    5.5.
     """
 
     def __init__(self, velocity: float = 30.0, more: float = 1.0) -> None:
@@ -108,7 +109,7 @@ class TwoPoint(Birth):
     Raises:
         ValueError: a value that is not above 0.
 
-    Source: Bar-Shalom, Li & Kirubarajan (2001), section 5.5.3, two-point differencing.
+    Source: Bar-Shalom, Li & Kirubarajan (2001), section 5.5, two-point differencing.
     """
 
     def __init__(self, speed: float = 100.0, more: float = 1.0) -> None:

@@ -25,6 +25,9 @@ def check_filter(filter: object) -> None:
     if not filter.sensor.locates:
         received = filter.sensor.describe()
         raise ValueError(f"filter: expected a sensor that measures where a target is, received {received}")
+    dims, wanted = filter.sensor.locate(torch.ones(1, filter.sensor.size)).shape[-1], filter.motion.dims
+    if dims != wanted:
+        raise ValueError(f"filter: expected a sensor that locates in {wanted} dimensions as the motion has, not {dims}")
     if batch_rank(filter):
         raise ValueError("filter: expected hyperparameters that are the same for all targets, received a batch of them")
     if filter.share_noise:

@@ -27,8 +27,8 @@ class Merging(nn.Module):
     Raises:
         ValueError: a distance that is not above 0.
 
-    Source: Blackman & Popoli (1999), section 6.2.6; the test of Bar-Shalom, Li & Kirubarajan (2001), section 8.4, with
-    a threshold far below that of chance.
+    Source: the test of Bar-Shalom (1981), "On the Track-to-Track Correlation Problem", with a threshold far below that
+    of chance.
     """
 
     def __init__(self, distance: float = 0.3) -> None:

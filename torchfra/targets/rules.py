@@ -33,8 +33,7 @@ class MOfN(Confirmation):
     Raises:
         ValueError: not ``1 <= m <= n``.
 
-    Source: Blackman & Popoli (1999), "Design and Analysis of Modern Tracking Systems", section 6.2; Bar-Shalom, Li
-    & Kirubarajan (2001), section 3.4, for the chances of the logic.
+    Source: Blackman & Popoli (1999), "Design and Analysis of Modern Tracking Systems", chapter 6.
     """
 
     def __init__(self, m: int = 3, n: int = 5) -> None:
@@ -68,7 +67,7 @@ class SPRT(Confirmation):
         ValueError: probabilities that are not above 0, or that sum to 1 or more.
 
     Source: Wald (1945), "Sequential Tests of Statistical Hypotheses"; Sittler (1964), "An Optimal Data Association
-    Problem in Surveillance Theory"; Blackman & Popoli (1999), section 6.2; Musicki, Evans & Stankovic (1994),
+    Problem in Surveillance Theory"; Blackman & Popoli (1999), chapter 6; Musicki, Evans & Stankovic (1994),
     "Integrated Probabilistic Data Association", for the ratio of a scan.
     """
 
@@ -102,7 +101,7 @@ class Deletion(nn.Module):
         ValueError: a number of scans below 1, a probability that is not in (0, 1), a length that is not above 0, or
             nothing at all, so that no target would ever end.
 
-    Source: Blackman & Popoli (1999), section 6.2.5, for the drop of the score.
+    Source: Blackman & Popoli (1999), chapter 6, for the drop of the score.
     """
 
     def __init__(self, misses: int | None = 5, *, drop: float | None = None, spread: float | None = None) -> None:

@@ -54,7 +54,8 @@ def look_at(filter: JPDA, state: Any, scene: Tensor, look: Look) -> tuple[Any, S
     explained = look.z.new_zeros(there.numel())
     if len(scene) == 0:
         return state, Said(explained[:0], explained[:0], explained.reshape(there.shape)), []
-    groups = clusters(_reach(filter, state, scene, look), scene, there)
+    with torch.no_grad():
+        groups = clusters(_reach(filter, state, scene, look), scene, there)
     nothing = look.z.new_full((1, filter.sensor.size), torch.nan)
     table = torch.cat([look.z.flatten(0, 1), nothing])  # the last row is none
     parts, missed, density = [], [], []
