@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import sysconfig
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -11,12 +10,7 @@ from typing import Any
 
 import torch
 
-_OTHERS = tuple(
-    str(Path(path)) for path in (
-        Path(__file__).parents[1], Path(torch.__file__).parent, sysconfig.get_path("stdlib"),
-        sysconfig.get_path("purelib"),
-    )
-)  # fmt: skip
+_OTHERS = (str(Path(__file__).parents[1]), str(Path(torch.__file__).parent))
 """Folders whose lines are no user's."""
 
 
