@@ -61,11 +61,13 @@ class Standalone(NamedTuple):
         Raises:
             CompileError: the step has too many operations.
         """
+        source = self.source()
+        level = "-O1" if source.count("\n") > LARGE else "-O2"
         return {
             f"{self.name}.hpp": self.header(),
-            f"{self.name}.cpp": self.source(),
+            f"{self.name}.cpp": source,
             "example.cpp": self.example(),
-            "CMakeLists.txt": _CMAKE.replace("NAME", self.name).replace("LEVEL", self.level()),
+            "CMakeLists.txt": _CMAKE.replace("NAME", self.name).replace("LEVEL", level),
         }
 
     def header(self) -> str:
@@ -95,10 +97,6 @@ class Standalone(NamedTuple):
         mean, root = (str(x.shape.numel()) for x in self.prior)
         text = text.replace("MEAN", mean).replace("ROOT", root).replace("NAME", self.name)
         return text.replace("SCALAR", SCALARS[self.advance.dtype])
-
-    def level(self) -> str:
-        """How much the compiler optimises."""
-        return "-O1" if self.source().count("\n") > LARGE else "-O2"
 
     def example(self) -> str:
         """A program that filters the tracks of a text."""
