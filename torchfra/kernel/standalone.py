@@ -73,10 +73,10 @@ class Standalone(NamedTuple):
     def header(self) -> str:
         """Structs of state, input and output, ``init`` and ``step``."""
         structs = {"State": self.state, "Input": self.inputs, "Output": self.outputs}
-        text = _HEADER.replace("ABOUT", "".join(f"// {line}".rstrip() + "\n" for line in self.about).rstrip("\n"))
+        text = self._named(_HEADER)
         for name, fields in structs.items():
             text = text.replace(f"  // {name.upper()}\n", "".join(x.declared for x in fields if x.present))
-        return self._named(text)
+        return "".join(f"// {line}".rstrip() + "\n" for line in self.about) + text
 
     def source(self) -> str:
         """The functions of the header."""
@@ -88,10 +88,10 @@ class Standalone(NamedTuple):
             "READ": [_port(x, "state.") for x in self.state] + [_port(x, "input.") for x in self.inputs],
             "WRITTEN": [_port(x, "state.") for x in self.state] + [_port(x, "output.") for x in self.outputs],
         }
-        text = _FUNCTIONS
+        text = self._named(_FUNCTIONS)
         for word, ports in parts.items():
             text = text.replace(word, ", ".join(ports))
-        return f'#include "{self.name}.hpp"\n\n{head}{blocks}{self._named(text)}'
+        return f'#include "{self.name}.hpp"\n\n{head}{blocks}{text}'
 
     def _named(self, text: str) -> str:
         mean, root = (str(x.shape.numel()) for x in self.prior)
@@ -118,7 +118,6 @@ def _port(field: Field, owner: str) -> str:
 
 
 _HEADER = """\
-ABOUT
 #pragma once
 
 namespace NAME {
