@@ -193,7 +193,7 @@ def test_what_makes_no_sense_is_refused(given, said):
         check_settings(**{"filter": "gpb"} | given)
 
 
-@pytest.mark.parametrize(("speed", "kind"), [(1.2, "person"), (15.0, "vehicle"), (120.0, "aircraft")])
+@pytest.mark.parametrize(("speed", "kind"), [(1.2, "person"), (5.0, "person"), (15.0, "vehicle"), (120.0, "aircraft")])
 def test_the_kind_of_a_target_follows_from_its_speed_unless_the_file_says(speed, kind):
     recording, _, _ = recorded(16, speed=speed, sigma=1.0, outliers=0.0)
     assert kind_of(recording)[0] == kind

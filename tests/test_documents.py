@@ -53,7 +53,7 @@ SMALL = {
     ),
     "scripts/particles.py": ({"--runs": "2", "--particles": "50"}, {}),
     "scripts/benchmark.py": ({"--batch": "1", "--passes": "1", "--modes": "eager"}, {"--filters": "srckf"}),
-    "scripts/targets.py": ({"--runs": "1", "--scans": "3"}, {}),
+    "scripts/targets.py": ({"--runs": "1", "--scans": "3", "--what": "many,crowd"}, {}),
     "scripts/examples/": ({}, {}),
     "scripts/": ({"--iterations": "2", "--tracks": "4", "--steps": "10"}, {}),
 }

@@ -95,6 +95,8 @@ def test_there_is_one_picture_of_each_of_a_few_targets_and_an_overview(count, pl
         assert len(files.pictures) == len(set(files.pictures.values())) == pictures
         assert (files.overview is not None) == overview
         assert len(files.tables) == (count if out == tmp_path else 1)
+        beside = "" if out == tmp_path else "all" if count == 1 else "all-a_"
+        assert all(path.name.startswith(beside) for path in files.pictures.values())
 
 
 def test_a_target_called_as_the_overview_keeps_its_picture(tmp_path):

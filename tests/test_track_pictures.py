@@ -52,6 +52,14 @@ def test_the_map_shows_the_track_and_lists_at_its_edge_what_is_far_off():
     assert on_edge.all()
 
 
+def test_what_is_listed_at_the_edge_is_below_the_title():
+    of = replace(straight(40, rejected=(7, 9), off=3.5e6), segments=())  # whose names would make room
+    figure = plotting.cleaned(of)
+    figure.draw_without_rendering()
+    listed = next(text for text in figure.findobj(Text) if text.get_text().startswith("rejected beyond"))
+    assert not listed.get_window_extent().overlaps(figure._suptitle.get_window_extent())
+
+
 def test_a_map_has_the_same_scale_along_both_axes():
     figure = plotting.cleaned(straight(40))
     axes = panels(figure)["map"]

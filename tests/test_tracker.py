@@ -34,7 +34,7 @@ def tracker(f, *batch, **options):
     return Tracker(f, prior_of(f, *batch), **{"sensors": SENSORS, "lag": 3.0} | options)
 
 
-def events(seed=0, count=14):
+def events(seed=0, count=12):
     """Times, measurements and sensors, in order (at one instant too); some with a missing element."""
     rng, time, every = random.Random(seed), 0.0, []
     for k in range(count):
@@ -62,7 +62,7 @@ FILTERS = {name: made(name) for name in ("srckf", "rsrckf", "asrckf", "fra", "gp
 
 
 @pytest.mark.parametrize("name", FILTERS)
-@settings(deadline=None, max_examples=6)
+@settings(deadline=None, max_examples=4)
 @given(seed=st.integers(0, 1000), delay=st.floats(0.0, 2.9))
 def test_late_data_is_sorted_data(name, seed, delay):
     f, every, rng = FILTERS[name], events(seed), random.Random(seed)

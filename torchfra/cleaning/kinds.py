@@ -22,7 +22,7 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "person": Kind(3.0, 1.0, 3.0),
+    "person": Kind(3.0, 1.0, 6.0),
     "ship": Kind(0.5, 0.5, 30.0),
     "vehicle": Kind(6.0, 2.0, 60.0),
     "aircraft": Kind(10.0, 2.0, 1000.0),

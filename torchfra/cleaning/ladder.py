@@ -39,7 +39,7 @@ class Doubt(NamedTuple):
 
     new: float = 0.015
     """Probability of an outlier after a clean fix."""
-    still: float = 0.45
+    still: float = 0.35
     """Probability of one after another."""
     least: float = 100.0
     """Least mean square error per axis of an outlier, in units of the variance of a clean fix."""

@@ -4,7 +4,8 @@ A file is one of these, gzipped or not (but for the last):
 
 - rows of text under a header, separated by commas, semicolons, tabs, bars or spaces, with decimal points or commas, and
   comments (# or %);
-- JSON: records, columns, or GeoJSON with a time for each place;
+- JSON: records, in a list or one a line, columns, GeoJSON with a time for each place, or what receivers of aircraft
+  write (traces and ``aircraft.json`` of readsb, tar1090 and dump1090);
 - GPX (extra ``formats``), KML with times, NMEA 0183 with RMC and GGA (extra);
 - Parquet and Feather (extra).
 

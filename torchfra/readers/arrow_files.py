@@ -61,7 +61,11 @@ def _is_flat(kind: Any) -> bool:
 
 
 def _parquet(path: Path, max_bytes: int) -> tuple[Any, Iterator[Any]]:
-    """The schema and the batches of a file."""
+    """The schema and the batches of a file.
+
+    The sizes are those that its metadata states.  A forged page may unfold to more, up to 2 GiB, before pyarrow finds
+    that: it has no bound of its own, and only another reader of the pages could have one.
+    """
     from pyarrow import parquet, types
 
     file = parquet.ParquetFile(path)

@@ -1,4 +1,4 @@
-"""JSON: records, columns, and tracks of GeoJSON."""
+"""JSON: records, columns, objects line by line, tracks of GeoJSON, and what receivers of aircraft write."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 from typing import Any
 
 from torchfra.readers.columns import Cells, short
+from torchfra.readers.readsb_files import readsb_sheet
 from torchfra.readers.sheets import Sheet, points_sheet, repeated, whole_text
 
 _POINTS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2}
@@ -24,13 +25,30 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
     if not content.strip():
         raise ValueError("expected a track, received an empty file")
     try:
-        parsed = json.loads(content, object_pairs_hook=_object)
+        parsed = _parsed(content)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"expected JSON, every key of an object once, received other text ({error})") from error
     if isinstance(parsed, dict) and isinstance(parsed.get("type"), str) and parsed.keys() & {"features", "geometry"}:
         return _geojson_sheet(parsed)
+    if (sheet := readsb_sheet(parsed)) is not None:
+        return sheet
     names, rows, cells = _columns(parsed)
     return Sheet(names, [(rows, cells)] if names else [], json=True)
+
+
+def _parsed(content: str) -> Any:
+    """What JSON says; a list where each line is an object of its own.
+
+    Raises:
+        ValueError: it is no JSON.
+    """
+    try:
+        return json.loads(content, object_pairs_hook=_object)
+    except json.JSONDecodeError as error:
+        lines = content.splitlines() if error.msg == "Extra data" else []
+        if len(lines) < 2 or not lines[0].rstrip().endswith("}"):
+            raise
+        return [json.loads(line, object_pairs_hook=_object) for line in lines if line.strip()]
 
 
 def _columns(parsed: Any) -> tuple[list[str], int, Cells]:

@@ -19,6 +19,10 @@ _LONGEST = 1024
 """Bytes of a line; a sentence has 82, and may have a time in front."""
 _NAMES = ("day", "second", "latitude", "longitude", "altitude", "hdop")
 _DAY = 86_400.0
+_AIS = (
+    "AIS messages must be decoded before, such as with pyais (pip install pyais), to CSV with the columns time, mmsi, "
+    "lat, lon; they hold no date, so take each time from whatever recorded them"
+)
 
 
 def is_nmea(start: bytes, suffix: str) -> bool:
@@ -49,7 +53,7 @@ def nmea_sheet(file: Any, max_bytes: int) -> Sheet:
             lines["damaged"] += 1
     columns = fixes.columns()
     if not len(columns["time"]):
-        ais = "; AIS messages must be decoded before" if lines["AIS"] else ""
+        ais = f"; {_AIS}" if lines["AIS"] else ""
         raise ValueError(f"expected NMEA 0183 with RMC or GGA, received {dict(lines) or 'no'} lines{ais}")
     damaged = f"; {lines['damaged']} damaged sentences left out" if lines["damaged"] else ""
     dated = "" if columns["time"].dtype.kind == "M" else "; no date, as there is no RMC"

@@ -22,7 +22,8 @@ def metadata(results: Sequence[Cleaned], settings: Mapping[str, Any]) -> dict[st
         results: of one file.
         settings: as they were given.
     """
-    names = dict.fromkeys(name for cleaned in results for name in columns(cleaned))
+    alike = {(one.raw.shape[1], one.recording.origin is None, one.regimes): one for one in results}
+    names = dict.fromkeys(name for one in alike.values() for name in columns(one))
     source = results[0].recording.source
     versions = {"torchfra": __version__, "torch": torch.__version__, "numpy": np.__version__}
     return {

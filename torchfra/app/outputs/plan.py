@@ -67,10 +67,10 @@ def plan(recordings: Sequence[Recording], out: Path, form: str | None = None, pl
     one, ending = ending_of(out, form)
     check_format(ending, recordings)
     folder, several = (out.parent if one else out), len(recordings) > 1
-    used = {"overview", out.stem.casefold()} if several else set()
+    used = {"overview"} if several else set()
     names = {recording: unused(recording.name, used) for recording in recordings}
-    if one and not several:
-        names = {recordings[0]: out.stem}
+    if one:  # pictures lie beside the table
+        names = {recording: f"{out.stem}-{name}" if several else out.stem for recording, name in names.items()}
     tables = {out: list(recordings)} if one else {folder / f"{name}{ending}": [r] for r, name in names.items()}
     drawn = plots if plots is not None else len(recordings) <= MOST_PICTURES
     pictures = {recording: folder / f"{name}.png" for recording, name in names.items()} if drawn else {}

@@ -41,7 +41,8 @@ def cleaned(of: Cleaned) -> Figure:
         _draw_regimes(panels["regimes"], shown)
     _finish_time([panels[row] for row in rows], shown)
     figure.suptitle(words(shown.title, TITLE))
-    show(panels["map"], *shown.window)  # about: the layout needs the numbers at its axes
+    seen = show(panels["map"], *shown.window)  # about: the layout needs the numbers at its axes, and room above the map
+    panels["map"].set_title(" " if beyond(shown, *seen)[2] else "", fontsize=SIZE, loc="left")
     with any_letters():
         figure.draw_without_rendering()  # labels are put where there is room, which the layout decides
     figure.set_layout_engine("none")
