@@ -5,7 +5,7 @@
 - many: ten aircraft in clutter, ``scenarios.clutter_many``;
 - recorded: flights over Switzerland (sample tracks of the package ``traffic``) as recorded: positions with a standard
   deviation of 50 m every 5 s, of which 10 % are missing, among 300 false ones per scan;
-- folded: all flights of that day in two hours, so that some 190 of them are there at once;
+- folded: all flights of that day at once, moved by whole half hours into one;
 - crowd: 200 targets in a square of 100 km and 300 false measurements per scan, 1 s apart.
 """
 
@@ -52,7 +52,7 @@ def main(arguments: list[str] | None = None) -> int:
     p = make_parser(__doc__)
     add_runs_options(p, 200, 7)
     p.add_argument("--what", default=",".join(WHAT), metavar="A,B", help=f"out of {', '.join(WHAT)} (default: all)")
-    p.add_argument("--scans", type=int, default=1440, metavar="T", help="of the recorded flights (default: 1440)")
+    p.add_argument("--scans", type=int, default=360, metavar="T", help="of the recorded flights (default: 360)")
     p.add_argument("--picture", type=Path, metavar="FILE", help="draw the recorded flights, the last of the two")
     add_json_option(p)
     add_quiet_option(p)

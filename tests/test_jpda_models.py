@@ -198,6 +198,18 @@ def test_a_target_that_fails_lets_the_others_go_on(name):
     torch.testing.assert_close(estimate.mean[1], alone.mean[0], rtol=1e-10, atol=1e-10)
 
 
+def test_a_filter_runs_on_the_measurements_in_gates_alone(monkeypatch):
+    ran = []
+    advance = SRCKF.advance
+    monkeypatch.setattr(
+        SRCKF, "advance", lambda f, s, frame, mix=None: (ran.append(frame.z.shape), advance(f, s, frame, mix))[1]
+    )
+    z = torch.cat([torch.tensor([[7.0, 0.0], [5.0, 1.0], [6.0, 21.0]]).double(), 1e4 + torch.zeros(50, 2).double()])
+    f, state = around("imm"), around("imm").init(start("imm"))
+    f.step(state, z)
+    assert [shape[:-1].numel() for shape in ran] == [1, 4]  # missed; two targets of two measurements at most
+
+
 @pytest.mark.parametrize(("name", "learn"), [
     ("imm", ("transition", "detection", "q")), ("gpb", ("stay", "detection", "probability")),
 ])  # fmt: skip

@@ -12,7 +12,6 @@ import threading
 from pathlib import Path
 
 import benchmark
-import export
 import particles
 import pytest
 import regret
@@ -207,7 +206,7 @@ def test_an_output_that_cannot_be_written_is_found_before_any_work(make, tmp_pat
         raise AssertionError("there was work")
 
     for module in ("torchfra.app.compare_command.scenario_of", "torchfra.readers.read", "time_stamps.read",
-                   "regret.chosen_cells", "particles.cells", "reproduce.evaluate", "export.export",
+                   "regret.chosen_cells", "particles.cells", "reproduce.evaluate",
                    "train.tune.Training"):  # fmt: skip
         monkeypatch.setattr(module, work)
     monkeypatch.setattr(benchmark, "KINDS", dict.fromkeys(benchmark.KINDS, work))
@@ -224,7 +223,6 @@ def test_an_output_that_cannot_be_written_is_found_before_any_work(make, tmp_pat
         (reproduce.main, ["growth", "--json", path]),
         (benchmark.main, ["--json", path]),
         (benchmark.main, ["--what", "scaling", "--figure", path]),
-        (export.main, ["--out", path]),
     ):
         assert main(arguments) == 2, (main, arguments)
         said = capsys.readouterr().err

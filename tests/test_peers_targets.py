@@ -56,7 +56,8 @@ def test_stone_soup_follows_the_same_targets(tmp_path):
 
 
 @pytest.mark.parametrize("argument", [
-    ["--targets", "0"], ["--clutter", "0"], ["--runs", "0"], ["--scans", "5"], ["--trackers", "kalman"],
+    ["--targets", "0"], ["--clutter", "0"], ["--runs", "0"], ["--scans", "5"], ["--points", "0"],
+    ["--trackers", "kalman"],
 ])  # fmt: skip
 def test_what_makes_no_sense_is_named(argument, capsys):
     with pytest.raises(SystemExit):

@@ -6,7 +6,6 @@ import subprocess
 from pathlib import Path
 
 import benchmark
-import export
 import numpy as np
 import pytest
 import reproduce
@@ -253,14 +252,6 @@ def test_the_benchmark_says_what_is_wrong(capsys):
         assert f"--batch: expected whole numbers of 1 or more, separated by commas, received {batch}\n" in (
             capsys.readouterr().err
         )
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning", "ignore::UserWarning")
-def test_an_exported_step_gives_what_the_filter_gives(tmp_path, capsys):
-    assert export.main(["--out", str(tmp_path / "step.pt2")]) == 0
-    difference = re.search(r"difference from the filter ([\d.e+-]+)", capsys.readouterr().out)
-    assert float(difference[1]) < 1e-12
 
 
 def test_a_peer_times_a_call_for_each_line_in_a_process_without_torch(tmp_path, monkeypatch):

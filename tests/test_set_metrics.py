@@ -78,6 +78,7 @@ def test_nan_is_a_target_or_an_estimate_that_is_not_there():
             torch.testing.assert_close(ours, theirs)
         nothing = metric(torch.full_like(x, math.nan), torch.full_like(y, math.nan), WHERE)
         assert nothing.distance.item() == 0
+    assert gospa(x[:0], y, WHERE, cutoff=70.0).distance.item() == pytest.approx(70.0)
     assert ospa(torch.full_like(x, math.nan), y, WHERE, cutoff=70.0).distance.item() == pytest.approx(70.0)
 
 

@@ -20,9 +20,6 @@ import numpy as np
 
 WINDOW = 3
 """Scans of the multi-frame assignment."""
-POINTS = 5
-"""Measurements that confirm a track; of 3 to 6 the number with the least GOSPA at the default options of
-``peers_targets.py``."""
 MISSES = 5
 """Scans without a measurement after which a track ends."""
 START = datetime.datetime(2000, 1, 1)
@@ -45,6 +42,8 @@ class Job(NamedTuple):
     """``()`` probability of the gate."""
     density: np.ndarray
     """``()`` false measurements per m^2."""
+    points: np.ndarray
+    """``()`` measurements that confirm a track."""
 
 
 class Parts(NamedTuple):
@@ -78,7 +77,7 @@ def parts(job: Job) -> Parts:
     wide = GaussianState(np.zeros(4), np.diag([0.0, float(job.speed) ** 2] * 2), timestamp=START)
     deleter = UpdateTimeStepsDeleter(MISSES)
     initiator = MultiMeasurementInitiator(
-        wide, UpdateTimeStepsDeleter(2), GNNWith2DAssignment(near), updater, measurement, min_points=POINTS
+        wide, UpdateTimeStepsDeleter(2), GNNWith2DAssignment(near), updater, measurement, min_points=int(job.points)
     )
     hypothesiser = PDAHypothesiser(
         predictor, updater, float(job.density), prob_detect=float(job.detection), prob_gate=float(job.gate)

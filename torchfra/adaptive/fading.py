@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ from torchfra.hyper import Hyper, Value, one_of
 from torchfra.linalg.gram import gram_pinv
 from torchfra.linalg.safe import safe_divide
 from torchfra.linalg.triangular import hstack, tria
+from torchfra.motion.base import Motion
 from torchfra.tree import event_ranks
 from torchfra.types import Prediction, Whitened
 
@@ -34,6 +36,10 @@ class NoFading(nn.Module):
     def plain(self) -> bool:
         """Whether it does nothing."""
         return type(self) is NoFading
+
+    def of(self, motion: Motion) -> NoFading:
+        """The same for the states of a motion: what a filter asks for."""
+        return self
 
     def begin(self, mean: Tensor, m: int) -> Memory | None:
         """What is remembered before the first step."""
@@ -69,7 +75,8 @@ class Fading(NoFading):
         fading_max: no factor above this; infinity for the paper's own formula.
         rcond: singular values of the measurement matrix below this share of the largest are left out of its inverse; 0
             for the paper's own formula, which explodes where lines of sight become parallel.
-        states: which state components fade: a slice, or several, which are groups.
+        states: which state components fade: a slice, or several, which are groups.  By default the position of the
+            filter's motion; with a ``share`` position, velocity and so on, as groups.
         share: of each group, ``(..., groups)``, 0 or more; by default all have the whole factor.
         trace: ``"full"`` compares whole traces, ``"position"`` those of the faded components.
 
@@ -90,7 +97,7 @@ class Fading(NoFading):
         fading_max: Value = 1e3,
         *,
         rcond: float = 0.1,
-        states: slice | Sequence[slice] = slice(0, 2),
+        states: slice | Sequence[slice] | None = None,
         share: Value | Sequence[float] | None = None,
         trace: str = "full",
     ) -> None:
@@ -101,14 +108,39 @@ class Fading(NoFading):
         self.weakening = Hyper(weakening, constraints.greater_than_eq(1.0), name="weakening")
         self.forgetting = Hyper(forgetting, constraints.interval(0.0, 1.0), name="forgetting")
         self.fading_max = Hyper(fading_max, constraints.greater_than_eq(1.0), name="fading_max")
-        self.states = (states,) if isinstance(states, slice) else tuple(states)
         self.share: Hyper | None = None
         if share is not None:
             share = torch.as_tensor(share, dtype=torch.float64)
-            if share.shape[-1:] != (len(self.states),):
-                raise ValueError(f"share: expected (..., {len(self.states)}), received {tuple(share.shape)}")
             self.share = Hyper(share, constraints.nonnegative, event_dim=1, name="share")
-        self.rcond, self.trace = rcond, trace
+        self.rcond, self.trace, self._told = rcond, trace, states is not None
+        states = slice(0, 2) if states is None else states
+        self.states = (states,) if isinstance(states, slice) else tuple(states)
+        if self._told:
+            self._check_share()
+
+    def of(self, motion: Motion) -> Fading:
+        """The same, sharing its values, for the states of a motion, unless it was told which states fade.
+
+        Raises:
+            ValueError: a share that is not for each group.
+        """
+        if self._told:
+            return self
+        own, higher = copy.copy(self), range(2, motion.orders)
+        own.states = (motion.position,)
+        if self.share is not None:
+            groups = (
+                motion.position,
+                motion.velocity,
+                *(slice(i * motion.dims, (i + 1) * motion.dims) for i in higher),
+            )
+            own.states = groups[: motion.orders]
+        own._check_share()
+        return own
+
+    def _check_share(self) -> None:
+        if self.share is not None and self.share.raw.shape[-1:] != (len(self.states),):
+            raise ValueError(f"share: expected (..., {len(self.states)}), received {tuple(self.share.raw.shape)}")
 
     def begin(self, mean: Tensor, m: int) -> Memory:
         """Nothing remembered yet of ``m`` measured elements, for tracks of state ``mean (..., n)``."""

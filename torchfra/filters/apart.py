@@ -32,8 +32,8 @@ class Pairs(NamedTuple):
     """``(..., N, J)`` of each measurement of the scan if it is the target's; minus infinity of all others."""
 
 
-def compares(inner: Filter) -> Any:
-    """The filter that holds a measurement against a Gaussian: that of the models, where there are several."""
+def core(inner: Filter) -> Any:
+    """The filter that holds measurements against a Gaussian: that of the models, where there are several."""
     return inner.inner if isinstance(inner, Around) else inner
 
 

@@ -30,7 +30,7 @@ Mix = Callable[[Gaussian], Gaussian]
 class Filter(Compilable, HasViews, Smoother):
     """Abstract: ``TrackFilter`` for tracks of one target, ``ScanFilter`` for scans of several.
 
-    A subclass gives ``begin`` and ``advance``.  It keeps nothing of a track; it runs where ``z`` is, in its dtype.
+    A subclass gives ``begin`` and ``advance``.  Nothing of a track stays in it; it runs where ``z`` is, in its dtype.
 
     Args:
         motion: how targets move; None for a filter around another one, whose models are its own.

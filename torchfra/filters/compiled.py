@@ -13,7 +13,7 @@ from torch.autograd import forward_ad
 from torchfra.filters import traced
 from torchfra.filters.compiled_back import given
 from torchfra.filters.compiled_step import Data, check_changing, is_ordinary
-from torchfra.filters.compiled_version import Version
+from torchfra.filters.compiled_version import Version, number
 from torchfra.gaussian.arguments import check_seconds
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.kernel.program import BUILDING
@@ -125,7 +125,7 @@ class Compiled:
 @lru_cache(maxsize=64)
 def _seconds(dt: float, dtype: torch.dtype, instants: bool) -> Tensor:
     """A time step that has been checked."""
-    seconds = torch.tensor(dt, dtype=dtype)
+    seconds = number(dt, dtype)
     if not is_ordinary(seconds, dtype):
         check_seconds(dt, dtype, instants)
     return seconds

@@ -20,8 +20,6 @@ _FORMS = 64
 """How many forms are remembered."""
 _TRACKS = 1024
 """At most, of a form that is remembered: the memory of a step's results is held for each."""
-
-
 _RANGES = {dtype: (torch.finfo(dtype).tiny, torch.finfo(dtype).max) for dtype in PRECISIONS}
 """From the least normal number on to the largest, in each precision."""
 

@@ -105,7 +105,7 @@ class Version:
             self._locate()
             return self.read()
         for i in self._numbers:
-            values[i] = _number(values[i])
+            values[i] = number(values[i])
         return values
 
     def plan(
@@ -129,7 +129,9 @@ class Version:
         key = (advance if back is None else retreat, dtype, tuple(inputs.items()))
         if key not in self.kernels:
             begin = traced.begin if back is None else back.begin
-            self.kernels[key] = Kernels(Step(self.frozen, begin, advance, inputs, dtype, timed[0], back is not None))
+            with torch.inference_mode(False):  # in which torch does not take operations apart
+                step = Step(self.frozen, begin, advance, inputs, dtype, timed[0], back is not None)
+            self.kernels[key] = Kernels(step)
         kernels = self.kernels[key]
         counts = any(not (x.is_floating_point() or x.dtype == torch.bool) for x in flatten(kernels.step.record))
         shapes = [batch + zero.shape for zero in kernels.step.zero] + shapes
@@ -168,8 +170,10 @@ class Version:
 
 
 @lru_cache(maxsize=64)
-def _number(value: float) -> Tensor:
-    return torch.tensor(value, dtype=torch.float64)
+def number(value: float, dtype: torch.dtype = torch.float64) -> Tensor:
+    """A number as a tensor that nobody changes, and that may be saved for a gradient wherever it was first needed."""
+    with torch.inference_mode(False):
+        return torch.tensor(value, dtype=dtype)
 
 
 def _whole(x: Tensor, like: Tensor) -> Tensor:

@@ -136,5 +136,5 @@ def _paths(tree: Any, path: str = "") -> Iterator[tuple[str, Tensor]]:
 
 def _about(f: Filter) -> list[str]:
     """What the filter is, and how to build it."""
-    built = "one track, one measurement at a time.  It needs a compiler of C++17 and no library."
+    built = "one track, one measurement at a time.  It needs g++ or clang++ (C++17) and no library."
     return [f"{type(f).__name__}, written by torchfra {__version__}: {built}", "", *str(f).splitlines()]

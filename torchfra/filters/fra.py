@@ -26,7 +26,7 @@ from torchfra.gaussian.update import correct, down_weight, down_weighted_density
 from torchfra.hyper import Hyper, Value, brings_batch, one_of
 from torchfra.linalg.tracing import is_traced
 from torchfra.motion.base import Motion
-from torchfra.robust.weights import Weights
+from torchfra.robust.weights import Huber, Weights
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Prediction, Whitened
 
@@ -48,8 +48,8 @@ class FRA(Soft, GaussianFilter):
     Args:
         motion: how targets move.
         sensor: what is measured.
-        robust: weights of the robust branch (``torchfra.robust``).
-        fading: fading factors of the adaptive branch (``torchfra.adaptive``).
+        robust: weights of the robust branch (``torchfra.robust``); None for Huber's.
+        fading: fading factors of the adaptive branch (``torchfra.adaptive``); None for the paper's, bounded.
         rule: from a number of states to the rule that carries a Gaussian through a function.
         gate: normalised innovation squared above which a step is abnormal.
         preference: log odds of the robust branch over the adaptive one before the next measurement; 0 favours neither.
@@ -77,8 +77,8 @@ class FRA(Soft, GaussianFilter):
         motion: Motion,
         sensor: Sensor,
         *,
-        robust: Weights,
-        fading: Fading,
+        robust: Weights | None = None,
+        fading: Fading | None = None,
         rule: Callable[[int], Rule] = third_degree,
         gate: Value = 5.991,
         preference: Value = 0.0,
@@ -94,8 +94,9 @@ class FRA(Soft, GaussianFilter):
         one_of(provisional=(provisional, UNDECIDED), final=(final, UNDECIDED))
         if self.signed:
             raise ValueError("rule: expected one without negative weights, received one with some")
+        robust, fading = Huber() if robust is None else robust, Fading() if fading is None else fading
         check_sides(robust=(robust, Weights), fading=(fading, Fading))
-        self.robust, self.fading = robust, fading
+        self.robust, self.fading = robust, fading.of(motion)
         self.gate = Hyper(gate, name="gate")
         self.preference = Hyper(preference, constraints.real, name="preference")
         self.plain = None if plain is None else Hyper(plain, constraints.real, name="plain")

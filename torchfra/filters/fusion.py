@@ -15,6 +15,7 @@ from torchfra.filters.other_sensors import mixed, sharing
 from torchfra.filters.records import Kept
 from torchfra.gaussian.arguments import check
 from torchfra.gaussian.inputs import Frame, Measurements, Timed
+from torchfra.linalg.tracing import is_traced
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
@@ -39,10 +40,11 @@ class Fused:
         check(measurements, prior, self.home.motion, max(sizes), name=name, instants=self.home.instants)
         steps = measurements.z.shape[-2]
         if steps != len(self.which):
-            raise ValueError(f"which: expected the number of a sensor for each of {steps} steps, received {self.which}")
+            received = f"{len(self.which)} numbers"
+            raise ValueError(f"which: expected the number of a sensor for each of {steps} steps, received {received}")
         beyond = torch.arange(max(sizes)) >= torch.tensor([sizes[k] for k in self.which]).unsqueeze(-1)
         wrong = (~measurements.z.isnan() & beyond.to(measurements.z.device)).reshape(-1, *beyond.shape).any(0)
-        if bool(wrong.any()):
+        if not is_traced(measurements.z) and bool(wrong.any()):
             k, i = wrong.nonzero()[0].tolist()
             expected = f"NaN beyond the {sizes[self.which[k]]} elements of sensor {self.which[k]} at step {k}"
             raise ValueError(f"z: expected {expected}, received a number in element {i}")
@@ -59,8 +61,8 @@ class Fused:
     def _of_each(self, measurements: Measurements) -> list[tuple[int, list[int], Measurements]]:
         """Of each sensor that measures: its number, its steps, and its measurements."""
         every = {k: [step for step, number in enumerate(self.which) if number == k] for k in sorted(set(self.which))}
-        size = self.views
-        return [(k, steps, _part(measurements, steps, size[k].sensor.size)) for k, steps in every.items()]
+        parts = (_part(measurements, steps, self.views[k].sensor.size) for k, steps in every.items())
+        return [(*each, part) for each, part in zip(every.items(), parts, strict=True)]
 
     def _pass(
         self, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,

@@ -61,7 +61,7 @@ class Around(TrackFilter):
                 f"inner: expected a plain filter around a Bank, received {type(inner).__name__} around "
                 f"{type(inner.motion).__name__}"
             )
-        self.inner = copy.deepcopy(inner)
+        self.inner, self.given = copy.deepcopy(inner), (inner.sensor,)
         for part in self.inner.children():
             if part is not self.inner.motion and part is not self.inner.sensor:
                 for hyper in hypers(part).values():

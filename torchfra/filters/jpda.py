@@ -16,7 +16,7 @@ from torchfra.association.clutter import Clutter
 from torchfra.association.events import check_exact
 from torchfra.association.gates import Candidates, Gate
 from torchfra.association.joint import associate
-from torchfra.filters.apart import compares, measured, missed, together, widened
+from torchfra.filters.apart import core, measured, missed, together, widened
 from torchfra.filters.base import Filter, Mix
 from torchfra.filters.combined import learned, update, widen
 from torchfra.filters.hypotheses import (
@@ -52,8 +52,9 @@ class JPDA(Soft, ScanFilter):
 
     Args:
         inner: an ``SRCKF``, plain, robust, with fading factors or an estimate of the noise, which learn from the
-            combined innovation; an ``IMM`` or ``VSIMM`` of it without such an estimate; a ``GPB``.  Copies of it, gate
-            and clutter run here.
+            combined innovation; an ``IMM`` or ``VSIMM`` of it without such an estimate; a ``GPB``, whose jumps and last
+            size of outliers grow with a measurement, so that a far one counts somewhat more than a density would.
+            Copies of it, gate and clutter run here.
             Hyperparameters may differ between targets, ``(N,)``, and between scenes, ``(B, 1)`` or ``(B, N)``.
         gate: which measurements may be a target's (``torchfra.association.Gate``), by the Gaussian with the moments of
             its prediction.
@@ -173,7 +174,7 @@ class JPDA(Soft, ScanFilter):
         """A scan of several models or regimes: a state for every measurement, merged; arguments as above."""
         f, state = self.inner, state if times is None else widened(state, times)
         none, record = missed(f, state, frame, self.sensor)
-        scan = self.look(compares(f), record.belief, None, frame)
+        scan = self.look(core(f), record.belief, None, frame)
         inside = self.inside(scan)
         each = measured(f, state, frame, inside > -torch.inf)
         scan = scan._replace(log_density=each.log_density)

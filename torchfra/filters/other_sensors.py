@@ -25,6 +25,8 @@ class HasViews(nn.Module):
 
     one_sensor = "this filter is made for one sensor"
     """Why there may be no other sensor, where there may be none."""
+    given: tuple[Sensor, ...] = ()
+    """The sensor that its own is a copy of, where it has copied that: it is its own too."""
     motion: Motion
     sensor: Sensor
     _views: SensorViews
@@ -37,8 +39,9 @@ class HasViews(nn.Module):
     def with_sensor(self, sensor: Sensor | None) -> Any:
         """The same filter around another sensor: motion, hyperparameters and states are those of this filter.
 
-        It is made once for each sensor, and compiled if this filter is.  What this filter remembers of measurements is
-        of its own sensor: another's is judged by itself.
+        It is made once for each sensor, and compiled if this filter is; what changes in this filter it takes over when
+        it is next asked for.  What this filter remembers of measurements is of its own sensor: another's is judged by
+        itself.
 
         Args:
             sensor: reads at most the states that the motion has; None for the filter's own.
@@ -46,7 +49,9 @@ class HasViews(nn.Module):
         Raises:
             ValueError: something else, or a filter that is of one sensor, with the reason.
         """
-        return self if sensor is None or sensor is self.sensor else self._views(self, sensor)
+        if sensor is None or sensor is self.sensor or any(sensor is x for x in self.given):
+            return self
+        return self._views(self, sensor)
 
     def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
         """Its parts, by name, that are others around another sensor."""
@@ -107,7 +112,10 @@ class SensorViews:
         self._views[id(sensor)] = view
         share(f, view)
         for name, part in view.replaced.items():
-            part.with_sensor(sensor) if hasattr(part, "with_sensor") else share(part, view._modules[name])
+            if isinstance(part, HasViews):
+                view._modules[name] = part.with_sensor(sensor)
+            else:
+                share(part, view._modules[name])
         if (f._kernels is None) != (view._kernels is None):
             view._kernels = None if f._kernels is None else type(f._kernels)()
         return view

@@ -87,6 +87,7 @@ class SRCKF(GaussianFilter):
         self.fading = NoFading() if fading is None else fading
         self.noise = NominalNoise() if noise is None else noise
         check_sides(robust=(self.robust, Robust), fading=(self.fading, NoFading), noise=(self.noise, NominalNoise))
+        self.fading = self.fading.of(motion)
         if self.signed and not self.fading.plain:
             raise ValueError("rule: expected one without negative weights beside fading factors")
         others = [name for name in ("robust", "fading") if not getattr(self, name).plain]

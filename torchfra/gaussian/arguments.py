@@ -139,7 +139,7 @@ def check_seconds(dt: Time, dtype: torch.dtype, instants: bool = True) -> None:
     Raises:
         ValueError: one is not.
     """
-    given = torch.as_tensor(dt)
+    given = dt if isinstance(dt, Tensor) else torch.tensor(dt, dtype=torch.float64)
     seconds = given.to(dtype)
     bad = ~((seconds > 0) & (seconds < torch.inf))
     if instants:

@@ -39,7 +39,7 @@ class Kernels:
         if key not in self._programs:
             with self._making:
                 if key not in self._programs:
-                    with BUILDING:
+                    with BUILDING, torch.inference_mode(False):
                         scan = getattr(self.step, kind)(*how)
                     self._programs[key] = Program(scan, narrow)
         return self._programs[key]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import torch
@@ -139,7 +140,7 @@ def _assigned(pairs: Tensor, limit: float, within: bool = False) -> tuple[Tensor
     With ``within`` pairs at the limit do not count.
     """
     assign = linear_sum_assignment()
-    flat = pairs.detach().cpu().reshape(-1, *pairs.shape[-2:])
+    flat = pairs.detach().cpu().reshape(math.prod(pairs.shape[:-2]), *pairs.shape[-2:])
     totals, counts = torch.zeros(len(flat), dtype=flat.dtype), torch.zeros(len(flat), dtype=flat.dtype)
     for i, cost in enumerate(flat):
         finite = cost[cost.isfinite().any(-1)][:, cost.isfinite().any(-2)].clamp_max(limit)

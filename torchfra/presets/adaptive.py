@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
+from torchfra.adaptive.fading import Fading
 from torchfra.adaptive.noise import SageHusa
 from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.cubature import unscented
 from torchfra.hyper import Value
 from torchfra.motion.base import Motion
 from torchfra.presets.learning import with_learning
-from torchfra.presets.sides import Share, States, fading_factors, robust_side
+from torchfra.presets.sides import Share, States, robust_side
 from torchfra.robust.base import Robust
 from torchfra.sensors.base import Sensor
 
@@ -33,7 +34,7 @@ def asrckf(
         trace: ``"full"``, or ``"position"`` to compare traces of the faded components only.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
-    fading = fading_factors(motion, weakening, forgetting, fading_max, rcond, states, share, trace)
+    fading = Fading(weakening, forgetting, fading_max, rcond=rcond, states=states, share=share, trace=trace)
     return with_learning(SRCKF(motion, sensor, fading=fading), learn)
 
 
@@ -63,7 +64,7 @@ def rmckf(
         ValueError: ``robust`` together with ``threshold`` or ``per_element``.
     """
     side = robust_side(sensor, robust, threshold, per_element, learn)
-    fading = fading_factors(motion, weakening, forgetting, fading_max, rcond, states, share, trace)
+    fading = Fading(weakening, forgetting, fading_max, rcond=rcond, states=states, share=share, trace=trace)
     return with_learning(SRCKF(motion, sensor, robust=side, fading=fading), learn)
 
 

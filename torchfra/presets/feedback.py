@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 
+from torchfra.adaptive.fading import Fading
 from torchfra.filters.fra import FRA
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.rules import Rule
 from torchfra.hyper import Value
 from torchfra.motion.base import Motion
 from torchfra.presets.learning import with_learning
-from torchfra.presets.sides import Share, States, fading_factors, robust_side
+from torchfra.presets.sides import Share, States, robust_side
 from torchfra.robust.weights import Weights
 from torchfra.sensors.base import Sensor
 
@@ -50,7 +51,7 @@ def fra_srckf(
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
     side = robust_side(sensor, robust, threshold, per_element, learn)
-    fading = fading_factors(motion, weakening, forgetting, fading_max, rcond, states, share, trace)
+    fading = Fading(weakening, forgetting, fading_max, rcond=rcond, states=states, share=share, trace=trace)
     f = FRA(motion, sensor, robust=side, fading=fading, rule=rule, gate=gate, preference=preference,
             plain=plain, decision=decision, temperature=temperature, memory=memory, provisional=provisional,
             final=final)  # fmt: skip

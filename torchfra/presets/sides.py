@@ -1,4 +1,4 @@
-"""The robust update and the fading factors of a preset, from its keywords."""
+"""The robust update of a preset, from its keywords."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ import copy
 from collections.abc import Collection, Sequence
 from typing import TypeVar
 
-from torchfra.adaptive.fading import Fading
 from torchfra.hyper import Value
-from torchfra.motion.base import Motion
 from torchfra.robust.base import Robust
 from torchfra.robust.weights import Huber
 from torchfra.sensors.base import Sensor
 
 States = slice | Sequence[slice] | None
-"""State components that fade: one group, or several; None for the default of ``fading_factors``."""
+"""State components that fade: one group, or several; None for the default of ``Fading``."""
 Share = Value | Sequence[float] | None
 """Share of the fading factor that each group takes; None for all of it."""
 R = TypeVar("R", bound=Robust)
@@ -35,23 +33,3 @@ def robust_side(
             "robust, threshold, per_element: expected a robust update or options of Huber weights, not both"
         )
     return copy.deepcopy(robust) if learn else robust
-
-
-def fading_factors(
-    motion: Motion, weakening: Value, forgetting: Value, fading_max: Value, rcond: float, states: States, share: Share,
-    trace: str,
-) -> Fading:  # fmt: skip
-    """Fading factors for a motion.
-
-    Unless ``states`` says otherwise, they are for the position; with a ``share``, for position, velocity and so on, as
-    groups.
-    """
-    if states is None:
-        states = motion.position if share is None else _groups(motion)
-    return Fading(weakening, forgetting, fading_max, rcond=rcond, states=states, share=share, trace=trace)
-
-
-def _groups(motion: Motion) -> list[slice]:
-    """Position, velocity, and higher derivatives, as far as the motion has them."""
-    higher = [slice(i * motion.dims, (i + 1) * motion.dims) for i in range(2, motion.orders)]
-    return [motion.position, motion.velocity, *higher][: motion.orders]

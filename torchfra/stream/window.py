@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 from torch import Tensor
@@ -11,6 +12,7 @@ from torch import Tensor
 from torchfra.gaussian.inputs import Measurements
 from torchfra.types import Gaussian
 
+_key, _time = attrgetter("key"), attrgetter("time")
 Key = tuple[float, int, tuple[tuple[bool, float], ...]]
 
 
@@ -38,7 +40,8 @@ class Entry(NamedTuple):
     @property
     def key(self) -> Key:
         """Its place among others: by time, at one instant by sensor, and of one sensor by what was measured."""
-        values = ((math.isnan(x), 0.0 if math.isnan(x) else x) for x in self.z.flatten().tolist())
+        given = (x.flatten().tolist() for x in (self.z, self.std, self.noise, self.u) if x is not None)
+        values = ((math.isnan(x), 0.0 if math.isnan(x) else x) for part in given for x in part)
         return self.time, self.sensor, tuple(values)
 
     def same(self, other: Entry) -> bool:
@@ -81,15 +84,18 @@ class Window:
 
     def place(self, entry: Entry) -> int:
         """Where an entry belongs."""
-        return bisect_left(self.entries, entry.key, key=lambda x: x.key)
+        if entry.time > self.newest:
+            return len(self.entries)
+        return bisect_left(self.entries, entry.key, key=_key)
 
     def at(self, time: float) -> tuple[float, Any]:
         """Time and state of the last entry up to a time."""
-        return self.before(sum(entry.time <= time for entry in self.entries))
+        return self.before(bisect_right(self.entries, time, key=_time))
 
     def holds(self, entry: Entry) -> bool:
         """Whether an entry has been put in before."""
-        return any(entry.same(other) for other in self.entries if other.time == entry.time)
+        first, last = (where(self.entries, entry.time, key=_time) for where in (bisect_left, bisect_right))
+        return any(entry.same(other) for other in self.entries[first:last])
 
     def trim(self, since: float, steps: int | None) -> None:
         """Forgets entries before a time, and all but the last ``steps``; the newest stays."""

@@ -6,6 +6,7 @@
 from torchfra.targets.births import Birth, OnePoint, TwoPoint
 from torchfra.targets.manager import Targets
 from torchfra.targets.merging import Merging
+from torchfra.targets.poisson import PoissonBirths
 from torchfra.targets.records import collect
 from torchfra.targets.rules import SPRT, Confirmation, Deletion, MOfN
 from torchfra.targets.state import TargetsEstimate, TargetsState, Track
@@ -18,6 +19,7 @@ __all__ = [
     "MOfN",
     "Merging",
     "OnePoint",
+    "PoissonBirths",
     "Targets",
     "TargetsEstimate",
     "TargetsState",

@@ -1,0 +1,110 @@
+"""A filter written as C++ gives, without torch, the numbers that it gives in Python."""
+
+import re
+import shutil
+import subprocess
+
+import export
+import pytest
+import torch
+
+from torchfra import presets
+from torchfra.filters import exported
+from torchfra.kernel.build import CompileError
+from torchfra.motion import ConstantVelocity
+from torchfra.sensors import Position
+
+NAMES = ["CMakeLists.txt", "example.cpp", "filter.cpp", "filter.hpp"]
+
+
+def small():
+    return presets.srckf(ConstantVelocity(0.1), Position(2.0))
+
+
+@pytest.mark.parametrize(("arguments", "tolerance"), [
+    (["--filter", "srckf", "--inputs", "noise"], 1e-12),
+    (["--filter", "fra", "--inputs", "std"], 1e-12),
+    (["--filter", "alphabeta", "--scenario", "alpha-beta"], 1e-11),  # has no belief among what it remembers
+    (["--filter", "rsrckf", "--precision", "single"], 1e-2),
+])  # fmt: skip
+def test_an_exported_step_gives_what_the_filter_gives(arguments, tolerance, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("CXXFLAGS", "-O0")
+    folder = tmp_path / "new" / "folder"
+    assert export.main([*arguments, "--tracks", "3", "--out", str(folder)]) == 0
+    said = re.search(r"(\d+) steps, [\d.]+ us each, .* difference from the filter ([\d.e+-]+)", capsys.readouterr().out)
+    assert int(said[1]) >= 300
+    assert float(said[2]) < tolerance
+    name = arguments[1]
+    assert sorted(path.name for path in folder.iterdir()) == sorted(
+        ["CMakeLists.txt", "example.cpp", f"{name}.cpp", f"{name}.hpp"]
+    )
+
+
+@pytest.mark.slow
+def test_a_thousand_tracks_agree_to_rounding(tmp_path, capsys):
+    assert export.main(["--filter", "srckf", "--tracks", "1000", "--out", str(tmp_path)]) == 0
+    said = re.search(r"100000 steps, .* difference from the filter ([\d.e+-]+)", capsys.readouterr().out)
+    assert float(said[1]) < 1e-12
+
+
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="there is no cmake")
+def test_cmake_builds_the_files_and_the_program_runs(tmp_path):
+    for name, text in exported.export(small()).items():
+        (tmp_path / name).write_text(text)
+    for command in (["cmake", "-S", ".", "-B", "build"], ["cmake", "--build", "build"]):
+        subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    text = "1  0 0 1 0  1 0 0 0  0 1 0 0  0 0 1 0  0 0 0 1  nan 2 0.5\n"  # one step of half a second, x is missing
+    done = subprocess.run([tmp_path / "build" / "example"], input=text, capture_output=True, text=True, check=True)
+    numbers = [float(x) for x in done.stdout.split()]
+    assert len(numbers) == 4 + 16 + 2
+    assert numbers[0] == pytest.approx(0.5)  # where its speed has carried it
+    assert 0 < numbers[1] < 2
+
+
+def test_the_header_says_what_the_filter_is_and_needs_nothing_else():
+    files = exported.export(small(), "tracker", inputs=("std",), dtype=torch.float32)
+    assert sorted(files) == ["CMakeLists.txt", "example.cpp", "tracker.cpp", "tracker.hpp"]
+    header = files["tracker.hpp"]
+    for line in ("using Scalar = float;", "(motion): ConstantVelocity(", " Scalar std[2];", " Scalar belief_mean[4];"):
+        assert line in header
+    included = set(re.findall(r"#include (.*)", files["tracker.cpp"]))
+    assert included == {'"tracker.hpp"', "<cmath>", "<cstdint>", "<limits>"}
+    assert sorted(exported.export(small())) == NAMES
+
+
+def test_a_filter_that_learns_keeps_its_parameters():
+    f = presets.srckf(ConstantVelocity(0.1), Position(2.0), learn=("q",))
+    exported.export(f)
+    assert f.motion.q.raw.requires_grad
+
+
+@pytest.mark.parametrize(("arguments", "said"), [
+    ({"name": "Two words"}, "name: expected small letters"),
+    ({"u": -1}, "u: expected a whole number"),
+    ({"inputs": ("sigma",)}, "inputs: expected one of"),
+    ({"inputs": ("std", "noise")}, "inputs: expected at most one"),
+    ({"dtype": torch.float16}, "dtype: expected float32 or float64"),
+])  # fmt: skip
+def test_bad_arguments_are_named_before_any_work(arguments, said, monkeypatch):
+    monkeypatch.setattr(exported, "Step", None)
+    with pytest.raises(ValueError, match=said):
+        exported.export(small(), **arguments)
+
+
+def test_filters_without_a_step_of_one_track_are_refused(crossing):
+    many = presets.srckf(ConstantVelocity(torch.tensor([0.1, 0.2])), Position(2.0))
+    with pytest.raises(ValueError, match=r"one value of each hyperparameter, received a batch of motion\.q"):
+        exported.export(many)
+    with pytest.raises(ValueError, match="one of single tracks, received JPDA"):
+        exported.export(presets.ukf_jpda(crossing.motion, crossing.sensor, clutter=crossing.clutter))
+
+
+def test_a_folder_that_cannot_be_and_a_compiler_that_fails_are_named(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(export, "export", None)
+    assert export.main(["--out", str(tmp_path / "file")]) == 2
+    assert "out: expected a folder, received the file" in capsys.readouterr().err
+    monkeypatch.undo()
+    monkeypatch.setenv("CXXFLAGS", "--no-such-flag")
+    with pytest.raises(CompileError, match="no-such-flag"):
+        export.compiled(exported.export(small()), "filter", tmp_path)
