@@ -5,6 +5,7 @@ import copy
 import pytest
 import torch
 
+from torchfra.filters import compiled_step
 from torchfra.filters.compiled import Compiled
 from torchfra.tree import flatten, flattener, unflattener
 from torchfra.types import Gaussian
@@ -163,3 +164,17 @@ def test_fast_trees_are_the_trees():
     made = unflattener(tree)(flatten(tree))
     assert (type(made[0]), made[1], type(made[2]), made[2][1]) == (Gaussian, None, tuple, 3)
     assert flattener(tree)((tree[0], torch.zeros(1), tree[2])) is None
+
+
+@pytest.mark.parametrize("private", [True, False], ids=["by torch", "by ourselves"])
+def test_tensors_of_another_form_are_told_apart_with_and_without_torchs_own_check(private, monkeypatch):
+    if not private:
+        monkeypatch.setattr(compiled_step.importlib, "import_module", lambda name: object())
+    x = torch.zeros(2, 3)
+    fits = compiled_step.guard([x, x[0]])
+    assert fits(torch.ones(2, 3), torch.ones(3))
+    for other in (
+        torch.zeros(3, 2), torch.zeros(3, 2).mT, x.double(), torch.zeros(2, 3, requires_grad=True), torch.zeros(2, 3)._neg_view(),
+        torch.nn.Parameter(x),
+    ):  # fmt: skip
+        assert not fits(other, x[0])

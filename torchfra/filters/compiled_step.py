@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+import importlib
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
-from torch._C._dynamo.guards import TensorGuards
 
 from torchfra.gaussian.arguments import PRECISIONS, check_values
 from torchfra.gaussian.inputs import Measurements
@@ -37,9 +37,7 @@ class ReadyStep:
     def __init__(self, ready: Ready, state: Any, tensors: Sequence[Tensor], made: Any) -> None:
         self.run, self.made = ready, unflattener(made)
         self._leaves = flattener(state)
-        sizes, strides = [list(x.shape) for x in tensors], [list(x.stride()) for x in tensors]
-        guards: Any = TensorGuards  # whose types are not those that it takes
-        self._fit = guards(*tensors, dynamic_dims_sizes=sizes, dynamic_dims_strides=strides).check
+        self._fit = guard(tensors)
 
     def tensors(self, state: Any, others: Sequence[Tensor]) -> tuple[Tensor, ...] | None:
         """What the kernel reads; None for tensors of another form."""
@@ -51,6 +49,22 @@ class ReadyStep:
             return None
         tensors = (*leaves, *others)
         return tensors if self._fit(*tensors) else None
+
+
+def guard(tensors: Sequence[Tensor]) -> Callable[..., bool]:
+    """A function that says whether other tensors have the form of these: torch's own, in C++, or a slower one of ours."""
+    sizes, strides = [list(x.shape) for x in tensors], [list(x.stride()) for x in tensors]
+    try:
+        guards: Any = importlib.import_module("torch._C._dynamo.guards").TensorGuards
+        check: Callable[..., bool] = guards(*tensors, dynamic_dims_sizes=sizes, dynamic_dims_strides=strides).check
+    except (ImportError, AttributeError, TypeError):  # it is private: versions may differ
+        forms = [_form(x) for x in tensors]
+        return lambda *others: [_form(x) for x in others] == forms
+    return check
+
+
+def _form(x: Tensor) -> Hashable:
+    return type(x), x.dtype, x.device, x.shape, x.stride(), x.requires_grad, x.is_neg(), x.is_conj(), x._is_zerotensor()
 
 
 class ReadySteps:
