@@ -80,6 +80,8 @@ def test_a_filter_that_learns_keeps_its_parameters():
 
 @pytest.mark.parametrize(("arguments", "said"), [
     ({"name": "Two words"}, "name: expected small letters"),
+    ({"name": 3}, "name: expected small letters"),
+    ({"f": "srckf"}, "filter: expected one of single tracks, received str"),
     ({"u": -1}, "u: expected a whole number"),
     ({"inputs": ("sigma",)}, "inputs: expected one of"),
     ({"inputs": ("std", "noise")}, "inputs: expected at most one"),
@@ -88,7 +90,7 @@ def test_a_filter_that_learns_keeps_its_parameters():
 def test_bad_arguments_are_named_before_any_work(arguments, said, monkeypatch):
     monkeypatch.setattr(exported, "Step", None)
     with pytest.raises(ValueError, match=said):
-        exported.export(small(), **arguments)
+        exported.export(**{"f": small()} | arguments)
 
 
 def test_filters_without_a_step_of_one_track_are_refused(crossing):

@@ -2,9 +2,10 @@
 
     python scripts/benchmarks/stone_soup.py jpda job.npz tracks.npz
 
-Prints a JSON line with the seconds of each run, or with what is missing.  Needs ``pip install 'torchfra[bench]'`` but
-neither torch nor torchfra.  Births are those of Stone Soup's ``MultiMeasurementInitiator``: a tentative track has the
-nearest measurements that are no other track's until it is confirmed; a track ends after five scans without one.
+Prints a JSON line with the processor's seconds of each run, or with what is missing.  Needs
+``pip install 'torchfra[bench]'`` but neither torch nor torchfra.  Births are those of ``MultiMeasurementInitiator``: a
+tentative track has the nearest measurements that are no other track's until it is confirmed; a track ends after five
+scans without one.
 """
 
 from __future__ import annotations
@@ -140,15 +141,15 @@ TRACKERS: dict[str, Callable[[Job, np.ndarray], Iterator[set[Any]]]] = {"jpda": 
 
 
 def positions(job: Job, run: int, name: str) -> tuple[np.ndarray, float]:
-    """Positions ``(K, T, 2)`` of the tracks of a run, NaN where they do not exist, and the seconds."""
+    """Positions ``(K, T, 2)`` of the tracks of a run, NaN where they do not exist, and the processor's seconds."""
     found: dict[str, np.ndarray] = {}
     scans = job.z[run]
-    start = time.perf_counter()
+    start = time.process_time()
     for k, tracks in enumerate(TRACKERS[name](job, scans)):
         for track in tracks:
             place = found.setdefault(track.id, np.full((len(scans), 2), np.nan))
             place[k] = np.asarray(best(track.state).state_vector, dtype=float)[[0, 2], 0]
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     return np.array(list(found.values())).reshape(-1, len(scans), 2), seconds
 
 

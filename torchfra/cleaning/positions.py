@@ -112,12 +112,11 @@ def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]
     first = torch.tensor([next(b for b, row in enumerate(rows) if row.track == of.track) for of in every])
     more = []
     for (axes, *_), part in zip(_AXES, parts, strict=False):
-        fixes = _fixes(z, gap, std, axes)
+        fixes, odds = _fixes(z, gap, std, axes), [np.zeros(len(steps.time)) for steps in tracks]
+        for track, steps in enumerate(tracks):
+            odds[track][steps.measured] = _whole(part.fixes.odds, rows, track)
         for b, row in enumerate(every):
-            measured = tracks[row.track].measured
-            odds = np.zeros(len(measured))
-            odds[measured] = _whole(part.fixes.odds, rows, row.track)
-            fixes.odds[: row.end - row.begin, b] = torch.from_numpy(odds[row.begin : row.end])
+            fixes.odds[: row.end - row.begin, b] = torch.from_numpy(odds[row.track][row.begin : row.end])
         levels = Levels(*(x[:, first] for x in part.levels))
         more.append(Part(fixes, levels, part.sigma[first], part.least[first]))
     return every, more

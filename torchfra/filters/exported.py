@@ -81,9 +81,9 @@ _MEANINGS = {
 
 
 def _check(f: Filter, name: str, u: int, inputs: Collection[str], dtype: torch.dtype) -> None:
-    if f.scans:
+    if not isinstance(f, Filter) or f.scans:
         raise ValueError(f"filter: expected one of single tracks, received {type(f).__name__}")
-    if not re.fullmatch(r"[a-z_][a-z0-9_]*", name):
+    if not isinstance(name, str) or not re.fullmatch(r"[a-z_][a-z0-9_]*", name):
         raise ValueError(f"name: expected small letters, digits and _ as in names of C++, received {name!r}")
     if isinstance(u, bool) or not isinstance(u, int) or u < 0:
         raise ValueError(f"u: expected a whole number of 0 or more, received {u!r}")

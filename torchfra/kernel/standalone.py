@@ -61,20 +61,22 @@ class Standalone(NamedTuple):
         Raises:
             CompileError: the step has too many operations.
         """
+        source = self.source()
+        level = "-O1" if source.count("\n") > LARGE else "-O2"
         return {
             f"{self.name}.hpp": self.header(),
-            f"{self.name}.cpp": self.source(),
+            f"{self.name}.cpp": source,
             "example.cpp": self.example(),
-            "CMakeLists.txt": _CMAKE.replace("NAME", self.name).replace("LEVEL", self.level()),
+            "CMakeLists.txt": _CMAKE.replace("NAME", self.name).replace("LEVEL", level),
         }
 
     def header(self) -> str:
         """Structs of state, input and output, ``init`` and ``step``."""
         structs = {"State": self.state, "Input": self.inputs, "Output": self.outputs}
-        text = _HEADER.replace("ABOUT", "".join(f"// {line}".rstrip() + "\n" for line in self.about).rstrip("\n"))
+        text = self._named(_HEADER)
         for name, fields in structs.items():
             text = text.replace(f"  // {name.upper()}\n", "".join(x.declared for x in fields if x.present))
-        return self._named(text)
+        return "".join(f"// {line}".rstrip() + "\n" for line in self.about) + text
 
     def source(self) -> str:
         """The functions of the header."""
@@ -86,19 +88,15 @@ class Standalone(NamedTuple):
             "READ": [_port(x, "state.") for x in self.state] + [_port(x, "input.") for x in self.inputs],
             "WRITTEN": [_port(x, "state.") for x in self.state] + [_port(x, "output.") for x in self.outputs],
         }
-        text = _FUNCTIONS
+        text = self._named(_FUNCTIONS)
         for word, ports in parts.items():
             text = text.replace(word, ", ".join(ports))
-        return f'#include "{self.name}.hpp"\n\n{head}{blocks}{self._named(text)}'
+        return f'#include "{self.name}.hpp"\n\n{head}{blocks}{text}'
 
     def _named(self, text: str) -> str:
         mean, root = (str(x.shape.numel()) for x in self.prior)
         text = text.replace("MEAN", mean).replace("ROOT", root).replace("NAME", self.name)
         return text.replace("SCALAR", SCALARS[self.advance.dtype])
-
-    def level(self) -> str:
-        """How much the compiler optimises."""
-        return "-O1" if self.source().count("\n") > LARGE else "-O2"
 
     def example(self) -> str:
         """A program that filters the tracks of a text."""
@@ -120,7 +118,6 @@ def _port(field: Field, owner: str) -> str:
 
 
 _HEADER = """\
-ABOUT
 #pragma once
 
 namespace NAME {

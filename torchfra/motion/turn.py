@@ -105,7 +105,7 @@ class UnknownTurn(Motion):
         dims: dimensions of space, 2 or more.
         spectral: whether both are white noise in time, so that two short steps are the same as a long one, and not
             constant over each step; their integral follows the turn at the predicted mean, exact to first order in
-            what they change and to rounding for steps of up to two turns.
+            what they change and to rounding for steps of up to half a turn.
 
     Raises:
         ValueError: ``dims`` below 2, a value below 0.

@@ -11,7 +11,7 @@ A file is one of these, gzipped or not (but for the last):
 
 Columns are found by their names, in any case and common spellings: a time; x, y[, z] or latitude, longitude[,
 altitude]; which target a row is of (icao24, mmsi, id, ...); how good a fix is (sigma, accuracy, hdop).  ``Told`` names
-others.
+others, by their numbers from 1 on where there is no header.
 So read are the state vectors of OpenSky, the tracks of ``traffic``, and logs of ships such as the Danish ones.
 Times are ISO text, UTC where it names no zone, dates in other forms, or numbers: s, ms, us or ns since 1970 by their
 size, or seconds since any start.  Lengths are metres unless the name of a column or ``units`` says feet; altitudes that

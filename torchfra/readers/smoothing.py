@@ -72,27 +72,32 @@ def solve(bands: Array, right: Array) -> Array:
             is no such unknown.
         right: ``(k, d)``.
     """
-    size = len(right)
+    size, near = len(right), len(bands) - 1
     count = -(-size // _BLOCK)
     diagonal, upper = _blocks(bands, count)
     right = np.pad(right, ((0, count * _BLOCK - size), (0, 0))).reshape(count, _BLOCK, -1)
-    gains, values = np.empty_like(upper), np.empty_like(right)
+    coupled = np.concatenate([upper, right], 2)  # a block knows only the first unknowns of the next
     for i in range(count):
-        block, known = diagonal[i], right[i]
         if i:
-            block, known = block - upper[i - 1].T @ gains[i - 1], known - upper[i - 1].T @ values[i - 1]
-        gains[i], values[i] = np.split(np.linalg.solve(block, np.hstack([upper[i], known])), [_BLOCK], 1)
+            left = upper[i - 1].T @ coupled[i - 1]
+            diagonal[i, :near, :near] -= left[:, :near]
+            coupled[i, :near, near:] -= left[:, near:]
+        coupled[i] = np.linalg.solve(diagonal[i], coupled[i])
+    gains, values = coupled[:, :, :near], coupled[:, :, near:]
     for i in range(count - 2, -1, -1):
-        values[i] -= gains[i] @ values[i + 1]
+        values[i] -= gains[i] @ values[i + 1, :near]
     return np.asarray(values.reshape(count * _BLOCK, -1)[:size])
 
 
 def _blocks(bands: Array, count: int) -> tuple[Array, Array]:
-    """Blocks ``(count, _BLOCK, _BLOCK)`` on the diagonal and to the right of it; after the end the identity."""
+    """Blocks ``(count, _BLOCK, _BLOCK)`` on the diagonal, and the ``(count, _BLOCK, b)`` beside them that are not 0.
+
+    After the end they are the identity.
+    """
     size = bands.shape[1]
     bands = np.pad(bands, ((0, 0), (0, count * _BLOCK - size)))
     bands[0, size:] = 1.0
-    diagonal, upper = np.zeros((2, count, _BLOCK, _BLOCK))
+    diagonal, upper = np.zeros((count, _BLOCK, _BLOCK)), np.zeros((count, _BLOCK, len(bands) - 1))
     row = np.arange(_BLOCK)
     for j, band in enumerate(bands.reshape(len(bands), count, _BLOCK)):
         inside = row[: _BLOCK - j]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-import sysconfig
+import os
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -11,12 +11,7 @@ from typing import Any
 
 import torch
 
-_OTHERS = tuple(
-    str(Path(path)) for path in (
-        Path(__file__).parents[1], Path(torch.__file__).parent, sysconfig.get_path("stdlib"),
-        sysconfig.get_path("purelib"),
-    )
-)  # fmt: skip
+_OTHERS = tuple(f"{path}{os.sep}" for path in (Path(__file__).parents[1], Path(torch.__file__).parent))
 """Folders whose lines are no user's."""
 
 
