@@ -173,8 +173,6 @@ def test_tensors_of_another_form_are_told_apart_with_and_without_torchs_own_chec
     x = torch.zeros(2, 3)
     fits = compiled_step.guard([x, x[0]])
     assert fits(torch.ones(2, 3), torch.ones(3))
-    for other in (
-        torch.zeros(3, 2), torch.zeros(3, 2).mT, x.double(), torch.zeros(2, 3, requires_grad=True), torch.zeros(2, 3)._neg_view(),
-        torch.nn.Parameter(x),
-    ):  # fmt: skip
+    wrong = [torch.zeros(3, 2), torch.zeros(3, 2).mT, x.double(), torch.zeros(2, 3, requires_grad=True)]
+    for other in (*wrong, torch.zeros(2, 3)._neg_view(), torch.nn.Parameter(x)):
         assert not fits(other, x[0])

@@ -52,7 +52,7 @@ class ReadyStep:
 
 
 def guard(tensors: Sequence[Tensor]) -> Callable[..., bool]:
-    """A function that says whether other tensors have the form of these: torch's own, in C++, or a slower one of ours."""
+    """What says whether other tensors have the form of these: torch's own, in C++, or a slower one of ours."""
     sizes, strides = [list(x.shape) for x in tensors], [list(x.stride()) for x in tensors]
     try:
         guards: Any = importlib.import_module("torch._C._dynamo.guards").TensorGuards
