@@ -160,7 +160,7 @@ class Estimate(NamedTuple):
     """What this filter adds, one tuple of ``(..., T, ...)`` tensors: see the filter."""
     failure: Failure | None = None
     """When and why tracks have failed; None for an estimate that no filter has made."""
-    past: Any = None
+    past: Any = ()
     """What the way back needs, where ``forward`` was asked to keep it: see ``smooth(estimate=)``."""
 
     @property

@@ -198,8 +198,8 @@ class Smoother(nn.Module):
             if estimate.mean.shape != expected:
                 received = tuple(estimate.mean.shape)
                 raise ValueError(f"estimate: expected one of these tracks, {expected}, received {received}")
-            if estimate.past is not None:
-                return estimate._replace(past=None), estimate.past
+            if estimate.past:
+                return estimate._replace(past=()), estimate.past
         if estimate is None or self.keeps_past:
             estimate, state, steps = self._forth(measurements, prior, checkpoint, truncate, self.keeps_past)
         return estimate, self.past(Gaussian(estimate.mean, estimate.scale_tril), estimate.info, state, steps)
