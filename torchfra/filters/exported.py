@@ -87,8 +87,8 @@ _TAKEN = {
     "const", "constexpr", "decltype", "default", "delete", "do", "double", "enum", "example", "explicit", "export",
     "extern", "false", "float", "friend", "goto", "inline", "int", "long", "main", "mutable", "namespace", "new",
     "noexcept", "nullptr", "operator", "private", "protected", "public", "read", "register", "short", "signed",
-    "sizeof", "static", "std", "struct", "switch", "template", "this", "throw", "true", "typedef", "typeid", "typename", "union",
-    "unsigned", "using", "virtual", "void", "volatile", "write", "xor", "bitand", "bitor", "compl",
+    "sizeof", "static", "std", "struct", "switch", "template", "this", "throw", "true", "typedef", "typeid",
+    "typename", "union", "unsigned", "using", "virtual", "void", "volatile", "write", "xor", "bitand", "bitor", "compl",
 }  # fmt: skip
 """Keywords of C++ (some are Python's too), and names in the files themselves."""
 
