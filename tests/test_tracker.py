@@ -4,6 +4,7 @@ import io
 import math
 import random
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -308,6 +309,21 @@ def test_a_motion_that_depends_on_where_it_is_has_no_origin():
     prior = Gaussian(torch.ones(f.motion.size, **F64), torch.eye(f.motion.size, **F64))
     with pytest.raises(ValueError, match="origin: expected a motion that is the same everywhere"):
         Tracker(f, prior, origin=[1.0] * 3)
+
+
+@pytest.mark.parametrize("origin", [None, [10.0, 20.0]])
+def test_a_buffer_that_is_written_anew_does_not_change_the_track(origin):
+    f = made()
+    once, prior = tracker(f, origin=origin), prior_of(f)
+    t = Tracker(f, prior, sensors=SENSORS, lag=3.0, origin=origin)
+    _ = [x.zero_() for x in (prior.mean, prior.scale_tril)]
+    z, std = np.empty(2), torch.empty(2, **F64)
+    for k in (1, 3, 2):  # one comes late
+        z[:], std[:] = [100.0 + k, 80.0], torch.full((2,), float(k))
+        report = t.update(k, z, "gps", std=std)
+        _ = [x.zero_() for x in report.belief]
+        once.update(k, [100.0 + k, 80.0], "gps", std=[float(k)] * 2)
+    close(t.belief, once.belief, 0)
 
 
 def test_at_one_instant_the_order_is_not_that_in_which_measurements_come():

@@ -65,12 +65,12 @@ def seconds(name: str, x: Any) -> float:
 
 
 def numbers(name: str, x: Any, device: torch.device) -> Tensor:
-    """Numbers as a tensor in double precision.
+    """Numbers as a tensor in double precision, a copy: the caller may go on to write into what it has given.
 
     Raises:
         ValueError: they are none.
     """
     try:
-        return torch.as_tensor(x, dtype=torch.float64, device=device)
+        return torch.as_tensor(x, dtype=torch.float64, device=device).clone()
     except (TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{name}: expected numbers, received {type(x).__name__}: {error}") from None

@@ -75,11 +75,11 @@ class Intake:
         """A belief from outside, as the filter has it."""
         if self.origin is not None:
             return self.origin.inward(belief)
-        return Gaussian(*(x.to(self.dtype) for x in belief))
+        return Gaussian(*(x.to(self.dtype, copy=True) for x in belief))
 
     def outward(self, belief: Gaussian) -> Gaussian:
         """A belief of the filter, as it is outside."""
-        return belief if self.origin is None else self.origin.outward(belief)
+        return Gaussian(*(x.clone() for x in belief)) if self.origin is None else self.origin.outward(belief)
 
     def kind(self) -> dict[str, Any]:
         """What the tracker is of, in words and numbers."""

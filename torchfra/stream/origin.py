@@ -41,12 +41,12 @@ class Origin:
     def inward(self, belief: Gaussian) -> Gaussian:
         """A belief from outside, as the filter has it."""
         mean, root = belief
-        return Gaussian((mean.double() - self.offset.to(mean.device)).to(self.dtype), root.to(self.dtype))
+        return Gaussian((mean.double() - self.offset.to(mean.device)).to(self.dtype), root.to(self.dtype, copy=True))
 
     def outward(self, belief: Gaussian) -> Gaussian:
         """A belief of the filter, as it is outside, in double precision."""
         mean, root = belief
-        return Gaussian(mean.double() + self.offset.to(mean.device), root.double())
+        return Gaussian(mean.double() + self.offset.to(mean.device), root.to(torch.float64, copy=True))
 
     def measured(self, sensor: Sensor, z: Tensor) -> Tensor:
         """A measurement ``(..., m)`` from outside, as one of local positions.
