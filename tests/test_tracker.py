@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from torchfra import Gaussian, presets
 from torchfra.motion import ConstantVelocity, Spherical, aircraft
-from torchfra.sensors import Position, RangeBearing
+from torchfra.sensors import Biased, Position, RangeBearing, Ranges, Stacked
+from torchfra.sensors.base import Sensor
 from torchfra.stream import Tracker
 
 F64 = {"dtype": torch.float64}
@@ -267,6 +268,7 @@ BAD = [
     ({"old": "drop"}, r"old: expected one of \('refuse', 'count'\)"),
     ({"jump": 2.0}, r"jump: expected seconds above the lag of 3\.0"),
     ({"origin": [1.0, 2.0, 3.0]}, r"origin: expected a finite position \(2,\)"),
+    ({"origin": "here"}, "origin: expected numbers, received str"),
     ({"origin": [1.0, math.inf]}, r"origin: expected a finite position \(2,\)"),
 ]
 
@@ -302,6 +304,35 @@ def test_a_measurement_that_does_not_fit_leaves_the_track_as_it_was(event, messa
     assert before[0].getvalue() == before[1].getvalue()
     with pytest.raises(ValueError, match="time: expected seconds since"):
         t.predict(-1.0, "gps")
+
+
+class Undeclared(Sensor):
+    """A position that does not say that it is linear, and a speed."""
+
+    def __init__(self):
+        super().__init__(4, [False] * 3, 1.0)
+
+    def forward(self, x, u=None):
+        """Both."""
+        return torch.cat([x[..., :2], torch.linalg.vector_norm(x[..., 2:4], dim=-1, keepdim=True)], -1)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "z"),
+    [
+        (Undeclared(), [6e6 + 3.0, 2e6 + 4.0, 5.0]),
+        (Stacked(GPS, RADAR, Ranges([[-1e5, 0.0]], 1.0)), [6e6 + 3.0, 2e6 + 4.0, 5.0, 0.6435, 1e5 + 3.0]),
+        (Biased(GPS, 3), [6e6 + 7.0, 2e6 + 8.0]),
+    ],
+)
+def test_an_origin_is_taken_off_what_moves_along_with_the_target(sensor, z):
+    f, origin = presets.srckf(ConstantVelocity(1.0), sensor), torch.tensor([6e6, 2e6], **F64)
+    there = torch.cat([origin, torch.zeros(2, **F64)]) + torch.tensor([3.0, 4.0, 3.0, 4.0], **F64)
+    t = Tracker(f, Gaussian(there, torch.eye(4, **F64)), origin=origin, dtype=torch.float32)
+    report = t.update(0.0, z)
+    close(report.belief.mean, there, 1.0)
+    assert report.innovation.residual.abs().max() < 0.5
+    close(t.predict(0.0).measurement.mean, torch.tensor(z, **F64), 1.0)
 
 
 def test_a_motion_that_depends_on_where_it_is_has_no_origin():

@@ -63,9 +63,9 @@ class Intake:
         sensor = self.sensors[number]
         if measured.shape[-1:] != (sensor.size,):
             raise ValueError(f"z: expected (..., {sensor.size}), received {tuple(measured.shape)}")
-        local = measured.to(self.dtype) if self.origin is None else self.origin.measured(sensor, measured)
-        rest = (self.tensor(what, x) for what, x in (("u", u), ("std", std), ("noise", noise)))
-        return Entry(time, number, local, *rest)
+        u, std, noise = (self.tensor(what, x) for what, x in (("u", u), ("std", std), ("noise", noise)))
+        local = measured.to(self.dtype) if self.origin is None else self.origin.measured(sensor, measured, u)
+        return Entry(time, number, local, u, std, noise)
 
     def tensor(self, name: str, x: Any) -> Tensor | None:
         """Numbers in the filter's dtype, if there are any."""

@@ -46,7 +46,8 @@ class Tracker:
     With an ``origin`` the filter has positions relative to it, and beliefs and measurements outside are in double
     precision.  At 6e6 m, with a sensor of 1 m, a float32 ``srckf`` is then within 2 mm of the float64 one up to 10 km
     from the origin and within 2 cm up to 100 km, ``gpb`` within 2 cm and 10 cm; without an origin they are 0.6 and 3 m
-    off.  Linear sensors are told of the origin; others must stand relative to it (their places, and ``u``).
+    off.  What a sensor reads of positions by adding to them is shifted; other elements, as ranges, are measured from
+    a place that must stand relative to the origin, and so must ``u``.
 
     Args:
         filter: any of tracks; compiled, it runs so.
@@ -184,8 +185,9 @@ class Tracker:
             since = self._window.time - self._behind
             raise ValueError(f"time: expected seconds since {since}, received {time}")
         since, state = self._window.at(inside)
-        ahead = self.filter.predict(state, inside - since, u=intake.tensor("u", u), sensor=there)
-        return ahead if intake.origin is None else intake.origin.ahead(there, ahead)
+        given = intake.tensor("u", u)
+        ahead = self.filter.predict(state, inside - since, u=given, sensor=there)
+        return ahead if intake.origin is None else intake.origin.ahead(there, ahead, given)
 
     @torch.no_grad()
     def smoothed(self) -> list[At]:
