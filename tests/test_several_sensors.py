@@ -262,6 +262,13 @@ def test_the_sensor_that_a_filter_was_made_with_is_its_own(name):
     assert f.with_sensor(GPS) is f
 
 
+@pytest.mark.parametrize(("name", "x"), [("std", torch.ones(())), ("noise", torch.ones(2)), ("u", torch.ones(()))])
+def test_a_step_names_what_has_too_few_dimensions(name, x):
+    f = made("srckf")
+    with pytest.raises(ValueError, match=f"{name}: expected . or more dimensions, received"):
+        f.step(f.init(prior_of(f)), torch.zeros(2, 2, **F64), **{name: x})
+
+
 def test_filters_that_are_of_one_sensor_say_why():
     z = torch.zeros(2, 2, **F64)
     reasons = {"iaukf": "estimate of the measurement noise", "alphabeta": "constant gains are chosen for one sensor"}
