@@ -160,6 +160,31 @@ def test_a_clock_that_is_set_back_goes_on():
     close(t.predict(9.0, "gps").belief, steady.predict(1006.0, "gps").belief)
 
 
+def test_what_comes_late_by_the_clock_before_it_was_set_back_belongs_before_that():
+    f, every = made(), [(1000.0, 100.0), (1001.0, 101.0), (1002.0, 102.0), (5.0, 103.0), (6.0, 104.0), (1001.5, 101.5)]
+    t, steady = tracker(f, jump=60.0), tracker(f)
+    for time, x in every:
+        report = t.update(time, [x, 80.0], "gps")
+        steady.update(time if time > 100 else time + 998.0, [x, 80.0], "gps")
+    assert (report.outcome, t.time) == ("late", 6.0)
+    close(t.belief, steady.belief)
+    again = tracker(f, jump=60.0)
+    again.load_state_dict(t.state_dict())
+    assert again.update(1001.7, [101.7, 80.0], "gps").outcome == "late"
+    with pytest.raises(ValueError, match=r"time: expected seconds since 3\.0, received 990\.0"):
+        t.update(990.0, [0.0, 0.0], "gps")
+    assert t.update(70.0, [168.0, 80.0], "gps").outcome == "used"
+
+
+def test_steps_keep_all_of_the_newest_instant():
+    t = tracker(made(), steps=1, sensors={"gps": GPS, "radar": RADAR, "other": Position(5.0)})
+    for name, z in (("radar", [128.0, 0.9]), ("other", [101.0, 80.0]), ("gps", [102.0, 80.0])):
+        assert t.update(1.0, z, name).outcome == "used"
+    t.update(2.0, [101.0, 80.0], "gps")
+    with pytest.raises(ValueError, match=r"time: expected seconds after 1\.0, received 1\.0"):
+        t.update(1.0, [103.0, 80.0], "gps")
+
+
 def test_what_is_missing_is_only_predicted():
     t = tracker(made())
     t.update(1.0, [101.0, 80.0], "gps")
@@ -290,7 +315,12 @@ def test_what_a_tracker_cannot_be_made_of_is_named(wrong, message):
         ((1.0, [1.0, 2.0], "sonar"), r"sensor: expected one of \['gps', 'radar'\], received 'sonar'"),
         ((1.0, [1.0, 2.0, 3.0], "gps"), r"z: expected \(..., 2\), received \(3,\)"),
         ((1.0, "here", "gps"), "z: expected numbers, received str"),
-        ((1.0, [[1.0, 2.0]] * 3, "gps"), "state: expected one from a prior of batch"),
+        ((1.0, [[1.0, 2.0]] * 3, "gps"), r"z: expected 1 dimension behind the prior's batch \(\), received \(3, 2\)"),
+        ((1.0, [math.inf, 2.0], "gps"), "z: expected finite numbers, or NaN for what is missing"),
+        ((1.0, np.array([1.0, 2.0j]), "gps"), "z: expected real numbers, received complex128"),
+        ((1.0, [1.0, 2.0], "gps", {"u": [math.nan]}), "u: expected finite numbers"),
+        ((1.0, [1.0, 2.0], "gps", {"u": 3.0}), "u: expected 1 dimension"),
+        ((1.0, [1.0, 2.0], "gps", {"noise": [1.0, 1.0]}), "noise: expected 2 dimensions"),
     ],
 )
 def test_a_measurement_that_does_not_fit_leaves_the_track_as_it_was(event, message):
@@ -299,7 +329,7 @@ def test_a_measurement_that_does_not_fit_leaves_the_track_as_it_was(event, messa
     before = io.BytesIO(), io.BytesIO()
     torch.save(t.state_dict(), before[0])
     with pytest.raises(ValueError, match=message):
-        t.update(*event)
+        t.update(*event[:3], **dict(*event[3:]))
     torch.save(t.state_dict(), before[1])
     assert before[0].getvalue() == before[1].getvalue()
     with pytest.raises(ValueError, match="time: expected seconds since"):
@@ -355,6 +385,13 @@ def test_a_buffer_that_is_written_anew_does_not_change_the_track(origin):
         _ = [x.zero_() for x in report.belief]
         once.update(k, [100.0 + k, 80.0], "gps", std=[float(k)] * 2)
     close(t.belief, once.belief, 0)
+
+
+def test_a_standard_deviation_that_is_a_number_is_that_of_each_element():
+    one, other = tracker(made()), tracker(made())
+    one.update(1.0, [101.0, 80.0], "gps", std=3.0)
+    other.update(1.0, [101.0, 80.0], "gps", std=[3.0, 3.0])
+    close(one.belief, other.belief)
 
 
 def test_at_one_instant_the_order_is_not_that_in_which_measurements_come():

@@ -68,9 +68,35 @@ def numbers(name: str, x: Any, device: torch.device) -> Tensor:
     """Numbers as a tensor in double precision, a copy: the caller may go on to write into what it has given.
 
     Raises:
-        ValueError: they are none.
+        ValueError: they are none, or complex.
     """
+    if "complex" in str(getattr(x, "dtype", "")):
+        raise ValueError(f"{name}: expected real numbers, received {x.dtype}")
     try:
         return torch.as_tensor(x, dtype=torch.float64, device=device).clone()
     except (TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{name}: expected numbers, received {type(x).__name__}: {error}") from None
+
+
+def check_fits(name: str, x: Tensor, event: int, batch: torch.Size) -> None:
+    """Checks that numbers have ``event`` dimensions behind a batch that is that of the prior, or expands to it.
+
+    Raises:
+        ValueError: they do not.
+    """
+    given = x.shape[: max(x.dim() - event, 0)]
+    fits = x.dim() >= event and len(given) <= len(batch)
+    if not fits or any(n not in (1, there) for n, there in zip(reversed(given), reversed(batch), strict=False)):
+        expected = f"{event} {'dimension' if event == 1 else 'dimensions'} behind the prior's batch {tuple(batch)}"
+        raise ValueError(f"{name}: expected {expected}, received {tuple(x.shape)}")
+
+
+def check_finite(name: str, x: Tensor, *, missing: bool = False) -> None:
+    """Checks that numbers are finite, or NaN where they may be ``missing``.
+
+    Raises:
+        ValueError: one is not.
+    """
+    if bool((x.isinf() if missing else ~x.isfinite()).any()):
+        expected = f"finite numbers{', or NaN for what is missing' if missing else ''}, in {x.dtype}"
+        raise ValueError(f"{name}: expected {expected}, received {x.tolist()}")
