@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchfra import Gaussian, presets
-from torchfra.motion import ConstantVelocity, Spherical, aircraft
+from torchfra.motion import ConstantVelocity, CoordinatedTurn, Spherical, aircraft
 from torchfra.sensors import Biased, Position, RangeBearing, Ranges, Stacked
 from torchfra.sensors.base import Sensor
 from torchfra.stream import Tracker
@@ -221,6 +221,30 @@ def test_a_track_of_another_filter_is_not_loaded():
             other.load_state_dict(t.state_dict())
     with pytest.raises(ValueError, match="values: expected format 1, received None"):
         t.load_state_dict({})
+
+
+def test_a_track_of_other_models_or_sensors_is_not_loaded():
+    t = tracker(made())
+    for other, message in (
+        (tracker(made("rsrckf")), r"values: expected filter.robust 'Huber\(\)', received 'Robust\(\)'"),
+        (tracker(presets.srckf(ConstantVelocity(9.0), GPS)), r"values: expected filter.motion.q 'Hyper\(9,"),
+        (tracker(presets.srckf(ConstantVelocity(1.0, spectral=True), GPS)), r"values: expected filter.motion .*=True"),
+        (tracker(presets.srckf(CoordinatedTurn(0.1, 1.0), GPS)), r"values: expected filter.motion 'CoordinatedTurn"),
+        (tracker(made(), sensors={"gps": RADAR, "radar": GPS}), r"values: expected sensor gps 'RangeBearing"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            other.load_state_dict(t.state_dict())
+
+
+@pytest.mark.parametrize("missing", ["entries", "clock", "counts", "time"])
+def test_what_is_not_all_there_leaves_the_track_as_it_was(missing):
+    t, other = tracker(made()), tracker(made())
+    fed(t, events())
+    values = {name: x for name, x in t.state_dict().items() if name != missing}
+    with pytest.raises(ValueError, match=f"values: expected all that state_dict gives, received none of '{missing}'"):
+        other.load_state_dict(values)
+    assert (other.time, other.counts["used"]) == (0.0, 0)
+    close(other.belief, tracker(made()).belief)
 
 
 def test_several_streams_go_side_by_side():

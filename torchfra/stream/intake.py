@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchfra.sensors.base import Sensor
 from torchfra.stream.arguments import check_finite, check_fits, check_sensors, numbers
@@ -105,6 +105,20 @@ class Intake:
         return Gaussian(*(x.clone() for x in belief)) if self.origin is None else self.origin.outward(belief)
 
     def kind(self) -> dict[str, Any]:
-        """What the tracker is of, in words and numbers."""
+        """What the tracker is of, in words and numbers: of each part of its filter and sensors what it prints."""
         origin = None if self.origin is None else self.origin.offset.tolist()
-        return {"filter": type(self.filter).__name__, "sensors": self.names, "origin": origin}
+        kind = {"filter": type(self.filter).__name__, "sensors": self.names, "origin": origin}
+        for name, sensor in zip(self.names, self.sensors, strict=True):
+            kind |= _parts(f"sensor {name}", sensor)
+            kind[f"angles of {name}"] = sensor.angles.tolist()
+        return _parts("filter", self.filter) | kind
+
+
+def _parts(name: str, module: nn.Module) -> dict[str, str]:
+    """What a module and each of its parts are, by name in the whole: what they print, and their options."""
+    words = {}
+    for part, x in module.named_modules(prefix=name):
+        values = {key: value for key, value in vars(x).items() if key[0] != "_" and key != "training"}
+        options = [f"{key}={value}" for key, value in values.items() if isinstance(value, bool | int | float | str)]
+        words[part] = f"{type(x).__name__}({', '.join(filter(None, [x.extra_repr(), *options]))})"
+    return words

@@ -211,8 +211,7 @@ class Tracker:
 
     def state_dict(self) -> dict[str, Any]:
         """All that the track is, in tensors, numbers and words: for ``torch.save``, and ``load_state_dict``."""
-        rest = {"clock": self._clock.state_dict(), "counts": self.counts}
-        return saved(self._window, self._intake.kind()) | rest
+        return saved(self._window, self._clock, self._counts, self._intake.kind())
 
     def load_state_dict(self, values: Mapping[str, Any]) -> None:
         """Goes on with a track that was saved, by the same filter, sensors and arguments, to the same bits.
@@ -223,9 +222,8 @@ class Tracker:
         Raises:
             ValueError: they are not of a tracker like this one.
         """
-        self._window = restored(values, self._window, self._intake.kind())
-        self._clock.load_state_dict(values["clock"])
-        self._counts = dict(values["counts"])
+        again = restored(values, self._window, self.jump, self._intake.kind())
+        self._window, self._clock, self._counts = again
 
     def _put(self, entry: Entry) -> Innovation:
         """Puts an entry where it belongs, and filters it and all after it; what it said."""
