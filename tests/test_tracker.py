@@ -305,6 +305,27 @@ def test_with_an_origin_single_precision_keeps_a_metre_at_six_million(name, away
     close(ahead.measurement.mean, expected.measurement.mean, 0.5 * limits[name, away])
 
 
+def test_what_cannot_be_smoothed_says_so_before_another_sensor_has_measured():
+    t = tracker(made("gpb"))
+    t.update(1.0, [101.0, 80.0], "gps")
+    with pytest.raises(NotImplementedError, match="of one sensor on the way back"):
+        t.smoothed()
+
+
+def test_a_state_is_predicted_without_a_sensor():
+    t = tracker(made(), sensors={"radar": RADAR, "other": Position(5.0)})
+    close(t.predict(2.0).belief, t.predict(2.0, "radar").belief)
+    close(t.predict(2.0).measurement, tracker(made()).predict(2.0, "gps").measurement)
+
+
+@pytest.mark.parametrize("lag", [np.float32(2.0), torch.tensor(2.0), 2])
+def test_numbers_of_any_kind_are_numbers(lag):
+    t = tracker(made(), lag=lag, steps=np.int64(3), jump=np.float64(60.0))
+    for time in (1.0, 2.0, np.float32(3.0), torch.tensor(2.5)):
+        t.update(time, [100.0, 80.0], "gps")
+    assert (t.time, t.lag, t.counts["late"]) == (3.0, 2.0, 1)
+
+
 BAD = [
     ({"filter": "gpb"}, "filter: expected one of tracks, as presets.gpb makes, received str"),
     ({"prior": None}, "prior: expected a Gaussian"),
@@ -313,7 +334,10 @@ BAD = [
     ({"sensors": [GPS]}, "sensors: expected one or more by name"),
     ({"sensors": {"far": Position(1.0, dims=3)}}, "sensor: expected one of at most 2 dimensions"),
     ({"lag": -1.0}, "lag: expected seconds of 0 or more"),
+    ({"lag": "long"}, "lag: expected seconds of 0 or more, received 'long'"),
     ({"steps": 0}, "steps: expected 1 or more measurements"),
+    ({"steps": 2.5}, "steps: expected 1 or more measurements"),
+    ({"dtype": "float32"}, r"dtype: expected one of \(torch.float32, torch.float64\)"),
     ({"old": "drop"}, r"old: expected one of \('refuse', 'count'\)"),
     ({"jump": 2.0}, r"jump: expected seconds above the lag of 3\.0"),
     ({"origin": [1.0, 2.0, 3.0]}, r"origin: expected a finite position \(2,\)"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from numbers import Integral
 from typing import Any
 
 import torch
@@ -40,12 +41,12 @@ def check_counts(lag: float, steps: int | None, old: str, jump: float | None) ->
     Raises:
         ValueError: names the first that is wrong.
     """
-    if not isinstance(lag, int | float) or not lag >= 0:
+    if not _number(lag) >= 0:
         raise ValueError(f"lag: expected seconds of 0 or more, received {lag!r}")
-    if steps is not None and not (isinstance(steps, int) and steps >= 1):
+    if steps is not None and not (isinstance(steps, Integral) and steps >= 1):
         raise ValueError(f"steps: expected 1 or more measurements, or None, received {steps!r}")
     one_of(old=(old, ("refuse", "count")))
-    if jump is not None and not (isinstance(jump, int | float) and math.inf > jump > lag):
+    if jump is not None and not math.inf > _number(jump) > lag:
         raise ValueError(f"jump: expected seconds above the lag of {lag}, or None, received {jump!r}")
 
 
@@ -55,13 +56,18 @@ def seconds(name: str, x: Any) -> float:
     Raises:
         ValueError: it is not.
     """
-    try:
-        value = float(x)
-    except (TypeError, ValueError):
-        value = math.nan
+    value = _number(x)
     if not math.isfinite(value):
         raise ValueError(f"{name}: expected finite seconds, received {x!r}")
     return value
+
+
+def _number(x: Any) -> float:
+    """This as a number, NaN if it is none."""
+    try:
+        return float(x)
+    except (TypeError, ValueError, RuntimeError):
+        return math.nan
 
 
 def numbers(name: str, x: Any, device: torch.device) -> Tensor:

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchfra.gaussian.arguments import PRECISIONS
 from torchfra.sensors.base import Sensor
 from torchfra.stream.arguments import check_finite, check_fits, check_sensors, numbers
 from torchfra.stream.origin import Origin
@@ -32,6 +33,8 @@ class Intake:
     def __init__(
         self, filter: Any, sensors: Mapping[str, Sensor] | None, origin: Any, dtype: torch.dtype, device: torch.device
     ) -> None:
+        if dtype not in PRECISIONS:
+            raise ValueError(f"dtype: expected one of {PRECISIONS}, received {dtype!r}")
         named = check_sensors(filter, sensors)
         self.batch = torch.Size()
         self.names, self.sensors = list(named), list(named.values())

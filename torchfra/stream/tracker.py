@@ -168,14 +168,15 @@ class Tracker:
 
         Args:
             time: seconds, not before the measurements that are kept; the estimate is that of the last one up to it.
-            sensor: its name, if the tracker has several.
+            sensor: whose measurement is expected, by name; by default the only one's, or of several the filter's own.
             u: ``(..., k)`` what the models need to know at that time.
 
         Raises:
             ValueError: a time before that, or no such sensor.
         """
         inside, intake = seconds("time", time) + self._clock.behind, self._intake
-        there = intake.sensors[intake.number(sensor)]
+        own = sensor is None and len(intake.sensors) > 1
+        there = self.filter.sensor if own else intake.sensors[intake.number(sensor)]
         if inside < self._window.time:
             since = self._clock.outside(self._window.time)
             raise ValueError(f"time: expected seconds since {since}, received {time}")
@@ -191,14 +192,15 @@ class Tracker:
         The first is the one of a fixed lag.
 
         Raises:
-            NotImplementedError: see ``Filter.smooth``.
+            NotImplementedError: see ``Filter.smooth``; of ``gpb`` with another sensor than its own too.
         """
         self.filter.check_smooths()
+        around = [self.filter.with_sensor(sensor) for sensor in self._intake.sensors]
+        if any(f is not self.filter for f in around):
+            self.filter.check_smooths_several()
         time, state, moments = self._window.time, self._window.state, []
         for entry in self._window.entries:
-            f = self.filter.with_sensor(self._intake.sensor(entry))
-            if f is not self.filter:
-                self.filter.check_smooths_several()
+            f = around[entry.sensor]
             state, _, moment = remember(f, state, entry.after(time))
             moments.append(moment)
             time = entry.time
