@@ -3,6 +3,7 @@
 import copy
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -248,6 +249,33 @@ def test_differences_run_in_filters_compiled_and_learn_their_noise():
     assert (slow.mean - TRUTH)[:, 5:, :2].norm(dim=-1).mean() < 0.5
 
 
+# ---------------------------------------------------------------- what is handed in
+
+
+@pytest.mark.parametrize("form", [list, np.asarray, torch.tensor], ids=["list", "array", "tensor"])
+def test_values_for_each_element_may_be_a_list_an_array_or_a_tensor(form):
+    each = form([0.5, 0.25])
+    stations = form([[0.0, 0.0], [60.0, 0.0]])
+    for sensor in (Position(each), RangeBearing(each), Ranges(stations, each), Bearings(each, stations=stations)):
+        torch.testing.assert_close(sensor.std().double(), tensor(0.5, 0.25))
+        assert presets.srckf(MOTION, sensor)(torch.ones(3, 2).double(), PRIOR).mean.shape == (3, 4)
+    torch.testing.assert_close(Pseudoranges(2, each, each).unbiased.parts[1].std().double(), tensor(0.5, 0.25))
+    torch.testing.assert_close(TimeDifferences(stations, each).root.double(), tensor([-0.5, 0.25]))
+    assert Camera(form([500.0, 400.0]), 1.0).focal.batch_rank == 0
+    root = Position(noise=form([[1.0, 0.0], [0.5, 2.0]])).root
+    torch.testing.assert_close(root.double().abs(), tensor([1, 0], [0.5, 2]))
+
+
+def test_a_radar_stands_where_it_is_told_whatever_the_inputs_are_of():
+    radar, moving = RangeBearing([1.0, 0.01], position=[20.0, 0.0]), RangeBearing([1.0, 0.01])
+    expected = moving(TRUTH, tensor(20, 0).expand(20, -1))
+    for u in (None, torch.full((20, 12), math.nan).double()):
+        torch.testing.assert_close(radar(TRUTH, u), expected)
+    torch.testing.assert_close(expected[:, 0], (TRUTH[:, :2] - tensor(20, 0)).norm(dim=-1))
+    torch.testing.assert_close(radar.locate(expected), TRUTH[:, :2])
+    assert not radar.state_dict().keys() & {"stands"}
+
+
 # ---------------------------------------------------------------- errors
 
 
@@ -263,6 +291,12 @@ def test_differences_run_in_filters_compiled_and_learn_their_noise():
         (lambda: TimeDifferences(ANCHORS[:1], 1.0), "anchors: expected 2 or more for a difference, received 1"),
         (lambda: TimeDifferences(ANCHORS, torch.ones(3)), r"std: expected a number or \(\.\.\., 4\)"),
         (lambda: RangeRates(ANCHORS, -1.0), "std: expected a value above 0"),
+        (lambda: RangeBearing([5.0, 0.01, 1.0]), r"std: expected a number or \(\.\.\., 2\), received \(3,\)"),
+        (lambda: Position("a"), "std: expected numbers, received 'a'"),
+        (lambda: Position(noise=[1.0, 1.0]), r"noise: expected \(\.\.\., 2, r\), received \(2,\)"),
+        (lambda: RangeBearing(1.0, position=[1.0]), r"position: expected finite numbers \(2,\), received \(1,\)"),
+        (lambda: RangeBearing(1.0)(torch.ones(4), torch.ones(1)), r"u: expected where the sensor stands, .*2\)"),
+        (lambda: Bearings(1.0, stations=[0.0, 0.0]), r"stations: expected \(m, 2\), received \(2,\)"),
         (lambda: presets.srckf(MOTION, Biased(Position(1.0), 4)), r"at most 4 states \[x, y, vx, vy\], this reads 5"),
         (lambda: RangeRates(count=2, std=1.0)(torch.ones(4)), r"u: expected the positions and velocities of 2 anchors"),
     ],

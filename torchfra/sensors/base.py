@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torchfra.angles import wrap
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.triangular import hstack, tria
+from torchfra.sensors.places import numbers
 from torchfra.tree import event_ranks
 
 
@@ -54,7 +55,8 @@ class Sensor(nn.Module):
     Args:
         reads: how many leading state components it looks at, ``d``.
         angles: for each of the ``m`` elements of a measurement, whether it is an angle in rad: differences wrap then.
-        std: standard deviation of the measurement noise, a number or ``(..., m)`` that broadcasts with the batch.
+        std: standard deviation of the measurement noise, a number or ``(..., m)`` that broadcasts with the batch, as a
+            tensor, a list or an array.
         noise: instead of ``std``, a root ``(..., m, r)`` of a covariance of measurement noise, which may be correlated.
 
     Raises:
@@ -99,11 +101,9 @@ class Sensor(nn.Module):
         if (std is None) == (noise is None):
             raise ValueError("std, noise: expected exactly one of the two")
         if std is not None:
-            if isinstance(std, Tensor) and std.dim() and std.shape[-1] != self.size:
-                raise ValueError(f"std: expected a number or (..., {self.size}), received {tuple(std.shape)}")
-            self.std = Hyper(std, event_dim=int(isinstance(std, Tensor) and std.dim() > 0), name="std")
+            self.std = elementwise(std, self.size, "std")
         if noise is not None:
-            self.root = _checked_root(noise, self.size)
+            self.root = _checked_root(numbers(noise, "noise"), self.size)
 
     def _lay_out(self, reads: int, angles: Sequence[bool]) -> None:
         """All but the noise."""
@@ -188,6 +188,18 @@ class Sensor(nn.Module):
     def extra_repr(self) -> str:
         """Sizes of a measurement and of what it looks at."""
         return f"size={self.size}, reads={self.reads}"
+
+
+def elementwise(value: Value, size: int, name: str) -> Hyper:
+    """A value above 0 that is a number, or ``(..., size)`` with one for each element.
+
+    Raises:
+        ValueError: what is not numbers or not above 0, or another shape.
+    """
+    given = numbers(value, name)
+    if given.dim() and given.shape[-1] != size:
+        raise ValueError(f"{name}: expected a number or (..., {size}), received {tuple(given.shape)}")
+    return Hyper(given, event_dim=int(given.dim() > 0), name=name)
 
 
 def _checked_root(noise: Tensor, size: int) -> Tensor:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchfra.hyper import Value
 from torchfra.sensors.base import Sensor
-from torchfra.sensors.places import from_u
+from torchfra.sensors.places import from_u, numbers
 
 
 class Ranges(Sensor):
@@ -138,8 +138,7 @@ class RangeRates(Ranges):
 
 def _places(anchors: Any) -> Tensor:
     """Positions ``(m, c)`` as a tensor; numbers that are in none become doubles."""
-    places = anchors if isinstance(anchors, Tensor) else torch.as_tensor(anchors, dtype=torch.float64)
-    places = places if places.is_floating_point() else places.double()
+    places = numbers(anchors, "anchors")
     if places.dim() != 2 or len(places) < 1 or places.shape[-1] not in (1, 2, 3) or not bool(places.isfinite().all()):
         received = tuple(places.shape) if bool(places.isfinite().all()) else places.tolist()
         raise ValueError(f"anchors: expected finite positions (m, 2) or (m, 3), received {received}")
