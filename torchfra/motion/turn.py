@@ -44,7 +44,7 @@ class CoordinatedTurn(Motion):
     Source: Li & Jilkov (2003), "Survey of Maneuvering Target Tracking. Part I", eq. (61).
     """
 
-    linear = True
+    linear = usual_layout = True
 
     def __init__(self, rate: Value, q: Value, dims: int = 2, *, orders: int = 2, spectral: bool = False) -> None:
         if dims < 2:

@@ -41,6 +41,9 @@ class MeasurementNoise(NamedTuple):
         return x * self.std.unsqueeze(-1) if self.root is None else self.root @ x
 
 
+Expected = Sequence[tuple[int, tuple[str, ...]]]
+
+
 class Sensor(nn.Module):
     """Abstract: what is measured of a state, and with what noise.
 
@@ -61,7 +64,7 @@ class Sensor(nn.Module):
 
     Raises:
         ValueError: both or neither of ``std`` and ``noise``, a shape that does not fit, a std that is not above 0, a
-            covariance that is singular.
+            covariance that is singular, ``angles`` that are not True or False.
         TypeError: (where the class is defined) a class that declares ``locates`` without a ``locate``, or
             ``measures_each_direction`` without ``units_per_metre``.
     """
@@ -78,6 +81,9 @@ class Sensor(nn.Module):
     blocks: tuple[tuple[int, ...], ...]
     """Elements that come from the same device, which share an estimate of the measurement noise; one block by default.
     """
+    expects: Expected = ()
+    """Of components that it looks at, as far as it knows them, the number and the kinds that will do; a property where
+    they depend."""
     linear: bool = False
     """Whether ``forward`` is a matrix times the state, the same for all ``u``."""
     locates: bool = False
@@ -87,8 +93,9 @@ class Sensor(nn.Module):
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        if "forward" in vars(cls) and "linear" not in vars(cls):
-            cls.linear = False  # its own forward may be anything
+        if "forward" in vars(cls):  # which may be anything
+            cls.linear = vars(cls).get("linear", False)
+            cls.expects = vars(cls).get("expects", ())
         for declared, method in (("locates", "locate"), ("measures_each_direction", "units_per_metre")):
             if getattr(cls, declared) is True and getattr(cls, method) is getattr(Sensor, method):
                 raise TypeError(f"{cls.__name__}: {declared} is True: expected a {method}, received none")
@@ -108,6 +115,10 @@ class Sensor(nn.Module):
     def _lay_out(self, reads: int, angles: Sequence[bool]) -> None:
         """All but the noise."""
         super().__init__()
+        angles = list(getattr(angles, "tolist", lambda: angles)())
+        if not all(isinstance(angle, bool) for angle in angles):
+            expected = "True or False for each element of a measurement"
+            raise ValueError(f"angles: expected {expected}, received {angles}")
         self.reads, self.size = reads, len(angles)
         self.blocks = (tuple(range(self.size)),)
         self.std = None

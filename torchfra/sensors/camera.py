@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from torchfra.hyper import Value
-from torchfra.sensors.base import Sensor, elementwise
-from torchfra.sensors.places import finite, from_u, numbers
+from torchfra.sensors.base import Expected, Sensor, elementwise
+from torchfra.sensors.places import finite, from_u, in_space, numbers
 
 
 class Camera(Sensor):
@@ -63,6 +63,11 @@ class Camera(Sensor):
             pose = torch.cat([place, turn.flatten().to(place)])
         self.register_buffer("centre", finite(centre, 2, name="centre"), persistent=False)
         self.register_buffer("pose", pose, persistent=False)
+
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """Positions."""
+        return in_space(self.reads)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The pixel ``(..., 2)`` of states ``(..., 3)`` or longer, given the pose ``u (..., 12)`` if it moves."""

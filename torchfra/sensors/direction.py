@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from torchfra.hyper import Value
-from torchfra.sensors.base import Sensor
-from torchfra.sensors.places import finite, from_u, numbers
+from torchfra.sensors.base import Expected, Sensor
+from torchfra.sensors.places import finite, from_u, in_space, numbers
 
 
 class Bearings(Sensor):
@@ -46,6 +46,11 @@ class Bearings(Sensor):
                 raise ValueError(f"stations: expected (m, 2), received {tuple(stations.shape)}")
         super().__init__(2, [True] * (count if stations is None else len(stations)), std, noise)
         self.register_buffer("stations", stations)
+
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """Positions in the plane."""
+        return in_space(2)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The bearing ``(..., m)`` of states from each station."""
@@ -88,6 +93,11 @@ class RangeBearing(Sensor):
         at = None if position is None else finite(position, dims, name="position")
         self.register_buffer("stands", at, persistent=False)
 
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """Positions."""
+        return in_space(self.size)
+
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """Range, bearing and, in space, elevation ``(..., dims)`` of states."""
         offset = x[..., : self.size]
@@ -103,7 +113,7 @@ class RangeBearing(Sensor):
         return torch.stack([torch.hypot(ground, up), bearing, torch.atan2(up, ground)], -1)
 
     def locate(self, z: Tensor) -> Tensor:
-        """The position ``(..., dims)`` that was measured, from the origin or, without a ``position``, from the sensor."""
+        """The position ``(..., dims)`` that was measured, from the origin with a ``position``, else from the sensor."""
         level = z[..., 0] if self.size == 2 else z[..., 0] * z[..., 2].cos()
         plane = [level * z[..., 1].sin(), level * z[..., 1].cos()]
         away = torch.stack(plane if self.size == 2 else [*plane, z[..., 0] * z[..., 2].sin()], -1)

@@ -7,6 +7,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchfra.motion.components import KINDS
+
+
+def in_space(dims: int, orders: int = 1) -> list[tuple[int, tuple[str, ...]]]:
+    """What a sensor expects that looks at the first components as positions and, of two orders, velocities."""
+    return [(order * dims + axis, (KINDS[order],)) for order in range(orders) for axis in range(dims)]
+
 
 def from_u(u: Tensor | None, count: int, what: str) -> Tensor:
     """The first ``count`` entries of ``u (..., k)``.

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from torchfra.hyper import Value
-from torchfra.sensors.base import Sensor
-from torchfra.sensors.places import from_u, numbers
+from torchfra.sensors.base import Expected, Sensor
+from torchfra.sensors.places import from_u, in_space, numbers
 
 
 class Ranges(Sensor):
@@ -77,6 +77,11 @@ class Ranges(Sensor):
             also = " of anchors in space with a height" if height is not None else ""
             raise ValueError(f"anchors: expected (m, {expected}){also}, received (m, {given}) and height {height}")
 
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """Positions."""
+        return in_space(self.dims)
+
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The distance ``(..., m)`` of states from each anchor.  On an anchor it has the gradient 0."""
         return self._away(x, self._from_anchors(u, 1)[0].to(x))[1]
@@ -122,6 +127,11 @@ class RangeRates(Ranges):
     """
 
     orders = 2
+
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """Positions and velocities."""
+        return in_space(self.dims, 2)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The rate ``(..., m)`` at which each distance grows.  On an anchor it is 0."""

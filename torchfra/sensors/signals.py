@@ -7,7 +7,7 @@ from typing import Any
 from torch import Tensor
 
 from torchfra.hyper import Value
-from torchfra.sensors.base import Sensor
+from torchfra.sensors.base import Expected, Sensor
 from torchfra.sensors.composed import Biased, Stacked, noise_root
 from torchfra.sensors.ranges import RangeRates, Ranges
 
@@ -30,6 +30,8 @@ class Pseudoranges(Biased):
 
     Source: Brown & Hwang (2012), "Introduction to Random Signals and Applied Kalman Filtering", section 9.4.
     """
+
+    drifts = ("clock",)
 
     def __init__(self, count: int, std: Value, rates: Value | None = None, *, clock: int = 6) -> None:
         ranges = Ranges(count=count, std=std, dims=3)
@@ -73,6 +75,11 @@ class TimeDifferences(Sensor):
         """``(..., m, m + 1)`` a root of the covariance of the noise."""
         arrivals = noise_root(self.arrivals)
         return arrivals[..., 1:, :] - arrivals[..., :1, :]
+
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """As ranges do."""
+        return self.arrivals.expects
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The differences ``(..., m)`` of distances."""
