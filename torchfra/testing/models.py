@@ -25,8 +25,11 @@ from torchfra.testing.lines import line_of_error, told, with_line
 from torchfra.testing.parts import Part, checks_of, parts_of
 from torchfra.types import Gaussian
 
-TYPICAL = {"position": (100.0, 10.0), "velocity": (3.0, 1.0), "angle": (0.1, 0.05), "rate": (0.1, 0.05)}
-"""Of a kind of component a value and its std, in its unit; 1 and 1 of others."""
+TYPICAL = {
+    "position": (100.0, 10.0), "velocity": (3.0, 1.0), "angle": (0.1, 0.05), "rate": (0.1, 0.05),
+    "opening": (0.02, 0.01), "inverse range": (0.01, 0.001), "steering": (0.05, 0.02),
+}  # fmt: skip
+"""Of a component by its name, or of its kind, a value and its std, in its unit; 1 and 1 of others."""
 WORDS = {"passed": "right", "skipped": "skipped"}
 
 
@@ -124,7 +127,8 @@ def check_model(
 
 def _typical(motion: Motion, state: Tensor | None) -> Gaussian:
     """A belief around a state."""
-    each = [TYPICAL.get(kind, (1.0, 1.0)) for kind in motion.kinds]
+    named = zip(motion.components, motion.kinds, strict=True)
+    each = [TYPICAL.get(name, TYPICAL.get(kind, (1.0, 1.0))) for name, kind in named]
     mean, std = torch.tensor(each, dtype=torch.float64).unbind(-1)
     return Gaussian(mean if state is None else state.double(), std.diag())
 
