@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchfra import Gaussian, presets
+from torchfra import Gaussian, presets, sensors
 from torchfra.motion import ConstantVelocity, Spherical, aircraft
 from torchfra.sensors import Position, RangeBearing
 from torchfra.stream import Tracker
@@ -304,7 +304,7 @@ def test_a_measurement_that_does_not_fit_leaves_the_track_as_it_was(event, messa
 
 
 def test_a_motion_that_depends_on_where_it_is_has_no_origin():
-    f = presets.srckf(Spherical(ConstantVelocity(1.0, 3)), Position(1.0, dims=3))
+    f = presets.srckf(Spherical(ConstantVelocity(1.0, 3)), sensors.InfraredLaser(1.0))
     prior = Gaussian(torch.ones(f.motion.size, **F64), torch.eye(f.motion.size, **F64))
     with pytest.raises(ValueError, match="origin: expected a motion that is the same everywhere"):
         Tracker(f, prior, origin=[1.0] * 3)

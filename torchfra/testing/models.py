@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,11 +19,13 @@ from torchfra.kernel.build import CompileError, compiler
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
+from torchfra.sensors.places import numbers
 from torchfra.testing import refusals
 from torchfra.testing.battery import tried
 from torchfra.testing.case import CHECKS, STEPS, TRACKS, make_case
 from torchfra.testing.lines import line_of_error, told, with_line
-from torchfra.testing.parts import Part, checks_of, parts_of
+from torchfra.testing.part import Part, parts_of
+from torchfra.testing.parts import checks_of
 from torchfra.types import Gaussian
 
 TYPICAL = {
@@ -81,9 +84,9 @@ def check_model(
     motion: Motion,
     sensor: Sensor,
     *,
-    state: Tensor | None = None,
+    state: Any = None,
     dt: float = 1.0,
-    u: Tensor | None = None,
+    u: Any = None,
     compiled: bool = False,
     seed: int = 0,
 ) -> ModelReport:
@@ -106,15 +109,20 @@ def check_model(
         A report: ``ok``, ``problems``, and as text all of it, with the lines of yours that are to blame.
 
     Raises:
-        ValueError: what is neither a motion nor a sensor, two that do not go together, or a state or ``u`` of another
-            shape.
+        ValueError: what is neither a motion nor a sensor, two that do not go together, a state or ``u`` of another
+            shape or not finite, or a ``dt`` that is not above 0.
     """
     check_models(motion, sensor)
-    if state is not None and state.shape != (motion.size,):
-        expected = f"({motion.size},) of [{', '.join(motion.components)}]"
-        raise ValueError(f"state: expected {expected}, received {tuple(state.shape)}")
-    if u is not None and u.dim() != 1:
-        raise ValueError(f"u: expected (k,), received {tuple(u.shape)}")
+    if not (isinstance(dt, int | float) and 0 < dt < math.inf):
+        raise ValueError(f"dt: expected a finite number of seconds above 0, received {dt!r}")
+    state = None if state is None else numbers(state, "state")
+    if state is not None and not (state.shape == (motion.size,) and bool(state.isfinite().all())):
+        expected = f"finite numbers ({motion.size},) of [{', '.join(motion.components)}]"
+        received = state.tolist() if state.shape == (motion.size,) else tuple(state.shape)
+        raise ValueError(f"state: expected {expected}, received {received}")
+    u = None if u is None else numbers(u, "u")
+    if u is not None and not (u.dim() == 1 and bool(u.isfinite().all())):
+        raise ValueError(f"u: expected finite numbers (k,), received {u.tolist() if u.dim() == 1 else tuple(u.shape)}")
     motion, sensor = copy.deepcopy(motion).double(), copy.deepcopy(sensor).double()
     belief = _typical(motion, state)
     names = f"{type(motion).__name__} and {type(sensor).__name__}"
@@ -144,7 +152,8 @@ def _by_itself(part: Part) -> Iterator[Found]:
             yield Found(tried_on.name, name, "failed", with_line(str(error), line))
             return
         except Exception as error:
-            yield Found(tried_on.name, name, "failed", told(error, tried_on.line))
+            hint = " (if it needs a u, hand one in: u=)" if part.u is None and "NoneType" in str(error) else ""
+            yield Found(tried_on.name, name, "failed", told(error, tried_on.line, hint))
             return
         yield Found(part.name, name, "passed")
 
