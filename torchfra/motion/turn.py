@@ -105,7 +105,9 @@ class UnknownTurn(Motion):
         dims: dimensions of space, 2 or more.
         spectral: whether both are white noise in time, so that two short steps are the same as a long one, and not
             constant over each step; their integral follows the turn at the predicted mean, exact to first order in
-            what they change and to rounding for steps of up to half a turn.
+            what they change and to rounding for steps of up to half a turn.  Without, the noise is that of a step
+            straight on: what the change of the rate does to position and velocity within the step is left out, so
+            take ``spectral`` where steps are long.
 
     Raises:
         ValueError: ``dims`` below 2, a value below 0.

@@ -23,7 +23,8 @@ class Pseudoranges(Biased):
             behind them, ``u (..., 6 m)``.
         std: of the pseudoranges, m; a number or ``(..., m)``.
         rates: of their rates, m/s; a number or ``(..., m)``.  None for no rates.
-        clock: component of the state that holds the clock's offset, m, with its drift, m/s, behind it.
+        clock: component of the state that holds the clock's offset, m, with its drift, m/s, behind it:
+            ``motion.components.index("clock")``.
 
     Raises:
         ValueError: no satellites, ``clock`` below 0.
@@ -50,7 +51,9 @@ class Pseudoranges(Biased):
 class TimeDifferences(Sensor):
     """Differences of arrival times at anchors against the first one, times the speed of the signal: m.
 
-    The first arrival is in all differences, so that their noise is correlated.
+    The first arrival is in all differences, so that their noise is correlated.  ``std`` here is that of arrivals, while
+    ``std=`` of a filter's call, with the measurements, is that of the differences, independent of each other; hand in
+    ``noise=`` for correlated ones.
 
     Args:
         anchors: as of ``Ranges``, like ``options``; of ``m + 1`` anchors there are ``m`` differences.
