@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from torchfra import Hyper, check_model
-from torchfra.motion import Augmented, Bank, Bicycle, ConstantVelocity, Motion, RandomWalk, Spherical
-from torchfra.sensors import Biased, Camera, InfraredLaser, Ranges, Sensor, Stacked
+from torchfra.motion import Augmented, Bank, Bicycle, Clock, ConstantVelocity, Motion, RandomWalk, Spherical
+from torchfra.sensors import Biased, Camera, InfraredLaser, Pseudoranges, Ranges, Sensor, Stacked
 
 ANCHORS = torch.tensor([[0.0, 0.0], [300.0, 0.0], [0.0, 300.0]], dtype=torch.float64)
 RANGES = Ranges(ANCHORS, 0.3)
@@ -151,6 +151,9 @@ class Needy(Sensor):
         (Augmented(Bicycle(2.7, 1.0, 0.1), RandomWalk(0.1, 1, kind="bias")), Biased(RANGES, 5), {"dt": 0.1}),
         (Bank([STRAIGHT, Drag()]), Stacked(Bearing(angle=True), RANGES), {}),
         (STRAIGHT, Needy(), {"u": torch.ones(2)}),
+        (Bank([Bicycle(2.7, 1.0, 0.01), Bicycle(2.7, 0.1, 0.1)]), Bearing(True), {"dt": 0.1}),
+        (Augmented(ConstantVelocity(1.0, 3), Clock(1.0, 0.1)), Pseudoranges(2, 1.0, 0.1), {
+            "u": [2e7, 0, 0, 0, 2e7, 0, 1e3, 0, 0, 0, 1e3, 0]}),
         (Heading(angles=(3,)), Bearing(True, place=(2e4, -3e4)), {}),
         (Spherical(ConstantVelocity(1.0, 3)), InfraredLaser([1e-3, 1e-3, 1.0]), {}),
         (ConstantVelocity(1.0, 3), Camera(800.0, 1.0, position=[0, 0, 0], rotation=torch.eye(3)), {

@@ -23,6 +23,7 @@ from torchfra.sensors.places import numbers
 from torchfra.testing import refusals
 from torchfra.testing.battery import tried
 from torchfra.testing.case import CHECKS, STEPS, TRACKS, make_case
+from torchfra.testing.expectations import as_large_as
 from torchfra.testing.lines import line_of_error, told, with_line
 from torchfra.testing.part import Part, parts_of
 from torchfra.testing.parts import checks_of
@@ -100,7 +101,7 @@ def check_model(
         motion: how targets move; of a ``Bank`` all its motions.
         sensor: what is measured.
         state: ``(n,)`` a state near which both should work; by default one that goes with ``motion.kinds``.
-        dt: seconds of a step.
+        dt: seconds of a step; as short as yours are where a motion bends strongly.
         u: ``(k,)`` what the models need to know at a step.
         compiled: whether to try the compiled filter too, which takes some seconds of a C++ compiler.
         seed: of the tracks.
@@ -176,7 +177,8 @@ def _in_a_filter(
             compiler()
         except CompileError as error:
             compiled, without = False, (Found(where["compiled"], "all", "skipped", str(error)),)
-    outcomes = tried(case, names, compiled=compiled).outcomes
+    with as_large_as(case.z, case.std):
+        outcomes = tried(case, names, compiled=compiled).outcomes
     return *(Found(where[o.way], o.check.replace("_", " "), o.verdict, o.reason) for o in outcomes), *without
 
 
