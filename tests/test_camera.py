@@ -90,6 +90,8 @@ def test_two_cameras_find_a_target_in_space_eager_and_compiled():
         ({"focal": torch.ones(3)}, r"focal: expected a number or \(\.\.\., 2\), received \(3,\)"),
         ({"focal": -1.0}, "focal: expected a value above 0"),
         ({"centre": [0, 0, 0]}, r"centre: expected finite numbers \(2,\), received \(3,\)"),
+        ({"focal": [1.0, 1.0, 1.0]}, r"focal: expected a number or \(\.\.\., 2\), received \(3,\)"),
+        ({"height": "a"}, "height: expected numbers, received 'a'"),
         ({"height": math.inf}, r"height: expected finite numbers \(\), received inf"),
         ({"position": [0, 0, math.nan], "rotation": NORTH}, "position: expected finite numbers .* nan"),
         ({"position": [0, 0, 0], "rotation": 2 * NORTH}, "rotation: expected three directions at right angles"),
@@ -104,6 +106,8 @@ def test_what_does_not_fit_a_camera_is_named(options, said):
 def test_a_missing_pose_and_a_camera_without_a_level_are_named():
     with pytest.raises(ValueError, match=r"u: expected a camera's position and rotation, .*12\), received None"):
         Camera(800.0, 1.0)(torch.ones(3))
+    with pytest.raises(ValueError, match=r"position: expected \(\.\.\., 3\), received \(2,\)"):
+        facing([0, 0], [1, 1])
     for target in ([0, 0, 5], [0, 0, 0]):
         with pytest.raises(ValueError, match="target: expected a point that is neither at the camera nor straight"):
             facing([0, 0, 0], target)

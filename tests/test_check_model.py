@@ -1,13 +1,14 @@
 """A motion or a sensor of one's own that is wrong is told in words, with the line that is to blame."""
 
+import math
 import re
 
 import pytest
 import torch
 
 from torchfra import Hyper, check_model
-from torchfra.motion import Augmented, Bank, Bicycle, ConstantVelocity, Motion, RandomWalk
-from torchfra.sensors import Biased, Camera, Ranges, Sensor, Stacked
+from torchfra.motion import Augmented, Bank, Bicycle, Clock, ConstantVelocity, Motion, RandomWalk, Spherical
+from torchfra.sensors import Biased, Camera, InfraredLaser, Pseudoranges, Ranges, Sensor, Stacked
 
 ANCHORS = torch.tensor([[0.0, 0.0], [300.0, 0.0], [0.0, 300.0]], dtype=torch.float64)
 RANGES = Ranges(ANCHORS, 0.3)
@@ -79,13 +80,41 @@ class Dividing(Drag):
         return super().forward(x, dt, u) * (dt / dt).unsqueeze(-1)
 
 
-class Bearing(Sensor):
-    def __init__(self, angle=False, degrees=False):
-        super().__init__(2, [angle], 0.01)
-        self.degrees = degrees
+class Hurried(Drag):
+    def forward(self, x, dt, u=None):
+        return super().forward(x, torch.ones_like(dt), u)
+
+
+class Pair(Drag):
+    def forward(self, x, dt, u=None):
+        return super().forward(x, dt, u), dt
+
+
+class Heading(Motion):
+    def __init__(self, angles=()):
+        super().__init__(2, 2, 1.0, velocity=slice(0, 0), angles=angles)
+
+    def forward(self, x, dt, u=None):
+        px, py, speed, heading = x.unbind(-1)
+        moved = [px + dt * speed * heading.cos(), py + dt * speed * heading.sin()]
+        return torch.stack([*moved, speed, torch.atan2(heading.sin(), heading.cos())], -1)
+
+
+class Beyond(Sensor):
+    def __init__(self):
+        super().__init__(2, [False, False], 1.0)
 
     def forward(self, x, u=None):
-        angle = torch.atan2(x[..., :1], x[..., 1:2])
+        return x[..., 2:4]
+
+
+class Bearing(Sensor):
+    def __init__(self, angle=False, degrees=False, place=(0.0, 0.0)):
+        super().__init__(2, [angle], 0.01)
+        self.degrees, self.place = degrees, place
+
+    def forward(self, x, u=None):
+        angle = torch.atan2(x[..., :1] - self.place[0], x[..., 1:2] - self.place[1])
         return torch.rad2deg(angle) if self.degrees else angle
 
 
@@ -122,6 +151,11 @@ class Needy(Sensor):
         (Augmented(Bicycle(2.7, 1.0, 0.1), RandomWalk(0.1, 1, kind="bias")), Biased(RANGES, 5), {"dt": 0.1}),
         (Bank([STRAIGHT, Drag()]), Stacked(Bearing(angle=True), RANGES), {}),
         (STRAIGHT, Needy(), {"u": torch.ones(2)}),
+        (Bank([Bicycle(2.7, 1.0, 0.01), Bicycle(2.7, 0.1, 0.1)]), Bearing(True), {"dt": 0.1}),
+        (Augmented(ConstantVelocity(1.0, 3), Clock(1.0, 0.1)), Pseudoranges(2, 1.0, 0.1), {
+            "u": [2e7, 0, 0, 0, 2e7, 0, 1e3, 0, 0, 0, 1e3, 0]}),
+        (Heading(angles=(3,)), Bearing(True, place=(2e4, -3e4)), {}),
+        (Spherical(ConstantVelocity(1.0, 3)), InfraredLaser([1e-3, 1e-3, 1.0]), {}),
         (ConstantVelocity(1.0, 3), Camera(800.0, 1.0, position=[0, 0, 0], rotation=torch.eye(3)), {
             "state": torch.tensor([5.0, 2.0, 100.0, 0.0, 1.0, -1.0])}),
     ],
@@ -148,10 +182,25 @@ def test_models_that_are_right_have_no_problems(motion, sensor, options):
         (Noisy(), RANGES, r"process noise: for dt \(\): expected a root .*received \(3, 3\)", "def process_noise("),
         (Timeless(), RANGES, r"process noise: .* for dt \(5,\)", "return torch.eye(4, dtype=dt.dtype) * dt"),
         (STRAIGHT, Bearing(), "angles: element 0 .* expected an angle in rad, declared in angles=, .* in rad", "def f"),
+        (
+            Hurried(),
+            RANGES,
+            r"no time: the position for states .3, 4. and a dt of 0: expected as it was",
+            "def forward(",
+        ),
+        (
+            Pair(),
+            RANGES,
+            r"shapes: .* expected a tensor \(4,\), received tuple",
+            "def forward(",
+        ),
+        (Heading(), RANGES, r"angles of states: component 3, .* expected an angle in rad, declared in", "def forward("),
+        (STRAIGHT, Beyond(), r"what it reads: for states .2,. .* shape \(2,\), received \(0,\)", "def forward("),
+        (STRAIGHT, Bearing(place=(2e4, -3e4)), "angles: element 0 .* received a jump by a turn in rad", "def forward("),
         (STRAIGHT, Bearing(True, True), "angles: element 0 .* received a jump by a turn in degrees", "def forward("),
         (STRAIGHT, Curved(), "linearity: twice a state, as linear is True", "def forward("),
         (STRAIGHT, Root(), "gradients: gradient: expected finite numbers", "def forward("),
-        (STRAIGHT, Needy(), "TypeError: .*'NoneType' object is not subscriptable", "return x[..., :2] - u[..., :2]"),
+        (STRAIGHT, Needy(), "TypeError: .*'NoneType' .* hand one in: u=.$", "return x[..., :2] - u[..., :2]"),
     ],
 )
 def test_what_is_wrong_is_told_with_the_line_of_the_user(motion, sensor, said, line):
@@ -189,7 +238,18 @@ def test_a_filter_is_compiled_where_there_is_a_compiler_and_skipped_with_a_word_
 def test_arguments_that_do_not_fit_are_refused_before_any_work():
     with pytest.raises(ValueError, match="motion: expected an instance of torchfra's Motion, received Position"):
         check_model(type("Position", (), {})(), RANGES)
-    with pytest.raises(ValueError, match=r"state: expected \(4,\) of \[x, y, vx, vy\], received \(3,\)"):
+    with pytest.raises(ValueError, match=r"state: expected finite numbers \(4,\) of \[x, y, vx, vy\], received \(3,\)"):
         check_model(STRAIGHT, RANGES, state=torch.ones(3))
-    with pytest.raises(ValueError, match=r"u: expected \(k,\), received \(2, 2\)"):
+    with pytest.raises(ValueError, match=r"u: expected finite numbers \(k,\), received \(2, 2\)"):
         check_model(STRAIGHT, RANGES, u=torch.ones(2, 2))
+    with pytest.raises(ValueError, match=r"state: expected finite numbers .*, received \[1.0, 2.0, 3.0, nan\]"):
+        check_model(STRAIGHT, RANGES, state=[1, 2, 3, math.nan])
+    for dt in (-1.0, 0.0, math.inf, "1"):
+        with pytest.raises(ValueError, match="dt: expected a finite number of seconds above 0, received"):
+            check_model(STRAIGHT, RANGES, dt=dt)
+
+
+def test_a_state_and_a_u_may_be_lists_and_what_mixes_tracks_is_told_by_how_much():
+    assert check_model(STRAIGHT, Needy(), state=[100, 50, 1, 2], u=[3, 4]).ok
+    (problem,) = check_model(Together(), RANGES).problems
+    assert re.search(r"state 0 of a batch.* received .*, a difference of \[", problem)

@@ -3,20 +3,33 @@
 import copy
 import math
 
+import numpy as np
 import pytest
 import torch
 
 from torchfra import Gaussian, presets
-from torchfra.motion import Augmented, Clock, ConstantVelocity, RandomWalk
+from torchfra.motion import (
+    Augmented,
+    Bank,
+    Bicycle,
+    Clock,
+    ConstantAcceleration,
+    ConstantVelocity,
+    Motion,
+    RandomWalk,
+    Spherical,
+)
 from torchfra.sensors import (
     Bearings,
     Biased,
     Camera,
+    InfraredLaser,
     Position,
     Pseudoranges,
     RangeBearing,
     RangeRates,
     Ranges,
+    Sensor,
     Stacked,
     TimeDifferences,
 )
@@ -31,6 +44,7 @@ def noise(*shape, seed=0):
 
 
 ANCHORS = tensor([0, 0], [60, 0], [60, 80], [0, 80])
+RANGES = Ranges(ANCHORS, 0.3)
 MOTION = ConstantVelocity(0.1)
 PRIOR = Gaussian(tensor(20, 30, 1, 2), tensor(5, 5, 1, 1).diag())
 TRUTH = tensor(20, 30, 1, 2) + torch.arange(1, 21).double()[:, None] * tensor(1, 2, 0, 0)
@@ -248,6 +262,104 @@ def test_differences_run_in_filters_compiled_and_learn_their_noise():
     assert (slow.mean - TRUTH)[:, 5:, :2].norm(dim=-1).mean() < 0.5
 
 
+# ---------------------------------------------------------------- what is handed in
+
+
+@pytest.mark.parametrize("form", [list, np.asarray, torch.tensor], ids=["list", "array", "tensor"])
+def test_values_for_each_element_may_be_a_list_an_array_or_a_tensor(form):
+    each = form([0.5, 0.25])
+    stations = form([[0.0, 0.0], [60.0, 0.0]])
+    for sensor in (Position(each), RangeBearing(each), Ranges(stations, each), Bearings(each, stations=stations)):
+        torch.testing.assert_close(sensor.std().double(), tensor(0.5, 0.25))
+        assert presets.srckf(MOTION, sensor)(torch.ones(3, 2).double(), PRIOR).mean.shape == (3, 4)
+    torch.testing.assert_close(Pseudoranges(2, each, each).unbiased.parts[1].std().double(), tensor(0.5, 0.25))
+    torch.testing.assert_close(TimeDifferences(stations, each).root.double(), tensor([-0.5, 0.25]))
+    assert Camera(form([500.0, 400.0]), 1.0).focal.batch_rank == 0
+    root = Position(noise=form([[1.0, 0.0], [0.5, 2.0]])).root
+    torch.testing.assert_close(root.double().abs(), tensor([1, 0], [0.5, 2]))
+
+
+def test_a_radar_stands_where_it_is_told_whatever_the_inputs_are_of():
+    radar, moving = RangeBearing([1.0, 0.01], position=[20.0, 0.0]), RangeBearing([1.0, 0.01])
+    expected = moving(TRUTH, tensor(20, 0).expand(20, -1))
+    for u in (None, torch.full((20, 12), math.nan).double()):
+        torch.testing.assert_close(radar(TRUTH, u), expected)
+    torch.testing.assert_close(expected[:, 0], (TRUTH[:, :2] - tensor(20, 0)).norm(dim=-1))
+    torch.testing.assert_close(radar.locate(expected), TRUTH[:, :2])
+    assert not radar.state_dict().keys() & {"stands"}
+
+
+# ---------------------------------------------------------------- what components are
+
+SPACE = ConstantVelocity(1.0, 3)
+SPHERICAL = Spherical(SPACE)
+SATELLITES = Pseudoranges(2, 1.0, 0.1)
+
+
+class Own(Motion):
+    """States [x, y, speed, bias], of which it says nothing."""
+
+    def __init__(self, **options):
+        super().__init__(2, 2, 1.0, **options)
+
+    def forward(self, x, dt, u=None):
+        return x + 0 * dt.unsqueeze(-1)
+
+
+class OwnRanges(Ranges):
+    def forward(self, x, u=None):
+        return x[..., 2:3] + 0 * super().forward(x, u)
+
+
+@pytest.mark.parametrize(
+    ("motion", "sensor", "said"),
+    [
+        (
+            SPACE,
+            RangeRates([[0, 0]], 0.1),
+            "range rates from 1 anchor: expected a motion whose component 2 is velocity",
+        ),
+        (Bicycle(2.7, 1.0, 0.1), RangeRates([[0, 0]], 0.1), "component 3 is velocity, received 'heading', angle, in"),
+        (SPHERICAL, Position(1.0), "position: expected a motion whose component 0 is position, received 'omega', rate"),
+        (SPHERICAL, RANGES, "component 0 is position"),
+        (SPHERICAL, Stacked(TimeDifferences(ANCHORS, 0.1), Camera(1.0, 1.0)), "component 0 is position"),
+        (Bank([SPACE, SPACE]), InfraredLaser(1.0), "component 3 is angle, received 'vx', velocity"),
+        (Augmented(ConstantAcceleration(1.0, 3), Clock(1.0, 1.0)), SATELLITES, "component 6 is clock, received 'ax'"),
+        (MOTION, Biased(RANGES, 1), "component 1 is bias or clock or angle or rate, received 'y', position"),
+        (Own(kinds=("position", "position", "velocity", "bias")), RangeRates([[0, 0]], 0.1), "3 is velocity"),
+    ],
+)
+def test_a_sensor_that_would_read_something_else_is_refused(motion, sensor, said):
+    with pytest.raises(ValueError, match=said):
+        presets.gpb(motion, sensor)
+
+
+@pytest.mark.parametrize(
+    ("motion", "sensor"),
+    [
+        (SPHERICAL, InfraredLaser(1.0)),
+        (Augmented(SPACE, Clock(1.0, 1.0)), SATELLITES),
+        (Augmented(MOTION, RandomWalk(1.0, 1, kind="angle")), Biased(Bearings(0.1), np.int64(4))),
+        (MOTION, RangeRates([[0, 0]], 0.1)),
+        (Own(), Biased(RANGES, 3)),
+        (Own(), RangeRates([[0, 0]], 0.1)),
+        (Augmented(Own(), Clock(1.0, 1.0)), Biased(RANGES, 3)),
+        (Bank([Own(), MOTION]), Biased(RANGES, 3)),
+        (Own(kinds=("position", "position", "velocity", "other")), Biased(RANGES, 3)),
+        (SPHERICAL, OwnRanges(ANCHORS, 1.0)),
+    ],
+)
+def test_a_sensor_goes_with_a_motion_that_states_nothing_else(motion, sensor):
+    presets.srckf(motion, sensor)
+
+
+@pytest.mark.parametrize("angles", [[0, 1], [1]])
+def test_angles_of_a_sensor_are_flags_and_not_numbers_of_elements(angles):
+    with pytest.raises(ValueError, match=r"angles: expected True or False for each element of a measurement, received"):
+        Sensor(2, angles, std=1.0)
+    assert Sensor(2, np.array([False, True]), std=1.0).angles.tolist() == [False, True]
+
+
 # ---------------------------------------------------------------- errors
 
 
@@ -262,7 +374,17 @@ def test_differences_run_in_filters_compiled_and_learn_their_noise():
         (lambda: Pseudoranges(0, 1.0), "count: expected 1 or more anchors, received 0"),
         (lambda: TimeDifferences(ANCHORS[:1], 1.0), "anchors: expected 2 or more for a difference, received 1"),
         (lambda: TimeDifferences(ANCHORS, torch.ones(3)), r"std: expected a number or \(\.\.\., 4\)"),
+        (lambda: Stacked([Position(1.0), RANGES]), r"sensors: expected them one by one, Stacked\(\*sensors\)"),
+        (lambda: Biased(3, 4), "sensor: expected a sensor, received int"),
+        (lambda: Biased(Position(1.0), 4.0), "bias: expected a component .* received 4.0"),
+        (lambda: Biased(Position(1.0), True), "bias: expected a component .* received True"),
         (lambda: RangeRates(ANCHORS, -1.0), "std: expected a value above 0"),
+        (lambda: RangeBearing([5.0, 0.01, 1.0]), r"std: expected a number or \(\.\.\., 2\), received \(3,\)"),
+        (lambda: Position("a"), "std: expected numbers, received 'a'"),
+        (lambda: Position(noise=[1.0, 1.0]), r"noise: expected \(\.\.\., 2, r\), received \(2,\)"),
+        (lambda: RangeBearing(1.0, position=[1.0]), r"position: expected finite numbers \(2,\), received \(1,\)"),
+        (lambda: RangeBearing(1.0)(torch.ones(4), torch.ones(1)), r"u: expected where the sensor stands, .*2\)"),
+        (lambda: Bearings(1.0, stations=[0.0, 0.0]), r"stations: expected \(m, 2\), received \(2,\)"),
         (lambda: presets.srckf(MOTION, Biased(Position(1.0), 4)), r"at most 4 states \[x, y, vx, vy\], this reads 5"),
         (lambda: RangeRates(count=2, std=1.0)(torch.ones(4)), r"u: expected the positions and velocities of 2 anchors"),
     ],

@@ -92,6 +92,32 @@ def test_models_without_any_hyperparameter_filter():
     assert estimate.mean.isfinite().all()
 
 
+class Constant(Unchanging):
+    """Declares nothing of time."""
+
+    def __init__(self, order):
+        super().__init__()
+        self.order = order
+
+    def transition(self, dt):
+        return torch.eye(4, dtype=dt.dtype)
+
+    def process_noise(self, dt):
+        return torch.eye(4, dtype=dt.dtype)[self.order]
+
+
+@pytest.mark.parametrize("steps", [4, 6])
+def test_a_motion_may_be_the_same_for_all_steps_where_each_has_a_dt(steps):
+    z = torch.arange(2.0 * steps).double().reshape(steps, 2)
+    order = [1, 0, 3, 2]  # another root of the same covariance
+    f = presets.srckf(Constant(order), Position(1.0))
+    expected = f(z, PRIOR, dt=1.0)
+    for dt in (torch.ones(steps).double(), torch.ones(3, steps).double()):
+        found = f(z.expand(*dt.shape, 2), PRIOR, dt=dt)
+        torch.testing.assert_close(found.mean, expected.mean.expand_as(found.mean))
+        torch.testing.assert_close(found.covariance, expected.covariance.expand_as(found.covariance))
+
+
 class Short(Sensor):
     """Declares two elements and gives one."""
 

@@ -10,7 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchfra import Gaussian, presets
+from torchfra import Gaussian, presets, sensors
 from torchfra.motion import ConstantVelocity, CoordinatedTurn, Spherical, aircraft
 from torchfra.sensors import Biased, Position, RangeBearing, Ranges, Stacked
 from torchfra.sensors.base import Sensor
@@ -414,7 +414,7 @@ def test_an_origin_is_taken_off_what_moves_along_with_the_target(sensor, z):
 
 
 def test_a_motion_that_depends_on_where_it_is_has_no_origin():
-    f = presets.srckf(Spherical(ConstantVelocity(1.0, 3)), Position(1.0, dims=3))
+    f = presets.srckf(Spherical(ConstantVelocity(1.0, 3)), sensors.InfraredLaser(1.0))
     prior = Gaussian(torch.ones(f.motion.size, **F64), torch.eye(f.motion.size, **F64))
     with pytest.raises(ValueError, match="origin: expected a motion that is the same everywhere"):
         Tracker(f, prior, origin=[1.0] * 3)

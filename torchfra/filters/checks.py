@@ -16,7 +16,8 @@ def check_models(motion: Motion, sensor: Sensor) -> None:
     """Checks that these are a motion and a sensor that go together.
 
     Raises:
-        ValueError: one is neither, or the sensor reads more components or dimensions of space than the motion has.
+        ValueError: one is neither, the sensor reads more components or dimensions of space than the motion has, or it
+            expects other kinds of components than the motion states.
     """
     for name, model, kind in (("motion", motion, Motion), ("sensor", sensor, Sensor)):
         if not isinstance(model, kind):
@@ -27,6 +28,11 @@ def check_models(motion: Motion, sensor: Sensor) -> None:
         raise ValueError(f"sensor: expected {expected}, this reads {sensor.reads}")
     if sensor.dims is not None and sensor.dims > motion.dims:
         raise ValueError(f"sensor: expected one of at most {motion.dims} dimensions of space, received {sensor.dims}")
+    for i, kinds in sensor.expects:
+        if motion.stated[i] not in (*kinds, "other"):
+            has = f"{motion.components[i]!r}, {motion.stated[i]}, in [{', '.join(motion.components)}]"
+            expected = f"a motion whose component {i} is {' or '.join(kinds)}"
+            raise ValueError(f"sensor: {sensor.describe()}: expected {expected}, received {has}")
 
 
 def check_sides(**sides: tuple[Any, type]) -> None:

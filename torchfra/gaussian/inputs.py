@@ -108,6 +108,12 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
     varying_shift = shift is not None and shift.dim() > rank + 1 + motion.stacked
     steps = len(z)
 
+    def with_time(event: int, x: Tensor) -> Tensor:
+        """What a motion gives for all steps, also where it is the same for all."""
+        return x.expand(steps, *x.shape) if x.dim() < 1 + rank + motion.stacked + event else x
+
+    models = tree.map_ranked(with_time, models, rank=2) if varying else models
+
     def each(x: Any, timed: bool = True) -> list[Any]:
         return tree.unbind(x, steps) if timed else [x] * steps
 

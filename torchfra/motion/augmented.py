@@ -42,6 +42,7 @@ class Augmented(Motion):
             components=_different([name for part in parts for name in part.components]),
             kinds=[kind for part in parts for kind in part.kinds],
         )  # fmt: skip
+        self.stated = tuple(kind for part in parts for kind in part.stated)
         self.parts, self._sizes = nn.ModuleList(parts), [part.size for part in parts]
 
     @property

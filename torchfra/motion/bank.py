@@ -52,6 +52,7 @@ class Bank(Motion):
             like.dims, like.orders, None, size=like.size, position=like.position, velocity=like.velocity,
             angles=like.angles, components=like.components, kinds=like.kinds,
         )  # fmt: skip
+        self.stated = like.stated
         self.models = nn.ModuleList(models)
         self.neighbours, self.first = neighbours, first
 
@@ -153,7 +154,7 @@ class Embedded(Motion):
         ValueError: shapes that do not fit, or a motion that is not linear.
     """
 
-    linear = True
+    linear = usual_layout = True
     out: Tensor
     into: Tensor
 

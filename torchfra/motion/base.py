@@ -79,7 +79,7 @@ class Motion(nn.Module):
 
     Raises:
         ValueError: ``dims`` or ``size`` below 1, ``q`` below 0, names or kinds that are not one for each component,
-            angles that are none.
+            angles that are none, kinds of angles without ``angles``.
         TypeError: (where the class is defined) ``linear = True`` without a ``transition``, or the other way round.
     """
 
@@ -97,6 +97,10 @@ class Motion(nn.Module):
     """Names of the components of the state."""
     kinds: tuple[str, ...]
     """What each component is, out of ``torchfra.motion.KINDS``."""
+    stated: tuple[str, ...]
+    """The same, and "other" where nobody has said it: sensors are only refused for what is stated."""
+    usual_layout = False
+    """Whether states are laid out as above, so that the kinds need not be given to be stated."""
     stacked = 0
     """Dimensions that this motion puts between batch and state: 1 for a ``Bank``, several motions side by side."""
 
@@ -135,6 +139,9 @@ class Motion(nn.Module):
             raise ValueError(f"angles: expected {expected}, received {self.angles}")
         default = usual(self.size, dims, orders, self.position, self.velocity, self.angles)
         self.components, self.kinds = checked(self.size, components, kinds, default)
+        self.stated = self.kinds if kinds or self.usual_layout else ("other",) * self.size
+        if "angle" in self.stated and not self.angles:
+            raise ValueError("angles: expected the components of kind angle that differences wrap, received none")
         if q is not None:
             self.q = Hyper(q, constraints.nonnegative, name="q")
 

@@ -17,9 +17,13 @@ class Bicycle(Motion):
     """A vehicle in the plane that rolls without slip: the kinematic bicycle.
 
     States ``[x, y, speed, heading, steering]``: m, m, m/s, rad, rad.  The heading counts counter-clockwise from +x, the
-    steering angle of the front wheel to the left, and it stays below a quarter of a turn.  Speed and steering are as
-    they were but for noise, so that a step is an arc.  The process noise is that of the accelerations and of how fast
-    it steers, carried along the arc at the predicted mean, exact to first order in what they change.
+    steering angle of the front wheel to the left.  Speed and steering are as they were but for noise, so that a step is
+    an arc.  The process noise is that of the accelerations and of how fast it steers, carried along the arc at the
+    predicted mean, exact to first order in what they change.
+
+    The steering angle is taken to stay well below a quarter of a turn, where the curvature has no bounds; nothing holds
+    it there.  So keep ``steer`` small and steps short, such that neither noise nor belief let it wander that far: what
+    is of first order in a step of many seconds says far too much sideways.
 
     Args:
         wheelbase: distance between the axles, m.

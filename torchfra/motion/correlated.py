@@ -53,7 +53,7 @@ class Singer(Motion):
     Source: Singer (1970), "Estimating Optimal Tracking Filter Performance for Manned Maneuvering Targets".
     """
 
-    linear = True
+    linear = usual_layout = True
 
     def __init__(self, q: Value, alpha: Value, dims: int = 2) -> None:
         super().__init__(dims, 3, q)
@@ -95,7 +95,7 @@ class IntegratedOrnsteinUhlenbeck(Motion):
     "Bayesian Multiple Target Tracking".
     """
 
-    linear = True
+    linear = usual_layout = True
 
     def __init__(self, q: Value, alpha: Value, dims: int = 2) -> None:
         super().__init__(dims, 2, q)

@@ -13,7 +13,7 @@ from torchfra.motion.blocks import acceleration_gain, per_axis, taylor, white_ro
 class _Polynomial(Motion):
     """The highest derivative in the state stays as it is."""
 
-    linear = True
+    linear = usual_layout = True
 
     def transition(self, dt: Tensor) -> Tensor:
         """``F (..., n, n)``: ``dt^k / k!`` from each derivative to the one k below it."""

@@ -33,6 +33,8 @@ class ConstantSpeed(Motion):
     the speed.  Differs: they are noise here.
     """
 
+    usual_layout = True
+
     def __init__(self, q: Value, wander: Value, dims: int = 3, *, spectral: bool = False) -> None:
         super().__init__(dims, 2, None)
         self.q = Hyper(q, name="q")

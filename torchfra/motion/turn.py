@@ -44,7 +44,7 @@ class CoordinatedTurn(Motion):
     Source: Li & Jilkov (2003), "Survey of Maneuvering Target Tracking. Part I", eq. (61).
     """
 
-    linear = True
+    linear = usual_layout = True
 
     def __init__(self, rate: Value, q: Value, dims: int = 2, *, orders: int = 2, spectral: bool = False) -> None:
         if dims < 2:
@@ -105,7 +105,9 @@ class UnknownTurn(Motion):
         dims: dimensions of space, 2 or more.
         spectral: whether both are white noise in time, so that two short steps are the same as a long one, and not
             constant over each step; their integral follows the turn at the predicted mean, exact to first order in
-            what they change and to rounding for steps of up to half a turn.
+            what they change and to rounding for steps of up to half a turn.  Without, the noise is that of a step
+            straight on: what the change of the rate does to position and velocity within the step is left out, so
+            take ``spectral`` where steps are long.
 
     Raises:
         ValueError: ``dims`` below 2, a value below 0.

@@ -36,8 +36,10 @@ class RandomWalk(Motion):
         where = None if kind == "position" else slice(0, 0)
         if components is None and where is not None:
             components = [f"{kind} {i}" for i in range(dims)] if dims > 1 else [kind]
-        kinds = [kind] * dims
-        super().__init__(dims, 1, q, position=where, velocity=slice(0, 0), components=components, kinds=kinds)
+        super().__init__(
+            dims, 1, q, position=where, velocity=slice(0, 0), angles=range(dims) if kind == "angle" else (),
+            components=components, kinds=[kind] * dims,
+        )  # fmt: skip
 
     def transition(self, dt: Tensor) -> Tensor:
         """``I (..., n, n)``."""

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torchfra.angles import wrap
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.triangular import hstack, tria
+from torchfra.sensors.places import numbers
 from torchfra.tree import event_ranks
 
 
@@ -40,6 +41,9 @@ class MeasurementNoise(NamedTuple):
         return x * self.std.unsqueeze(-1) if self.root is None else self.root @ x
 
 
+Expected = Sequence[tuple[int, tuple[str, ...]]]
+
+
 class Sensor(nn.Module):
     """Abstract: what is measured of a state, and with what noise.
 
@@ -54,12 +58,13 @@ class Sensor(nn.Module):
     Args:
         reads: how many leading state components it looks at, ``d``.
         angles: for each of the ``m`` elements of a measurement, whether it is an angle in rad: differences wrap then.
-        std: standard deviation of the measurement noise, a number or ``(..., m)`` that broadcasts with the batch.
+        std: standard deviation of the measurement noise, a number or ``(..., m)`` that broadcasts with the batch, as a
+            tensor, a list or an array.
         noise: instead of ``std``, a root ``(..., m, r)`` of a covariance of measurement noise, which may be correlated.
 
     Raises:
         ValueError: both or neither of ``std`` and ``noise``, a shape that does not fit, a std that is not above 0, a
-            covariance that is singular.
+            covariance that is singular, ``angles`` that are not True or False.
         TypeError: (where the class is defined) a class that declares ``locates`` without a ``locate``, or
             ``measures_each_direction`` without ``units_per_metre``.
     """
@@ -76,6 +81,9 @@ class Sensor(nn.Module):
     blocks: tuple[tuple[int, ...], ...]
     """Elements that come from the same device, which share an estimate of the measurement noise; one block by default.
     """
+    expects: Expected = ()
+    """Of components that it looks at, as far as it knows them, the number and the kinds that will do; a property where
+    they depend."""
     linear: bool = False
     """Whether ``forward`` is a matrix times the state, the same for all ``u``."""
     locates: bool = False
@@ -85,8 +93,9 @@ class Sensor(nn.Module):
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        if "forward" in vars(cls) and "linear" not in vars(cls):
-            cls.linear = False  # its own forward may be anything
+        if "forward" in vars(cls):  # which may be anything
+            cls.linear = vars(cls).get("linear", False)
+            cls.expects = vars(cls).get("expects", ())
         for declared, method in (("locates", "locate"), ("measures_each_direction", "units_per_metre")):
             if getattr(cls, declared) is True and getattr(cls, method) is getattr(Sensor, method):
                 raise TypeError(f"{cls.__name__}: {declared} is True: expected a {method}, received none")
@@ -99,15 +108,17 @@ class Sensor(nn.Module):
         if (std is None) == (noise is None):
             raise ValueError("std, noise: expected exactly one of the two")
         if std is not None:
-            if isinstance(std, Tensor) and std.dim() and std.shape[-1] != self.size:
-                raise ValueError(f"std: expected a number or (..., {self.size}), received {tuple(std.shape)}")
-            self.std = Hyper(std, event_dim=int(isinstance(std, Tensor) and std.dim() > 0), name="std")
+            self.std = elementwise(std, self.size, "std")
         if noise is not None:
-            self.root = _checked_root(noise, self.size)
+            self.root = _checked_root(numbers(noise, "noise"), self.size)
 
     def _lay_out(self, reads: int, angles: Sequence[bool]) -> None:
         """All but the noise."""
         super().__init__()
+        angles = list(getattr(angles, "tolist", lambda: angles)())
+        if not all(isinstance(angle, bool) for angle in angles):
+            expected = "True or False for each element of a measurement"
+            raise ValueError(f"angles: expected {expected}, received {angles}")
         self.reads, self.size = reads, len(angles)
         self.blocks = (tuple(range(self.size)),)
         self.std = None
@@ -188,6 +199,18 @@ class Sensor(nn.Module):
     def extra_repr(self) -> str:
         """Sizes of a measurement and of what it looks at."""
         return f"size={self.size}, reads={self.reads}"
+
+
+def elementwise(value: Value, size: int, name: str) -> Hyper:
+    """A value above 0 that is a number, or ``(..., size)`` with one for each element.
+
+    Raises:
+        ValueError: what is not numbers or not above 0, or another shape.
+    """
+    given = numbers(value, name)
+    if given.dim() and given.shape[-1] != size:
+        raise ValueError(f"{name}: expected a number or (..., {size}), received {tuple(given.shape)}")
+    return Hyper(given, event_dim=int(given.dim() > 0), name=name)
 
 
 def _checked_root(noise: Tensor, size: int) -> Tensor:

@@ -7,9 +7,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchfra.hyper import Hyper, Value
-from torchfra.sensors.base import Sensor
-from torchfra.sensors.places import finite, from_u
+from torchfra.hyper import Value
+from torchfra.sensors.base import Expected, Sensor, elementwise
+from torchfra.sensors.places import finite, from_u, in_space, numbers
 
 
 class Camera(Sensor):
@@ -53,11 +53,9 @@ class Camera(Sensor):
     ) -> None:
         if (position is None) != (rotation is None):
             raise ValueError(f"position, rotation: expected both or neither, received {position} and {rotation}")
-        if isinstance(focal, Tensor) and focal.dim() and focal.shape[-1] != 2:
-            raise ValueError(f"focal: expected a number or (..., 2), received {tuple(focal.shape)}")
         super().__init__(3 if height is None else 2, [False, False], std, noise)
         self.dims = self.reads
-        self.focal = Hyper(focal, event_dim=int(isinstance(focal, Tensor) and focal.dim() > 0), name="focal")
+        self.focal = elementwise(focal, 2, "focal")
         self.height = None if height is None else float(finite(height, name="height"))
         pose = None
         if rotation is not None:
@@ -65,6 +63,11 @@ class Camera(Sensor):
             pose = torch.cat([place, turn.flatten().to(place)])
         self.register_buffer("centre", finite(centre, 2, name="centre"), persistent=False)
         self.register_buffer("pose", pose, persistent=False)
+
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """Positions."""
+        return in_space(self.reads)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The pixel ``(..., 2)`` of states ``(..., 3)`` or longer, given the pose ``u (..., 12)`` if it moves."""
@@ -88,9 +91,13 @@ def facing(position: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> Tensor:
     against.
 
     Raises:
-        ValueError: a camera that looks along ``up``, or at itself.
+        ValueError: points that are not in space, or a camera that looks along ``up``, or at itself.
     """
-    position, target, up = (torch.as_tensor(x, dtype=torch.float64) for x in (position, target, up))
+    given = {"position": position, "target": target, "up": up}
+    position, target, up = (numbers(x, name).double() for name, x in given.items())
+    for name, x in zip(given, (position, target, up), strict=True):
+        if x.shape[-1:] != (3,):
+            raise ValueError(f"{name}: expected (..., 3), received {tuple(x.shape)}")
     forward = torch.nn.functional.normalize(target - position, dim=-1)
     right = torch.linalg.cross(*torch.broadcast_tensors(forward, up))
     if not bool((right.norm(dim=-1) > 1e-9 * up.norm(dim=-1)).all()):

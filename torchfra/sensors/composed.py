@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import accumulate, pairwise
+from numbers import Integral
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from torchfra.linalg.triangular import block_diagonal
-from torchfra.sensors.base import MeasurementNoise, Sensor
+from torchfra.sensors.base import Expected, MeasurementNoise, Sensor
 
 
 class Stacked(Sensor):
@@ -27,6 +29,8 @@ class Stacked(Sensor):
     """
 
     def __init__(self, *sensors: Sensor, inputs: Sequence[int] | None = None) -> None:
+        if len(sensors) == 1 and isinstance(sensors[0], list | tuple):
+            raise ValueError("sensors: expected them one by one, Stacked(*sensors), received a list")
         if not sensors or not all(isinstance(sensor, Sensor) for sensor in sensors):
             received = ", ".join(type(sensor).__name__ for sensor in sensors) or "none"
             raise ValueError(f"sensors: expected one or more, received {received}")
@@ -61,6 +65,11 @@ class Stacked(Sensor):
         if all(part.root is None for part in self._parts):
             return None
         return block_diagonal([noise_root(part) for part in self._parts])
+
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """What the parts do."""
+        return [each for part in self._parts for each in part.expects]
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The measurement ``(..., m)`` of each part, one after the other."""
@@ -122,16 +131,21 @@ class Biased(Sensor):
         bias: number of the component that is added to every element, or one for each element, None for nothing.
 
     Raises:
-        ValueError: numbers below 0, or not one for each element.
+        ValueError: no sensor, what is not whole numbers of 0 or more, or not one for each element.
     """
 
+    drifts: tuple[str, ...] = ("bias", "clock", "angle", "rate")
+    """Kinds of components that may be added."""
+
     def __init__(self, sensor: Sensor, bias: int | Sequence[int | None]) -> None:
-        each = [bias] * sensor.size if isinstance(bias, int) else list(bias)
-        if len(each) != sensor.size or any(i is not None and i < 0 for i in each):
+        if not isinstance(sensor, Sensor):
+            raise ValueError(f"sensor: expected a sensor, received {type(sensor).__name__}")
+        each = list(bias) if isinstance(bias, Sequence) else [bias] * sensor.size
+        if len(each) != sensor.size or not all(i is None or _is_number(i) for i in each):
             expected = f"a component of the state, or one for each of {sensor.size} elements"
             raise ValueError(f"bias: expected {expected}, received {bias}")
         self._lay_out(max([sensor.reads, *(i + 1 for i in each if i is not None)]), sensor.angles.tolist())
-        self.unbiased, self.bias = sensor, tuple(each)
+        self.unbiased, self.bias = sensor, tuple(None if i is None else int(i) for i in each)
         self.blocks, self.dims = sensor.blocks, sensor.dims
 
     @property
@@ -143,6 +157,11 @@ class Biased(Sensor):
     def root(self) -> Tensor | None:  # type: ignore[override]  # of that sensor
         """As of that sensor."""
         return self.unbiased.root
+
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """What the sensor without a bias does, and biases."""
+        return [*self.unbiased.expects, *((i, self.drifts) for i in self.bias if i is not None)]
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The measurement ``(..., m)`` with its biases."""
@@ -161,6 +180,11 @@ class Biased(Sensor):
     def describe(self) -> str:
         """The sensor, and that it is biased."""
         return f"{self.unbiased.describe()} with a bias"
+
+
+def _is_number(i: Any) -> bool:
+    """Whether it is a whole number from 0."""
+    return isinstance(i, Integral) and not isinstance(i, bool) and int(i) >= 0
 
 
 def noise_root(sensor: Sensor) -> Tensor:

@@ -5,12 +5,14 @@ Bearings count clockwise from the +y axis (north), ``atan2(dx, dy)``.
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from torchfra.hyper import Value
-from torchfra.sensors.base import Sensor
-from torchfra.sensors.places import from_u
+from torchfra.sensors.base import Expected, Sensor
+from torchfra.sensors.places import finite, from_u, in_space, numbers
 
 
 class Bearings(Sensor):
@@ -35,13 +37,20 @@ class Bearings(Sensor):
         std: Value | None = None,
         *,
         count: int = 2,
-        stations: Tensor | None = None,
+        stations: Any = None,
         noise: Tensor | None = None,
     ) -> None:
-        if stations is not None and (stations.dim() != 2 or stations.shape[-1] != 2):
-            raise ValueError(f"stations: expected (m, 2), received {tuple(stations.shape)}")
+        if stations is not None:
+            stations = numbers(stations, "stations")
+            if stations.dim() != 2 or stations.shape[-1] != 2:
+                raise ValueError(f"stations: expected (m, 2), received {tuple(stations.shape)}")
         super().__init__(2, [True] * (count if stations is None else len(stations)), std, noise)
         self.register_buffer("stations", stations)
+
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """Positions in the plane."""
+        return in_space(2)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The bearing ``(..., m)`` of states from each station."""
@@ -60,25 +69,42 @@ class RangeBearing(Sensor):
     Args:
         std: of the measurement noise: ``(..., m)`` in m, rad[, rad].
         dims: 2 for range and bearing, 3 with elevation.
+        position: ``(dims,)`` where the sensor stands, m; ``u`` is not used then.
         noise: instead of ``std``, a root of the covariance of correlated measurement noise.
 
-    The sensor stands at the origin, or at ``u (..., dims)`` if there is a ``u``.
+    Without a ``position`` the sensor stands where ``u (..., dims)`` says, if there is a ``u``, and else at the origin.
+    Where ``u`` is of another sensor or of the motion, give a ``position``.
 
     Raises:
-        ValueError: ``dims`` neither 2 nor 3.
+        ValueError: ``dims`` neither 2 nor 3, a ``position`` of another shape or not finite, a ``u`` that is too short.
     """
+
+    stands: Tensor | None
 
     locates = measures_each_direction = True
 
-    def __init__(self, std: Value | None = None, *, dims: int = 2, noise: Tensor | None = None) -> None:
+    def __init__(
+        self, std: Value | None = None, *, dims: int = 2, position: Any = None, noise: Tensor | None = None
+    ) -> None:
         if dims not in (2, 3):
             raise ValueError(f"dims: expected 2 or 3, received {dims}")
         super().__init__(dims, [False, True, True][:dims], std, noise)
         self.dims = dims
+        at = None if position is None else finite(position, dims, name="position")
+        self.register_buffer("stands", at, persistent=False)
+
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """Positions."""
+        return in_space(self.size)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """Range, bearing and, in space, elevation ``(..., dims)`` of states."""
-        offset = x[..., : self.size] if u is None else x[..., : self.size] - u[..., : self.size]
+        offset = x[..., : self.size]
+        if self.stands is not None:
+            offset = offset - self.stands.to(x)
+        elif u is not None:
+            offset = offset - from_u(u, self.size, "where the sensor stands")
         ground = torch.hypot(offset[..., 0], offset[..., 1])
         bearing = torch.atan2(offset[..., 0], offset[..., 1])
         if self.size == 2:
@@ -87,10 +113,11 @@ class RangeBearing(Sensor):
         return torch.stack([torch.hypot(ground, up), bearing, torch.atan2(up, ground)], -1)
 
     def locate(self, z: Tensor) -> Tensor:
-        """The position ``(..., dims)`` that was measured, from where the sensor stands."""
+        """The position ``(..., dims)`` that was measured, from the origin with a ``position``, else from the sensor."""
         level = z[..., 0] if self.size == 2 else z[..., 0] * z[..., 2].cos()
         plane = [level * z[..., 1].sin(), level * z[..., 1].cos()]
-        return torch.stack(plane if self.size == 2 else [*plane, z[..., 0] * z[..., 2].sin()], -1)
+        away = torch.stack(plane if self.size == 2 else [*plane, z[..., 0] * z[..., 2].sin()], -1)
+        return away if self.stands is None else away + self.stands.to(z)
 
     def units_per_metre(self, z: Tensor) -> Tensor:
         """1 for the range, and for an angle one over the radius of the circle that it runs along."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchfra.coordinates import AZIMUTH, INVERSE_RANGE, from_east, to_cartesian
+from torchfra.coordinates import AZIMUTH, ELEVATION, INVERSE_RANGE, from_east, to_cartesian
 from torchfra.hyper import Value, one_of
-from torchfra.sensors.base import Sensor
+from torchfra.sensors.base import Expected, Sensor
 
 
 class InfraredLaser(Sensor):
@@ -55,6 +55,11 @@ class InfraredLaser(Sensor):
     def measures_each_direction(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
         """Whether each angle is measured once, and the range."""
         return self.laser == "range"
+
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """Angles."""
+        return [(AZIMUTH, ("angle",)), (ELEVATION, ("angle",))]
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """Angles and ranges ``(..., m)`` of modified spherical states."""

@@ -7,6 +7,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchfra.motion.components import KINDS
+
+
+def in_space(dims: int, orders: int = 1) -> list[tuple[int, tuple[str, ...]]]:
+    """What a sensor expects that looks at the first components as positions and, of two orders, velocities."""
+    return [(order * dims + axis, (KINDS[order],)) for order in range(orders) for axis in range(dims)]
+
 
 def from_u(u: Tensor | None, count: int, what: str) -> Tensor:
     """The first ``count`` entries of ``u (..., k)``.
@@ -20,14 +27,26 @@ def from_u(u: Tensor | None, count: int, what: str) -> Tensor:
     return u[..., :count]
 
 
+def numbers(value: Any, name: str) -> Tensor:
+    """Numbers as a tensor; those that are in none become doubles, and so do whole ones.
+
+    Raises:
+        ValueError: what is not numbers.
+    """
+    try:
+        given = value if isinstance(value, Tensor) else torch.as_tensor(value, dtype=torch.float64)
+    except (TypeError, ValueError, RuntimeError):
+        raise ValueError(f"{name}: expected numbers, received {value!r}") from None
+    return given if given.is_floating_point() else given.double()
+
+
 def finite(value: Any, *shape: int, name: str) -> Tensor:
-    """Known numbers of a shape as a tensor; numbers that are in none become doubles.
+    """Known numbers of a shape as a tensor, as of ``numbers``.
 
     Raises:
         ValueError: another shape, or what is not finite.
     """
-    given = value if isinstance(value, Tensor) else torch.as_tensor(value, dtype=torch.float64)
-    given = given if given.is_floating_point() else given.double()
+    given = numbers(value, name)
     if given.shape != shape or not bool(given.isfinite().all()):
         received = tuple(given.shape) if given.shape != shape else given.tolist()
         raise ValueError(f"{name}: expected finite numbers {shape}, received {received}")

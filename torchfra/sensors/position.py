@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from torchfra.hyper import Value
-from torchfra.sensors.base import Sensor
+from torchfra.sensors.base import Expected, Sensor
+from torchfra.sensors.places import in_space
 
 
 class Position(Sensor):
@@ -23,6 +24,11 @@ class Position(Sensor):
     def __init__(self, std: Value | None = None, *, dims: int = 2, noise: Tensor | None = None) -> None:
         super().__init__(dims, [False] * dims, std, noise)
         self.dims = dims
+
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """Positions."""
+        return in_space(self.size)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The first ``dims`` components of the states."""

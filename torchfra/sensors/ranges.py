@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from torchfra.hyper import Value
-from torchfra.sensors.base import Sensor
-from torchfra.sensors.places import from_u
+from torchfra.sensors.base import Expected, Sensor
+from torchfra.sensors.places import from_u, in_space, numbers
 
 
 class Ranges(Sensor):
@@ -77,6 +77,11 @@ class Ranges(Sensor):
             also = " of anchors in space with a height" if height is not None else ""
             raise ValueError(f"anchors: expected (m, {expected}){also}, received (m, {given}) and height {height}")
 
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """Positions."""
+        return in_space(self.dims)
+
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The distance ``(..., m)`` of states from each anchor.  On an anchor it has the gradient 0."""
         return self._away(x, self._from_anchors(u, 1)[0].to(x))[1]
@@ -123,6 +128,11 @@ class RangeRates(Ranges):
 
     orders = 2
 
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """Positions and velocities."""
+        return in_space(self.dims, 2)
+
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The rate ``(..., m)`` at which each distance grows.  On an anchor it is 0."""
         places, moving = (at.to(x) for at in self._from_anchors(u, 2))
@@ -138,8 +148,7 @@ class RangeRates(Ranges):
 
 def _places(anchors: Any) -> Tensor:
     """Positions ``(m, c)`` as a tensor; numbers that are in none become doubles."""
-    places = anchors if isinstance(anchors, Tensor) else torch.as_tensor(anchors, dtype=torch.float64)
-    places = places if places.is_floating_point() else places.double()
+    places = numbers(anchors, "anchors")
     if places.dim() != 2 or len(places) < 1 or places.shape[-1] not in (1, 2, 3) or not bool(places.isfinite().all()):
         received = tuple(places.shape) if bool(places.isfinite().all()) else places.tolist()
         raise ValueError(f"anchors: expected finite positions (m, 2) or (m, 3), received {received}")

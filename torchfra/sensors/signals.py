@@ -7,7 +7,7 @@ from typing import Any
 from torch import Tensor
 
 from torchfra.hyper import Value
-from torchfra.sensors.base import Sensor
+from torchfra.sensors.base import Expected, Sensor
 from torchfra.sensors.composed import Biased, Stacked, noise_root
 from torchfra.sensors.ranges import RangeRates, Ranges
 
@@ -23,13 +23,16 @@ class Pseudoranges(Biased):
             behind them, ``u (..., 6 m)``.
         std: of the pseudoranges, m; a number or ``(..., m)``.
         rates: of their rates, m/s; a number or ``(..., m)``.  None for no rates.
-        clock: component of the state that holds the clock's offset, m, with its drift, m/s, behind it.
+        clock: component of the state that holds the clock's offset, m, with its drift, m/s, behind it:
+            ``motion.components.index("clock")``.
 
     Raises:
         ValueError: no satellites, ``clock`` below 0.
 
     Source: Brown & Hwang (2012), "Introduction to Random Signals and Applied Kalman Filtering", section 9.4.
     """
+
+    drifts = ("clock",)
 
     def __init__(self, count: int, std: Value, rates: Value | None = None, *, clock: int = 6) -> None:
         ranges = Ranges(count=count, std=std, dims=3)
@@ -48,7 +51,9 @@ class Pseudoranges(Biased):
 class TimeDifferences(Sensor):
     """Differences of arrival times at anchors against the first one, times the speed of the signal: m.
 
-    The first arrival is in all differences, so that their noise is correlated.
+    The first arrival is in all differences, so that their noise is correlated.  ``std`` here is that of arrivals, while
+    ``std=`` of a filter's call, with the measurements, is that of the differences, independent of each other; hand in
+    ``noise=`` for correlated ones.
 
     Args:
         anchors: as of ``Ranges``, like ``options``; of ``m + 1`` anchors there are ``m`` differences.
@@ -73,6 +78,11 @@ class TimeDifferences(Sensor):
         """``(..., m, m + 1)`` a root of the covariance of the noise."""
         arrivals = noise_root(self.arrivals)
         return arrivals[..., 1:, :] - arrivals[..., :1, :]
+
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """As ranges do."""
+        return self.arrivals.expects
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The differences ``(..., m)`` of distances."""

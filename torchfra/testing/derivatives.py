@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchfra.testing.case import STEPS, Case, check, gradients, says
-from torchfra.testing.expectations import expect, expect_finite, expect_same
+from torchfra.testing.expectations import LOOSER, expect, expect_finite, expect_same
 from torchfra.types import Gaussian
 
 
@@ -52,7 +52,7 @@ def _expect_slope(moved: Callable[[float], Tensor], size: float, slope: Tensor, 
     """Expects the central difference, but for rounding, or a jump, whose difference grows as the step shrinks."""
     high, low = moved(size), moved(-size)
     difference = (high - low) / (2 * size)
-    allowed = 1e-4 * slope.abs() + 1e-12 * high.abs() / size + 1e-6
+    allowed = 1e-4 * slope.abs() + LOOSER.get() * 1e-12 * high.abs() / size + 1e-6
     if not bool((difference - slope).abs() <= allowed):
         finer = (moved(size / 10) - moved(-size / 10)) / (size / 5)
         expect(bool(finer.abs() > 5 * difference.abs()), what, difference.item(), slope.item())

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import torch
@@ -11,6 +13,21 @@ from torch import Tensor
 
 TOLERANCE = {torch.float64: 1e-8, torch.float32: 2e-2}
 """Of the largest entry; in float32 rounding is amplified by robust decisions and by short roots."""
+LARGE = 1e4
+"""Measurements of more standard deviations than this leave more rounding in an estimate."""
+LOOSER: ContextVar[float] = ContextVar("looser", default=1.0)
+"""Factor on the tolerances where measurements are that large."""
+
+
+@contextmanager
+def as_large_as(z: Tensor, std: Tensor) -> Iterator[None]:
+    """Tolerances go by the size of measurements in units of their noise, of pseudoranges say."""
+    size = float((z.abs() / std).nan_to_num().max())
+    token = LOOSER.set(max(1.0, size / LARGE))
+    try:
+        yield
+    finally:
+        LOOSER.reset(token)
 
 
 def expect(holds: bool, what: str, expected: object, received: object) -> None:
@@ -25,7 +42,7 @@ def expect_same(found: Any, expected: Any, what: str, tolerance: float | None = 
         form, wanted = (tuple(found.shape), found.dtype), (tuple(expected.shape), expected.dtype)
         expect(form == wanted, what, wanted, form)
         gap = difference(found, expected)
-        limit = TOLERANCE.get(expected.dtype, 0.0) if tolerance is None else tolerance
+        limit = LOOSER.get() * (TOLERANCE.get(expected.dtype, 0.0) if tolerance is None else tolerance)
         expect(gap <= limit, what, f"the same up to {limit:g} of the largest entry", f"a difference of {gap:.3g}")
     elif isinstance(expected, tuple) and isinstance(found, tuple):
         names = getattr(expected, "_fields", range(len(expected)))

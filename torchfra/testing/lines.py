@@ -27,9 +27,9 @@ def line_of_error(error: BaseException) -> str:
     return found
 
 
-def told(error: Exception, line: str = "") -> str:
+def told(error: Exception, line: str = "", hint: str = "") -> str:
     """An error that nobody expected, and the user's line, if it is known, or one that is known anyway."""
-    return with_line(f"expected no error, received {type(error).__name__}: {error}", line_of_error(error) or line)
+    return with_line(f"expected no error, received {type(error).__name__}: {error}{hint}", line_of_error(error) or line)
 
 
 def with_line(said: str, line: str) -> str:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,15 +19,21 @@ from torchfra.kernel.build import CompileError, compiler
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
+from torchfra.sensors.places import numbers
 from torchfra.testing import refusals
 from torchfra.testing.battery import tried
 from torchfra.testing.case import CHECKS, STEPS, TRACKS, make_case
+from torchfra.testing.expectations import as_large_as
 from torchfra.testing.lines import line_of_error, told, with_line
-from torchfra.testing.parts import Part, checks_of, parts_of
+from torchfra.testing.part import Part, parts_of
+from torchfra.testing.parts import checks_of
 from torchfra.types import Gaussian
 
-TYPICAL = {"position": (100.0, 10.0), "velocity": (3.0, 1.0), "angle": (0.1, 0.05), "rate": (0.1, 0.05)}
-"""Of a kind of component a value and its std, in its unit; 1 and 1 of others."""
+TYPICAL = {
+    "position": (100.0, 10.0), "velocity": (3.0, 1.0), "angle": (0.1, 0.05), "rate": (0.1, 0.05),
+    "opening": (0.02, 0.01), "inverse range": (0.01, 0.001), "steering": (0.05, 0.02),
+}  # fmt: skip
+"""Of a component by its name, or of its kind, a value and its std, in its unit; 1 and 1 of others."""
 WORDS = {"passed": "right", "skipped": "skipped"}
 
 
@@ -78,9 +85,9 @@ def check_model(
     motion: Motion,
     sensor: Sensor,
     *,
-    state: Tensor | None = None,
+    state: Any = None,
     dt: float = 1.0,
-    u: Tensor | None = None,
+    u: Any = None,
     compiled: bool = False,
     seed: int = 0,
 ) -> ModelReport:
@@ -94,7 +101,7 @@ def check_model(
         motion: how targets move; of a ``Bank`` all its motions.
         sensor: what is measured.
         state: ``(n,)`` a state near which both should work; by default one that goes with ``motion.kinds``.
-        dt: seconds of a step.
+        dt: seconds of a step; as short as yours are where a motion bends strongly.
         u: ``(k,)`` what the models need to know at a step.
         compiled: whether to try the compiled filter too, which takes some seconds of a C++ compiler.
         seed: of the tracks.
@@ -103,15 +110,20 @@ def check_model(
         A report: ``ok``, ``problems``, and as text all of it, with the lines of yours that are to blame.
 
     Raises:
-        ValueError: what is neither a motion nor a sensor, two that do not go together, or a state or ``u`` of another
-            shape.
+        ValueError: what is neither a motion nor a sensor, two that do not go together, a state or ``u`` of another
+            shape or not finite, or a ``dt`` that is not above 0.
     """
     check_models(motion, sensor)
-    if state is not None and state.shape != (motion.size,):
-        expected = f"({motion.size},) of [{', '.join(motion.components)}]"
-        raise ValueError(f"state: expected {expected}, received {tuple(state.shape)}")
-    if u is not None and u.dim() != 1:
-        raise ValueError(f"u: expected (k,), received {tuple(u.shape)}")
+    if not (isinstance(dt, int | float) and 0 < dt < math.inf):
+        raise ValueError(f"dt: expected a finite number of seconds above 0, received {dt!r}")
+    state = None if state is None else numbers(state, "state")
+    if state is not None and not (state.shape == (motion.size,) and bool(state.isfinite().all())):
+        expected = f"finite numbers ({motion.size},) of [{', '.join(motion.components)}]"
+        received = state.tolist() if state.shape == (motion.size,) else tuple(state.shape)
+        raise ValueError(f"state: expected {expected}, received {received}")
+    u = None if u is None else numbers(u, "u")
+    if u is not None and not (u.dim() == 1 and bool(u.isfinite().all())):
+        raise ValueError(f"u: expected finite numbers (k,), received {u.tolist() if u.dim() == 1 else tuple(u.shape)}")
     motion, sensor = copy.deepcopy(motion).double(), copy.deepcopy(sensor).double()
     belief = _typical(motion, state)
     names = f"{type(motion).__name__} and {type(sensor).__name__}"
@@ -124,7 +136,8 @@ def check_model(
 
 def _typical(motion: Motion, state: Tensor | None) -> Gaussian:
     """A belief around a state."""
-    each = [TYPICAL.get(kind, (1.0, 1.0)) for kind in motion.kinds]
+    named = zip(motion.components, motion.kinds, strict=True)
+    each = [TYPICAL.get(name, TYPICAL.get(kind, (1.0, 1.0))) for name, kind in named]
     mean, std = torch.tensor(each, dtype=torch.float64).unbind(-1)
     return Gaussian(mean if state is None else state.double(), std.diag())
 
@@ -140,7 +153,8 @@ def _by_itself(part: Part) -> Iterator[Found]:
             yield Found(tried_on.name, name, "failed", with_line(str(error), line))
             return
         except Exception as error:
-            yield Found(tried_on.name, name, "failed", told(error, tried_on.line))
+            hint = " (if it needs a u, hand one in: u=)" if part.u is None and "NoneType" in str(error) else ""
+            yield Found(tried_on.name, name, "failed", told(error, tried_on.line, hint))
             return
         yield Found(part.name, name, "passed")
 
@@ -163,7 +177,8 @@ def _in_a_filter(
             compiler()
         except CompileError as error:
             compiled, without = False, (Found(where["compiled"], "all", "skipped", str(error)),)
-    outcomes = tried(case, names, compiled=compiled).outcomes
+    with as_large_as(case.z, case.std):
+        outcomes = tried(case, names, compiled=compiled).outcomes
     return *(Found(where[o.way], o.check.replace("_", " "), o.verdict, o.reason) for o in outcomes), *without
 
 

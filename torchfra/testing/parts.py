@@ -2,67 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.testing.expectations import expect
-from torchfra.testing.lines import line_of_method
-from torchfra.types import Gaussian
-
-BATCH = 3
-
-
-@dataclass(frozen=True)
-class Part:
-    """A motion or a sensor, as a function of states, seconds and ``u``, with some of these."""
-
-    model: Motion | Sensor
-    name: str
-    """``Drag.forward``, say."""
-    line: str
-    """Where that is written."""
-    function: Callable[[Tensor, Tensor, Tensor | None], Tensor]
-    size: int
-    """Components of what it gives."""
-    x: Tensor
-    """``(3, n)``."""
-    dt: Tensor
-    """``(3,)``."""
-    u: Tensor | None
-    """``(3, k)``."""
-
-    def method(self, name: str) -> Part:
-        """The same with another method to blame."""
-        kind = type(self.model)
-        return replace(self, name=f"{kind.__name__}.{name}", line=line_of_method(getattr(kind, name)))
-
-    def together(self) -> Tensor:
-        """What it gives for all states at once."""
-        return self.function(self.x, self.dt, self.u)
-
-
-def parts_of(
-    motion: Motion, sensor: Sensor, belief: Gaussian, dt: float, u: Tensor | None, seed: int
-) -> Iterator[Part]:
-    """The motion, or all of a bank, and the sensor, near a belief."""
-    generator = torch.Generator().manual_seed(seed)
-    noise = torch.randn(BATCH, motion.size, dtype=torch.float64, generator=generator)
-    x = belief.mean + 0.3 * noise @ belief.scale_tril.mT
-    seconds = dt * torch.tensor([1.0, 0.5, 1.5], dtype=torch.float64)
-    known = None if u is None else u.double().expand(BATCH, -1)
-    motions = motion[:] if isinstance(motion, Bank) else [motion]
-    for one in motions:
-        part = Part(one, "", "", one.forward, one.size, x, seconds, known)
-        yield part.method("transition" if one.linear else "forward")
-    part = Part(sensor, "", "", lambda x, dt, u: sensor.forward(x, u), sensor.size, x, seconds, known)
-    yield part.method("forward")
+from torchfra.testing.part import BATCH, Part
+from torchfra.testing.turns import angles, angles_of_states
 
 
 def shapes(part: Part) -> None:
@@ -79,8 +29,15 @@ def shapes(part: Part) -> None:
             raise type(error)(f"{given}: {error}") from error
         expect(torch.equal(before, x), "the states that it was given", "as they were", "others, written in place")
         expected = (*shape, part.size)
+        expect(isinstance(found, Tensor), given, f"a tensor {expected}", type(found).__name__)
         expect(tuple(found.shape) == expected, given, f"what has the shape {expected}", tuple(found.shape))
         expect(bool(found.isfinite().all()), given, "finite numbers", _rounded(found))
+
+
+def what_it_reads(part: Part) -> None:
+    """Of a sensor: it does with the components that it says it reads."""
+    assert isinstance(part.model, Sensor)
+    shapes(replace(part, x=part.x[:, : part.model.reads]))
 
 
 def batches(part: Part) -> None:
@@ -91,7 +48,8 @@ def batches(part: Part) -> None:
         alone = part.function(part.x[i], part.dt[i], u)
         same = torch.allclose(alone, together[i], rtol=1e-9, atol=1e-9)
         what = f"state {i} of a batch, with a dt of its own"
-        expect(same, what, f"what it gives alone, {_rounded(alone)}", _rounded(together[i]))
+        received = f"{_rounded(together[i])}, a difference of {_rounded(together[i] - alone)}"
+        expect(same, what, f"what it gives alone, {_rounded(alone)}", received)
 
 
 def no_time(part: Part) -> None:
@@ -99,6 +57,11 @@ def no_time(part: Part) -> None:
     given = f"for states {tuple(part.x.shape)} and a dt of 0"
     found = part.function(part.x, 0 * part.dt, part.u)
     expect(bool(found.isfinite().all()), given, "finite numbers", _rounded(found))
+    if isinstance(part.model, Motion) and part.u is None:
+        places = [i for i, kind in enumerate(part.model.kinds) if kind == "position"]
+        before, after = part.x[:, places], found[:, places]
+        same = torch.allclose(after, before, rtol=1e-9, atol=1e-9)
+        expect(same, f"the position {given}", f"as it was, {_rounded(before)}", _rounded(after))
 
 
 def precision(part: Part) -> None:
@@ -177,32 +140,15 @@ def linearity(part: Part) -> None:
     expect(same, "twice a state, as linear is True", "twice what it gives", "something else")
 
 
-def angles(part: Part) -> None:
-    """Of a sensor: elements that jump by a turn where the target goes round are declared as angles, in rad."""
-    sensor, x = part.model, part.x[:1]
-    assert isinstance(sensor, Sensor)
-    if sensor.reads < 2:
-        return
-    turn = torch.linspace(0, 2 * math.pi, 721, dtype=torch.float64)
-    circle = 1e4 * torch.stack([turn.cos(), turn.sin()], -1)
-    round_about = torch.cat([circle, x[:, 2:].expand(len(turn), -1)], -1)
-    u = None if part.u is None else part.u[:1].expand(len(turn), -1)
-    jumps = part.function(round_about, part.dt[:1].expand(len(turn)), u).diff(dim=0).abs()
-    for i, declared in enumerate(sensor.angles.tolist()):
-        what = f"element {i} of a measurement, of a target that goes round"
-        for size, unit in ((2 * math.pi, "rad"), (360.0, "degrees")):
-            jumped = bool(((jumps[:, i] - size).abs() < 0.01 * size).any()) and jumps[:, i].median() < 0.01 * size
-            right = not jumped or (declared and unit == "rad")
-            expect(right, what, "an angle in rad, declared in angles=", f"a jump by a turn in {unit}")
-
-
 def checks_of(part: Part) -> Iterator[tuple[Callable[[Part], None], Part]]:
     """Checks, in their order, and what each is tried on."""
     for check in (shapes, batches, no_time, precision, linearity, gradients, vmap):
         yield check, part
     if isinstance(part.model, Sensor):
+        yield what_it_reads, part
         yield angles, part
     else:
+        yield angles_of_states, part
         yield process_noise, part.method("process_noise")
         yield process_noise_at, part.method("process_noise_at")
 
