@@ -245,6 +245,18 @@ def test_nothing_is_found_in_nothing():
     assert estimate.log_likelihood.shape == (2, 0, 5)
 
 
+def test_sequences_may_have_no_measurement_at_all():
+    estimate = Targets(plane())(torch.zeros(2, 5, 0, 2).double())
+    assert estimate.mean.shape == (2, 0, 5, 4)
+
+
+def test_seconds_keep_their_precision():
+    targets, (_, z) = Targets(plane(), birth=TwoPoint(20.0)), moving(FOUR, 6)
+    one, other = (run(targets, z, dt=dt)[-1] for dt in (0.1, torch.tensor(0.1, dtype=torch.float64)))
+    assert len(one.identity) == 4
+    assert torch.equal(one.belief.mean, other.belief.mean)
+
+
 def test_without_scipy_it_is_said_what_to_install(monkeypatch):
     real = importlib.import_module
 
@@ -308,6 +320,8 @@ def test_a_sensor_that_does_not_locate_has_no_births():
     (torch.full((1, 2), math.inf).double(), {}, "z: expected finite measurements"),
     (torch.zeros(3, 2).double(), {"dt": 0.0}, "dt: expected finite seconds above 0"),
     (torch.zeros(3, 2).double(), {"dt": math.nan}, "dt: expected finite seconds above 0"),
+    (torch.zeros(3, 2).double(), {"dt": "x"}, r"dt: expected a number or \(1,\), received 'x'"),
+    (torch.zeros(3, 2).double(), {"dt": None}, "dt: expected a number"),
     (torch.zeros(3, 2).double(), {"dt": torch.ones(3)}, r"dt: expected a number or \(1,\)"),
     (torch.zeros(3, 2).double(), {"u": torch.full((2,), math.nan)}, "u: expected finite numbers"),
     (torch.zeros(3, 2).double(), {"u": torch.zeros(4, 2)}, "u: expected"),
