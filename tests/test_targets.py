@@ -10,7 +10,7 @@ from joint import plane
 from torchfra import metrics, presets, scenarios, tree
 from torchfra.association import ChiSquare, Clutter, Euclidean
 from torchfra.gaussian.inputs import Measurements
-from torchfra.motion import ConstantAcceleration, ConstantVelocity, aircraft
+from torchfra.motion import ConstantAcceleration, ConstantVelocity, RandomWalk, aircraft
 from torchfra.sensors import Bearings, Position, RangeBearing
 from torchfra.targets import SPRT, Deletion, Merging, MOfN, OnePoint, Targets, TwoPoint, collect
 from torchfra.targets.scan import Look, look_at
@@ -278,6 +278,8 @@ def test_without_scipy_it_is_said_what_to_install(monkeypatch):
     (lambda: Targets(plane(detection=torch.tensor([[0.9, 0.8]]))), "filter: expected hyperparameters"),
     (lambda: Targets(presets.jpda(ConstantVelocity(1.0, 3), Position(1.0), clutter=Clutter(1e4, rate=1.0))),
      "filter: expected a sensor that locates in 3 dimensions"),
+    (lambda: Targets(presets.jpda(RandomWalk(1.0), Position(1.0), clutter=Clutter(1e4, rate=1.0))),
+     "filter: expected a motion with position and velocity in its state, received RandomWalk"),
     (lambda: Targets(plane(), birth=MOfN()), "birth: expected a Birth"),
     (lambda: Targets(plane(), confirmation=3), "confirmation: expected a Confirmation"),
     (lambda: Targets(plane(), deletion=MOfN()), "deletion: expected a Deletion"),

@@ -10,6 +10,7 @@ from torch import Tensor
 from torchfra.filters.jpda import JPDA
 from torchfra.filters.lost_tracks import log_miss
 from torchfra.gaussian.inputs import Time, batch_rank
+from torchfra.targets.places import known_components
 from torchfra.targets.scan import Look
 from torchfra.targets.state import TargetsState
 
@@ -28,6 +29,9 @@ def check_filter(filter: object) -> None:
     dims, wanted = filter.sensor.locate(torch.ones(1, filter.sensor.size)).shape[-1], filter.motion.dims
     if dims != wanted:
         raise ValueError(f"filter: expected a sensor that locates in {wanted} dimensions as the motion has, not {dims}")
+    if len(known_components(filter.motion)) != 2 * wanted:
+        received = type(filter.motion).__name__
+        raise ValueError(f"filter: expected a motion with position and velocity in its state, received {received}")
     if batch_rank(filter):
         raise ValueError("filter: expected hyperparameters that are the same for all targets, received a batch of them")
     if filter.share_noise:
