@@ -122,6 +122,32 @@ def test_a_scan_without_measurements_is_one_in_which_all_were_missed():
         assert len(targets.step(state, empty).identity) == 0
 
 
+def test_a_target_whose_noise_has_grown_is_followed_in_any_order_of_the_rows():
+    """The filter has learned a noise four times the nominal; a false measurement far away comes first or last."""
+    f = presets.jpda(ConstantVelocity(1e-2), Position(5.0), clutter=Clutter(1e8, rate=1.0), inner=presets.iaukf)
+    targets = Targets(f, birth=TwoPoint(60.0))
+    steps = torch.arange(100.0).double()[:, None, None]
+    truth, z = moving([(0, 0, 10, 3)], 100, std=5.0, seed=4)
+    z = z + 3 * ((steps - 20) / 40).clamp(0, 1) * (z - truth[..., :2].transpose(0, 1))
+    far = torch.tensor([3e4, -3e4]).double() + 1e3 * steps
+    first, last = (run(targets, torch.cat(rows, 1))[-1] for rows in ((far, z), (z, far)))
+    assert first.identity.tolist() == last.identity.tolist() == [0]
+    assert first.track.misses[first.track.confirmed].tolist() == [0]
+    assert torch.equal(first.confirmed.mean, last.confirmed.mean)
+
+
+def test_scans_without_measurements_count_as_misses_of_a_lost_track():
+    targets = Targets(plane(lost=1e-3), birth=TwoPoint(20.0), deletion=Deletion(20))
+    states = [run(targets, moving([(0, 0, 5, 0)], 6)[1])[-1]] * 3
+    empties = torch.zeros(0, 2).double(), torch.full((2, 2), math.nan).double(), torch.full((1, 2), 1e6).double()
+    for _ in range(8):
+        states = [targets.step(state, empty) for state, empty in zip(states, empties, strict=True)]
+    assert states[0].filter.missed[0] > 8
+    for state in states[1:]:
+        torch.testing.assert_close(state.filter.missed[0], states[0].filter.missed[0])
+        torch.testing.assert_close(state.belief.scale_tril[0], states[0].belief.scale_tril[0])
+
+
 def test_a_target_ends_when_nobody_knows_any_more_where_it_is():
     _, z = moving([(0, 0, 5, 0)], 6)
     options = {"birth": TwoPoint(20.0), "confirmation": MOfN(2, 2)}
