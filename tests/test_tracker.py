@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchfra import Gaussian, presets, sensors
-from torchfra.motion import ConstantVelocity, CoordinatedTurn, Spherical, aircraft
+from torchfra.motion import Augmented, ConstantVelocity, CoordinatedTurn, RandomWalk, Spherical, aircraft
 from torchfra.sensors import Biased, Position, RangeBearing, Ranges, Stacked
 from torchfra.sensors.base import Sensor
 from torchfra.stream import Tracker
@@ -400,13 +400,14 @@ class Undeclared(Sensor):
     [
         (Undeclared(), [6e6 + 3.0, 2e6 + 4.0, 5.0]),
         (Stacked(GPS, RADAR, Ranges([[-1e5, 0.0]], 1.0)), [6e6 + 3.0, 2e6 + 4.0, 5.0, 0.6435, 1e5 + 3.0]),
-        (Biased(GPS, 3), [6e6 + 7.0, 2e6 + 8.0]),
+        (Biased(GPS, 4), [6e6 + 8.0, 2e6 + 9.0]),
     ],
 )
 def test_an_origin_is_taken_off_what_moves_along_with_the_target(sensor, z):
-    f, origin = presets.srckf(ConstantVelocity(1.0), sensor), torch.tensor([6e6, 2e6], **F64)
-    there = torch.cat([origin, torch.zeros(2, **F64)]) + torch.tensor([3.0, 4.0, 3.0, 4.0], **F64)
-    t = Tracker(f, Gaussian(there, torch.eye(4, **F64)), origin=origin, dtype=torch.float32)
+    motion = Augmented(ConstantVelocity(1.0), RandomWalk(1.0, 1, kind="bias"))
+    f, origin = presets.srckf(motion, sensor), torch.tensor([6e6, 2e6], **F64)
+    there = torch.cat([origin, torch.zeros(3, **F64)]) + torch.tensor([3.0, 4.0, 3.0, 4.0, 5.0], **F64)
+    t = Tracker(f, Gaussian(there, torch.eye(5, **F64)), origin=origin, dtype=torch.float32)
     report = t.update(0.0, z)
     close(report.belief.mean, there, 1.0)
     assert report.innovation.residual.abs().max() < 0.5
