@@ -61,6 +61,24 @@ def test_cmake_builds_the_files_and_the_program_runs(tmp_path):
     assert 0 < numbers[1] < 2
 
 
+def test_the_example_says_what_is_wrong_with_its_input_and_fast_math_is_refused(tmp_path):
+    for name, text in exported.export(small(), inputs="std").items():
+        (tmp_path / name).write_text(text)
+    build = ["g++", "-std=c++17", "filter.cpp", "example.cpp", "-o", "example"]
+    subprocess.run(build, cwd=tmp_path, check=True)
+    for text, said in (
+        ("hello", "tracks of numbers"),
+        ("", "tracks of numbers"),
+        ("-3", "received -3"),
+        ("2 0 0", "ends"),
+    ):
+        done = subprocess.run([tmp_path / "example"], input=text, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout) == (1, "")
+        assert said in done.stderr
+    done = subprocess.run([*build, "-ffast-math"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "build without it" in done.stderr
+
+
 def test_the_header_says_what_the_filter_is_and_needs_nothing_else():
     files = exported.export(small(), "tracker", inputs=("std",), dtype=torch.float32)
     assert sorted(files) == ["CMakeLists.txt", "example.cpp", "tracker.cpp", "tracker.hpp"]
@@ -81,6 +99,8 @@ def test_a_filter_that_learns_keeps_its_parameters():
 @pytest.mark.parametrize(("arguments", "said"), [
     ({"name": "Two words"}, "name: expected small letters"),
     ({"name": 3}, "name: expected small letters"),
+    ({"name": "class"}, "name: expected one that C"),
+    ({"name": "example"}, "name: expected one that C"),
     ({"f": "srckf"}, "filter: expected one of single tracks, received str"),
     ({"u": -1}, "u: expected a whole number"),
     ({"inputs": ("sigma",)}, "inputs: expected one of"),

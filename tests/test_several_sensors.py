@@ -2,6 +2,7 @@
 
 import copy
 
+import numpy as np
 import pytest
 import torch
 
@@ -161,6 +162,13 @@ def test_gradients_are_cut_where_they_are_told_to_be():
     assert (z.grad[:, 8] != 0).any()
 
 
+@pytest.mark.parametrize("which", [np.array(WHICH), torch.tensor(WHICH), [np.int64(k) for k in WHICH], tuple(WHICH)])
+def test_numbers_of_sensors_may_be_of_any_kind(which):
+    f, z = made("srckf"), measured()
+    expected = f(z, prior_of(f), dt=DT, sensors=SENSORS, which=WHICH).mean
+    close(f(z, prior_of(f), dt=DT, sensors=SENSORS, which=which).mean, expected, 0)
+
+
 def test_what_a_filter_says_of_elements_is_filled_up_with_nan():
     f, z = made("rsrckf"), measured()
     weights = f(z, prior_of(f), dt=DT, sensors=SENSORS, which=WHICH).info.weights
@@ -233,6 +241,9 @@ BAD = [
     ({"sensors": None}, r"sensors: expected it beside which, received None"),
     ({"sensors": []}, r"sensors: expected one or more, received none"),
     ({"which": [0, 1, 3] * 3}, r"which: expected \(T,\) whole numbers from 0 to 2"),
+    ({"which": 0}, r"which: expected \(T,\) whole numbers from 0 to 2, received 0"),
+    ({"which": [True] * 9}, r"which: expected \(T,\) whole numbers from 0 to 2"),
+    ({"sensors": GPS}, r"sensors: expected one or more, received Position: take a list"),
     ({"which": [0.0] * 9}, r"which: expected \(T,\) whole numbers from 0 to 2"),
     ({"which": [0, 1]}, r"which: expected the number of a sensor for each of 9 steps"),
     (
@@ -260,6 +271,13 @@ def test_the_sensor_that_a_filter_was_made_with_is_its_own(name):
     f, z = made(name), measured()[:, :6]
     close(f(z, prior_of(f), sensors=[RADAR, GPS], which=[1] * 6).mean, f(z, prior_of(f)).mean)
     assert f.with_sensor(GPS) is f
+
+
+@pytest.mark.parametrize(("name", "x"), [("std", torch.ones(())), ("noise", torch.ones(2)), ("u", torch.ones(()))])
+def test_a_step_names_what_has_too_few_dimensions(name, x):
+    f = made("srckf")
+    with pytest.raises(ValueError, match=f"{name}: expected . or more dimensions, received"):
+        f.step(f.init(prior_of(f)), torch.zeros(2, 2, **F64), **{name: x})
 
 
 def test_filters_that_are_of_one_sensor_say_why():

@@ -10,7 +10,7 @@ from joint import plane
 from torchfra import metrics, presets, scenarios, tree
 from torchfra.association import ChiSquare, Clutter, Euclidean
 from torchfra.gaussian.inputs import Measurements
-from torchfra.motion import ConstantAcceleration, ConstantVelocity, aircraft
+from torchfra.motion import ConstantAcceleration, ConstantVelocity, RandomWalk, aircraft
 from torchfra.sensors import Bearings, Position, RangeBearing
 from torchfra.targets import SPRT, Deletion, Merging, MOfN, OnePoint, Targets, TwoPoint, collect
 from torchfra.targets.scan import Look, look_at
@@ -120,6 +120,32 @@ def test_a_scan_without_measurements_is_one_in_which_all_were_missed():
         expected = run(targets, z)[-1].track.score + math.log(1 - 0.9 * 0.9999)
         torch.testing.assert_close(state.track.score, expected)
         assert len(targets.step(state, empty).identity) == 0
+
+
+def test_a_target_whose_noise_has_grown_is_followed_in_any_order_of_the_rows():
+    """The filter has learned a noise four times the nominal; a false measurement far away comes first or last."""
+    f = presets.jpda(ConstantVelocity(1e-2), Position(5.0), clutter=Clutter(1e8, rate=1.0), inner=presets.iaukf)
+    targets = Targets(f, birth=TwoPoint(60.0))
+    steps = torch.arange(100.0).double()[:, None, None]
+    truth, z = moving([(0, 0, 10, 3)], 100, std=5.0, seed=4)
+    z = z + 3 * ((steps - 20) / 40).clamp(0, 1) * (z - truth[..., :2].transpose(0, 1))
+    far = torch.tensor([3e4, -3e4]).double() + 1e3 * steps
+    first, last = (run(targets, torch.cat(rows, 1))[-1] for rows in ((far, z), (z, far)))
+    assert first.identity.tolist() == last.identity.tolist() == [0]
+    assert first.track.misses[first.track.confirmed].tolist() == [0]
+    assert torch.equal(first.confirmed.mean, last.confirmed.mean)
+
+
+def test_scans_without_measurements_count_as_misses_of_a_lost_track():
+    targets = Targets(plane(lost=1e-3), birth=TwoPoint(20.0), deletion=Deletion(20))
+    states = [run(targets, moving([(0, 0, 5, 0)], 6)[1])[-1]] * 3
+    empties = torch.zeros(0, 2).double(), torch.full((2, 2), math.nan).double(), torch.full((1, 2), 1e6).double()
+    for _ in range(8):
+        states = [targets.step(state, empty) for state, empty in zip(states, empties, strict=True)]
+    assert states[0].filter.missed[0] > 8
+    for state in states[1:]:
+        torch.testing.assert_close(state.filter.missed[0], states[0].filter.missed[0])
+        torch.testing.assert_close(state.belief.scale_tril[0], states[0].belief.scale_tril[0])
 
 
 def test_a_target_ends_when_nobody_knows_any_more_where_it_is():
@@ -245,6 +271,18 @@ def test_nothing_is_found_in_nothing():
     assert estimate.log_likelihood.shape == (2, 0, 5)
 
 
+def test_sequences_may_have_no_measurement_at_all():
+    estimate = Targets(plane())(torch.zeros(2, 5, 0, 2).double())
+    assert estimate.mean.shape == (2, 0, 5, 4)
+
+
+def test_seconds_keep_their_precision():
+    targets, (_, z) = Targets(plane(), birth=TwoPoint(20.0)), moving(FOUR, 6)
+    one, other = (run(targets, z, dt=dt)[-1] for dt in (0.1, torch.tensor(0.1, dtype=torch.float64)))
+    assert len(one.identity) == 4
+    assert torch.equal(one.belief.mean, other.belief.mean)
+
+
 def test_without_scipy_it_is_said_what_to_install(monkeypatch):
     real = importlib.import_module
 
@@ -266,6 +304,8 @@ def test_without_scipy_it_is_said_what_to_install(monkeypatch):
     (lambda: Targets(plane(detection=torch.tensor([[0.9, 0.8]]))), "filter: expected hyperparameters"),
     (lambda: Targets(presets.jpda(ConstantVelocity(1.0, 3), Position(1.0), clutter=Clutter(1e4, rate=1.0))),
      "filter: expected a sensor that locates in 3 dimensions"),
+    (lambda: Targets(presets.jpda(RandomWalk(1.0), Position(1.0), clutter=Clutter(1e4, rate=1.0))),
+     "filter: expected a motion with position and velocity in its state, received RandomWalk"),
     (lambda: Targets(plane(), birth=MOfN()), "birth: expected a Birth"),
     (lambda: Targets(plane(), confirmation=3), "confirmation: expected a Confirmation"),
     (lambda: Targets(plane(), deletion=MOfN()), "deletion: expected a Deletion"),
@@ -308,6 +348,8 @@ def test_a_sensor_that_does_not_locate_has_no_births():
     (torch.full((1, 2), math.inf).double(), {}, "z: expected finite measurements"),
     (torch.zeros(3, 2).double(), {"dt": 0.0}, "dt: expected finite seconds above 0"),
     (torch.zeros(3, 2).double(), {"dt": math.nan}, "dt: expected finite seconds above 0"),
+    (torch.zeros(3, 2).double(), {"dt": "x"}, r"dt: expected a number or \(1,\), received 'x'"),
+    (torch.zeros(3, 2).double(), {"dt": None}, "dt: expected a number"),
     (torch.zeros(3, 2).double(), {"dt": torch.ones(3)}, r"dt: expected a number or \(1,\)"),
     (torch.zeros(3, 2).double(), {"u": torch.full((2,), math.nan)}, "u: expected finite numbers"),
     (torch.zeros(3, 2).double(), {"u": torch.zeros(4, 2)}, "u: expected"),

@@ -4,14 +4,16 @@ import io
 import math
 import random
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchfra import Gaussian, presets, sensors
-from torchfra.motion import ConstantVelocity, Spherical, aircraft
-from torchfra.sensors import Position, RangeBearing
+from torchfra.motion import ConstantVelocity, CoordinatedTurn, Spherical, aircraft
+from torchfra.sensors import Biased, Position, RangeBearing, Ranges, Stacked
+from torchfra.sensors.base import Sensor
 from torchfra.stream import Tracker
 
 F64 = {"dtype": torch.float64}
@@ -158,6 +160,31 @@ def test_a_clock_that_is_set_back_goes_on():
     close(t.predict(9.0, "gps").belief, steady.predict(1006.0, "gps").belief)
 
 
+def test_what_comes_late_by_the_clock_before_it_was_set_back_belongs_before_that():
+    f, every = made(), [(1000.0, 100.0), (1001.0, 101.0), (1002.0, 102.0), (5.0, 103.0), (6.0, 104.0), (1001.5, 101.5)]
+    t, steady = tracker(f, jump=60.0), tracker(f)
+    for time, x in every:
+        report = t.update(time, [x, 80.0], "gps")
+        steady.update(time if time > 100 else time + 998.0, [x, 80.0], "gps")
+    assert (report.outcome, t.time) == ("late", 6.0)
+    close(t.belief, steady.belief)
+    again = tracker(f, jump=60.0)
+    again.load_state_dict(t.state_dict())
+    assert again.update(1001.7, [101.7, 80.0], "gps").outcome == "late"
+    with pytest.raises(ValueError, match=r"time: expected seconds since 3\.0, received 990\.0"):
+        t.update(990.0, [0.0, 0.0], "gps")
+    assert t.update(70.0, [168.0, 80.0], "gps").outcome == "used"
+
+
+def test_steps_keep_all_of_the_newest_instant():
+    t = tracker(made(), steps=1, sensors={"gps": GPS, "radar": RADAR, "other": Position(5.0)})
+    for name, z in (("radar", [128.0, 0.9]), ("other", [101.0, 80.0]), ("gps", [102.0, 80.0])):
+        assert t.update(1.0, z, name).outcome == "used"
+    t.update(2.0, [101.0, 80.0], "gps")
+    with pytest.raises(ValueError, match=r"time: expected seconds after 1\.0, received 1\.0"):
+        t.update(1.0, [103.0, 80.0], "gps")
+
+
 def test_what_is_missing_is_only_predicted():
     t = tracker(made())
     t.update(1.0, [101.0, 80.0], "gps")
@@ -194,6 +221,30 @@ def test_a_track_of_another_filter_is_not_loaded():
             other.load_state_dict(t.state_dict())
     with pytest.raises(ValueError, match="values: expected format 1, received None"):
         t.load_state_dict({})
+
+
+def test_a_track_of_other_models_or_sensors_is_not_loaded():
+    t = tracker(made())
+    for other, message in (
+        (tracker(made("rsrckf")), r"values: expected filter.robust 'Huber\(\)', received 'Robust\(\)'"),
+        (tracker(presets.srckf(ConstantVelocity(9.0), GPS)), r"values: expected filter.motion.q 'Hyper\(9,"),
+        (tracker(presets.srckf(ConstantVelocity(1.0, spectral=True), GPS)), r"values: expected filter.motion .*=True"),
+        (tracker(presets.srckf(CoordinatedTurn(0.1, 1.0), GPS)), r"values: expected filter.motion 'CoordinatedTurn"),
+        (tracker(made(), sensors={"gps": RADAR, "radar": GPS}), r"values: expected sensor gps 'RangeBearing"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            other.load_state_dict(t.state_dict())
+
+
+@pytest.mark.parametrize("missing", ["entries", "clock", "counts", "time"])
+def test_what_is_not_all_there_leaves_the_track_as_it_was(missing):
+    t, other = tracker(made()), tracker(made())
+    fed(t, events())
+    values = {name: x for name, x in t.state_dict().items() if name != missing}
+    with pytest.raises(ValueError, match=f"values: expected all that state_dict gives, received none of '{missing}'"):
+        other.load_state_dict(values)
+    assert (other.time, other.counts["used"]) == (0.0, 0)
+    close(other.belief, tracker(made()).belief)
 
 
 def test_several_streams_go_side_by_side():
@@ -254,6 +305,27 @@ def test_with_an_origin_single_precision_keeps_a_metre_at_six_million(name, away
     close(ahead.measurement.mean, expected.measurement.mean, 0.5 * limits[name, away])
 
 
+def test_what_cannot_be_smoothed_says_so_before_another_sensor_has_measured():
+    t = tracker(made("gpb"))
+    t.update(1.0, [101.0, 80.0], "gps")
+    with pytest.raises(NotImplementedError, match="of one sensor on the way back"):
+        t.smoothed()
+
+
+def test_a_state_is_predicted_without_a_sensor():
+    t = tracker(made(), sensors={"radar": RADAR, "other": Position(5.0)})
+    close(t.predict(2.0).belief, t.predict(2.0, "radar").belief)
+    close(t.predict(2.0).measurement, tracker(made()).predict(2.0, "gps").measurement)
+
+
+@pytest.mark.parametrize("lag", [np.float32(2.0), torch.tensor(2.0), 2])
+def test_numbers_of_any_kind_are_numbers(lag):
+    t = tracker(made(), lag=lag, steps=np.int64(3), jump=np.float64(60.0))
+    for time in (1.0, 2.0, np.float32(3.0), torch.tensor(2.5)):
+        t.update(time, [100.0, 80.0], "gps")
+    assert (t.time, t.lag, t.counts["late"]) == (3.0, 2.0, 1)
+
+
 BAD = [
     ({"filter": "gpb"}, "filter: expected one of tracks, as presets.gpb makes, received str"),
     ({"prior": None}, "prior: expected a Gaussian"),
@@ -262,10 +334,14 @@ BAD = [
     ({"sensors": [GPS]}, "sensors: expected one or more by name"),
     ({"sensors": {"far": Position(1.0, dims=3)}}, "sensor: expected one of at most 2 dimensions"),
     ({"lag": -1.0}, "lag: expected seconds of 0 or more"),
+    ({"lag": "long"}, "lag: expected seconds of 0 or more, received 'long'"),
     ({"steps": 0}, "steps: expected 1 or more measurements"),
+    ({"steps": 2.5}, "steps: expected 1 or more measurements"),
+    ({"dtype": "float32"}, r"dtype: expected one of \(torch.float32, torch.float64\)"),
     ({"old": "drop"}, r"old: expected one of \('refuse', 'count'\)"),
     ({"jump": 2.0}, r"jump: expected seconds above the lag of 3\.0"),
     ({"origin": [1.0, 2.0, 3.0]}, r"origin: expected a finite position \(2,\)"),
+    ({"origin": "here"}, "origin: expected numbers, received str"),
     ({"origin": [1.0, math.inf]}, r"origin: expected a finite position \(2,\)"),
 ]
 
@@ -287,7 +363,12 @@ def test_what_a_tracker_cannot_be_made_of_is_named(wrong, message):
         ((1.0, [1.0, 2.0], "sonar"), r"sensor: expected one of \['gps', 'radar'\], received 'sonar'"),
         ((1.0, [1.0, 2.0, 3.0], "gps"), r"z: expected \(..., 2\), received \(3,\)"),
         ((1.0, "here", "gps"), "z: expected numbers, received str"),
-        ((1.0, [[1.0, 2.0]] * 3, "gps"), "state: expected one from a prior of batch"),
+        ((1.0, [[1.0, 2.0]] * 3, "gps"), r"z: expected 1 dimension behind the prior's batch \(\), received \(3, 2\)"),
+        ((1.0, [math.inf, 2.0], "gps"), "z: expected finite numbers, or NaN for what is missing"),
+        ((1.0, np.array([1.0, 2.0j]), "gps"), "z: expected real numbers, received complex128"),
+        ((1.0, [1.0, 2.0], "gps", {"u": [math.nan]}), "u: expected finite numbers"),
+        ((1.0, [1.0, 2.0], "gps", {"u": 3.0}), "u: expected 1 dimension"),
+        ((1.0, [1.0, 2.0], "gps", {"noise": [1.0, 1.0]}), "noise: expected 2 dimensions"),
     ],
 )
 def test_a_measurement_that_does_not_fit_leaves_the_track_as_it_was(event, message):
@@ -296,11 +377,40 @@ def test_a_measurement_that_does_not_fit_leaves_the_track_as_it_was(event, messa
     before = io.BytesIO(), io.BytesIO()
     torch.save(t.state_dict(), before[0])
     with pytest.raises(ValueError, match=message):
-        t.update(*event)
+        t.update(*event[:3], **dict(*event[3:]))
     torch.save(t.state_dict(), before[1])
     assert before[0].getvalue() == before[1].getvalue()
     with pytest.raises(ValueError, match="time: expected seconds since"):
         t.predict(-1.0, "gps")
+
+
+class Undeclared(Sensor):
+    """A position that does not say that it is linear, and a speed."""
+
+    def __init__(self):
+        super().__init__(4, [False] * 3, 1.0)
+
+    def forward(self, x, u=None):
+        """Both."""
+        return torch.cat([x[..., :2], torch.linalg.vector_norm(x[..., 2:4], dim=-1, keepdim=True)], -1)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "z"),
+    [
+        (Undeclared(), [6e6 + 3.0, 2e6 + 4.0, 5.0]),
+        (Stacked(GPS, RADAR, Ranges([[-1e5, 0.0]], 1.0)), [6e6 + 3.0, 2e6 + 4.0, 5.0, 0.6435, 1e5 + 3.0]),
+        (Biased(GPS, 3), [6e6 + 7.0, 2e6 + 8.0]),
+    ],
+)
+def test_an_origin_is_taken_off_what_moves_along_with_the_target(sensor, z):
+    f, origin = presets.srckf(ConstantVelocity(1.0), sensor), torch.tensor([6e6, 2e6], **F64)
+    there = torch.cat([origin, torch.zeros(2, **F64)]) + torch.tensor([3.0, 4.0, 3.0, 4.0], **F64)
+    t = Tracker(f, Gaussian(there, torch.eye(4, **F64)), origin=origin, dtype=torch.float32)
+    report = t.update(0.0, z)
+    close(report.belief.mean, there, 1.0)
+    assert report.innovation.residual.abs().max() < 0.5
+    close(t.predict(0.0).measurement.mean, torch.tensor(z, **F64), 1.0)
 
 
 def test_a_motion_that_depends_on_where_it_is_has_no_origin():
@@ -308,6 +418,28 @@ def test_a_motion_that_depends_on_where_it_is_has_no_origin():
     prior = Gaussian(torch.ones(f.motion.size, **F64), torch.eye(f.motion.size, **F64))
     with pytest.raises(ValueError, match="origin: expected a motion that is the same everywhere"):
         Tracker(f, prior, origin=[1.0] * 3)
+
+
+@pytest.mark.parametrize("origin", [None, [10.0, 20.0]])
+def test_a_buffer_that_is_written_anew_does_not_change_the_track(origin):
+    f = made()
+    once, prior = tracker(f, origin=origin), prior_of(f)
+    t = Tracker(f, prior, sensors=SENSORS, lag=3.0, origin=origin)
+    _ = [x.zero_() for x in (prior.mean, prior.scale_tril)]
+    z, std = np.empty(2), torch.empty(2, **F64)
+    for k in (1, 3, 2):  # one comes late
+        z[:], std[:] = [100.0 + k, 80.0], torch.full((2,), float(k))
+        report = t.update(k, z, "gps", std=std)
+        _ = [x.zero_() for x in report.belief]
+        once.update(k, [100.0 + k, 80.0], "gps", std=[float(k)] * 2)
+    close(t.belief, once.belief, 0)
+
+
+def test_a_standard_deviation_that_is_a_number_is_that_of_each_element():
+    one, other = tracker(made()), tracker(made())
+    one.update(1.0, [101.0, 80.0], "gps", std=3.0)
+    other.update(1.0, [101.0, 80.0], "gps", std=[3.0, 3.0])
+    close(one.belief, other.belief)
 
 
 def test_at_one_instant_the_order_is_not_that_in_which_measurements_come():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import keyword
 import re
 from collections.abc import Collection, Iterator
 from typing import Any, NamedTuple
@@ -56,6 +57,7 @@ def export(
         NotImplementedError: the step uses an operation that kernels do not have.
         CompileError: the step is too large.
     """
+    inputs = (inputs,) if isinstance(inputs, str) else inputs
     _check(f, name, u, inputs, dtype)
     f = copy.deepcopy(f).requires_grad_(False)
     m: int = f.sensor.size
@@ -80,11 +82,24 @@ _MEANINGS = {
 """Of inputs and outputs."""
 
 
+_TAKEN = {
+    *keyword.kwlist, "advance", "alignas", "alignof", "asm", "auto", "begin", "block", "bool", "case", "catch", "char",
+    "const", "constexpr", "decltype", "default", "delete", "do", "double", "enum", "example", "explicit", "export",
+    "extern", "false", "float", "friend", "goto", "inline", "int", "long", "main", "mutable", "namespace", "new",
+    "noexcept", "nullptr", "operator", "private", "protected", "public", "read", "register", "short", "signed",
+    "sizeof", "static", "std", "struct", "switch", "template", "this", "throw", "true", "typedef", "typeid",
+    "typename", "union", "unsigned", "using", "virtual", "void", "volatile", "write", "xor", "bitand", "bitor", "compl",
+}  # fmt: skip
+"""Keywords of C++ (some are Python's too), and names in the files themselves."""
+
+
 def _check(f: Filter, name: str, u: int, inputs: Collection[str], dtype: torch.dtype) -> None:
     if not isinstance(f, Filter) or f.scans:
         raise ValueError(f"filter: expected one of single tracks, received {type(f).__name__}")
     if not isinstance(name, str) or not re.fullmatch(r"[a-z_][a-z0-9_]*", name):
         raise ValueError(f"name: expected small letters, digits and _ as in names of C++, received {name!r}")
+    if name in _TAKEN:
+        raise ValueError(f"name: expected one that C++ or the example program do not use, received {name!r}")
     if isinstance(u, bool) or not isinstance(u, int) or u < 0:
         raise ValueError(f"u: expected a whole number of 0 or more, received {u!r}")
     for key in inputs:

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import pad
 
 from torchfra import tree
@@ -92,15 +93,21 @@ def fused(f: Any, sensors: Sequence[Sensor] | None, which: Any) -> Any:
     if sensors is None or which is None:
         missing, there = ("sensors", "which") if sensors is None else ("which", "sensors")
         raise ValueError(f"{missing}: expected it beside {there}, received None")
-    numbers = which.tolist() if isinstance(which, Tensor) else list(which)
+    if not isinstance(sensors, Sequence | nn.ModuleList) or not len(sensors):
+        received = "none" if isinstance(sensors, Sequence) else f"{type(sensors).__name__}: take a list"
+        raise ValueError(f"sensors: expected one or more, received {received}")
+    numbers = which.tolist() if isinstance(which, Tensor | np.ndarray) else which
     count = len(sensors)
-    if not count:
-        raise ValueError("sensors: expected one or more, received none")
-    if not all(isinstance(k, int) and not isinstance(k, bool) and 0 <= k < count for k in numbers):
+    if not isinstance(numbers, Sequence) or not all(_is_number(k, count) for k in numbers):
         raise ValueError(f"which: expected (T,) whole numbers from 0 to {count - 1}, received {which}")
     new = sharing(f, mixed(Fused, f.__class__))
-    new.__dict__.update(home=f, views=[f.with_sensor(sensor) for sensor in sensors], which=numbers)
+    new.__dict__.update(home=f, views=[f.with_sensor(sensor) for sensor in sensors], which=[int(k) for k in numbers])
     return new
+
+
+def _is_number(k: Any, count: int) -> bool:
+    """Whether this is a whole number from 0 to below ``count``."""
+    return isinstance(k, int | np.integer) and not isinstance(k, bool) and 0 <= int(k) < count
 
 
 def _part(measurements: Measurements, steps: list[int], size: int) -> Measurements:

@@ -128,8 +128,10 @@ class JPDA(Soft, ScanFilter):
         inner = self.inner.begin(tree.insert_batch_dimension(belief))
         return JPDAState(tree.map_tensors(lambda x: x.squeeze(rank), inner), nothing, nothing)
 
-    def advance(self, state: JPDAState, frame: Frame, mix: Mix | None = None) -> tuple[JPDAState, Record]:
-        """One scan; ``mix`` is not looked at."""
+    def advance(
+        self, state: JPDAState, frame: Frame, mix: Mix | None = None, *, looked: bool = False
+    ) -> tuple[JPDAState, Record]:
+        """One scan; ``mix`` is not used; ``looked``: whether all were missed in a scan without any measurement."""
         miss, times, searched = log_miss(self.detection, self.gate, state.missed), None, state.searched
         if self.lost:
             times, searched = search(state.missed, state.searched, miss, self.lost)
@@ -137,7 +139,7 @@ class JPDA(Soft, ScanFilter):
         inner, scan, association, info = follow(state.inner, times, miss, frame)
         innovation = combined(association.probabilities, scan.whitened.residual, scan.root, scan.normalised, frame)
         record = Record(inner.belief, *innovation, info, association.evidence, past=searched)
-        return JPDAState(inner, missed_scans(state.missed, association, frame.seen), searched), record
+        return JPDAState(inner, missed_scans(state.missed, association, frame.seen, looked), searched), record
 
     def by_innovations(
         self, state: State, times: Tensor | None, miss: Tensor, frame: Frame

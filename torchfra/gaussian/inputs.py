@@ -42,13 +42,19 @@ class Measurements(NamedTuple):
         return self.dt[..., 0] if isinstance(self.dt, Tensor) and self.dt.dim() else self.dt
 
     def as_track(self, *, scans: bool = False) -> Measurements:
-        """A single step as a track of one: ``z (..., m)`` and the like get a dimension of time."""
-        z, dt, u, std, noise = self
-        dt = dt.unsqueeze(-1) if isinstance(dt, Tensor) and dt.dim() else dt
-        u, std, noise = (
-            x if x is None else x.unsqueeze(at) for x, at in ((u, -2), (std, -2 - scans), (noise, -3 - scans))
-        )
-        return Measurements(z.unsqueeze(-2 - scans), dt, u, std, noise)
+        """A single step as a track of one: ``z (..., m)`` and the like get a dimension of time.
+
+        Raises:
+            ValueError: one has fewer dimensions than that.
+        """
+        dt = self.dt.unsqueeze(-1) if isinstance(self.dt, Tensor) and self.dt.dim() else self.dt
+        timed = {}
+        for name, event in (("z", 1 + scans), ("u", 1), ("std", 1 + scans), ("noise", 2 + scans)):
+            x: Tensor | None = getattr(self, name)
+            if x is not None and x.dim() < event:
+                raise ValueError(f"{name}: expected {event} or more dimensions, received {tuple(x.shape)}")
+            timed[name] = None if x is None else x.unsqueeze(-1 - event)
+        return Measurements(dt=dt, **timed)  # type: ignore[arg-type]  # z is one
 
 
 @event_ranks(z=1, dt=0, u=1, std=1, noise=2)

@@ -6,22 +6,30 @@
 
 #include <chrono>
 #include <cstdio>
+#include <cstdlib>
 #include <vector>
 
 using namespace NAME;
 
-static bool read(Scalar& x) {
+static bool is_read(double& x) { return std::scanf("%lf", &x) == 1; }
+static void read(Scalar& x) {
   double value = 0;
-  if (std::scanf("%lf", &value) != 1) return false;
+  if (!is_read(value)) {
+    std::fprintf(stderr, "expected a number, as the comment in front of example.cpp says; the input ends or has text\n");
+    std::exit(1);
+  }
   x = static_cast<Scalar>(value);
-  return true;
 }
 static void write(Scalar x) { std::printf("%.17g ", static_cast<double>(x)); }
 
 int main() {
-  Scalar mean[sizeof(Output::mean) / sizeof(Scalar)], root[sizeof(Output::scale_tril) / sizeof(Scalar)], steps;
-  double seconds = 0, count = 0;
-  while (read(steps)) {
+  Scalar mean[sizeof(Output::mean) / sizeof(Scalar)], root[sizeof(Output::scale_tril) / sizeof(Scalar)];
+  double seconds = 0, count = 0, steps = 0;
+  while (is_read(steps)) {
+    if (!(steps >= 0 && steps < 1e9)) {
+      std::fprintf(stderr, "expected how many steps a track has, received %g\n", steps);
+      return 1;
+    }
     for (Scalar& x : mean) read(x);
     for (Scalar& x : root) read(x);
     std::vector<Input> inputs(static_cast<std::size_t>(steps));
@@ -41,6 +49,10 @@ int main() {
       write(output.log_likelihood);
       std::printf("\n");
     }
+  }
+  if (!std::feof(stdin) || count == 0) {
+    std::fprintf(stderr, "expected tracks of numbers on standard input, as the comment in front of example.cpp says\n");
+    return 1;
   }
   std::fprintf(stderr, "%.0f steps, %.3f us each\n", count, 1e6 * seconds / count);
 }

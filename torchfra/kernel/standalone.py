@@ -143,13 +143,17 @@ struct Output {
 State init(const Scalar (&mean)[MEAN], const Scalar (&scale_tril)[ROOT]);
 
 // One measurement: the state becomes the next.  Any number of tracks, in any number of threads, each has a state.
-// Nothing is checked: dt and deviations are to be finite and above 0.
+// Nothing is checked: dt and deviations are to be finite and above 0.  NaN must stay NaN: no -ffast-math.
 Output step(State& state, const Input& input);
 
 }  // namespace NAME
 """
 
 _FUNCTIONS = """
+#ifdef __FAST_MATH__
+#error "a missing measurement is NaN, which -ffast-math does not know: build without it"
+#endif
+
 namespace NAME {
 
 State init(const Scalar (&mean)[MEAN], const Scalar (&scale_tril)[ROOT]) {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from numbers import Integral
 from typing import Any
 
 import torch
@@ -40,12 +41,12 @@ def check_counts(lag: float, steps: int | None, old: str, jump: float | None) ->
     Raises:
         ValueError: names the first that is wrong.
     """
-    if not isinstance(lag, int | float) or not lag >= 0:
+    if not _number(lag) >= 0:
         raise ValueError(f"lag: expected seconds of 0 or more, received {lag!r}")
-    if steps is not None and not (isinstance(steps, int) and steps >= 1):
+    if steps is not None and not (isinstance(steps, Integral) and steps >= 1):
         raise ValueError(f"steps: expected 1 or more measurements, or None, received {steps!r}")
     one_of(old=(old, ("refuse", "count")))
-    if jump is not None and not (isinstance(jump, int | float) and math.inf > jump > lag):
+    if jump is not None and not math.inf > _number(jump) > lag:
         raise ValueError(f"jump: expected seconds above the lag of {lag}, or None, received {jump!r}")
 
 
@@ -55,22 +56,53 @@ def seconds(name: str, x: Any) -> float:
     Raises:
         ValueError: it is not.
     """
-    try:
-        value = float(x)
-    except (TypeError, ValueError):
-        value = math.nan
+    value = _number(x)
     if not math.isfinite(value):
         raise ValueError(f"{name}: expected finite seconds, received {x!r}")
     return value
 
 
+def _number(x: Any) -> float:
+    """This as a number, NaN if it is none."""
+    try:
+        return float(x)
+    except (TypeError, ValueError, RuntimeError):
+        return math.nan
+
+
 def numbers(name: str, x: Any, device: torch.device) -> Tensor:
-    """Numbers as a tensor in double precision.
+    """Numbers as a tensor in double precision, a copy: the caller may go on to write into what it has given.
 
     Raises:
-        ValueError: they are none.
+        ValueError: they are none, or complex.
     """
+    if "complex" in str(getattr(x, "dtype", "")):
+        raise ValueError(f"{name}: expected real numbers, received {x.dtype}")
     try:
-        return torch.as_tensor(x, dtype=torch.float64, device=device)
+        return torch.as_tensor(x, dtype=torch.float64, device=device).clone()
     except (TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{name}: expected numbers, received {type(x).__name__}: {error}") from None
+
+
+def check_fits(name: str, x: Tensor, event: int, batch: torch.Size) -> None:
+    """Checks that numbers have ``event`` dimensions behind a batch that is that of the prior, or expands to it.
+
+    Raises:
+        ValueError: they do not.
+    """
+    given = x.shape[: max(x.dim() - event, 0)]
+    fits = x.dim() >= event and len(given) <= len(batch)
+    if not fits or any(n not in (1, there) for n, there in zip(reversed(given), reversed(batch), strict=False)):
+        expected = f"{event} {'dimension' if event == 1 else 'dimensions'} behind the prior's batch {tuple(batch)}"
+        raise ValueError(f"{name}: expected {expected}, received {tuple(x.shape)}")
+
+
+def check_finite(name: str, x: Tensor, *, missing: bool = False) -> None:
+    """Checks that numbers are finite, or NaN where they may be ``missing``.
+
+    Raises:
+        ValueError: one is not.
+    """
+    if bool((x.isinf() if missing else ~x.isfinite()).any()):
+        expected = f"finite numbers{', or NaN for what is missing' if missing else ''}, in {x.dtype}"
+        raise ValueError(f"{name}: expected {expected}, received {x.tolist()}")

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
+from torchfra.gaussian.arguments import PRECISIONS
 from torchfra.sensors.base import Sensor
-from torchfra.stream.arguments import check_sensors, numbers
+from torchfra.stream.arguments import check_finite, check_fits, check_sensors, numbers
 from torchfra.stream.origin import Origin
 from torchfra.stream.window import Entry
 from torchfra.types import Gaussian
@@ -32,10 +33,19 @@ class Intake:
     def __init__(
         self, filter: Any, sensors: Mapping[str, Sensor] | None, origin: Any, dtype: torch.dtype, device: torch.device
     ) -> None:
+        if dtype not in PRECISIONS:
+            raise ValueError(f"dtype: expected one of {PRECISIONS}, received {dtype!r}")
         named = check_sensors(filter, sensors)
+        self.batch = torch.Size()
         self.names, self.sensors = list(named), list(named.values())
         self.filter, self.dtype, self.device = filter, dtype, device
         self.origin = None if origin is None else Origin(filter.motion, origin, dtype)
+
+    def start(self, prior: Gaussian) -> Any:
+        """The filter's state at a prior from outside, whose batch is that of all measurements to come."""
+        state = self.filter.init(self.inward(prior))
+        self.batch = state.belief.mean.shape[:-1]
+        return state
 
     def number(self, name: str | None) -> int:
         """The number of a sensor, by its name.
@@ -54,34 +64,64 @@ class Intake:
         return self.sensors[entry.sensor]
 
     def entry(self, time: float, z: Any, name: str | None, u: Any, std: Any, noise: Any) -> Entry:
-        """A measurement as the filter takes it.
+        """A measurement as the filter takes it; a standard deviation that is a number is that of each element.
 
         Raises:
-            ValueError: no numbers, a number of them that is not the sensor's, or no such sensor.
+            ValueError: no finite numbers, a shape that does not fit, or no such sensor.
         """
         number, measured = self.number(name), numbers("z", z, self.device)
         sensor = self.sensors[number]
         if measured.shape[-1:] != (sensor.size,):
             raise ValueError(f"z: expected (..., {sensor.size}), received {tuple(measured.shape)}")
-        local = measured.to(self.dtype) if self.origin is None else self.origin.measured(sensor, measured)
-        rest = (self.tensor(what, x) for what, x in (("u", u), ("std", std), ("noise", noise)))
-        return Entry(time, number, local, *rest)
+        u, std, noise = self.known(u), self.tensor("std", std), self.tensor("noise", noise)
+        std = std.repeat(sensor.size) if std is not None and not std.dim() else std
+        for what, x, event in (("z", measured, 1), ("u", u, 1), ("std", std, 1), ("noise", noise, 2)):
+            if x is not None:
+                check_fits(what, x, event, self.batch)
+        local = measured.to(self.dtype) if self.origin is None else self.origin.measured(sensor, measured, u)
+        check_finite("z", local, missing=True)
+        return Entry(time, number, local, u, std, noise)
 
     def tensor(self, name: str, x: Any) -> Tensor | None:
         """Numbers in the filter's dtype, if there are any."""
         return None if x is None else numbers(name, x, self.device).to(self.dtype)
 
+    def known(self, u: Any) -> Tensor | None:
+        """What the models need to know, if there is any.
+
+        Raises:
+            ValueError: no finite numbers.
+        """
+        given = self.tensor("u", u)
+        if given is not None:
+            check_finite("u", given)
+        return given
+
     def inward(self, belief: Gaussian) -> Gaussian:
         """A belief from outside, as the filter has it."""
         if self.origin is not None:
             return self.origin.inward(belief)
-        return Gaussian(*(x.to(self.dtype) for x in belief))
+        return Gaussian(*(x.to(self.dtype, copy=True) for x in belief))
 
     def outward(self, belief: Gaussian) -> Gaussian:
         """A belief of the filter, as it is outside."""
-        return belief if self.origin is None else self.origin.outward(belief)
+        return Gaussian(*(x.clone() for x in belief)) if self.origin is None else self.origin.outward(belief)
 
     def kind(self) -> dict[str, Any]:
-        """What the tracker is of, in words and numbers."""
+        """What the tracker is of, in words and numbers: of each part of its filter and sensors what it prints."""
         origin = None if self.origin is None else self.origin.offset.tolist()
-        return {"filter": type(self.filter).__name__, "sensors": self.names, "origin": origin}
+        kind = {"filter": type(self.filter).__name__, "sensors": self.names, "origin": origin}
+        for name, sensor in zip(self.names, self.sensors, strict=True):
+            kind |= _parts(f"sensor {name}", sensor)
+            kind[f"angles of {name}"] = sensor.angles.tolist()
+        return _parts("filter", self.filter) | kind
+
+
+def _parts(name: str, module: nn.Module) -> dict[str, str]:
+    """What a module and each of its parts are, by name in the whole: what they print, and their options."""
+    words = {}
+    for part, x in module.named_modules(prefix=name):
+        values = {key: value for key, value in vars(x).items() if key[0] != "_" and key != "training"}
+        options = [f"{key}={value}" for key, value in values.items() if isinstance(value, bool | int | float | str)]
+        words[part] = f"{type(x).__name__}({', '.join(filter(None, [x.extra_repr(), *options]))})"
+    return words

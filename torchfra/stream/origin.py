@@ -11,6 +11,7 @@ from torchfra.filters.ahead import Ahead
 from torchfra.linalg.triangular import apply
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
+from torchfra.stream.arguments import numbers
 from torchfra.types import Gaussian
 
 
@@ -27,7 +28,7 @@ class Origin:
     """
 
     def __init__(self, motion: Motion, place: Sequence[float] | Tensor, dtype: torch.dtype) -> None:
-        there = torch.as_tensor(place, dtype=torch.float64)
+        there = numbers("origin", place, torch.device("cpu"))
         self.offset = torch.zeros(motion.size, dtype=torch.float64)
         if there.shape != self.offset[motion.position].shape or not bool(there.isfinite().all()):
             expected = f"a finite position ({len(self.offset[motion.position])},)"
@@ -41,31 +42,37 @@ class Origin:
     def inward(self, belief: Gaussian) -> Gaussian:
         """A belief from outside, as the filter has it."""
         mean, root = belief
-        return Gaussian((mean.double() - self.offset.to(mean.device)).to(self.dtype), root.to(self.dtype))
+        return Gaussian((mean.double() - self.offset.to(mean.device)).to(self.dtype), root.to(self.dtype, copy=True))
 
     def outward(self, belief: Gaussian) -> Gaussian:
         """A belief of the filter, as it is outside, in double precision."""
         mean, root = belief
-        return Gaussian(mean.double() + self.offset.to(mean.device), root.double())
+        return Gaussian(mean.double() + self.offset.to(mean.device), root.to(torch.float64, copy=True))
 
-    def measured(self, sensor: Sensor, z: Tensor) -> Tensor:
-        """A measurement ``(..., m)`` from outside, as one of local positions.
+    def measured(self, sensor: Sensor, z: Tensor, u: Tensor | None = None) -> Tensor:
+        """A measurement ``(..., m)`` from outside, as one of local positions, with what the models need to know.
 
-        Other sensors than linear ones measure from a place of their own, which must be local.
+        What does not move along with the target is measured from a place of the sensor's own, which must be local.
         """
-        return (z.double() - self._seen(sensor, z)).to(self.dtype)
+        return (z.double() - self._seen(sensor, z, u)).to(self.dtype)
 
-    def ahead(self, sensor: Sensor, ahead: Ahead) -> Ahead:
+    def ahead(self, sensor: Sensor, ahead: Ahead, u: Tensor | None = None) -> Ahead:
         """A look ahead of the filter, as it is outside."""
         mean, root = ahead.measurement
-        return Ahead(self.outward(ahead.belief), Gaussian(mean.double() + self._seen(sensor, mean), root.double()))
+        return Ahead(self.outward(ahead.belief), Gaussian(mean.double() + self._seen(sensor, mean, u), root.double()))
 
-    def _seen(self, sensor: Sensor, like: Tensor) -> Tensor:
-        """What a linear sensor measures of the origin."""
-        if not sensor.linear:
-            return torch.zeros(sensor.size, dtype=torch.float64, device=like.device)
-        seen: Tensor = sensor(self.offset.to(like.device))
-        return seen
+    def _seen(self, sensor: Sensor, like: Tensor, u: Tensor | None) -> Tensor:
+        """What each element ``(m,)`` measures of the origin: 0 of one that the origin does not change all alike."""
+        offset = self.offset.to(like.device)
+        size, given = len(offset), None if u is None else u.reshape(-1, u.shape[-1])[0].double()
+        # Targets at zero and as far off as the origin, in several directions: there what is not linear shows.
+        points = torch.arange(4 * size, dtype=torch.float64, device=like.device).reshape(4, size).sin()
+        points = offset.abs().max() * points * torch.arange(4, device=like.device).unsqueeze(-1)
+        near, far = sensor.at_points(points, given), sensor.at_points(points + offset, given)
+        change = far - near
+        rounding = 1e-6 * torch.maximum(near.abs(), far.abs()).amax(0)
+        along = ((change - change[0]).abs() <= rounding).all(0)
+        return torch.where(along, change[0], 0.0)
 
 
 def _carries_along(motion: Motion, offset: Tensor) -> bool:

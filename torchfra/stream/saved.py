@@ -8,13 +8,14 @@ from typing import Any
 from torch import Tensor
 
 from torchfra import tree
+from torchfra.stream.clock import Clock
 from torchfra.stream.window import Entry, Window
 
 FORMAT = 1
 
 
-def saved(window: Window, of: Mapping[str, Any]) -> dict[str, Any]:
-    """A window, and what it is ``of``: words and numbers by name."""
+def saved(window: Window, clock: Clock, counts: Mapping[str, int], of: Mapping[str, Any]) -> dict[str, Any]:
+    """A window, its clock, counts, and what it is ``of``: words and numbers by name."""
     entries = [{**entry._asdict(), "state": tree.flatten(entry.state)} for entry in window.entries]
     return {
         "format": FORMAT,
@@ -23,15 +24,20 @@ def saved(window: Window, of: Mapping[str, Any]) -> dict[str, Any]:
         "state": tree.flatten(window.state),
         "forgot": window.forgot,
         "entries": entries,
+        "clock": clock.state_dict(),
+        "counts": dict(counts),
     }
 
 
-def restored(values: Mapping[str, Any], window: Window, of: Mapping[str, Any]) -> Window:
-    """The window that was saved.
+def restored(
+    values: Mapping[str, Any], window: Window, jump: float | None, of: Mapping[str, Any]
+) -> tuple[Window, Clock, dict[str, int]]:
+    """The window, the clock and the counts that were saved.
 
     Args:
         values: what ``saved`` gave.
         window: of a tracker like the one that was saved.
+        jump: of its clock.
         of: what that is.
 
     Raises:
@@ -41,10 +47,14 @@ def restored(values: Mapping[str, Any], window: Window, of: Mapping[str, Any]) -
         received = values.get(name) if isinstance(values, Mapping) else None
         if received != expected:
             raise ValueError(f"values: expected {name} {expected!r}, received {received!r}")
-    again = Window(values["time"], _state(values["state"], window.state))
-    again.forgot = values["forgot"]
-    again.entries = [Entry(**{**x, "state": _state(x["state"], window.state)}) for x in values["entries"]]
-    return again
+    try:
+        again, clock = Window(values["time"], _state(values["state"], window.state)), Clock(jump)
+        again.forgot = values["forgot"]
+        again.entries = [Entry(**{**x, "state": _state(x["state"], window.state)}) for x in values["entries"]]
+        clock.load_state_dict(values["clock"])
+        return again, clock, dict(values["counts"])
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"values: expected all that state_dict gives, received none of {error}") from None
 
 
 def _state(tensors: Sequence[Tensor], like: Any) -> Any:

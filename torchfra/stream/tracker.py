@@ -13,6 +13,7 @@ from torchfra.filters.tracks import TrackFilter
 from torchfra.gaussian.arguments import check_belief
 from torchfra.sensors.base import Sensor
 from torchfra.stream.arguments import check_counts, seconds
+from torchfra.stream.clock import Clock
 from torchfra.stream.intake import Intake
 from torchfra.stream.saved import restored, saved
 from torchfra.stream.window import At, Entry, Window
@@ -41,12 +42,13 @@ class Tracker:
     Measurements may come late: those since ``lag`` seconds before the newest are kept with the states after them, and
     one in between filters all after it again, so that estimates are those of the same measurements in the order of
     their times, to the last bit.  (At one instant sensors come in their order.)  A measurement that has come before
-    (time, sensor, value and noise the same) is left out.  NaN is missing.  No gradients flow.
+    (time, sensor, value, noise and ``u`` the same) is left out.  NaN is missing.  No gradients flow.
 
     With an ``origin`` the filter has positions relative to it, and beliefs and measurements outside are in double
     precision.  At 6e6 m, with a sensor of 1 m, a float32 ``srckf`` is then within 2 mm of the float64 one up to 10 km
     from the origin and within 2 cm up to 100 km, ``gpb`` within 2 cm and 10 cm; without an origin they are 0.6 and 3 m
-    off.  Linear sensors are told of the origin; others must stand relative to it (their places, and ``u``).
+    off.  What a sensor reads of positions by adding to them is shifted; other elements, as ranges, are measured from
+    a place that must stand relative to the origin, and so must ``u``.
 
     Args:
         filter: any of tracks; compiled, it runs so.
@@ -54,11 +56,11 @@ class Tracker:
         time: seconds, by any clock.
         sensors: by name, where there are others than the filter's own: see ``Filter.with_sensor``.
         lag: seconds that a measurement may come late; infinity for all there are.
-        steps: measurements that are kept at most; None for as many as there are in ``lag``.
+        steps: measurements that are kept at most, but all of the newest instant; None for as many as ``lag`` has.
         old: ``"refuse"`` a measurement that comes later than that by an error, or ``"count"`` it and leave it out.
         jump: seconds above ``lag``: a measurement that is so much before the newest comes from a clock that was set
-            back.  It then counts as a usual step (the last one) after the newest, and times go on from there.  None
-            for a clock that never is.
+            back.  It then counts as a usual step (the last one) after the newest, and times go on from there; late
+            ones by the clock as it was are known by being far ahead.  None for a clock that never is.
         origin: ``(dims,)`` position, m.
         dtype: of the filter; None for the prior's.
 
@@ -86,14 +88,14 @@ class Tracker:
         self._intake = Intake(filter, sensors, origin, like.dtype if dtype is None else dtype, like.device)
         self.filter, self.lag, self.steps, self.old, self.jump = filter, float(lag), steps, old, jump
         with torch.no_grad():
-            self._window = Window(seconds("time", time), filter.init(self._intake.inward(prior)))
+            self._window = Window(seconds("time", time), self._intake.start(prior))
         self._counts = dict.fromkeys(OUTCOMES, 0)
-        self._behind = self._gap = 0.0  # of the clock outside, after jumps; seconds of the last step
+        self._clock = Clock(jump)
 
     @property
     def time(self) -> float:
         """Seconds, of the newest measurement, or of the prior."""
-        return self._window.newest - self._behind
+        return self._clock.outside(self._window.newest)
 
     @property
     def state(self) -> Any:
@@ -112,7 +114,7 @@ class Tracker:
         if not entries or not hasattr(state, "settled"):
             return None
         time, _ = self._window.before(len(entries) - 1)
-        return At(time - self._behind, self._intake.outward(state.settled))
+        return At(self._clock.outside(time), self._intake.outward(state.settled))
 
     @property
     def counts(self) -> dict[str, int]:
@@ -137,34 +139,28 @@ class Tracker:
             z: ``(..., m)`` numbers; NaN is missing.
             sensor: its name, if the tracker has several.
             u: ``(..., k)`` what the models need to know at that time.
-            std: ``(..., m)`` standard deviations of this measurement's noise, instead of the sensor's.
+            std: ``(..., m)`` standard deviations of this measurement's noise, or a number, instead of the sensor's.
             noise: ``(..., m, m)`` root of its covariance, likewise.
 
         Raises:
             ValueError: a value or a shape that does not fit, no such sensor, or a measurement that is too old and to be
                 refused.  The track stays as it was.
         """
-        inside = seconds("time", time) + self._behind
-        window = self._window
-        jumped = self.jump is not None and inside <= window.newest - self.jump
-        if jumped:
-            inside = window.newest + self._gap
+        stamp, window, newest = seconds("time", time), self._window, self._window.newest
+        inside, jumped = self._clock.inside(stamp, newest)
         entry = self._intake.entry(inside, z, sensor, u, std, noise)
         if window.holds(entry):
             return self._report("duplicate")
-        if inside < window.newest - self.lag or window.precedes(inside):
+        if inside < newest - self.lag or window.precedes(inside):
             if self.old == "refuse":
-                since = max(window.newest - self.lag, window.time) - self._behind
-                raise ValueError(f"time: expected seconds since {since}, received {time}")
+                since = self._clock.outside(max(newest - self.lag, window.time))
+                bound = "after" if window.precedes(max(newest - self.lag, window.time)) else "since"
+                raise ValueError(f"time: expected seconds {bound} {since}, received {time}")
             return self._report("old")
-        late, gap = inside < window.newest, inside - window.newest
         innovation = self._put(entry)
-        if jumped:
-            self._behind = inside - float(time)
-        elif gap > 0:
-            self._gap = gap
+        self._clock.tick(stamp, inside, newest, jumped)
         window.trim(window.newest - self.lag, self.steps)
-        return self._report("jumped" if jumped else "late" if late else "used", innovation)
+        return self._report("jumped" if jumped else "late" if inside < newest else "used", innovation)
 
     @torch.no_grad()
     def predict(self, time: float, sensor: str | None = None, *, u: Any = None) -> Ahead:
@@ -172,20 +168,22 @@ class Tracker:
 
         Args:
             time: seconds, not before the measurements that are kept; the estimate is that of the last one up to it.
-            sensor: its name, if the tracker has several.
+            sensor: whose measurement is expected, by name; by default the only one's, or of several the filter's own.
             u: ``(..., k)`` what the models need to know at that time.
 
         Raises:
             ValueError: a time before that, or no such sensor.
         """
-        inside, intake = seconds("time", time) + self._behind, self._intake
-        there = intake.sensors[intake.number(sensor)]
+        inside, intake = seconds("time", time) + self._clock.behind, self._intake
+        own = sensor is None and len(intake.sensors) > 1
+        there = self.filter.sensor if own else intake.sensors[intake.number(sensor)]
         if inside < self._window.time:
-            since = self._window.time - self._behind
+            since = self._clock.outside(self._window.time)
             raise ValueError(f"time: expected seconds since {since}, received {time}")
         since, state = self._window.at(inside)
-        ahead = self.filter.predict(state, inside - since, u=intake.tensor("u", u), sensor=there)
-        return ahead if intake.origin is None else intake.origin.ahead(there, ahead)
+        given = intake.known(u)
+        ahead = self.filter.predict(state, inside - since, u=given, sensor=there)
+        return ahead if intake.origin is None else intake.origin.ahead(there, ahead, given)
 
     @torch.no_grad()
     def smoothed(self) -> list[At]:
@@ -194,14 +192,15 @@ class Tracker:
         The first is the one of a fixed lag.
 
         Raises:
-            NotImplementedError: see ``Filter.smooth``.
+            NotImplementedError: see ``Filter.smooth``; of ``gpb`` with another sensor than its own too.
         """
         self.filter.check_smooths()
+        around = [self.filter.with_sensor(sensor) for sensor in self._intake.sensors]
+        if any(f is not self.filter for f in around):
+            self.filter.check_smooths_several()
         time, state, moments = self._window.time, self._window.state, []
         for entry in self._window.entries:
-            f = self.filter.with_sensor(self._intake.sensor(entry))
-            if f is not self.filter:
-                self.filter.check_smooths_several()
+            f = around[entry.sensor]
             state, _, moment = remember(f, state, entry.after(time))
             moments.append(moment)
             time = entry.time
@@ -209,13 +208,12 @@ class Tracker:
             return []
         beliefs, rank = go_back(self.filter, state, moments).belief, state.belief.mean.dim() - 1
         each = [Gaussian(*pair) for pair in zip(*(x.unbind(rank) for x in beliefs), strict=True)]
-        times = [entry.time - self._behind for entry in self._window.entries]
+        times = [self._clock.outside(entry.time) for entry in self._window.entries]
         return [At(time, self._intake.outward(belief)) for time, belief in zip(times, each, strict=True)]
 
     def state_dict(self) -> dict[str, Any]:
         """All that the track is, in tensors, numbers and words: for ``torch.save``, and ``load_state_dict``."""
-        clock = {"behind": self._behind, "gap": self._gap}
-        return saved(self._window, self._intake.kind()) | {"clock": clock, "counts": self.counts}
+        return saved(self._window, self._clock, self._counts, self._intake.kind())
 
     def load_state_dict(self, values: Mapping[str, Any]) -> None:
         """Goes on with a track that was saved, by the same filter, sensors and arguments, to the same bits.
@@ -226,9 +224,8 @@ class Tracker:
         Raises:
             ValueError: they are not of a tracker like this one.
         """
-        self._window = restored(values, self._window, self._intake.kind())
-        self._behind, self._gap = values["clock"]["behind"], values["clock"]["gap"]
-        self._counts = dict(values["counts"])
+        again = restored(values, self._window, self.jump, self._intake.kind())
+        self._window, self._clock, self._counts = again
 
     def _put(self, entry: Entry) -> Innovation:
         """Puts an entry where it belongs, and filters it and all after it; what it said."""

@@ -98,9 +98,11 @@ class Window:
         return any(entry.same(other) for other in self.entries[first:last])
 
     def trim(self, since: float, steps: int | None) -> None:
-        """Forgets entries before a time, and all but the last ``steps``; the newest stays."""
-        while len(self.entries) > 1 and (
-            self.entries[0].time < since or (steps is not None and len(self.entries) > steps)
+        """Forgets entries before a time, and all but the last ``steps``; those of the newest instant stay."""
+        while (
+            self.entries
+            and self.entries[0].time < self.newest
+            and (self.entries[0].time < since or (steps is not None and len(self.entries) > steps))
         ):
             first = self.entries.pop(0)
             self.time, self.state, self.forgot = first.time, first.state, True

@@ -10,6 +10,7 @@ from torch import Tensor
 from torchfra.filters.jpda import JPDA
 from torchfra.filters.lost_tracks import log_miss
 from torchfra.gaussian.inputs import Time, batch_rank
+from torchfra.targets.places import known_components
 from torchfra.targets.scan import Look
 from torchfra.targets.state import TargetsState
 
@@ -28,6 +29,9 @@ def check_filter(filter: object) -> None:
     dims, wanted = filter.sensor.locate(torch.ones(1, filter.sensor.size)).shape[-1], filter.motion.dims
     if dims != wanted:
         raise ValueError(f"filter: expected a sensor that locates in {wanted} dimensions as the motion has, not {dims}")
+    if len(known_components(filter.motion)) != 2 * wanted:
+        received = type(filter.motion).__name__
+        raise ValueError(f"filter: expected a motion with position and velocity in its state, received {received}")
     if batch_rank(filter):
         raise ValueError("filter: expected hyperparameters that are the same for all targets, received a batch of them")
     if filter.share_noise:
@@ -76,7 +80,7 @@ def check_scans(filter: JPDA, z: Tensor, dt: Time, u: Tensor | None) -> list[Loo
     _check_scans(filter, z, "(..., T, J, m)", range(3, 99))
     if 0 in z.shape[:-2]:
         raise ValueError(f"z: expected one scene and one scan or more, received {tuple(z.shape)}")
-    scans = z.reshape(-1, *z.shape[-3:])
+    scans = z.reshape(math.prod(z.shape[:-3]), *z.shape[-3:])
     scenes, steps = scans.shape[:2]
     seconds = _seconds(dt, (steps,)).to(z)
     inputs = _inputs(u, (*z.shape[:-3], steps), z)
@@ -96,7 +100,10 @@ def _check_scans(filter: JPDA, z: Tensor, shape: str, ranks: tuple[int, ...] | r
 
 
 def _seconds(dt: Time, shape: tuple[int, ...]) -> Tensor:
-    seconds = torch.as_tensor(dt)
+    try:  # a number of Python's own would be rounded to torch's default
+        seconds = dt if isinstance(dt, Tensor) else torch.as_tensor(dt, dtype=torch.float64)
+    except (TypeError, ValueError, RuntimeError):
+        raise ValueError(f"dt: expected a number or {shape}, received {dt!r}") from None
     if seconds.dim() > 1 or (seconds.dim() and seconds.shape != shape):
         raise ValueError(f"dt: expected a number or {shape}, received {tuple(seconds.shape)}")
     if not all(0 < x < math.inf for x in seconds.flatten().tolist()):

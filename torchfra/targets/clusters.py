@@ -33,33 +33,29 @@ class _Members(NamedTuple):
     """``(C,)``."""
 
 
-def clusters(reach: Tensor, scene: Tensor, there: Tensor) -> list[Group]:
+def clusters(reach: Tensor, scene: Tensor) -> list[Group]:
     """Clusters of targets that share measurements, directly or through others.
 
     Args:
         reach: ``(N, J)`` bool: which measurements of its scene each target may have.
         scene: ``(N,)`` of each target.
-        there: ``(R, J)`` bool: which measurements there are.
 
     Returns:
-        Groups whose measurements are numbered ``scene * J + j``.  A target without any has the first one of its scene,
-        which is in none of its gates, so that it was missed and not just not looked for.
+        Groups whose measurements are numbered ``scene * J + j``.
 
     Raises:
         ImportError: scipy is not installed.
     """
     target, j = (x.numpy(force=True) for x in reach.nonzero().unbind(-1))
-    measurement = scene.numpy(force=True)[target] * there.shape[-1] + j
+    measurement = scene.numpy(force=True)[target] * reach.shape[-1] + j
     targets, used = _components(target, measurement, len(reach))
-    first = _first(there)[scene.numpy(force=True)]
     # Few sizes of scans, so that there are few calls: powers of two.
     width = 2 ** np.ceil(np.log2(used.size.clip(1))).astype(np.intp)
     groups = []
     for k, J in np.unique(np.stack([targets.size, width]), axis=1).T:
         chosen = np.flatnonzero((targets.size == k) & (width == J))
-        rows, columns = (_table(x, chosen, size) for x, size in ((targets, k), (used, J)))
-        columns[:, 0] = np.where(columns[:, 0] < 0, first[rows[:, 0]], columns[:, 0])
-        groups.append(Group(*(torch.from_numpy(x).to(reach.device) for x in (rows, columns))))
+        tables = (_table(x, chosen, size) for x, size in ((targets, k), (used, J)))
+        groups.append(Group(*(torch.from_numpy(x).to(reach.device) for x in tables)))
     return groups
 
 
@@ -86,11 +82,3 @@ def _table(members: _Members, chosen: Numbers, width: int) -> Any:
     inside = place < members.size[chosen, None]
     at = np.where(inside, members.start[chosen, None] + place, 0)
     return np.where(inside, members.number[at] if len(members.number) else -1, -1)
-
-
-def _first(there: Tensor) -> Numbers:
-    """The number of the first measurement of each scene ``(R,)``; -1 where there is none."""
-    some, J = there.numpy(force=True), there.shape[-1]
-    if J == 0:
-        return np.full(len(some), -1)
-    return np.asarray(np.where(some.any(-1), some.argmax(-1) + J * np.arange(len(some)), -1))

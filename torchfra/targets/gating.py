@@ -13,16 +13,17 @@ from torchfra.types import Gaussian
 
 _WIDER = 1.25
 """How many times wider than the filter's own gates those are that clusters are made by: these look at the covariance to
-first order and at the nominal noise only."""
+first order only."""
 
 
-def expected(sensor: Sensor, belief: Gaussian, u: Tensor | None) -> Gaussian:
+def expected(sensor: Sensor, belief: Gaussian, u: Tensor | None, learned: Tensor | None) -> Gaussian:
     """What a sensor will measure: mean ``(N, m)`` and root of the innovation's covariance, by points of third degree.
 
     Args:
         sensor: it measures.
         belief: predictions ``(N,)``.
         u: ``(N, k)`` or None.
+        learned: ``(N, m)`` variances of the noise that it has learned, as multiples of the nominal ones, or None.
     """
     mean, root = belief
     n = mean.shape[-1]
@@ -31,7 +32,8 @@ def expected(sensor: Sensor, belief: Gaussian, u: Tensor | None) -> Gaussian:
     z = sensor.at_points(points, u)
     spread = sensor.difference(z[1:], z[:1]).movedim(0, -1) / (2 * n) ** 0.5  # (N, m, 2n)
     unit = sensor.measurement_noise(torch.zeros_like(z[0]))
-    noise = unit.colour(torch.eye(sensor.size, dtype=mean.dtype, device=mean.device).expand(len(mean), -1, -1))
+    scale = torch.ones_like(z[0]) if learned is None else learned
+    noise = unit.colour(scale.sqrt().diag_embed())
     return Gaussian(z[0], tria(hstack(spread, noise)))
 
 

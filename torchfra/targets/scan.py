@@ -55,7 +55,7 @@ def look_at(filter: JPDA, state: Any, scene: Tensor, look: Look) -> tuple[Any, S
     if len(scene) == 0:
         return state, Said(explained[:0], explained[:0], explained.reshape(there.shape)), []
     with torch.no_grad():
-        groups = clusters(_reach(filter, state, scene, look), scene, there)
+        groups = clusters(_reach(filter, state, scene, look), scene)
     nothing = look.z.new_full((1, filter.sensor.size), torch.nan)
     table = torch.cat([look.z.flatten(0, 1), nothing])  # the last row is none
     parts, missed, density = [], [], []
@@ -79,9 +79,10 @@ def _reach(filter: JPDA, state: Any, scene: Tensor, look: Look) -> Tensor:
     """Which measurements ``(N, J)`` of its scene may be in the gate of each target."""
     alone = tree.map_tensors(lambda x: x.unsqueeze(1), state)  # each target in a scene of its own, with nothing to see
     nothing = look.z.new_full((len(scene), 1, filter.sensor.size), torch.nan)
-    belief = _advance(filter, alone, nothing, scene, look)[0].belief
+    after, record = _advance(filter, alone, nothing, scene, look)
+    belief, learned = Gaussian(*(x.squeeze(1) for x in after.belief)), record.info.noise
     u = None if look.u is None else look.u[scene]
-    predicted = expected(filter.sensor, Gaussian(*(x.squeeze(1) for x in belief)), u)
+    predicted = expected(filter.sensor, belief, u, None if learned is None else learned.squeeze(1))
     return in_reach(filter.gate, filter.sensor, predicted, look.z, scene, filter.temperature)
 
 
@@ -89,4 +90,4 @@ def _advance(filter: JPDA, state: Any, z: Tensor, scene: Tensor, look: Look) -> 
     """One step of clusters ``(C, k)`` on measurements ``(C, J, m)``."""
     u = None if look.u is None else look.u[scene]
     # Not by step, which does not tell whose each measurement is.
-    return filter.advance(state, filter._frame(state, Measurements(z, look.dt[scene], u)))
+    return filter.advance(state, filter._frame(state, Measurements(z, look.dt[scene], u)), looked=True)
