@@ -13,7 +13,7 @@ from torch import Tensor
 
 TOLERANCE = {torch.float64: 1e-8, torch.float32: 2e-2}
 """Of the largest entry; in float32 rounding is amplified by robust decisions and by short roots."""
-LARGE = 1e4
+LARGE = 2e3
 """Measurements of more standard deviations than this leave more rounding in an estimate."""
 LOOSER: ContextVar[float] = ContextVar("looser", default=1.0)
 """Factor on the tolerances where measurements are that large."""
