@@ -148,6 +148,26 @@ def test_scans_without_measurements_count_as_misses_of_a_lost_track():
         torch.testing.assert_close(state.belief.scale_tril[0], states[0].belief.scale_tril[0])
 
 
+@pytest.mark.parametrize("make", [plane, lambda: plane(inner=presets.gpb)], ids=["one model", "regimes"])
+def test_a_stream_that_was_saved_goes_on_to_the_same_bits(make, tmp_path):
+    targets, z = Targets(make(), birth=TwoPoint(20.0)), with_clutter(moving(FOUR, 12)[1], 3, 150.0)
+    state = run(targets, z[:8])[-1]
+    torch.save(targets.saved(state), tmp_path / "targets.pt")
+    again = targets.restored(torch.load(tmp_path / "targets.pt", weights_only=True))
+    for scan in z[8:]:
+        state, again = targets.step(state, scan), targets.step(again, scan)
+    for one, other in zip(tree.flatten(state), tree.flatten(again), strict=True):
+        assert torch.equal(one, other)
+
+
+def test_a_saved_state_of_another_manager_is_refused():
+    values = Targets(plane()).saved(Targets(plane()).init())
+    with pytest.raises(ValueError, match="values: expected a state of"):
+        Targets(plane(), confirmation=MOfN(2, 3)).restored(values)
+    with pytest.raises(ValueError, match="values: expected format 1, received None"):
+        Targets(plane()).restored({})
+
+
 def test_a_target_ends_when_nobody_knows_any_more_where_it_is():
     _, z = moving([(0, 0, 5, 0)], 6)
     options = {"birth": TwoPoint(20.0), "confirmation": MOfN(2, 2)}

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -18,6 +20,7 @@ from torchfra.targets.merging import Merging
 from torchfra.targets.places import known_components, place, to_cartesian
 from torchfra.targets.records import collect
 from torchfra.targets.rules import SPRT, Confirmation, Deletion
+from torchfra.targets.saved import restored, saved
 from torchfra.targets.scan import Look, Said, look_at
 from torchfra.targets.state import TargetsEstimate, TargetsState, Track, Unexplained, joined, rows
 from torchfra.types import Gaussian
@@ -94,6 +97,21 @@ class Targets(nn.Module):
         position = Gaussian(nothing.reshape(0, dims), nothing.reshape(0, dims, dims))
         next_identity = torch.zeros(scenes, dtype=torch.int64, device=device)
         return TargetsState(self.filter.begin(empty), track, Unexplained(position, none, nothing), next_identity)
+
+    def saved(self, state: TargetsState) -> dict[str, Any]:
+        """A state as a dictionary for ``torch.save``, which ``torch.load`` reads with ``weights_only=True``."""
+        return saved(state)
+
+    def restored(self, values: Mapping[str, Any]) -> TargetsState:
+        """The state that was saved; a manager like the one that left it goes on to the same bits.
+
+        Args:
+            values: from ``saved``.
+
+        Raises:
+            ValueError: they are of another manager.
+        """
+        return restored(values, self.init())
 
     def step(self, state: TargetsState, z: Tensor, *, dt: Time = 1.0, u: Tensor | None = None) -> TargetsState:
         """One scan.
