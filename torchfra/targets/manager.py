@@ -175,7 +175,9 @@ class Targets(nn.Module):
         whole = ~look.z.isnan().any(-1)
         scene, j = (whole & (explained < 1 - self.free)).nonzero().unbind(-1)
         u = None if look.u is None else look.u[scene]
-        now = Unexplained(place(self.filter.sensor, look.z[scene, j], u), scene, look.dt.new_zeros(len(scene)))
+        now = Unexplained(
+            place(self.filter.motion, self.filter.sensor, look.z[scene, j], u), scene, look.dt.new_zeros(len(scene))
+        )
         before = before._replace(since=before.since + look.dt[before.scene])
         newborn, left = self.birth(self.filter.motion, now, before)
         return newborn, left
