@@ -11,7 +11,7 @@ from torchfra import metrics, presets, scenarios, tree
 from torchfra.association import ChiSquare, Clutter, Euclidean
 from torchfra.gaussian.inputs import Measurements
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, RandomWalk, aircraft
-from torchfra.sensors import Bearings, Position, RangeBearing
+from torchfra.sensors import Bearings, Position, RangeBearing, Stacked
 from torchfra.targets import SPRT, Deletion, Merging, MOfN, OnePoint, Targets, TwoPoint, collect
 from torchfra.targets.scan import Look, look_at
 from torchfra.types import Gaussian
@@ -148,6 +148,26 @@ def test_scans_without_measurements_count_as_misses_of_a_lost_track():
         torch.testing.assert_close(state.belief.scale_tril[0], states[0].belief.scale_tril[0])
 
 
+@pytest.mark.parametrize("make", [plane, lambda: plane(inner=presets.gpb)], ids=["one model", "regimes"])
+def test_a_stream_that_was_saved_goes_on_to_the_same_bits(make, tmp_path):
+    targets, z = Targets(make(), birth=TwoPoint(20.0)), with_clutter(moving(FOUR, 12)[1], 3, 150.0)
+    state = run(targets, z[:8])[-1]
+    torch.save(targets.saved(state), tmp_path / "targets.pt")
+    again = targets.restored(torch.load(tmp_path / "targets.pt", weights_only=True))
+    for scan in z[8:]:
+        state, again = targets.step(state, scan), targets.step(again, scan)
+    for one, other in zip(tree.flatten(state), tree.flatten(again), strict=True):
+        assert torch.equal(one, other)
+
+
+def test_a_saved_state_of_another_manager_is_refused():
+    values = Targets(plane()).saved(Targets(plane()).init())
+    with pytest.raises(ValueError, match="values: expected a state of"):
+        Targets(plane(), confirmation=MOfN(2, 3)).restored(values)
+    with pytest.raises(ValueError, match="values: expected format 1, received None"):
+        Targets(plane()).restored({})
+
+
 def test_a_target_ends_when_nobody_knows_any_more_where_it_is():
     _, z = moving([(0, 0, 5, 0)], 6)
     options = {"birth": TwoPoint(20.0), "confirmation": MOfN(2, 2)}
@@ -209,12 +229,32 @@ def test_aircraft_in_spherical_coordinates_begin_where_the_sensor_says(birth):
     assert lives.switches.sum() == 0
 
 
-def test_a_radar_that_moves_says_where_targets_are():
+class Turned(RangeBearing):
+    """A radar whose bearings count from where it heads, the third entry of ``u``."""
+
+    def forward(self, x, u=None):
+        return super().forward(x, u) - u[..., 2:] * torch.tensor([0.0, 1.0]).to(x)
+
+
+def test_a_sensor_that_u_turns_is_refused_by_births():
+    f = presets.jpda(ConstantVelocity(0.1), Turned(torch.tensor([2.0, 0.002])), clutter=Clutter(1e6, rate=1.0))
+    targets = Targets(f)
+    with pytest.raises(ValueError, match="u: expected to tell no more than where the sensor stands"):
+        targets.step(targets.init(), torch.tensor([[500.0, 1.0]]).double(), u=torch.tensor([0.0, 0.0, 0.3]).double())
+
+
+@pytest.mark.parametrize("around", [
+    lambda radar: radar, Stacked, lambda radar: Stacked(radar, inputs=[2]),
+    lambda radar: Stacked(Position(2.0), radar),
+], ids=["alone", "one of one", "with its own inputs", "beside positions"])  # fmt: skip
+def test_a_radar_that_moves_says_where_targets_are(around):
     truth, _ = moving([(300.0, 400.0, 10.0, 5.0)], 12)
-    sensor = RangeBearing(torch.tensor([2.0, 0.002]).double())
+    sensor = around(RangeBearing(torch.tensor([2.0, 0.002]).double()))
     u = torch.stack([torch.arange(12.0) * 7, torch.full((12,), -50.0)], -1).double()
     z = sensor(truth[0], u).unsqueeze(1)
-    f = presets.jpda(ConstantVelocity(0.1), sensor, clutter=Clutter(1e6, rate=1.0), detection=0.9)
+    f = presets.jpda(
+        ConstantVelocity(0.1), sensor, clutter=Clutter(extent=[1e3, 6.0] * (sensor.size // 2), rate=1.0), detection=0.9
+    )
     estimate = Targets(f, birth=TwoPoint(30.0))(z, u=u)
     assert (estimate.mean[0, 4:, :2] - truth[0, 4:, :2]).norm(dim=-1).max() < 1.0
 

@@ -36,7 +36,7 @@ class Birth(nn.Module):
 
     Args:
         more: standard deviation of the components of a state beside position and velocity, which begin with 0: one
-            number, in their units.
+            number for all, each in its own units: 1 is 1 m/s^2 of an acceleration, and 1 rad/s of the rate of a turn.
 
     Raises:
         ValueError: a value that is not above 0.
@@ -100,7 +100,8 @@ class OnePoint(Birth):
 class TwoPoint(Birth):
     """Two measurements in consecutive scans that are no target's begin one: the velocity is their difference.
 
-    Of all pairs that the speed allows those are taken whose distances have the least sum; no measurement is in two.
+    Of the pairs that the speed allows as many as possible are taken, and of those with the least sum of distances; no
+    measurement is in two.
 
     Args:
         speed: highest speed of a target, m/s.

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -18,6 +20,7 @@ from torchfra.targets.merging import Merging
 from torchfra.targets.places import known_components, place, to_cartesian
 from torchfra.targets.records import collect
 from torchfra.targets.rules import SPRT, Confirmation, Deletion
+from torchfra.targets.saved import restored, saved
 from torchfra.targets.scan import Look, Said, look_at
 from torchfra.targets.state import TargetsEstimate, TargetsState, Track, Unexplained, joined, rows
 from torchfra.types import Gaussian
@@ -95,6 +98,21 @@ class Targets(nn.Module):
         next_identity = torch.zeros(scenes, dtype=torch.int64, device=device)
         return TargetsState(self.filter.begin(empty), track, Unexplained(position, none, nothing), next_identity)
 
+    def saved(self, state: TargetsState) -> dict[str, Any]:
+        """A state as a dictionary for ``torch.save``, which ``torch.load`` reads with ``weights_only=True``."""
+        return saved(state)
+
+    def restored(self, values: Mapping[str, Any]) -> TargetsState:
+        """The state that was saved; a manager like the one that left it goes on to the same bits.
+
+        Args:
+            values: from ``saved``.
+
+        Raises:
+            ValueError: they are of another manager.
+        """
+        return restored(values, self.init())
+
     def step(self, state: TargetsState, z: Tensor, *, dt: Time = 1.0, u: Tensor | None = None) -> TargetsState:
         """One scan.
 
@@ -157,7 +175,9 @@ class Targets(nn.Module):
         whole = ~look.z.isnan().any(-1)
         scene, j = (whole & (explained < 1 - self.free)).nonzero().unbind(-1)
         u = None if look.u is None else look.u[scene]
-        now = Unexplained(place(self.filter.sensor, look.z[scene, j], u), scene, look.dt.new_zeros(len(scene)))
+        now = Unexplained(
+            place(self.filter.motion, self.filter.sensor, look.z[scene, j], u), scene, look.dt.new_zeros(len(scene))
+        )
         before = before._replace(since=before.since + look.dt[before.scene])
         newborn, left = self.birth(self.filter.motion, now, before)
         return newborn, left

@@ -10,26 +10,46 @@ from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
 from torchfra.motion.spherical import Spherical
 from torchfra.sensors.base import Sensor
-from torchfra.sensors.direction import RangeBearing
 from torchfra.types import Gaussian
 
+_PROBES = (300.0, -700.0, 500.0), (-600.0, 200.0, 900.0)
+"""Two places, m, that tell where a sensor stands."""
 
-def place(sensor: Sensor, z: Tensor, u: Tensor | None) -> Gaussian:
+
+def place(motion: Motion, sensor: Sensor, z: Tensor, u: Tensor | None) -> Gaussian:
     """Positions ``(K, dims)`` that measurements ``(K, m)`` tell, m, by points of third degree of the noise.
 
     Args:
+        motion: of the targets.
         sensor: one that ``locates``.
         z: the measurements, without missing elements.
         u: ``(K, k)`` what the sensor needs to know, or None.
+
+    Raises:
+        ValueError: ``u`` tells the sensor more than where it stands, so that it does not locate in the motion's axes.
     """
     unit = sensor.measurement_noise(z)
     eye = torch.eye(sensor.size, dtype=z.dtype, device=z.device).expand(len(z), -1, -1)
     offsets = (sensor.size**0.5 * unit.colour(eye)).movedim(-1, 0)  # (m, K, m)
     points = sensor.locate(torch.cat([z.unsqueeze(0), z + offsets, z - offsets]))
-    if u is not None and isinstance(sensor, RangeBearing):  # it stands there
-        points = points + u[..., : sensor.size]
+    if u is not None and len(z):
+        points = points + _stands(motion, sensor, u)
     spread = (points[1:] - points[:1]).movedim(0, -1) / (2 * sensor.size) ** 0.5
     return Gaussian(points[0], tria(spread))
+
+
+def _stands(motion: Motion, sensor: Sensor, u: Tensor) -> Tensor:
+    """Where sensors ``(K, dims)`` stand, m: how far from a target they locate it, which is the same for all targets."""
+    position = u.new_tensor(_PROBES)[:, : motion.dims]
+    mean = u.new_zeros(2, motion.size).index_copy(-1, known_components(motion)[: motion.dims].to(u.device), position)
+    root = torch.eye(motion.size, dtype=u.dtype, device=u.device).expand(2, -1, -1)
+    x = from_cartesian(motion, Gaussian(mean, root)).mean.unsqueeze(1).expand(-1, len(u), -1)
+    one, other = position.unsqueeze(1) - sensor.locate(sensor.at_points(x, u))
+    rounding = torch.finfo(u.dtype).eps ** 0.5 * (1e3 + one.abs().amax())
+    if not bool((one - other).abs().amax() <= rounding):
+        expected = "to tell no more than where the sensor stands, as births need"
+        raise ValueError(f"u: expected {expected}, received one that changes more of {sensor.describe()}")
+    return one
 
 
 def known_components(motion: Motion) -> Tensor:

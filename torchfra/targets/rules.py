@@ -57,7 +57,9 @@ class SPRT(Confirmation):
     """Sequential probability ratio test of the score: whether the target exists, or its measurements are false ones.
 
     The score of a scan is ``log(1 - P_D P_G) - log P(missed | scan)``: the density of the scan with the target over
-    that without it.  That is exact among other targets too, where the number of false measurements is Poisson.
+    that without it, given that the others exist, where the number of false measurements is Poisson.  Tentative targets
+    share measurements as if they certainly existed: where many begin, a true one is given up more often than
+    ``missed`` says.
 
     Args:
         false: probability that what begins with a false measurement is confirmed.
