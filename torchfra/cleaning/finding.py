@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchfra.cleaning.both_ways import Smoothed, both_ways, filtered
-from torchfra.cleaning.ladder import Fixes, Levels, look_ahead
+from torchfra.cleaning.ladder import USUAL, Fixes, Levels, look_ahead
 
 _COARSE, _FINE = 8, 1.2
 """Standard deviations that are tried at first, each half of the one before; and the ratio of those tried later."""
@@ -26,6 +26,8 @@ SHORT = 0
 """Owner of the rows of all tracks that are too short to be looked at alone."""
 _FEW = 2.0
 """Fixes that shares of levels are worth before any was seen."""
+_ALONE = USUAL._replace(same=0.0)
+"""While sigma and the process noise are found: outliers that follow each other could stand for clean fixes otherwise."""
 _SLOWEST = 1e-5
 """Least density of the process noise, m^2/s^3, ..."""
 _STILL = 0.1
@@ -99,7 +101,7 @@ def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor) -> Ten
         return x.unsqueeze(-2).expand(*x.shape[:-1], count, x.shape[-1]).flatten(-2)
 
     tried = Fixes(repeated(part.z), repeated(part.gap), variance.flatten(1), repeated(part.odds))
-    found = look_ahead(tried, Levels(*(repeated(x[:, looked_at]) for x in levels)))
+    found = look_ahead(tried, Levels(*(repeated(x[:, looked_at]) for x in levels)), _ALONE)
     seen = (~tried.missing).to(sigma)
     sums = torch.stack([found.log_likelihood * seen, found.outlier * seen, seen]).sum(1).unflatten(-1, (count, -1))
     fit, wrong, seen = sums.new_zeros(3, count, int(owner.max()) + 1).index_add(-1, owner[looked_at], sums)[..., owner]
@@ -149,7 +151,7 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool, 
         rounds: of finding.
     """
     for left in reversed(range(rounds)):
-        known = [both_ways(part.scaled, part.levels) for part in parts]
+        known = [both_ways(part.scaled, part.levels, _ALONE) for part in parts]
         if find_q:
             parts = [_learnt(part, of, owner) for part, of in zip(parts, known, strict=True)]
         parts = _told(parts, known)

@@ -213,6 +213,8 @@ def _again(log_density: Tensor, x: Belief, moved: Tensor, elapsed: Tensor, varia
 
     Then fixes have moved by ``moved (d, B)`` in some seconds as the target has.
     """
+    if not doubt.same:
+        return log_density
     residual, d = moved.unsqueeze(1) - elapsed * x.velocity, len(moved)
     wide = 2 * variance + elapsed.square() * x.vv
     squared = d * _over_axes(residual, residual)
