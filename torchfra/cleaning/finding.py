@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchfra.cleaning.both_ways import Smoothed, both_ways, filtered
-from torchfra.cleaning.ladder import USUAL, Fixes, Levels, look_ahead
+from torchfra.cleaning.ladder import USUAL, Doubt, Fixes, Levels, look_ahead
 
 _COARSE, _FINE = 8, 1.2
 """Standard deviations that are tried at first, each half of the one before; and the ratio of those tried later."""
@@ -27,7 +27,7 @@ SHORT = 0
 _FEW = 2.0
 """Fixes that shares of levels are worth before any was seen."""
 _ALONE = USUAL._replace(same=0.0)
-"""While sigma and the process noise are found: outliers that follow each other could stand for clean fixes otherwise."""
+"""While sigma and the process noise are found: many outliers as far off as each other could stand for clean fixes."""
 _SLOWEST = 1e-5
 """Least density of the process noise, m^2/s^3, ..."""
 _STILL = 0.1
@@ -79,10 +79,12 @@ def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor) -> Tensor:
 def finer_sigma(part: Part, owner: Tensor) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood near those that are known."""
     factors = _FINE ** torch.arange(2, -3, -1, dtype=part.sigma.dtype)
-    return likeliest(part.fixes, part.levels, owner, part.sigma * factors.unsqueeze(1))
+    tried = part.sigma * factors.unsqueeze(1)
+    alone, usual = (likeliest(part.fixes, part.levels, owner, tried, doubt) for doubt in (_ALONE, USUAL))
+    return alone.maximum(usual)
 
 
-def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor) -> Tensor:
+def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, doubt: Doubt = _ALONE) -> Tensor:
     """Of standard deviations ``(G, B)`` that decrease by a factor, the ones ``(B,)`` of the largest likelihood.
 
     Between them by the parabola through the largest and its neighbours.
@@ -92,6 +94,7 @@ def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor) -> Ten
         levels: of the process noise.
         owner: ``(B,)`` numbers; rows of the same one have one standard deviation.
         sigma: that are tried.
+        doubt: about outliers.
     """
     count, looked_at = len(sigma), _looked_at(fixes, owner)
     part = Fixes(*(x[:_STEPS, ..., looked_at] for x in fixes))
@@ -101,7 +104,7 @@ def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor) -> Ten
         return x.unsqueeze(-2).expand(*x.shape[:-1], count, x.shape[-1]).flatten(-2)
 
     tried = Fixes(repeated(part.z), repeated(part.gap), variance.flatten(1), repeated(part.odds))
-    found = look_ahead(tried, Levels(*(repeated(x[:, looked_at]) for x in levels)), _ALONE)
+    found = look_ahead(tried, Levels(*(repeated(x[:, looked_at]) for x in levels)), doubt)
     seen = (~tried.missing).to(sigma)
     sums = torch.stack([found.log_likelihood * seen, found.outlier * seen, seen]).sum(1).unflatten(-1, (count, -1))
     fit, wrong, seen = sums.new_zeros(3, count, int(owner.max()) + 1).index_add(-1, owner[looked_at], sums)[..., owner]
