@@ -80,6 +80,11 @@ def test_as_many_pairs_as_possible_follow_each_other(seed):
     assert found.followed.sum() == most > 0
 
 
+def test_a_batch_of_nothing_has_no_lives():
+    truth = lines([0, 0]).expand(0, -1, -1, -1)
+    assert lives(truth, truth, WHERE).followed.shape == (0, truth.shape[-3])
+
+
 def test_what_does_not_fit_is_named():
     truth = lines([0, 0])
     with pytest.raises(ValueError, match="cutoff: expected"):

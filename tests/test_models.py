@@ -294,6 +294,14 @@ def test_a_hyperparameter_out_of_range_is_refused_with_its_name():
         fra(ConstantVelocity(1.0), Position(1.0), forgetting=1.5)
 
 
+def test_a_hyperparameter_is_not_set_to_values_of_another_shape():
+    hyper = Hyper(torch.ones(3))
+    hyper.set(2.0)
+    assert hyper().tolist() == pytest.approx([2.0] * 3)
+    with pytest.raises(ValueError, match=r"q: expected a number or \(3,\), received \(2,\)"):
+        hyper.set(torch.ones(2), "q")
+
+
 # ---------------------------------------------------------------- metrics
 
 

@@ -365,11 +365,28 @@ def test_without_scipy_it_is_said_what_to_install(monkeypatch):
     (lambda: Deletion(0), "misses: expected 1 scan or more"),
     (lambda: Deletion(drop=2.0), "drop: expected a probability"),
     (lambda: Deletion(spread=0.0), "spread: expected metres above 0"),
+    (lambda: Targets(plane(), free="x"), "free: expected a probability"),
+    (lambda: OnePoint("x"), "velocity: expected a number above 0, received x"),
+    (lambda: OnePoint(torch.ones(2)), "velocity: expected a number above 0"),
+    (lambda: MOfN(True, True), "m, n: expected whole numbers"),
+    (lambda: SPRT("a"), "false, missed: expected probabilities"),
+    (lambda: Deletion(drop="x"), "drop: expected a probability"),
+    (lambda: Targets(plane()).init("a"), "scenes: expected 1 or more"),
+    (lambda: Targets(plane()).init(1.5), "scenes: expected 1 or more"),
+    (lambda: Targets(plane()).init(dtype=torch.float16), "dtype: expected torch.float32 or torch.float64"),
     (lambda: Merging(0.0), "distance: expected a number above 0"),
 ])  # fmt: skip
 def test_arguments_that_do_not_fit_are_named(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_values_that_leave_no_misses_are_refused_when_they_are_set_later():
+    targets = Targets(plane())
+    targets.filter.detection.set(1.0)
+    targets.filter.gate.probability.set(1.0)
+    with pytest.raises(ValueError, match="filter: expected a detection below 1"):
+        targets.step(targets.init(), torch.zeros(3, 2).double())
 
 
 def test_a_sensor_that_does_not_locate_has_no_births():
@@ -412,6 +429,12 @@ def test_sequences_and_states_that_do_not_fit_are_named():
         targets.step(None, torch.zeros(3, 2).double())
     with pytest.raises(ValueError, match="states: expected one or more, of 2 scenes"):
         collect([targets.init()], (2,))
+    with pytest.raises(ValueError, match="states: expected what step has returned, received int"):
+        collect([1, 2])
+    with pytest.raises(ValueError, match="state: expected hits of the last 1 scans"):
+        targets.step(Targets(plane(), confirmation=MOfN(2, 3)).init(), torch.zeros(3, 2).double())
+    with pytest.raises(ValueError, match="z: expected floating-point scans"):
+        targets(torch.zeros(5, 3, 2).half())
     with pytest.raises(ValueError, match="states: expected one or more"):
         collect([])
     with pytest.raises(ValueError, match="scenes: expected 1 or more"):

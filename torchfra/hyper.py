@@ -73,10 +73,14 @@ class Hyper(nn.Module):
             name: what error messages call the value.
 
         Raises:
-            ValueError: the value violates the constraint or is NaN.
+            ValueError: the value violates the constraint or is NaN, or is of another shape.
         """
+        raw = self._unconstrained(value, name)
+        if raw.dim() and raw.shape != self.raw.shape:
+            expected = f"a number or {tuple(self.raw.shape)}" if self.raw.dim() else "a number"
+            raise ValueError(f"{name}: expected {expected}, received {tuple(raw.shape)}")
         with torch.no_grad():
-            self.raw.copy_(self._unconstrained(value, name))
+            self.raw.copy_(raw)
 
     def _unconstrained(self, value: Value, name: str) -> Tensor:
         if not isinstance(value, Tensor) or not value.is_floating_point():

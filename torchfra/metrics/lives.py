@@ -78,7 +78,9 @@ def lives(mean: Tensor, truth: Tensor, states: slice, *, cutoff: float = 100.0) 
         x[..., states].detach().double().cpu().reshape(math.prod(batch), *x[..., states].shape[-3:]).numpy()
         for x in (mean, truth)
     )
-    follower = np.stack([_followers(e, t, cutoff) for e, t in zip(estimates, targets, strict=True)])
+    follower = np.full(targets.shape[:-1], -1)
+    for i, (e, t) in enumerate(zip(estimates, targets, strict=True)):
+        follower[i] = _followers(e, t, cutoff)
     there = [torch.from_numpy(~np.isnan(x).any(-1)) for x in (targets, estimates)]
     counts = _counts(torch.from_numpy(follower), *there)
     return Lives(*(x.reshape(*batch, x.shape[-1]).to(mean.device) for x in counts))

@@ -12,6 +12,7 @@ from torch.nn.functional import pad
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
 from torchfra.targets.assignment import scipy
+from torchfra.targets.numbers import real
 from torchfra.targets.places import from_cartesian, known_components
 from torchfra.targets.state import Unexplained, rows
 from torchfra.types import Gaussian
@@ -155,6 +156,6 @@ class TwoPoint(Birth):
 
 
 def _positive(name: str, value: float) -> float:
-    if not 0 < value < math.inf:
+    if not 0 < real(value) < math.inf:
         raise ValueError(f"{name}: expected a number above 0, received {value}")
     return float(value)

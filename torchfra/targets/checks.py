@@ -14,6 +14,8 @@ from torchfra.targets.places import known_components
 from torchfra.targets.scan import Look
 from torchfra.targets.state import TargetsState
 
+_DTYPES = torch.float32, torch.float64
+
 
 def check_filter(filter: object) -> None:
     """Whether a filter can have any number of targets that come and go.
@@ -36,6 +38,10 @@ def check_filter(filter: object) -> None:
         raise ValueError("filter: expected hyperparameters that are the same for all targets, received a batch of them")
     if filter.share_noise:
         raise ValueError("filter: expected targets with their own estimates of the noise, received share_noise=True")
+    _check_missable(filter)
+
+
+def _check_missable(filter: JPDA) -> None:
     if not bool(log_miss(filter.detection, filter.gate, torch.zeros(())) > -torch.inf):
         raise ValueError(
             "filter: expected a detection below 1 or a gate of a probability, so that targets may be missed"
@@ -54,7 +60,7 @@ def check_parts(**parts: tuple[object, type]) -> None:
             raise ValueError(f"{name}: expected {expected}, received {type(part).__name__}")
 
 
-def check_scan(filter: JPDA, state: TargetsState, z: Tensor, dt: Time, u: Tensor | None) -> Look:
+def check_scan(filter: JPDA, state: TargetsState, z: Tensor, dt: Time, u: Tensor | None, window: int) -> Look:
     """One scan of each scene, in one form.
 
     Raises:
@@ -62,6 +68,9 @@ def check_scan(filter: JPDA, state: TargetsState, z: Tensor, dt: Time, u: Tensor
     """
     if not isinstance(state, TargetsState):
         raise ValueError(f"state: expected what init or step has returned, received {type(state).__name__}")
+    if state.track.hits.shape[-1] != window:
+        expected = f"hits of the last {window} scans, as the confirmation looks at"
+        raise ValueError(f"state: expected {expected}, received those of {state.track.hits.shape[-1]}")
     scenes, like = len(state.next_identity), state.belief.mean
     _check_scans(filter, z, "(J, m) or (R, J, m)", (2, 3))
     if z.dim() == 2:
@@ -91,10 +100,13 @@ def check_scans(filter: JPDA, z: Tensor, dt: Time, u: Tensor | None) -> list[Loo
 
 
 def _check_scans(filter: JPDA, z: Tensor, shape: str, ranks: tuple[int, ...] | range) -> None:
+    _check_missable(filter)  # values may have been set since
     size = filter.sensor.size
-    if not isinstance(z, Tensor) or z.dim() not in ranks or z.shape[-1] != size or not z.is_floating_point():
+    if not isinstance(z, Tensor) or z.dim() not in ranks or z.shape[-1] != size or z.dtype not in _DTYPES:
         received = f"{tuple(z.shape)}, {z.dtype}" if isinstance(z, Tensor) else type(z).__name__
-        raise ValueError(f"z: expected floating-point scans {shape} with m of {size}, received {received}")
+        raise ValueError(
+            f"z: expected floating-point scans {shape} with m of {size}, float32 or float64, received {received}"
+        )
     if bool(z.isinf().any()):
         raise ValueError("z: expected finite measurements, or NaN where there is none, received an infinite one")
 

@@ -17,6 +17,7 @@ from torchfra.targets.births import Birth, Newborn, OnePoint
 from torchfra.targets.checks import check_filter, check_parts, check_scan, check_scans
 from torchfra.targets.clusters import Group
 from torchfra.targets.merging import Merging
+from torchfra.targets.numbers import real, whole
 from torchfra.targets.places import known_components, place, to_cartesian
 from torchfra.targets.records import collect
 from torchfra.targets.rules import SPRT, Confirmation, Deletion
@@ -63,7 +64,7 @@ class Targets(nn.Module):
         check_filter(filter)
         check_parts(birth=(birth, Birth), confirmation=(confirmation, Confirmation), deletion=(deletion, Deletion),
                     merging=(merging, Merging))  # fmt: skip
-        if not 0 < free < 1:
+        if not 0 < real(free) < 1:
             raise ValueError(f"free: expected a probability above 0 and below 1, received {free}")
         self.filter = copy.deepcopy(filter)
         self.birth = OnePoint() if birth is None else birth
@@ -71,7 +72,8 @@ class Targets(nn.Module):
         self.deletion = Deletion() if deletion is None else deletion
         self.merging, self.free = merging, free
         if (self.confirmation.scored or self.deletion.drop is not None) and filter.clutter.rate is None:
-            raise ValueError("confirmation, deletion: expected clutter of a Poisson rate for scores, received none")
+            expected = "clutter of a Poisson rate for scores, as of Clutter(..., rate=), or MOfN and no drop"
+            raise ValueError(f"confirmation, deletion: expected {expected}, received none")
 
     def init(
         self, scenes: int = 1, *, dtype: torch.dtype = torch.float64, device: torch.device | str | None = None
@@ -84,10 +86,12 @@ class Targets(nn.Module):
             device: likewise.
 
         Raises:
-            ValueError: less than one scene.
+            ValueError: less than one scene, or another dtype than ``float32`` and ``float64``.
         """
-        if scenes < 1:
+        if not whole(scenes, 1):
             raise ValueError(f"scenes: expected 1 or more, received {scenes}")
+        if dtype not in (torch.float32, torch.float64):
+            raise ValueError(f"dtype: expected torch.float32 or torch.float64, received {dtype}")
         n, dims = self.filter.motion.size, self.filter.motion.dims
         nothing = torch.zeros(0, dtype=dtype, device=device)
         none = torch.zeros(0, dtype=torch.int64, device=device)
@@ -126,7 +130,7 @@ class Targets(nn.Module):
             ValueError: a shape or a value that does not fit.
             ImportError: scipy is not installed.
         """
-        return self._step(state, check_scan(self.filter, state, z, dt, u))
+        return self._step(state, check_scan(self.filter, state, z, dt, u, self.confirmation.window))
 
     def forward(self, z: Tensor, *, dt: Time = 1.0, u: Tensor | None = None) -> TargetsEstimate:
         """Whole sequences of scans, from no target on.

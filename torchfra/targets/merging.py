@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torchfra.linalg.triangular import hstack, tria, whiten
 from torchfra.motion.base import Motion
 from torchfra.targets.clusters import Group
+from torchfra.targets.numbers import real
 from torchfra.targets.state import Track
 from torchfra.types import Gaussian
 
@@ -33,7 +34,7 @@ class Merging(nn.Module):
 
     def __init__(self, distance: float = 0.3) -> None:
         super().__init__()
-        if not 0 < distance < math.inf:
+        if not 0 < real(distance) < math.inf:
             raise ValueError(f"distance: expected a number above 0, received {distance}")
         self.distance = float(distance)
 

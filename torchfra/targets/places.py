@@ -44,8 +44,8 @@ def _stands(motion: Motion, sensor: Sensor, u: Tensor) -> Tensor:
     mean = u.new_zeros(2, motion.size).index_copy(-1, known_components(motion)[: motion.dims].to(u.device), position)
     root = torch.eye(motion.size, dtype=u.dtype, device=u.device).expand(2, -1, -1)
     x = from_cartesian(motion, Gaussian(mean, root)).mean.unsqueeze(1).expand(-1, len(u), -1)
-    one: Tensor
-    one, other = position.unsqueeze(1) - sensor.locate(sensor.at_points(x, u))
+    off: Tensor = position.unsqueeze(1) - sensor.locate(sensor.at_points(x, u))
+    one, other = off.unbind()
     rounding = torch.finfo(u.dtype).eps ** 0.5 * (1e3 + one.abs().amax())
     if not bool((one - other).abs().amax() <= rounding):
         expected = "to tell no more than where the sensor stands, as births need"

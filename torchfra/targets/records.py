@@ -22,6 +22,9 @@ def collect(states: Sequence[TargetsState], batch: Sequence[int] = ()) -> Target
     Raises:
         ValueError: no state, or another number of scenes.
     """
+    if not all(isinstance(state, TargetsState) for state in states):
+        received = ", ".join(sorted({type(state).__name__ for state in states}))
+        raise ValueError(f"states: expected what step has returned, received {received}")
     if not states or math.prod(batch) != len(states[0].next_identity):
         received = f"{len(states)} of {len(states[0].next_identity) if states else 0} scenes"
         raise ValueError(f"states: expected one or more, of {math.prod(batch)} scenes, received {received}")

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
+from torchfra.targets.numbers import real, whole
 from torchfra.targets.state import Track
 
 
@@ -38,7 +39,7 @@ class MOfN(Confirmation):
 
     def __init__(self, m: int = 3, n: int = 5) -> None:
         super().__init__()
-        if not (isinstance(m, int) and isinstance(n, int) and 1 <= m <= n):
+        if not (whole(m, 1) and whole(n, m)):
             raise ValueError(f"m, n: expected whole numbers with 1 <= m <= n, received {m}, {n}")
         self.m, self.window = m, n
 
@@ -77,7 +78,7 @@ class SPRT(Confirmation):
 
     def __init__(self, false: float = 1e-4, missed: float = 1e-2) -> None:
         super().__init__()
-        if not (false > 0 and missed > 0 and false + missed < 1):
+        if not (real(false) > 0 and real(missed) > 0 and real(false) + real(missed) < 1):
             raise ValueError(f"false, missed: expected probabilities above 0 with a sum below 1, received "
                              f"{false}, {missed}")  # fmt: skip
         self.upper, self.lower = math.log((1 - missed) / false), math.log(missed / (1 - false))
@@ -110,11 +111,11 @@ class Deletion(nn.Module):
         super().__init__()
         if misses is None and drop is None and spread is None:
             raise ValueError("misses, drop, spread: expected at least one of them, received none")
-        if misses is not None and not (isinstance(misses, int) and misses >= 1):
+        if misses is not None and not whole(misses, 1):
             raise ValueError(f"misses: expected 1 scan or more, received {misses!r}")
-        if drop is not None and not 0 < drop < 1:
+        if drop is not None and not 0 < real(drop) < 1:
             raise ValueError(f"drop: expected a probability above 0 and below 1, received {drop}")
-        if spread is not None and not spread > 0:
+        if spread is not None and not real(spread) > 0:
             raise ValueError(f"spread: expected metres above 0, received {spread}")
         self.misses, self.drop, self.spread = misses, drop, spread
 
