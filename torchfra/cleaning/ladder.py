@@ -213,14 +213,12 @@ def _again(log_density: Tensor, x: Belief, moved: Tensor, elapsed: Tensor, varia
 
     Then fixes have moved by ``moved (d, B)`` in some seconds as the target has.
     """
-    if not doubt.same:
-        return log_density
     residual, d = moved.unsqueeze(1) - elapsed * x.velocity, len(moved)
     wide = 2 * variance + elapsed.square() * x.vv
     squared = d * _over_axes(residual, residual)
-    same = -0.5 * (squared / wide + d * (wide.log() + _LOG_TWO_PI))
+    same = (math.log(doubt.same) if doubt.same else -math.inf) - 0.5 * (squared / wide + d * (wide.log() + _LOG_TWO_PI))
     other = log_density + math.log1p(-doubt.same)
-    return torch.where(squared.isnan(), log_density, torch.logaddexp(other, same + math.log(doubt.same)))
+    return torch.where(squared.isnan(), log_density, torch.logaddexp(other, same))
 
 
 def _pair(share: Tensor, a: Belief, b: Belief) -> Belief:
