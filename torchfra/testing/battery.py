@@ -21,11 +21,11 @@ class Outcome(NamedTuple):
 
     check: str
     way: str
-    """``"eager"`` or ``"compiled"``."""
+    """``"eager"`` or ``"compiled"``; of a motion or a sensor by itself the method that was tried."""
     verdict: str
     """``"passed"``, ``"skipped"`` or ``"failed"``."""
     reason: str = ""
-    """Why it was skipped, or what was expected and what came."""
+    """Why it was skipped, or what was expected and what came, and the line of a user's that is to blame."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import copy
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -21,7 +21,7 @@ from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.places import numbers
 from torchfra.testing import refusals
-from torchfra.testing.battery import tried
+from torchfra.testing.battery import Outcome, tried
 from torchfra.testing.case import CHECKS, STEPS, TRACKS, make_case
 from torchfra.testing.expectations import as_large_as
 from torchfra.testing.lines import line_of_error, told, with_line
@@ -37,24 +37,12 @@ TYPICAL = {
 WORDS = {"passed": "right", "skipped": "skipped"}
 
 
-class Found(NamedTuple):
-    """What came of one check."""
-
-    where: str
-    """A method, or ``"in a filter"`` or ``"in a compiled filter"``."""
-    check: str
-    verdict: str
-    """``"passed"``, ``"skipped"`` or ``"failed"``."""
-    reason: str = ""
-    """Why it was skipped, or what was expected and what came, and which line is to blame."""
-
-
 @dataclass(frozen=True)
 class ModelReport:
     """What came of trying a motion and a sensor; as text, what is wrong and where, and what was found to be right."""
 
     models: str
-    found: tuple[Found, ...]
+    found: tuple[Outcome, ...]
 
     @property
     def ok(self) -> bool:
@@ -76,9 +64,9 @@ class ModelReport:
     def _grouped(self, verdict: str) -> Iterator[str]:
         """Where and what, for each reason of a verdict."""
         those = [x for x in self.found if x.verdict == verdict]
-        for where, reason in dict.fromkeys((x.where, x.reason) for x in those):
-            checks = ", ".join(x.check for x in those if (x.where, x.reason) == (where, reason))
-            yield f"{where}: {checks}{f': {reason}' if reason else ''}"
+        for way, reason in dict.fromkeys((x.way, x.reason) for x in those):
+            checks = ", ".join(x.check for x in those if (x.way, x.reason) == (way, reason))
+            yield f"{way}: {checks}{f': {reason}' if reason else ''}"
 
 
 def check_model(
@@ -129,7 +117,7 @@ def check_model(
     names = f"{type(motion).__name__} and {type(sensor).__name__}"
     found = [x for part in parts_of(motion, sensor, belief, dt, u, seed) for x in _by_itself(part)]
     if any(x.verdict == "failed" for x in found):
-        found.append(Found("in a filter", "all", "skipped", "until they are right by themselves"))
+        found.append(Outcome("all", "in a filter", "skipped", "until they are right by themselves"))
         return ModelReport(names, tuple(found))
     return ModelReport(names, (*found, *_in_a_filter(motion, sensor, belief, dt, u, compiled, seed)))
 
@@ -142,7 +130,7 @@ def _typical(motion: Motion, state: Tensor | None) -> Gaussian:
     return Gaussian(mean if state is None else state.double(), std.diag())
 
 
-def _by_itself(part: Part) -> Iterator[Found]:
+def _by_itself(part: Part) -> Iterator[Outcome]:
     """What comes of each check on one motion or sensor, up to the first that fails."""
     for check, tried_on in checks_of(part):
         name = check.__name__.replace("_", " ")
@@ -150,36 +138,36 @@ def _by_itself(part: Part) -> Iterator[Found]:
             check(tried_on)
         except AssertionError as error:
             line = line_of_error(error) or tried_on.line
-            yield Found(tried_on.name, name, "failed", with_line(str(error), line))
+            yield Outcome(name, tried_on.name, "failed", with_line(str(error), line))
             return
         except Exception as error:
             hint = " (if it needs a u, hand one in: u=)" if part.u is None and "NoneType" in str(error) else ""
-            yield Found(tried_on.name, name, "failed", told(error, tried_on.line, hint))
+            yield Outcome(name, tried_on.name, "failed", told(error, tried_on.line, hint))
             return
-        yield Found(part.name, name, "passed")
+        yield Outcome(name, part.name, "passed")
 
 
 def _in_a_filter(
     motion: Motion, sensor: Sensor, belief: Gaussian, dt: float, u: Tensor | None, compiled: bool, seed: int
-) -> tuple[Found, ...]:
+) -> tuple[Outcome, ...]:
     """What comes of the checks of ``check_filter``, but for those of arguments, on the plain filter of both."""
     try:
         z, prior = _simulated(motion, sensor, belief, dt, u, seed)
         known = None if u is None else u.double().expand(STEPS, -1)
         case = make_case(_filter(motion, sensor), z, prior, dt, known, seed, thorough=False)
     except Exception as error:
-        return (Found("in a filter", "a simulated track", "failed", told(error)),)
+        return (Outcome("a simulated track", "in a filter", "failed", told(error)),)
     names = [name for name, check in CHECKS.items() if check.function.__module__ != refusals.__name__]
-    where = {"eager": "in a filter", "compiled": "in a compiled filter"}
-    without: tuple[Found, ...] = ()
+    way = {"eager": "in a filter", "compiled": "in a compiled filter"}
+    without: tuple[Outcome, ...] = ()
     if compiled:
         try:
             compiler()
         except CompileError as error:
-            compiled, without = False, (Found(where["compiled"], "all", "skipped", str(error)),)
+            compiled, without = False, (Outcome("all", way["compiled"], "skipped", str(error)),)
     with as_large_as(case.z, case.std):
         outcomes = tried(case, names, compiled=compiled).outcomes
-    return *(Found(where[o.way], o.check.replace("_", " "), o.verdict, o.reason) for o in outcomes), *without
+    return *(o._replace(check=o.check.replace("_", " "), way=way[o.way]) for o in outcomes), *without
 
 
 def _filter(motion: Motion, sensor: Sensor) -> Filter:
