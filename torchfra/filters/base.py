@@ -155,7 +155,8 @@ class Filter(Compilable, HasViews, Smoother):
                 less memory for more time.  None keeps everything, and after ``compile`` a state every sqrt(T) steps.
             sensors: where steps have several: ``z (..., T, m)`` has the elements of the largest, NaN behind those
                 of a smaller; ``std`` and ``noise`` likewise, and so has ``info`` what it says of elements.
-            which: ``(T,)`` number of each step's sensor, beside ``sensors``; ``dt`` 0 for two at the same instant.
+            which: ``(T,)`` number of each step's sensor, beside ``sensors``; ``dt`` 0 for two at the same instant.  The
+                ``u`` of a step is for its sensor: a ``RangeBearing`` without a ``position`` stands there.
             past: whether the estimate shall hold what ``smooth(estimate=)`` needs: of several models what each knew.
 
         Returns:
