@@ -19,7 +19,7 @@ from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.kernel.program import BUILDING
 from torchfra.kernel.source import SCALARS
 from torchfra.linalg.tracing import is_traced
-from torchfra.tree import flatten
+from torchfra.tree import flatten, map_tensors
 from torchfra.types import Innovation
 
 _VERSIONS = 4
@@ -78,7 +78,9 @@ class Compiled:
         keep, timed = traced.keep_past if past else traced.keep, (True, measurements.varying_dt, True, True, True)
         with BUILDING:
             plan = now.plan(keep, state, data, timed)
-        return now.run(plan, z.shape[-2], state, data, checkpoint, truncate)
+        state, kept = now.run(plan, z.shape[-2 - f.scans], state, data, checkpoint, truncate)
+        rank = len(plan.batch)  # of scenes: time comes behind the targets of each
+        return state, map_tensors(lambda x: x.movedim(rank, rank + 1), kept) if f.scans else kept
 
     def back(self, f: Any, past: Any, measurements: Measurements, rank: int) -> Any:
         """What the way back says of every step, time behind ``rank`` batch dimensions: see ``Smoother``."""

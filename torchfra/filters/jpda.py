@@ -202,7 +202,8 @@ class JPDA(Soft, ScanFilter):
         """Log membership ``(..., N, J)`` of measurements in gates; minus infinity outside, and where missing."""
         candidates = scan.candidates
         measured = candidates.seen.sum(-1) > 0
-        return torch.where(measured, self.gate(candidates, self.sensor, self.temperature), -torch.inf)
+        temperature = self.heat if self.soft else 0.0
+        return torch.where(measured, self.gate(candidates, self.sensor, temperature), -torch.inf)
 
     def associate(self, scan: Scan, inside: Tensor, miss: Tensor) -> Association:
         """Which measurement is whose: eqs. (25)-(27)."""

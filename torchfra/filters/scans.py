@@ -15,7 +15,6 @@ from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import Past
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.hyper import hypers
-from torchfra.kernel.build import CompileError
 from torchfra.types import Gaussian
 
 
@@ -39,17 +38,6 @@ class ScanFilter(Filter):
     keeps_past = True
     one_sensor = "gate and clutter are of the elements of one sensor"
     inner: Any
-
-    def compile(self, *args: object, **options: object) -> ScanFilter:  # type: ignore[override]  # torch's returns None
-        """With arguments ``nn.Module.compile``; without, there are no kernels for scans.
-
-        Raises:
-            CompileError: there are no arguments; see ``Filter``.
-        """
-        if not (args or options):
-            name = type(self).__name__
-            raise CompileError(f"{name}: a scan has too many joint events for a kernel; run it without compile()")
-        return super().compile(*args, **options)
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """The batch of scenes, checked; targets are no part of it."""

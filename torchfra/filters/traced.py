@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.gaussian.inputs import Frame, Measurements, make_frames
+from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.kernel.entries import Entries
 from torchfra.kernel.expressions import Expressions
 from torchfra.types import Gaussian
 
 
-def begin(f: Any) -> Any:
-    """The state before the first measurement."""
+def begin(f: Any, targets: Sequence[int] = ()) -> Any:
+    """The state before the first measurement, of scans that of so many ``targets``."""
     n, dtype, book = f.motion.size, torch.float64, Expressions()
-    root = Entries.inputs(book, (n, n), dtype).ids.tril()
-    state = f.begin(Gaussian(Entries.inputs(book, (n,), dtype), Entries(book, root, dtype)))
+    root = Entries.inputs(book, (*targets, n, n), dtype).ids.tril()
+    state = f.begin(Gaussian(Entries.inputs(book, (*targets, n), dtype), Entries(book, root, dtype)))
     if f.home is f:
         return state
     # What a view keeps of a measurement is not nothing, as it seems to be from the view's own steps.
@@ -27,8 +28,9 @@ def begin(f: Any) -> Any:
 
 def _frame(f: Any, data: dict[str, Tensor]) -> Frame:
     """The frame of one step of one track."""
-    (frame,), _ = make_frames(Measurements(**data).as_track(), f.motion, f.sensor, 0)
-    return frame
+    (frame,), _ = f._frames(Measurements(**data).as_track(scans=f.scans), int(f.scans))
+    made: Frame = frame
+    return made
 
 
 def keep(f: Any, state: Any, data: dict[str, Tensor]) -> Any:
