@@ -75,7 +75,7 @@ class Compiled:
         seconds = measurements.dt if measurements.varying_dt else measurements.common_dt
         data = (z, torch.as_tensor(seconds, dtype=z.dtype), *measurements[2:])
         now = self._now(f)
-        keep, timed = traced.keep_past if past else traced.keep, (True, measurements.varying_dt, True, True, True)
+        keep, timed = traced.Keep(past, _whole(f, measurements)), (True, measurements.varying_dt, True, True, True)
         with BUILDING:
             plan = now.plan(keep, state, data, timed)
         state, kept = now.run(plan, z.shape[-2 - f.scans], state, data, checkpoint, truncate)
@@ -103,25 +103,32 @@ class Compiled:
         now = self._now(f)
         data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype, f.instants), u, std, noise)
         checked = not isinstance(dt, Tensor) and std is None and noise is None
-        done = now.ready(state, data, now.read(), None if checked else f.instants)
-        return self._prepare(f, now, state, data, check) if done is None else done
+        whole = _whole(f, measurements)
+        done = now.ready[whole](state, data, now.read(), None if checked else f.instants)
+        return self._prepare(f, now, state, data, whole, check) if done is None else done
 
     @staticmethod
-    def _prepare(f: Any, now: Version, state: Any, data: Data, check: Callable[[], Frame]) -> tuple[Any, Innovation]:
+    def _prepare(
+        f: Any, now: Version, state: Any, data: Data, whole: bool, check: Callable[[], Frame]
+    ) -> tuple[Any, Innovation]:
         """The same where no step is ready, which then becomes ready if it can."""
         tensors = (*data, *flatten(state), *now.read())
-        form = (type(state), *((x.shape, x.dtype) if isinstance(x, Tensor) else type(x) for x in tensors))
+        form = (type(state), whole, *((x.shape, x.dtype) if isinstance(x, Tensor) else type(x) for x in tensors))
         plan = now.steps.get(form)
         if plan is None:
             check()
             with BUILDING:
                 if len(now.steps) == _FORMS:
                     now.steps.clear()
-                plan = now.steps[form] = now.plan(traced.observe, state, data, (False,) * 5)
+                plan = now.steps[form] = now.plan(traced.Observe(whole), state, data, (False,) * 5)
         else:
             check_changing(data, f.instants)
-        now.get_ready(plan, state, data)
+        now.get_ready(plan, state, data, whole)
         return now.run(plan, 1, state, data)
+
+
+def _whole(f: Any, measurements: Measurements) -> bool:
+    return f.scans and f.whole(measurements)
 
 
 @lru_cache(maxsize=64)

@@ -54,7 +54,7 @@ class Version:
     def __init__(self, f: nn.Module) -> None:
         self.kernels: dict[tuple[Any, ...], Kernels] = {}
         self.steps: dict[tuple[Any, ...], Plan] = {}
-        self.ready = ReadySteps()
+        self.ready = {False: ReadySteps(), True: ReadySteps()}  # of scans that are whole, and of all else
         self.frozen = frozen(f)
         self.scans = bool(getattr(f, "scans", False))
         self.values: list[_Value] = []
@@ -146,7 +146,7 @@ class Version:
         dtypes = [dtype] * len(kernels.step.zero) + [torch.float64 if x.double else dtype for x in inputs.values()]
         return Plan(kernels, batch, shapes, dtypes, counts)
 
-    def get_ready(self, plan: Plan, state: Any, data: Data) -> None:
+    def get_ready(self, plan: Plan, state: Any, data: Data, whole: bool) -> None:
         """Makes later steps like this one ready, if they need no gradient and all is read where it lies."""
         tensors = [*flatten(state), *(x for x in data if x is not None), *self.read()]
         gradients = torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
@@ -158,7 +158,7 @@ class Version:
             return
         ready = plan.kernels.forwards(plan.batch).ready(plan.batch, 1, full)
         if ready is not None:
-            self.ready.add(ReadyStep(ready, state, tensors, (step.state, step.record)), state, data)
+            self.ready[whole].add(ReadyStep(ready, state, tensors, (step.state, step.record)), state, data)
 
     def full(self, plan: Plan, tensors: Sequence[Tensor]) -> list[Tensor]:
         """Leaves of the state, data and values as kernels take them: with the full batch."""

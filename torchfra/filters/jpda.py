@@ -189,7 +189,8 @@ class JPDA(Soft, ScanFilter):
         whitened, side = f.compare(belief, frame), None if noise is None else f.noise
         known = whitened if side is None else side.known(whitened, noise, frame.seen)
         root, normalised = innovation(known)
-        root = root if side is None else side.nominal(root, noise, frame.seen)
+        every = frame.seen if root.shape[-3] > 1 else torch.ones_like(frame.seen[..., :1, :])
+        root = root if side is None else side.nominal(root, noise, every)
         seen, unit = frame.seen > 0, frame.measurement_noise
         gap = unit.colour(whitened.residual.unsqueeze(-1)).squeeze(-1)
         expected = self.sensor.at_points(belief.mean, frame.u)

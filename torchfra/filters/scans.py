@@ -15,6 +15,8 @@ from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import Past
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.hyper import hypers
+from torchfra.linalg.tracing import is_traced
+from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
 
@@ -25,6 +27,10 @@ class ScanPast(NamedTuple):
     """Of the targets' filters."""
     searched: Tensor
     """``(..., N)`` how often the covariance of a target that seemed lost has been quadrupled."""
+
+
+class Whole(Measurements):
+    """Scans that are known to be ``ScanFilter.whole``."""
 
 
 class ScanFilter(Filter):
@@ -61,7 +67,22 @@ class ScanFilter(Filter):
         noise = noise if noise is None else noise.transpose(-4, -3).unsqueeze(-5)
         dt = dt.unsqueeze(-2).unsqueeze(-2) if isinstance(dt, Tensor) and dt.dim() > 1 else dt
         u = u.unsqueeze(-3).unsqueeze(-3) if u is not None and u.dim() > 2 else u
-        return make_frames(Measurements(z, dt, u, std, noise), self.motion, self.sensor, rank + 1)
+        frames, log_norm = make_frames(Measurements(z, dt, u, std, noise), self.motion, self.sensor, rank + 1)
+        if not self.whole(measurements):
+            return frames, log_norm
+        unit = self.sensor.measurement_noise(torch.zeros_like(frames[0].z[..., :1, :]))
+        return [frame._replace(measurement_noise=unit) for frame in frames], log_norm
+
+    def whole(self, measurements: Measurements) -> bool:
+        """Whether measurements are complete or missing, and all have the same noise: then they share their gains."""
+        z, _, _, std, noise = measurements
+        if isinstance(measurements, Whole):
+            return True
+        own = type(self.sensor).measurement_noise is not Sensor.measurement_noise
+        if own or std is not None or noise is not None or is_traced(z):
+            return False
+        missing = z.isnan()
+        return bool((missing == missing[..., :1]).all())
 
     def _scores(self, record: Record, log_norm: Tensor) -> tuple[Tensor, Tensor]:
         """Normalised innovation squared of the combined innovation, and log density of the scan."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchfra import tree
+from torchfra.filters.scans import Whole
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.kernel.entries import Entries
 from torchfra.kernel.expressions import Expressions
@@ -26,23 +28,32 @@ def begin(f: Any, targets: Sequence[int] = ()) -> Any:
     return f.remembering(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
 
 
-def _frame(f: Any, data: dict[str, Tensor]) -> Frame:
-    """The frame of one step of one track."""
-    (frame,), _ = f._frames(Measurements(**data).as_track(scans=f.scans), int(f.scans))
+@dataclass(frozen=True)
+class Keep:
+    """One step of ``forward``: ``past`` with what the way back needs, ``whole`` of scans that are."""
+
+    past: bool = False
+    whole: bool = False
+
+    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
+        """The next state, and what is kept."""
+        return f.keep(state, _frame(f, data, self.whole), past=self.past)
+
+
+@dataclass(frozen=True)
+class Observe:
+    """One step of ``step``, of scans that are ``whole`` or not."""
+
+    whole: bool = False
+
+    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
+        """The next state, and the innovation."""
+        return f.observe(state, _frame(f, data, self.whole))
+
+
+def _frame(f: Any, data: dict[str, Tensor], whole: bool) -> Frame:
+    """The frame of one step of one track, or scene."""
+    measurements = Measurements(**data).as_track(scans=f.scans)
+    (frame,), _ = f._frames(Whole(*measurements) if whole else measurements, int(f.scans))
     made: Frame = frame
     return made
-
-
-def keep(f: Any, state: Any, data: dict[str, Tensor]) -> Any:
-    """One step of ``forward``."""
-    return f.keep(state, _frame(f, data))
-
-
-def keep_past(f: Any, state: Any, data: dict[str, Tensor]) -> Any:
-    """The same, with what the way back needs."""
-    return f.keep(state, _frame(f, data), past=True)
-
-
-def observe(f: Any, state: Any, data: dict[str, Tensor]) -> Any:
-    """One step of ``step``."""
-    return f.observe(state, _frame(f, data))
