@@ -148,19 +148,19 @@ def _beyond_ellipsoid(candidates: Candidates, probability: Tensor) -> Tensor:
 
 
 def _tail(nis: Tensor, seen: Tensor, most: int) -> Tensor:
-    """Probability ``(..., N, J)`` that chi squared of ``seen`` degrees of freedom, at ``most`` so many, exceeds ``nis``.
+    """Probability ``(..., N, J)`` that chi squared of ``seen`` degrees of freedom, ``most`` at most, exceeds ``nis``.
 
     By ``Q(a + 1, x) = Q(a, x) + x^a exp(-x) / gamma(a + 1)``, from ``Q(1/2, x) = erfc(sqrt(x))`` and ``Q(1, x) =
     exp(-x)``; of none it is that of one.
     """
     half = nis / 2
     root, density = half.sqrt(), (-half).exp()
-    tails = [torch.special.erfc(root), density]
+    tails: list[Tensor] = [torch.special.erfc(root), density]
     power = [root, half]  # x^a, of the last two
     for degrees in range(1, most - 1):
         tails.append(tails[-2] + power[-2] * density / math.gamma(degrees / 2 + 1))
         power.append(power[-2] * half)
-    tail = tails[0]
+    tail: Tensor = tails[0]
     for degrees in range(2, most + 1):
         tail = torch.where(seen == degrees, tails[degrees - 1], tail)
     return tail

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 
 import torch
@@ -33,14 +32,14 @@ def check_sets(targets: int, count: int, exact: tuple[int, int]) -> None:
 def sum_over_sets(scans: GatedScans) -> Association:
     """Association of all targets ``(R, N)``, summed over all joint events of a scan.
 
-    Measurement by measurement, ``total[S]`` becomes the sum over all ways in which exactly the targets of the set S have
-    been measured: without the new one, or with it as that of any target of S.  What the sum changes by with a weight is
-    the probability of that weight, which a recursion the other way finds.  Sums are kept as multiples of their largest
-    term, so that nothing under- or overflows: ``best`` is the log of that.
+    Measurement by measurement, ``total[S]`` becomes the sum over all ways in which exactly the targets of the set S
+    have been measured: without the new one, or with it as that of any target of S.  A recursion the other way finds
+    what the log of the whole sum changes by with each weight, which is its probability.  Sums are multiples of their
+    largest term, so that nothing under- or overflows: ``best`` is the log of that.
 
     Source: Fortmann, Bar-Shalom & Scheffe (1983) for the events; the recursion is Bellman's (1962), over subsets.
     """
-    targets, count = scans.log_ratio.shape[-2:]
+    targets = scans.log_ratio.shape[-2]
     log_ratio = torch.where(scans.gated, scans.log_ratio, _IMPOSSIBLE)
     start = log_ratio.new_full((len(log_ratio), (1 << targets) - 1), _NOTHING)
     best = torch.cat([torch.zeros_like(start[:, :1]), start], -1)
@@ -75,34 +74,40 @@ class _Step:
         weights = ratio[..., None, None].unbind(1)
         for t, weight in enumerate(weights):
             through = _pairs(best, t)[0] + weight.detach()
-            self.best = _changed(self.best, t, lambda rest, held, new=through: (rest, torch.maximum(held, new)))
+            rest, held = _pairs(self.best, t)
+            self.best = _joined(rest, torch.maximum(held, through))
         self._kept = (best - self.best).exp()
         self._shares = [
             (_pairs(best, t)[0] + weight - _pairs(self.best, t)[1]).exp() for t, weight in enumerate(weights)
         ]
         self.total = self._kept * total
         for t, share in enumerate(self._shares):
-            through = share * _pairs(total, t)[0]
-            self.total = _changed(self.total, t, lambda rest, held, new=through: (rest, held + new))
+            rest, held = _pairs(self.total, t)
+            self.total = _joined(rest, held + share * _pairs(total, t)[0])
 
     def back(self, pull: Tensor) -> tuple[Tensor, Tensor]:
-        """From what the log of the whole sum changes by with ``total`` to the same before, and ``(R, N)`` with weights."""
+        """What the log of the whole sum changes by with the total before, and ``(R, N)`` with the log weights.
+
+        ``pull`` is what it changes by with the total after.
+        """
         before, measured = self._kept * pull, []
         for t, share in enumerate(self._shares):
             shared = share * _pairs(pull, t)[1]
             measured.append((shared * _pairs(self.before, t)[0]).sum((-2, -1)))
-            before = _changed(before, t, lambda rest, held, new=shared: (rest + new, held))
+            rest, held = _pairs(before, t)
+            before = _joined(rest + shared, held)
         return before, torch.stack(measured, -1)
 
 
 def _pairs(table: Tensor, t: int) -> tuple[Tensor, ...]:
     """A table ``(R, 2^N)`` as that of sets without target ``t``, and that of the same sets with it."""
-    return table.unflatten(-1, (-1, 2, 1 << t)).unbind(-2)
+    halves: tuple[Tensor, ...] = table.unflatten(-1, (-1, 2, 1 << t)).unbind(-2)
+    return halves
 
 
-def _changed(table: Tensor, t: int, change: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]) -> Tensor:
-    """The table after a change of both halves."""
-    return torch.stack(change(*_pairs(table, t)), -2).flatten(-3)
+def _joined(without: Tensor, holding: Tensor) -> Tensor:
+    """The reverse of ``_pairs``."""
+    return torch.stack([without, holding], -2).flatten(-3)
 
 
 def _of_sets(scans: GatedScans, log_sum: Tensor) -> tuple[Tensor, Tensor]:

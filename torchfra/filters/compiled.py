@@ -128,7 +128,7 @@ class Compiled:
 
 
 def _whole(f: Any, measurements: Measurements) -> bool:
-    return f.scans and f.whole(measurements)
+    return bool(f.scans and f.whole(measurements))
 
 
 @lru_cache(maxsize=64)

@@ -46,7 +46,7 @@ def missed_or_hit(missed: Gaussian, hit: Gaussian, log_weights: Tensor) -> Gauss
     counts = log_weights != -torch.inf
     root = (0.5 * log_weights).exp()
     weight = root.square()
-    means = torch.cat([missed.mean, hit.mean.expand(*log_weights.shape[:-1], -1, -1)], -2)
+    means = torch.cat([x.expand(*log_weights.shape[:-1], -1, -1) for x in (missed.mean, hit.mean)], -2)
     means = torch.where(counts.unsqueeze(-1), means, 0.0)
     middle = (weight.unsqueeze(-1) * means).sum(-2, keepdim=True)
     both = torch.stack([root[..., 0], safe_sqrt(weight[..., 1:].sum(-1))], -1)[..., None, None]

@@ -78,8 +78,8 @@ def _zeros(x: Any) -> Any:
 
 def _gather(x: Tensor, dim: int, index: Tensor, **_: Any) -> Tensor:
     """Takes entries from indices that are not known."""
-    rows = torch.broadcast_tensors(*(part.unsqueeze(dim) for part in _cut(x, dim, index).unbind(dim)))
-    taken = rows[0].expand(index.shape)
+    rows = [row.unsqueeze(dim) for row in _cut(x, dim, index).unbind(dim)]
+    taken: Tensor = rows[0].expand(index.shape)
     for j, row in enumerate(rows[1:], 1):
         taken = torch.where(index == j, row, taken)
     return taken
@@ -88,7 +88,8 @@ def _gather(x: Tensor, dim: int, index: Tensor, **_: Any) -> Tensor:
 def _cut(x: Tensor, dim: int, index: Tensor) -> Tensor:
     """The part of a tensor that lies beside an index, of all that are along ``dim``."""
     along = dim % x.dim()
-    return x[tuple(slice(None if d == along else index.shape[d]) for d in range(x.dim()))]
+    part: Tensor = x[tuple(slice(None if d == along else index.shape[d]) for d in range(x.dim()))]
+    return part
 
 
 def _scatter_add(book: Expressions, x: Tensor, dim: int, index: Tensor, source: Tensor) -> Tensor:
@@ -164,7 +165,8 @@ def _same_size(book: Expressions, a: Tensor, b: Tensor) -> bool:
 
 
 OTHERS: dict[Any, Callable[..., Any]] = {
-    aten.scatter.src: _scatter, aten.scatter_add.default: _scatter_add, aten.index_put.default: _index_put, aten.copy.default: _copied,
+    aten.scatter.src: _scatter, aten.scatter_add.default: _scatter_add, aten.index_put.default: _index_put,
+    aten.copy.default: _copied,
     aten.constant_pad_nd.default: _pad, aten.clamp.default: _clamp,
     aten._to_copy.default: cast, aten.to.dtype_layout: cast, aten.to.dtype: _cast_to,
     aten.new_empty_strided.default: _laid_out, aten._new_zeros_with_same_feature_meta.default: _laid_out_like,
