@@ -189,11 +189,17 @@ class Filter(Compilable, HasViews, Smoother):
         past: bool = False,
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
         """The estimate of whole tracks, and where there will be a way back the last state and what steps have kept."""
-        batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
-        n, z = self.motion.size, measurements.z
-        mean, root = (x.to(z) for x in prior)
-        state = self.init(Gaussian(mean.expand((*batch, n)), root.expand((*batch, n, n))))
-        state, kept = self._pass(state, measurements, len(batch), checkpoint, truncate, past)
+        compiled = self._kernels is not None and self._kernels.takes(measurements.z)
+        done = self._kernels.ready(self, measurements, prior, past) if compiled else None
+        if done is None:
+            batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
+            n, z = self.motion.size, measurements.z
+            mean, root = (x.to(z) for x in prior)
+            begun = self.init(Gaussian(mean.expand((*batch, n)), root.expand((*batch, n, n))))
+            done = self._pass(begun, measurements, len(batch), checkpoint, truncate, past)
+            if compiled:
+                self._kernels.get_ready(self, begun, measurements, prior, past)
+        state, kept = done
         belief, info = self.finish(state, kept.belief, kept.info)
         failure = diagnose(self, belief, kept.log_likelihood, measurements, prior)
         return Estimate(*belief, kept.nis, kept.log_likelihood, info, failure), state, kept.past
