@@ -13,7 +13,7 @@ from torchfra.filters.gpb import GPB
 from torchfra.filters.records import Record
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import Past
-from torchfra.gaussian.inputs import Frame, Measurements, make_frames
+from torchfra.gaussian.inputs import Frame, Measurements, Whole, make_frames
 from torchfra.hyper import hypers
 from torchfra.linalg.tracing import is_traced
 from torchfra.sensors.base import Sensor
@@ -27,10 +27,6 @@ class ScanPast(NamedTuple):
     """Of the targets' filters."""
     searched: Tensor
     """``(..., N)`` how often the covariance of a target that seemed lost has been quadrupled."""
-
-
-class Whole(Measurements):
-    """Scans that are known to be ``ScanFilter.whole``."""
 
 
 class ScanFilter(Filter[S]):

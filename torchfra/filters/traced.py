@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.scans import Whole
-from torchfra.gaussian.inputs import Frame, Measurements
+from torchfra.gaussian.inputs import Frame, Measurements, Whole
 from torchfra.kernel.entries import Entries
 from torchfra.kernel.expressions import Expressions
 from torchfra.linalg.triangular import tria
