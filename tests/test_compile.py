@@ -548,10 +548,3 @@ def test_with_arguments_it_is_the_compile_of_torch(make, monkeypatch):
     assert calls == [(f, (), {"backend": "inductor", "dynamic": True})]
     assert f.compile() is f
     assert len(calls) == 1
-
-
-def test_what_is_too_large_to_compile_is_refused_at_once(make, tracks, monkeypatch):
-    monkeypatch.setattr(build, "LARGEST", 100)
-    f = make("srckf").compile()
-    with pytest.raises(build.CompileError, match="operations would take many minutes"):
-        f(tracks.z, tracks.prior, u=tracks.u)

@@ -27,21 +27,6 @@ class CompileError(RuntimeError):
 
 LARGE = 30_000
 """Lines of a source from which the compiler optimises less: in half the time, for steps of many models."""
-LARGEST = 120_000
-"""Operations in a step; more would take the compiler many minutes and gigabytes."""
-
-
-def check(operations: int) -> None:
-    """Checks that a step of so many operations can be compiled.
-
-    Raises:
-        CompileError: it has too many.
-    """
-    if operations > LARGEST:
-        raise CompileError(
-            f"compile: a step of {operations} operations would take many minutes and gigabytes (at most {LARGEST}): "
-            "run it without compile(), or with fewer models"
-        )
 
 
 def load(source: str) -> Any:
