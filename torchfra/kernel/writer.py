@@ -87,7 +87,7 @@ class Writer:
         functions = [self._begin()]
         before, calls = ["begin(s[p], in, at[p]);"], []
         for k, piece in enumerate(self._before):
-            functions.append(self._function(f"before{k}(V* s, const Port* in, const Block& at)", piece, set()))
+            functions.append(self._function(f"before{k}(V* s, const Port* in, const Block& at)", piece))
             before.append(f"before{k}(s[p], in, at[p]);")
         stored: set[int] = set()
         start = 0
@@ -110,8 +110,8 @@ class Writer:
             "    // END\n": _lines(["end(s[p], out, at[p]);"], 4),
         }
 
-    def _function(self, head: str, piece: Piece, stored: set[int]) -> str:
-        """The function of a piece; ``stored`` grows by what it writes."""
+    def _function(self, head: str, piece: Piece, stored: set[int] | None = None) -> str:
+        """The function of a piece; ``stored``, if given, grows by what it writes."""
         body, opened, late = [], {}, []
         known = set(piece.numbers)
         for number in piece.numbers:
@@ -127,9 +127,9 @@ class Writer:
                 body.append(declared(self._book, number, f"{access.how}({access.name}, {access.entry})"))
             if number in self._frame.places:
                 (late if number in self._frame.late else body).append(self._put_aside(number))
-            for access in self._stores.get(number, ()):
-                opened[access.name] = access.opened
-                body.append(self._written(number, access))
+            if stored is not None and number in self._stores:
+                opened.update((access.name, access.opened) for access in self._stores[number])
+                body += [self._written(number, access) for access in self._stores[number]]
                 stored.add(number)
         return _function(head, [*opened.values(), *body, *late])
 
