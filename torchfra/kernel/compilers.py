@@ -76,7 +76,7 @@ class Compiler(NamedTuple):
 
 
 def find() -> Compiler:
-    """What ``CXX`` names, or else the first that runs of ``g++``, ``clang++`` and zig; on Windows ``cl`` and ``clang-cl``.
+    """What ``CXX`` names, or else the first that runs: ``g++``, ``clang++``, zig; on Windows before these ``cl``.
 
     Raises:
         CompileError: there is none.
@@ -130,9 +130,14 @@ def _first(candidates: tuple[tuple[str, ...], ...]) -> Compiler:
     raise CompileError(f"compile: expected a C++ compiler out of {sought}; {found}: {_INSTALL}")
 
 
-@lru_cache(maxsize=16)
 def _runs(command: tuple[str, ...]) -> tuple[Compiler | None, str]:
     """The compiler; None and a reason if it does not run."""
+    return _asked(command, shutil.which(command[0]) if command else None)
+
+
+@lru_cache(maxsize=16)
+def _asked(command: tuple[str, ...], path: str | None) -> tuple[Compiler | None, str]:
+    """The same, asked once for each file that the command is."""
     asks = [] if command and Path(command[0]).stem.lower() == "cl" else ["--version"]
     try:
         done = subprocess.run(

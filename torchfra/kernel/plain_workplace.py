@@ -22,7 +22,7 @@ def workplace() -> Iterator[Path]:
     Raises:
         OSError: there is no place for it.
     """
-    with tempfile.TemporaryDirectory(prefix="torchfra-kernel-", ignore_cleanup_errors=True) as folder:
+    with tempfile.TemporaryDirectory(prefix="torchfra-compiles-", ignore_cleanup_errors=True) as folder:
         yield Path(folder)
 
 
