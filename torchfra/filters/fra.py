@@ -31,7 +31,7 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Prediction, Whitened
 
 
-class FRA(Soft, GaussianFilter):
+class FRA(Soft, GaussianFilter[FRAState]):
     """Feedback-decision robust adaptive filter.
 
     A step whose normalised innovation squared is above the gate is abnormal, be it an outlier or a manoeuvre.  There
