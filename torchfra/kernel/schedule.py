@@ -43,9 +43,11 @@ def pieces(book: Expressions, live: Sequence[int], ends: Iterable[int]) -> list[
         ends: those that all tracks need.
     """
     guards = regions(book, live, conditions(book, live, ends))
+    before = {i: [a for a in (*book.nodes[i][1], *(guards[i] or ())[:1]) if a in guards] for i in live}
+    groups = _groups(_ordered(live, before), before, guards, {i for i in live if book.nodes[i][0] == "input"})
     return [
         Piece(part, guard)
-        for (_, guard), group in sorted(_groups(book, live, guards).items(), key=lambda item: item[0][0])
+        for (_, guard), group in sorted(groups.items(), key=lambda item: item[0][0])
         for part in cut(book, group)
     ]
 
@@ -107,42 +109,39 @@ def regions(
     return guards
 
 
+def _ordered(live: Sequence[int], before: Mapping[int, Sequence[int]]) -> list[int]:
+    """Expressions behind all that must come before them, else as they are."""
+    done: dict[int, None] = {}
+    for number in live:
+        todo = [number]
+        while todo:
+            missing = [i for i in before[todo[-1]] if i not in done]
+            todo += missing[::-1]
+            if not missing:
+                done[todo.pop()] = None
+    return list(done)
+
+
 def _groups(
-    book: Expressions, live: Sequence[int], guards: Mapping[int, Condition | None]
+    live: Sequence[int], before: Mapping[int, Sequence[int]], guards: Mapping[int, Condition | None], inputs: set[int]
 ) -> dict[tuple[int, Condition | None], list[int]]:
     """Expressions by when they are computed, and where: a group needs nothing but earlier groups and itself."""
     when: dict[int, int] = {}
+    stages = defaultdict(set)
     for number in live:
-        guard = guards[number]
-        args = [i for i in book.nodes[number][1] if i in when]
-        stages = [when[i] + (guards[i] != guard) for i in args]
-        if guard is not None and guard[0] in when:
-            stages.append(when[guard[0]] + 1)
-        when[number] = max(stages, default=0)
-    _later(book, live, guards, when)
+        when[number] = max((when[i] + (guards[i] != guards[number]) for i in before[number]), default=0)
+        stages[guards[number]].add(when[number])
+    limits: dict[int, int] = {}
+    for number in reversed(live):  # what can wait for a later group does: fewer groups, and fewer values to keep
+        if guards[number] is not None or number in inputs:
+            limit = limits.get(number, when[number])
+            when[number] = max(s for s in stages[guards[number]] if when[number] <= s <= limit)
+        for i in before[number]:
+            limits[i] = min(limits.get(i, when[number]), when[number] - (guards[i] != guards[number]))
     groups = defaultdict(list)
     for number in live:
         groups[when[number], guards[number]].append(number)
     return groups
-
-
-def _later(
-    book: Expressions, live: Sequence[int], guards: Mapping[int, Condition | None], when: dict[int, int]
-) -> None:
-    """Moves what is guarded to the last of its groups that is early enough: fewer groups, and fewer values to keep."""
-    stages = defaultdict(set)
-    for number in live:
-        stages[guards[number]].add(when[number])
-    limits: dict[int, int] = {}
-    for number in reversed(live):
-        guard = guards[number]
-        if guard is not None or book.nodes[number][0] == "input":
-            limit = limits.get(number, when[number])
-            when[number] = max(s for s in stages[guard] if when[number] <= s <= limit)
-        for i in book.nodes[number][1]:
-            if i in when:
-                limit = when[number] - (guards[i] != guard)
-                limits[i] = min(limits.get(i, limit), limit)
 
 
 def cut(book: Expressions, numbers: Sequence[int]) -> list[list[int]]:
