@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from typing_extensions import TypeVar
 
-from torchfra.filters.checks import check_lengths, check_models, check_state
+from torchfra.filters.checks import check_lengths, check_models, check_step
 from torchfra.filters.compiling import Compilable
 from torchfra.filters.failures import diagnose
 from torchfra.filters.fusion import fused
@@ -18,7 +18,7 @@ from torchfra.filters.loop import run
 from torchfra.filters.other_sensors import HasViews, SensorViews
 from torchfra.filters.records import Kept, Record
 from torchfra.filters.smoothing import Smoother
-from torchfra.gaussian.arguments import check, check_belief, check_kinds
+from torchfra.gaussian.arguments import check, check_belief
 from torchfra.gaussian.inputs import Frame, Measurements, Time, batch_rank
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
@@ -193,11 +193,16 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
         past: bool = False,
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
         """The estimate of whole tracks, and where there will be a way back the last state and what steps have kept."""
-        batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
-        n, z = self.motion.size, measurements.z
-        mean, root = (x.to(z) for x in prior)
-        state = self.init(Gaussian(mean.expand((*batch, n)), root.expand((*batch, n, n))))
-        state, kept = self._pass(state, measurements, len(batch), checkpoint, truncate, past)
+        compiled = self._kernels is not None and self._kernels.takes(measurements.z)
+        done = self._kernels.ready(self, measurements, prior, past) if compiled else None
+        if done is None:
+            batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
+            mean, root = (x.to(measurements.z) for x in prior)
+            begun = self.init(Gaussian(mean.expand((*batch, self.motion.size)), root))
+            done = self._pass(begun, measurements, len(batch), checkpoint, truncate, past)
+            if compiled:
+                self._kernels.get_ready(self, begun, measurements, prior, past)
+        state, kept = done
         belief, info = self.finish(state, kept.belief, kept.info)
         failure = diagnose(self, belief, kept.log_likelihood, measurements, prior)
         return Estimate(*belief, kept.nis, kept.log_likelihood, info, failure), state, kept.past
@@ -216,15 +221,7 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
 
     def _frame(self, state: Any, measurements: Measurements) -> Frame:
         """The frame of a single step, checked."""
-        check_state(self, state)
-        check_kinds(measurements)
-        track, mean = measurements.as_track(scans=self.scans), state.belief.mean
-        batch = self._batch(track, state.belief, "state.belief")
-        track = track._replace(z=track.z.to(mean))
-        expected = mean.shape[: mean.dim() - 1 - self.scans]
-        if batch != expected:
-            raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, this is of {tuple(expected)}")
-        return self._frames(track, mean.dim() - 1)[0][0]
+        return self._frames(check_step(self, state, measurements), state.belief.mean.dim() - 1)[0][0]
 
     def _rank(self) -> int:
         """Batch dimensions there are at least."""
