@@ -74,7 +74,7 @@ class Compiled:
         if not self._versions or not isinstance(prior, Gaussian):
             return None
         now = self._now(f)
-        return now.tracks(form_of(measurements, past), prior, measurements, now.read, f.instants)
+        return now.tracks(f, form_of(measurements, past), prior, measurements, now.read)
 
     def get_ready(self, f: Any, state: Any, measurements: Measurements, prior: Gaussian, past: bool) -> None:
         """Makes later calls of ``forward`` like this one ready, if they are short; ``state`` is that of the prior."""

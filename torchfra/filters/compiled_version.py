@@ -16,7 +16,6 @@ from torchfra.filters.compiled_step import Data, ReadyStep, ReadySteps, may_be_r
 from torchfra.filters.compiled_tracks import AllReadyTracks, ReadyTracks
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import Hyper
-from torchfra.kernel.program import BUILDING
 from torchfra.kernel.run import Kernels
 from torchfra.kernel.step import Input, Step, frozen
 from torchfra.tree import flatten, map_tensors, ranks
@@ -167,31 +166,17 @@ class Version:
         steps, values = data[0].shape[-2], self.read()
         given = [x for x in data if x is not None]
         tensors, leaves = [*prior, *given, *values], flatten(state)
-        full, dtype = self.full(plan, [*leaves, *given, *values])[len(leaves) :], plan.dtypes[0]
+        full, dtype = self.full(plan, [*leaves, *given, *values]), plan.dtypes[0]
         if (
             self._changes(plan, tensors)
             or any(x.dtype != dtype or not x.is_cpu for x in prior)
-            or any(x.data_ptr() != y.data_ptr() for x, y in zip(full, tensors[2:], strict=True))
+            or any(x.data_ptr() != y.data_ptr() for x, y in zip(full, [*leaves, *given, *values], strict=True))
         ):
             return
-        shapes = {"mean": prior.mean.shape[-1:], "root": prior.scale_tril.shape[-2:]}
-        inputs = {name: Input(shape, False, False) for name, shape in shapes.items()}
-        inputs |= {name: x for name, x in plan.kernels.step.inputs.items() if x.value}
-        key = (traced.start, dtype, tuple(inputs.items()))
-        with BUILDING:
-            if key not in self.kernels:
-                self.kernels[key] = Kernels(Step(self.frozen, lambda f: (), traced.start, inputs, dtype, False))
-            kernels = self.kernels[key]
-        begun = [x.expand(plan.batch + shape) for x, shape in zip(prior, shapes.values(), strict=True)]
-        begin = kernels.forwards(plan.batch).ready(plan.batch, 1, [*begun, *full[len(given) :]])
-        if begin is None:
-            return
-        places = kernels.step.record[1]
-        start = begin([*begun, *full[len(given) :]])
-        run = plan.kernels.forwards(plan.batch).ready(plan.batch, steps, [*(start[i] for i in places), *full])
+        run = plan.kernels.forwards(plan.batch).ready(plan.batch, steps, full)
         if run is not None:
             made = plan.kernels.step.state, plan.kernels.step.record
-            self.tracks.add(form, ReadyTracks(begin, places, run, tensors, len(given), made))
+            self.tracks.add(form, ReadyTracks(run, plan.batch, tensors, state, made))
 
     @staticmethod
     def _changes(plan: Plan, tensors: Sequence[Tensor]) -> bool:

@@ -13,7 +13,7 @@ typedef Scalar V __attribute__((vector_size(W * sizeof(Scalar))));
 typedef decltype(V() < V()) M;
 
 inline V all(Scalar a) { return V{} + a; }
-template <class T> __attribute__((noinline)) V get(const Entries<T>& x, int64_t entry) {
+template <class T> NOINLINE V get(const Entries<T>& x, int64_t entry) {
   const T* from = x[entry];
   if (x.track == 0) return all(*from);
   V v;
