@@ -15,7 +15,7 @@ from torchfra.filters.compiled_step import Data, ReadyStep, ReadySteps, may_be_r
 from torchfra.filters.compiled_tracks import AllReadyTracks, ReadyTracks
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import Hyper
-from torchfra.kernel.program import BUILDING
+from torchfra.kernel.program import BUILDING, Program
 from torchfra.kernel.run import Kernels
 from torchfra.kernel.step import Input, Step, frozen
 from torchfra.tree import flatten, map_tensors, ranks
@@ -48,6 +48,13 @@ class Plan(NamedTuple):
     """Of the same."""
     counts: bool
     """Whether some of what is kept of a step are whole numbers."""
+    device: torch.device
+    """Where the kernels run: where the state is."""
+
+    @property
+    def forwards(self) -> Program:
+        """What filters."""
+        return self.kernels.forwards(self.batch, self.device)
 
 
 class Version:
@@ -138,7 +145,7 @@ class Version:
         counts = any(not (x.is_floating_point() or x.dtype == torch.bool) for x in flatten(kernels.step.record))
         shapes = [batch + zero.shape for zero in kernels.step.zero] + shapes
         dtypes = [dtype] * len(kernels.step.zero) + [torch.float64 if x.double else dtype for x in inputs.values()]
-        return Plan(kernels, batch, shapes, dtypes, counts)
+        return Plan(kernels, batch, shapes, dtypes, counts, first.device)
 
     def get_ready(self, plan: Plan, state: Any, data: Data) -> None:
         """Makes later steps like this one ready, if they need no gradient and all is read where it lies."""
@@ -148,7 +155,7 @@ class Version:
         full, step = self.full(plan, tensors), plan.kernels.step
         if any(x.data_ptr() != y.data_ptr() for x, y in zip(full, tensors, strict=True)):
             return
-        ready = plan.kernels.forwards(plan.batch).ready(plan.batch, 1, full)
+        ready = plan.forwards.ready(plan.batch, 1, full)
         if ready is not None:
             self.ready.add(ReadyStep(ready, state, tensors, (step.state, step.record)), state, data)
 
@@ -160,7 +167,7 @@ class Version:
         full, dtype = self.full(plan, [*leaves, *given, *values])[len(leaves) :], plan.dtypes[0]
         if (
             self._changes(plan, tensors)
-            or any(x.dtype != dtype or not x.is_cpu for x in prior)
+            or any(x.dtype != dtype or x.device != plan.device for x in prior)
             or any(x.data_ptr() != y.data_ptr() for x, y in zip(full, tensors[2:], strict=True))
         ):
             return
@@ -173,12 +180,12 @@ class Version:
                 self.kernels[key] = Kernels(Step(self.frozen, lambda f: (), traced.start, inputs, dtype, False))
             kernels = self.kernels[key]
         begun = [x.expand(plan.batch + shape) for x, shape in zip(prior, shapes.values(), strict=True)]
-        begin = kernels.forwards(plan.batch).ready(plan.batch, 1, [*begun, *full[len(given) :]])
+        begin = kernels.forwards(plan.batch, plan.device).ready(plan.batch, 1, [*begun, *full[len(given) :]])
         if begin is None:
             return
         places = kernels.step.record[1]
         start = begin([*begun, *full[len(given) :]])
-        run = plan.kernels.forwards(plan.batch).ready(plan.batch, steps, [*(start[i] for i in places), *full])
+        run = plan.forwards.ready(plan.batch, steps, [*(start[i] for i in places), *full])
         if run is not None:
             made = plan.kernels.step.state, plan.kernels.step.record
             self.tracks.add(form, ReadyTracks(begin, places, run, tensors, len(given), made))
@@ -193,7 +200,9 @@ class Version:
     def full(self, plan: Plan, tensors: Sequence[Tensor]) -> list[Tensor]:
         """Leaves of the state, data and values as kernels take them: with the full batch."""
         return [
-            x if x.shape == shape and x.dtype == dtype and x.is_cpu else x.to("cpu", dtype).expand(shape)
+            x
+            if x.shape == shape and x.dtype == dtype and x.device == plan.device
+            else x.to(plan.device, dtype).expand(shape)
             for x, shape, dtype in zip(tensors, plan.shapes, plan.dtypes, strict=True)
         ]
 

@@ -112,7 +112,8 @@ class Writer:
 
     def _function(self, head: str, piece: Piece, stored: set[int] | None = None) -> str:
         """The function of a piece; ``stored``, if given, grows by what it writes."""
-        body, opened, late = [], {}, []
+        body, opened = [], {}
+        late: list[str] = []
         known = set(piece.numbers)
         for number in piece.numbers:
             access = self._step.loads.get(number)
@@ -157,7 +158,7 @@ class Writer:
         values = []
         for kind, numbers in kinds:
             places = ", ".join(str(self._frame.places[i]) for i in numbers)
-            functions.append(f"constexpr short {name}_{kind}[] = {{{places}}};\n")
+            functions.append(f"TABLE {name}_{kind}[] = {{{places or 0}}};\n")
             values.append(f"Values{{{name}_{kind}, {len(numbers)}}}")
         text = f"{self._frame.places[mask]}, {'true' if value else 'false'}, {name}, {', '.join(values)}"
         return [f"guarded(s, packs, {text});"]
