@@ -86,10 +86,8 @@ def emulated(source):
 
 def of_kind(name, **options):
     """A filter and tracks for it, with an outlier and gaps."""
-    if name == "alphabeta":
-        scenario = scenarios.adsb_turns()
-    else:
-        scenario = scenarios.bearings_outliers("std", initial="truth")
+    adsb = name == "alphabeta"
+    scenario = scenarios.adsb_turns() if adsb else scenarios.bearings_outliers("std", initial="truth")
     tracks = scenario.simulate(4, 0)
     z = tracks.z[:, :12].clone()
     z[0, 3, 0], z[1, 5], z[2, 4, 1] = torch.nan, torch.nan, z[2, 4, 1] + 0.3

@@ -48,6 +48,8 @@ def load(source: str, device: torch.device) -> Callable[[int, int, int, int, int
         arguments = (ctypes.c_void_p * 3)(*map(ctypes.addressof, numbers), inputs)
         stream = ctypes.c_void_p(torch.cuda.current_stream(device).cuda_stream)
         shape = (*_grid(tracks), THREADS, 1, 1)
+        if tracks == 0:
+            return
         with _Current(context):
             _drive("cuLaunchKernel", kernel, *map(ctypes.c_uint, shape), ctypes.c_uint(0), stream, arguments, None)
 
