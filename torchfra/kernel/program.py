@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchfra.kernel import build, cuda
+from torchfra.kernel.pages import in_large_pages
 from torchfra.kernel.source import Port, Scan
 
 BUILDING = threading.RLock()
@@ -69,10 +70,12 @@ class Program:
     def _outputs(self, batch: torch.Size, steps: int) -> list[Tensor]:
         """What it will write, with tracks innermost."""
         return [
-            torch.empty(
-                ((steps + port.late,) if port.timed else ()) + tuple(port.shape) + tuple(batch),
-                dtype=torch.bool if port.truth else self._dtype,
-                device=self._device,
+            in_large_pages(
+                torch.empty(
+                    ((steps + port.late,) if port.timed else ()) + tuple(port.shape) + tuple(batch),
+                    dtype=torch.bool if port.truth else self._dtype,
+                    device=self._device,
+                )
             )
             for port in self._writes
         ]
