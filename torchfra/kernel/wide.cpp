@@ -27,7 +27,8 @@ inline V load(const Entries<Scalar>& x, int64_t entry) {
   return v;
 }
 inline void put(const Entries<Scalar>& x, int64_t entry, const V& v) {
-  __builtin_memcpy(x[entry], &v, x.lanes < W ? x.lanes * sizeof(Scalar) : sizeof v);
+  if (x.lanes < W) __builtin_memcpy(x[entry], &v, x.lanes * sizeof(Scalar));
+  else __builtin_memcpy(x[entry], &v, sizeof v);
 }
 inline void mark(const Entries<bool>& x, int64_t entry, const M& v) {
   bool* to = x[entry];

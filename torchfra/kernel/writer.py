@@ -112,8 +112,9 @@ class Writer:
 
     def _function(self, head: str, piece: Piece, stored: set[int] | None = None) -> str:
         """The function of a piece; ``stored``, if given, grows by what it writes."""
-        body, opened = [], {}
+        body: list[str] = []
         late: list[str] = []
+        opened: dict[str, str] = {}
         known = set(piece.numbers)
         for number in piece.numbers:
             access = self._step.loads.get(number)
