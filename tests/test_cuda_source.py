@@ -174,8 +174,12 @@ def has_nvrtc():
 
 @pytest.mark.skipif(not has_nvrtc(), reason="pip install nvidia-cuda-nvrtc")
 def test_nvrtc_compiles_it_and_quotes_what_it_cannot(monkeypatch):
-    for source in source_of("srckf", monkeypatch, learn=("q",)):
+    called, compile_it = [], cuda._compile
+    monkeypatch.setattr(cuda, "_compile", lambda *args: called.append(args) or compile_it(*args))
+    sources = source_of("srckf", monkeypatch, learn=("q",))
+    for source in (*sources, *sources):
         assert cuda.compiled(source, "sm_80")[:4] == b"\x7fELF"
+    assert len(called) == len(sources)  # then it is kept
     with pytest.raises(CompileError, match=r"NVRTC for sm_80 failed.*\n.*identifier \"walk\" is undefined"):
         cuda.compiled("__global__ void run() { walk(); }", "sm_80")
 

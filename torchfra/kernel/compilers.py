@@ -86,7 +86,7 @@ def find() -> Compiler:
         compiler, error = _runs(command)
         if compiler is None:
             name = shlex.join(command) or "''"
-            raise CompileError(f"compile: expected a C++ compiler, {name} (CXX) does not run ({error}): {_INSTALL}")
+            raise CompileError(f"compile: expected a C++ compiler, {name} does not run ({error}): {_INSTALL}")
         return compiler
     return _first(_candidates())
 

@@ -7,6 +7,7 @@ a GPU: NVRTC comes with torch's wheels, the driver with the GPU.  Nothing else i
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import importlib.util
 import sys
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ from typing import Any
 
 import torch
 
+from torchfra.kernel import cache
 from torchfra.kernel.compilers import CompileError
 
 THREADS = 64
@@ -57,12 +59,23 @@ def load(source: str, device: torch.device) -> Callable[[int, int, int, int, int
 
 
 def compiled(source: str, architecture: str) -> bytes:
-    """The machine code of a translation unit for an architecture such as ``sm_90``, by NVRTC.
+    """The machine code of a translation unit for an architecture such as ``sm_90``, by NVRTC; kept on disk.
 
     Raises:
         CompileError: there is no NVRTC, or it fails.
     """
-    nvrtc = _nvrtc()
+    major, minor = ctypes.c_int(), ctypes.c_int()
+    _nvrtc().nvrtcVersion(ctypes.byref(major), ctypes.byref(minor))
+    key = "\n".join((source, architecture, *_OPTIONS, f"{major.value}.{minor.value}"))
+    name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.cubin"
+    image = cache.read(name)
+    if image is None:
+        image = _compile(_nvrtc(), source, architecture)
+        cache.write(name, image)
+    return image
+
+
+def _compile(nvrtc: ctypes.CDLL, source: str, architecture: str) -> bytes:
     program, size = ctypes.c_void_p(), ctypes.c_size_t()
 
     def check(status: int, read: str = "nvrtcGetProgramLog") -> None:
