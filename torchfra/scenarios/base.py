@@ -14,6 +14,7 @@ from torchfra.association.clutter import Clutter
 from torchfra.hyper import one_of
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
+from torchfra.scenarios.law import Law
 from torchfra.sensors.base import Sensor
 from torchfra.types import Estimate, Gaussian
 
@@ -65,6 +66,7 @@ class Scenario:
             the truth's; None if the motion's coordinates are the truth's.
         limit: position error, root mean square over time, above which a run has diverged, m.
         recordings: where measurements are recorded, what the runs are called; after the last comes the first again.
+        law: how the targets truly move and are measured, where that is known; what ``scenarios.bound`` needs.
     """
 
     name: str
@@ -82,6 +84,7 @@ class Scenario:
     conversion: Callable[[Estimate], Estimate] | None = None
     limit: float = 2000.0
     recordings: tuple[str, ...] = ()
+    law: Law | None = None
 
     def cartesian(self, estimate: Estimate) -> Estimate:
         """The estimate in the truth's coordinates; unchanged where filters estimate in these anyway."""
