@@ -20,6 +20,7 @@ from torchfra import (
     testing,
 )
 from torchfra.app.clean import clean, track
+from torchfra.app.compare import compare
 from torchfra.app.memory import keep_memory
 from torchfra.hyper import Hyper, learnable, summary
 from torchfra.testing.models import check_model
@@ -37,6 +38,7 @@ __all__ = [
     "association",
     "check_model",
     "clean",
+    "compare",
     "coordinates",
     "filters",
     "gaussian",

@@ -170,8 +170,9 @@ def _draw(
 
     on_map = {name: filters[name] for name in shown[:MOST_ON_MAP]}
     errors = [metrics[name].errors() for name in shown[:2]]
+    limit = next(iter(results.values()))["limit"]
     mapped = flight(scenario, on_map, errors, options.seed, options.flight)
-    plotting.save(plotting.comparison(results, shown, scenario.dt, scenario.limit, title, mapped), options.figure)
+    plotting.save(plotting.comparison(results, shown, scenario.dt, limit, title, mapped), options.figure)
     if not options.quiet:
         print(f"figure: {printable(str(options.figure))}")
 

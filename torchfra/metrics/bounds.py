@@ -41,13 +41,15 @@ def cramer_rao(start: Tensor, transition: Tensor, process_noise: Tensor | None, 
         ValueError: sizes that do not fit.
 
     Source: Tichavsky, Muravchik & Nehorai (1998), eqs. (21)-(23), in square-root form; Van Trees (1968), section 2.4.
-    Differs: the prediction is of covariances, ``E[F] (J + V)^-1 E[F]^T + Q`` with ``V = E[(F - E[F])^T Q^+ (F - E[F])]``,
-    which is the same by the matrix inversion lemma and needs no inverse of ``Q``.
+    Differs: the prediction is ``E[F] (J + V)^-1 E[F]^T + Q`` with ``V = E[(F - E[F])^T Q^+ (F - E[F])]``, which
+    is the same by the matrix inversion lemma and needs no inverse of ``Q``.
     """
     n = start.shape[-2]
     if transition.shape[-2:] != (n, n) or slope.shape[-1] != n or transition.shape[-3] != slope.shape[-3]:
         received = f"{tuple(transition.shape)} and {tuple(slope.shape)}"
-        raise ValueError(f"transition, slope: expected (..., R, T, {n}, {n}) and (..., R, T, m, {n}), received {received}")
+        raise ValueError(
+            f"transition, slope: expected (..., R, T, {n}, {n}) and (..., R, T, m, {n}), received {received}"
+        )
     noise = start.new_zeros(n, 1) if process_noise is None else process_noise
     steps, roots = transition.shape[-3], []
     root = tria(start)
@@ -88,7 +90,7 @@ def _deviations(slope: Tensor, mean: Tensor, noise: Tensor) -> tuple[Tensor | No
 
 
 def _informed(information: Tensor | None, exact: Tensor | None, root: Tensor) -> Tensor:
-    """Root of ``(P^-1 + D)^-1``, of ``P`` and ``D`` by their roots ``(..., n, n)``, and without what is known exactly."""
+    """Root of ``(P^-1 + D)^-1``, of ``P`` and ``D`` by their roots ``(..., n, n)``, less what is known exactly."""
     if exact is not None:
         known = exact @ root
         root = root - root @ (torch.linalg.pinv(known) @ known)
@@ -96,7 +98,8 @@ def _informed(information: Tensor | None, exact: Tensor | None, root: Tensor) ->
         return root
     seen = information.mT @ root
     grown = torch.eye(root.shape[-1], dtype=root.dtype, device=root.device) + seen.mT @ seen
-    return torch.linalg.solve_triangular(torch.linalg.cholesky(grown).mT, root, upper=True, left=False)
+    informed: Tensor = torch.linalg.solve_triangular(torch.linalg.cholesky(grown).mT, root, upper=True, left=False)
+    return informed
 
 
 def outlier_information(weights: Sequence[float], factors: Sequence[float], size: int = 1) -> float:

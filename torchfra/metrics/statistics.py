@@ -1,4 +1,4 @@
-"""What a sample of runs says: intervals, paired tests, correction for many tests, and bounds of chi-square variables."""
+"""What a sample of runs says: intervals, paired tests, correction for many of them, and chi-square bounds."""
 
 from __future__ import annotations
 
@@ -93,8 +93,8 @@ def holm(p: Sequence[float]) -> list[float]:
 def chi_square_bounds(degrees: float, level: float = LEVEL) -> tuple[float, float]:
     """What a chi-square variable of so many degrees of freedom lies between with this probability, divided by them.
 
-    The mean over ``N`` runs of a normalised error squared of ``d`` components, divided by ``d``, lies between the bounds
-    of ``N d`` degrees if the covariances are honest: Bar-Shalom, Li & Kirubarajan (2001), section 5.4.2.
+    The mean over ``N`` runs of a normalised error squared of ``d`` components, divided by ``d``, lies between the
+    bounds of ``N d`` degrees if the covariances are honest: Bar-Shalom, Li & Kirubarajan (2001), section 5.4.2.
     """
 
     def below(x: float) -> float:
@@ -131,10 +131,10 @@ def _root(rising: Callable[[float], float], value: float, low: float, high: floa
 
 
 def _binomial_quantile(n: int, share: float) -> int:
-    """The number of order statistics to leave out on a side: the largest ``k`` with ``P(B < k) <= share``, B(n, 1/2)."""
+    """The largest ``k`` with ``P(B < k) <= share``, of a binomial ``B(n, 1/2)``."""
     if n > 10_000:
         z = student_quantile(1 - share, n - 1)
-        return int(math.floor(n / 2 - z * math.sqrt(n) / 2))
+        return math.floor(n / 2 - z * math.sqrt(n) / 2)
     logs = math.lgamma(n + 1) - n * math.log(2)
     total, k = 0.0, 0
     while True:
@@ -145,5 +145,6 @@ def _binomial_quantile(n: int, share: float) -> int:
 
 
 def _known(values: Any) -> Array:
-    x = np.asarray(values, dtype=float)
-    return x[~np.isnan(x)]
+    x = np.asarray(values, dtype=np.float64)
+    known: Array = x[~np.isnan(x)]
+    return known

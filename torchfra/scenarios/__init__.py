@@ -6,6 +6,7 @@ from torchfra.scenarios.bearings import bearings_manoeuvre, bearings_outliers
 from torchfra.scenarios.bounds import Bound, bound
 from torchfra.scenarios.clutter import clutter_crossing, clutter_straight, noise_change
 from torchfra.scenarios.clutter_many import clutter_many
+from torchfra.scenarios.given import given
 from torchfra.scenarios.growth import growth
 from torchfra.scenarios.law import Law
 from torchfra.scenarios.ranges import ranges_outliers
@@ -27,6 +28,7 @@ __all__ = [
     "clutter_crossing",
     "clutter_many",
     "clutter_straight",
+    "given",
     "growth",
     "level_then_weave",
     "noise_change",

@@ -64,7 +64,8 @@ class Scenario:
         detection: probability that a target is measured, of scans.
         conversion: from estimates in the motion's coordinates to ``[position, velocity]`` in Cartesian ones, which are
             the truth's; None if the motion's coordinates are the truth's.
-        limit: position error, root mean square over time, above which a run has diverged, m.
+        limit: position error, root mean square over time, above which a run has diverged, m; None for one that follows
+            the scale of the scenario (``torchfra.app.evaluate.divergence_limit``).
         recordings: where measurements are recorded, what the runs are called; after the last comes the first again.
         law: how the targets truly move and are measured, where that is known; what ``scenarios.bound`` needs.
     """
@@ -82,7 +83,7 @@ class Scenario:
     clutter: Clutter | None = None
     detection: float = 1.0
     conversion: Callable[[Estimate], Estimate] | None = None
-    limit: float = 2000.0
+    limit: float | None = None
     recordings: tuple[str, ...] = ()
     law: Law | None = None
 

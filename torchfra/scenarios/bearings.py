@@ -25,6 +25,8 @@ from torchfra.sensors.direction import Bearings
 from torchfra.types import Gaussian
 
 STEPS, DT, Q, STD = 100, 1.0, 1e-2, math.radians(1.0)
+LIMIT = 2000.0
+"""Position error above which a run has diverged, m."""
 _START = torch.tensor([2000.0, 4000.0, 6.0, -10.0, 0.2, -0.3], dtype=torch.float64)
 _POOR = torch.tensor([2400.0, 1500.0, 10.0, 15.0, 1.0, 1.0], dtype=torch.float64)
 _ROOT = torch.tensor([10.0, 10.0, 1.0, 1.0, 0.1, 0.1], dtype=torch.float64).diag()
@@ -47,7 +49,9 @@ def bearings_outliers(outliers: str = "covariance", *, truth_noise: float = 0.0,
     """
     truth = _constant_acceleration(_START, STEPS)
     sizes = {40: 10.0, 50: 10.0, 60: 10.0, 70: 40.0}
-    return _scenario("bearings-outliers", truth, [ConstantAcceleration(Q)] * STEPS, sizes, outliers, truth_noise, initial)
+    return _scenario(
+        "bearings-outliers", truth, [ConstantAcceleration(Q)] * STEPS, sizes, outliers, truth_noise, initial
+    )
 
 
 def bearings_manoeuvre(outliers: str = "covariance", *, truth_noise: float = 0.0, initial: str = "truth") -> Scenario:
@@ -74,7 +78,10 @@ def bearings_manoeuvre(outliers: str = "covariance", *, truth_noise: float = 0.0
         turning.append(torch.cat([state, rate * torch.stack([-vy, vx])]))
     after = _constant_acceleration(torch.cat([state, _START[4:]]), 20)
     truth = torch.cat([before, torch.stack(turning), after])
-    straight, known = ConstantAcceleration(Q), ConstantVelocity(Q, orders=3)  # known: of the acceleration after the turn
+    straight, known = (
+        ConstantAcceleration(Q),
+        ConstantVelocity(Q, orders=3),
+    )  # known: of the acceleration after the turn
     moves = [*[straight] * 30, *[CoordinatedTurn(rate, Q, orders=3)] * 50, known, *[straight] * 19]
     sizes = {50: 10.0, 60: 10.0, 70: 10.0}
     return _scenario("bearings-manoeuvre", truth, moves, sizes, outliers, truth_noise, initial)
@@ -122,7 +129,8 @@ def _scenario(name: str, path: Tensor, moves: Sequence[Motion], sizes: dict[int,
 
     settings = {"outliers": outliers, "truth_noise": truth_noise, "initial": initial}
     law = _law(moves, sensor, size, outliers, truth_noise, initial)
-    return Scenario(name, motion, sensor, Gaussian(centre, _ROOT), DT, STEPS, block, settings, _bank(), law=law)
+    return Scenario(name, motion, sensor, Gaussian(centre, _ROOT), DT, STEPS, block, settings, _bank(), limit=LIMIT,
+                    law=law)  # fmt: skip
 
 
 def _law(

@@ -42,8 +42,8 @@ def bound(scenario: Scenario, *, runs: int = RUNS, seed: int = 0, first: int = 0
 
     Args:
         scenario: with a ``law``.
-        runs: truths to take expectations over; paths that are fixed and have runs of their own need as many as there are
-            errors to compare with.
+        runs: truths to take expectations over; where each run has a path of its own, as many as there are errors to
+            compare with.
         seed: of the random numbers.
         first: number of the first run.
 
@@ -95,4 +95,5 @@ def _each(function: Measured, x: Tensor, u: Tensor | None) -> Tensor:
         found: Tensor = vmap(jacfwd(lambda x: function(x, None)))(x.flatten(0, 1))
     else:
         found = vmap(jacfwd(function))(x.flatten(0, 1), u.flatten(0, 1))
-    return found.unflatten(0, x.shape[:2])
+    slopes: Tensor = found.unflatten(0, x.shape[:2])
+    return slopes

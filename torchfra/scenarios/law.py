@@ -22,8 +22,8 @@ class Law:
 
     Args:
         start: ``(n, p)`` root of the covariance of the error of the initial beliefs.
-        motion: how states follow each other, but for ``process_noise`` and for known changes, which no bound depends on;
-            linear ones may be given for each step.
+        motion: how states follow each other, but for ``process_noise`` and for known changes, which no bound depends
+            on; linear ones may be given for each step.
         sensor: what is measured of a state, given ``u``.
         std: ``(m,)`` or ``(T, m)`` standard deviation of a measurement without outliers; a tensor or a number.
         process_noise: ``(n, q)`` root of that of a step; None for paths that are fixed, or known but for their start.
@@ -46,7 +46,7 @@ class Law:
 
 
 def burst_information(steps: int, share: float = SHARE, size: float = SIZE) -> Tensor:
-    """``(T,)`` what measurements tell that are in bursts (``burst_factors``), if it is known in which: no less than that.
+    """``(T,)`` what measurements tell where outliers come in bursts (``burst_factors``), if it is known when.
 
     Bursts last, so that a measurement says of the next one whether it is good, and the information of a mixture that
     is drawn anew at each step would be too little.

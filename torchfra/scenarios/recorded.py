@@ -27,6 +27,8 @@ from torchfra.types import Gaussian
 _ROOT = torch.tensor([100.0, 100.0, 10.0, 10.0, 2.0, 2.0], dtype=torch.float64).diag()
 _KNOWN = torch.tensor([1.0, 1.0, 1.0, 1.0, 0.0, 0.0], dtype=torch.float64)
 """Components of the true state that the initial belief is centred on: not the acceleration."""
+LIMIT = 2000.0
+"""Position error above which a run has diverged, m."""
 _SHORTEST = 20
 """Steps of the shortest window."""
 _Sensor = Bearings | RangeBearing | Position
@@ -83,8 +85,9 @@ def recorded(
     mixed = partial(mixed_information, outliers, size, share, model.size)
     tells = burst_information(steps, share, size) if outliers == "bursts" else mixed()
     known = ("accelerations", *(["outliers"] if outliers == "bursts" else []))
+    law = Law(_ROOT, known_moves, model, _std(model), None, tells, known)
     return Scenario("recorded", motion, model, Gaussian(windows[0, 0] * _KNOWN, _ROOT), dt, steps, block, settings,
-                    aircraft(q), law=Law(_ROOT, known_moves, model, _std(model), None, tells, known))  # fmt: skip
+                    aircraft(q), limit=LIMIT, law=law)  # fmt: skip
 
 
 def _check(recordings: Sequence[Recording], dt: float, max_gap: float, q: float) -> None:

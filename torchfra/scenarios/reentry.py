@@ -124,7 +124,9 @@ def reentry(
         "q_parameter": q_parameter, "method": method,
     }  # fmt: skip
     tells = mixed_information(outliers, size, share, 2)
-    law = Law(prior.scale_tril[:, :4], Reentry(), sensor, std, _shaken(jolt), tells)  # the parameter is as filters start
+    law = Law(
+        prior.scale_tril[:, :4], Reentry(), sensor, std, _shaken(jolt), tells
+    )  # the parameter is as filters start
     return Scenario(
         "reentry", motion, sensor, prior, DT, STEPS, block, settings, extra_quantities={"parameter": slice(4, 5)},
         law=law,

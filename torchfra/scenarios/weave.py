@@ -53,7 +53,13 @@ def level_then_weave(outliers: str = "planted", *, noise: str = "cartesian") -> 
     motion = ConstantAcceleration(4.0, 3)
     prior = Gaussian(truth[0], _ROOT)
     sensor, known = Position(STD, dims=3), ("accelerations", *(["outliers"] if outliers == "planted" else []))
-    law = Law(_ROOT, ConstantVelocity(0.0, 3, orders=3), sensor if noise == "cartesian" else _spherical, _deviations(noise), known=known)
+    law = Law(
+        _ROOT,
+        ConstantVelocity(0.0, 3, orders=3),
+        sensor if noise == "cartesian" else _spherical,
+        _deviations(noise),
+        known=known,
+    )
     return Scenario("alpha-beta", motion, sensor, prior, 1.0, STEPS, block, settings, aircraft(4.0, 3), law=law)
 
 
