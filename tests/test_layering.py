@@ -14,7 +14,7 @@ LEVELS = [
     {"version"}, {"tables"}, {"angles"}, {"tree"}, {"linalg"}, {"types"}, {"hyper"}, {"state_files"}, {"coordinates"},
     {"geodesy"}, {"readers"}, {"losses"}, {"metrics"},
     {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"kernel"}, {"filters"},
-    {"stream"}, {"targets"}, {"testing"},
+    {"register"}, {"stream"}, {"targets"}, {"testing"},
     {"presets"},
     {"scenarios"}, {"catalogue"}, {"cleaning"}, {"app"}, {"__init__", "__main__"},
 ]  # fmt: skip

@@ -47,8 +47,7 @@ def compare(
         progress: whether to show a bar.
 
     Raises:
-        ValueError: no filter, an unknown name, or tracks that do not fit.
-        TypeError: data that is neither a scenario nor tracks, or a filter that is none.
+        ValueError: no filter, an unknown name, data that is neither a scenario nor tracks, or tracks that do not fit.
 
     Example::
 
@@ -79,7 +78,7 @@ def _scenario(filters: Mapping[str, Filter] | Sequence[str], data: Scenario | Tr
     if isinstance(data, Scenario):
         return data
     if not isinstance(data, Tracks):
-        raise TypeError(f"data: expected a Scenario or Tracks, received {type(data).__name__}")
+        raise ValueError(f"data: expected a Scenario or Tracks, received {type(data).__name__}")
     if not isinstance(filters, Mapping) or not filters:
         raise ValueError("filters: expected filters by name with Tracks, which have no models for the catalogue's")
     first = next(iter(_checked(filters).values()))
@@ -99,7 +98,7 @@ def _checked(filters: Mapping[str, Filter]) -> dict[str, Filter]:
         raise ValueError("filters: expected one or more, received none")
     for name, f in filters.items():
         if not isinstance(f, Filter):
-            raise TypeError(f"filters: expected a Filter as {name}, received {type(f).__name__}")
+            raise ValueError(f"filters: expected a Filter as {name}, received {type(f).__name__}")
     return dict(filters)
 
 

@@ -171,7 +171,7 @@ class Comparison:
         said = [
             f"{self.scenario.name}: {self.runs} runs, seed {self.seed}",
             f"{what}: mean +- 95 % (Student)",
-            f"p: against the best, Wilcoxon signed rank on the runs, Holm for {len(self._tests)} pairs",
+            f"p: against the best, Wilcoxon signed rank on the runs, Holm for {len(self._tests)} of them",
             *self._honest(),
         ]
         if self.by == ERROR:
