@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import reduce
 
 import torch
+from torch import Tensor
 
 from torchfra.gaussian.inputs import Frame
 from torchfra.sensors.base import Sensor
@@ -24,12 +25,17 @@ def by_points_or_slope(compare: Callable[[Gaussian], Whitened], belief: Gaussian
     """
     mean, root = belief
     both = compare(Gaussian(mean.expand(2, *mean.shape), torch.stack([root, NEAR * root])))
-    slope, rest = (reduce(torch.add, x[0].square().unbind(-1)) for x in (both.slope, both.rest))
+    slope, rest = (_squares(x[0]) for x in (both.slope, both.rest))
     blind = slope < BLIND * (slope + rest)
     (wide, near), spread = both.residual, both.spread
     return Whitened(
         torch.where(blind, near, wide), torch.where(blind.unsqueeze(-1), spread[1] / NEAR, spread[0]), both.reads
     )
+
+
+def _squares(x: Tensor) -> Tensor:
+    """Sums of squares ``(..., m)`` of rows ``(..., m, k)``; of a state of one component the rest has no columns."""
+    return reduce(torch.add, x.square().unbind(-1)) if x.shape[-1] else x.sum(-1)
 
 
 def exactly(sensor: Sensor, belief: Gaussian, frame: Frame) -> Whitened:
