@@ -30,7 +30,7 @@ from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
-Transition = LinearGaussianTransitionModel | CombinedLinearGaussianTransitionModel
+_TRANSITIONS = (LinearGaussianTransitionModel, CombinedLinearGaussianTransitionModel)
 _ANGLES = {
     Cartesian2DToBearing: (True,),
     CartesianToBearingRange: (True, False),
@@ -48,7 +48,7 @@ class Timed(NamedTuple):
     """``(T - 1,)`` seconds from each to the next."""
 
 
-def order_of(model: Transition) -> list[int]:
+def order_of(model: Any) -> list[int]:
     """Numbers of a model's components in torchfra's order: of combined models of one axis each, by derivatives."""
     parts = model.model_list if isinstance(model, CombinedLinearGaussianTransitionModel) else [model]
     sizes = [part.ndim_state for part in parts]
@@ -57,7 +57,7 @@ def order_of(model: Transition) -> list[int]:
     return [axis * sizes[0] + derivative for derivative in range(sizes[0]) for axis in range(len(parts))]
 
 
-def motion(model: Transition, *, order: Sequence[int] | None = None, dims: int | None = None) -> Motion:
+def motion(model: Any, *, order: Sequence[int] | None = None, dims: int | None = None) -> Motion:
     """A transition model as a motion.
 
     Args:
@@ -68,7 +68,7 @@ def motion(model: Transition, *, order: Sequence[int] | None = None, dims: int |
     Raises:
         ValueError: another kind of model, or an order that is none.
     """
-    if not isinstance(model, Transition):
+    if not isinstance(model, _TRANSITIONS):
         raise ValueError(f"model: expected a linear Gaussian transition model, received {type(model).__name__}")
     index = checked_order(order_of(model) if order is None else order, model.ndim_state)
     combined = isinstance(model, CombinedLinearGaussianTransitionModel)
