@@ -127,7 +127,8 @@ def roof(options: argparse.Namespace) -> list[Row]:
     The bounds hold what every track needs at every step: of a filter with branches, not what few of them need.
     """
     scenario = make_scenario(options.scenario, initial=options.initial)
-    names = track_filters() if options.filters == FILTERS else options.filters.split(",")
+    every = [name for name in track_filters() if name != "alphabeta"]  # which takes positions, no bearings
+    names = every if options.filters == FILTERS else options.filters.split(",")
     rows: list[Row] = []
     for batch in map(int, (options.batch or "1000,10000").split(",")):
         tracks = scenario.simulate(batch, 0)
