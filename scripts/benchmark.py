@@ -4,6 +4,7 @@
     python scripts/benchmark.py --peers --filters srckf,fra        and JAX, dynamax, FilterPy, C++ in the same passes
     python scripts/benchmark.py --what step,training               one measurement at a time; forward and backward
     python scripts/benchmark.py --what scaling --figure scaling.png
+    python scripts/benchmark.py --what cores --filters srckf       on one thread, on two, in two processes
     python scripts/benchmark.py --what positions                   the alpha-beta bank on 100,000 tracks in space
     python scripts/benchmark.py --what roof                        every filter against what this machine can do at most
 
@@ -23,6 +24,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import torch
+from benchmarks.cores import cores
 from benchmarks.positions import positions
 from benchmarks.roof import FILTERS, roof
 from benchmarks.scaling import draw, scaling
@@ -44,6 +46,7 @@ KINDS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
     "training": training,
     "scaling": scaling,
     "positions": positions,
+    "cores": cores,
     "roof": roof,
 }
 

@@ -32,7 +32,7 @@ WRONG = {
     "gpb(tracks.z, tracks.prior, v=tracks.u)": 'Unexpected keyword argument "v"',
     "gpb.step(scans, tracks.z)": 'expected "GPBState"',
     "x: int = presets.srckf(scenario.motion, scenario.sensor)(tracks.z, tracks.prior)": '"Estimate", variable has',
-    "x: int = presets.alphabeta(scenario.motion, scenario.sensor).init(scenario.prior)": '"AlphaBetaBankState", variable',
+    "x: int = presets.alphabeta(scenario.motion, scenario.sensor).init(scenario.prior)": '"AlphaBetaBankState", var',
 }  # fmt: skip
 
 

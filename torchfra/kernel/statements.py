@@ -50,9 +50,9 @@ def computed(book: Expressions, number: int) -> str:
 
 _OPERATORS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "eq": "=="}
 
-_FUNCTIONS = {"sqrt": 1, "abs": 1, "exp": 1, "expm1": 1, "log": 1, "log1p": 1, "erf": 1, "sin": 1, "cos": 1, "tan": 1,
-              "asin": 1, "acos": 1, "atan": 1, "sinh": 1, "cosh": 1, "tanh": 1, "round": 1, "floor": 1, "ceil": 1,
-              "trunc": 1, "atan2": 2, "hypot": 2, "pow": 2}  # fmt: skip
+_FUNCTIONS = {"sqrt": 1, "abs": 1, "exp": 1, "expm1": 1, "log": 1, "log1p": 1, "erf": 1, "erfc": 1, "lgamma": 1,
+              "sin": 1, "cos": 1, "tan": 1, "asin": 1, "acos": 1, "atan": 1, "sinh": 1, "cosh": 1, "tanh": 1,
+              "round": 1, "floor": 1, "ceil": 1, "trunc": 1, "atan2": 2, "hypot": 2, "pow": 2}  # fmt: skip
 """Functions of torch's vectors and of C++, with the number of their arguments."""
 
 _VECTORS = {

@@ -2,6 +2,12 @@
 #include <cstdint>
 #include <limits>
 
+#ifdef _MSC_VER
+#define NOINLINE __declspec(noinline)
+#else
+#define NOINLINE __attribute__((noinline))
+#endif
+
 namespace {
 using Scalar = SCALAR;
 
@@ -31,7 +37,7 @@ inline V min_(const V& a, const V& b) { return (a < b) | (a != a) ? a : b; }
 constexpr bool wide = sizeof(Scalar) == 8;
 constexpr Scalar LEAST = wide ? 0x1p-960 : 0x1p-100, MOST = wide ? 0x1p1000 : 0x1p120;
 constexpr Scalar UP = wide ? 0x1p600 : 0x1p90, DOWN = wide ? 0x1p-600 : 0x1p-90;
-__attribute__((noinline, cold)) V scaled_norm(const V* a, int count, const V& squares) {
+NOINLINE V scaled_norm(const V* a, int count, const V& squares) {
   const V factor = squares < LEAST ? all(UP) : squares > MOST ? all(DOWN) : all(1);
   V sum = all(0);
   for (int i = 0; i < count; i++) sum += (a[i] * factor) * (a[i] * factor);

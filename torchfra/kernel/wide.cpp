@@ -13,7 +13,7 @@ typedef Scalar V __attribute__((vector_size(W * sizeof(Scalar))));
 typedef decltype(V() < V()) M;
 
 inline V all(Scalar a) { return V{} + a; }
-template <class T> __attribute__((noinline)) V get(const Entries<T>& x, int64_t entry) {
+template <class T> NOINLINE V get(const Entries<T>& x, int64_t entry) {
   const T* from = x[entry];
   if (x.track == 0) return all(*from);
   V v;
@@ -80,7 +80,7 @@ inline V signed_as(const V& size, const V& sign) {
   const M bit = (M{} - 1) << (8 * sizeof(Scalar) - 1);
   return (V)(((M)size & ~bit) | ((M)sign & bit));
 }
-__attribute__((noinline, cold)) V extreme_atan2(const V& y, const V& x) { return raw(vec(y).atan2(vec(x))); }
+NOINLINE V extreme_atan2(const V& y, const V& x) { return raw(vec(y).atan2(vec(x))); }
 // Of (atan(t) / t - 1) / t^2 by powers of t^2, the best of degree 10 for t within pi/8: off by 3e-17 at most.
 constexpr Scalar C[] = {
     -0.3333333333333333, 0.19999999999995516, -0.14285714284665682, 0.11111111015187018, -0.09090904575306488, 0.07692183125376885,

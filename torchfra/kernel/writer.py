@@ -214,7 +214,7 @@ def _always(names: Iterable[str]) -> list[str]:
 
 
 def _function(head: str, lines: Iterable[str]) -> str:
-    return f"__attribute__((noinline)) void {head} {{\n{_lines(lines, 2)}}}\n"
+    return f"NOINLINE void {head} {{\n{_lines(lines, 2)}}}\n"
 
 
 def _lines(lines: Iterable[str], indent: int) -> str:
