@@ -6,7 +6,6 @@ from collections.abc import Callable
 from functools import reduce
 
 import torch
-from torch import Tensor
 
 from torchfra.gaussian.inputs import Frame
 from torchfra.sensors.base import Sensor
@@ -31,3 +30,11 @@ def by_points_or_slope(compare: Callable[[Gaussian], Whitened], belief: Gaussian
     return Whitened(
         torch.where(blind, near, wide), torch.where(blind.unsqueeze(-1), spread[1] / NEAR, spread[0]), both.reads
     )
+
+
+def exactly(sensor: Sensor, belief: Gaussian, frame: Frame) -> Whitened:
+    """The measurement against a predicted belief ``(..., n)``, of a sensor that is linear: no points are needed."""
+    d, noise = sensor.reads, frame.measurement_noise
+    mean, root = belief.mean[..., :d], belief.scale_tril[..., :d, :d]
+    residual = noise.whiten(sensor.difference(frame.z, sensor(mean)).unsqueeze(-1)).squeeze(-1)
+    return Whitened(residual, noise.whiten(sensor(root.mT).mT), d)
