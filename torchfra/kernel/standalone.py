@@ -56,11 +56,7 @@ class Standalone(NamedTuple):
     outputs: Sequence[Field]
 
     def files(self) -> dict[str, str]:
-        """The text of each file by its name.
-
-        Raises:
-            CompileError: the step has too many operations.
-        """
+        """The text of each file by its name."""
         source = self.source()
         level = "-O1" if source.count("\n") > LARGE else "-O2"
         return {
