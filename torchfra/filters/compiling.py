@@ -32,8 +32,7 @@ class Compilable(nn.Module):
             The filter itself.
 
         Raises:
-            CompileError: (a ``RuntimeError``) when a kernel is needed and there is no compiler, or the step is too
-                large for one: seven models in space with ``fra`` for each, say.
+            CompileError: (a ``RuntimeError``) when a kernel is needed and there is no compiler.
             NotImplementedError: then too, if the filter does what kernels cannot.
         """
         if args or options:
