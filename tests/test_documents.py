@@ -62,6 +62,7 @@ SMALL_TRAINING = ["iterations=1", "batch=2", "validation_runs=2", "test_runs=2",
 HELP_ONLY = {
     "scripts/export.py": "compiles a program for each filter: run by test_export.py",
     "scripts/benchmark.py --what training": "compiles four filters with gradients: run by test_scripts.py",
+    "scripts/benchmark.py --what roof": "compiles every filter: run by test_scripts.py",
     "scripts/benchmark.py --what scaling": "compiles a filter for each number of states",
 }
 """Commands of which only the arguments are checked, and why."""
