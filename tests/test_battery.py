@@ -33,10 +33,10 @@ def preset(name, scenario, crossing):
 @pytest.mark.parametrize("name", NAMES)
 def test_every_filter_keeps_what_filters_promise(name, scenario, crossing, request):
     f, tracks = preset(name, scenario, crossing)
-    report = check_filter(f, **tracks, thorough=request.config.getoption("--thorough"))
+    compiled = not FILTERS[name].scans  # whose kernels have a battery of their own, of few measurements
+    report = check_filter(f, **tracks, compiled=compiled, thorough=request.config.getoption("--thorough"))
     assert len(report.of("passed")) > 15
-    skipped = {outcome.way for outcome in report.of("skipped")}
-    assert skipped == ({"compiled"} if FILTERS[name].scans else set())
+    assert report.of("skipped") == ()
 
 
 # ---------------------------------------------------------------- the battery finds what is broken

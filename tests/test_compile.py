@@ -68,6 +68,12 @@ def test_a_single_track_and_a_grid_of_tracks_and_a_batch_of_hyperparameters(make
     close(f(many.z, many.prior, u=many.u), fast(many.z, many.prior, u=many.u))
 
 
+def test_no_tracks_at_all_have_estimates_of_none(make, tracks):
+    nothing = Gaussian(*(x[:0] for x in (tracks.prior.mean, tracks.prior.scale_tril.expand(4, 6, 6))))
+    slow, fast = both(make("srckf"), tracks.z[:0], nothing, u=tracks.u)
+    assert fast.mean.shape == slow.mean.shape == (0, STEPS, 6)
+
+
 def test_a_track_that_fails_is_reported_and_leaves_the_others_alone(make, tracks):
     z = tracks.z.clone()
     z[1, 4] = torch.inf

@@ -17,6 +17,7 @@ from torchfra.association import Clutter, Euclidean, associate
 from torchfra.linalg.tracing import elementary
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
+from torchfra.testing import check_filter
 from torchfra.types import Gaussian
 
 PRIOR = flat_prior((0.0, 0.0), (6.0, 3.0))
@@ -113,6 +114,14 @@ def test_more_targets_than_all_of_whose_events_are_summed_are_refused():
     with pytest.raises(NotImplementedError, match=r"JPDA: exact: .*expected exact=\(2, 4\) or more"):
         plane(exact=(2, 3)).compile()(z, prior)
     close(*both(plane(exact=(2, 4)), z[:1, :2], Gaussian(prior.mean[:1], prior.scale_tril[:1])))
+
+
+@pytest.mark.slow
+def test_compiled_filters_of_scans_keep_what_filters_promise():
+    z, prior = scans(count=2)
+    report = check_filter(plane(), z=z, prior=prior)
+    assert len(report.of("passed")) > 30
+    assert report.of("failed") == ()
 
 
 INNER = {

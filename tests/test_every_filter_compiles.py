@@ -1,0 +1,27 @@
+"""Nothing of the catalogue is refused: every filter of a scenario becomes expressions of a kernel."""
+
+import pytest
+import torch
+
+from torchfra.catalogue import SCENARIOS, filters_for, scenario_filter
+from torchfra.gaussian.inputs import Measurements
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", ["growth", "reentry", "clutter-straight"])
+def test_every_filter_of_a_scenario_is_traced(scenario):
+    """Without a compiler, which would take minutes; other scenarios are compiled elsewhere."""
+    scenario = SCENARIOS[scenario]()
+    tracks = scenario.simulate(runs=1, seed=0)
+    for name in filters_for(scenario):
+        f = scenario_filter(name, scenario).compile()
+        _, plan, _ = f._kernels._plan(f, f.init(tracks.prior), Measurements(tracks.z, 1.0, tracks.u), False)
+        assert len(plan.kernels.step.forwards().live()) > 50, name
+
+
+def test_gpb_filters_states_of_one_component():
+    scenario = SCENARIOS["growth"]()
+    tracks = scenario.simulate(runs=3, seed=0)
+    estimate = scenario_filter("gpb", scenario)(tracks.z, tracks.prior, u=tracks.u)
+    assert torch.isfinite(estimate.mean).all()
+    assert not estimate.failed.any()
