@@ -12,7 +12,8 @@ from torchfra.filters.compiled_step import guard, is_ordinary, number
 from torchfra.gaussian.arguments import check_values
 from torchfra.gaussian.inputs import Measurements
 from torchfra.kernel.program import Ready
-from torchfra.tree import unflattener
+from torchfra.linalg.triangular import tria
+from torchfra.tree import flattener, unflattener
 from torchfra.types import Gaussian
 
 _FORMS = 16
@@ -25,25 +26,23 @@ class ReadyTracks:
     """Tracks of one form.
 
     Args:
-        begin: from prior and values to what the state before the first step is made of.
-        leaves: of that state, by number.
-        run: from that state, data and values to all that is kept.
-        tensors: what the two read: prior, data, values.
-        data: how many of these are data.
+        run: the kernel.
+        batch: of the tracks.
+        tensors: a prior, and what the kernel reads besides the state: data, values.
+        state: that of the prior.
         made: the state and the record of one track.
     """
 
-    def __init__(
-        self, begin: Ready, leaves: Sequence[int], run: Ready, tensors: Sequence[Tensor], data: int, made: Any
-    ) -> None:
-        self._begin, self._leaves, self._run, self._values = begin, leaves, run, 2 + data
-        self.made = unflattener(made)
+    def __init__(self, run: Ready, batch: torch.Size, tensors: Sequence[Tensor], state: Any, made: Any) -> None:
+        self._run, self._shape = run, (*batch, tensors[0].shape[-1])
+        self._leaves, self._made = flattener(state), unflattener(made)
         self.fit = guard(tensors)
 
-    def __call__(self, tensors: Sequence[Tensor]) -> tuple[Any, Any]:
+    def __call__(self, begin: Callable[[Gaussian], Any], tensors: Sequence[Tensor]) -> tuple[Any, Any]:
         """The state after the last step, and what is kept of each."""
-        begun = self._begin((*tensors[:2], *tensors[self._values :]))
-        made: tuple[Any, Any] = self.made(self._run((*[begun[i] for i in self._leaves], *tensors[2:])))
+        mean, root = tensors[:2]
+        state = begin(Gaussian(mean.expand(self._shape), tria(root).expand((*self._shape, root.shape[-1]))))
+        made: tuple[Any, Any] = self._made(self._run((*self._leaves(state), *tensors[2:])))  # type: ignore[misc]
         return made
 
 
@@ -54,16 +53,16 @@ class AllReadyTracks:
         self._known: dict[Hashable, list[ReadyTracks]] = {}
 
     def __call__(
-        self, form: Hashable, prior: Gaussian, measurements: Measurements, values: Callable[[], Any], instants: bool
+        self, f: Any, form: Hashable, prior: Gaussian, measurements: Measurements, values: Callable[[], Any]
     ) -> tuple[Any, Any] | None:
         """The state after the last step and what is kept of each; None where no such tracks are ready.
 
         Args:
+            f: the filter.
             form: of the call.
             prior: of the tracks.
             measurements: that are checked for bad values here.
             values: what the filter holds.
-            instants: whether ``dt`` may be 0.
 
         Raises:
             ValueError: the time steps or the noise have a bad value.
@@ -77,8 +76,8 @@ class AllReadyTracks:
         for tracks in known:
             if tracks.fit(*tensors):
                 if not (is_ordinary(dt, z.dtype) and rest[1] is rest[2] is None):
-                    check_values(measurements, instants)
-                return tracks(tensors)
+                    check_values(measurements, f.instants)
+                return tracks(f.begin, tensors)
         return None
 
     def add(self, form: Hashable, tracks: ReadyTracks) -> None:

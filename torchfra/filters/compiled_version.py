@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Hashable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -15,7 +16,6 @@ from torchfra.filters.compiled_step import Data, ReadyStep, ReadySteps, may_be_r
 from torchfra.filters.compiled_tracks import AllReadyTracks, ReadyTracks
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import Hyper
-from torchfra.kernel.program import BUILDING
 from torchfra.kernel.run import Kernels
 from torchfra.kernel.step import Input, Step, frozen
 from torchfra.tree import flatten, map_tensors, ranks
@@ -56,8 +56,10 @@ class Version:
     def __init__(self, f: nn.Module) -> None:
         self.kernels: dict[tuple[Any, ...], Kernels] = {}
         self.steps: dict[tuple[Any, ...], Plan] = {}
-        self.ready, self.tracks = ReadySteps(), AllReadyTracks()
+        self.ready = {False: ReadySteps(), True: ReadySteps()}  # of scans that are whole, and of all else
+        self.tracks = AllReadyTracks()
         self.frozen = frozen(f)
+        self.scans = bool(getattr(f, "scans", False))
         self.values: list[_Value] = []
         self._parts: list[dict[str, Any]] = []
         self._watched: list[tuple[dict[str, Any], str, Any]] = []
@@ -69,7 +71,7 @@ class Version:
             self._parts += [part for part in parts if not isinstance(module, Hyper)]
             for part in parts:
                 for key, x in part.items():
-                    event = 0 if key in numbers else _event(module, part, x)
+                    event = 0 if key in numbers else _event(module, part, x, self.scans)
                     if event is not None:
                         self.values.append(_Value(f"{path}.{key}".lstrip("."), module, key, event))
                     elif part is not module.__dict__ or key not in _PLUMBING:
@@ -78,6 +80,12 @@ class Version:
         self._tensors = [x for x in self._seen if isinstance(x, Tensor)]
         self._sizes, self._versions = self._sizes_now(), self._versions_now()
         self._locate()
+
+    @property
+    def _events(self) -> dict[str, int]:
+        """Dimensions of what is measured at a step."""
+        events = ranks(Measurements)
+        return {name: rank + (self.scans and name in ("z", "std", "noise")) for name, rank in events.items()}
 
     def holds(self) -> bool:
         """Whether nothing has changed since."""
@@ -115,8 +123,9 @@ class Version:
         back: Given | None = None,
     ) -> Plan:  # fmt: skip
         """What is to be done with this ``data``, which has an entry for each step where ``timed``."""
-        first, events = flatten(state)[0], ranks(Measurements) if back is None else back.events
-        dtype, alone = first.dtype, state.belief.mean.shape[:-1] if back is None else back.batch
+        first, events = flatten(state)[0], self._events if back is None else back.events
+        dtype, targets = first.dtype, () if back else tuple(state.belief.mean.shape[-1 - self.scans : -1])
+        alone = back.batch if back else state.belief.mean.shape[: -1 - self.scans]
         values = [(value, x, x.dim() - value.event) for value, x in zip(self.values, self.read(), strict=True)]
         batch = torch.broadcast_shapes(alone, *(x.shape[:rank] for _, x, rank in values))
         inputs, shapes = {}, []
@@ -128,9 +137,9 @@ class Version:
             double = x.dtype == torch.float64 != dtype  # read as it is: to convert it would take longer than to filter
             inputs[value.path] = Input(x.shape[rank:], False, True, double)
             shapes.append(batch + x.shape[rank:])
-        key = (advance if back is None else retreat, dtype, tuple(inputs.items()))
+        key = (retreat if back else advance, dtype, targets, tuple(inputs.items()))
         if key not in self.kernels:
-            begin = traced.begin if back is None else back.begin
+            begin = back.begin if back else partial(traced.begin, targets=targets)
             with torch.inference_mode(False):  # in which torch does not take operations apart
                 step = Step(self.frozen, begin, advance, inputs, dtype, timed[0], back is not None)
             self.kernels[key] = Kernels(step)
@@ -140,7 +149,7 @@ class Version:
         dtypes = [dtype] * len(kernels.step.zero) + [torch.float64 if x.double else dtype for x in inputs.values()]
         return Plan(kernels, batch, shapes, dtypes, counts)
 
-    def get_ready(self, plan: Plan, state: Any, data: Data) -> None:
+    def get_ready(self, plan: Plan, state: Any, data: Data, whole: bool) -> None:
         """Makes later steps like this one ready, if they need no gradient and all is read where it lies."""
         tensors = [*flatten(state), *(x for x in data if x is not None), *self.read()]
         if self._changes(plan, tensors) or not may_be_ready(plan.batch.numel()):
@@ -150,38 +159,24 @@ class Version:
             return
         ready = plan.kernels.forwards(plan.batch).ready(plan.batch, 1, full)
         if ready is not None:
-            self.ready.add(ReadyStep(ready, state, tensors, (step.state, step.record)), state, data)
+            self.ready[whole].add(ReadyStep(ready, state, tensors, (step.state, step.record)), state, data)
 
     def get_tracks_ready(self, form: Hashable, plan: Plan, prior: Gaussian, state: Any, data: Data) -> None:
         """Makes later tracks like these ready, likewise."""
         steps, values = data[0].shape[-2], self.read()
         given = [x for x in data if x is not None]
         tensors, leaves = [*prior, *given, *values], flatten(state)
-        full, dtype = self.full(plan, [*leaves, *given, *values])[len(leaves) :], plan.dtypes[0]
+        full, dtype = self.full(plan, [*leaves, *given, *values]), plan.dtypes[0]
         if (
             self._changes(plan, tensors)
             or any(x.dtype != dtype or not x.is_cpu for x in prior)
-            or any(x.data_ptr() != y.data_ptr() for x, y in zip(full, tensors[2:], strict=True))
+            or any(x.data_ptr() != y.data_ptr() for x, y in zip(full, [*leaves, *given, *values], strict=True))
         ):
             return
-        shapes = {"mean": prior.mean.shape[-1:], "root": prior.scale_tril.shape[-2:]}
-        inputs = {name: Input(shape, False, False) for name, shape in shapes.items()}
-        inputs |= {name: x for name, x in plan.kernels.step.inputs.items() if x.value}
-        key = (traced.start, dtype, tuple(inputs.items()))
-        with BUILDING:
-            if key not in self.kernels:
-                self.kernels[key] = Kernels(Step(self.frozen, lambda f: (), traced.start, inputs, dtype, False))
-            kernels = self.kernels[key]
-        begun = [x.expand(plan.batch + shape) for x, shape in zip(prior, shapes.values(), strict=True)]
-        begin = kernels.forwards(plan.batch).ready(plan.batch, 1, [*begun, *full[len(given) :]])
-        if begin is None:
-            return
-        places = kernels.step.record[1]
-        start = begin([*begun, *full[len(given) :]])
-        run = plan.kernels.forwards(plan.batch).ready(plan.batch, steps, [*(start[i] for i in places), *full])
+        run = plan.kernels.forwards(plan.batch).ready(plan.batch, steps, full)
         if run is not None:
             made = plan.kernels.step.state, plan.kernels.step.record
-            self.tracks.add(form, ReadyTracks(begin, places, run, tensors, len(given), made))
+            self.tracks.add(form, ReadyTracks(run, plan.batch, tensors, state, made))
 
     @staticmethod
     def _changes(plan: Plan, tensors: Sequence[Tensor]) -> bool:
@@ -212,13 +207,14 @@ def _whole(x: Tensor, like: Tensor) -> Tensor:
     return x if like.is_floating_point() else x.to(like.dtype)
 
 
-def _event(module: nn.Module, part: dict[str, Any], x: Any) -> int | None:
+def _event(module: nn.Module, part: dict[str, Any], x: Any, scans: bool) -> int | None:
     """The number of dimensions, without a batch, of what is read when a kernel runs; None for what is part of it.
 
-    Read are hyperparameters, parameters, and buffers that have gradients.
+    Read are hyperparameters, parameters, and buffers that have gradients.  Those that differ between the targets of
+    ``scans`` are no batch.
     """
     if isinstance(module, Hyper) and (part is module._parameters or part is module._buffers):
-        return module.event_dim
+        return module.event_dim + (scans and module.batch_rank > 0)
     read = part is module._parameters or (part is module._buffers and x is not None and x.requires_grad)
     return x.dim() if read and x is not None else None
 

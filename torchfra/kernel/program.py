@@ -40,7 +40,7 @@ class Program:
         self._dtype = scan.dtype
         self._reads, self._writes = scan.carry + scan.reads, scan.after + scan.writes
         with BUILDING:
-            source = scan.source(narrow)
+            source = scan.source(narrow or not build.wide())
         self._run = build.load(source)  # outside: several filters compile at the same time
 
     def __call__(self, batch: torch.Size, steps: int, tensors: Sequence[Tensor]) -> list[Tensor]:

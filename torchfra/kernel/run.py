@@ -30,8 +30,8 @@ class Kernels:
         self._making = threading.Lock()
 
     def forwards(self, batch: torch.Size) -> Program:
-        """What filters a batch of this shape; one track has a program of its own, for its speed."""
-        return self.program("forwards", narrow=batch.numel() == 1)
+        """What filters a batch of this shape; a single step of one track has a program of its own, for its speed."""
+        return self.program("forwards", narrow=batch.numel() == 1 and not self.step.repeated)
 
     def program(self, kind: str, *how: Any, narrow: bool = False) -> Program:
         """``"forwards"``, ``"trajectory"`` or ``"backwards"`` of the step, see there."""
