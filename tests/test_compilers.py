@@ -142,6 +142,12 @@ def test_threads_of_cxx_give_what_openmp_gives(make, tracks, folder, monkeypatch
     assert torch.equal(*found)
 
 
+def test_no_tracks_are_no_work(make, tracks):
+    f = make("srckf").compile()
+    prior = tracks.prior._replace(mean=tracks.prior.mean[:0])
+    assert f(tracks.z[:0], prior, u=tracks.u).mean.shape == (0, *tracks.truth.shape[1:])
+
+
 # ---------------------------------------------------------------- other systems
 
 

@@ -86,7 +86,7 @@ def test_the_header_says_what_the_filter_is_and_needs_nothing_else():
     for line in ("using Scalar = float;", "(motion): ConstantVelocity(", " Scalar std[2];", " Scalar belief_mean[4];"):
         assert line in header
     included = set(re.findall(r"#include (.*)", files["tracker.cpp"]))
-    assert included == {'"tracker.hpp"', "<cmath>", "<cstdint>", "<limits>"}
+    assert included == {'"tracker.hpp"', "<math.h>", "<cstdint>"}
     assert sorted(exported.export(small())) == NAMES
 
 

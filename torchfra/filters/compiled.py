@@ -55,10 +55,10 @@ class Compiled:
 
     @staticmethod
     def takes(z: Any) -> bool:
-        """Whether kernels can work on it: a tensor on the CPU, and not inside ``torch.compile`` or a transform."""
+        """Whether kernels can work on it: on the CPU or NVIDIA's GPUs, not inside ``torch.compile`` or a transform."""
         return (
             isinstance(z, Tensor)
-            and z.is_cpu
+            and (z.is_cpu or (z.is_cuda and torch.version.hip is None))
             and z.dtype in SCALARS
             and not is_traced()
             and torch._C._functorch.peek_interpreter_stack() is None

@@ -16,6 +16,7 @@ from torchfra.filters.compiled_step import Data, ReadyStep, ReadySteps, may_be_r
 from torchfra.filters.compiled_tracks import AllReadyTracks, ReadyTracks
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import Hyper
+from torchfra.kernel.program import Program
 from torchfra.kernel.run import Kernels
 from torchfra.kernel.step import Input, Step, frozen
 from torchfra.tree import flatten, map_tensors, ranks
@@ -48,6 +49,13 @@ class Plan(NamedTuple):
     """Of the same."""
     counts: bool
     """Whether some of what is kept of a step are whole numbers."""
+    device: torch.device
+    """Where the kernels run: where the state is."""
+
+    @property
+    def forwards(self) -> Program:
+        """What filters."""
+        return self.kernels.forwards(self.batch, self.device)
 
 
 class Version:
@@ -147,7 +155,7 @@ class Version:
         counts = any(not (x.is_floating_point() or x.dtype == torch.bool) for x in flatten(kernels.step.record))
         shapes = [batch + zero.shape for zero in kernels.step.zero] + shapes
         dtypes = [dtype] * len(kernels.step.zero) + [torch.float64 if x.double else dtype for x in inputs.values()]
-        return Plan(kernels, batch, shapes, dtypes, counts)
+        return Plan(kernels, batch, shapes, dtypes, counts, first.device)
 
     def get_ready(self, plan: Plan, state: Any, data: Data, whole: bool) -> None:
         """Makes later steps like this one ready, if they need no gradient and all is read where it lies."""
@@ -157,7 +165,7 @@ class Version:
         full, step = self.full(plan, tensors), plan.kernels.step
         if any(x.data_ptr() != y.data_ptr() for x, y in zip(full, tensors, strict=True)):
             return
-        ready = plan.kernels.forwards(plan.batch).ready(plan.batch, 1, full)
+        ready = plan.forwards.ready(plan.batch, 1, full)
         if ready is not None:
             self.ready[whole].add(ReadyStep(ready, state, tensors, (step.state, step.record)), state, data)
 
@@ -169,11 +177,11 @@ class Version:
         full, dtype = self.full(plan, [*leaves, *given, *values]), plan.dtypes[0]
         if (
             self._changes(plan, tensors)
-            or any(x.dtype != dtype or not x.is_cpu for x in prior)
+            or any(x.dtype != dtype or x.device != plan.device for x in prior)
             or any(x.data_ptr() != y.data_ptr() for x, y in zip(full, [*leaves, *given, *values], strict=True))
         ):
             return
-        run = plan.kernels.forwards(plan.batch).ready(plan.batch, steps, full)
+        run = plan.forwards.ready(plan.batch, steps, full)
         if run is not None:
             made = plan.kernels.step.state, plan.kernels.step.record
             self.tracks.add(form, ReadyTracks(run, plan.batch, tensors, state, made))
@@ -188,7 +196,9 @@ class Version:
     def full(self, plan: Plan, tensors: Sequence[Tensor]) -> list[Tensor]:
         """Leaves of the state, data and values as kernels take them: with the full batch."""
         return [
-            x if x.shape == shape and x.dtype == dtype and x.is_cpu else x.to("cpu", dtype).expand(shape)
+            x
+            if x.shape == shape and x.dtype == dtype and x.device == plan.device
+            else x.to(plan.device, dtype).expand(shape)
             for x, shape, dtype in zip(tensors, plan.shapes, plan.dtypes, strict=True)
         ]
 

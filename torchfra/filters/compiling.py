@@ -17,11 +17,12 @@ class Compilable(nn.Module):
     _kernels: Any
 
     def compile(self, *args: Any, **options: Any) -> Self:  # type: ignore[override]  # torch's own returns None
-        """From here on run as compiled kernels, on the CPU: same results (to rounding), same gradients.
+        """From here on run as compiled kernels, on CPU or GPU: same results (to rounding), same gradients.
 
-        It needs a C++ compiler (``g++``, or what ``CXX`` names), and some seconds for a form of call that no earlier
-        process has compiled.  Gradients are of first order.  On other devices, under ``torch.compile`` and in
-        transforms of ``torch.func`` the filter runs as without.  ``torchfra/kernel/README.md`` has the details.
+        It needs a C++ compiler (what ``CXX`` names, or ``g++``, ``clang++``, zig), on a GPU torch's own NVRTC, and some
+        seconds for a form of call that no earlier process has compiled.  Gradients are of first order.  Under
+        ``torch.compile`` and in transforms of ``torch.func`` the filter runs as without.
+        ``torchfra/kernel/README.md`` has the details.
 
         Args:
             args: with any argument this is ``nn.Module.compile``, and so ``torch.compile``, instead:
@@ -32,8 +33,7 @@ class Compilable(nn.Module):
             The filter itself.
 
         Raises:
-            CompileError: (a ``RuntimeError``) when a kernel is needed and there is no compiler, or the step is too
-                large for one: seven models in space with ``fra`` for each, say.
+            CompileError: (a ``RuntimeError``) when a kernel is needed and there is no compiler.
             NotImplementedError: then too, if the filter does what kernels cannot.
         """
         if args or options:

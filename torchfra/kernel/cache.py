@@ -67,6 +67,30 @@ def keep(name: str, made: Path) -> ctypes.CDLL:
     return _unkept.setdefault(name, ctypes.CDLL(str(made)))
 
 
+def read(name: str) -> bytes | None:
+    """What has been kept under this name by ``write``; None unless it is undamaged, in a folder of this user alone."""
+    folder = _open()
+    if folder is None:
+        return None
+    try:
+        return _content(folder, name)
+    finally:
+        _close(folder)
+
+
+def write(name: str, content: bytes) -> None:
+    """Keeps something for other processes if it can be, otherwise there is a warning."""
+    folder = _open()
+    if folder is None:
+        return
+    try:
+        obstacle = _store(folder, name, content)
+        if obstacle is not None:
+            _warn(chosen(), obstacle)
+    finally:
+        _close(folder)
+
+
 def chosen() -> str:
     """The folder as the user names it: ``TORCHFRA_CACHE``, or ``torchfra`` among the caches of this user."""
     return os.environ.get("TORCHFRA_CACHE") or os.path.join(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "torchfra")
@@ -114,16 +138,22 @@ def _beside(folder: Folder, name: str) -> tuple[str, int | None]:
 
 
 def _is_intact(folder: Folder, name: str) -> bool:
+    return _content(folder, name) is not None
+
+
+def _content(folder: Folder, name: str) -> bytes | None:
+    """What has been kept under this name, if it is as it was, and nobody else may have written it."""
     path, beside = _beside(folder, name)
     try:
         status = os.stat(path, dir_fd=beside, follow_symlinks=False)
         if not (stat.S_ISREG(status.st_mode) and _is_private(status)):
-            return False
+            return None
         with open(os.open(path, os.O_RDONLY | _BINARY, dir_fd=beside), "rb") as file:
             content = file.read()
     except OSError:
-        return False
-    return content[-_DIGEST:] == _digest(name, content[:-_DIGEST])
+        return None
+    content, digest = content[:-_DIGEST], content[-_DIGEST:]
+    return content if digest == _digest(name, content) else None
 
 
 def _digest(name: str, library: bytes) -> bytes:

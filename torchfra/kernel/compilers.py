@@ -30,8 +30,8 @@ _FLAGS = {
 """Of each family.  What needs no OpenMP has threads of C++; zig takes all instructions of the processor by itself."""
 _LESS = {"msvc": "/Od"}
 _INSTALL = (
-    "install one (`pip install ziglang` needs no rights of an administrator), or name one in the environment variable "
-    "CXX; without compile() the filter needs none"
+    "install g++, clang++ or, without rights of an administrator, `pip install ziglang`, or name a compiler in the "
+    "environment variable CXX; without compile() the filter needs none"
 )
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 """Of a library."""
@@ -86,7 +86,7 @@ def find() -> Compiler:
         compiler, error = _runs(command)
         if compiler is None:
             name = shlex.join(command) or "''"
-            raise CompileError(f"compile: expected a C++ compiler, {name} (CXX) does not run ({error}): {_INSTALL}")
+            raise CompileError(f"compile: expected a C++ compiler, {name} does not run ({error}): {_INSTALL}")
         return compiler
     return _first(_candidates())
 

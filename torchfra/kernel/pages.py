@@ -20,7 +20,7 @@ def in_large_pages(x: Tensor) -> Tensor:
     time.  Linux has to be asked, unless it is set up to give them to all; other systems are not.
     """
     size = x.numel() * x.element_size()
-    advise = _advise() if size >= LEAST else None
+    advise = _advise() if size >= LEAST and x.is_cpu else None
     if advise is not None:
         first = -(-x.data_ptr() // mmap.PAGESIZE) * mmap.PAGESIZE
         advise(first, x.data_ptr() + size - first, mmap.MADV_HUGEPAGE)  # a request: that it fails is no error

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchfra.kernel import build
+from torchfra.kernel import build, cuda
 from torchfra.kernel.pages import in_large_pages
 from torchfra.kernel.source import Port, Scan
 
@@ -20,6 +20,7 @@ BUILDING = threading.RLock()
 Tracing itself needs no lock: every trace has its own copy of the module.
 """
 
+_CPU = torch.device("cpu")
 _TRACKS_PER_THREAD = 16
 """Tracks at least for each thread."""
 
@@ -34,14 +35,16 @@ class Program:
     Args:
         scan: the scan.
         narrow: whether it will run on one track alone.
+        device: where it will run: the CPU, or a GPU on which each thread has one track.
     """
 
-    def __init__(self, scan: Scan, narrow: bool = False) -> None:
-        self._dtype = scan.dtype
+    def __init__(self, scan: Scan, narrow: bool = False, device: torch.device = _CPU) -> None:
+        self._dtype, self._device = scan.dtype, device
         self._reads, self._writes = scan.carry + scan.reads, scan.after + scan.writes
         with BUILDING:
-            source = scan.source(narrow or not build.wide())
-        self._run = build.load(source)  # outside: several filters compile at the same time
+            source = scan.cuda() if device.type == "cuda" else scan.source(narrow or not build.wide())
+        # Outside: several filters compile at the same time.
+        self._run = cuda.load(source, device) if device.type == "cuda" else build.load(source)
 
     def __call__(self, batch: torch.Size, steps: int, tensors: Sequence[Tensor]) -> list[Tensor]:
         """Runs it.
@@ -71,6 +74,7 @@ class Program:
                 torch.empty(
                     ((steps + port.late,) if port.timed else ()) + tuple(port.shape) + tuple(batch),
                     dtype=torch.bool if port.truth else self._dtype,
+                    device=self._device,
                 )
             )
             for port in self._writes
@@ -120,7 +124,7 @@ def batch_first(x: Tensor, rank: int) -> Tensor:
 def strided(x: Tensor, port: Port, rank: int, tracks: int) -> Strided:
     """The tensor, copied if it must be, and its strides from track to track, step to step, entry to entry."""
     x = x.resolve_neg()  # a sign may be put off, and memory does not tell; a real tensor is its own conjugate
-    x = torch.zeros(x.shape, dtype=x.dtype) if x._is_zerotensor() else x  # which has no memory
+    x = torch.zeros(x.shape, dtype=x.dtype, device=x.device) if x._is_zerotensor() else x  # which has no memory
     count = len(port.ids)
     if x.is_contiguous():
         return x, count * (x.shape[rank] if port.timed else 1) if tracks > 1 else 0, count, 1

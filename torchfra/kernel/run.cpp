@@ -6,6 +6,7 @@
 __declspec(dllexport)
 #endif
 extern "C" void run(int64_t tracks, int64_t steps, int threads, const Port* in, const Port* out) {
+  if (tracks == 0) return;
   const int64_t share = (tracks + W * threads - 1) / (W * threads), packs = share < step::PACKS ? share : step::PACKS;
   const int64_t size = W * packs, blocks = (tracks + size - 1) / size;
   const auto part = [&](int64_t thread) {

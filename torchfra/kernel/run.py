@@ -29,19 +29,19 @@ class Kernels:
         self._programs: dict[tuple[Any, ...], Program] = {}
         self._making = threading.Lock()
 
-    def forwards(self, batch: torch.Size) -> Program:
+    def forwards(self, batch: torch.Size, device: torch.device) -> Program:
         """What filters a batch of this shape; a single step of one track has a program of its own, for its speed."""
-        return self.program("forwards", narrow=batch.numel() == 1 and not self.step.repeated)
+        return self.program("forwards", device, narrow=batch.numel() == 1 and not self.step.repeated)
 
-    def program(self, kind: str, *how: Any, narrow: bool = False) -> Program:
+    def program(self, kind: str, device: torch.device, *how: Any, narrow: bool = False) -> Program:
         """``"forwards"``, ``"trajectory"`` or ``"backwards"`` of the step, see there."""
-        key = (kind, narrow, *how)
+        key = (kind, device, narrow, *how)
         if key not in self._programs:
             with self._making:
                 if key not in self._programs:
                     with BUILDING, torch.inference_mode(False):
                         scan = getattr(self.step, kind)(*how)
-                    self._programs[key] = Program(scan, narrow)
+                    self._programs[key] = Program(scan, narrow, device)
         return self._programs[key]
 
     def run(
@@ -68,7 +68,7 @@ class Kernels:
             starts = sorted({*range(0, steps, length), *range(0, steps, truncate or steps)})
             done = _Run.apply(self, batch, (*starts, steps), truncate, *state, *inputs)  # type: ignore[no-untyped-call]
         else:
-            done = self.forwards(batch)(batch, steps, (*state, *inputs))
+            done = self.forwards(batch, inputs[0].device)(batch, steps, (*state, *inputs))
         rest = iter([batch_first(x, len(batch)) for x in done])
         return unflatten(self.step.state, rest), unflatten(self.step.record, rest)
 
@@ -88,7 +88,8 @@ class _Run(torch.autograd.Function):
         done: list[Tensor] = []
         for first, last in pairwise(starts):
             begun += state
-            done = kernels.forwards(batch)(batch, last - first, (*state, *_part(step, inputs, first, last, rank)))
+            reads = _part(step, inputs, first, last, rank)
+            done = kernels.forwards(batch, inputs[0].device)(batch, last - first, (*state, *reads))
             state = tuple(batch_first(x, rank) for x in done[:count])
             kept.append([x[: last - first] for x in done[count:]] if step.repeated else done[count:])
         ctx.save_for_backward(*inputs, *begun)
@@ -104,9 +105,10 @@ class _Run(torch.autograd.Function):
         kernels, batch, step = ctx.kernels, ctx.batch, ctx.kernels.step
         names, count, rank = list(step.inputs), len(step.zero), len(ctx.batch)
         inputs, begun = ctx.saved_tensors[: len(names)], ctx.saved_tensors[len(names) :]
+        device = inputs[0].device
         needed = tuple(n for n, wanted in zip(names, ctx.needs_input_grad[4 + count :], strict=True) if wanted)
         stay = [n for n in needed if not step.inputs[n].timed]
-        program = kernels.program("backwards", tuple(g is not None for g in grads[count:]), needed)
+        program = kernels.program("backwards", device, tuple(g is not None for g in grads[count:]), needed)
         pulls = [batch_first(g, rank) for g in grads[count:] if g is not None]
         zero = [begun[0].new_zeros(()).expand(batch + x.shape) for x in step.zero]
         state = [z if g is None else batch_first(g, rank) for z, g in zip(zero, grads, strict=False)]
@@ -117,7 +119,9 @@ class _Run(torch.autograd.Function):
                 state = zero
             reads = _part(step, inputs, first, last, rank)
             before = (*begun[k * count : (k + 1) * count], *reads)
-            path = [batch_first(x, rank) for x in kernels.program("trajectory")(batch, last - first, before)[count:]]
+            path = [
+                batch_first(x, rank) for x in kernels.program("trajectory", device)(batch, last - first, before)[count:]
+            ]
             local = [g.narrow(rank, first, last - first) for g in pulls] if step.repeated else pulls
             done = program(batch, last - first, (*state, *sums, *reads, *path, *local))
             moved = [batch_first(x, rank) for x in done[: count + len(stay)]]

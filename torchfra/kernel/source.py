@@ -77,6 +77,14 @@ class Scan:
         """
         return "".join((*self.parts(narrow), file("run.cpp")))
 
+    def cuda(self) -> str:
+        """The same for a GPU: one thread for each track, whose tensors come as an argument by value."""
+        counts = {"INPUTS": len(self.carry + self.reads), "OUTPUTS": len(self.after + self.writes)}
+        run = file("cuda.cpp")
+        for word, count in counts.items():
+            run = run.replace(word, str(count))
+        return "".join((*self.parts(True), run))
+
     def parts(self, narrow: bool, name: str = "step") -> tuple[str, str]:
         """What any scan of this dtype needs, and the namespace of this one, whose function is ``block``."""
         head, block = (text.replace("SCALAR", SCALARS[self.dtype]) for text in template(narrow))

@@ -60,8 +60,8 @@ _VECTORS = {
     2: "inline V {0}_(const V& a, const V& b) {{ return raw(vec(a).{0}(vec(b))); }}\n",
 }
 _NUMBERS = {
-    1: "inline V {0}_(V a) {{ return std::{0}(a); }}\n",
-    2: "inline V {0}_(V a, V b) {{ return std::{0}(a, b); }}\n",
+    1: "INLINE V {0}_(V a) {{ return ::{0}(a); }}\n",
+    2: "INLINE V {0}_(V a, V b) {{ return ::{0}(a, b); }}\n",
 }
 
 
@@ -69,9 +69,11 @@ _NUMBERS = {
 def template(narrow: bool) -> tuple[str, str]:
     """``template.cpp``, before its namespace and that, with ``narrow.cpp`` or ``wide.cpp`` and the functions in it."""
     forms = _NUMBERS if narrow else _VECTORS
-    functions = "".join(forms[count].format(name) for name, count in _FUNCTIONS.items())
+    written = () if narrow else ("atan2",)
+    functions = "".join(forms[count].format(name) for name, count in _FUNCTIONS.items() if name not in written)
     if narrow:
-        functions = functions.replace("std::round(", "std::nearbyint(")  # halves to the even neighbour, as torch does
+        functions = functions.replace("::round(", "::nearbyint(")  # halves to the even neighbour, as torch does
+        functions = functions.replace("::abs(", "::fabs(")
     lanes = file("narrow.cpp" if narrow else "wide.cpp").replace("// FUNCTIONS\n", functions)
     head, mark, block = file("template.cpp").replace("// LANES\n", lanes).partition("namespace {\nnamespace NAME {")
     return head, mark + block

@@ -52,7 +52,8 @@ class Trace(NamedTuple):
 def frozen(module: nn.Module, memo: dict[int, nn.Module] | None = None) -> nn.Module:
     """A copy that no later change of the module reaches.
 
-    Tensors without a gradient, lists, dictionaries and sets are copied; everything else is shared.
+    Tensors without a gradient, lists, dictionaries and sets are copied, tensors to the CPU, where traces are made;
+    everything else is shared.
     """
     memo = {} if memo is None else memo
     if id(module) not in memo:
@@ -65,7 +66,7 @@ def frozen(module: nn.Module, memo: dict[int, nn.Module] | None = None) -> nn.Mo
 
 def _copied(x: Any) -> Any:
     if isinstance(x, Tensor):
-        return x if x.requires_grad else x.detach().clone()
+        return x if x.requires_grad else x.detach().cpu().clone()
     return copy.copy(x) if isinstance(x, list | dict | set) else x
 
 

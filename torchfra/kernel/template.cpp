@@ -1,11 +1,25 @@
-#include <cmath>
+#ifdef __CUDACC_RTC__  // it has no headers
+using int64_t = long long;
+#define NAN __int_as_float(0x7fc00000)
+#define INFINITY __int_as_float(0x7f800000)
+#else
+#include <math.h>
 #include <cstdint>
-#include <limits>
+#endif
 
-#ifdef _MSC_VER
+// Functions that are called once for each track and step, small ones, and tables of places: where and how.
+#ifdef __CUDACC__
+#define NOINLINE __device__ __noinline__
+#define INLINE __device__ __forceinline__
+#define TABLE __device__ const short
+#elif defined(_MSC_VER)
 #define NOINLINE __declspec(noinline)
+#define INLINE inline
+#define TABLE constexpr short
 #else
 #define NOINLINE __attribute__((noinline))
+#define INLINE inline
+#define TABLE constexpr short
 #endif
 
 namespace {
@@ -20,9 +34,9 @@ struct Block { int64_t first, lanes, step; };
 template <class T> struct Entries {
   T* first;
   int64_t track, entry, lanes;
-  Entries(const Port& p, const Block& at)
+  INLINE Entries(const Port& p, const Block& at)
       : first(reinterpret_cast<T*>(p.data) + at.first * p.track + at.step * p.time), track(p.track), entry(p.entry), lanes(at.lanes) {}
-  T* operator[](int64_t number) const { return first + number * entry; }
+  INLINE T* operator[](int64_t number) const { return first + number * entry; }
 };
 // Places of values: those that a region of a step takes from the rest of it, or those that it gives.
 struct Values { const short* places; int count; };
@@ -30,22 +44,23 @@ struct Values { const short* places; int count; };
 
 // LANES
 namespace {
-inline V max_(const V& a, const V& b) { return (a > b) | (a != a) ? a : b; }
-inline V min_(const V& a, const V& b) { return (a < b) | (a != a) ? a : b; }
+INLINE V max_(const V& a, const V& b) { return (a > b) | (a != a) ? a : b; }
+INLINE V min_(const V& a, const V& b) { return (a < b) | (a != a) ? a : b; }
 
 // Sums of squares from LEAST to MOST have lost nothing to under- or overflow; outside, factors UP and DOWN bring them there.
 constexpr bool wide = sizeof(Scalar) == 8;
 constexpr Scalar LEAST = wide ? 0x1p-960 : 0x1p-100, MOST = wide ? 0x1p1000 : 0x1p120;
+constexpr Scalar LOWEST = wide ? 0x1p-1022 : 0x1p-126;  // that is normal
 constexpr Scalar UP = wide ? 0x1p600 : 0x1p90, DOWN = wide ? 0x1p-600 : 0x1p-90;
 NOINLINE V scaled_norm(const V* a, int count, const V& squares) {
   const V factor = squares < LEAST ? all(UP) : squares > MOST ? all(DOWN) : all(1);
   V sum = all(0);
   for (int i = 0; i < count; i++) sum += (a[i] * factor) * (a[i] * factor);
   const V norm = sqrt_(sum) / factor;
-  return norm < std::numeric_limits<Scalar>::min() ? all(0) : norm;  // its inverse would not be finite
+  return norm < LOWEST ? all(0) : norm;  // its inverse would not be finite
 }
 // The Euclidean norm, scaled where that is needed: hardly ever.
-template <class... A> inline V norm_(const A&... a) {
+template <class... A> INLINE V norm_(const A&... a) {
   const V squares = (... + (a * a));
   const M outside = (squares < LEAST) | (squares > MOST);
   if (!any(outside)) return sqrt_(squares);
@@ -59,7 +74,7 @@ namespace NAME {
 constexpr int PLACES = SIZE;  // of values that go from piece to piece, side by side for each pack of tracks
 constexpr int64_t PACKS = MANY;  // at most, in a block of tracks
 // PIECES
-void block(const Port* in, const Port* out, int64_t steps, const Block& tracks) {
+INLINE void block(const Port* in, const Port* out, int64_t steps, const Block& tracks) {
   V s[PACKS][PLACES];
   Block at[PACKS];
   const int64_t packs = (tracks.lanes + W - 1) / W;

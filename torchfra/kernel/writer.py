@@ -159,7 +159,7 @@ class Writer:
         values = []
         for kind, numbers in kinds:
             places = ", ".join(str(self._frame.places[i]) for i in numbers)
-            functions.append(f"constexpr short {name}_{kind}[] = {{{places}}};\n")
+            functions.append(f"TABLE {name}_{kind}[] = {{{places or 0}}};\n")
             values.append(f"Values{{{name}_{kind}, {len(numbers)}}}")
         text = f"{self._frame.places[mask]}, {'true' if value else 'false'}, {name}, {', '.join(values)}"
         return [f"guarded(s, packs, {text});"]

@@ -1,0 +1,238 @@
+"""Kernels for a GPU: their source gives what the filter gives, compiles for GPUs, and is launched as the driver asks.
+
+No test here needs a GPU: the source runs on the CPU, where a loop goes over the threads.  ``test_cuda`` needs one.
+"""
+
+import copy
+import ctypes
+import os
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from torchfra import presets, scenarios
+from torchfra.kernel import build, cuda
+from torchfra.kernel.compilers import CompileError
+from torchfra.kernel.source import Scan
+from torchfra.types import Gaussian
+
+BEFORE = """
+#include <math.h>
+#include <cstdint>
+#define __CUDACC__
+#define __device__
+#define __global__
+#define __grid_constant__
+#define __noinline__ __attribute__((noinline))
+#define __forceinline__ inline
+static thread_local struct { unsigned x; } blockIdx, threadIdx, blockDim;
+#define run kernel
+"""
+AFTER = """
+#undef run
+extern "C" void launch(unsigned blocks, unsigned threads, int64_t tracks, int64_t steps, const Ports& ports) {
+  blockDim.x = threads;
+  for (blockIdx.x = 0; blockIdx.x < blocks; blockIdx.x++)
+    for (threadIdx.x = 0; threadIdx.x < threads; threadIdx.x++) kernel(tracks, steps, ports);
+}
+extern "C" void run(int64_t tracks, int64_t steps, int, const Port* in, const Port*) {
+  launch((tracks + 2) / 3, 3, tracks, steps, *reinterpret_cast<const Ports*>(in));
+}
+"""
+DRIVER = """
+#include <cstdint>
+#include <cstring>
+#include <dlfcn.h>
+using Launch = void (*)(unsigned, unsigned, int64_t, int64_t, const void*);
+static int current = 0;
+extern "C" {
+int depth() { return current; }
+void* stream = nullptr;
+int cuInit(unsigned flags) { return flags; }
+int cuDeviceGet(int* device, int number) { *device = number + 7; return 0; }
+int cuDevicePrimaryCtxRetain(void** context, int device) {
+  *context = (void*)(device == 7 ? 0x700000007 : 0);
+  return 0;
+}
+int cuCtxPushCurrent_v2(void* context) { current++; return context == (void*)0x700000007 ? 0 : 201; }
+int cuCtxPopCurrent_v2(void** context) { *context = nullptr; current--; return 0; }
+int cuModuleLoadData(void** module, const char* image) { *module = dlopen(image, RTLD_NOW); return *module ? 0 : 200; }
+int cuModuleGetFunction(void** kernel, void* module, const char* name) {
+  *kernel = strcmp(name, "run") ? nullptr : dlsym(module, "launch");
+  return *kernel ? 0 : 500;
+}
+int cuLaunchKernel(void* kernel, unsigned x, unsigned y, unsigned z, unsigned bx, unsigned by, unsigned bz,
+                   unsigned shared, void* on, void** arguments, void** extra) {
+  if (y != 1 || z != 1 || by != 1 || bz != 1 || shared || extra || current != 1) return 1;
+  stream = on;
+  ((Launch)kernel)(x, bx, *(int64_t*)arguments[0], *(int64_t*)arguments[1], arguments[2]);
+  return 0;
+}
+int cuGetErrorString(int status, const char** text) { *text = status == 1 ? "invalid argument" : "other"; return 0; }
+}
+"""
+"""A driver whose GPU is the CPU: modules are libraries, and the image of one is its path."""
+
+
+def emulated(source):
+    """The source of a GPU's kernel, to be compiled for the CPU."""
+    return BEFORE + source + AFTER
+
+
+def of_kind(name, **options):
+    """A filter and tracks for it, with an outlier and gaps."""
+    adsb = name == "alphabeta"
+    scenario = scenarios.adsb_turns() if adsb else scenarios.bearings_outliers("std", initial="truth")
+    tracks = scenario.simulate(4, 0)
+    z = tracks.z[:, :12].clone()
+    z[0, 3, 0], z[1, 5], z[2, 4, 1] = torch.nan, torch.nan, z[2, 4, 1] + 0.3
+    motion = scenario.bank if name.startswith("imm") else scenario.motion
+    u = None if tracks.u is None else tracks.u[:12]
+    return getattr(presets, name)(motion, scenario.sensor, **options), tracks._replace(z=z, u=u)
+
+
+def in_precision(tracks, dtype):
+    mean, root = tracks.prior
+    u = None if tracks.u is None else tracks.u.to(dtype)
+    return tracks._replace(z=tracks.z.to(dtype), u=u, prior=Gaussian(mean.to(dtype), root.to(dtype)))
+
+
+def results(f, tracks, wanted=()):
+    """Means, roots and scores, and the gradients of the wanted hyperparameters."""
+    e = f(tracks.z, tracks.prior, u=tracks.u)
+    loss = e.mean.double().square().mean() + e.log_likelihood.double().sum()
+    gradients = torch.autograd.grad(loss, wanted) if wanted else ()
+    return [x.detach() for x in (e.mean, e.scale_tril, e.nis, e.log_likelihood)] + list(gradients)
+
+
+def compare(name, dtype, monkeypatch, **options):
+    f, tracks = of_kind(name, **options)
+    tracks, fast = in_precision(tracks, dtype), copy.deepcopy(f).compile()
+    slow = results(f, tracks, list(f.parameters()))
+    monkeypatch.setattr(Scan, "source", lambda scan, narrow=False: emulated(scan.cuda()))
+    for one, other in zip(slow, results(fast, tracks, list(fast.parameters())), strict=True):
+        scale = one.nan_to_num().abs().max()
+        tolerance = 1e-12 if dtype == torch.float64 else 2e-3
+        torch.testing.assert_close(other / scale, one / scale, rtol=0, atol=tolerance, equal_nan=True)
+
+
+# ---------------------------------------------------------------- the same results
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.parametrize("name", ["srckf", "alphabeta"])
+def test_a_loop_over_threads_gives_what_the_filter_gives(name, dtype, monkeypatch):
+    compare(name, dtype, monkeypatch, **({"learn": ("q",)} if name == "srckf" else {}))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.parametrize(("name", "options"), [
+    ("fra", {"learn": "all", "temperature": 1.0}), ("gpb", {}), ("imm_srckf", {}), ("gpb", {"learn": ("levels",)}),
+])  # fmt: skip
+def test_filters_of_several_branches_too(name, options, dtype, monkeypatch):
+    compare(name, dtype, monkeypatch, **options)
+
+
+# ---------------------------------------------------------------- machine code for GPUs
+
+
+def source_of(name, monkeypatch, **options):
+    """The last kernel that a filter needs: the way back, if it learns."""
+    f, tracks = of_kind(name, **options)
+    found = []
+    monkeypatch.setattr(Scan, "source", lambda scan, narrow=False: found.append(scan.cuda()) or "")
+    monkeypatch.setattr(build, "load", lambda source: lambda *_: None)
+    mean = f.compile()(tracks.z, tracks.prior, u=tracks.u).mean
+    if options:
+        mean.square().sum().backward()
+    return found
+
+
+@pytest.mark.skipif(shutil.which("nvcc") is None, reason="no nvcc")
+def test_nvcc_compiles_it(tmp_path, monkeypatch):
+    for k, source in enumerate(source_of("srckf", monkeypatch, learn=("q",))):
+        path = tmp_path / f"{k}.cu"
+        path.write_text(source)
+        command = ["nvcc", "-std=c++17", "-ptx", "-arch=sm_80", str(path), "-o", str(path.with_suffix(".ptx"))]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert ".visible .entry run(" in path.with_suffix(".ptx").read_text()
+
+
+def has_nvrtc():
+    try:
+        return bool(cuda._nvrtc())
+    except CompileError:
+        return False
+
+
+@pytest.mark.skipif(not has_nvrtc(), reason="pip install nvidia-cuda-nvrtc")
+def test_nvrtc_compiles_it_and_quotes_what_it_cannot(monkeypatch):
+    called, compile_it = [], cuda._compile
+    monkeypatch.setattr(cuda, "_compile", lambda *args: called.append(args) or compile_it(*args))
+    sources = source_of("srckf", monkeypatch, learn=("q",))
+    for source in (*sources, *sources):
+        assert cuda.compiled(source, "sm_80")[:4] == b"\x7fELF"
+    assert len(called) == len(sources)  # then it is kept
+    with pytest.raises(CompileError, match=r"NVRTC for sm_80 failed.*\n.*identifier \"walk\" is undefined"):
+        cuda.compiled("__global__ void run() { walk(); }", "sm_80")
+
+
+# ---------------------------------------------------------------- how it is launched
+
+
+@pytest.fixture
+def driver(tmp_path, monkeypatch):
+    """A driver whose GPU is the CPU."""
+    path = tmp_path / "libcuda.so"
+    command = ["g++", "-x", "c++", "-", "-shared", "-fPIC", "-o", str(path)]
+    subprocess.run(command, input=DRIVER, text=True, check=True)
+    library = ctypes.CDLL(str(path))
+    monkeypatch.setattr(cuda, "_driver", lambda: library)
+    monkeypatch.setattr("torch.cuda.get_device_capability", lambda device: (9, 0))
+    monkeypatch.setattr("torch.cuda.current_stream", lambda device: SimpleNamespace(cuda_stream=0x123456789AB))
+    cuda._context.cache_clear()
+    yield library
+    cuda._context.cache_clear()
+
+
+def image(source, architecture):
+    """Machine code of the CPU for a kernel, as its path."""
+    assert architecture == "sm_90"
+    path = Path(tempfile.mkdtemp(dir=Path(os.environ["TORCHFRA_CACHE"]).parent)) / "image.so"
+    command = ["g++", "-x", "c++", "-", "-O0", "-std=c++17", "-shared", "-fPIC", "-o", str(path)]
+    subprocess.run(command, input=emulated(source), text=True, check=True)
+    return str(path).encode()
+
+
+def test_the_driver_is_given_the_tensors_and_the_stream(driver, monkeypatch):
+    """All but the compiler and the driver itself is what runs on a GPU."""
+    f, tracks = of_kind("srckf")
+    with torch.no_grad():
+        slow = results(f, tracks)
+        monkeypatch.setattr(cuda, "compiled", image)
+        monkeypatch.setattr(Scan, "source", lambda scan, narrow=False: scan.cuda())
+        monkeypatch.setattr(build, "load", lambda source: cuda.load(source, torch.device("cuda", 0)))
+        fast = results(f.compile(), tracks)
+    for one, other in zip(slow, fast, strict=True):
+        torch.testing.assert_close(other, one, rtol=1e-10, atol=1e-10, equal_nan=True)
+    assert ctypes.c_void_p.in_dll(driver, "stream").value == 0x123456789AB
+    assert driver.depth() == 0
+
+
+def test_a_driver_that_refuses_is_quoted(driver, monkeypatch):
+    monkeypatch.setattr(cuda, "compiled", lambda source, architecture: b"/no/such/image")
+    with pytest.raises(CompileError, match=r"cuModuleLoadData of the CUDA driver failed \(status 200: other\)"):
+        cuda.load("", torch.device("cuda", 0))
+    assert driver.depth() == 0
+
+
+def test_without_libraries_it_says_what_is_missing(monkeypatch):
+    with pytest.raises(CompileError, match=r"expected NVRTC for filters on a GPU, found none .*no-such-library"):
+        cuda._library(["no-such-library"], "NVRTC", "install it")
