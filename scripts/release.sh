@@ -33,10 +33,10 @@ tar -xzf out/dist/*.tar.gz -C "$fresh"
 cd "$fresh"
 unset PYTHONPATH
 venv/bin/python -W error - "$here/README.md" << 'PYTHON'
-import re, sys
+import pathlib, re, sys
 import torchfra
 
-text = open(sys.argv[1], encoding="utf-8").read()
+text = pathlib.Path(sys.argv[1]).read_text(encoding="utf-8")
 assert "site-packages" in torchfra.__file__, torchfra.__file__
 for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
     exec(block, globals())

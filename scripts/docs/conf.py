@@ -22,6 +22,9 @@ extensions = [
     "builder",
 ]
 
+if not (ROOT / "torchfra" / "fit" / "README.md").exists():  # without that part its page is left out
+    exclude_patterns, suppress_warnings = ["fitting.md"], ["toc.not_readable"]
+
 html_theme = "furo"
 html_title = f"torchfra {release}"
 html_static_path = ["static"]
@@ -52,7 +55,7 @@ sphinx_gallery_conf = {
         programs(ROOT / "scripts" / "examples", "Examples", "To be read from top to bottom, with what they print."),
     ],
     "gallery_dirs": ["gallery/pictures", "gallery/examples"],
-    "filename_pattern": r"\.py$",
+    "filename_pattern": r"/(plot_|0)\w*\.py$",  # what takes minutes, or more than the extra, is shown and not run
     "within_subsection_order": "FileNameSortKey",
     "image_scrapers": ("matplotlib", "builder.scraper"),
     "reset_argv": "builder.arguments",

@@ -1,0 +1,69 @@
+"""A release is refused before any work where something is missing."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+FILES = ("scripts/release.sh", "torchfra/version.py", "CITATION.cff", "CHANGELOG.md")
+
+
+@pytest.fixture
+def clone(tmp_path):
+    """A repository with the files that a release asks, with a heading of the version in the list of changes."""
+    for name in FILES:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text((ROOT / name).read_text())
+    (tmp_path / "CHANGELOG.md").write_text(f"# Changelog\n\n## [{version()}]\n")
+    git(tmp_path, "init", "--quiet")
+    commit(tmp_path)
+    return tmp_path
+
+
+def version():
+    names = {}
+    exec((ROOT / "torchfra/version.py").read_text(), names)
+    return names["__version__"]
+
+
+def git(folder, *words):
+    author = ("-c", "user.name=somebody", "-c", "user.email=somebody@example.com")
+    subprocess.run(["git", *author, *words], cwd=folder, check=True)
+
+
+def commit(folder):
+    git(folder, "add", "--all")
+    git(folder, "commit", "--quiet", "--message", "all")
+
+
+def refusal(folder, *words):
+    done = subprocess.run(
+        ["bash", "scripts/release.sh", *words], cwd=folder, capture_output=True, text=True, timeout=30
+    )
+    assert done.returncode
+    return done.stderr
+
+
+def test_a_tree_that_is_not_clean_is_refused(clone):
+    (clone / "new.txt").write_text("")
+    assert "expected a clean tree" in refusal(clone, "--dry-run")
+
+
+@pytest.mark.parametrize(
+    ("name", "message"), [("CHANGELOG.md", "expected a heading"), ("CITATION.cff", "expected version")]
+)
+def test_a_version_that_a_file_does_not_have_is_refused(clone, name, message):
+    path = clone / name
+    path.write_text(path.read_text().replace(version(), "0.0.0"))
+    commit(clone)
+    assert f"{name}: {message}" in refusal(clone, "--dry-run")
+
+
+def test_a_tag_that_is_there_is_not_set_again(clone):
+    git(clone, "tag", f"v{version()}")
+    assert f"there is a tag v{version()} already" in refusal(clone)
+
+
+def test_an_unknown_argument_is_refused(clone):
+    assert "received --upload" in refusal(clone, "--upload")
