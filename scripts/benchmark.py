@@ -6,6 +6,7 @@
     python scripts/benchmark.py --what scaling --figure scaling.png
     python scripts/benchmark.py --what cores --filters srckf       on one thread, on two, in two processes
     python scripts/benchmark.py --what positions                   the alpha-beta bank on 100,000 tracks in space
+    python scripts/benchmark.py --what roof                        every filter against what this machine can do at most
 
 Prints a table for each job when it is done, in microseconds per track and step: median and quartiles of several passes,
 one pass of each system in turn, so that a machine whose speed drifts treats them alike.  A pass repeats short calls for
@@ -25,6 +26,7 @@ from pathlib import Path
 import torch
 from benchmarks.cores import cores
 from benchmarks.positions import positions
+from benchmarks.roof import FILTERS, roof
 from benchmarks.scaling import draw, scaling
 from benchmarks.step import step
 from benchmarks.timing import Row, table
@@ -45,6 +47,7 @@ KINDS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
     "scaling": scaling,
     "positions": positions,
     "cores": cores,
+    "roof": roof,
 }
 
 
@@ -73,7 +76,7 @@ def parser() -> argparse.ArgumentParser:
     p = make_parser(__doc__)
     p.add_argument("--what", default="tracks", help=f"out of {', '.join(KINDS)} (default: tracks)")
     p.add_argument("--batch", help="tracks at once (default: 1,1000,10000; 64 for training, 100000 for positions)")
-    p.add_argument("--filters", default="ukf,srckf,fra_srckf,fra", help=f"out of {', '.join(track_filters())}")
+    p.add_argument("--filters", default=FILTERS, help=f"out of {', '.join(track_filters())}")
     p.add_argument("--modes", default="compiled,eager", help="compiled, eager or both (default)")
     p.add_argument("--device", default="cpu", help="cpu (default) or cuda; compiled kernels run on the cpu only")
     p.add_argument("--scenario", default="bearings-outliers", choices=BEARINGS)

@@ -51,6 +51,7 @@ SMALL = {
         {"--runs": "1", "--scans": "10", "--targets": "2", "--clutter": "2"},
         {"--trackers": "srckf"},
     ),
+    "scripts/bounds.py": ({"--runs": "2", "--scenarios": "bearings-manoeuvre"}, {"--filters": "srckf"}),
     "scripts/particles.py": ({"--runs": "2", "--particles": "50"}, {}),
     "scripts/benchmark.py": ({"--batch": "1", "--passes": "1", "--modes": "eager"}, {"--filters": "srckf"}),
     "scripts/targets.py": ({"--runs": "1", "--scans": "3", "--what": "many,crowd"}, {}),
@@ -62,6 +63,7 @@ SMALL_TRAINING = ["iterations=1", "batch=2", "validation_runs=2", "test_runs=2",
 HELP_ONLY = {
     "scripts/export.py": "compiles a program for each filter: run by test_export.py",
     "scripts/benchmark.py --what training": "compiles four filters with gradients: run by test_scripts.py",
+    "scripts/benchmark.py --what roof": "compiles every filter: run by test_scripts.py",
     "scripts/benchmark.py --what scaling": "compiles a filter for each number of states",
 }
 """Commands of which only the arguments are checked, and why."""

@@ -8,7 +8,7 @@ import torch
 from test_compile import close
 from test_gpb import ANCHORS, MOTION, PRIOR, SENSORS, STEPS, VALUES, measured, tensor
 
-from torchfra import presets
+from torchfra import presets, scenarios
 from torchfra.motion import ConstantAcceleration, CoordinatedTurn
 from torchfra.sensors import Position, Ranges
 from torchfra.types import Gaussian
@@ -181,3 +181,10 @@ def test_gradients_are_finite_at_extreme_outliers_and_missing_data(name, size):
     (score + e.log_likelihood.mean() + e.nis.mean() + e.info.outlier.sum() + e.info.regimes[..., 0].sum()).backward()
     assert z.grad.isfinite().all()
     assert all(p.grad.isfinite().all() for p in f.parameters())
+
+
+def test_a_state_may_be_a_single_number():
+    scenario = scenarios.growth()
+    tracks = scenario.simulate(3)
+    estimate = presets.gpb(scenario.motion, scenario.sensor)(tracks.z, tracks.prior, u=tracks.u)
+    assert not estimate.failed.any()

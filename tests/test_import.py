@@ -42,3 +42,17 @@ print("torch._dynamo" in sys.modules)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False\n"
+
+
+def test_the_package_runs_where_there_is_no_fcntl_as_on_windows():
+    code = """
+import sys
+import torch  # which brings what the standard library has for this system
+sys.modules["fcntl"], sys.platform = None, "win32"
+import torchfra
+scenario = torchfra.scenarios.bearings_outliers()
+tracks = scenario.simulate(2, 0)
+print(torchfra.presets.srckf(scenario.motion, scenario.sensor)(tracks.z, tracks.prior, u=tracks.u).failed.any().item())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"

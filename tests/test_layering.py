@@ -14,9 +14,9 @@ LEVELS = [
     {"version"}, {"tables"}, {"angles"}, {"tree"}, {"linalg"}, {"types"}, {"hyper"}, {"state_files"}, {"coordinates"},
     {"geodesy"}, {"readers"}, {"losses"}, {"metrics"},
     {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"kernel"}, {"filters"},
-    {"stream"}, {"targets"}, {"testing"},
+    {"register"}, {"stream"}, {"targets"}, {"testing"},
     {"presets"},
-    {"scenarios"}, {"catalogue"}, {"cleaning"}, {"app"}, {"__init__", "__main__"},
+    {"scenarios"}, {"catalogue"}, {"cleaning"}, {"app"}, {"adapters"}, {"__init__", "__main__"},
 ]  # fmt: skip
 """Lower first: a module or package imports those below it, and within a package there is no circle."""
 APART = {("scenarios", "filters"), ("scenarios", "presets")}

@@ -68,12 +68,16 @@ def test_metrics_are_what_numpy_computes_of_all_tracks():
     assert one.seconds == 3.0
 
 
-def test_memory_is_one_number_for_each_track_however_many_steps():
+def test_memory_is_one_number_for_each_metric_and_track_however_many_steps():
     metrics = RunningMetrics({"position": slice(0, 2), "velocity": slice(2, 4)})
     for seed in range(3):
-        metrics.add(*random_tracks(20, seed), 0.0)
-    held = [*metrics.squares.values(), *metrics.counts.values(), *metrics.track_rmse]
-    assert sum(x.numel() for x in held) == 4 * 9 + 60
+        estimate, truth = random_tracks(20, seed)
+        metrics.add(estimate, truth, 0.0, truth[..., :2])
+    held = [*metrics.squares.values(), *metrics.counts.values(), *metrics.consistency.values()]
+    assert sum(x.numel() for x in held) == 8 * 9
+    assert {name: len(metrics.runs(name)) for name in metrics.of_runs} == dict.fromkeys(
+        ("rmse_position", "rmse_velocity", "nees", "nis", "log_likelihood"), 60
+    )
 
 
 def test_chunks_leave_the_figures():

@@ -194,6 +194,18 @@ def test_the_benchmark_times_eager_and_compiled_filters(tmp_path, capsys):
 
 
 @pytest.mark.slow
+def test_the_benchmark_of_the_roof_says_how_far_filters_are_from_what_the_machine_can_do(tmp_path, capsys):
+    arguments = ["--what", "roof", "--filters", "srckf", "--batch", "64", "--passes", "1", "--json"]
+    assert benchmark.main([*arguments, str(tmp_path / "b.json")]) == 0
+    (row,) = json.loads((tmp_path / "b.json").read_text())["rows"]
+    assert row["bytes"] == 8 * (2 + 4 + 6 + 36 + 2)  # z and two stations; mean, root, NIS and likelihood
+    assert row["median over roof"] == pytest.approx(
+        row["median"] / max(row["arithmetic us"], row["memory us"]), rel=0.2
+    )
+    assert "billion operations a second" in capsys.readouterr().out
+
+
+@pytest.mark.slow
 def test_the_benchmark_of_training_says_time_and_peak_memory(tmp_path):
     assert (
         benchmark.main([*["--what", "training", "--batch", "4", "--passes", "1", "--json"], str(tmp_path / "b.json")])

@@ -12,6 +12,7 @@ from torchfra import (
     motion,
     presets,
     readers,
+    register,
     robust,
     scenarios,
     sensors,
@@ -20,6 +21,7 @@ from torchfra import (
     testing,
 )
 from torchfra.app.clean import clean, track
+from torchfra.app.compare import compare
 from torchfra.app.memory import keep_memory
 from torchfra.hyper import Hyper, learnable, summary
 from torchfra.testing.models import check_model
@@ -37,6 +39,7 @@ __all__ = [
     "association",
     "check_model",
     "clean",
+    "compare",
     "coordinates",
     "filters",
     "gaussian",
@@ -48,6 +51,7 @@ __all__ = [
     "motion",
     "presets",
     "readers",
+    "register",
     "robust",
     "scenarios",
     "sensors",

@@ -1,12 +1,11 @@
-"""The one registry: filters and scenarios by name, with what sets them apart."""
+"""Filters and scenarios by name: those of the library, and what ``register`` adds to them."""
 
 from __future__ import annotations
 
 import copy
 import inspect
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,34 +13,14 @@ from torchfra import presets, scenarios, state_files
 from torchfra.filters.base import Filter
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
+from torchfra.register import FILTERS as FILTERS
+from torchfra.register import SCENARIOS as SCENARIOS
+from torchfra.register import FilterEntry, made
 from torchfra.scenarios.base import Scenario
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.position import Position
 
-
-@dataclass(frozen=True)
-class FilterEntry:
-    """A preset and its traits."""
-
-    preset: Callable[..., Filter]
-    bank: bool = False
-    """It takes a ``Bank`` of motions instead of one."""
-    either: bool = False
-    """It takes a ``Bank`` where there is one, else one motion."""
-    scans: bool = False
-    """It takes scans of several targets."""
-    gated: bool = False
-    """It takes a ``gate``: the normalised innovation squared above which a step is abnormal."""
-    constant_gains: bool = False
-    """It takes positions with a standard deviation only, the ``period`` that its gains are meant for, and the
-    ``longest`` gap that it bridges."""
-    emphasised: bool = False
-    """Its lines in figures are bold."""
-    listed: bool = True
-    """Commands name it in their help and run it unless told which; the others must be asked for."""
-
-
-FILTERS: dict[str, FilterEntry] = {
+FILTERS.update({
     "gpb": FilterEntry(presets.gpb, either=True, emphasised=True),
     "ukf": FilterEntry(presets.ukf),
     "ekf": FilterEntry(presets.ekf),
@@ -65,10 +44,9 @@ FILTERS: dict[str, FilterEntry] = {
     "ukf_jpda": FilterEntry(presets.ukf_jpda, scans=True),
     "iaukf_jpda": FilterEntry(presets.iaukf_jpda, scans=True),
     "jpda": FilterEntry(presets.jpda, scans=True, listed=False),
-}
-"""The filters that commands know by name."""
+})  # fmt: skip
 
-SCENARIOS: dict[str, Callable[..., Scenario]] = {
+SCENARIOS.update({
     "bearings-outliers": scenarios.bearings_outliers,
     "bearings-manoeuvre": scenarios.bearings_manoeuvre,
     "adsb-turns": scenarios.adsb_turns,
@@ -79,8 +57,7 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
     "growth": scenarios.growth,
     "reentry": scenarios.reentry,
     "ranges-outliers": scenarios.ranges_outliers,
-}
-"""The simulated scenarios that commands know by name."""
+})  # fmt: skip
 
 
 def track_filters() -> list[str]:
@@ -142,7 +119,8 @@ def make_filter(name: str, motion: Motion, sensor: Sensor, bank: Bank | None = N
     if entry.bank and bank is None:
         raise ValueError(f"filter: expected one of a single motion, as there is no bank of motions, received {name!r}")
     models = motion if bank is None or not (entry.bank or entry.either) else bank
-    return entry.preset(models, sensor, **options)
+    f: Filter = made(name, entry.preset(models, sensor, **options), Filter, "(motion, sensor)")
+    return f
 
 
 def scenario_filter(name: str, scenario: Scenario, **options: Any) -> Filter:
@@ -155,7 +133,10 @@ def scenario_filter(name: str, scenario: Scenario, **options: Any) -> Filter:
     if scenario.clutter is None:
         return make_filter(name, scenario.motion, scenario.sensor, scenario.bank, **options)
     clutter = {"clutter": scenario.clutter, "detection": scenario.detection}
-    return FILTERS[name].preset(scenario.motion, scenario.sensor, **clutter | options)
+    f: Filter = made(
+        name, FILTERS[name].preset(scenario.motion, scenario.sensor, **clutter | options), Filter, "(motion, sensor)"
+    )
+    return f
 
 
 def scenario_filters(names: Sequence[str], scenario: Scenario) -> dict[str, Filter]:
@@ -229,4 +210,5 @@ def make_scenario(name: str, **options: Any) -> Scenario:
     chosen = {key: value for key, value in options.items() if value is not None}
     for key in chosen.keys() - inspect.signature(SCENARIOS[name]).parameters.keys():
         raise ValueError(f"{key}: {name} takes no such option, received {chosen[key]!r}")
-    return SCENARIOS[name](**chosen)
+    scenario: Scenario = made(name, SCENARIOS[name](**chosen), Scenario, "()")
+    return scenario

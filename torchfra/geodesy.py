@@ -30,6 +30,10 @@ def to_enu(latitude: ArrayLike, longitude: ArrayLike, altitude: ArrayLike, origi
         longitude: ``(...)`` degrees.
         altitude: ``(...)`` metres above the ellipsoid.
         origin: what becomes (0, 0, 0).
+
+    Example:
+        >>> torchfra.geodesy.to_enu(48.01, 11.0, 500.0, (48.0, 11.0, 500.0)).round(1).tolist()
+        [0.0, 1112.0, -0.1]
     """
     return np.asarray((_ecef(latitude, longitude, altitude) - _ecef(*origin)) @ _axes(*origin[:2]))
 
@@ -41,6 +45,10 @@ def to_geodetic(position: ArrayLike, origin: Origin) -> tuple[Array, Array, Arra
         position: ``(..., 3)`` metres east, north and up; or ``(..., 2)`` of targets without altitudes, which are then
             at that of the origin.
         origin: where (0, 0, 0) is.
+
+    Example:
+        >>> [round(float(x), 4) for x in torchfra.geodesy.to_geodetic([0.0, 1112.0], (48.0, 11.0, 500.0))]
+        [48.01, 11.0, 500.0]
     """
     position = np.asarray(position, dtype=np.float64)
     if position.shape[-1] == 3:

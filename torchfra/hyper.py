@@ -44,6 +44,11 @@ class Hyper(nn.Module):
 
     Raises:
         ValueError: the value violates the constraint or is NaN, or is to be learned and on the boundary of its range.
+
+    Example:
+        >>> threshold = torchfra.Hyper(1.5, learn=True)
+        >>> round(threshold().item(), 3), threshold.raw.requires_grad
+        (1.5, True)
     """
 
     raw: Tensor
@@ -201,6 +206,11 @@ def learnable(module: M, names: Collection[str]) -> M:
 
     Raises:
         ValueError: the module has no hyperparameter of that name, or its value is on the boundary of its range.
+
+    Example:
+        >>> srckf = torchfra.presets.rsrckf(torchfra.motion.ConstantVelocity(1.0), torchfra.sensors.Position(2.0))
+        >>> [name for name, _ in torchfra.learnable(srckf, ('threshold',)).named_parameters()]
+        ['robust.threshold.raw']
     """
     for path, hyper in named(module, names).items():
         hyper.learn(path)

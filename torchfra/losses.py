@@ -30,6 +30,10 @@ def mse(mean: Tensor, truth: Tensor, states: slice, *, angles: Collection[int] =
         truth: ``(..., T, n)``; NaN where unknown.
         states: the components that count.
         angles: the components of the state that are angles.
+
+    Example:
+        >>> torchfra.losses.mse(torch.tensor([[3.0, 4.0]]), torch.zeros(1, 2), slice(0, 2))
+        tensor(25.)
     """
     gap, known = _gap(mean, truth, states, angles)
     return _over_time(gap.square().sum(-1), known)

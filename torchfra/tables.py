@@ -1,7 +1,10 @@
-"""Names and tables as text, for terminals."""
+"""Names, numbers and tables as text: for terminals, and for papers as CSV, LaTeX and Markdown."""
 
 from __future__ import annotations
 
+import csv
+import io
+import math
 from collections.abc import Iterable, Sequence
 
 LONGEST = 200
@@ -53,3 +56,84 @@ def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, align: s
         [f"{cell:{side}{width}}" for cell, side, width in zip(line, sides, widths, strict=False)] for line in lines
     ]
     return "\n".join((" " * gap).join(line).rstrip() for line in cells)
+
+
+# ---------------------------------------------------------------- for papers
+
+FORMS = ("text", "csv", "latex", "markdown")
+"""Of ``formed_table``."""
+_LATEX = {"\\": r"\textbackslash{}", "^": r"\^{}", "~": r"\~{}"} | {c: f"\\{c}" for c in "_%&#${}"}
+
+
+def decimals_of(error: float, digits: int = 2) -> int:
+    """Decimals behind the point at which an error has so many significant digits; 0 for one of 10 or more, say."""
+    if not (math.isfinite(error) and error > 0):
+        return 0
+    exponent = math.floor(math.log10(float(f"{error:.{digits - 1}e}")))
+    return max(digits - 1 - exponent, 0)
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """A number with so many significant digits, without an exponent up to a million."""
+    if not math.isfinite(value):
+        return "-" if math.isnan(value) else "inf"
+    return f"{value:.{decimals_of(abs(value), digits)}f}" if abs(value) < 1e6 else f"{value:.0e}"
+
+
+def with_error(value: float, half: float) -> tuple[str, str]:
+    """A value and half the width of its interval, both with the decimals at which the latter has two digits.
+
+    Where there is no interval, the value has three digits and the second text is empty.
+    """
+    if not (math.isfinite(value) and math.isfinite(half)) or half == 0 or abs(value) >= 1e6:
+        return significant(value), ""
+    decimals = decimals_of(half)
+    return f"{value:.{decimals}f}", f"{half:.{decimals}f}"
+
+
+def formed_table(form: str, header: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> str:
+    """A table for a terminal, a spreadsheet or a paper, names on the left and numbers on the right.
+
+    Args:
+        form: ``"text"``, ``"csv"``, ``"latex"`` (for the package ``booktabs``) or ``"markdown"``.
+        header: a title for each column.
+        rows: a cell for each column; ``**bold**`` is bold where the form knows that, and ``+-`` a plus-minus sign.
+        caption: what the table is of; LaTeX and Markdown have it.
+
+    Raises:
+        ValueError: another form, or a row of another length than the header.
+    """
+    if form not in FORMS:
+        raise ValueError(f"form: expected one of {', '.join(FORMS)}, received {form!r}")
+    if bad := [row for row in rows if len(row) != len(header)]:
+        raise ValueError(f"rows: expected {len(header)} cells in each, received {len(bad[0])}")
+    if form == "text":
+        return text_table(header, [[cell.replace("**", "") for cell in row] for row in rows])
+    if form == "csv":
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([header, *([c.replace("**", "") for c in row] for row in rows)])
+        return text.getvalue()
+    return _latex(header, rows, caption) if form == "latex" else _markdown(header, rows, caption)
+
+
+def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]], caption: str) -> str:
+    lines = [[printable(cell).replace("|", r"\|").replace("+-", "\u00b1") for cell in line] for line in (header, *rows)]
+    lines.insert(1, ["---", *["---:"] * (len(header) - 1)])
+    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return f"{table}\n\n{caption}\n" if caption else f"{table}\n"
+
+
+def _latex(header: Sequence[str], rows: Sequence[Sequence[str]], caption: str) -> str:
+    title, *body = (" & ".join(map(_latex_cell, line)) + r" \\" for line in (header, *rows))
+    begin = r"\begin{tabular}{l" + "r" * (len(header) - 1) + "}"
+    table = [begin, r"\toprule", title, r"\midrule", *body, r"\bottomrule", r"\end{tabular}"]
+    if caption:
+        table = [r"\begin{table}", r"\centering", rf"\caption{{{_latex_cell(caption)}}}", *table, r"\end{table}"]
+    return "\n".join(table) + "\n"
+
+
+def _latex_cell(cell: str) -> str:
+    """A cell with what LaTeX would take for its own escaped."""
+    bold = cell.startswith("**") and cell.endswith("**") and len(cell) > 4
+    text = "".join(_LATEX.get(c, c) for c in printable(cell.replace("**", ""), 10_000)).replace("+-", r"$\pm$")
+    return rf"\textbf{{{text}}}" if bold else text

@@ -52,6 +52,10 @@ class Gaussian(NamedTuple):
 
         Raises:
             ValueError: a covariance that is not positive definite.
+
+        Example:
+            >>> torchfra.Gaussian.from_covariance(torch.zeros(1), torch.tensor([[4.0]])).scale_tril
+            tensor([[2.]])
         """
         root, failed = torch.linalg.cholesky_ex(covariance)
         if bool((failed != 0).any()):

@@ -10,6 +10,7 @@ from typing import Any
 from torchfra.app import distributed
 from torchfra.app.atomic_write import write_json
 from torchfra.app.command import Failures, add_json_option, add_quiet_option, check_files
+from torchfra.app.compare import bound_of
 from torchfra.app.compiling import add_compile_option, choose, reporters
 from torchfra.app.evaluate import (
     BASELINE,
@@ -23,10 +24,13 @@ from torchfra.app.evaluate import (
     results_of,
     table,
 )
+from torchfra.app.evaluate.comparison import Comparison
+from torchfra.app.evaluate.comparison_table import FORMS, table_form
+from torchfra.app.loading import load_filters, load_module
 from torchfra.app.running_metrics import RunningMetrics
 from torchfra.app.sources import RANGES, add_source_options, scenario_of
 from torchfra.app.track_command import FILES
-from torchfra.catalogue import filters_for, learned_filter, scan_filters, scenario_filters, track_filters
+from torchfra.catalogue import filters_for, learned_filter, scan_filters, track_filters
 from torchfra.filters import Filter
 from torchfra.scenarios import Scenario
 from torchfra.tables import printable
@@ -36,6 +40,8 @@ _EXAMPLES = """examples:
   torchfra compare --scenario bearings-outliers --runs 500 --filters srckf,rmckf,fra
   torchfra compare --ranges walks --json walks.json
   torchfra compare --ranges a1.csv a2.csv a3.csv a4.csv --anchors anchors.csv --reference path.csv --dt 0.2
+  torchfra compare --scenario bearings-outliers --runs 200 --table errors.tex --print errors.pdf
+  torchfra compare --scenario mine.py:figure_eight --filters gpb,mine.py:my_filter
   torchfra compare --scenario bearings-outliers --runs 1000000 --filters srckf
   torchrun --nproc-per-node 2 -m torchfra compare --scenario bearings-outliers --runs 10000"""
 
@@ -60,7 +66,9 @@ def add_to(commands: Any) -> None:
     add = command.add_argument
     add_source_options(add)
     names = f"{', '.join(track_filters())}, of clutter-* {', '.join(scan_filters())}"
-    add("--filters", metavar="A,B", help=f"out of {names} (default: all)")
+    add("--filters", metavar="A,B", help=f"out of {names} (default: all), or module:function, file.py:function")
+    own = "run this module or file first: filters and scenarios that it registers are known by their names"
+    add("--import", dest="modules", metavar="MODULE", action="append", default=[], help=own)
     learned = "also the filter NAME (default: fra) with values that training wrote, as 'learned'"
     add("--learned", metavar="[NAME=]FILE", help=learned)
     add(
@@ -71,7 +79,13 @@ def add_to(commands: Any) -> None:
     )
     add("--seed", type=int, default=0, metavar="S", help="seed of the random numbers (default: 0)")
     add_compile_option(command, f"for {WORTHWHILE:,} steps or more of all tracks together")
-    add("--figure", type=Path, metavar="FILE", help="PNG (default: compare-SCENARIO.png)")
+    scale = "position error above which a run has diverged, m (default: the scenario's, or one by its scale)"
+    add("--limit", type=float, metavar="M", help=scale)
+    add("--figure", type=Path, metavar="FILE", help="PNG, PDF or SVG (default: compare-SCENARIO.png)")
+    add("--table", type=Path, metavar="FILE", help=f"intervals, tests and the bound, by its ending: {', '.join(FORMS)}")
+    add(
+        "--print", dest="printed", type=Path, metavar="FILE", help="PDF, SVG or PNG a column wide: errors and the bound"
+    )
     best = f"the first of them, {BASELINE} and the best others"
     add("--show", metavar="A,B", help=f"filters to draw over time, the first {MOST_ON_MAP} on a map (default: {best})")
     add("--flight", type=int, metavar="N", help="number of the run to draw on a map (default: a typical one)")
@@ -83,10 +97,12 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> None:
     """Runs the command; under ``torchrun`` in every process, of which the first writes."""
     inputs = _inputs(options)
-    check_files({"json": options.json, "figure": options.figure}, inputs)
+    check_files(_outputs(options), inputs)
+    for module in options.modules:
+        load_module(module)
     scenario, runs = scenario_of(options)
     options.figure = options.figure or Path(f"compare-{scenario.name}.png")
-    check_files({"json": options.json, "figure": options.figure}, inputs)
+    check_files(_outputs(options), inputs)
     filters = _filters(options, scenario)
     first = distributed.rank() == 0
     quiet = options.quiet or not first
@@ -108,12 +124,19 @@ def run(options: argparse.Namespace) -> None:
 def _filters(options: argparse.Namespace, scenario: Scenario) -> dict[str, Filter]:
     """Those to compare, by name."""
     names = filters_for(scenario) if options.filters is None else [name for name in options.filters.split(",") if name]
-    made = scenario_filters(names, scenario)
+    made = load_filters(names, scenario)
     if options.learned is None:
         return made
     name, equals, _ = options.learned.rpartition("=")
     learned = learned_filter(_learned_file(options), scenario, name if equals else "fra")
     return made | {"learned": learned}
+
+
+def _outputs(options: argparse.Namespace) -> dict[str, Path | None]:
+    """The files that are written, by option."""
+    if options.table is not None:
+        table_form(options.table)
+    return {"json": options.json, "figure": options.figure, "table": options.table, "print": options.printed}
 
 
 def _learned_file(options: argparse.Namespace) -> str:
@@ -148,18 +171,33 @@ def _write(
     options: argparse.Namespace, scenario: Scenario, runs: int, metrics: Mapping[str, RunningMetrics],
     filters: Mapping[str, Filter], shown: Sequence[str] | None,
 ) -> None:  # fmt: skip
-    results, failures = results_of(metrics, filters, scenario, runs), Failures()
+    results, failures = results_of(metrics, filters, scenario, runs, options.limit), Failures()
+    least = bound_of(scenario, runs, options.seed) if _wanted(options) else None
+    comparison = Comparison(scenario, runs, options.seed, results, metrics, least)
     title = _title(scenario, runs, options.seed)
     if not options.quiet:
         numbers = recordings_table(results, scenario) if scenario.recordings else table(results)
         print(f"{title}\n{numbers}", flush=True)  # whatever becomes of the files
+        if _wanted(options):
+            print(f"\n{comparison}", flush=True)
     if options.json is not None:
         with failures.of("json"):
             write_json(options.json, report(scenario, results, runs=runs, seed=options.seed))
+    if options.table is not None:
+        with failures.of("table"):
+            comparison.save(options.table)
+    if options.printed is not None:
+        with failures.of("print"):
+            comparison.plot(options.printed)
     with failures.of("figure"):
         _draw(options, scenario, results, metrics, filters, shown or leaders(results, MOST_SHOWN), title)
     failures.messages += not_finite(results)
     failures.end()
+
+
+def _wanted(options: argparse.Namespace) -> bool:
+    """Whether intervals, tests and the bound are asked for."""
+    return options.table is not None or options.printed is not None
 
 
 def _draw(
@@ -170,8 +208,9 @@ def _draw(
 
     on_map = {name: filters[name] for name in shown[:MOST_ON_MAP]}
     errors = [metrics[name].errors() for name in shown[:2]]
+    limit = next(iter(results.values()))["limit"]
     mapped = flight(scenario, on_map, errors, options.seed, options.flight)
-    plotting.save(plotting.comparison(results, shown, scenario.dt, scenario.limit, title, mapped), options.figure)
+    plotting.save(plotting.comparison(results, shown, scenario.dt, limit, title, mapped), options.figure)
     if not options.quiet:
         print(f"figure: {printable(str(options.figure))}")
 

@@ -75,13 +75,23 @@ class RunningMetrics:
         """How many there are."""
         self.sums: dict[str, Tensor] = {}
         """Sums over the tracks, by coordinate ``(T, d)`` or model ``(T, K)``."""
-        self.track_rmse: list[Tensor] = []
-        """Position errors, root mean square over time, a number for each track."""
+        self.consistency: dict[str, Tensor] = {}
+        """Sums over the tracks of ``nees`` and ``nis``, and of the components that they are of, ``(T,)``."""
+        self.of_runs: dict[str, list[Tensor]] = {}
+        """A number for each track: ``rmse_position`` and so on (over time), ``nees`` per component, ``nis`` per element
+        and ``log_likelihood`` per measurement."""
         self.error, self.nees = RunningMedian(), RunningMedian()
         self.seconds = 0.0
 
-    def add(self, estimate: Estimate, truth: Tensor, seconds: float) -> None:
-        """Adds tracks: estimates and truth ``(B, T, n)`` or ``(B, N, T, n)``, and the seconds that filtering took."""
+    def add(self, estimate: Estimate, truth: Tensor, seconds: float, z: Tensor | None = None) -> None:
+        """Adds tracks.
+
+        Args:
+            estimate: ``(B, T, n)``, or of several targets ``(B, N, T, n)``.
+            truth: likewise.
+            seconds: that filtering took.
+            z: the measurements ``(B, T, m)``; None for no figures of innovations, of scans say.
+        """
         if truth.dim() > 3:
             mean, root = estimate.mean.flatten(0, -3), estimate.scale_tril.flatten(0, -4)
             estimate, truth = estimate._replace(mean=mean, scale_tril=root), truth.flatten(0, -3)
@@ -90,12 +100,34 @@ class RunningMetrics:
             square, known = error.square(), ~error.isnan()
             self.squares[name] = self.squares.get(name, 0.0) + square.nansum(0)
             self.counts[name] = self.counts.get(name, 0) + known.sum(0)
+            self._keep(f"rmse_{name}", square.nanmean(-1).sqrt())
             if name == "position":
                 self.error.add(error)
-                self.track_rmse.append(square.nanmean(-1).sqrt())
-        self.nees.add(metrics.nees(estimate, truth, self.states["position"]))
+        self._add_consistency(estimate, truth, z)
         self._add_coordinates(estimate, truth[..., self.states["position"]])
         self.seconds += seconds
+
+    def _add_consistency(self, estimate: Estimate, truth: Tensor, z: Tensor | None) -> None:
+        """Adds errors and innovations squared, in units of what the filter takes them for."""
+        states = self.states["position"]
+        nees = metrics.nees(estimate, truth, states)
+        self.nees.add(nees)
+        self._add_squares("nees", nees, (~nees.isnan()) * truth[..., states].shape[-1])
+        if z is not None:
+            seen = (~z.isnan()).sum(-1) * ~estimate.nis.isnan()
+            self._add_squares("nis", estimate.nis, seen)
+            steps = (seen > 0).sum(-1)
+            self._keep("log_likelihood", torch.where(seen > 0, estimate.log_likelihood, 0.0).sum(-1) / steps)
+
+    def _add_squares(self, name: str, squares: Tensor, components: Tensor) -> None:
+        """Adds normalised squares ``(B, T)``, each of so many components."""
+        known = torch.where(components > 0, squares, 0.0)
+        self._keep(name, known.sum(-1) / components.sum(-1))
+        for key, values in ((name, known), (f"{name}_components", components.to(known))):
+            self.consistency[key] = self.consistency.get(key, 0.0) + values.sum(0)
+
+    def _keep(self, name: str, values: Tensor) -> None:
+        self.of_runs.setdefault(name, []).append(values)
 
     def _add_coordinates(self, estimate: Estimate, truth: Tensor) -> None:
         """Adds errors of each coordinate of the position, and the probabilities of interacting models."""
@@ -113,14 +145,20 @@ class RunningMetrics:
             self.squares[name] = self.squares[name] + other.squares[name]
             self.counts[name] = self.counts[name] + other.counts[name]
         self.sums = {name: values + other.sums[name] for name, values in self.sums.items()}
-        self.track_rmse += other.track_rmse
+        self.consistency = {name: values + other.consistency[name] for name, values in self.consistency.items()}
+        for name, values in other.of_runs.items():
+            self.of_runs[name] = self.of_runs[name] + values
         self.error.merge(other.error)
         self.nees.merge(other.nees)
         self.seconds += other.seconds
 
+    def runs(self, name: str) -> Tensor:
+        """A number for each track, in the order in which they came: see ``of_runs``."""
+        return torch.cat(self.of_runs[name])
+
     def errors(self) -> Tensor:
         """Position errors of all tracks, root mean square over time, in the order in which they came."""
-        return torch.cat(self.track_rmse)
+        return self.runs("rmse_position")
 
     def summary(self, limit: float) -> dict[str, Any]:
         """The metrics of all tracks, by the names that ``evaluate`` documents.

@@ -8,6 +8,7 @@ from typing import Any
 
 from torchfra import readers, scenarios
 from torchfra.app.command import add_bound_option
+from torchfra.app.loading import is_place, load_scenario
 from torchfra.app.reading_options import READING, add_reading_options
 from torchfra.catalogue import SCENARIOS, make_scenario
 from torchfra.scenarios import Scenario
@@ -29,7 +30,8 @@ def add_source_options(add: Any) -> None:
     """Adds the options that say what is tracked; their defaults are those of the scenarios."""
     q = "for files and ranges: variance of the change of acceleration that filters assume per step, m^2/s^4 (default: "
     add("files", metavar="FILE", type=Path, nargs="*")
-    add("--scenario", metavar="NAME", help=f"instead of files, one of {', '.join(SCENARIOS)}")
+    own = "or your own function that makes one: module:function, or file.py:function"
+    add("--scenario", metavar="NAME", help=f"instead of files, one of {', '.join(SCENARIOS)}, {own}")
     add("--ranges", metavar="PATH", type=Path, nargs="+", help="instead of files, recorded ranges")
     add("--outliers", metavar="MODE", help="covariance (default), std, bursts (files and bearings-*), "
         "offset (bearings-*) or none; of ranges-outliers short (default), nlos, both or none")  # fmt: skip
@@ -64,7 +66,8 @@ def scenario_of(options: argparse.Namespace) -> tuple[Scenario, int]:
         goes_with = " or ".join(other for other, names in _TAKEN.items() if name in names)
         raise ValueError(f"{name}: goes with {goes_with}, not with {source}")
     if source == "--scenario":
-        return make_scenario(options.scenario, **values), 100 if options.runs is None else options.runs
+        make = load_scenario if is_place(options.scenario) else make_scenario
+        return make(options.scenario, **values), 100 if options.runs is None else options.runs
     bound = {"max_bytes": values.pop("max_bytes", readers.MAX_BYTES)}
     if source == "--ranges":
         return _recorded_ranges(options.ranges, options.runs, bound, **values)

@@ -15,6 +15,11 @@ def third_degree(n: int) -> SigmaPoints:
     """Third-degree spherical-radial cubature: ``2 n`` points at ``sqrt(n)``, equal weights.
 
     Source: Arasaratnam & Haykin (2009), "Cubature Kalman Filters", eqs. (31)-(32).
+
+    Example:
+        >>> belief = torchfra.Gaussian(torch.tensor([1.0]), torch.tensor([[0.5]]))
+        >>> torchfra.gaussian.third_degree(1)(torch.square, belief, torch.sub).value  # 1^2 + 0.5^2
+        tensor([1.2500])
     """
     eye = torch.eye(n, dtype=torch.float64)
     return SigmaPoints(n**0.5 * torch.cat([eye, -eye], 1), torch.full((2 * n,), 0.5 / n, dtype=torch.float64))

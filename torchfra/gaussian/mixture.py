@@ -27,6 +27,11 @@ def moment_match(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] =
             likeliest belief's: the same whichever belief they count from, as long as all lie in one half of the circle.
 
     Source: Bar-Shalom, Li & Kirubarajan (2001), section 1.4.16, for the moments.
+
+    Example:
+        >>> two = torchfra.Gaussian(torch.tensor([[-1.0], [1.0]]), torch.zeros(2, 1, 1))
+        >>> torchfra.gaussian.moment_match(two, torch.log(torch.tensor([0.5, 0.5]))).covariance.round(decimals=3)
+        tensor([[1.]])
     """
     middle, columns = _moments(beliefs, log_weights, angles)
     zeros = torch.zeros_like(middle).unsqueeze(-1).expand(*middle.shape, middle.shape[-1])

@@ -69,7 +69,8 @@ _NUMBERS = {
 def template(narrow: bool) -> tuple[str, str]:
     """``template.cpp``, before its namespace and that, with ``narrow.cpp`` or ``wide.cpp`` and the functions in it."""
     forms = _NUMBERS if narrow else _VECTORS
-    functions = "".join(forms[count].format(name) for name, count in _FUNCTIONS.items())
+    written = () if narrow else ("atan2",)
+    functions = "".join(forms[count].format(name) for name, count in _FUNCTIONS.items() if name not in written)
     if narrow:
         functions = functions.replace("::round(", "::nearbyint(")  # halves to the even neighbour, as torch does
         functions = functions.replace("::abs(", "::fabs(")

@@ -29,6 +29,10 @@ def safe_divide(a: Tensor | float, b: Tensor, fill: float = 0.0) -> Tensor:
         a: a number, or a tensor that broadcasts with ``b``.
         b: any shape; where it is NaN, so is the quotient.
         fill: the value where ``b`` is 0.
+
+    Example:
+        >>> torchfra.linalg.safe_divide(torch.tensor([1.0, 1.0]), torch.tensor([2.0, 0.0]))
+        tensor([0.5000, 0.0000])
     """
     defined = b != 0
     return torch.where(defined, a / torch.where(defined, b, 1.0), fill)

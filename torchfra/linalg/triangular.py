@@ -32,6 +32,10 @@ def tria(a: Tensor, *, padded: bool = False) -> Tensor:
 
     Source: Arasaratnam & Haykin (2009), "Cubature Kalman Filters", Tria(.); Bjoerck & Paige (1992) for the equivalence
     of Householder QR on ``[0; A]`` with Gram-Schmidt.
+
+    Example:
+        >>> torchfra.linalg.tria(torch.tensor([[3.0, 4.0]]))
+        tensor([[5.]])
     """
     # The leading zeros fix two conventions of Householder QR at once.  Every reflection starts from a zero, so the
     # diagonal of R is never positive.  And a row that depends on those above leaves its zero coordinate untouched, so

@@ -6,6 +6,7 @@ filters estimate in::
     rmse(scenario.cartesian(estimate).mean, tracks.truth, scenario.truth_position)
 """
 
+from torchfra.metrics.bounds import cramer_rao, outlier_information
 from torchfra.metrics.errors import diverged, error, nees, rmse, track_rmse
 from torchfra.metrics.lives import Lives, lives
 from torchfra.metrics.sets import GOSPA, OSPA, gospa, ospa, swaps
@@ -14,12 +15,14 @@ __all__ = [
     "GOSPA",
     "OSPA",
     "Lives",
+    "cramer_rao",
     "diverged",
     "error",
     "gospa",
     "lives",
     "nees",
     "ospa",
+    "outlier_information",
     "rmse",
     "swaps",
     "track_rmse",

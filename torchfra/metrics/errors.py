@@ -18,6 +18,10 @@ def error(mean: Tensor, truth: Tensor, states: slice) -> Tensor:
             estimate is NaN, the error is infinite.
         states: the components to compare, ``scenario.position`` say; where that raises, ``scenario.truth_position``
             after ``scenario.cartesian``.
+
+    Example:
+        >>> torchfra.metrics.error(torch.tensor([[3.0, 4.0]]), torch.zeros(1, 2), slice(0, 2))
+        tensor([5.])
     """
     distance = (mean[..., states] - truth[..., states]).square().sum(-1).sqrt()
     failed = distance.isnan() & ~truth[..., states].isnan().any(-1)
@@ -25,7 +29,13 @@ def error(mean: Tensor, truth: Tensor, states: slice) -> Tensor:
 
 
 def rmse(mean: Tensor, truth: Tensor, states: slice) -> Tensor:
-    """Root mean square error over the runs, ``(T,)``, of tracks ``(..., T, n)``: Wang et al. (2021), eq. (38)."""
+    """Root mean square error over the runs, ``(T,)``, of tracks ``(..., T, n)``: Wang et al. (2021), eq. (38).
+
+    Example:
+        >>> mean, truth = torch.tensor([[[3.0, 4.0]], [[0.0, 1.0]]]), torch.zeros(2, 1, 2)  # two runs of one step
+        >>> torchfra.metrics.rmse(mean, truth, slice(0, 2))
+        tensor([3.6056])
+    """
     squared = error(mean, truth, states).square()
     return squared.reshape(-1, squared.shape[-1]).nanmean(0).sqrt()
 

@@ -35,6 +35,11 @@ class ConstantVelocity(_Polynomial):
 
     Raises:
         ValueError: ``dims`` below 1, ``q`` below 0, ``orders`` neither 2 nor 3.
+
+    Example:
+        >>> torchfra.motion.ConstantVelocity(q=1.0, dims=1).transition(torch.tensor(2.0))
+        tensor([[1., 2.],
+                [0., 1.]])
     """
 
     def __init__(self, q: Value, dims: int = 2, *, orders: int = 2, spectral: bool = False) -> None:

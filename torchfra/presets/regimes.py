@@ -48,6 +48,13 @@ def gpb(
     Raises:
         ValueError: motions that do not mix, probabilities that do not sum to one, or blocks of the sensor that do not
             cover its elements.
+
+    Example:
+        >>> motion, sensor = torchfra.motion.ConstantVelocity(q=1.0), torchfra.sensors.Position(std=2.0)
+        >>> prior = torchfra.Gaussian(torch.zeros(4), torch.eye(4))
+        >>> estimate = torchfra.presets.gpb(motion, sensor)(torch.tensor([[0.1, 0.0], [0.0, 90.0]]), prior)
+        >>> estimate.info.outlier[:, 0] > 0.5
+        tensor([False,  True])
     """
     if not isinstance(motion, Motion | Sequence):
         raise ValueError(f"motion: expected one, several or a Bank, received {type(motion).__name__}")

@@ -40,6 +40,10 @@ class Huber(Weights):
         ValueError: a threshold is not above 0, or there is not one for each element.
 
     Source: Huber (1964); Wang et al. (2021), eqs. (25)-(26).
+
+    Example:
+        >>> torchfra.robust.Huber()(torch.tensor([1.0, 13.45]), torch.tensor(0.0))
+        tensor([1.0000, 0.1000])
     """
 
     def __init__(self, threshold: Value = 1.345, *, elements: int | None = None) -> None:

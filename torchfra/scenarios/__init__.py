@@ -3,9 +3,12 @@
 from torchfra.scenarios.adsb import adsb_models, adsb_turns
 from torchfra.scenarios.base import Scenario, Tracks
 from torchfra.scenarios.bearings import bearings_manoeuvre, bearings_outliers
+from torchfra.scenarios.bounds import Bound, bound
 from torchfra.scenarios.clutter import clutter_crossing, clutter_straight, noise_change
 from torchfra.scenarios.clutter_many import clutter_many
+from torchfra.scenarios.given import given
 from torchfra.scenarios.growth import growth
+from torchfra.scenarios.law import Law
 from torchfra.scenarios.ranges import ranges_outliers
 from torchfra.scenarios.recorded import recorded
 from torchfra.scenarios.recorded_ranges import recorded_ranges
@@ -13,15 +16,19 @@ from torchfra.scenarios.reentry import reentry
 from torchfra.scenarios.weave import level_then_weave
 
 __all__ = [
+    "Bound",
+    "Law",
     "Scenario",
     "Tracks",
     "adsb_models",
     "adsb_turns",
     "bearings_manoeuvre",
     "bearings_outliers",
+    "bound",
     "clutter_crossing",
     "clutter_many",
     "clutter_straight",
+    "given",
     "growth",
     "level_then_weave",
     "noise_change",

@@ -15,6 +15,7 @@ from torchfra.motion.correlated import CurrentStatistical
 from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.motion.turn import CoordinatedTurn
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
+from torchfra.scenarios.law import Law
 from torchfra.sensors.position import Position
 from torchfra.types import Gaussian
 
@@ -55,7 +56,8 @@ def adsb_turns(turns: str = "acceleration", *, std: float = 30.0) -> Scenario:
     prior = Gaussian(path[1], root)
     settings: dict[str, object] = {"turns": turns, "std": std}
     motion, bank = ConstantAcceleration(0.02**2), adsb_models()
-    return Scenario("adsb-turns", motion, sensor, prior, DT, SAMPLES - 2, block, settings, bank)
+    law = Law(root, _moves(turns)[2:], sensor, std, known=("manoeuvres",))
+    return Scenario("adsb-turns", motion, sensor, prior, DT, SAMPLES - 2, block, settings, bank, law=law)
 
 
 def adsb_models() -> Bank:
@@ -71,6 +73,12 @@ def adsb_models() -> Bank:
         CoordinatedTurn(-math.pi / 100, 0.02**2, orders=3),
     ]
     return Bank(models, neighbours=((1, 3), (2, 4), (0, 4), (0, 1), (2, 0)), first=(0, 2, 3))
+
+
+def _moves(turns: str) -> list[Motion]:
+    """How each state follows from the one before, if it is known how and when the aircraft turns."""
+    rates = [way * math.pi / 2 / seconds for seconds, way in _LEGS for _ in range(round(seconds / DT))]
+    return [CoordinatedTurn(rate if turns == "arc" else 0.0, 0.0, orders=3) for rate in rates]
 
 
 def _path(turns: str) -> Tensor:

@@ -14,6 +14,7 @@ from torchfra.association.clutter import Clutter
 from torchfra.hyper import one_of
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
+from torchfra.scenarios.law import Law
 from torchfra.sensors.base import Sensor
 from torchfra.types import Estimate, Gaussian
 
@@ -63,8 +64,10 @@ class Scenario:
         detection: probability that a target is measured, of scans.
         conversion: from estimates in the motion's coordinates to ``[position, velocity]`` in Cartesian ones, which are
             the truth's; None if the motion's coordinates are the truth's.
-        limit: position error, root mean square over time, above which a run has diverged, m.
+        limit: position error, root mean square over time, above which a run has diverged, m; None for one that follows
+            the scale of the scenario (``torchfra.app.evaluate.divergence_limit``).
         recordings: where measurements are recorded, what the runs are called; after the last comes the first again.
+        law: how the targets truly move and are measured, where that is known; what ``scenarios.bound`` needs.
     """
 
     name: str
@@ -80,8 +83,9 @@ class Scenario:
     clutter: Clutter | None = None
     detection: float = 1.0
     conversion: Callable[[Estimate], Estimate] | None = None
-    limit: float = 2000.0
+    limit: float | None = None
     recordings: tuple[str, ...] = ()
+    law: Law | None = None
 
     def cartesian(self, estimate: Estimate) -> Estimate:
         """The estimate in the truth's coordinates; unchanged where filters estimate in these anyway."""

@@ -7,6 +7,7 @@ north-east.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -14,14 +15,18 @@ from torch import Tensor
 
 from torchfra.hyper import one_of
 from torchfra.motion.bank import Bank
-from torchfra.motion.polynomial import ConstantAcceleration
+from torchfra.motion.base import Motion
+from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.motion.turn import CoordinatedTurn
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
+from torchfra.scenarios.law import Law, burst_information
 from torchfra.scenarios.outliers import burst_factors
 from torchfra.sensors.direction import Bearings
 from torchfra.types import Gaussian
 
 STEPS, DT, Q, STD = 100, 1.0, 1e-2, math.radians(1.0)
+LIMIT = 2000.0
+"""Position error above which a run has diverged, m."""
 _START = torch.tensor([2000.0, 4000.0, 6.0, -10.0, 0.2, -0.3], dtype=torch.float64)
 _POOR = torch.tensor([2400.0, 1500.0, 10.0, 15.0, 1.0, 1.0], dtype=torch.float64)
 _ROOT = torch.tensor([10.0, 10.0, 1.0, 1.0, 0.1, 0.1], dtype=torch.float64).diag()
@@ -44,7 +49,9 @@ def bearings_outliers(outliers: str = "covariance", *, truth_noise: float = 0.0,
     """
     truth = _constant_acceleration(_START, STEPS)
     sizes = {40: 10.0, 50: 10.0, 60: 10.0, 70: 40.0}
-    return _scenario("bearings-outliers", truth, sizes, outliers, truth_noise, initial)
+    return _scenario(
+        "bearings-outliers", truth, [ConstantAcceleration(Q)] * STEPS, sizes, outliers, truth_noise, initial
+    )
 
 
 def bearings_manoeuvre(outliers: str = "covariance", *, truth_noise: float = 0.0, initial: str = "truth") -> Scenario:
@@ -71,7 +78,13 @@ def bearings_manoeuvre(outliers: str = "covariance", *, truth_noise: float = 0.0
         turning.append(torch.cat([state, rate * torch.stack([-vy, vx])]))
     after = _constant_acceleration(torch.cat([state, _START[4:]]), 20)
     truth = torch.cat([before, torch.stack(turning), after])
-    return _scenario("bearings-manoeuvre", truth, {50: 10.0, 60: 10.0, 70: 10.0}, outliers, truth_noise, initial)
+    straight, known = (
+        ConstantAcceleration(Q),
+        ConstantVelocity(Q, orders=3),
+    )  # known: of the acceleration after the turn
+    moves = [*[straight] * 30, *[CoordinatedTurn(rate, Q, orders=3)] * 50, known, *[straight] * 19]
+    sizes = {50: 10.0, 60: 10.0, 70: 10.0}
+    return _scenario("bearings-manoeuvre", truth, moves, sizes, outliers, truth_noise, initial)
 
 
 def stations(steps: int = STEPS) -> Tensor:
@@ -87,8 +100,8 @@ def _constant_acceleration(state: Tensor, steps: int) -> Tensor:
     return torch.cat([p + v * t + a * t**2 / 2, v + a * t, a.expand(steps, 2)], -1)
 
 
-def _scenario(name: str, path: Tensor, sizes: dict[int, float], outliers: str, truth_noise: float,
-              initial: str) -> Scenario:  # fmt: skip
+def _scenario(name: str, path: Tensor, moves: Sequence[Motion], sizes: dict[int, float], outliers: str,
+              truth_noise: float, initial: str) -> Scenario:  # fmt: skip
     one_of(
         outliers=(outliers, ("covariance", "std", "offset", "bursts", "none")),
         initial=(initial, ("paper", "truth")),
@@ -115,7 +128,20 @@ def _scenario(name: str, path: Tensor, sizes: dict[int, float], outliers: str, t
         return Tracks(truth, sensor(truth, u) + noise, u, Gaussian(mean, _ROOT))
 
     settings = {"outliers": outliers, "truth_noise": truth_noise, "initial": initial}
-    return Scenario(name, motion, sensor, Gaussian(centre, _ROOT), DT, STEPS, block, settings, _bank())
+    law = _law(moves, sensor, size, outliers, truth_noise, initial)
+    return Scenario(name, motion, sensor, Gaussian(centre, _ROOT), DT, STEPS, block, settings, _bank(), limit=LIMIT,
+                    law=law)  # fmt: skip
+
+
+def _law(
+    moves: Sequence[Motion], sensor: Bearings, size: Tensor, outliers: str, truth_noise: float, initial: str
+) -> Law:
+    """Paths that are known but for their start, and for what ``truth_noise`` adds; so are the outliers."""
+    std = STD * {"covariance": size.sqrt(), "std": size}.get(outliers, torch.ones_like(size))
+    root = ConstantAcceleration(truth_noise).process_noise(torch.tensor(DT, dtype=torch.float64))
+    tells = burst_information(STEPS) if outliers == "bursts" else 1.0
+    known = ["manoeuvres", *(["outliers"] if outliers != "none" else []), *(["start"] if initial == "paper" else [])]
+    return Law(_ROOT, moves, sensor, std, root if truth_noise else None, tells, tuple(known))
 
 
 def _bank() -> Bank:

@@ -18,7 +18,18 @@ from torchfra.motion.polynomial import ConstantVelocity
 from torchfra.motion.spherical import Spherical
 from torchfra.motion.turn import CoordinatedTurn
 from torchfra.scenarios.base import Scenario, Tracks
-from torchfra.scenarios.two_aircraft import DT, ROOT, STARTS, STEPS, Conditions, Q, cartesian, scans, targets
+from torchfra.scenarios.two_aircraft import (
+    DT,
+    ROOT,
+    STARTS,
+    STEPS,
+    Conditions,
+    Q,
+    cartesian,
+    law_of,
+    scans,
+    targets,
+)
 from torchfra.types import Gaussian
 
 
@@ -122,4 +133,4 @@ def noise_change(
     prior = belief_from_cartesian(Gaussian(STARTS[0], ROOT))
     settings: dict[str, object] = {"noise_scale": noise_scale, "change": change, "truth_noise": truth_noise}
     return Scenario("noise-change", Spherical(motion), conditions.sensor(), prior, DT, STEPS, block, settings,
-                    conversion=cartesian)  # fmt: skip
+                    conversion=cartesian, law=law_of(motion, DT, conditions))  # fmt: skip

@@ -10,6 +10,7 @@ from torch.distributions import constraints
 from torchfra.hyper import Hyper
 from torchfra.motion.base import Motion
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks, outlier_factors
+from torchfra.scenarios.law import Law, mixed_information
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
@@ -88,4 +89,6 @@ def growth(outliers: str = "covariance", *, size: float = 15.0, share: float = 0
         return Tracks(truth, z, numbers, Gaussian(prior.mean.expand(BLOCK, 1), prior.scale_tril))
 
     settings: dict[str, object] = {"outliers": outliers, "size": size, "share": share}
-    return Scenario("growth", motion, sensor, prior, 1.0, STEPS, block, settings)
+    noise, tells = torch.eye(1, dtype=torch.float64), mixed_information(outliers, size, share, 1)
+    law = Law(torch.zeros_like(noise), motion, sensor, 1.0, noise, tells, ("start",))
+    return Scenario("growth", motion, sensor, prior, 1.0, STEPS, block, settings, law=law)

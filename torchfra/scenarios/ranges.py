@@ -8,8 +8,9 @@ from torch import Tensor
 
 from torchfra.hyper import one_of
 from torchfra.motion.bank import Bank
-from torchfra.motion.polynomial import ConstantAcceleration
+from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
+from torchfra.scenarios.law import Law
 from torchfra.sensors.ranges import Ranges
 from torchfra.types import Gaussian
 
@@ -87,8 +88,9 @@ def ranges_outliers(
     settings: dict[str, object] = {"outliers": outliers, "anchors": anchors, "share": share, "size": size,
                                    "length": length, "missing": missing}  # fmt: skip
     prior = Gaussian(torch.cat([_AREA.mean(0), torch.zeros(4, dtype=torch.float64)]), root)
-    return Scenario("ranges-outliers", ConstantAcceleration(Q), sensor, prior, DT, STEPS, block, settings, walker(Q),
-                    limit=LIMIT)  # fmt: skip
+    motion, known = ConstantAcceleration(Q), ("accelerations", *(["outliers"] if outliers != "none" else []))
+    return Scenario("ranges-outliers", motion, sensor, prior, DT, STEPS, block, settings, walker(Q), limit=LIMIT,
+                    law=Law(root, ConstantVelocity(0.0, orders=3), sensor, STD, known=known))  # fmt: skip
 
 
 def walker(q: float) -> Bank:

@@ -13,11 +13,12 @@ from torch import Tensor
 
 from torchfra.hyper import one_of
 from torchfra.motion.bank import aircraft
-from torchfra.motion.polynomial import ConstantAcceleration
+from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.readers.flyable import flyable
 from torchfra.readers.grid import resample
 from torchfra.readers.recording import Recording
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
+from torchfra.scenarios.law import Law, burst_information, mixed_information
 from torchfra.scenarios.outliers import burst_factors
 from torchfra.sensors.direction import Bearings, RangeBearing
 from torchfra.sensors.position import Position
@@ -26,6 +27,8 @@ from torchfra.types import Gaussian
 _ROOT = torch.tensor([100.0, 100.0, 10.0, 10.0, 2.0, 2.0], dtype=torch.float64).diag()
 _KNOWN = torch.tensor([1.0, 1.0, 1.0, 1.0, 0.0, 0.0], dtype=torch.float64)
 """Components of the true state that the initial belief is centred on: not the acceleration."""
+LIMIT = 2000.0
+"""Position error above which a run has diverged, m."""
 _SHORTEST = 20
 """Steps of the shortest window."""
 _Sensor = Bearings | RangeBearing | Position
@@ -78,8 +81,13 @@ def recorded(
     }  # fmt: skip
     factors = partial(_factors, outliers, share, size)
     block = partial(_block, windows, model, places, factors)
-    return Scenario("recorded", ConstantAcceleration(q), model, Gaussian(windows[0, 0] * _KNOWN, _ROOT), dt, steps,
-                    block, settings, aircraft(q))  # fmt: skip
+    motion, known_moves = ConstantAcceleration(q), ConstantVelocity(0.0, orders=3)
+    mixed = partial(mixed_information, outliers, size, share, model.size)
+    tells = burst_information(steps, share, size) if outliers == "bursts" else mixed()
+    known = ("accelerations", *(["outliers"] if outliers == "bursts" else []))
+    law = Law(_ROOT, known_moves, model, _std(model), None, tells, known)
+    return Scenario("recorded", motion, model, Gaussian(windows[0, 0] * _KNOWN, _ROOT), dt, steps, block, settings,
+                    aircraft(q), limit=LIMIT, law=law)  # fmt: skip
 
 
 def _check(recordings: Sequence[Recording], dt: float, max_gap: float, q: float) -> None:

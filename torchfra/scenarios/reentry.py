@@ -11,6 +11,7 @@ from torch.nn.functional import pad
 from torchfra.hyper import Hyper, Value, one_of
 from torchfra.motion.base import Motion
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks, outlier_factors
+from torchfra.scenarios.law import Law, mixed_information
 from torchfra.sensors.direction import RangeBearing
 from torchfra.types import Gaussian
 
@@ -122,9 +123,21 @@ def reentry(
         "outliers": outliers, "radar": radar, "size": "1 to 20" if size is None else size, "share": share,
         "q_parameter": q_parameter, "method": method,
     }  # fmt: skip
+    tells = mixed_information(outliers, size, share, 2)
+    law = Law(
+        prior.scale_tril[:, :4], Reentry(), sensor, std, _shaken(jolt), tells
+    )  # the parameter is as filters start
     return Scenario(
-        "reentry", motion, sensor, prior, DT, STEPS, block, settings, extra_quantities={"parameter": slice(4, 5)}
-    )
+        "reentry", motion, sensor, prior, DT, STEPS, block, settings, extra_quantities={"parameter": slice(4, 5)},
+        law=law,
+    )  # fmt: skip
+
+
+def _shaken(jolt: Tensor) -> Tensor:
+    """Root ``(5, 2 SUBSTEPS)`` of what the shocks of a second add to a state, gravity and drag aside."""
+    left = torch.arange(SUBSTEPS - 1, -1, -1, dtype=torch.float64) * DT / SUBSTEPS
+    moved = torch.kron(torch.stack([left, torch.ones_like(left)]), torch.eye(2, dtype=torch.float64))
+    return pad(jolt * moved, (0, 0, 0, 1))
 
 
 def _fallen(state: Tensor, shocks: Tensor) -> Tensor:

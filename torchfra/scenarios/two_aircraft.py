@@ -16,6 +16,7 @@ from torchfra.hyper import one_of
 from torchfra.motion.base import Motion
 from torchfra.motion.spherical import Spherical
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
+from torchfra.scenarios.law import Law
 from torchfra.sensors.infrared import InfraredLaser
 from torchfra.types import Estimate, Gaussian
 
@@ -97,7 +98,23 @@ def scans(
     clutter = Clutter(volume=len(STARTS) * (2 * conditions.region) ** 3, rate=rate)
     prior = belief_from_cartesian(Gaussian(STARTS, ROOT))
     return Scenario(name, Spherical(motion), conditions.sensor(), prior, dt, STEPS, block, settings, clutter=clutter,
-                    detection=conditions.detection, conversion=cartesian)  # fmt: skip
+                    detection=conditions.detection, conversion=cartesian,
+                    law=law_of(motion, dt, conditions).knowing("origins of measurements"))  # fmt: skip
+
+
+def law_of(motion: Motion, dt: float, conditions: Conditions) -> Law:
+    """How an aircraft moves in Cartesian coordinates, alone and without false measurements."""
+    sensor, noise = conditions.sensor(), motion.process_noise(torch.tensor(dt, dtype=torch.float64))
+    scale = torch.where(_changed(conditions), conditions.noise_scale, 1.0).unsqueeze(-1)
+    root = noise * math.sqrt(conditions.truth_noise / Q) if conditions.truth_noise else None
+    std = torch.tensor(conditions.std, dtype=torch.float64) * scale
+    known = ("motion",) if root is None else ()
+    return Law(ROOT, motion, lambda x, u: sensor(from_cartesian(x)), std, root, known=(*known, "noise"))
+
+
+def _changed(conditions: Conditions) -> Tensor:
+    """``(STEPS,)`` bool: steps at which the measurement noise has changed."""
+    return torch.arange(1, STEPS + 1) > conditions.change
 
 
 def targets(
@@ -118,8 +135,7 @@ def targets(
         state = (matrix @ state.unsqueeze(-1)).squeeze(-1) + (root @ shock.unsqueeze(-1)).squeeze(-1)
         states.append(state)
     truth = torch.stack(states, 2)
-    changed = torch.arange(1, STEPS + 1) > conditions.change
-    scale = torch.where(changed, conditions.noise_scale, 1.0).unsqueeze(-1)
+    scale = torch.where(_changed(conditions), conditions.noise_scale, 1.0).unsqueeze(-1)
     z = conditions.sensor()(from_cartesian(truth)) + torch.tensor(conditions.std, dtype=torch.float64) * scale * draw
     return truth, z, belief_from_cartesian(Gaussian(starts + offsets, ROOT))
 

@@ -10,8 +10,9 @@ from torch import Tensor
 
 from torchfra.hyper import one_of
 from torchfra.motion.bank import aircraft
-from torchfra.motion.polynomial import ConstantAcceleration
+from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
+from torchfra.scenarios.law import Law
 from torchfra.sensors.position import Position
 from torchfra.types import Gaussian
 
@@ -51,7 +52,15 @@ def level_then_weave(outliers: str = "planted", *, noise: str = "cartesian") -> 
     settings: dict[str, object] = {"outliers": outliers, "noise": noise}
     motion = ConstantAcceleration(4.0, 3)
     prior = Gaussian(truth[0], _ROOT)
-    return Scenario("alpha-beta", motion, Position(STD, dims=3), prior, 1.0, STEPS, block, settings, aircraft(4.0, 3))
+    sensor, known = Position(STD, dims=3), ("accelerations", *(["outliers"] if outliers == "planted" else []))
+    law = Law(
+        _ROOT,
+        ConstantVelocity(0.0, 3, orders=3),
+        sensor if noise == "cartesian" else _spherical,
+        _deviations(noise),
+        known=known,
+    )
+    return Scenario("alpha-beta", motion, sensor, prior, 1.0, STEPS, block, settings, aircraft(4.0, 3), law=law)
 
 
 def _path() -> Tensor:
@@ -71,10 +80,19 @@ def _path() -> Tensor:
 
 def _measured(position: Tensor, draw: Tensor) -> Tensor:
     """Positions from range, azimuth and elevation with measurement noise."""
-    ground = torch.hypot(position[..., 0], position[..., 1])
-    angle = math.radians(0.05)
-    reach = position.norm(dim=-1) + STD * draw[..., 0]
-    azimuth = torch.atan2(position[..., 1], position[..., 0]) + angle * draw[..., 1]
-    elevation = torch.atan2(position[..., 2], ground) + angle * draw[..., 2]
+    reach, azimuth, elevation = (_spherical(position) + _deviations("spherical") * draw).unbind(-1)
     flat = reach * elevation.cos()
     return torch.stack([flat * azimuth.cos(), flat * azimuth.sin(), reach * elevation.sin()], -1)
+
+
+def _spherical(position: Tensor, u: Tensor | None = None) -> Tensor:
+    """Range, azimuth and elevation ``(..., 3)`` of a state or a position."""
+    x, y, z = position[..., :3].unbind(-1)
+    ground = torch.hypot(x, y)
+    return torch.stack([torch.hypot(ground, z), torch.atan2(y, x), torch.atan2(z, ground)], -1)
+
+
+def _deviations(noise: str) -> Tensor:
+    """Standard deviations of a measurement, in the coordinates of its noise."""
+    angle = math.radians(0.05)
+    return torch.tensor([STD, STD, STD] if noise == "cartesian" else [STD, angle, angle], dtype=torch.float64)

@@ -17,6 +17,10 @@ class Position(Sensor):
         std: of the measurement noise, m; a number or ``(..., dims)``.
         dims: dimensions of space.
         noise: instead of ``std``, a root of the covariance of correlated measurement noise.
+
+    Example:
+        >>> torchfra.sensors.Position(std=2.0)(torch.tensor([3.0, 4.0, 0.5, 0.5]))
+        tensor([3., 4.])
     """
 
     linear = locates = measures_each_direction = True

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchfra.filters.base import Filter
 from torchfra.tables import text_table
 from torchfra.testing import copies, derivatives, refusals, results  # noqa: F401  they hold the checks
-from torchfra.testing.case import CHECKS, Case, SkipCheck, make_case
+from torchfra.testing.case import CHECKS, Case, SkipCheck, make_case, registered
 from torchfra.testing.lines import told
 from torchfra.types import Gaussian
 
@@ -44,7 +44,7 @@ class Report:
 
 
 def check_filter(
-    filter: Filter,
+    filter: Filter | str,
     z: Tensor | None = None,
     prior: Gaussian | None = None,
     *,
@@ -61,7 +61,7 @@ def check_filter(
     The filter is copied.  Checks run in float64 and float32, eager and compiled.
 
     Args:
-        filter: any.
+        filter: any, or the name of one that is registered (``torchfra.register``), around usual models.
         z: ``(B, T, m)`` measurements to try it on, of scans ``(B, T, J, m)``; 3 tracks and 6 steps of them are used.
             By default they are simulated by the filter's own motion and sensor.
         prior: the belief before them.
@@ -78,8 +78,9 @@ def check_filter(
 
     Raises:
         AssertionError: names the filter and every check that fails, what it expected and what came.
-        ValueError: an unknown check, or tracks that do not suffice.
+        ValueError: an unknown check or name, or tracks that do not suffice.
     """
+    filter = registered(filter) if isinstance(filter, str) else filter
     unknown = {*only, *skip} - CHECKS.keys()
     if unknown:
         raise ValueError(f"only, skip: expected names of testing.CHECKS, received {', '.join(sorted(unknown))}")

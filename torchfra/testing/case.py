@@ -11,9 +11,14 @@ from typing import Any, NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
+from torchfra.association.clutter import Clutter
 from torchfra.filters.base import Filter
 from torchfra.hyper import learnable
 from torchfra.kernel.build import CompileError
+from torchfra.motion.bank import aircraft
+from torchfra.motion.polynomial import ConstantAcceleration
+from torchfra.register import FILTERS, made
+from torchfra.sensors.position import Position
 from torchfra.types import Estimate, Gaussian
 
 F = TypeVar("F", bound=Callable[..., None])
@@ -141,6 +146,21 @@ def make_case(
     if u is not None:
         u = (u[:TRACKS] if u.dim() > 2 else u)[..., :STEPS, :].detach().double()
     return Case(f, z, Gaussian(mean, root), dt, u, thorough=thorough)
+
+
+def registered(name: str) -> Filter:
+    """The filter of this name around constant acceleration, or the motions of aircraft, and positions.
+
+    Raises:
+        ValueError: no such name, or its function returns something else.
+    """
+    if name not in FILTERS:
+        raise ValueError(f"filter: expected a Filter or one of {', '.join(FILTERS)}, received {name!r}")
+    entry, sensor = FILTERS[name], Position(10.0)
+    motion = aircraft(1.0) if entry.bank else ConstantAcceleration(1.0)
+    clutter = {"clutter": Clutter(volume=1e8), "detection": 0.95} if entry.scans else {}
+    f: Filter = made(name, entry.preset(motion, sensor, **clutter), Filter, "(motion, sensor)")
+    return f
 
 
 def simulate(f: Filter, dt: float, seed: int) -> tuple[Tensor, Gaussian]:

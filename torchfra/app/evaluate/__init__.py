@@ -1,14 +1,17 @@
 """Monte-Carlo evaluation: runs of a scenario through filters, and what is written and printed of them."""
 
 from torchfra.app.evaluate.flights import Flight, flight
+from torchfra.app.evaluate.limits import divergence_limit
 from torchfra.app.evaluate.recordings import recordings_table
 from torchfra.app.evaluate.results import BASELINE, Result, leaders, not_finite, report, table, versions
 from torchfra.app.evaluate.runs import evaluate, measure, results_of, run
+from torchfra.app.evaluate.sureness import sureness
 
 __all__ = [
     "BASELINE",
     "Flight",
     "Result",
+    "divergence_limit",
     "evaluate",
     "flight",
     "leaders",
@@ -18,6 +21,7 @@ __all__ = [
     "report",
     "results_of",
     "run",
+    "sureness",
     "table",
     "versions",
 ]

@@ -25,7 +25,7 @@ of the runs, ``failed``, how many of them have an estimate or an error that is n
 0.05 %; 1.39 of a consistent filter, in the plane), by coordinate and over time the signed ``mean_error_x``, ``rmse_x``
 and ``mape_x`` (mean relative error, %, of coordinates of 100 m or more), the models' mean ``probabilities``
 ``[T][K]`` if there are some, ``microseconds`` per run and step, and ``relative_time`` to the UKF (``ukf_jpda`` on
-scans) on the same runs.
+scans) on the same runs; what ``sureness`` adds; and the ``limit`` above which a run has diverged, m.
 """
 
 BASELINE = "srckf"

@@ -6,10 +6,13 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 
 import torch
+from torch import Tensor
 
 from torchfra.app import distributed
 from torchfra.app.compiling import Fallback, compiled
+from torchfra.app.evaluate.limits import divergence_limit
 from torchfra.app.evaluate.results import Result
+from torchfra.app.evaluate.sureness import sureness
 from torchfra.app.progress import progress_bar
 from torchfra.app.running_metrics import RunningMetrics
 from torchfra.catalogue import reference_filter, scenario_filters
@@ -41,7 +44,7 @@ def evaluate(
         runs: how many.
         seed: of the random numbers; every filter sees the same runs.
         limit: a run diverges when its position error, root mean square over time, is above this, m; None for
-            ``scenario.limit``.
+            ``scenario.limit``, and where that is None for ``divergence_limit``.
         chunk: runs that are filtered at once; bounds the memory, which does not grow with ``runs`` but for one number
             per run and filter.
         compile: whether to run compiled (``Filter.compile``); needs a C++ compiler.
@@ -72,14 +75,15 @@ def measure(
     compile: bool = False,
     fallback: Fallback | None = None,
     progress: bool = False,
+    reference: bool = True,
 ) -> dict[str, RunningMetrics]:
     """What ``evaluate`` sums up: the metrics of the filters, and of the reference for run times, with an error per run.
 
-    Arguments and errors are those of ``evaluate``.
+    Arguments and errors are those of ``evaluate``, and ``reference``: whether that one runs too.
     """
     if not isinstance(filters, Mapping):
         filters = scenario_filters(filters, scenario)
-    timed = scenario_filters([reference_filter(scenario)], scenario) | dict(filters)
+    timed = (scenario_filters([reference_filter(scenario)], scenario) if reference else {}) | dict(filters)
     _check(runs, chunk)
     if compile:
         one = scenario.simulate(1, seed)
@@ -98,8 +102,8 @@ def results_of(
 
     Other arguments are those of ``evaluate``.
     """
-    reference = metrics[reference_filter(scenario)].seconds
-    limit = scenario.limit if limit is None else limit
+    reference = metrics.get(reference_filter(scenario), next(iter(metrics.values()))).seconds
+    limit = divergence_limit(scenario) if limit is None else limit
 
     def result(of: RunningMetrics) -> Result:
         times = {
@@ -107,7 +111,7 @@ def results_of(
             "relative_time": of.seconds / reference,
         }
         each = {"rmse_of_runs": of.errors().tolist()} if scenario.recordings else {}
-        return of.summary(limit) | times | each
+        return of.summary(limit) | times | each | sureness(of) | {"limit": limit}
 
     return {name: result(metrics[name]) for name in names}
 
@@ -142,9 +146,14 @@ def _accumulate(
             for name, f in filters.items():
                 start = time.perf_counter()
                 estimate = run(f, scenario, tracks)
-                metrics[name].add(estimate, tracks.truth, time.perf_counter() - start)
+                metrics[name].add(estimate, tracks.truth, time.perf_counter() - start, _single(tracks.z))
                 del estimate  # before the next one is made
     return metrics
+
+
+def _single(z: Tensor) -> Tensor | None:
+    """Measurements of single targets; None of scans, whose innovations are of no measurement alone."""
+    return z if z.dim() == 3 else None
 
 
 def _merged(metrics: dict[str, RunningMetrics]) -> dict[str, RunningMetrics]:

@@ -11,6 +11,7 @@ from torchfra.app.plotting.curves import against, by_coordinate, innovations, rm
 from torchfra.app.plotting.models import probabilities
 from torchfra.app.plotting.overview import overview
 from torchfra.app.plotting.paths import in_space, tracks
+from torchfra.app.plotting.printed import printed
 from torchfra.app.plotting.ratios import ratios
 from torchfra.app.plotting.style import save
 from torchfra.app.plotting.targets import by_target, raw_and_filtered
@@ -27,6 +28,7 @@ __all__ = [
     "innovations",
     "learning_curve",
     "overview",
+    "printed",
     "probabilities",
     "ratios",
     "raw_and_filtered",

@@ -9,6 +9,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
@@ -24,14 +25,19 @@ _BROKEN = ("-", "--", ":", "-.")
 
 
 def save(figure: Figure, path: str | Path) -> Path:
-    """Writes a figure as PNG, completely or not at all.
+    """Writes a figure, completely or not at all, as PNG, or as PDF or SVG where the file ends so.
+
+    Letters of PDF and SVG stay text in outlines' stead, and two of the same figure are the same to the byte.
 
     Raises:
         OSError: it cannot be written.
     """
-    picture = BytesIO()
-    with any_letters():
-        figure.savefig(picture, format="png", dpi=140)
+    picture, form = BytesIO(), Path(path).suffix.lower().removeprefix(".")
+    form = form if form in ("pdf", "svg") else "png"
+    undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": None}[form]
+    fonts = {"pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "torchfra"}
+    with any_letters(), rc_context(fonts):
+        figure.savefig(picture, format=form, dpi=140, metadata=undated)
     return write(path, lambda file: file.write(picture.getvalue()))
 
 

@@ -24,7 +24,7 @@ def by_points_or_slope(compare: Callable[[Gaussian], Whitened], belief: Gaussian
     """
     mean, root = belief
     both = compare(Gaussian(mean.expand(2, *mean.shape), torch.stack([root, NEAR * root])))
-    slope, rest = (reduce(torch.add, x[0].square().unbind(-1)) for x in (both.slope, both.rest))
+    slope, rest = (reduce(torch.add, x[0].square().unbind(-1), x.new_zeros(())) for x in (both.slope, both.rest))
     blind = slope < BLIND * (slope + rest)
     (wide, near), spread = both.residual, both.spread
     return Whitened(

@@ -1,0 +1,122 @@
+"""Filters and scenarios of a user's own, by ``module:function`` or ``file.py:function``."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from torchfra import register
+from torchfra.catalogue import FILTERS, scenario_filter
+from torchfra.filters.base import Filter
+from torchfra.scenarios import Scenario
+
+_NAME = "torchfra_loaded_{}"
+
+
+def is_place(name: str) -> bool:
+    """Whether a name is ``module:function`` or ``file.py:function``."""
+    return ":" in name
+
+
+def load_module(place: str) -> ModuleType:
+    """The module of a dotted name, looked for in the current folder too, or of a ``.py`` file.
+
+    Raises:
+        ValueError: there is none, or it cannot be run.
+    """
+    try:
+        if place.endswith(".py"):
+            return _module_of_file(Path(place))
+        if str(Path.cwd()) not in sys.path and "" not in sys.path:
+            sys.path.append(str(Path.cwd()))
+        return importlib.import_module(place)
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ValueError(
+            f"import: expected a module, or a file that ends in .py, received {place} ({reason})"
+        ) from error
+
+
+def load_function(place: str) -> Callable[..., Any]:
+    """The function of ``module:function``.
+
+    Raises:
+        ValueError: there is no such module, or nothing in it by that name that can be called.
+    """
+    module, _, name = place.rpartition(":")
+    if not module or not name:
+        raise ValueError(f"import: expected module:function or file.py:function, received {place!r}")
+    found = getattr(load_module(module), name, None)
+    if not callable(found):
+        known = sorted(key for key, value in vars(load_module(module)).items() if _own(value, module))
+        received = "nothing" if found is None else type(found).__name__
+        hint = f"; it has {', '.join(known)}" if known else ""
+        raise ValueError(f"import: expected {module} to have a function {name}, received {received}{hint}")
+    function: Callable[..., Any] = found
+    return function
+
+
+def load_scenario(place: str, **options: Any) -> Scenario:
+    """The scenario that ``module:function`` makes.
+
+    Raises:
+        ValueError: there is no such function, it does not take an option, or it returns something else.
+    """
+    make = load_function(place)
+    for key in options.keys() - inspect.signature(make).parameters.keys():
+        raise ValueError(f"{key}: {place} takes no such option, received {options[key]!r}")
+    scenario: Scenario = register.made(place, make(**options), Scenario, "()")
+    return scenario
+
+
+def load_filters(names: Sequence[str], scenario: Scenario) -> dict[str, Filter]:
+    """Filters of the catalogue, and those that ``module:function`` makes of ``(motion, sensor)``, by name.
+
+    Raises:
+        ValueError: an unknown name, no such function, one that returns something else, or a filter that does not go
+            with the scenario.
+    """
+    if not names:
+        raise ValueError(f"filters: expected names out of {', '.join(FILTERS)}, received none")
+    return {name: _filter(name, scenario) for name in names}
+
+
+def _filter(name: str, scenario: Scenario) -> Filter:
+    if not is_place(name):
+        return scenario_filter(name, scenario)
+    f: Filter = register.made(name, load_function(name)(scenario.motion, scenario.sensor), Filter, "(motion, sensor)")
+    if f.scans != (scenario.clutter is not None):
+        wanted = "scans" if scenario.clutter is not None else "single targets"
+        raise ValueError(f"filters: expected one of {wanted} for {scenario.name}, received {name}")
+    return f
+
+
+def _module_of_file(path: Path) -> ModuleType:
+    """The module of a file, run once."""
+    path = path.resolve()
+    name = _NAME.format(str(path).encode().hex())
+    if name not in sys.modules:
+        if not path.is_file():
+            raise FileNotFoundError(f"no file {path}")
+        spec = importlib.util.spec_from_file_location(name, path)
+        if spec is None or spec.loader is None:
+            raise ImportError(f"no module {path}")
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        try:
+            spec.loader.exec_module(module)
+        except BaseException:
+            del sys.modules[name]
+            raise
+    return sys.modules[name]
+
+
+def _own(value: object, module: str) -> bool:
+    """Whether a function is one that a module has itself."""
+    return inspect.isfunction(value) and value.__module__ == load_module(module).__name__

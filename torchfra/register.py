@@ -1,0 +1,119 @@
+"""The one registry of filters and scenarios by name, and decorators that add one's own.
+
+::
+
+    @torchfra.register.filter("mine")
+    def mine(motion, sensor, **options):
+        return torchfra.filters.SRCKF(motion, sensor, **options)
+
+    @torchfra.register.scenario("figure-eight")
+    def figure_eight(size=100.0):
+        return torchfra.scenarios.Scenario(...)
+
+From then on ``catalogue``, ``torchfra.compare``, ``testing.check_filter`` and, with ``--import FILE``, the command line
+know them by these names.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from torchfra.filters.base import Filter
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class FilterEntry:
+    """A preset and its traits."""
+
+    preset: Callable[..., Filter]
+    bank: bool = False
+    """It takes a ``Bank`` of motions instead of one."""
+    either: bool = False
+    """It takes a ``Bank`` where there is one, else one motion."""
+    scans: bool = False
+    """It takes scans of several targets."""
+    gated: bool = False
+    """It takes a ``gate``: the normalised innovation squared above which a step is abnormal."""
+    constant_gains: bool = False
+    """It takes positions with a standard deviation only, the ``period`` that its gains are meant for, and the
+    ``longest`` gap that it bridges."""
+    emphasised: bool = False
+    """Its lines in figures are bold."""
+    listed: bool = True
+    """Commands name it in their help and run it unless told which; the others must be asked for."""
+
+
+FILTERS: dict[str, FilterEntry] = {}
+"""Filters by name; ``catalogue`` fills in those of the library."""
+SCENARIOS: dict[str, Callable[..., Any]] = {}
+"""Functions that make a ``Scenario``, by name; likewise."""
+
+
+def filter(
+    name: str, *, bank: bool = False, either: bool = False, scans: bool = False, listed: bool = True
+) -> Callable[[F], F]:
+    """A decorator that adds a function of ``(motion, sensor, **options)`` to the filters.
+
+    Args:
+        name: letters, digits, ``_``, ``-`` and ``.``.
+        bank: whether it takes a ``Bank`` of motions instead of one.
+        either: whether it takes a ``Bank`` where there is one, else one motion.
+        scans: whether its filter takes scans of several targets; it is then called with ``clutter`` and ``detection``.
+        listed: whether commands run it unless told which.
+
+    Raises:
+        ValueError: a name that is taken by another function or is none, or what is no function.
+    """
+
+    def add(preset: F) -> F:
+        _check(name, preset, FILTERS[name].preset if name in FILTERS else None)
+        FILTERS[name] = FilterEntry(preset, bank=bank, either=either, scans=scans, listed=listed)
+        return preset
+
+    return add
+
+
+def scenario(name: str) -> Callable[[F], F]:
+    """A decorator that adds a function that makes a ``Scenario`` to the scenarios; its arguments have defaults.
+
+    Raises:
+        ValueError: a name that is taken by another function or is none, or what is no function.
+    """
+
+    def add(make: F) -> F:
+        _check(name, make, SCENARIOS.get(name))
+        SCENARIOS[name] = make
+        return make
+
+    return add
+
+
+def made(function: str, found: object, wanted: type, arguments: str) -> Any:
+    """What a user's function has made, if it is what it should be.
+
+    Raises:
+        ValueError: it is not; names the function, what was expected and what came.
+    """
+    if not isinstance(found, wanted):
+        expected = f"{arguments} to return a {wanted.__name__}"
+        raise ValueError(f"{function}: expected {expected}, received {type(found).__name__}")
+    return found
+
+
+def _check(name: str, function: object, taken: Callable[..., Any] | None) -> None:
+    """Checks a name; the same function may be registered again, as in a notebook whose cell runs twice."""
+    if not isinstance(name, str) or not re.fullmatch(r"[\w.-]+", name):
+        raise ValueError(f"name: expected letters, digits, _, - and ., received {name!r}")
+    if not callable(function):
+        raise ValueError(f"{name}: expected a function, received {type(function).__name__}")
+    if taken is not None and _place(taken) != _place(function):
+        raise ValueError(f"name: expected one that is not taken, received {name!r}, which is {_place(taken)}")
+
+
+def _place(function: object) -> str:
+    return f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', repr(function))}"

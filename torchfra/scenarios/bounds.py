@@ -1,0 +1,99 @@
+"""The error that no filter is below, of a scenario whose law is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, vmap
+from torch.func import jacfwd
+
+from torchfra.metrics.bounds import cramer_rao
+from torchfra.motion.base import Motion
+from torchfra.scenarios.base import Scenario, Tracks
+from torchfra.scenarios.law import Law, Measured
+
+RUNS = 200
+"""Truths that expectations are over."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """The Cramer-Rao bound of a scenario."""
+
+    kind: str
+    """``"posterior"``: of all estimators, of truths that are drawn with process noise.  ``"parametric"``: of estimators
+    without bias, of paths that are fixed, or taken as known but for their start."""
+    known: tuple[str, ...]
+    """What is taken as known although no filter knows it: the bound may be far below."""
+    covariance: Tensor
+    """``(T, n, n)`` bound on the covariance of the errors, in the coordinates of the truth, mean over the runs."""
+
+    def rmse(self, states: slice) -> Tensor:
+        """Bound on the root mean square error ``(T,)`` in some components, ``scenario.truth_position`` say."""
+        return self.covariance[:, states, states].diagonal(dim1=-2, dim2=-1).sum(-1).sqrt()
+
+    def __str__(self) -> str:
+        return ", ".join([f"{self.kind} Cramer-Rao bound", *(f"{what} known" for what in self.known)])
+
+
+def bound(scenario: Scenario, *, runs: int = RUNS, seed: int = 0, first: int = 0) -> Bound:
+    """The bound on the errors of every filter of a scenario.
+
+    Args:
+        scenario: with a ``law``.
+        runs: truths to take expectations over; where each run has a path of its own, as many as there are errors to
+            compare with.
+        seed: of the random numbers.
+        first: number of the first run.
+
+    Raises:
+        ValueError: the scenario has no law.
+    """
+    if scenario.law is None:
+        raise ValueError(f"scenario: expected one with a law, by which bounds are known, received {scenario.name}")
+    law, tracks = scenario.law, scenario.simulate(runs, seed, first=first)
+    truth = tracks.truth.flatten(0, -3)
+    slope, transition = _slopes(law, scenario, tracks, truth), _transitions(law, scenario, tracks, truth)
+    noise = None if law.process_noise is None else law.process_noise.to(truth)
+    drawn = noise is not None and bool(noise.any())
+    runs_axis = 0 if drawn else 1  # a mean over the runs of the information, or one bound for each
+    slope = slope.unsqueeze(runs_axis)
+    found = cramer_rao(law.start.to(truth), transition.unsqueeze(runs_axis), noise, slope)
+    return Bound("posterior" if drawn else "parametric", law.known, found.nanmean(0))
+
+
+def _slopes(law: Law, scenario: Scenario, tracks: Tracks, truth: Tensor) -> Tensor:
+    """``(B, T, m, n)`` slopes of the measurements, whitened; 0 where missing."""
+    u = None if tracks.u is None else tracks.u.expand(*truth.shape[:-1], -1)
+    slope = _each(law.sensor, truth, u)
+    std = torch.as_tensor(law.std, dtype=truth.dtype).expand(truth.shape[1], slope.shape[-2])
+    tells = torch.as_tensor(law.information, dtype=truth.dtype).expand(truth.shape[1]) * scenario.detection
+    slope = slope * (tells.sqrt().unsqueeze(-1) / std).unsqueeze(-1)
+    return slope if tracks.z.dim() == 4 else torch.where(tracks.z.isnan().unsqueeze(-1), 0.0, slope)
+
+
+def _transitions(law: Law, scenario: Scenario, tracks: Tracks, truth: Tensor) -> Tensor:
+    """``(B, T, n, n)`` slopes of the motion at the states before each step."""
+    steps, dt = truth.shape[1], torch.tensor(scenario.dt, dtype=truth.dtype)
+    if not isinstance(law.motion, Motion):
+        return torch.stack([motion.transition(dt) for motion in law.motion]).to(truth).expand(len(truth), -1, -1, -1)
+    motion = law.motion
+    if motion.linear:  # of several targets each has its own
+        matrix = motion.transition(dt).to(truth).expand(*tracks.truth.shape[:-2], -1, -1).flatten(0, -3)
+        return matrix.unsqueeze(1).expand(-1, steps, -1, -1)
+    if scenario.conversion is not None:
+        raise ValueError("law: expected a linear motion where filters have other coordinates than the truth")
+    start = tracks.prior.mean.to(truth).expand(len(truth), -1).unsqueeze(1)  # near enough: it is one slope of many
+    u = None if tracks.u is None else tracks.u.expand(*truth.shape[:-1], -1)
+    return _each(lambda x, u: motion(x, dt.expand(x.shape[:-1]), u), torch.cat([start, truth[:, :-1]], 1), u)
+
+
+def _each(function: Measured, x: Tensor, u: Tensor | None) -> Tensor:
+    """Slopes ``(B, T, m, n)`` of a function of states ``x (B, T, n)`` and ``u``."""
+    if u is None:
+        found: Tensor = vmap(jacfwd(lambda x: function(x, None)))(x.flatten(0, 1))
+    else:
+        found = vmap(jacfwd(function))(x.flatten(0, 1), u.flatten(0, 1))
+    slopes: Tensor = found.unflatten(0, x.shape[:2])
+    return slopes

@@ -1,0 +1,66 @@
+"""How targets of a scenario truly move and are measured, as far as it is known: what bounds on errors need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchfra.metrics.bounds import outlier_information
+from torchfra.motion.base import Motion
+from torchfra.scenarios.outliers import LENGTH, SHARE, SIZE
+from torchfra.sensors.base import Sensor
+
+Measured = Callable[[Tensor, Tensor | None], Tensor]
+
+
+@dataclass(frozen=True)
+class Law:
+    """The law of the truth, which filters need not know, in the coordinates of the truth (``n`` components).
+
+    Args:
+        start: ``(n, p)`` root of the covariance of the error of the initial beliefs.
+        motion: how states follow each other, but for ``process_noise`` and for known changes, which no bound depends
+            on; linear ones may be given for each step.
+        sensor: what is measured of a state, given ``u``.
+        std: ``(m,)`` or ``(T, m)`` standard deviation of a measurement without outliers; a tensor or a number.
+        process_noise: ``(n, q)`` root of that of a step; None for paths that are fixed, or known but for their start.
+        information: ``(T,)`` or a number: what a measurement with outliers tells, relative to one without
+            (``metrics.outlier_information``).
+        known: what the bound takes as known although no filter knows it, in words.
+    """
+
+    start: Tensor
+    motion: Motion | Sequence[Motion]
+    sensor: Sensor | Measured
+    std: Tensor | float
+    process_noise: Tensor | None = None
+    information: Tensor | float = 1.0
+    known: tuple[str, ...] = ()
+
+    def knowing(self, *known: str) -> Law:
+        """The same, with more that is taken as known."""
+        return replace(self, known=(*self.known, *known))
+
+
+def burst_information(steps: int, share: float = SHARE, size: float = SIZE) -> Tensor:
+    """``(T,)`` what measurements tell where outliers come in bursts (``burst_factors``), if it is known when.
+
+    Bursts last, so that a measurement says of the next one whether it is good, and the information of a mixture that
+    is drawn anew at each step would be too little.
+    """
+    age = torch.arange(1, steps + 1, dtype=torch.float64).clamp(max=LENGTH)
+    inside = 1 - (1 - share / LENGTH) ** age
+    return 1 - inside + inside / size**2
+
+
+def mixed_information(outliers: str, size: float | None, share: float, elements: int) -> float:
+    """What measurements with the outliers of ``outlier_factors`` tell: the arguments are its own.
+
+    ``elements`` of a measurement are outliers together.
+    """
+    sizes = [float(i) for i in range(1, 21)] if size is None else [size]
+    factors = [{"covariance": s**0.5, "std": s, "none": 1.0}[outliers] for s in sizes]
+    return outlier_information([1 - share, *[share / len(sizes)] * len(sizes)], [1.0, *factors], elements)
