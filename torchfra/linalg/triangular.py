@@ -43,8 +43,7 @@ def tria(a: Tensor, *, padded: bool = False) -> Tensor:
     a = a if padded else pad(a, (a.shape[-2], 0))
     if not _differentiated(a):
         return _reflect(a)  # the same result, without the overhead of autograd
-    function = _MovingTria if _moves() else _Tria
-    result: Tensor = function.apply(a, False)  # type: ignore[no-untyped-call]  # untyped in torch
+    result: Tensor = (_MovingTria if _moves() else _Tria).apply(a, False)  # type: ignore[no-untyped-call]  # untyped in torch
     return result
 
 
@@ -58,8 +57,7 @@ def tria_beside(diagonal: Tensor, a: Tensor) -> Tensor:
         return tria(full)
     if not _differentiated(full):
         return _positive(_reflect(full))
-    function = _MovingTria if _moves() else _Tria
-    result: Tensor = function.apply(full, True)  # type: ignore[no-untyped-call]  # untyped in torch
+    result: Tensor = (_MovingTria if _moves() else _Tria).apply(full, True)  # type: ignore[no-untyped-call]  # untyped in torch
     return result
 
 
@@ -202,10 +200,9 @@ class _MovingTria(_Tria):
     @staticmethod
     def jvp(ctx: Any, rate: Tensor, _: None) -> Tensor:
         lower, root, q, nonzero = _rotated(*ctx.saved_tensors)
-        b = rate @ (q * nonzero.unsqueeze(-1)).mT
-        rotation = torch.linalg.solve_triangular(root, b, upper=False).triu(1) * nonzero.unsqueeze(-1)
-        moved: Tensor = (b - lower @ (rotation - rotation.mT)).tril() * nonzero.unsqueeze(-2)
-        return moved
+        b, kept = rate @ (q * nonzero.unsqueeze(-1)).mT, nonzero.unsqueeze(-1)
+        rotation = torch.linalg.solve_triangular(root, b, upper=False).triu(1) * kept
+        return (b - lower @ (rotation - rotation.mT)).tril() * kept.mT
 
 
 def _rotated(a: Tensor, lower: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
