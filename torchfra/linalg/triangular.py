@@ -202,7 +202,8 @@ class _MovingTria(_Tria):
         lower, root, q, nonzero = _rotated(*ctx.saved_tensors)
         b, kept = rate @ (q * nonzero.unsqueeze(-1)).mT, nonzero.unsqueeze(-1)
         rotation = torch.linalg.solve_triangular(root, b, upper=False).triu(1) * kept
-        return (b - lower @ (rotation - rotation.mT)).tril() * kept.mT
+        moved: Tensor = (b - lower @ (rotation - rotation.mT)).tril() * kept.mT
+        return moved
 
 
 def _rotated(a: Tensor, lower: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
