@@ -20,7 +20,7 @@ PRIVATE = {
     "torch.utils._pytree.tree_map": "kernel/moves.py moves the numbers of entries",
     "torch.Tensor._make_wrapper_subclass": "kernel/entries.py makes a tensor without memory",
     "torch.Tensor._is_zerotensor": "kernel/entries.py and program.py know zeros of forward-mode differentiation",
-    "torch.autograd.forward_ad._current_level": "filters/compiled.py does not run kernels in forward mode",
+    "torch.autograd.forward_ad._current_level": "kernels and tria know by it whether derivatives go forwards",
     "torch._neg_view": "testing/results.py makes a tensor that is negated late",
     "torch.ops.aten.mul.Tensor._schema": "kernel/operations.py names the operation in place",
     "torch.ops.aten.mul.Tensor._overloadname": "kernel/operations.py names the operation in place",

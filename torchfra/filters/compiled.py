@@ -62,7 +62,7 @@ class Compiled:
             and z.dtype in SCALARS
             and not is_traced()
             and torch._C._functorch.peek_interpreter_stack() is None
-            and forward_ad._current_level < 0
+            and (forward_ad._current_level < 0 or not torch.is_grad_enabled())
         )
 
     def ready(self, f: Any, measurements: Measurements, prior: Gaussian, past: bool) -> tuple[Any, Any] | None:
@@ -71,7 +71,7 @@ class Compiled:
         Raises:
             ValueError: the time steps or the noise have a bad value.
         """
-        if not self._versions or not isinstance(prior, Gaussian):
+        if not self._versions or not isinstance(prior, Gaussian) or forward_ad._current_level >= 0:
             return None
         now = self._now(f)
         return now.tracks(f, form_of(measurements, past), prior, measurements, now.read)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.autograd import forward_ad
 
 from torchfra.filters import traced
 from torchfra.filters.compiled_back import Given, retreat
@@ -190,6 +191,7 @@ class Version:
     def _changes(plan: Plan, tensors: Sequence[Tensor]) -> bool:
         """Whether a call needs gradients, or cannot be told from others by its tensors alone."""
         gradients = torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
+        gradients |= forward_ad._current_level >= 0
         twice = len({*map(id, tensors)}) < len(tensors)  # as in the first state of some filters; guards refuse that
         return gradients or twice or plan.counts
 

@@ -10,11 +10,12 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 from torch.autograd.function import once_differentiable
 
 from torchfra.kernel.program import BUILDING, Program, batch_first
 from torchfra.kernel.step import Step
-from torchfra.tree import unflatten
+from torchfra.tree import flatten, unflatten
 
 
 class Kernels:
@@ -34,7 +35,7 @@ class Kernels:
         return self.program("forwards", device, narrow=batch.numel() == 1 and not self.step.repeated)
 
     def program(self, kind: str, device: torch.device, *how: Any, narrow: bool = False) -> Program:
-        """``"forwards"``, ``"trajectory"`` or ``"backwards"`` of the step, see there."""
+        """``"forwards"``, ``"trajectory"``, ``"tangent"`` or ``"backwards"`` of the step, see there."""
         key = (kind, device, narrow, *how)
         if key not in self._programs:
             with self._making:
@@ -63,7 +64,9 @@ class Kernels:
             checkpoint: steps between states that wait for the way back, where the others are computed anew.
             truncate: steps after which gradients flow no further back.
         """
-        if torch.is_grad_enabled() and any(x.requires_grad for x in (*state, *inputs)):
+        if forward_ad._current_level >= 0:
+            done = self._with_tangents(batch, steps, [forward_ad.unpack_dual(x) for x in (*state, *inputs)])
+        elif torch.is_grad_enabled() and any(x.requires_grad for x in (*state, *inputs)):
             length = steps if self.step.last_first else checkpoint or math.isqrt((truncate or steps) - 1) + 1
             starts = sorted({*range(0, steps, length), *range(0, steps, truncate or steps)})
             done = _Run.apply(self, batch, (*starts, steps), truncate, *state, *inputs)  # type: ignore[no-untyped-call]
@@ -71,6 +74,18 @@ class Kernels:
             done = self.forwards(batch, inputs[0].device)(batch, steps, (*state, *inputs))
         rest = iter([batch_first(x, len(batch)) for x in done])
         return unflatten(self.step.state, rest), unflatten(self.step.record, rest)
+
+    def _with_tangents(self, batch: torch.Size, steps: int, given: Sequence[Any]) -> list[Tensor]:
+        """What the kernel writes of dual numbers: pairs of a value, and a derivative or None."""
+        count, names = len(self.step.zero), list(self.step.inputs)
+        values = [x.primal for x in given]
+        along = {name: x.tangent for name, x in zip(names, given[count:], strict=True) if x.tangent is not None}
+        ways = [torch.zeros_like(x.primal) if x.tangent is None else x.tangent for x in given[:count]]
+        program = self.program("tangent", values[-1].device, tuple(along))
+        done = program(batch, steps, (*values[:count], *ways, *values[count:], *along.values()))
+        kept = 2 * count + len(flatten(self.step.record))
+        plain, rates = done[:count] + done[2 * count : kept], iter(done[count : 2 * count] + done[kept:])
+        return [forward_ad.make_dual(x, next(rates)) if x.is_floating_point() else x for x in plain]
 
 
 class _Run(torch.autograd.Function):

@@ -14,6 +14,7 @@ from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import ZERO, Expressions
 from torchfra.kernel.refusals import gradient_refusals_of, refusals_of
 from torchfra.kernel.source import Port, Scan
+from torchfra.kernel.tangents import tangent
 from torchfra.linalg.tracing import elementary
 from torchfra.tree import flatten, late, unflatten
 
@@ -153,6 +154,10 @@ class Step:
     def trajectory(self) -> Scan:
         """Filters again: writes the state before each step."""
         return self._scan(self._plain, _nonzero_ports(self._plain.before))
+
+    def tangent(self, along: Sequence[str]) -> Scan:
+        """Filters, and carries derivatives along a direction of the state and of these inputs: see ``tangents``."""
+        return tangent(self.forwards(), [k for k, name in enumerate(self.inputs) if name in along])
 
     def _scan(self, trace: Trace, writes: list[Port]) -> Scan:
         before, after = _ports(trace.before), _ports(trace.after)

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 from torch.nn.functional import pad
 
 from torchfra.linalg.safe import safe_divide
@@ -40,9 +41,9 @@ def tria(a: Tensor, *, padded: bool = False) -> Tensor:
     # diagonal of R is never positive.  And a row that depends on those above leaves its zero coordinate untouched, so
     # no arbitrary direction enters its column of L.
     a = a if padded else pad(a, (a.shape[-2], 0))
-    if not (a.requires_grad or is_traced(a)):
+    if not _differentiated(a):
         return _reflect(a)  # the same result, without the overhead of autograd
-    result: Tensor = _Tria.apply(a, False)  # type: ignore[no-untyped-call]  # untyped in torch
+    result: Tensor = (_MovingTria if _moves() else _Tria).apply(a, False)  # type: ignore[no-untyped-call]  # untyped in torch
     return result
 
 
@@ -54,10 +55,20 @@ def tria_beside(diagonal: Tensor, a: Tensor) -> Tensor:
     full = hstack(torch.diag(diagonal), a)
     if _by_rows(full):
         return tria(full)
-    if not (full.requires_grad or is_traced(full)):
+    if not _differentiated(full):
         return _positive(_reflect(full))
-    result: Tensor = _Tria.apply(full, True)  # type: ignore[no-untyped-call]  # untyped in torch
+    result: Tensor = (_MovingTria if _moves() else _Tria).apply(full, True)  # type: ignore[no-untyped-call]  # untyped in torch
     return result
+
+
+def _differentiated(a: Tensor) -> bool:
+    """Whether derivatives may be wanted, backwards or forwards, or this is traced."""
+    return a.requires_grad or is_traced(a) or _moves()
+
+
+def _moves() -> bool:
+    """Whether derivatives go forwards here."""
+    return not torch.compiler.is_compiling() and forward_ad._current_level >= 0
 
 
 def _positive(lower: Tensor) -> Tensor:
@@ -170,16 +181,37 @@ class _Tria(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
-        a, lower = ctx.saved_tensors
-        rounding = 4 * sum(a.shape[-2:]) * torch.finfo(a.dtype).eps
-        nonzero = lower.diagonal(dim1=-2, dim2=-1) > rounding * _norms(a).squeeze(-1)
-        root = lower + torch.diag_embed((~nonzero).to(a.dtype))
-        q = torch.linalg.solve_triangular(root, a, upper=False)
+        lower, root, q, nonzero = _rotated(*ctx.saved_tensors)
         grad = grad.tril() * nonzero.unsqueeze(-2)
         rotation = lower.mT @ grad
         rotation = (rotation.mT - rotation).triu(1) * nonzero.unsqueeze(-1)
         gradient: Tensor = (grad + torch.linalg.solve_triangular(root.mT, rotation, upper=True)) @ q
         return gradient, None
+
+
+class _MovingTria(_Tria):
+    """The same with derivatives forwards, apart because ``torch.compile`` refuses functions that have them."""
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor, ...], output: Tensor) -> None:
+        _Tria.setup_context(ctx, inputs, output)
+        ctx.save_for_forward(inputs[0], output)
+
+    @staticmethod
+    def jvp(ctx: Any, rate: Tensor, _: None) -> Tensor:
+        lower, root, q, nonzero = _rotated(*ctx.saved_tensors)
+        b, kept = rate @ (q * nonzero.unsqueeze(-1)).mT, nonzero.unsqueeze(-1)
+        rotation = torch.linalg.solve_triangular(root, b, upper=False).triu(1) * kept
+        moved: Tensor = (b - lower @ (rotation - rotation.mT)).tril() * kept.mT
+        return moved
+
+
+def _rotated(a: Tensor, lower: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """``L``, the same with ones for zero pivots, ``Q^T``, and which pivots are not zero."""
+    rounding = 4 * sum(a.shape[-2:]) * torch.finfo(a.dtype).eps
+    nonzero = lower.diagonal(dim1=-2, dim2=-1) > rounding * _norms(a).squeeze(-1)
+    root = lower + torch.diag_embed((~nonzero).to(a.dtype))
+    return lower, root, torch.linalg.solve_triangular(root, a, upper=False), nonzero
 
 
 def apply(matrix: Tensor, vector: Tensor) -> Tensor:
