@@ -56,6 +56,7 @@ def test_infinite_errors_count_as_far_off_and_missing_runs_not_at_all():
     assert mean_interval(bad).value == np.inf
     assert math.isnan(mean_interval(bad).low)
     assert math.isfinite(median_interval(bad).high)
+    assert mean_interval([1.0, 1e300]).high == np.inf
     assert math.isnan(mean_interval([]).value)
     assert math.isnan(median_interval([1.0, 2.0]).low)
 
