@@ -4,6 +4,7 @@
     python scripts/benchmark.py --peers --filters srckf,fra        and JAX, dynamax, FilterPy, C++ in the same passes
     python scripts/benchmark.py --what step,training               one measurement at a time; forward and backward
     python scripts/benchmark.py --what scaling --figure scaling.png
+    python scripts/benchmark.py --what cores --filters srckf       on one thread, on two, in two processes
     python scripts/benchmark.py --what positions                   the alpha-beta bank on 100,000 tracks in space
 
 Prints a table for each job when it is done, in microseconds per track and step: median and quartiles of several passes,
@@ -22,6 +23,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import torch
+from benchmarks.cores import cores
 from benchmarks.positions import positions
 from benchmarks.scaling import draw, scaling
 from benchmarks.step import step
@@ -42,6 +44,7 @@ KINDS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
     "training": training,
     "scaling": scaling,
     "positions": positions,
+    "cores": cores,
 }
 
 

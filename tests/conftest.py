@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from torchfra import presets, scenarios
-from torchfra.kernel import build
+from torchfra.kernel import build, compilers
 
 PRESETS = ["ekf", "ukf", "srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "iaukf", "fra_srckf", "fra", "gpb"]
 STEPS = 12
@@ -92,9 +92,10 @@ def parsed_headers(folder):
     else:
         template = (Path(build.__file__).parent / "template.cpp").read_text()
         header.write_text(template[: template.index("namespace {")])
+        compiler = compilers.find()
         command = [
-            "g++",
-            *build.FLAGS.split(),
+            *compiler.command,
+            *compiler.flags(),
             "-O0",
             f"-I{Path(torch.__file__).parent / 'include'}",
             "-x",

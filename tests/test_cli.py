@@ -80,18 +80,14 @@ def test_commands_compile_when_it_is_worthwhile_and_say_so(noisy_track, tmp_path
 
 def test_without_a_compiler_commands_run_interpreted_unless_told_to_compile(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("CXX", "/no/such/compiler")
-    build._compiler.cache_clear()
     monkeypatch.setattr("torchfra.app.compare_command.WORTHWHILE", 1)
-    try:
-        assert compare(tmp_path, "--runs", "5") == 0
-        said = capsys.readouterr().out
-        assert said.startswith("filters run interpreted (expected a C++ compiler, /no/such/compiler does not run")
-        assert compare(tmp_path, "--runs", "5", "--no-compile") == 0
-        assert "interpreted" not in capsys.readouterr().out
-        assert compare(tmp_path, "--runs", "5", "--compile") == 2
-        assert "/no/such/compiler" in capsys.readouterr().err
-    finally:
-        build._compiler.cache_clear()
+    assert compare(tmp_path, "--runs", "5") == 0
+    said = capsys.readouterr().out
+    assert said.startswith("filters run interpreted (expected a C++ compiler, /no/such/compiler does not run")
+    assert compare(tmp_path, "--runs", "5", "--no-compile") == 0
+    assert "interpreted" not in capsys.readouterr().out
+    assert compare(tmp_path, "--runs", "5", "--compile") == 2
+    assert "/no/such/compiler" in capsys.readouterr().err
 
 
 def test_a_filter_without_a_kernel_runs_interpreted_beside_compiled_ones(tmp_path, capsys, monkeypatch):

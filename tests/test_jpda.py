@@ -11,7 +11,6 @@ from joint import PAPER, flat_prior, make, plane
 from torchfra import metrics, presets, scenarios
 from torchfra.association import ChiSquare, Clutter, Euclidean
 from torchfra.filters import JPDA, SRCKF
-from torchfra.kernel.build import CompileError
 from torchfra.motion import Bank, ConstantVelocity
 from torchfra.sensors import Bearings, Position
 from torchfra.types import Gaussian
@@ -143,5 +142,3 @@ def test_what_does_not_fit_is_named(crossing):
     ):
         with pytest.raises(ValueError, match=said):
             f(z, prior, **options)
-    with pytest.raises(CompileError, match="JPDA"):
-        f.compile()

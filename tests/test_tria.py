@@ -8,6 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import torchfra.kernel.operations  # noqa: F401  # fills the rules of entries
 from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.program import Program, batch_first

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -40,14 +41,14 @@ class Gate(nn.Module):
             ValueError: it does not.
         """
 
-    def forward(self, candidates: Candidates, sensor: Sensor, temperature: float) -> Tensor:
+    def forward(self, candidates: Candidates, sensor: Sensor, temperature: float | Tensor) -> Tensor:
         """Log membership ``(..., N, J)``: 0 for measurements inside the gate, minus infinity outside.
 
         A ``temperature`` above 0 makes the edge soft, and is its width as a fraction of the gate: gradients then reach
         the size of the gate.
         """
         beyond = self.beyond(candidates, sensor)
-        if temperature > 0:
+        if isinstance(temperature, Tensor) or temperature > 0:  # kernels read it when they run
             soft = logsigmoid(-beyond / temperature)
             return torch.where(soft > _LOWEST_MEMBERSHIP, soft, -torch.inf)
         return torch.zeros_like(beyond).masked_fill(beyond > 0, -torch.inf)
@@ -140,7 +141,26 @@ def _beyond_ellipsoid(candidates: Candidates, probability: Tensor) -> Tensor:
 
     ``tail`` is the probability of a larger normalised innovation squared; where it underflows the result is infinity.
     """
-    nis, seen = candidates.nis, candidates.seen.sum(-1).expand(candidates.nis.shape)
-    tail = torch.special.gammaincc(seen.clamp_min(1.0) / 2, nis.clamp_min(1e-12) / 2)
+    seen = candidates.seen.sum(-1).expand(candidates.nis.shape)
+    tail = _tail(candidates.nis.clamp(1e-12, 1e4), seen, candidates.seen.shape[-1])
     beyond: Tensor = torch.where(tail > 0, safe_log(tail, fill=0.0) / torch.log1p(-probability) - 1, torch.inf)
     return beyond
+
+
+def _tail(nis: Tensor, seen: Tensor, most: int) -> Tensor:
+    """Probability ``(..., N, J)`` that chi squared of ``seen`` degrees of freedom, ``most`` at most, exceeds ``nis``.
+
+    By ``Q(a + 1, x) = Q(a, x) + x^a exp(-x) / gamma(a + 1)``, from ``Q(1/2, x) = erfc(sqrt(x))`` and ``Q(1, x) =
+    exp(-x)``; of none it is that of one.
+    """
+    half = nis / 2
+    root, density = half.sqrt(), (-half).exp()
+    tails: list[Tensor] = [torch.special.erfc(root), density]
+    power = [root, half]  # x^a, of the last two
+    for degrees in range(1, most - 1):
+        tails.append(tails[-2] + power[-2] * density / math.gamma(degrees / 2 + 1))
+        power.append(power[-2] * half)
+    tail: Tensor = tails[0]
+    for degrees in range(2, most + 1):
+        tail = torch.where(seen == degrees, tails[degrees - 1], tail)
+    return tail

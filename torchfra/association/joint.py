@@ -10,8 +10,9 @@ from torch import Tensor
 from torchfra.association.clusters import Association, GatedScans, choose, find_clusters
 from torchfra.association.events import sum_over_events
 from torchfra.association.messages import belief_propagation, each_alone, sum_by_messages
+from torchfra.association.sets import check_sets, sum_over_sets
 from torchfra.association.tables import associate_by_tables
-from torchfra.linalg.tracing import is_traced
+from torchfra.linalg.tracing import is_elementary, is_traced
 
 _TRACED_ITERATIONS = 50
 """Largest number of rounds of messages where code is traced, which cannot stop early."""
@@ -79,6 +80,9 @@ def _gated_scans(
 def _associate(scans: GatedScans, exact: tuple[int, int], iterations: int) -> Association:
     """Each cluster the way that its size asks for."""
     (targets, count), clusters, traced = scans.log_ratio.shape[-2:], scans.clusters, is_traced(scans.log_ratio)
+    if is_elementary():
+        check_sets(targets, count, exact)
+        return sum_over_sets(scans)
     table = min(exact[0], targets), min(exact[1], count)
     several = clusters.size > 1
     small = several & (clusters.size <= exact[0]) & (clusters.gated <= exact[1])

@@ -13,7 +13,7 @@ from torchfra.association.clusters import Association
 from torchfra.filters.hypotheses import Scan, gated, likeliest, missed_or_measured, weighted_mean
 from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import moment_match
+from torchfra.gaussian.mixture import missed_or_hit, moment_match
 from torchfra.linalg.safe import safe_divide
 from torchfra.types import Gaussian, Prediction, Whitened
 
@@ -72,5 +72,8 @@ def update(
         log_weights, known = gated(log_weights, known)
     weights = robust(known.residual, scan.candidates.nis)
     each = robust.correct(predicted, known, weights, frame.measurement_noise)
-    belief = moment_match(missed_or_measured(predicted, each.belief), log_weights.movedim(-1, 0))
+    if each.belief.scale_tril.shape[-3] == 1:
+        belief = missed_or_hit(predicted, each.belief, log_weights)
+    else:
+        belief = moment_match(missed_or_measured(predicted, each.belief), log_weights.movedim(-1, 0))
     return f.canonical(belief), None if robust.plain else weights

@@ -12,15 +12,16 @@ from torch.autograd import forward_ad
 
 from torchfra.filters import traced
 from torchfra.filters.compiled_back import given
-from torchfra.filters.compiled_step import Data, check_changing, is_ordinary
-from torchfra.filters.compiled_version import Version, number
+from torchfra.filters.compiled_step import Data, check_changing, is_ordinary, number
+from torchfra.filters.compiled_tracks import form_of, may_be_ready, seconds_of
+from torchfra.filters.compiled_version import Plan, Version
 from torchfra.gaussian.arguments import check_seconds
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.kernel.program import BUILDING
 from torchfra.kernel.source import SCALARS
 from torchfra.linalg.tracing import is_traced
-from torchfra.tree import flatten
-from torchfra.types import Innovation
+from torchfra.tree import flatten, map_tensors
+from torchfra.types import Gaussian, Innovation
 
 _VERSIONS = 4
 """How many are remembered: a filter may go back and forth, between soft decisions and hard ones say."""
@@ -64,6 +65,24 @@ class Compiled:
             and forward_ad._current_level < 0
         )
 
+    def ready(self, f: Any, measurements: Measurements, prior: Gaussian, past: bool) -> tuple[Any, Any] | None:
+        """What ``forward`` gives for the state of a prior; None unless a call of the same form has been checked.
+
+        Raises:
+            ValueError: the time steps or the noise have a bad value.
+        """
+        if not self._versions or not isinstance(prior, Gaussian):
+            return None
+        now = self._now(f)
+        return now.tracks(f, form_of(measurements, past), prior, measurements, now.read)
+
+    def get_ready(self, f: Any, state: Any, measurements: Measurements, prior: Gaussian, past: bool) -> None:
+        """Makes later calls of ``forward`` like this one ready, if they are short; ``state`` is that of the prior."""
+        z = measurements.z
+        if f.home is f and not f.scans and may_be_ready(z.shape[:-2].numel(), z.shape[-2]):
+            now, plan, data = self._plan(f, state, measurements, past)
+            now.get_tracks_ready(form_of(measurements, past), plan, prior, state, data)
+
     def forward(
         self, f: Any, state: Any, measurements: Measurements, checkpoint: int | None, truncate: int | None, past: bool
     ) -> tuple[Any, Any]:
@@ -71,14 +90,18 @@ class Compiled:
 
         All has been checked.
         """
-        z = measurements.z
-        seconds = measurements.dt if measurements.varying_dt else measurements.common_dt
-        data = (z, torch.as_tensor(seconds, dtype=z.dtype), *measurements[2:])
-        now = self._now(f)
-        keep, timed = traced.keep_past if past else traced.keep, (True, measurements.varying_dt, True, True, True)
+        now, plan, data = self._plan(f, state, measurements, past)
+        steps, rank = measurements.z.shape[-2 - f.scans], len(plan.batch)
+        state, kept = now.run(plan, steps, state, data, checkpoint, truncate)
+        # The batch is that of scenes: time comes behind the targets of each.
+        return state, map_tensors(lambda x: x.movedim(rank, rank + 1), kept) if f.scans else kept
+
+    def _plan(self, f: Any, state: Any, measurements: Measurements, past: bool) -> tuple[Version, Plan, Data]:
+        """The kernels that hold for the filter, what this form of call comes to, and its data."""
+        data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
+        keep, timed = traced.Keep(past, _whole(f, measurements)), (True, measurements.varying_dt, True, True, True)
         with BUILDING:
-            plan = now.plan(keep, state, data, timed)
-        return now.run(plan, z.shape[-2], state, data, checkpoint, truncate)
+            return now, now.plan(keep, state, data, timed), data
 
     def back(self, f: Any, past: Any, measurements: Measurements, rank: int) -> Any:
         """What the way back says of every step, time behind ``rank`` batch dimensions: see ``Smoother``."""
@@ -101,25 +124,32 @@ class Compiled:
         now = self._now(f)
         data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype, f.instants), u, std, noise)
         checked = not isinstance(dt, Tensor) and std is None and noise is None
-        done = now.ready(state, data, now.read(), None if checked else f.instants)
-        return self._prepare(f, now, state, data, check) if done is None else done
+        whole = _whole(f, measurements)
+        done = now.ready[whole](state, data, now.read(), None if checked else f.instants)
+        return self._prepare(f, now, state, data, whole, check) if done is None else done
 
     @staticmethod
-    def _prepare(f: Any, now: Version, state: Any, data: Data, check: Callable[[], Frame]) -> tuple[Any, Innovation]:
+    def _prepare(
+        f: Any, now: Version, state: Any, data: Data, whole: bool, check: Callable[[], Frame]
+    ) -> tuple[Any, Innovation]:
         """The same where no step is ready, which then becomes ready if it can."""
         tensors = (*data, *flatten(state), *now.read())
-        form = (type(state), *((x.shape, x.dtype) if isinstance(x, Tensor) else type(x) for x in tensors))
+        form = (type(state), whole, *((x.shape, x.dtype) if isinstance(x, Tensor) else type(x) for x in tensors))
         plan = now.steps.get(form)
         if plan is None:
             check()
             with BUILDING:
                 if len(now.steps) == _FORMS:
                     now.steps.clear()
-                plan = now.steps[form] = now.plan(traced.observe, state, data, (False,) * 5)
+                plan = now.steps[form] = now.plan(traced.Observe(whole), state, data, (False,) * 5)
         else:
             check_changing(data, f.instants)
-        now.get_ready(plan, state, data)
+        now.get_ready(plan, state, data, whole)
         return now.run(plan, 1, state, data)
+
+
+def _whole(f: Any, measurements: Measurements) -> bool:
+    return bool(f.scans and f.whole(measurements))
 
 
 @lru_cache(maxsize=64)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Sequence
-from functools import lru_cache
+from collections.abc import Callable, Hashable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -12,12 +12,14 @@ from torch import Tensor, nn
 
 from torchfra.filters import traced
 from torchfra.filters.compiled_back import Given, retreat
-from torchfra.filters.compiled_step import Data, ReadyStep, ReadySteps, may_be_ready
+from torchfra.filters.compiled_step import Data, ReadyStep, ReadySteps, may_be_ready, number
+from torchfra.filters.compiled_tracks import AllReadyTracks, ReadyTracks
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import Hyper
 from torchfra.kernel.run import Kernels
 from torchfra.kernel.step import Input, Step, frozen
 from torchfra.tree import flatten, map_tensors, ranks
+from torchfra.types import Gaussian
 
 
 class _Value(NamedTuple):
@@ -54,8 +56,10 @@ class Version:
     def __init__(self, f: nn.Module) -> None:
         self.kernels: dict[tuple[Any, ...], Kernels] = {}
         self.steps: dict[tuple[Any, ...], Plan] = {}
-        self.ready = ReadySteps()
+        self.ready = {False: ReadySteps(), True: ReadySteps()}  # of scans that are whole, and of all else
+        self.tracks = AllReadyTracks()
         self.frozen = frozen(f)
+        self.scans = bool(getattr(f, "scans", False))
         self.values: list[_Value] = []
         self._parts: list[dict[str, Any]] = []
         self._watched: list[tuple[dict[str, Any], str, Any]] = []
@@ -67,7 +71,7 @@ class Version:
             self._parts += [part for part in parts if not isinstance(module, Hyper)]
             for part in parts:
                 for key, x in part.items():
-                    event = 0 if key in numbers else _event(module, part, x)
+                    event = 0 if key in numbers else _event(module, part, x, self.scans)
                     if event is not None:
                         self.values.append(_Value(f"{path}.{key}".lstrip("."), module, key, event))
                     elif part is not module.__dict__ or key not in _PLUMBING:
@@ -76,6 +80,12 @@ class Version:
         self._tensors = [x for x in self._seen if isinstance(x, Tensor)]
         self._sizes, self._versions = self._sizes_now(), self._versions_now()
         self._locate()
+
+    @property
+    def _events(self) -> dict[str, int]:
+        """Dimensions of what is measured at a step."""
+        events = ranks(Measurements)
+        return {name: rank + (self.scans and name in ("z", "std", "noise")) for name, rank in events.items()}
 
     def holds(self) -> bool:
         """Whether nothing has changed since."""
@@ -113,8 +123,9 @@ class Version:
         back: Given | None = None,
     ) -> Plan:  # fmt: skip
         """What is to be done with this ``data``, which has an entry for each step where ``timed``."""
-        first, events = flatten(state)[0], ranks(Measurements) if back is None else back.events
-        dtype, alone = first.dtype, state.belief.mean.shape[:-1] if back is None else back.batch
+        first, events = flatten(state)[0], self._events if back is None else back.events
+        dtype, targets = first.dtype, () if back else tuple(state.belief.mean.shape[-1 - self.scans : -1])
+        alone = back.batch if back else state.belief.mean.shape[: -1 - self.scans]
         values = [(value, x, x.dim() - value.event) for value, x in zip(self.values, self.read(), strict=True)]
         batch = torch.broadcast_shapes(alone, *(x.shape[:rank] for _, x, rank in values))
         inputs, shapes = {}, []
@@ -126,9 +137,9 @@ class Version:
             double = x.dtype == torch.float64 != dtype  # read as it is: to convert it would take longer than to filter
             inputs[value.path] = Input(x.shape[rank:], False, True, double)
             shapes.append(batch + x.shape[rank:])
-        key = (advance if back is None else retreat, dtype, tuple(inputs.items()))
+        key = (retreat if back else advance, dtype, targets, tuple(inputs.items()))
         if key not in self.kernels:
-            begin = traced.begin if back is None else back.begin
+            begin = back.begin if back else partial(traced.begin, targets=targets)
             with torch.inference_mode(False):  # in which torch does not take operations apart
                 step = Step(self.frozen, begin, advance, inputs, dtype, timed[0], back is not None)
             self.kernels[key] = Kernels(step)
@@ -138,19 +149,41 @@ class Version:
         dtypes = [dtype] * len(kernels.step.zero) + [torch.float64 if x.double else dtype for x in inputs.values()]
         return Plan(kernels, batch, shapes, dtypes, counts)
 
-    def get_ready(self, plan: Plan, state: Any, data: Data) -> None:
+    def get_ready(self, plan: Plan, state: Any, data: Data, whole: bool) -> None:
         """Makes later steps like this one ready, if they need no gradient and all is read where it lies."""
         tensors = [*flatten(state), *(x for x in data if x is not None), *self.read()]
-        gradients = torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
-        twice = len({*map(id, tensors)}) < len(tensors)  # as in the first state of some filters; guards refuse that
-        if gradients or twice or plan.counts or not may_be_ready(plan.batch.numel()):
+        if self._changes(plan, tensors) or not may_be_ready(plan.batch.numel()):
             return
         full, step = self.full(plan, tensors), plan.kernels.step
         if any(x.data_ptr() != y.data_ptr() for x, y in zip(full, tensors, strict=True)):
             return
         ready = plan.kernels.forwards(plan.batch).ready(plan.batch, 1, full)
         if ready is not None:
-            self.ready.add(ReadyStep(ready, state, tensors, (step.state, step.record)), state, data)
+            self.ready[whole].add(ReadyStep(ready, state, tensors, (step.state, step.record)), state, data)
+
+    def get_tracks_ready(self, form: Hashable, plan: Plan, prior: Gaussian, state: Any, data: Data) -> None:
+        """Makes later tracks like these ready, likewise."""
+        steps, values = data[0].shape[-2], self.read()
+        given = [x for x in data if x is not None]
+        tensors, leaves = [*prior, *given, *values], flatten(state)
+        full, dtype = self.full(plan, [*leaves, *given, *values]), plan.dtypes[0]
+        if (
+            self._changes(plan, tensors)
+            or any(x.dtype != dtype or not x.is_cpu for x in prior)
+            or any(x.data_ptr() != y.data_ptr() for x, y in zip(full, [*leaves, *given, *values], strict=True))
+        ):
+            return
+        run = plan.kernels.forwards(plan.batch).ready(plan.batch, steps, full)
+        if run is not None:
+            made = plan.kernels.step.state, plan.kernels.step.record
+            self.tracks.add(form, ReadyTracks(run, plan.batch, tensors, state, made))
+
+    @staticmethod
+    def _changes(plan: Plan, tensors: Sequence[Tensor]) -> bool:
+        """Whether a call needs gradients, or cannot be told from others by its tensors alone."""
+        gradients = torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
+        twice = len({*map(id, tensors)}) < len(tensors)  # as in the first state of some filters; guards refuse that
+        return gradients or twice or plan.counts
 
     def full(self, plan: Plan, tensors: Sequence[Tensor]) -> list[Tensor]:
         """Leaves of the state, data and values as kernels take them: with the full batch."""
@@ -169,25 +202,19 @@ class Version:
         return state, map_tensors(_whole, record, plan.kernels.step.record) if plan.counts else record
 
 
-@lru_cache(maxsize=64)
-def number(value: float, dtype: torch.dtype = torch.float64) -> Tensor:
-    """A number as a tensor that nobody changes, and that may be saved for a gradient wherever it was first needed."""
-    with torch.inference_mode(False):
-        return torch.tensor(value, dtype=dtype)
-
-
 def _whole(x: Tensor, like: Tensor) -> Tensor:
     """A count, which kernels hold as a floating point number, as the whole number that it is."""
     return x if like.is_floating_point() else x.to(like.dtype)
 
 
-def _event(module: nn.Module, part: dict[str, Any], x: Any) -> int | None:
+def _event(module: nn.Module, part: dict[str, Any], x: Any, scans: bool) -> int | None:
     """The number of dimensions, without a batch, of what is read when a kernel runs; None for what is part of it.
 
-    Read are hyperparameters, parameters, and buffers that have gradients.
+    Read are hyperparameters, parameters, and buffers that have gradients.  Those that differ between the targets of
+    ``scans`` are no batch.
     """
     if isinstance(module, Hyper) and (part is module._parameters or part is module._buffers):
-        return module.event_dim
+        return module.event_dim + (scans and module.batch_rank > 0)
     read = part is module._parameters or (part is module._buffers and x is not None and x.requires_grad)
     return x.dim() if read and x is not None else None
 

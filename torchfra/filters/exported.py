@@ -114,7 +114,7 @@ def _check(f: Filter, name: str, u: int, inputs: Collection[str], dtype: torch.d
 
 
 def _advance(f: Any, state: Any, data: dict[str, Tensor]) -> tuple[Any, Output]:
-    state, innovation = traced.observe(f, state, data)
+    state, innovation = traced.Observe()(f, state, data)
     return state, Output(*state.belief, *innovation)
 
 

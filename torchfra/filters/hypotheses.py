@@ -14,7 +14,7 @@ from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.model import add_counts
 from torchfra.gaussian.update import repaired_root
 from torchfra.linalg.safe import safe_divide
-from torchfra.linalg.tracing import is_traced
+from torchfra.linalg.tracing import is_elementary, is_traced
 from torchfra.types import Gaussian, Prediction, Whitened
 
 C = TypeVar("C", Whitened, Frame)
@@ -97,6 +97,8 @@ def gated_first(inside: Tensor) -> Tensor:
 
     K is what the fullest gate holds; all of them where code is traced.
     """
+    if is_elementary():
+        return torch.arange(inside.shape[-1]).expand(inside.shape)  # kernels take all, in any order
     order = inside.to(torch.int8).argsort(dim=-1, descending=True, stable=True)
     if is_traced(inside) or inside.numel() == 0:
         return order
@@ -142,9 +144,10 @@ def combined(
     noise = frame.measurement_noise
     weight, best = share.unsqueeze(-1), share.argmax(-1)[..., None, None, None]
     coloured, root = noise.colour(residual.unsqueeze(-1)).squeeze(-1), noise.colour(root)
-    root = root.expand(*share.shape, *root.shape[-2:])
-    root = root.gather(-3, best.expand(*share.shape[:-1], 1, *root.shape[-2:])).squeeze(-3)
-    return (weight * coloured).sum(-2), root, (weight * normalised).sum(-2)
+    if root.shape[-3] > 1:  # else it is the same for all
+        root = root.expand(*share.shape, *root.shape[-2:])
+        root = root.gather(-3, best.expand(*share.shape[:-1], 1, *root.shape[-2:]))
+    return (weight * coloured).sum(-2), root.squeeze(-3), (weight * normalised).sum(-2)
 
 
 def target_repairs(prediction: Prediction, whitened: Whitened) -> Tensor | None:
@@ -164,5 +167,7 @@ def chosen(trees: C, order: Tensor, shape: torch.Size, only: Collection[str] | N
 
 def _taken(x: Tensor, rank: int, order: Tensor, shape: torch.Size) -> Tensor:
     event = x.shape[x.dim() - rank :]
+    if x.shape[-rank - 1] == 1:
+        return x  # the same for all
     rows = order[(..., *[None] * rank)].expand(*order.shape, *event)
     return x.expand(*shape, *event).gather(-rank - 1, rows)

@@ -38,7 +38,7 @@ from torchfra.hyper import Hyper, Value, hypers
 from torchfra.types import Gaussian
 
 
-class JPDA(Soft, ScanFilter):
+class JPDA(Soft, ScanFilter[JPDAState]):
     """Joint probabilistic data association around a filter of one target.
 
     Each target's update is the Gaussian with the moments of all that may have happened: that it was missed, or that any
@@ -189,7 +189,8 @@ class JPDA(Soft, ScanFilter):
         whitened, side = f.compare(belief, frame), None if noise is None else f.noise
         known = whitened if side is None else side.known(whitened, noise, frame.seen)
         root, normalised = innovation(known)
-        root = root if side is None else side.nominal(root, noise, frame.seen)
+        every = frame.seen if root.shape[-3] > 1 else torch.ones_like(frame.seen[..., :1, :])
+        root = root if side is None else side.nominal(root, noise, every)
         seen, unit = frame.seen > 0, frame.measurement_noise
         gap = unit.colour(whitened.residual.unsqueeze(-1)).squeeze(-1)
         expected = self.sensor.at_points(belief.mean, frame.u)
@@ -202,7 +203,8 @@ class JPDA(Soft, ScanFilter):
         """Log membership ``(..., N, J)`` of measurements in gates; minus infinity outside, and where missing."""
         candidates = scan.candidates
         measured = candidates.seen.sum(-1) > 0
-        return torch.where(measured, self.gate(candidates, self.sensor, self.temperature), -torch.inf)
+        temperature = self.heat if self.soft else 0.0
+        return torch.where(measured, self.gate(candidates, self.sensor, temperature), -torch.inf)
 
     def associate(self, scan: Scan, inside: Tensor, miss: Tensor) -> Association:
         """Which measurement is whose: eqs. (25)-(27)."""

@@ -8,14 +8,15 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.base import Filter
+from torchfra.filters.base import Filter, S
 from torchfra.filters.gpb import GPB
 from torchfra.filters.records import Record
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import Past
-from torchfra.gaussian.inputs import Frame, Measurements, make_frames
+from torchfra.gaussian.inputs import Frame, Measurements, Whole, make_frames
 from torchfra.hyper import hypers
-from torchfra.kernel.build import CompileError
+from torchfra.linalg.tracing import is_traced
+from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
 
@@ -28,7 +29,7 @@ class ScanPast(NamedTuple):
     """``(..., N)`` how often the covariance of a target that seemed lost has been quadrupled."""
 
 
-class ScanFilter(Filter):
+class ScanFilter(Filter[S]):
     """Abstract: measurements ``z (..., T, J, m)``, beliefs ``(..., N, n)``.
 
     Frames are of measurements ``(..., 1, J)``, to be held against targets ``(..., N, 1)``.  Records have innovations in
@@ -39,17 +40,6 @@ class ScanFilter(Filter):
     keeps_past = True
     one_sensor = "gate and clutter are of the elements of one sensor"
     inner: Any
-
-    def compile(self, *args: object, **options: object) -> ScanFilter:  # type: ignore[override]  # torch's returns None
-        """With arguments ``nn.Module.compile``; without, there are no kernels for scans.
-
-        Raises:
-            CompileError: there are no arguments; see ``Filter``.
-        """
-        if not (args or options):
-            name = type(self).__name__
-            raise CompileError(f"{name}: a scan has too many joint events for a kernel; run it without compile()")
-        return super().compile(*args, **options)
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """The batch of scenes, checked; targets are no part of it."""
@@ -73,7 +63,22 @@ class ScanFilter(Filter):
         noise = noise if noise is None else noise.transpose(-4, -3).unsqueeze(-5)
         dt = dt.unsqueeze(-2).unsqueeze(-2) if isinstance(dt, Tensor) and dt.dim() > 1 else dt
         u = u.unsqueeze(-3).unsqueeze(-3) if u is not None and u.dim() > 2 else u
-        return make_frames(Measurements(z, dt, u, std, noise), self.motion, self.sensor, rank + 1)
+        frames, log_norm = make_frames(Measurements(z, dt, u, std, noise), self.motion, self.sensor, rank + 1)
+        if not self.whole(measurements):
+            return frames, log_norm
+        unit = self.sensor.measurement_noise(torch.zeros_like(frames[0].z[..., :1, :]))
+        return [frame._replace(measurement_noise=unit) for frame in frames], log_norm
+
+    def whole(self, measurements: Measurements) -> bool:
+        """Whether measurements are complete or missing, and all have the same noise: then they share their gains."""
+        z, _, _, std, noise = measurements
+        if isinstance(measurements, Whole):
+            return True
+        own = type(self.sensor).measurement_noise is not Sensor.measurement_noise
+        if own or std is not None or noise is not None or is_traced(z):
+            return False
+        missing = z.isnan()
+        return bool((missing == missing[..., :1]).all())
 
     def _scores(self, record: Record, log_norm: Tensor) -> tuple[Tensor, Tensor]:
         """Normalised innovation squared of the combined innovation, and log density of the scan."""

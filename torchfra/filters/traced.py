@@ -2,45 +2,57 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.gaussian.inputs import Frame, Measurements, make_frames
+from torchfra.gaussian.inputs import Frame, Measurements, Whole
 from torchfra.kernel.entries import Entries
 from torchfra.kernel.expressions import Expressions
 from torchfra.types import Gaussian
 
 
-def begin(f: Any) -> Any:
-    """The state before the first measurement."""
+def begin(f: Any, targets: Sequence[int] = ()) -> Any:
+    """The state before the first measurement, of scans that of so many ``targets``."""
     n, dtype, book = f.motion.size, torch.float64, Expressions()
-    root = Entries.inputs(book, (n, n), dtype).ids.tril()
-    state = f.begin(Gaussian(Entries.inputs(book, (n,), dtype), Entries(book, root, dtype)))
+    root = Entries.inputs(book, (*targets, n, n), dtype).ids.tril()
+    state = f.begin(Gaussian(Entries.inputs(book, (*targets, n), dtype), Entries(book, root, dtype)))
     if f.home is f:
         return state
     # What a view keeps of a measurement is not nothing, as it seems to be from the view's own steps.
     return f.remembering(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
 
 
-def _frame(f: Any, data: dict[str, Tensor]) -> Frame:
-    """The frame of one step of one track."""
-    (frame,), _ = make_frames(Measurements(**data).as_track(), f.motion, f.sensor, 0)
-    return frame
+@dataclass(frozen=True)
+class Keep:
+    """One step of ``forward``: ``past`` with what the way back needs, ``whole`` of scans that are."""
+
+    past: bool = False
+    whole: bool = False
+
+    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
+        """The next state, and what is kept."""
+        return f.keep(state, _frame(f, data, self.whole), past=self.past)
 
 
-def keep(f: Any, state: Any, data: dict[str, Tensor]) -> Any:
-    """One step of ``forward``."""
-    return f.keep(state, _frame(f, data))
+@dataclass(frozen=True)
+class Observe:
+    """One step of ``step``, of scans that are ``whole`` or not."""
+
+    whole: bool = False
+
+    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
+        """The next state, and the innovation."""
+        return f.observe(state, _frame(f, data, self.whole))
 
 
-def keep_past(f: Any, state: Any, data: dict[str, Tensor]) -> Any:
-    """The same, with what the way back needs."""
-    return f.keep(state, _frame(f, data), past=True)
-
-
-def observe(f: Any, state: Any, data: dict[str, Tensor]) -> Any:
-    """One step of ``step``."""
-    return f.observe(state, _frame(f, data))
+def _frame(f: Any, data: dict[str, Tensor], whole: bool) -> Frame:
+    """The frame of one step of one track, or scene."""
+    measurements = Measurements(**data).as_track(scans=f.scans)
+    (frame,), _ = f._frames(Whole(*measurements) if whole else measurements, int(f.scans))
+    made: Frame = frame
+    return made

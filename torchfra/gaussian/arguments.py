@@ -71,7 +71,7 @@ def check_belief(belief: Any, name: str = "prior", *, size: int | None = None) -
     if not isinstance(belief, Gaussian):
         hint = "take torchfra.Gaussian(mean, scale_tril), a mean and a root of the covariance"
         raise ValueError(f"{name}: expected a Gaussian, received {type(belief).__name__}: {hint}")
-    for part, x in zip(belief._fields, belief, strict=True):
+    for part, x in (("mean", belief.mean), ("scale_tril", belief.scale_tril)):
         _check_tensor(f"{name}.{part}", x, PRECISIONS)
     if size is not None and (belief.mean.shape[-1:] != (size,) or belief.scale_tril.shape[-2:] != (size, size)):
         expected, received = f"(..., {size}) and (..., {size}, {size})", [tuple(x.shape) for x in belief]

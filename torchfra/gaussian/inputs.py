@@ -64,6 +64,11 @@ class Timed(Measurements):
     varying_dt = True
 
 
+@event_ranks(z=1, dt=0, u=1, std=1, noise=2)
+class Whole(Measurements):
+    """Scans whose measurements are complete or missing, and have the same noise."""
+
+
 @event_ranks(z=1, seen=1, dt=0, u=1, transition=2, shift=1, process_noise=2)
 class Frame(NamedTuple):
     """All of a step that does not depend on the belief."""

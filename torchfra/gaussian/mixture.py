@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from torchfra.angles import near
-from torchfra.linalg.triangular import tria
+from torchfra.linalg.safe import safe_sqrt
+from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian
 
 
@@ -30,6 +31,29 @@ def moment_match(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] =
     middle, columns = _moments(beliefs, log_weights, angles)
     zeros = torch.zeros_like(middle).unsqueeze(-1).expand(*middle.shape, middle.shape[-1])
     return Gaussian(middle, tria(torch.cat([zeros, *columns], -1), padded=True))
+
+
+def missed_or_hit(missed: Gaussian, hit: Gaussian, log_weights: Tensor) -> Gaussian:
+    """``moment_match`` of a belief and of J others that have one root.
+
+    ``tria([sqrt(w_0) S_0, sqrt(w_1 + ... + w_J) S, sqrt(w_i) (mean_i - mean)])``.
+
+    Args:
+        missed: ``(..., 1)``.
+        hit: means ``(..., J, n)``, root ``(..., 1, n, n)``.
+        log_weights: ``(..., J + 1)``; minus infinity for one that does not count, and may be NaN.
+    """
+    counts = log_weights != -torch.inf
+    root = (0.5 * log_weights).exp()
+    weight = root.square()
+    means = torch.cat([x.expand(*log_weights.shape[:-1], -1, -1) for x in (missed.mean, hit.mean)], -2)
+    means = torch.where(counts.unsqueeze(-1), means, 0.0)
+    middle = (weight.unsqueeze(-1) * means).sum(-2, keepdim=True)
+    both = torch.stack([root[..., 0], safe_sqrt(weight[..., 1:].sum(-1))], -1)[..., None, None]
+    roots = torch.cat(torch.broadcast_tensors(missed.scale_tril, hit.scale_tril), -3)
+    first, second = torch.where(both == 0, 0.0, both * roots).unbind(-3)
+    apart = (root.unsqueeze(-1) * (means - middle)).mT
+    return Gaussian(middle.squeeze(-2), tria(hstack(first, second, apart)))
 
 
 def pooled(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] = ()) -> Gaussian:

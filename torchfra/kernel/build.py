@@ -4,136 +4,91 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import importlib
 import os
 import platform
 import shlex
-import subprocess
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from torchfra.kernel import cache
+from torchfra.kernel import cache, compilers
+from torchfra.kernel.compilers import CompileError as CompileError
+from torchfra.kernel.compilers import Compiler
 
-FLAGS = "-O2 -march=native -fno-math-errno -fno-trapping-math -fopenmp -shared -fPIC -std=c++20 -w"
 compiled = 0
 """How many times this process has called the compiler."""
 
-
-class CompileError(RuntimeError):
-    """There is no compiler, it failed, or there is too much to compile."""
-
-
 LARGE = 30_000
 """Lines of a source from which the compiler optimises less: in half the time, for steps of many models."""
-LARGEST = 120_000
-"""Operations in a step; more would take the compiler many minutes and gigabytes."""
-
-
-def check(operations: int) -> None:
-    """Checks that a step of so many operations can be compiled.
-
-    Raises:
-        CompileError: it has too many.
-    """
-    if operations > LARGEST:
-        raise CompileError(
-            f"compile: a step of {operations} operations would take many minutes and gigabytes (at most {LARGEST}): "
-            "run it without compile(), or with fewer models"
-        )
 
 
 def load(source: str) -> Any:
     """The function ``run`` of a translation unit.
 
-    It is compiled by ``CXX`` (``g++`` unless set) with ``CXXFLAGS`` behind ``FLAGS``, unless an earlier process has
-    done so: libraries are kept in ``TORCHFRA_CACHE``, or ``~/.cache/torchfra`` (see ``cache``).
+    It is compiled by the first compiler there is (see ``compilers``) with ``CXXFLAGS`` behind its flags, unless an
+    earlier process has done so: libraries are kept in ``TORCHFRA_CACHE``, or ``~/.cache/torchfra`` (see ``cache``).
 
     Raises:
         CompileError: there is no compiler, it fails, or what it makes cannot be loaded.
     """
-    compiler, version = _compiler(*_words("CXX", "g++"))
-    less = ["-O1"] if source.count("\n") > LARGE else []
-    command = [*compiler, *FLAGS.split(), *less, *_words("CXXFLAGS", "")]
-    key = "\n".join((source, *command, version, torch.__version__, *platform.libc_ver(), _processor()))
-    name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
+    compiler = compilers.find()
+    flags = [*compiler.flags(source.count("\n") > LARGE), *compilers.words("CXXFLAGS")]
+    command = [*compiler.command, *flags]
+    key = "\n".join((source, *command, compiler.version, torch.__version__, *platform.libc_ver(), _processor()))
+    name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}{compilers.SUFFIX}"
     try:
-        function = (cache.fetch(name) or _compile(command, source, name)).run
+        function = (cache.fetch(name) or _compile(compiler, flags, source, name)).run
     except (OSError, AttributeError) as error:
-        raise CompileError(f"compile: no kernel from {_described(command)}: {error}") from None
+        raise CompileError(f"compile: no kernel from {compilers.described(command)}: {error}") from None
     function.argtypes = [ctypes.c_int64, ctypes.c_int64, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]
     function.restype = None
     return function
 
 
 def compiler() -> str:
-    """The command of the C++ compiler that makes kernels: ``CXX``, or ``g++``.
+    """The command of the C++ compiler that makes kernels.
 
     Raises:
-        CompileError: it does not run.
+        CompileError: there is none.
     """
-    command, _ = _compiler(*_words("CXX", "g++"))
-    return shlex.join(command)
+    return shlex.join(compilers.find().command)
+
+
+def wide() -> bool:
+    """Whether the compiler takes kernels for tracks side by side in vector registers; all take those for single ones.
+
+    Raises:
+        CompileError: there is none.
+    """
+    return compilers.find().wide
 
 
 def stop() -> None:
     """Ends all compilations of this process, whose ``load`` then raises a ``CompileError``: for one that ends."""
-    from torchfra.kernel import workplace
-
-    workplace.stop()
+    _places().stop()
 
 
-def _compile(command: list[str], source: str, name: str) -> ctypes.CDLL:
-    from torchfra.kernel.workplace import run, workplace  # not on every system, nor are kernels
+def _places() -> Any:
+    """The module that has ``workplace``, ``run`` and ``stop`` on this system."""
+    return importlib.import_module(f"torchfra.kernel.{'workplace' if os.name == 'posix' else 'plain_workplace'}")
 
+
+def _compile(compiler: Compiler, flags: list[str], source: str, name: str) -> ctypes.CDLL:
     global compiled
-    with workplace() as folder:
-        text, made = folder / "kernel.cpp", folder / "kernel.so"
+    places = _places()
+    with places.workplace() as folder:
+        text, made = folder / "kernel.cpp", folder / f"kernel{compilers.SUFFIX}"
         text.write_text(source)
-        torch_folder = Path(torch.__file__).parent  # its vectors and their mathematics
-        link = [f"-L{torch_folder / 'lib'}", f"-Wl,-rpath,{torch_folder / 'lib'}", "-ltorch_cpu"]
-        status, errors = run([*command, f"-I{torch_folder / 'include'}", str(text), "-o", str(made), *link], folder)
+        command = [*compiler.command, *flags]
+        status, errors = places.run([*command, *compiler.to_library(text, made, "<ATen/" in source)], folder)
         if status or not made.exists():
-            raise CompileError(f"compile: {_described(command)} failed (exit status {status}):\n{errors[-2000:]}")
+            failed = f"{compilers.described(command)} failed (exit status {status})"
+            raise CompileError(f"compile: {failed}:\n{errors[-2000:]}")
         compiled += 1
         return cache.keep(name, made)
-
-
-def _words(variable: str, default: str) -> list[str]:
-    """The words of an environment variable.
-
-    Raises:
-        CompileError: they cannot be told apart.
-    """
-    value = os.environ.get(variable, default)
-    try:
-        return shlex.split(value)
-    except ValueError as error:
-        raise CompileError(f"compile: {variable}: expected words as in a shell, received {value!r} ({error})") from None
-
-
-def _described(command: list[str]) -> str:
-    """A command, and which of it the user has set."""
-    own = [f"{name}={os.environ[name]!r}" for name in ("CXX", "CXXFLAGS") if name in os.environ]
-    return shlex.join(command) + (f" (with {' and '.join(own)})" if own else "")
-
-
-@lru_cache(maxsize=8)
-def _compiler(*command: str) -> tuple[tuple[str, ...], str]:
-    """The command of the compiler, and the version it reports."""
-    try:
-        version = subprocess.run(
-            [*command, "--version"], stdin=subprocess.DEVNULL, capture_output=True, check=True, text=True,
-            errors="replace",
-        )  # fmt: skip
-    except (OSError, subprocess.CalledProcessError) as error:
-        name = shlex.join(command) or "''"
-        raise CompileError(
-            f"compile: expected a C++ compiler, {name} does not run ({error}): install g++, or name one in the "
-            "environment variable CXX; without compile() the filter needs none"
-        ) from None
-    return command, version.stdout
 
 
 @lru_cache(maxsize=1)
@@ -141,6 +96,6 @@ def _processor() -> str:
     """The instructions that the processor has: a library for one may not run on another."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return torch.backends.cpu.get_cpu_capability()
+    except OSError:  # not Linux
+        return " ".join((platform.machine(), platform.processor(), torch.backends.cpu.get_cpu_capability()))
     return next((line for line in lines if line.startswith(("flags", "Features"))), "")

@@ -22,6 +22,12 @@ _DIGEST = 32
 _UNFINISHED, _ABANDONED = ".part", 60.0
 """End of the name of a file that is being written, and the age in seconds from which nobody writes it any more."""
 
+_DESCRIPTORS = os.open in os.supports_dir_fd
+"""Whether files can be named beside an open folder: not on Windows."""
+_BINARY: int = getattr(os, "O_BINARY", 0)  # Windows would otherwise change line ends
+Folder = int | Path
+"""A folder: a descriptor where there are some, else its path."""
+
 _unkept: dict[str, ctypes.CDLL] = {}
 """Libraries of this process that could not be kept."""
 
@@ -40,7 +46,7 @@ def fetch(name: str) -> ctypes.CDLL | None:
     try:
         return _load(folder, name) if _is_intact(folder, name) else None
     finally:
-        os.close(folder)
+        _close(folder)
 
 
 def keep(name: str, made: Path) -> ctypes.CDLL:
@@ -57,7 +63,7 @@ def keep(name: str, made: Path) -> ctypes.CDLL:
                 return _load(folder, name)
             _warn(chosen(), obstacle)
         finally:
-            os.close(folder)
+            _close(folder)
     return _unkept.setdefault(name, ctypes.CDLL(str(made)))
 
 
@@ -66,15 +72,18 @@ def chosen() -> str:
     return os.environ.get("TORCHFRA_CACHE") or os.path.join(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "torchfra")
 
 
-def _open() -> int | None:
+def _open() -> Folder | None:
     """The folder, made if need be, as a file descriptor; None after a warning if this user alone cannot have it.
 
     All that follows goes through the descriptor: what has been checked is what is used, even if someone who may write
-    to a folder above puts another in its place.
+    to a folder above puts another in its place.  Windows has no such descriptors, and no owners and modes to look at:
+    there it is the path, and what keeps others out is that it lies in the user's profile.
     """
     try:
         path = Path(chosen()).expanduser().resolve()
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not _DESCRIPTORS:
+            return path
         folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
     except (OSError, RuntimeError) as error:  # a RuntimeError where there is no home
         _warn(chosen(), _reason(error))
@@ -91,15 +100,26 @@ def _open() -> int | None:
 
 def _is_private(status: os.stat_result) -> bool:
     """Whether a file or folder belongs to this user, and nobody else may write to it."""
-    return status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return not _DESCRIPTORS or (status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH))
 
 
-def _is_intact(folder: int, name: str) -> bool:
+def _close(folder: Folder) -> None:
+    if isinstance(folder, int):
+        os.close(folder)
+
+
+def _beside(folder: Folder, name: str) -> tuple[str, int | None]:
+    """A file of the folder, as functions of ``os`` take it: a path, and the descriptor it is beside."""
+    return (name, folder) if isinstance(folder, int) else (str(folder / name), None)
+
+
+def _is_intact(folder: Folder, name: str) -> bool:
+    path, beside = _beside(folder, name)
     try:
-        status = os.stat(name, dir_fd=folder, follow_symlinks=False)
+        status = os.stat(path, dir_fd=beside, follow_symlinks=False)
         if not (stat.S_ISREG(status.st_mode) and _is_private(status)):
             return False
-        with open(os.open(name, os.O_RDONLY, dir_fd=folder), "rb") as file:
+        with open(os.open(path, os.O_RDONLY | _BINARY, dir_fd=beside), "rb") as file:
             content = file.read()
     except OSError:
         return False
@@ -110,40 +130,42 @@ def _digest(name: str, library: bytes) -> bytes:
     return hashlib.sha256(name.encode() + library).digest()
 
 
-def _load(folder: int, name: str) -> ctypes.CDLL:
+def _load(folder: Folder, name: str) -> ctypes.CDLL:
     """The library, through the descriptor where the system can.
 
     ``dlopen`` knows libraries by their paths: those of two kernels differ by the name, whatever the descriptor.
     """
-    opened = Path(f"/proc/self/fd/{folder}")
+    opened = Path(f"/proc/self/fd/{folder}") if isinstance(folder, int) else folder
     return ctypes.CDLL(str((opened if opened.exists() else Path(chosen()).expanduser().resolve()) / name))
 
 
-def _store(folder: int, name: str, library: bytes) -> str | None:
+def _store(folder: Folder, name: str, library: bytes) -> str | None:
     """Writes it, or says why it cannot; others see all of it or nothing, also after a loss of power."""
-    unfinished = f"{secrets.token_hex(8)}{_UNFINISHED}"
+    unfinished, beside = _beside(folder, f"{secrets.token_hex(8)}{_UNFINISHED}")
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY
     try:
-        with open(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600, dir_fd=folder), "wb") as file:
+        with open(os.open(unfinished, flags, 0o600, dir_fd=beside), "wb") as file:
             file.write(library + _digest(name, library))
             file.flush()
             os.fsync(file.fileno())
             now = os.fstat(file.fileno()).st_mtime
-        os.replace(unfinished, name, src_dir_fd=folder, dst_dir_fd=folder)
+        os.replace(unfinished, _beside(folder, name)[0], src_dir_fd=beside, dst_dir_fd=beside)
     except OSError as error:
         with suppress(OSError):
-            os.unlink(unfinished, dir_fd=folder)
+            os.unlink(unfinished, dir_fd=beside)
         return _reason(error)
     _remove_abandoned(folder, now)
     return None
 
 
-def _remove_abandoned(folder: int, now: float) -> None:
+def _remove_abandoned(folder: Folder, now: float) -> None:
     """What others, who were killed, have left half written."""
     for left in os.listdir(folder):
         if left.endswith(_UNFINISHED):
+            path, beside = _beside(folder, left)
             with suppress(OSError):  # another has been faster
-                if now - os.stat(left, dir_fd=folder).st_mtime > _ABANDONED:
-                    os.unlink(left, dir_fd=folder)
+                if now - os.stat(path, dir_fd=beside).st_mtime > _ABANDONED:
+                    os.unlink(path, dir_fd=beside)
 
 
 def _reason(error: Exception) -> str:

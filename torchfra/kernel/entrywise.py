@@ -124,8 +124,8 @@ def _sigmoid(book: Expressions, a: int) -> int:
 
 ENTRYWISE: dict[Any, Function] = {
     **{getattr(aten, name).default: _arithmetic(name) for name in (
-        "neg", "abs", "sqrt", "exp", "expm1", "log", "log1p", "erf", "sin", "cos", "tan", "asin", "acos", "atan",
-        "sinh", "cosh", "tanh", "atan2", "hypot", "round", "floor", "ceil", "trunc")},
+        "neg", "abs", "sqrt", "exp", "expm1", "log", "log1p", "erf", "erfc", "lgamma", "sin", "cos", "tan", "asin",
+        "acos", "atan", "sinh", "cosh", "tanh", "atan2", "hypot", "round", "floor", "ceil", "trunc")},
     **{getattr(getattr(aten, name), kind): function for kind in ("Tensor", "Scalar") for name, function in (
         ("add", _with_multiple("add")), ("sub", _with_multiple("sub")), ("rsub", _swapped(_with_multiple("sub"))),
         ("mul", _arithmetic("mul")), ("div", _arithmetic("div")), ("remainder", _remainder),
@@ -133,7 +133,7 @@ ENTRYWISE: dict[Any, Function] = {
         ("gt", _swapped(_arithmetic("lt"))), ("ge", _swapped(_arithmetic("le"))))},
     **{getattr(torch.ops.prims, name).default: _arithmetic(name) for name in ("add", "sub", "mul", "div")},
     aten.reciprocal.default: _reciprocal, aten.rsqrt.default: _reciprocal_root,
-    aten.pow.Tensor_Scalar: _power, aten.pow.Tensor_Tensor: _power,
+    aten.pow.Tensor_Scalar: _power, aten.pow.Tensor_Tensor: _power, aten.pow.Scalar: _power,
     aten.sigmoid.default: _sigmoid, aten.sign.default: _sign, aten.sgn.default: _sign,
     aten.maximum.default: _arithmetic("max"), aten.minimum.default: _arithmetic("min"),
     aten.clamp_min.default: _arithmetic("max"), aten.clamp_min.Tensor: _arithmetic("max"),
@@ -142,6 +142,6 @@ ENTRYWISE: dict[Any, Function] = {
     aten.masked_fill.Scalar: _masked_fill, aten.masked_fill.Tensor: _masked_fill,
     aten.isnan.default: _is_nan,
     aten.logical_not.default: _logic("not"), aten.bitwise_not.default: _logic("not"),
-    aten.logical_and.default: _logic("and"), aten.bitwise_and.Tensor: _logic("and"),
-    aten.logical_or.default: _logic("or"), aten.bitwise_or.Tensor: _logic("or"),
+    **{getattr(getattr(aten, f"{kind}_{name}"), form): _logic(name) for name in ("and", "or")
+       for kind, form in (("logical", "default"), ("bitwise", "Tensor"), ("bitwise", "Scalar"))},
 }  # fmt: skip

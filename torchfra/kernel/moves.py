@@ -51,6 +51,8 @@ def move(book: Expressions, func: Any, args: Any, kwargs: Any) -> Any:
     """Moves entries by moving the numbers of their expressions."""
     indexed = func in INDEXED
     if indexed and any(isinstance(x, Entries) for x in tree_flatten(args[1:])[0]):
+        if func is aten.gather.default:
+            return _gather(*args, **kwargs)
         raise unsupported(func, "the index depends on data; choose by torch.where")
 
     def is_moved(x: Any) -> bool:
@@ -72,6 +74,31 @@ def shaped(book: Expressions, func: Any, args: Any, kwargs: Any) -> Any:
 
 def _zeros(x: Any) -> Any:
     return torch.zeros(x.shape, dtype=x.dtype) if isinstance(x, Entries) else x
+
+
+def _gather(x: Tensor, dim: int, index: Tensor, **_: Any) -> Tensor:
+    """Takes entries from indices that are not known."""
+    rows = [row.unsqueeze(dim) for row in _cut(x, dim, index).unbind(dim)]
+    taken: Tensor = rows[0].expand(index.shape)
+    for j, row in enumerate(rows[1:], 1):
+        taken = torch.where(index == j, row, taken)
+    return taken
+
+
+def _cut(x: Tensor, dim: int, index: Tensor) -> Tensor:
+    """The part of a tensor that lies beside an index, of all that are along ``dim``."""
+    along = dim % x.dim()
+    part: Tensor = x[tuple(slice(None if d == along else index.shape[d]) for d in range(x.dim()))]
+    return part
+
+
+def _scatter_add(book: Expressions, x: Tensor, dim: int, index: Tensor, source: Tensor) -> Tensor:
+    """Adds entries to what is at indices that need not be known."""
+    parts, beside = [], _cut(source, dim, index)
+    for j, part in enumerate(x.unbind(dim)):
+        added = torch.where(index == j, beside, 0.0).sum(dim)
+        parts.append(part + added)
+    return torch.stack(parts, dim)
 
 
 def _scatter(book: Expressions, x: Tensor, dim: int, index: Tensor, source: Tensor) -> Tensor:
@@ -138,7 +165,8 @@ def _same_size(book: Expressions, a: Tensor, b: Tensor) -> bool:
 
 
 OTHERS: dict[Any, Callable[..., Any]] = {
-    aten.scatter.src: _scatter, aten.index_put.default: _index_put, aten.copy.default: _copied,
+    aten.scatter.src: _scatter, aten.scatter_add.default: _scatter_add, aten.index_put.default: _index_put,
+    aten.copy.default: _copied,
     aten.constant_pad_nd.default: _pad, aten.clamp.default: _clamp,
     aten._to_copy.default: cast, aten.to.dtype_layout: cast, aten.to.dtype: _cast_to,
     aten.new_empty_strided.default: _laid_out, aten._new_zeros_with_same_feature_meta.default: _laid_out_like,

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchfra.kernel import build
+from torchfra.kernel.pages import in_large_pages
 from torchfra.kernel.source import Port, Scan
 
 BUILDING = threading.RLock()
@@ -39,7 +40,7 @@ class Program:
         self._dtype = scan.dtype
         self._reads, self._writes = scan.carry + scan.reads, scan.after + scan.writes
         with BUILDING:
-            source = scan.source(narrow)
+            source = scan.source(narrow or not build.wide())
         self._run = build.load(source)  # outside: several filters compile at the same time
 
     def __call__(self, batch: torch.Size, steps: int, tensors: Sequence[Tensor]) -> list[Tensor]:
@@ -66,9 +67,11 @@ class Program:
     def _outputs(self, batch: torch.Size, steps: int) -> list[Tensor]:
         """What it will write, with tracks innermost."""
         return [
-            torch.empty(
-                ((steps,) if port.timed else ()) + tuple(port.shape) + tuple(batch),
-                dtype=torch.bool if port.truth else self._dtype,
+            in_large_pages(
+                torch.empty(
+                    ((steps + port.late,) if port.timed else ()) + tuple(port.shape) + tuple(batch),
+                    dtype=torch.bool if port.truth else self._dtype,
+                )
             )
             for port in self._writes
         ]

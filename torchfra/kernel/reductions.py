@@ -59,6 +59,12 @@ def _maximum_and_place(book: Expressions, x: Entries, dim: int, keepdim: bool = 
     return from_numbers(book, values, shape, x.dtype), from_numbers(book, places, shape, torch.int64)
 
 
+def _place(book: Expressions, x: Entries, dim: int | None = None, keepdim: bool = False) -> Entries:
+    """The index of the largest entry along a dimension, or of all."""
+    x = Entries(book, x.ids.flatten(), x.dtype) if dim is None else x
+    return _maximum_and_place(book, x, 0 if dim is None else dim, keepdim)[1]
+
+
 def _mean(book: Expressions, x: Tensor, dim: Any = None, keepdim: bool = False, **_: Any) -> Tensor:
     total = torch.sum(x, dim, keepdim)
     return total * (total.numel() / x.numel())
@@ -125,7 +131,7 @@ REDUCTIONS: dict[Any, Callable[..., Any]] = {
     aten.sum.default: _sum, aten.sum.dim_IntList: _sum, aten.prod.default: _product,
     aten.mean.default: _mean, aten.mean.dim: _mean, aten.linalg_vector_norm.default: _norm,
     aten.amax.default: _maximum, aten.max.default: _maximum, aten.max.dim: _maximum_and_place,
-    aten.amin.default: _minimum, aten.min.default: _minimum,
+    aten.argmax.default: _place, aten.amin.default: _minimum, aten.min.default: _minimum,
     aten.any.default: _any, aten.any.dim: _any, aten.all.default: _all, aten.all.dim: _all,
     aten.mm.default: _matrix_product, aten.bmm.default: _matrix_product,
     aten.linalg_solve_triangular.default: _solve_triangular,

@@ -1,5 +1,24 @@
+#ifndef _OPENMP
+#include <thread>
+#include <vector>
+#endif
+#ifdef _WIN32
+__declspec(dllexport)
+#endif
 extern "C" void run(int64_t tracks, int64_t steps, int threads, const Port* in, const Port* out) {
+  const int64_t share = (tracks + W * threads - 1) / (W * threads), packs = share < step::PACKS ? share : step::PACKS;
+  const int64_t size = W * packs, blocks = (tracks + size - 1) / size;
+  const auto part = [&](int64_t thread) {
+    for (int64_t first = blocks * thread / threads * size; first < blocks * (thread + 1) / threads * size; first += size)
+      step::block(in, out, steps, Block{first, tracks - first < size ? tracks - first : size, 0});
+  };
+#ifdef _OPENMP
 #pragma omp parallel for num_threads(threads) schedule(static)
-  for (int64_t first = 0; first < tracks; first += W)
-    block(in, out, steps, Block{first, tracks - first < W ? tracks - first : W, 0});
+  for (int thread = 0; thread < threads; thread++) part(thread);
+#else
+  std::vector<std::thread> others;
+  for (int thread = 1; thread < threads; thread++) others.emplace_back(part, thread);
+  part(0);
+  for (std::thread& other : others) other.join();
+#endif
 }

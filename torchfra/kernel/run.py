@@ -90,7 +90,7 @@ class _Run(torch.autograd.Function):
             begun += state
             done = kernels.forwards(batch)(batch, last - first, (*state, *_part(step, inputs, first, last, rank)))
             state = tuple(batch_first(x, rank) for x in done[:count])
-            kept.append(done[count:])
+            kept.append([x[: last - first] for x in done[count:]] if step.repeated else done[count:])
         ctx.save_for_backward(*inputs, *begun)
         ctx.kernels, ctx.batch, ctx.starts, ctx.truncate = kernels, batch, starts, truncate
         ctx.set_materialize_grads(False)

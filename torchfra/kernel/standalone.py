@@ -80,8 +80,7 @@ class Standalone(NamedTuple):
 
     def source(self) -> str:
         """The functions of the header."""
-        (head, begin), (_, advance) = (scan.parts(narrow=True) for scan in (self.begin, self.advance))
-        blocks = begin.replace("void block(", "void begin(") + advance.replace("void block(", "void advance(")
+        (head, begin), (_, advance) = self.begin.parts(True, "begin"), self.advance.parts(True, "advance")
         parts = {
             "PRIOR": [_port(x, "") for x in self.prior],
             "BEGUN": [_port(x, "state.") for x in self.state],
@@ -91,7 +90,7 @@ class Standalone(NamedTuple):
         text = self._named(_FUNCTIONS)
         for word, ports in parts.items():
             text = text.replace(word, ", ".join(ports))
-        return f'#include "{self.name}.hpp"\n\n{head}{blocks}{text}'
+        return f'#include "{self.name}.hpp"\n\n{head}{begin}{advance}{text}'
 
     def _named(self, text: str) -> str:
         mean, root = (str(x.shape.numel()) for x in self.prior)
@@ -159,14 +158,14 @@ namespace NAME {
 State init(const Scalar (&mean)[MEAN], const Scalar (&scale_tril)[ROOT]) {
   State state;
   const Port in[] = {PRIOR}, out[] = {BEGUN};
-  ::begin(in, out, 1, Block{0, 1, 0});
+  ::begin::block(in, out, 1, Block{0, 1, 0});
   return state;
 }
 
 Output step(State& state, const Input& input) {
   Output output;
   const Port in[] = {READ}, out[] = {WRITTEN};
-  ::advance(in, out, 1, Block{0, 1, 0});
+  ::advance::block(in, out, 1, Block{0, 1, 0});
   return output;
 }
 

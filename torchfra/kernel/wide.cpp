@@ -13,28 +13,65 @@ typedef Scalar V __attribute__((vector_size(W * sizeof(Scalar))));
 typedef decltype(V() < V()) M;
 
 inline V all(Scalar a) { return V{} + a; }
-template <class T = Scalar> __attribute__((noinline)) V get(const Port& p, int64_t entry, const Block& at) {
-  const T* from = at_<T>(p, entry, at);
-  if (p.track == 0) return all(*from);
+template <class T> NOINLINE V get(const Entries<T>& x, int64_t entry) {
+  const T* from = x[entry];
+  if (x.track == 0) return all(*from);
   V v;
-  for (int64_t i = 0; i < W; i++) v[i] = from[(i < at.lanes ? i : at.lanes - 1) * p.track];
+  for (int64_t i = 0; i < W; i++) v[i] = from[(i < x.lanes ? i : x.lanes - 1) * x.track];
   return v;
 }
-inline V load(const Port& p, int64_t entry, const Block& at) {
-  if (at.lanes < W) return get(p, entry, at);
+inline V load(const Entries<Scalar>& x, int64_t entry) {
+  if (x.lanes < W) return get(x, entry);
   V v;
-  __builtin_memcpy(&v, at_<Scalar>(p, entry, at), sizeof v);
+  __builtin_memcpy(&v, x[entry], sizeof v);
   return v;
 }
-inline void put(const Port& p, int64_t entry, const V& v, const Block& at) {
-  __builtin_memcpy(at_<Scalar>(p, entry, at), &v, at.lanes < W ? at.lanes * sizeof(Scalar) : sizeof v);
+inline void put(const Entries<Scalar>& x, int64_t entry, const V& v) {
+  if (x.lanes < W) __builtin_memcpy(x[entry], &v, x.lanes * sizeof(Scalar));
+  else __builtin_memcpy(x[entry], &v, sizeof v);
 }
-inline void mark(const Port& p, int64_t entry, const M& v, const Block& at) {
-  bool* to = at_<bool>(p, entry, at);
-  for (int64_t i = 0; i < at.lanes; i++) to[i] = v[i] != 0;
+inline void mark(const Entries<bool>& x, int64_t entry, const M& v) {
+  bool* to = x[entry];
+  for (int64_t i = 0; i < x.lanes; i++) to[i] = v[i] != 0;
 }
+inline V kept(const M& m) { return (V)m; }
+inline M truth(const V& v) { return (M)v; }
 inline Vec vec(const V& a) { return Vec::loadu(&a); }
 inline V raw(const Vec& a) { V r; a.store(&r); return r; }
-inline bool any(const M& m) { return vec((V)m).zero_mask() != (1 << W) - 1; }
+inline int lanes(const M& m) { return ~vec((V)m).zero_mask() & ((1 << W) - 1); }
+inline bool any(const M& m) { return lanes(m); }
+
+struct Lane { V* s; int number; };
+// A region for the tracks where a truth value is ``value``: on the spot where they are most of a pack, else together with
+// those of other packs.
+template <int64_t PLACES> void guarded(
+    V (*s)[PLACES], int64_t packs, int place, bool value, void (*region)(V*), const Values& taken, const Values& given) {
+  V together[PLACES];
+  Lane from[W];
+  int count = 0;
+  const auto flush = [&] {
+    for (int j = count; j < W; j++)
+      for (int i = 0; i < taken.count; i++) together[taken.places[i]][j] = together[taken.places[i]][0];
+    region(together);
+    for (int j = 0; j < count; j++)
+      for (int i = 0; i < given.count; i++) from[j].s[given.places[i]][from[j].number] = together[given.places[i]][j];
+    count = 0;
+  };
+  for (int64_t p = 0; p < packs; p++) {
+    const M mask = truth(s[p][place]);
+    int which = lanes(value ? mask : ~mask);
+    if (which && (packs == 1 || 2 * __builtin_popcount(which) > W)) {
+      region(s[p]);
+      continue;
+    }
+    for (; which; which &= which - 1) {
+      const int lane = __builtin_ctz(which);
+      for (int i = 0; i < taken.count; i++) together[taken.places[i]][count] = s[p][taken.places[i]][lane];
+      from[count++] = Lane{s[p], lane};
+      if (count == W) flush();
+    }
+  }
+  if (count) flush();
+}
 // FUNCTIONS
 }  // namespace

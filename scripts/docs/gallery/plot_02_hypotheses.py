@@ -1,0 +1,54 @@
+"""The hypotheses of one step.
+
+What ``gpb`` holds at the large innovation, the same for both aircraft: a belief if the measurement was clean, so that
+the target has moved, and one if it was an outlier, so that it has not. The next measurement decides, and settles the
+step.
+"""
+
+import matplotlib.pyplot as plt
+import torch
+
+from torchfra import Gaussian, presets
+from torchfra.motion import ConstantVelocity
+from torchfra.sensors import Position
+
+dt, std = 4.0, 10.0
+time = dt * torch.arange(1, 26).double()
+course = torch.stack([120 * time, 40 * time], -1)
+aside = torch.tensor([-0.32, 0.95]).double()
+turn = aside * (6 * (time - 76).clamp_min(0) ** 2).unsqueeze(-1)
+jump = torch.where((time == 80).unsqueeze(-1), turn, 0.0)
+noise = std * torch.randn(25, 2, generator=torch.Generator().manual_seed(3)).double()
+prior = Gaussian(torch.tensor([0.0, 0, 120, 40]).double(), torch.tensor([20.0, 20, 5, 5]).double().diag())
+gpb = presets.gpb(ConstantVelocity(q=25.0), Position(std=std))
+
+
+def ellipse(mean, root):
+    """Two standard deviations around a position."""
+    angle = torch.linspace(0, 2 * torch.pi, 100).double()
+    return mean[:2, None] + 2 * root[:2, :2] @ torch.stack([angle.cos(), angle.sin()])
+
+
+figure, panels = plt.subplots(1, 2, figsize=(9, 4.6), layout="constrained", sharey=True)
+for panel, z, title in zip(
+    panels, (course + jump + noise, course + turn + noise), ("Then: back on course", "Then: further off"), strict=True
+):
+    state = gpb.init(prior)
+    for k in range(20):
+        state, _ = gpb.step(state, z[k], dt=dt)
+    after, _ = gpb.step(state, z[20], dt=dt)
+    before = state.log_weights.exp()[1].sum()
+    settled = gpb.smooth(z[:21], prior, dt=dt, lag=1).info.outlier[19, 0]
+    for belief, now, later, name, colour in (
+        (state.clean, 1 - before, 1 - settled, "clean", "#0072B2"),
+        (state.dirty, before, settled, "an outlier", "#D55E00"),
+    ):
+        label = f"if it was {name}: {now:.0%}, then {later:.0%}"
+        panel.fill(*ellipse(belief.mean[0], belief.scale_tril[0]), color=colour, alpha=0.35, lw=0, label=label)
+    panel.plot(*z[19], "ko", ms=5, label="measured")
+    panel.plot(*torch.stack([after.settled.mean[:2], z[20]]).T, "k:", lw=1, label="towards what is measured next")
+    panel.plot(*state.belief.mean[:2], "P", color="#009E73", ms=9, label="estimate at the step")
+    panel.plot(*after.settled.mean[:2], "X", color="#CC79A7", ms=9, label="estimate, settled by the next")
+    panel.set(xlabel="x, m", title=title, xlim=(9520, 9720))
+    panel.legend(frameon=False, fontsize=8, loc="upper left")
+panels[0].set(ylabel="y, m", ylim=(3120, 3420))

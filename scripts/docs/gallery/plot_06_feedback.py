@@ -1,0 +1,25 @@
+"""Robust or adaptive, as the next measurement decides.
+
+``fra`` forks at abnormal steps; the estimate of such a step is settled one step later. Bearings of two stations,
+outliers, and a start that is 2.5 km off: errors of 200 runs, of what was known at the step and of what was settled.
+"""
+
+import matplotlib.pyplot as plt
+import torch
+
+from torchfra import metrics, presets, scenarios
+
+scenario = scenarios.bearings_outliers("std")
+tracks = scenario.simulate(runs=200, seed=0)
+with torch.no_grad():
+    estimates = {name: getattr(presets, name)(scenario.motion, scenario.sensor)(tracks.z, tracks.prior, u=tracks.u)
+                 for name in ("srckf", "rsrckf", "fra")}  # fmt: skip
+
+figure, axes = plt.subplots(figsize=(8, 3.8), layout="constrained")
+means = {name: estimate.mean for name, estimate in estimates.items()}
+means = {"fra, at the step": estimates["fra"].info.provisional.mean} | means
+means["fra, settled"] = means.pop("fra")
+for name, mean in means.items():
+    axes.semilogy(metrics.rmse(mean, tracks.truth, scenario.position), label=name, lw=2 if "settled" in name else 1)
+axes.set(xlabel="step", ylabel="position RMSE, m")
+axes.legend(frameon=False, ncols=2)

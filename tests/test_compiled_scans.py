@@ -1,0 +1,139 @@
+"""Joint association compiled gives what it gives eagerly: results, gradients, missing data, failures, errors."""
+
+import copy
+import math
+from functools import partial
+
+import numpy as np
+import oracles
+import pytest
+import torch
+from joint import flat_prior, make, plane
+from test_association import log_ratio, random_scan
+from test_compile import both, close
+
+from torchfra import learnable, presets
+from torchfra.association import Clutter, Euclidean, associate
+from torchfra.linalg.tracing import elementary
+from torchfra.motion import ConstantVelocity
+from torchfra.sensors import Position
+from torchfra.types import Gaussian
+
+PRIOR = flat_prior((0.0, 0.0), (6.0, 3.0))
+
+
+def scans(runs=3, steps=5, count=3):
+    """Two targets that cross among false measurements, of which some are missing."""
+    truth = PRIOR.mean[:, :2] + torch.arange(1.0, steps + 1).double()[:, None, None] * PRIOR.mean[:, 2:]
+    z = torch.cat([truth, 6 * torch.randn(steps, count - 2, 2).double()], 1) + torch.randn(runs, steps, count, 2)
+    z[torch.rand(z.shape[:-1]) < 0.2] = math.nan
+    return z, Gaussian(*(x.expand(runs, *x.shape) for x in PRIOR))
+
+
+@pytest.mark.parametrize("diffuse", [False, True])
+def test_sums_over_sets_of_targets_are_those_of_an_oracle_that_enumerates_every_event(diffuse):
+    rng = np.random.default_rng(0)
+    for targets, count in ((1, 3), (2, 1), (2, 8), (3, 5), (4, 4)):
+        for share, scale in ((0.3, 2.0), (1.0, 2.0), (0.6, 20.0)):
+            L, c = random_scan(rng, targets, count, share, scale)
+            beta, missed = oracles.joint_events(L, 0.8, c, diffuse)
+            with elementary():
+                found = associate(log_ratio(L, 0.8, c), math.log(0.2), diffuse=diffuse).log_weights.exp()
+            np.testing.assert_allclose(found[:, 1:], beta.T, atol=1e-12)
+            np.testing.assert_allclose(found[:, 0], missed, atol=1e-12)
+
+
+@pytest.mark.parametrize("diffuse", [False, True])
+def test_sums_over_sets_of_targets_and_their_gradients_are_those_of_events(diffuse):
+    """Also of targets that are always measured, whose clusters have events with the fewest misses alone."""
+    ratio = 20 * torch.randn(300, 3, 5).double()
+    ratio = torch.where(torch.rand(ratio.shape) < 0.6, -torch.inf, ratio).requires_grad_()
+    for always in (0.0, 0.4):
+        miss = torch.rand(300, 3).double() - 3
+        miss = torch.where(torch.rand(miss.shape) < always, -torch.inf, miss).requires_grad_()
+        weight = torch.randn(300, 3, 6).double()
+        results = []
+        for context in (torch.enable_grad, elementary):
+            with context():
+                found = associate(ratio, miss, diffuse=diffuse)
+            value = (weight * found.log_weights.exp()).sum() + (weight[..., 0] * found.evidence).sum()
+            results.append((found.log_weights.exp(), found.evidence, *torch.autograd.grad(value, (ratio, miss))))
+        close(*results)
+
+
+def test_results_and_gradients_are_those_of_the_eager_filter():
+    z, prior = scans(count=2)
+    f = learnable(plane(), ("q", "std", "detection"))
+    fast = copy.deepcopy(f).compile()
+    slow, quick = f(z, prior), fast(z, prior)
+    close(slow, quick)
+    gradients = [
+        torch.autograd.grad(e.mean.sum() + e.log_likelihood.sum(), list(g.parameters()))
+        for e, g in ((slow, f), (quick, fast))
+    ]
+    close(*gradients)
+
+
+@pytest.mark.slow
+def test_smoothed_results_are_those_of_the_eager_filter():
+    z, prior = scans()
+    f = plane(lost=0.2)
+    close(f.smooth(z, prior)[:4], copy.deepcopy(f).compile().smooth(z, prior)[:4])
+
+
+def test_elements_may_be_missing_and_a_target_that_fails_leaves_the_others_alone(crossing):
+    """All safeguards at once: gates in metres, estimated noise that is shared, tracks that seem lost."""
+    tracks = crossing.simulate(3, 3)
+    z, mean = tracks.z[:, :6, :3].clone(), tracks.prior.mean.clone()
+    z[0, 2, 1, 0] = z[1, 3, 0, 2] = z[2, :3] = math.nan
+    mean[1, 0, 0] = math.nan
+    f = make("iaukf_jpda", crossing, share_noise=True, lost=0.2, gate=Euclidean(300.0, least=0.99))
+    slow, fast = both(f, z, Gaussian(mean, tracks.prior.scale_tril))
+    assert slow.failed.tolist() == fast.failed.tolist() == [[False] * 2, [True, False], [False] * 2]
+    close(slow.failure, fast.failure)
+    good = ~slow.failed
+    for a, b in ((slow, fast), (slow.info, fast.info)):
+        close([x[good] for x in a[:4] if x is not None], [x[good] for x in b[:4] if x is not None], 1e-9)
+
+
+def test_single_scans_whole_or_not_are_those_of_the_eager_filter():
+    z, prior = scans(runs=2)
+    f = plane()
+    fast = copy.deepcopy(f).compile()
+    slow_state, state = f.init(prior), fast.init(prior)
+    z[:, 3, 0, 1] = math.nan  # after scans without such an element, and before one
+    for scan in z.unbind(1):
+        slow_state, expected = f.step(slow_state, scan)
+        state, found = fast.step(state, scan)
+        close((slow_state, expected), (state, found))
+
+
+def test_more_targets_than_all_of_whose_events_are_summed_are_refused():
+    z, prior = scans(count=4)
+    with pytest.raises(NotImplementedError, match=r"JPDA: exact: .*expected exact=\(2, 4\) or more"):
+        plane(exact=(2, 3)).compile()(z, prior)
+    close(*both(plane(exact=(2, 4)), z[:1, :2], Gaussian(prior.mean[:1], prior.scale_tril[:1])))
+
+
+INNER = {
+    "robust": {"inner": presets.rsrckf},
+    "fading": {"inner": presets.asrckf},
+    "residual": {"inner": partial(presets.iaukf, adapt="residual")},
+    "fifth degree": {"inner": presets.ghckf},
+    "models": {"inner": presets.imm_srckf, "motion": [ConstantVelocity(0.5), ConstantVelocity(5.0)]},
+    "regimes": {"inner": presets.gpb},
+    "soft": {"temperature": 0.3},
+    "diffuse": {"clutter": Clutter(400.0)},
+    "always measured": {"detection": 1.0, "gate": Euclidean(15.0)},
+    "by target": {"detection": torch.tensor([0.9, 0.8]).double()},
+    "by scene": {"detection": torch.linspace(0.5, 0.9, 3).double().unsqueeze(-1)},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", INNER)
+def test_every_kind_of_filter_inside_and_every_option_compiles(how):
+    options = {"clutter": Clutter(400.0, rate=2.0), "motion": ConstantVelocity(0.5)} | INNER[how]
+    z, prior = scans()
+    close(*both(presets.jpda(sensor=Position(2.0), **options), z, prior))
+    close(*both(presets.jpda(sensor=Position(2.0), **options), z, prior, std=torch.ones_like(z)))

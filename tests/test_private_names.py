@@ -1,0 +1,82 @@
+"""What the library uses of torch that torch calls private: all of it is listed here, and all of it is there."""
+
+import pkgutil
+import re
+from pathlib import Path
+
+import pytest
+import torch
+
+import torchfra
+
+LIBRARY = Path(torchfra.__file__).parent
+PRIVATE = {
+    "torch._C._functorch.is_functorch_wrapped_tensor": "linalg/tracing.py knows by it whether a transform is at work",
+    "torch._C._functorch.peek_interpreter_stack": "filters/compiled.py does not run kernels inside a transform",
+    "torch._C._disabled_torch_function_impl": "kernel/entries.py sees operations, not functions",
+    "torch._decomp.decomposition_table": "kernel/operations.py takes apart operations that it does not know",
+    "torch._ops.OpOverload": "kernel/operations.py finds the operations that write in place",
+    "torch.utils._pytree.tree_flatten": "kernel/entries.py and kernel/moves.py look for entries among arguments",
+    "torch.utils._pytree.tree_map": "kernel/moves.py moves the numbers of entries",
+    "torch.Tensor._make_wrapper_subclass": "kernel/entries.py makes a tensor without memory",
+    "torch.Tensor._is_zerotensor": "kernel/entries.py and program.py know zeros of forward-mode differentiation",
+    "torch.autograd.forward_ad._current_level": "filters/compiled.py does not run kernels in forward mode",
+    "torch._neg_view": "testing/results.py makes a tensor that is negated late",
+    "torch.ops.aten.mul.Tensor._schema": "kernel/operations.py names the operation in place",
+    "torch.ops.aten.mul.Tensor._overloadname": "kernel/operations.py names the operation in place",
+}
+"""Names without which something does not work, and what."""
+GUARDED = {
+    "torch._C._dynamo.guards": "filters/compiled_step.py has a slower check of its own",
+    "torch._dynamo": "association/events.py only marks a function for torch.compile",
+}
+"""Names without which all still works."""
+
+
+def used(text):
+    """The private names of torch in a text, as it writes them: paths from ``torch``, imports and attributes."""
+    paths = re.findall(r"\btorch(?:\.[A-Za-z]\w*)*\._[a-zA-Z]\w*(?:\.\w+)*", text)
+    imports = [f"{a}.{b}" for a, b in re.findall(r"from (torch[\w.]*\._\w+) import (\w+)", text)]
+    known = "|".join(name.rpartition(".")[2] for name in PRIVATE if name.rpartition(".")[2].startswith("_"))
+    return {*paths, *imports, *re.findall(rf"\b\w+\.(?:{known})\b", text)}
+
+
+def listed(name):
+    """Whether a name, as it is written somewhere, is one of the lists' or on the way to one."""
+    return any(
+        full.startswith(name) or name.startswith(full) or full.rpartition(".")[2] == name.rpartition(".")[2]
+        for full in PRIVATE | GUARDED
+    )
+
+
+@pytest.mark.parametrize("name", PRIVATE)
+def test_a_private_name_of_torch_is_still_there(name):
+    try:
+        pkgutil.resolve_name(name)
+    except (ImportError, AttributeError):
+        pytest.fail(f"torch {torch.__version__} has no {name} any more: {PRIVATE[name]}")
+
+
+@pytest.mark.parametrize("path", sorted(LIBRARY.rglob("*.py")), ids=lambda path: str(path.relative_to(LIBRARY)))
+def test_private_names_are_listed(path):
+    new = sorted(name for name in used(path.read_text(encoding="utf-8")) if not listed(name))
+    assert not new, f"{path.relative_to(LIBRARY)} uses {new}: prefer a public name, or list it in this file"
+
+
+def test_private_names_are_found_however_they_are_written():
+    text = "from torch._decomp import x\ny = torch._C._nn.gelu(t)\nfrom torch.utils._pytree import z\nt._schema"
+    assert used(text) >= {"torch._decomp.x", "torch._C._nn.gelu", "torch.utils._pytree.z", "t._schema"}
+    assert [listed(x) for x in ("torch._decomp.x", "torch._C._nn.gelu", "t._schema")] == [False, False, True]
+
+
+def test_without_torchs_guard_a_ready_step_is_checked_by_the_slower_one(monkeypatch):
+    import importlib
+
+    from torchfra.filters import compiled_step
+
+    x = torch.zeros(2, 3)
+    monkeypatch.setattr(importlib, "import_module", lambda name: (_ for _ in ()).throw(ImportError(name)))
+    fits = compiled_step.guard([x])
+    assert fits(torch.ones(2, 3))
+    assert not fits(torch.ones(3, 2))
+    assert not fits(torch.ones(2, 3).double())

@@ -1,0 +1,105 @@
+"""Whole tracks of a compiled filter, made ready once for each form of call, so that a call does little but run them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra.filters.compiled_step import guard, is_ordinary, number
+from torchfra.gaussian.arguments import check_values
+from torchfra.gaussian.inputs import Measurements
+from torchfra.kernel.program import Ready
+from torchfra.linalg.triangular import tria
+from torchfra.tree import flattener, unflattener
+from torchfra.types import Gaussian
+
+_FORMS = 16
+"""How many forms are remembered."""
+_STEPS = 4096
+"""At most, of all tracks of a form that is remembered: with more of them what a call costs besides is little."""
+
+
+class ReadyTracks:
+    """Tracks of one form.
+
+    Args:
+        run: the kernel.
+        batch: of the tracks.
+        tensors: a prior, and what the kernel reads besides the state: data, values.
+        state: that of the prior.
+        made: the state and the record of one track.
+    """
+
+    def __init__(self, run: Ready, batch: torch.Size, tensors: Sequence[Tensor], state: Any, made: Any) -> None:
+        self._run, self._shape = run, (*batch, tensors[0].shape[-1])
+        self._leaves, self._made = flattener(state), unflattener(made)
+        self.fit = guard(tensors)
+
+    def __call__(self, begin: Callable[[Gaussian], Any], tensors: Sequence[Tensor]) -> tuple[Any, Any]:
+        """The state after the last step, and what is kept of each."""
+        mean, root = tensors[:2]
+        state = begin(Gaussian(mean.expand(self._shape), tria(root).expand((*self._shape, root.shape[-1]))))
+        made: tuple[Any, Any] = self._made(self._run((*self._leaves(state), *tensors[2:])))  # type: ignore[misc]
+        return made
+
+
+class AllReadyTracks:
+    """All that have been made ready."""
+
+    def __init__(self) -> None:
+        self._known: dict[Hashable, list[ReadyTracks]] = {}
+
+    def __call__(
+        self, f: Any, form: Hashable, prior: Gaussian, measurements: Measurements, values: Callable[[], Any]
+    ) -> tuple[Any, Any] | None:
+        """The state after the last step and what is kept of each; None where no such tracks are ready.
+
+        Args:
+            f: the filter.
+            form: of the call.
+            prior: of the tracks.
+            measurements: that are checked for bad values here.
+            values: what the filter holds.
+
+        Raises:
+            ValueError: the time steps or the noise have a bad value.
+        """
+        known = self._known.get(form, ())
+        z, dt, *rest = measurements
+        if not known or not isinstance(dt, (Tensor, float, int)):
+            return None
+        seconds = seconds_of(measurements)
+        tensors = (*prior, z, seconds, *(x for x in rest if x is not None), *values())
+        for tracks in known:
+            if tracks.fit(*tensors):
+                if not (is_ordinary(dt, z.dtype) and rest[1] is rest[2] is None):
+                    check_values(measurements, f.instants)
+                return tracks(f.begin, tensors)
+        return None
+
+    def add(self, form: Hashable, tracks: ReadyTracks) -> None:
+        """Remembers tracks; all others are forgotten when there are too many."""
+        if sum(map(len, self._known.values())) >= _FORMS:
+            self._known = {}
+        self._known[form] = [tracks, *self._known.get(form, ())]
+
+
+def seconds_of(measurements: Measurements) -> Tensor:
+    """The time step, one for all or one for each, in the precision of the measurements."""
+    dt = measurements.dt if measurements.varying_dt else measurements.common_dt
+    return dt.to(measurements.z.dtype) if isinstance(dt, Tensor) else number(dt, measurements.z.dtype)
+
+
+def form_of(measurements: Measurements, past: bool) -> Hashable:
+    """What of a call is no form of a tensor."""
+    _, dt, u, std, noise = measurements
+    given = u is None, std is None, noise is None, isinstance(dt, Tensor), measurements.varying_dt
+    return given, past, torch.is_grad_enabled()
+
+
+def may_be_ready(tracks: int, steps: int) -> bool:
+    """Whether so many tracks of so many steps are worth being remembered."""
+    return tracks * steps <= _STEPS

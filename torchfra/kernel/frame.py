@@ -1,0 +1,87 @@
+"""Where the values of a step lie that one piece of it computes and another one needs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+from torchfra.kernel.expressions import Expressions
+from torchfra.kernel.schedule import Piece
+
+
+class Frame(NamedTuple):
+    """Places for values, numbered from 0."""
+
+    size: int
+    places: dict[int, int]
+    """Of each expression that has one."""
+    moves: list[tuple[int, int]]
+    """Expressions to be copied at the end of a step, all at once, and where to."""
+    late: set[int]
+    """Expressions that are stored at the end of their piece: until then their place holds what was carried."""
+
+
+def frame(
+    book: Expressions, before: Sequence[Piece], steps: Sequence[Piece], carried: Mapping[int, int], ends: Iterable[int]
+) -> Frame:
+    """Places for all values that are needed beyond their piece.
+
+    Args:
+        book: the expressions.
+        before: pieces that are computed once, before the steps.
+        steps: the pieces of a step.
+        carried: what goes from step to step, with what takes its place after the step.
+        ends: what is written.
+    """
+    made = {number: k for k, piece in enumerate(steps) for number in piece.numbers}
+    last = {number: k for k, piece in enumerate(steps) for number in needs(book, piece)}
+    last.update(dict.fromkeys(carried.values(), len(steps)))
+    last.update(dict.fromkeys((i for i in ends if i not in made), len(steps)))
+    fixed = {number for piece in before for number in piece.numbers}
+    wanted = last.keys() | {number for piece in before for number in needs(book, piece)}
+    places = {number: place for place, number in enumerate([*carried, *sorted(fixed & wanted)])}
+    size = len(places)
+    late = _renewed(places, made, last, carried)
+    ending: dict[int, list[int]] = {}
+    for number in made.keys() & last.keys() - places.keys():
+        ending.setdefault(last[number], []).append(number)
+    free: list[int] = []
+    for k, piece in enumerate(steps):
+        for number in piece.numbers:
+            if number not in places and last.get(number, k) > k:
+                if not free:
+                    free, size = [size], size + 1
+                places[number] = free.pop()
+        free += sorted(places[number] for number in ending.get(k, ()) if number in places)
+    moves = [(new, places[old]) for old, new in carried.items() if places.get(new) != places[old]]
+    return Frame(max(size, 1), places, moves, late)
+
+
+def needs(book: Expressions, piece: Piece) -> list[int]:
+    """What a piece takes from elsewhere, and the truth value that guards it."""
+    own = set(piece.numbers)
+    args = [i for number in piece.numbers for i in book.nodes[number][1] if i not in own]
+    guard = [] if piece.guard is None else [piece.guard[0]]
+    return list(dict.fromkeys(i for i in [*args, *guard] if i not in book.values))
+
+
+def _renewed(
+    places: dict[int, int], made: Mapping[int, int], last: Mapping[int, int], carried: Mapping[int, int]
+) -> set[int]:
+    """Gives new values the places of the old ones, where those are not needed any more."""
+    late = set()
+    for old, new in carried.items():
+        if new in made and new not in places and last.get(old, -1) <= made[new]:
+            places[new] = places[old]
+            if last.get(old) == made[new]:
+                late.add(new)
+    return late
+
+
+def crossing(book: Expressions, parts: Sequence[Piece], all_pieces: Iterable[Piece]) -> tuple[list[int], list[int]]:
+    """What a region of some pieces takes from the others, and what it gives to them."""
+    own = {number for piece in parts for number in piece.numbers}
+    others = [piece for piece in all_pieces if piece not in parts]
+    taken = [i for piece in parts for i in needs(book, Piece(piece.numbers, None)) if i not in own]
+    given = [i for piece in others for i in needs(book, piece) if i in own]
+    return list(dict.fromkeys(taken)), list(dict.fromkeys(given))

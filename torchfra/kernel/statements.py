@@ -1,0 +1,83 @@
+"""C++ of single expressions, and the text around them."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from pathlib import Path
+
+from torchfra.kernel.expressions import Expressions
+
+
+def as_number(book: Expressions, number: int) -> str:
+    """An expression where a vector of numbers is wanted."""
+    value = book.values.get(number)
+    if value is None:
+        return f"v{number}"
+    if math.isnan(value):
+        return "all(NAN)"
+    return f"all({value!r})" if math.isfinite(value) else f"all({'-' if value < 0 else ''}INFINITY)"
+
+
+def as_truth(book: Expressions, number: int) -> str:
+    """An expression where a vector of truth values is wanted."""
+    if number in book.values:
+        return "(all(1.0) > all(0.0))" if book.values[number] else "(all(0.0) > all(1.0))"
+    return f"v{number}"
+
+
+def declared(book: Expressions, number: int, text: str) -> str:
+    """The line that gives an expression its value."""
+    return f"const {'M' if book.is_bool(number) else 'V'} v{number} = {text};"
+
+
+def computed(book: Expressions, number: int) -> str:
+    """The value of an expression that is no constant and no input, from those it acts on."""
+    op, args = book.nodes[number]
+    if op in ("and", "or", "not"):
+        masks = [as_truth(book, i) for i in args]
+        return f"!{masks[0]}" if op == "not" else f"{masks[0]} {'&' if op == 'and' else '|'} {masks[1]}"
+    if op == "select":
+        kind = as_truth if book.is_bool(number) else as_number
+        yes, no = (kind(book, i) for i in args[1:])
+        return f"{as_truth(book, args[0])} ? {yes} : {no}"
+    numbers = [as_number(book, i) for i in args]
+    if op == "neg":
+        return f"-{numbers[0]}"
+    sign = _OPERATORS.get(op)
+    return f"{numbers[0]} {sign} {numbers[1]}" if sign else f"{op}_({', '.join(numbers)})"
+
+
+_OPERATORS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "eq": "=="}
+
+_FUNCTIONS = {"sqrt": 1, "abs": 1, "exp": 1, "expm1": 1, "log": 1, "log1p": 1, "erf": 1, "erfc": 1, "lgamma": 1,
+              "sin": 1, "cos": 1, "tan": 1, "asin": 1, "acos": 1, "atan": 1, "sinh": 1, "cosh": 1, "tanh": 1,
+              "round": 1, "floor": 1, "ceil": 1, "trunc": 1, "atan2": 2, "hypot": 2, "pow": 2}  # fmt: skip
+"""Functions of torch's vectors and of C++, with the number of their arguments."""
+
+_VECTORS = {
+    1: "inline V {0}_(const V& a) {{ return raw(vec(a).{0}()); }}\n",
+    2: "inline V {0}_(const V& a, const V& b) {{ return raw(vec(a).{0}(vec(b))); }}\n",
+}
+_NUMBERS = {
+    1: "inline V {0}_(V a) {{ return std::{0}(a); }}\n",
+    2: "inline V {0}_(V a, V b) {{ return std::{0}(a, b); }}\n",
+}
+
+
+@lru_cache(maxsize=2)
+def template(narrow: bool) -> tuple[str, str]:
+    """``template.cpp``, before its namespace and that, with ``narrow.cpp`` or ``wide.cpp`` and the functions in it."""
+    forms = _NUMBERS if narrow else _VECTORS
+    functions = "".join(forms[count].format(name) for name, count in _FUNCTIONS.items())
+    if narrow:
+        functions = functions.replace("std::round(", "std::nearbyint(")  # halves to the even neighbour, as torch does
+    lanes = file("narrow.cpp" if narrow else "wide.cpp").replace("// FUNCTIONS\n", functions)
+    head, mark, block = file("template.cpp").replace("// LANES\n", lanes).partition("namespace {\nnamespace NAME {")
+    return head, mark + block
+
+
+@lru_cache
+def file(name: str) -> str:
+    """A file of this folder."""
+    return Path(__file__).with_name(name).read_text()

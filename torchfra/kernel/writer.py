@@ -1,0 +1,221 @@
+"""C++ of a step: its pieces as functions, and what calls them."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from itertools import groupby
+from typing import NamedTuple
+
+from torchfra.kernel.expressions import Expressions
+from torchfra.kernel.frame import crossing, frame
+from torchfra.kernel.schedule import Piece, cut, pieces
+from torchfra.kernel.statements import as_number, as_truth, computed, declared
+
+_PACKS, _BYTES = 16, 1 << 18
+"""Packs of a block at most, and bytes of their values: a part of the second cache."""
+
+
+class Access(NamedTuple):
+    """An entry of a tensor that is read or written."""
+
+    port: str
+    type: str
+    """Of its entries."""
+    how: str
+    """The function that does it."""
+    entry: int
+
+    @property
+    def name(self) -> str:
+        """Of the tensor, in a function."""
+        return self.port.replace("[", "").replace("]", "")
+
+    @property
+    def opened(self) -> str:
+        """The line that declares the tensor."""
+        return f"const Entries<{self.type}> {self.name}({self.port}, at);"
+
+
+class Step(NamedTuple):
+    """What is computed, read and written.
+
+    Args:
+        book: the expressions.
+        live: those that are needed, arguments first.
+        varying: those of them that change from step to step.
+        carried: what goes from step to step, with what takes its place after a step.
+        first: how the carried is read before the first step.
+        loads: how inputs are read.
+        stores: what is written at each step.
+        end: what is carried out of the last step; 0 where nothing is carried.
+    """
+
+    book: Expressions
+    live: list[int]
+    varying: set[int]
+    carried: dict[int, int]
+    first: dict[int, Access]
+    loads: dict[int, Access]
+    stores: list[tuple[int, Access]]
+    end: list[tuple[int, Access]]
+
+
+class Writer:
+    """Writes the functions of a step.
+
+    Args:
+        step: the step.
+        narrow: whether for one track.
+    """
+
+    def __init__(self, step: Step, narrow: bool) -> None:
+        self._step, self._book = step, step.book
+        live = [i for i in _lazily(self._book, step.live) if i not in self._book.values and i not in step.carried]
+        self._before = [Piece(part, None) for part in cut(self._book, [i for i in live if i not in step.varying])]
+        ends = [*step.carried.values(), *(i for i, _ in step.stores)]
+        self._steps = pieces(self._book, [i for i in live if i in step.varying], ends)
+        self._frame = frame(self._book, self._before, self._steps, step.carried, ends)
+        guarded = any(piece.guard for piece in self._steps) and not narrow
+        self._packs = max(1, min(_PACKS, _BYTES // (64 * self._frame.size))) if guarded else 1
+        self._stores: dict[int, list[Access]] = defaultdict(list)
+        for number, access in step.stores:
+            self._stores[number].append(access)
+
+    def texts(self) -> dict[str, str]:
+        """What takes the place of each word of the template."""
+        functions = [self._begin()]
+        before, calls = ["begin(s[p], in, at[p]);"], []
+        for k, piece in enumerate(self._before):
+            functions.append(self._function(f"before{k}(V* s, const Port* in, const Block& at)", piece))
+            before.append(f"before{k}(s[p], in, at[p]);")
+        stored: set[int] = set()
+        start = 0
+        for guard, group in groupby(self._steps, key=lambda piece: piece.guard):
+            parts = list(group)
+            inside = "V* s" if guard else "V* s, const Port* in, const Port* out, const Block& at"
+            for k, piece in enumerate(parts, start):
+                functions.append(self._function(f"piece{k}({inside})", piece, stored))
+            names = [f"piece{k}" for k in range(start, start + len(parts))]
+            calls += self._region(guard, parts, names, functions) if guard else _always(names)
+            start += len(parts)
+        functions += [self._turn(stored), self._end()]
+        calls += _always(["turn"])
+        return {
+            "SIZE": str(self._frame.size),
+            "MANY": str(self._packs),
+            "// PIECES\n": "".join(functions),
+            "    // FIXED\n": _lines(before, 4),
+            "    // STEP\n": _lines(calls, 4),
+            "    // END\n": _lines(["end(s[p], out, at[p]);"], 4),
+        }
+
+    def _function(self, head: str, piece: Piece, stored: set[int] | None = None) -> str:
+        """The function of a piece; ``stored``, if given, grows by what it writes."""
+        body: list[str] = []
+        late: list[str] = []
+        opened: dict[str, str] = {}
+        known = set(piece.numbers)
+        for number in piece.numbers:
+            access = self._step.loads.get(number)
+            for arg in self._book.nodes[number][1]:
+                if arg not in known and arg not in self._book.values:
+                    body.append(self._taken(arg))
+                    known.add(arg)
+            if access is None:
+                body.append(declared(self._book, number, computed(self._book, number)))
+            else:
+                opened[access.name] = access.opened
+                body.append(declared(self._book, number, f"{access.how}({access.name}, {access.entry})"))
+            if number in self._frame.places:
+                (late if number in self._frame.late else body).append(self._put_aside(number))
+            if stored is not None and number in self._stores:
+                opened.update((access.name, access.opened) for access in self._stores[number])
+                body += [self._written(number, access) for access in self._stores[number]]
+                stored.add(number)
+        return _function(head, [*opened.values(), *body, *late])
+
+    def _taken(self, number: int) -> str:
+        """The line that takes a value from its place."""
+        place = f"s[{self._frame.places[number]}]"
+        return declared(self._book, number, f"truth({place})" if self._book.is_bool(number) else place)
+
+    def _put_aside(self, number: int) -> str:
+        value = f"kept(v{number})" if self._book.is_bool(number) else f"v{number}"
+        return f"s[{self._frame.places[number]}] = {value};"
+
+    def _written(self, number: int, access: Access) -> str:
+        value = (as_truth if access.how == "mark" else as_number)(self._book, number)
+        return f"{access.how}({access.name}, {access.entry}, {value});"
+
+    def _region(
+        self, guard: tuple[int, bool], parts: Sequence[Piece], names: Sequence[str], functions: list[str]
+    ) -> list[str]:
+        """The line that calls pieces for the tracks that need them; adds what it takes to the functions."""
+        mask, value = guard
+        name = names[0].replace("piece", "region")
+        functions.append(_function(f"{name}(V* s)", [f"{piece}(s);" for piece in names]))
+        kinds = zip(("taken", "given"), crossing(self._book, parts, self._steps), strict=True)
+        values = []
+        for kind, numbers in kinds:
+            places = ", ".join(str(self._frame.places[i]) for i in numbers)
+            functions.append(f"constexpr short {name}_{kind}[] = {{{places}}};\n")
+            values.append(f"Values{{{name}_{kind}, {len(numbers)}}}")
+        text = f"{self._frame.places[mask]}, {'true' if value else 'false'}, {name}, {', '.join(values)}"
+        return [f"guarded(s, packs, {text});"]
+
+    def _begin(self) -> str:
+        """The function that reads what is carried."""
+        opened = dict.fromkeys(access.opened for access in self._step.first.values())
+        reads = [
+            f"s[{self._frame.places[i]}] = get({access.name}, {access.entry});"
+            for i, access in self._step.first.items()
+        ]
+        return _function("begin(V* s, const Port* in, const Block& at)", [*opened, *reads])
+
+    def _turn(self, stored: set[int]) -> str:
+        """The function that ends a step: it writes what no piece has computed, and moves what is carried on."""
+        stores = [(i, access) for i, access in self._step.stores if i not in stored]
+        opened = dict.fromkeys(access.opened for _, access in stores)
+        numbers = dict.fromkeys([*(i for i, _ in stores), *(i for i, _ in self._frame.moves)])
+        taken = [self._taken(i) for i in numbers if i not in self._book.values]
+        writes = [self._written(i, access) for i, access in stores]
+        moves = [f"s[{place}] = {as_number(self._book, i)};" for i, place in self._frame.moves]
+        head = "turn(V* s, const Port* in, const Port* out, const Block& at)"
+        return _function(head, [*opened, *taken, *writes, *moves])
+
+    def _end(self) -> str:
+        """The function that writes what the last step has carried."""
+        opened = dict.fromkeys(access.opened for _, access in self._step.end)
+        places = self._frame.places
+        writes = [
+            f"put({access.name}, {access.entry}, {f's[{places[i]}]' if i in self._step.carried else 'all(0)'});"
+            for i, access in self._step.end
+        ]
+        return _function("end(V* s, const Port* out, const Block& at)", [*opened, *writes])
+
+
+def _lazily(book: Expressions, live: Sequence[int]) -> Iterable[int]:
+    """Expressions with each input just before its first use."""
+    waiting = {i for i in live if book.nodes[i][0] == "input"}
+    for number in live:
+        if number not in waiting:
+            for i in book.nodes[number][1]:
+                if i in waiting:
+                    waiting.remove(i)
+                    yield i
+            yield number
+    yield from sorted(waiting)
+
+
+def _always(names: Iterable[str]) -> list[str]:
+    calls = [f"  {name}(s[p], in, out, at[p]);" for name in names]
+    return ["for (int64_t p = 0; p < packs; p++) {", *calls, "}"]
+
+
+def _function(head: str, lines: Iterable[str]) -> str:
+    return f"NOINLINE void {head} {{\n{_lines(lines, 2)}}}\n"
+
+
+def _lines(lines: Iterable[str], indent: int) -> str:
+    return "".join(f"{' ' * indent}{line}\n" for line in lines)
