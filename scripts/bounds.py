@@ -2,6 +2,7 @@
 
     python scripts/bounds.py --runs 200 --seed 11 --json out/bounds.json
     python scripts/bounds.py --scenarios reentry,noise-change --filters srckf,gpb --runs 500
+    python scripts/bounds.py --cells '2-*,flights-*' --filters srckf,gpb
 
 A line for each scenario: the bound on the position RMSE, mean over time, what it takes as known, and for each filter by
 how much its error is above; at the end whether any is below, and how far single steps are, in standard errors of the
@@ -13,8 +14,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
+from functools import partial
 
 import torch
+from regrets.cells import all_cells, chosen_cells
 
 import torchfra
 from torchfra.app.atomic_write import write_json
@@ -30,6 +34,7 @@ from torchfra.app.command import (
 from torchfra.app.evaluate import versions
 from torchfra.app.progress import progress_bar
 from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, make_scenario
+from torchfra.scenarios import Scenario
 from torchfra.tables import formed_table, significant
 
 
@@ -37,6 +42,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Prints the table; returns its exit status: see ``torchfra.app.command.exit_status``."""
     p = make_parser(__doc__)
     p.add_argument("--scenarios", metavar="A,B", default=",".join(SCENARIOS), help="(default: all)")
+    p.add_argument(
+        "--cells", metavar="A,B", help="instead, cells of scripts/regret.py by names, or patterns such as '2-*'"
+    )
     p.add_argument("--filters", metavar="A,B", help="those of them that go with a scenario (default: all)")
     add_runs_options(p, 200, seed=11)
     add_json_option(p)
@@ -56,8 +64,13 @@ def bounds(options: argparse.Namespace) -> None:
     """All scenarios, and the table when the last one is done."""
     check_files({"json": options.json})
     found = {}
-    for name in progress_bar(options.scenarios.split(","), "scenario", not options.quiet):
-        scenario = make_scenario(name)
+    makers: dict[str, Callable[[], Scenario]]
+    if options.cells is None:
+        makers = {name: partial(make_scenario, name) for name in options.scenarios.split(",")}
+    else:
+        makers = {name: cell.make for name, cell in chosen_cells(all_cells(), options.cells.split(",")).items()}
+    for name, make in progress_bar(makers.items(), "scenario", not options.quiet):
+        scenario = make()
         known = filters_for(scenario)
         names = known if options.filters is None else [f for f in options.filters.split(",") if f in known]
         if names:
@@ -71,7 +84,7 @@ def bounds(options: argparse.Namespace) -> None:
         )
 
 
-def cell(scenario: torchfra.scenarios.Scenario, names: list[str], options: argparse.Namespace) -> dict[str, object]:
+def cell(scenario: Scenario, names: list[str], options: argparse.Namespace) -> dict[str, object]:
     """The bound of a scenario, and of each filter the error, the ratio to it and the lowest step."""
     comparison = torchfra.compare(names, scenario, runs=options.runs, seed=options.seed)
     assert comparison.bound is not None

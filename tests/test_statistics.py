@@ -36,10 +36,10 @@ def test_quantiles_and_tests_are_those_of_scipy():
 
 
 def test_intervals_hold_the_mean_and_the_median_in_95_of_100_samples():
-    samples = np.random.default_rng(1).exponential(size=(2000, 60))
+    samples = np.random.default_rng(1).exponential(size=(800, 60))
     found = [(mean_interval(x), median_interval(x)) for x in samples]
-    assert 0.92 < np.mean([m.low < 1 < m.high for m, _ in found]) < 0.97
-    assert 0.94 < np.mean([m.low < math.log(2) < m.high for _, m in found]) < 0.985
+    assert 0.91 < np.mean([m.low < 1 < m.high for m, _ in found]) < 0.97
+    assert 0.93 < np.mean([m.low < math.log(2) < m.high for _, m in found]) < 0.985
 
 
 def test_of_equal_filters_the_test_says_so_in_95_of_100_samples_and_sees_a_difference():
@@ -56,6 +56,7 @@ def test_infinite_errors_count_as_far_off_and_missing_runs_not_at_all():
     assert mean_interval(bad).value == np.inf
     assert math.isnan(mean_interval(bad).low)
     assert math.isfinite(median_interval(bad).high)
+    assert mean_interval([1.0, 1e300]).high == np.inf
     assert math.isnan(mean_interval([]).value)
     assert math.isnan(median_interval([1.0, 2.0]).low)
 

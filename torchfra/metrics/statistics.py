@@ -35,7 +35,8 @@ def mean_interval(values: Any, level: float = LEVEL) -> Interval:
     mean = float(x.mean())
     if len(x) < 2 or not math.isfinite(mean):
         return Interval(mean, math.nan, math.nan)
-    half = student_quantile((1 + level) / 2, len(x) - 1) * float(x.std(ddof=1)) / math.sqrt(len(x))
+    with np.errstate(over="ignore"):  # of errors whose squares are no numbers any more the interval has no end
+        half = student_quantile((1 + level) / 2, len(x) - 1) * float(x.std(ddof=1)) / math.sqrt(len(x))
     return Interval(mean, mean - half, mean + half)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from typing import Any, NamedTuple
 
 from torch import Tensor
 
-from torchfra.app.atomic_write import write
+from torchfra.app.atomic_write import write, write_json
 from torchfra.app.evaluate.comparison_table import errors_row, formed, last_row, likelihood_row, table_form, told_p
 from torchfra.app.evaluate.results import Result, report
 from torchfra.app.running_metrics import RunningMetrics
@@ -139,9 +138,9 @@ class Comparison:
         """
         path = Path(path)
         if path.suffix == ".json":
-            text = json.dumps(report(self.scenario, self.results, runs=self.runs, seed=self.seed))
-        else:
-            text = self.table(table_form(path)).rstrip("\n") + "\n"
+            write_json(path, report(self.scenario, self.results, runs=self.runs, seed=self.seed))
+            return path
+        text = self.table(table_form(path)).rstrip("\n") + "\n"
         return write(path, lambda file: file.write(text.encode()))
 
     def plot(self, path: str | Path | None = None, *, width: float = 3.5) -> Any:

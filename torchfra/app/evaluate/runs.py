@@ -46,7 +46,7 @@ def evaluate(
         limit: a run diverges when its position error, root mean square over time, is above this, m; None for
             ``scenario.limit``, and where that is None for ``divergence_limit``.
         chunk: runs that are filtered at once; bounds the memory, which does not grow with ``runs`` but for one number
-            per run and filter.
+            per run, filter and metric.
         compile: whether to run compiled (``Filter.compile``); needs a C++ compiler.
         fallback: called with the name of each filter that cannot be compiled and the reason; that filter then runs
             interpreted.  None raises the error.
