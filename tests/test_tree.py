@@ -83,3 +83,13 @@ def test_a_tuple_without_ranks_is_refused():
 def test_no_gradient_flows_through_a_detached_tree():
     x = torch.ones(2, 3, requires_grad=True)
     assert not tree.detach(Gaussian(x * 2, torch.eye(3))).mean.requires_grad
+
+
+def test_what_is_said_one_step_late_is_the_same_with_room_behind_the_last_step_and_without() -> None:
+    said, end = torch.arange(10.0).reshape(1, 5, 2), torch.tensor([[20.0, 21.0]])
+    roomy = torch.cat([said, torch.full((1, 1, 2), torch.nan)], 1)
+    without = tree.one_earlier(tree.Late(said), end, 1, 5)
+    with_room = tree.one_earlier(tree.Late(roomy), end, 1, 5)
+    assert torch.equal(without, torch.cat([said[:, 1:], end.unsqueeze(1)], 1))
+    assert torch.equal(with_room, without)
+    assert with_room.data_ptr() == roomy[:, 1:].data_ptr(), "expected a view of what the kernel wrote"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Collection, Iterator, Sequence
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -129,6 +129,34 @@ def _places(tree: Any, at: str) -> Iterator[tuple[str, Any]]:
             yield from _places(part, f"{at}[{i}]")
     else:
         yield at, tree
+
+
+class Late(NamedTuple):
+    """What a step says for good of the step before it; or all steps, each of the one before."""
+
+    said: Any
+
+
+def one_earlier(late: Late, end: Any, dim: int, steps: int) -> Any:
+    """Of each of the ``steps`` along ``dim`` what the next one says of it, and of the last one ``end``.
+
+    Kernels leave room for that behind the last step, so that nothing is copied.
+    """
+
+    def moved(said: Tensor, last: Tensor) -> Tensor:
+        if said.shape[dim] == steps:
+            return torch.cat([said.narrow(dim, 1, steps - 1), last.unsqueeze(dim)], dim)
+        said.select(dim, steps).copy_(last)
+        return said.narrow(dim, 1, steps)
+
+    return map_tensors(moved, late.said, end)
+
+
+def late(tree: Any) -> list[bool]:
+    """Of each tensor of a tree whether it is part of something ``Late``."""
+    if isinstance(tree, tuple):
+        return [isinstance(tree, Late) or part for branch in tree for part in late(branch)]
+    return [False] if isinstance(tree, Tensor) else []
 
 
 def detach(tree: Any) -> Any:

@@ -63,7 +63,7 @@ class Training:
             batch: of tracks.
             temperature: of the filter's decisions, 0 for hard ones.
         """
-        options = {"u": batch.u, "dt": batch.dt, "truncate": self.config.truncate or None}
+        options: dict[str, Any] = {"u": batch.u, "dt": batch.dt, "truncate": self.config.truncate or None}
         set_temperature(self.filter, temperature)
         estimate = torch.func.functional_call(self.filter, dict(values), (batch.z, batch.prior), options)
         skip = self.config.skip

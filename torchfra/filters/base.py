@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, Generic
 
 import torch
 from torch import Tensor
+from typing_extensions import TypeVar
 
-from torchfra.filters.checks import check_lengths, check_models, check_state
+from torchfra.filters.checks import check_lengths, check_models, check_step
 from torchfra.filters.compiling import Compilable
 from torchfra.filters.failures import diagnose
 from torchfra.filters.fusion import fused
@@ -17,7 +18,7 @@ from torchfra.filters.loop import run
 from torchfra.filters.other_sensors import HasViews, SensorViews
 from torchfra.filters.records import Kept, Record
 from torchfra.filters.smoothing import Smoother
-from torchfra.gaussian.arguments import check, check_belief, check_kinds
+from torchfra.gaussian.arguments import check, check_belief
 from torchfra.gaussian.inputs import Frame, Measurements, Time, batch_rank
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
@@ -25,9 +26,10 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Estimate, Gaussian, Innovation
 
 Mix = Callable[[Gaussian], Gaussian]
+S = TypeVar("S", default=Any)  # the states of a filter
 
 
-class Filter(Compilable, HasViews, Smoother):
+class Filter(Compilable, HasViews, Smoother, Generic[S]):
     """Abstract: ``TrackFilter`` for tracks of one target, ``ScanFilter`` for scans of several.
 
     A subclass gives ``begin`` and ``advance``.  Nothing of a track stays in it; it runs where ``z`` is, in its dtype.
@@ -52,7 +54,7 @@ class Filter(Compilable, HasViews, Smoother):
             check_models(motion, sensor)
             self.motion, self.sensor = motion, sensor
 
-    def init(self, prior: Gaussian) -> Any:
+    def init(self, prior: Gaussian) -> S:
         """The state before the first measurement.
 
         Args:
@@ -67,11 +69,11 @@ class Filter(Compilable, HasViews, Smoother):
         mean = mean.resolve_neg().expand((*batch, n))  # torch makes no new tensor like one that is marked as negated
         return self.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # eq. (7)
 
-    def begin(self, belief: Gaussian) -> Any:
+    def begin(self, belief: Gaussian) -> S:
         """The state that a belief of full batch and triangular root makes; it has a ``belief``."""
         raise TypeError(f"{type(self).__name__} needs a begin")
 
-    def advance(self, state: Any, frame: Frame, mix: Mix | None = None) -> tuple[Any, Record]:
+    def advance(self, state: S, frame: Frame, mix: Mix | None = None) -> tuple[S, Record]:
         """One step on a prepared frame: the next state and what to keep of the step.
 
         ``mix``, if there is one, makes another belief of the one that the step starts from: interacting models do.
@@ -87,7 +89,7 @@ class Filter(Compilable, HasViews, Smoother):
 
     def step(
         self,
-        state: Any,
+        state: S,
         z: Tensor,
         *,
         dt: Time = 1.0,
@@ -95,7 +97,7 @@ class Filter(Compilable, HasViews, Smoother):
         std: Tensor | None = None,
         noise: Tensor | None = None,
         sensor: Sensor | None = None,
-    ) -> tuple[Any, Innovation]:
+    ) -> tuple[S, Innovation]:
         """One measurement (or scan), for streaming.
 
         Args:
@@ -115,12 +117,11 @@ class Filter(Compilable, HasViews, Smoother):
             ValueError: a shape or a value that does not fit.
         """
         if sensor is not None and sensor is not self.sensor:
-            other: tuple[Any, Innovation] = self.with_sensor(sensor).step(state, z, dt=dt, u=u, std=std, noise=noise)
-            return other
+            return self.with_sensor(sensor).step(state, z, dt=dt, u=u, std=std, noise=noise)
         measurements = Measurements(z, dt, u, std, noise)
         frame = partial(self._frame, state, measurements)
         if self._kernels is not None and self._kernels.takes(z):
-            compiled: tuple[Any, Innovation] = self._kernels.step(self, state, measurements, frame)
+            compiled: tuple[S, Innovation] = self._kernels.step(self, state, measurements, frame)
             return compiled
         return self.observe(state, frame())
 
@@ -172,13 +173,16 @@ class Filter(Compilable, HasViews, Smoother):
         estimate: Estimate = run(Measurements(z, dt, u, std, noise), prior, checkpoint, truncate)[0]
         return estimate
 
-    def keep(self, state: Any, frame: Frame, past: bool = False) -> tuple[Any, Kept]:
+    if TYPE_CHECKING:  # what torch types as a call that may return anything
+        __call__ = forward
+
+    def keep(self, state: S, frame: Frame, past: bool = False) -> tuple[S, Kept]:
         """One step on a prepared frame: the next state, and what the estimate (and the way back) needs of it."""
         state, record = self.advance(state, frame)
         nis, log_likelihood = self._scores(record, frame.measurement_noise.log_norm)
         return state, Kept(record.belief, nis, log_likelihood, record.info, record.past if past else None)
 
-    def observe(self, state: Any, frame: Frame) -> tuple[Any, Innovation]:
+    def observe(self, state: S, frame: Frame) -> tuple[S, Innovation]:
         """One step on a prepared frame: the next state, and what the measurement said."""
         state, record = self.advance(state, frame)
         log_norm = frame.measurement_noise.log_norm
@@ -189,11 +193,16 @@ class Filter(Compilable, HasViews, Smoother):
         past: bool = False,
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
         """The estimate of whole tracks, and where there will be a way back the last state and what steps have kept."""
-        batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
-        n, z = self.motion.size, measurements.z
-        mean, root = (x.to(z) for x in prior)
-        state = self.init(Gaussian(mean.expand((*batch, n)), root.expand((*batch, n, n))))
-        state, kept = self._pass(state, measurements, len(batch), checkpoint, truncate, past)
+        compiled = self._kernels is not None and self._kernels.takes(measurements.z)
+        done = self._kernels.ready(self, measurements, prior, past) if compiled else None
+        if done is None:
+            batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
+            mean, root = (x.to(measurements.z) for x in prior)
+            begun = self.init(Gaussian(mean.expand((*batch, self.motion.size)), root))
+            done = self._pass(begun, measurements, len(batch), checkpoint, truncate, past)
+            if compiled:
+                self._kernels.get_ready(self, begun, measurements, prior, past)
+        state, kept = done
         belief, info = self.finish(state, kept.belief, kept.info)
         failure = diagnose(self, belief, kept.log_likelihood, measurements, prior)
         return Estimate(*belief, kept.nis, kept.log_likelihood, info, failure), state, kept.past
@@ -212,15 +221,7 @@ class Filter(Compilable, HasViews, Smoother):
 
     def _frame(self, state: Any, measurements: Measurements) -> Frame:
         """The frame of a single step, checked."""
-        check_state(self, state)
-        check_kinds(measurements)
-        track, mean = measurements.as_track(scans=self.scans), state.belief.mean
-        batch = self._batch(track, state.belief, "state.belief")
-        track = track._replace(z=track.z.to(mean))
-        expected = mean.shape[: mean.dim() - 1 - self.scans]
-        if batch != expected:
-            raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, this is of {tuple(expected)}")
-        return self._frames(track, mean.dim() - 1)[0][0]
+        return self._frames(check_step(self, state, measurements), state.belief.mean.dim() - 1)[0][0]
 
     def _rank(self) -> int:
         """Batch dimensions there are at least."""

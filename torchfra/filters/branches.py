@@ -72,8 +72,8 @@ class Kept(NamedTuple):
 class Step(NamedTuple):
     """What one step knows: about itself, and now for good about the one before."""
 
-    settled: Gaussian
-    kept: Kept
+    before: tree.Late
+    """Its settled estimate, and which branch was ``Kept``."""
     abnormal: Tensor
     fading: Tensor
     weights: Tensor

@@ -6,7 +6,8 @@ from typing import Any
 
 from torch import Tensor
 
-from torchfra.gaussian.arguments import check_belief
+from torchfra.gaussian.arguments import check_belief, check_kinds
+from torchfra.gaussian.inputs import Measurements
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
@@ -69,6 +70,21 @@ def _fits(made: Any, state: Any) -> bool:
     if not isinstance(made, tuple):
         return made is None or type(state) is type(made)
     return type(state) is type(made) and len(state) == len(made) and all(map(_fits, made, state))
+
+
+def check_step(f: Any, state: Any, measurements: Measurements) -> Measurements:
+    """A single step as a track of one, in the precision of the state, if it fits that.
+
+    Raises:
+        ValueError: a kind, a shape or a value that does not.
+    """
+    check_state(f, state)
+    check_kinds(measurements)
+    track, mean = measurements.as_track(scans=f.scans), state.belief.mean
+    batch, expected = f._batch(track, state.belief, "state.belief"), mean.shape[: mean.dim() - 1 - f.scans]
+    if batch != expected:
+        raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, this is of {tuple(expected)}")
+    return track._replace(z=track.z.to(mean))
 
 
 def check_lengths(**lengths: int | None) -> None:

@@ -12,15 +12,16 @@ from torch.autograd import forward_ad
 
 from torchfra.filters import traced
 from torchfra.filters.compiled_back import given
-from torchfra.filters.compiled_step import Data, check_changing, is_ordinary
-from torchfra.filters.compiled_version import Version, number
+from torchfra.filters.compiled_step import Data, check_changing, is_ordinary, number
+from torchfra.filters.compiled_tracks import form_of, may_be_ready, seconds_of
+from torchfra.filters.compiled_version import Plan, Version
 from torchfra.gaussian.arguments import check_seconds
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.kernel.program import BUILDING
 from torchfra.kernel.source import SCALARS
 from torchfra.linalg.tracing import is_traced
 from torchfra.tree import flatten
-from torchfra.types import Innovation
+from torchfra.types import Gaussian, Innovation
 
 _VERSIONS = 4
 """How many are remembered: a filter may go back and forth, between soft decisions and hard ones say."""
@@ -64,6 +65,24 @@ class Compiled:
             and forward_ad._current_level < 0
         )
 
+    def ready(self, f: Any, measurements: Measurements, prior: Gaussian, past: bool) -> tuple[Any, Any] | None:
+        """What ``forward`` gives for the state of a prior; None unless a call of the same form has been checked.
+
+        Raises:
+            ValueError: the time steps or the noise have a bad value.
+        """
+        if not self._versions or not isinstance(prior, Gaussian):
+            return None
+        now = self._now(f)
+        return now.tracks(form_of(measurements, past), prior, measurements, now.read, f.instants)
+
+    def get_ready(self, f: Any, state: Any, measurements: Measurements, prior: Gaussian, past: bool) -> None:
+        """Makes later calls of ``forward`` like this one ready, if they are short; ``state`` is that of the prior."""
+        z = measurements.z
+        if f.home is f and not f.scans and may_be_ready(z.shape[:-2].numel(), z.shape[-2]):
+            now, plan, data = self._plan(f, state, measurements, past)
+            now.get_tracks_ready(form_of(measurements, past), plan, prior, state, data)
+
     def forward(
         self, f: Any, state: Any, measurements: Measurements, checkpoint: int | None, truncate: int | None, past: bool
     ) -> tuple[Any, Any]:
@@ -71,14 +90,15 @@ class Compiled:
 
         All has been checked.
         """
-        z = measurements.z
-        seconds = measurements.dt if measurements.varying_dt else measurements.common_dt
-        data = (z, torch.as_tensor(seconds, dtype=z.dtype), *measurements[2:])
-        now = self._now(f)
+        now, plan, data = self._plan(f, state, measurements, past)
+        return now.run(plan, measurements.z.shape[-2], state, data, checkpoint, truncate)
+
+    def _plan(self, f: Any, state: Any, measurements: Measurements, past: bool) -> tuple[Version, Plan, Data]:
+        """The kernels that hold for the filter, what this form of call comes to, and its data."""
+        data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
         keep, timed = traced.keep_past if past else traced.keep, (True, measurements.varying_dt, True, True, True)
         with BUILDING:
-            plan = now.plan(keep, state, data, timed)
-        return now.run(plan, z.shape[-2], state, data, checkpoint, truncate)
+            return now, now.plan(keep, state, data, timed), data
 
     def back(self, f: Any, past: Any, measurements: Measurements, rank: int) -> Any:
         """What the way back says of every step, time behind ``rank`` batch dimensions: see ``Smoother``."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Hashable, Sequence
+from functools import lru_cache
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchfra.gaussian.arguments import PRECISIONS, check_values
-from torchfra.gaussian.inputs import Measurements
+from torchfra.gaussian.inputs import Measurements, Time
 from torchfra.kernel.program import Ready
 from torchfra.tree import flattener, unflattener
 
@@ -64,6 +65,8 @@ def guard(tensors: Sequence[Tensor]) -> Callable[..., bool]:
 
 
 def _form(x: Tensor) -> Hashable:
+    if not isinstance(x, Tensor):
+        return type(x)
     return type(x), x.dtype, x.device, x.shape, x.stride(), x.requires_grad, x.is_neg(), x.is_conj(), x._is_zerotensor()
 
 
@@ -116,6 +119,13 @@ def _kind(state: Any, data: Data) -> Hashable:
     return type(state), u is None, std is None, noise is None, torch.is_grad_enabled()
 
 
+@lru_cache(maxsize=64)
+def number(value: float, dtype: torch.dtype = torch.float64) -> Tensor:
+    """A number as a tensor that nobody changes, and that may be saved for a gradient wherever it was first needed."""
+    with torch.inference_mode(False):
+        return torch.tensor(value, dtype=dtype)
+
+
 def check_changing(data: Data, instants: bool) -> None:
     """Checks the values that come with each measurement.
 
@@ -127,9 +137,11 @@ def check_changing(data: Data, instants: bool) -> None:
         check_values(Measurements(*data).as_track(), instants)
 
 
-def is_ordinary(x: Tensor, dtype: torch.dtype) -> bool:
+def is_ordinary(x: Time, dtype: torch.dtype) -> bool:
     """Whether a few time steps or deviations are good beyond doubt, seen without arithmetic on tensors."""
+    least, most = _RANGES[dtype]
+    if not isinstance(x, Tensor):
+        return least <= x <= most
     if x.dim() > 1 or x.numel() > 16:
         return False
-    least, most = _RANGES[dtype]
     return all(least <= value <= most for value in x.reshape(-1).tolist())

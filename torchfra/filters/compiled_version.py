@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Sequence
-from functools import lru_cache
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -12,12 +11,15 @@ from torch import Tensor, nn
 
 from torchfra.filters import traced
 from torchfra.filters.compiled_back import Given, retreat
-from torchfra.filters.compiled_step import Data, ReadyStep, ReadySteps, may_be_ready
+from torchfra.filters.compiled_step import Data, ReadyStep, ReadySteps, may_be_ready, number
+from torchfra.filters.compiled_tracks import AllReadyTracks, ReadyTracks
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import Hyper
+from torchfra.kernel.program import BUILDING
 from torchfra.kernel.run import Kernels
 from torchfra.kernel.step import Input, Step, frozen
 from torchfra.tree import flatten, map_tensors, ranks
+from torchfra.types import Gaussian
 
 
 class _Value(NamedTuple):
@@ -54,7 +56,7 @@ class Version:
     def __init__(self, f: nn.Module) -> None:
         self.kernels: dict[tuple[Any, ...], Kernels] = {}
         self.steps: dict[tuple[Any, ...], Plan] = {}
-        self.ready = ReadySteps()
+        self.ready, self.tracks = ReadySteps(), AllReadyTracks()
         self.frozen = frozen(f)
         self.values: list[_Value] = []
         self._parts: list[dict[str, Any]] = []
@@ -141,9 +143,7 @@ class Version:
     def get_ready(self, plan: Plan, state: Any, data: Data) -> None:
         """Makes later steps like this one ready, if they need no gradient and all is read where it lies."""
         tensors = [*flatten(state), *(x for x in data if x is not None), *self.read()]
-        gradients = torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
-        twice = len({*map(id, tensors)}) < len(tensors)  # as in the first state of some filters; guards refuse that
-        if gradients or twice or plan.counts or not may_be_ready(plan.batch.numel()):
+        if self._changes(plan, tensors) or not may_be_ready(plan.batch.numel()):
             return
         full, step = self.full(plan, tensors), plan.kernels.step
         if any(x.data_ptr() != y.data_ptr() for x, y in zip(full, tensors, strict=True)):
@@ -151,6 +151,44 @@ class Version:
         ready = plan.kernels.forwards(plan.batch).ready(plan.batch, 1, full)
         if ready is not None:
             self.ready.add(ReadyStep(ready, state, tensors, (step.state, step.record)), state, data)
+
+    def get_tracks_ready(self, form: Hashable, plan: Plan, prior: Gaussian, state: Any, data: Data) -> None:
+        """Makes later tracks like these ready, likewise."""
+        steps, values = data[0].shape[-2], self.read()
+        given = [x for x in data if x is not None]
+        tensors, leaves = [*prior, *given, *values], flatten(state)
+        full, dtype = self.full(plan, [*leaves, *given, *values])[len(leaves) :], plan.dtypes[0]
+        if (
+            self._changes(plan, tensors)
+            or any(x.dtype != dtype or not x.is_cpu for x in prior)
+            or any(x.data_ptr() != y.data_ptr() for x, y in zip(full, tensors[2:], strict=True))
+        ):
+            return
+        shapes = {"mean": prior.mean.shape[-1:], "root": prior.scale_tril.shape[-2:]}
+        inputs = {name: Input(shape, False, False) for name, shape in shapes.items()}
+        inputs |= {name: x for name, x in plan.kernels.step.inputs.items() if x.value}
+        key = (traced.start, dtype, tuple(inputs.items()))
+        with BUILDING:
+            if key not in self.kernels:
+                self.kernels[key] = Kernels(Step(self.frozen, lambda f: (), traced.start, inputs, dtype, False))
+            kernels = self.kernels[key]
+        begun = [x.expand(plan.batch + shape) for x, shape in zip(prior, shapes.values(), strict=True)]
+        begin = kernels.forwards(plan.batch).ready(plan.batch, 1, [*begun, *full[len(given) :]])
+        if begin is None:
+            return
+        places = kernels.step.record[1]
+        start = begin([*begun, *full[len(given) :]])
+        run = plan.kernels.forwards(plan.batch).ready(plan.batch, steps, [*(start[i] for i in places), *full])
+        if run is not None:
+            made = plan.kernels.step.state, plan.kernels.step.record
+            self.tracks.add(form, ReadyTracks(begin, places, run, tensors, len(given), made))
+
+    @staticmethod
+    def _changes(plan: Plan, tensors: Sequence[Tensor]) -> bool:
+        """Whether a call needs gradients, or cannot be told from others by its tensors alone."""
+        gradients = torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
+        twice = len({*map(id, tensors)}) < len(tensors)  # as in the first state of some filters; guards refuse that
+        return gradients or twice or plan.counts
 
     def full(self, plan: Plan, tensors: Sequence[Tensor]) -> list[Tensor]:
         """Leaves of the state, data and values as kernels take them: with the full batch."""
@@ -167,13 +205,6 @@ class Version:
         full = self.full(plan, [*flatten(state), *(x for x in data if x is not None), *self.read()])
         state, record = plan.kernels.run(plan.batch, steps, full[:count], full[count:], *options)
         return state, map_tensors(_whole, record, plan.kernels.step.record) if plan.counts else record
-
-
-@lru_cache(maxsize=64)
-def number(value: float, dtype: torch.dtype = torch.float64) -> Tensor:
-    """A number as a tensor that nobody changes, and that may be saved for a gradient wherever it was first needed."""
-    with torch.inference_mode(False):
-        return torch.tensor(value, dtype=dtype)
 
 
 def _whole(x: Tensor, like: Tensor) -> Tensor:

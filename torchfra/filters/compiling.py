@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import Any
 
 from torch import nn
-
-C = TypeVar("C", bound="Compilable")
+from typing_extensions import Self
 
 
 class Compilable(nn.Module):
@@ -17,7 +16,7 @@ class Compilable(nn.Module):
     slow_to_compile = False  # a quarter of a minute or more: commands compile such a filter only when told to
     _kernels: Any
 
-    def compile(self: C, *args: Any, **options: Any) -> C:  # type: ignore[override]  # torch's own returns None
+    def compile(self, *args: Any, **options: Any) -> Self:  # type: ignore[override]  # torch's own returns None
         """From here on run as compiled kernels, on the CPU: same results (to rounding), same gradients.
 
         It needs a C++ compiler (``g++``, or what ``CXX`` names), and some seconds for a form of call that no earlier

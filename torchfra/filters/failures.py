@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -27,10 +28,9 @@ def diagnose(f: Any, belief: Gaussian, log_likelihood: Tensor, measurements: Mea
     scores, tracks = log_likelihood.detach(), mean.shape[:-2]
     if not is_traced(mean, scores):
         # What is not finite at a step makes that of the next one's score; sums show it without a look at every root.
-        total = scores.sum() + mean[..., -1, :].sum() + root[..., -1, :, :].sum()
-        if bool(total.isfinite()):
-            none = torch.zeros((), dtype=torch.int64, device=mean.device).expand(tracks)
-            return Failure(none - 1, none)
+        total = scores.sum() + mean.select(-2, -1).sum() + root.select(-3, -1).sum()
+        if math.isfinite(total.item()):
+            return Failure(*(torch.full(tracks, value, device=mean.device) for value in (-1, int(Cause.NONE))))
     bad = _broken(mean, root)
     step = torch.where(bad.any(-1), bad.to(torch.int64).argmax(-1), -1)
     reasons = {

@@ -31,7 +31,7 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Prediction, Whitened
 
 
-class FRA(Soft, GaussianFilter):
+class FRA(Soft, GaussianFilter[FRAState]):
     """Feedback-decision robust adaptive filter.
 
     A step whose normalised innovation squared is above the gate is abnormal, be it an outlier or a manoeuvre.  There
@@ -134,7 +134,7 @@ class FRA(Soft, GaussianFilter):
         belief = self.undecided(self.provisional, excess, (robust, adaptive, plain))
         state = FRAState(belief, robust, adaptive, plain, settled, excess, memory)
         weights = tree.where(state.abnormal, weights, torch.ones_like(weights))
-        info = Step(settled, kept, state.abnormal, factor, weights)
+        info = Step(tree.Late((settled, kept)), state.abnormal, factor, weights)
         evidence = None if mix is None else down_weighted_density(*innovation(down_weight(whitened, weights)), weights)
         return state, Record(state.belief, whitened.residual, root, normalised, info, evidence=evidence)
 
@@ -216,14 +216,7 @@ class FRA(Soft, GaussianFilter):
         """Each step's estimate is settled in the next, the last one by ``final``."""
         last = self.undecided(self.final, state.excess, state.branches)
         kept = Kept(*(state.abnormal & x for x in self.favoured(self.final, state.excess)))
-        rank = state.excess.dim()
-
-        def one_later(steps: Tensor, end: Tensor) -> Tensor:
-            """Of each step what the next one says of it."""
-            return torch.cat([steps.narrow(rank, 1, steps.shape[rank] - 1), end.unsqueeze(rank)], rank)
-
-        settled = tree.map_tensors(one_later, info.settled, last)
-        kept = tree.map_tensors(one_later, info.kept, kept)
+        settled, kept = tree.one_earlier(info.before, (last, kept), state.excess.dim(), info.abnormal.shape[-1])
         return settled, FRAInfo(info.abnormal, kept.adaptive, kept.plain, info.fading, info.weights, belief)
 
     def favoured(self, branch: str, like: Tensor) -> Kept:

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 
 from torchfra import tree
-from torchfra.filters.base import Filter, Mix
+from torchfra.filters.base import Filter, Mix, S
 from torchfra.filters.hindsight import Models, ModelsPast, ModelsStep, remembered, retreat, together
 from torchfra.filters.interaction import cycle, for_each_model, held, interaction
 from torchfra.filters.records import Record
@@ -42,7 +42,7 @@ class IMMInfo(NamedTuple):
     """``(..., T, K)`` of the models."""
 
 
-class Around(TrackFilter):
+class Around(TrackFilter[S]):
     """Abstract: a filter around another that runs all models of a ``Bank`` in one batched call.
 
     Args:
@@ -140,7 +140,7 @@ class Around(TrackFilter):
         return models, together(models, turn.past.active, self.motion)
 
 
-class IMM(Around):
+class IMM(Around[IMMState]):
     """Interacting multiple models over any filter of this package, in the log domain and in square-root form.
 
     Args:

@@ -38,7 +38,7 @@ from torchfra.hyper import Hyper, Value, hypers
 from torchfra.types import Gaussian
 
 
-class JPDA(Soft, ScanFilter):
+class JPDA(Soft, ScanFilter[JPDAState]):
     """Joint probabilistic data association around a filter of one target.
 
     Each target's update is the Gaussian with the moments of all that may have happened: that it was missed, or that any

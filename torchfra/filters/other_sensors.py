@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import Any
 
 from torch import nn
+from typing_extensions import Self
 
 from torchfra.filters.checks import check_models
 from torchfra.gaussian.inputs import Frame
@@ -36,7 +37,7 @@ class HasViews(nn.Module):
         """The filter that this is a view of: itself, unless ``with_sensor`` has made it."""
         return self
 
-    def with_sensor(self, sensor: Sensor | None) -> Any:
+    def with_sensor(self, sensor: Sensor | None) -> Self:
         """The same filter around another sensor: motion, hyperparameters and states are those of this filter.
 
         It is made once for each sensor, and compiled if this filter is; what changes in this filter it takes over when
@@ -51,7 +52,8 @@ class HasViews(nn.Module):
         """
         if sensor is None or sensor is self.sensor or any(sensor is x for x in self.given):
             return self
-        return self._views(self, sensor)
+        view: Self = self._views(self, sensor)
+        return view
 
     def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
         """Its parts, by name, that are others around another sensor."""

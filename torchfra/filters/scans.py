@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.base import Filter
+from torchfra.filters.base import Filter, S
 from torchfra.filters.gpb import GPB
 from torchfra.filters.records import Record
 from torchfra.filters.smoothing import Told, Turn
@@ -28,7 +28,7 @@ class ScanPast(NamedTuple):
     """``(..., N)`` how often the covariance of a target that seemed lost has been quadrupled."""
 
 
-class ScanFilter(Filter):
+class ScanFilter(Filter[S]):
     """Abstract: measurements ``z (..., T, J, m)``, beliefs ``(..., N, n)``.
 
     Frames are of measurements ``(..., 1, J)``, to be held against targets ``(..., N, 1)``.  Records have innovations in

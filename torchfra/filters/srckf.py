@@ -48,7 +48,7 @@ class Info(NamedTuple):
     """``(..., T, m)`` estimated variances of the measurement noise, as multiples of the nominal ones."""
 
 
-class SRCKF(GaussianFilter):
+class SRCKF(GaussianFilter[State]):
     """Square-root cubature Kalman filter, optionally robust to outliers and adaptive to manoeuvres.
 
     Args:

@@ -11,6 +11,7 @@ from torchfra import tree
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.kernel.entries import Entries
 from torchfra.kernel.expressions import Expressions
+from torchfra.linalg.triangular import tria
 from torchfra.types import Gaussian
 
 
@@ -23,6 +24,13 @@ def begin(f: Any) -> Any:
         return state
     # What a view keeps of a measurement is not nothing, as it seems to be from the view's own steps.
     return f.remembering(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
+
+
+def start(f: Any, nothing: Any, data: dict[str, Tensor]) -> Any:
+    """All tensors of the state that a prior makes, each once; and which of them is which leaf of the state."""
+    leaves = tree.flatten(f.begin(Gaussian(data["mean"], tria(data["root"]))))
+    once = {id(x): x for x in leaves}
+    return nothing, (tuple(once.values()), tuple(list(once).index(id(x)) for x in leaves))
 
 
 def _frame(f: Any, data: dict[str, Tensor]) -> Frame:

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from torchfra.adaptive.fading import NoFading
 from torchfra.filters.ahead import Ahead, look_ahead
-from torchfra.filters.base import Filter
+from torchfra.filters.base import Filter, S
 from torchfra.filters.checks import check_state
 from torchfra.filters.records import Record, scores
 from torchfra.filters.smoothing import Told, Turn
@@ -36,7 +36,7 @@ class Past(NamedTuple):
     """Both as they were at the step itself, of a filter that decides late."""
 
 
-class TrackFilter(Filter):
+class TrackFilter(Filter[S]):
     """Abstract: measurements ``z (..., T, m)``, beliefs ``(..., n)``."""
 
     def predict(self, state: Any, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None) -> Ahead:
@@ -85,7 +85,7 @@ class TrackFilter(Filter):
         return noise.colour(record.residual.unsqueeze(-1)).squeeze(-1), noise.colour(record.root)
 
 
-class GaussianFilter(TrackFilter):
+class GaussianFilter(TrackFilter[S]):
     """Abstract: carries a Gaussian through motion and sensor by a rule.
 
     Args:

@@ -44,7 +44,7 @@ class VSIMMInfo(NamedTuple):
     """``(..., T, K)`` bool: the models that run."""
 
 
-class VSIMM(Around):
+class VSIMM(Around[VSIMMState]):
     """Interacting multiple models with a model set that changes: the likely-model set, at a fixed number of models.
 
     Before every step the set is chosen from the probabilities: a model above ``principal`` calls its neighbours, one

@@ -67,7 +67,7 @@ class Program:
         """What it will write, with tracks innermost."""
         return [
             torch.empty(
-                ((steps,) if port.timed else ()) + tuple(port.shape) + tuple(batch),
+                ((steps + port.late,) if port.timed else ()) + tuple(port.shape) + tuple(batch),
                 dtype=torch.bool if port.truth else self._dtype,
             )
             for port in self._writes

@@ -30,8 +30,8 @@ class Kernels:
         self._making = threading.Lock()
 
     def forwards(self, batch: torch.Size) -> Program:
-        """What filters a batch of this shape; a single step of one track has a program of its own, for its speed."""
-        return self.program("forwards", narrow=batch.numel() == 1 and not self.step.repeated)
+        """What filters a batch of this shape; one track has a program of its own, for its speed."""
+        return self.program("forwards", narrow=batch.numel() == 1)
 
     def program(self, kind: str, *how: Any, narrow: bool = False) -> Program:
         """``"forwards"``, ``"trajectory"`` or ``"backwards"`` of the step, see there."""
@@ -90,7 +90,7 @@ class _Run(torch.autograd.Function):
             begun += state
             done = kernels.forwards(batch)(batch, last - first, (*state, *_part(step, inputs, first, last, rank)))
             state = tuple(batch_first(x, rank) for x in done[:count])
-            kept.append(done[count:])
+            kept.append([x[: last - first] for x in done[count:]] if step.repeated else done[count:])
         ctx.save_for_backward(*inputs, *begun)
         ctx.kernels, ctx.batch, ctx.starts, ctx.truncate = kernels, batch, starts, truncate
         ctx.set_materialize_grads(False)

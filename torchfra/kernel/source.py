@@ -29,6 +29,8 @@ class Port:
     """Whether the same entry of neighbouring tracks lies side by side, as in what kernels write."""
     truth: bool = False
     """Whether it holds truth values."""
+    late: bool = False
+    """Whether there is room behind the last step, for what nothing later says of it."""
     double: bool = False
     """Whether it is read in double precision, whatever the arithmetic is in."""
 

@@ -15,7 +15,7 @@ from torchfra.kernel.expressions import ZERO, Expressions
 from torchfra.kernel.refusals import gradient_refusals_of, refusals_of
 from torchfra.kernel.source import Port, Scan
 from torchfra.linalg.tracing import elementary
-from torchfra.tree import flatten, unflatten
+from torchfra.tree import flatten, late, unflatten
 
 Advance = Callable[[Any, Any, dict[str, Any]], tuple[Any, Any]]
 """From a module, its state and its inputs by name to the next state and the record of the step."""
@@ -144,7 +144,10 @@ class Step:
 
     def forwards(self) -> Scan:
         """Filters: reads the inputs, writes the record of each step."""
-        return self._scan(self._plain, _ports(self._plain.kept, timed=self.repeated))
+        ports = _ports(self._plain.kept, timed=self.repeated)
+        for port, is_late in zip(ports, late(self._plain.record), strict=True):
+            port.late = is_late and self.repeated
+        return self._scan(self._plain, ports)
 
     def trajectory(self) -> Scan:
         """Filters again: writes the state before each step."""

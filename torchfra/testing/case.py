@@ -67,8 +67,8 @@ class Case:
 
     def __call__(self, **given: Any) -> Estimate:
         """The estimate of these tracks, or of what else is given: ``case(z=z, truncate=2)``."""
-        estimate: Estimate = self.filter(**{"z": self.z, "prior": self.prior, "dt": self.dt, "u": self.u} | given)
-        return estimate
+        ready: dict[str, Any] = {"z": self.z, "prior": self.prior, "dt": self.dt, "u": self.u}
+        return self.filter(**ready | given)
 
     @property
     def estimate(self) -> Estimate:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torchfra.filters.alphabeta.axes import axis_roots, full_root
+from torchfra.filters.base import S
 from torchfra.filters.records import Record
 from torchfra.filters.tracks import TrackFilter
 from torchfra.gaussian.inputs import Frame
@@ -20,7 +21,7 @@ from torchfra.sensors.position import Position
 from torchfra.types import Gaussian
 
 
-class ConstantGainFilter(TrackFilter):
+class ConstantGainFilter(TrackFilter[S]):
     """Abstract: a filter of positions, axis by axis."""
 
     instants = False

@@ -17,7 +17,7 @@ from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper
 
 
-class Decisions(Soft, ConstantGainFilter):
+class Decisions(Soft, ConstantGainFilter[AlphaBetaBankState]):
     """Abstract: what a measurement decides; ``AlphaBetaBank`` says what the attributes are."""
 
     alpha: Hyper

@@ -49,7 +49,7 @@ class AlphaBetaState(NamedTuple):
         return Gaussian(self.mean, full_root(self.root, self.mean.shape[-1]))
 
 
-class AlphaBeta(ConstantGainFilter):
+class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
     """Alpha-beta filter, or alpha-beta-gamma with a motion of constant acceleration.
 
     The first two measurements give position and velocity.  ``Estimate.scale_tril`` is that of the errors which the

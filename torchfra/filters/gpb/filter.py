@@ -133,7 +133,7 @@ class GPB(Sensing):
         outlier = (joint[1].exp().unsqueeze(-1) * corrected.outlier).sum((0, 1))
         log_regimes = joint.logsumexp(2).movedim(1, -1)  # (2, ..., R)
         if_dirty = outlier / log_regimes[1].logsumexp(-1, keepdim=True).exp()
-        info = Step(settled, log_regimes.exp().sum(0), outlier)
+        info = Step(tree.Late(settled), log_regimes.exp().sum(0), outlier)
         clean, dirty = tree.unbind(after, 2)
         carried = clean, dirty, log_regimes.movedim(0, -2), if_dirty
         record = Record(
@@ -215,10 +215,6 @@ class GPB(Sensing):
 
     def finish(self, state: GPBState, belief: Gaussian, info: Step) -> tuple[Gaussian, GPBInfo]:
         """Each step's settled estimate comes with the next."""
-        last = info.regimes.dim() - 2
-
-        def one_later(steps: Tensor, end: Tensor) -> Tensor:
-            return torch.cat([steps.narrow(last, 1, steps.shape[last] - 1), end.unsqueeze(last)], last)
-
-        settled = tree.map_tensors(one_later, info.settled, state.belief)
+        time = info.regimes.dim() - 2
+        settled = tree.one_earlier(info.settled, state.belief, time, info.regimes.shape[time])
         return settled if self.lag else belief, GPBInfo(belief, settled, info.regimes, info.outlier)

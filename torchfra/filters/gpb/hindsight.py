@@ -11,6 +11,7 @@ from torchfra import tree
 from torchfra.filters.gpb.merging import log_share, together
 from torchfra.filters.gpb.qualities import entry
 from torchfra.filters.gpb.regimes import Regimes, in_front
+from torchfra.filters.gpb.states import GPBState
 from torchfra.filters.hindsight import inside
 from torchfra.filters.interaction import for_each_model, held
 from torchfra.filters.smoothing import Told, Turn
@@ -49,7 +50,7 @@ class GPBPast(NamedTuple):
         return Told(together(self.beliefs(), regimes.of_motion(log_weights), motion), weights.sum(0), outlier)
 
 
-class WayBack(GaussianFilter):
+class WayBack(GaussianFilter[GPBState]):
     """The part of ``GPB`` that smooths."""
 
     keeps_past = True

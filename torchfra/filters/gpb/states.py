@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from torchfra.tree import Late
 from torchfra.types import Gaussian
 
 
@@ -53,6 +54,6 @@ class Shares(NamedTuple):
 class Step(NamedTuple):
     """What one step knows: about itself, and now for good about the one before."""
 
-    settled: Gaussian
+    settled: Late
     regimes: Tensor
     outlier: Tensor

@@ -1,0 +1,140 @@
+"""Short tracks through a compiled filter whose form is known cost little but the run, and keep every promise."""
+
+import copy
+
+import pytest
+import torch
+
+from torchfra.filters.compiled import Compiled
+from torchfra.tree import flatten
+from torchfra.types import Cause, Gaussian
+
+
+@pytest.fixture
+def prepared(monkeypatch):
+    """How often tracks had to be checked and prepared."""
+    seen = []
+    forward = Compiled.forward
+    monkeypatch.setattr(Compiled, "forward", lambda *given: seen.append(1) or forward(*given))
+    return seen
+
+
+def close(slow, fast, tolerance=1e-10):
+    for a, b in zip(flatten(slow), flatten(fast), strict=True):
+        torch.testing.assert_close(b, a, rtol=tolerance, atol=tolerance)
+
+
+def alone(tracks, steps=8):
+    """The first track."""
+    return {"z": tracks.z[0, :steps], "prior": Gaussian(tracks.prior.mean[0], tracks.prior.scale_tril),
+            "u": tracks.u[:steps]}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["srckf", "fra"])
+def test_the_second_call_says_what_the_filter_says_without_being_prepared(name, make, tracks, prepared):
+    f = make(name)
+    fast = copy.deepcopy(f).compile()
+    for given in (alone(tracks), {"z": tracks.z[:, :8], "prior": tracks.prior, "u": tracks.u[:8]}):
+        slow = f(**given)
+        prepared.clear()
+        for _ in range(3):
+            close(slow, fast(**given))
+        assert len(prepared) == 1
+
+
+@pytest.fixture
+def ready(make, tracks):
+    """A filter for which one track is ready, and its arguments."""
+    f, given = make("srckf").compile(), alone(tracks)
+    f(**given)
+    return f, given
+
+
+def test_results_are_new_each_time(ready):
+    f, given = ready
+    first = flatten(f(**given))
+    kept = [x.clone() for x in first]
+    for x in first:
+        x.zero_()
+    assert all(map(torch.equal, flatten(f(**given)), kept))
+
+
+def test_values_are_read_and_changes_noticed_between_two_calls(ready, prepared):
+    f, given = ready
+    before = f(**given).mean
+    f.motion.q.set(5.0)
+    after = f(**given).mean
+    assert not prepared
+    f.sensor.std = copy.deepcopy(f.sensor.std)  # a part replaced
+    assert torch.equal(f(**given).mean, after)
+    assert prepared
+    assert not torch.equal(before, after)
+
+
+def test_whatever_does_not_fit_is_refused_or_prepared(ready, prepared):
+    f, given = ready
+    expected = f(**given)
+    for dt in (1, 1.0):
+        close(expected, f(dt=dt, **given), 0)
+    assert not prepared
+    second = torch.ones(8, dtype=torch.float64)
+    for _ in range(2):
+        close(expected, f(dt=second, **given))
+    assert len(prepared) == 1
+    for dt in (-1.0, torch.nan, -second, "1"):
+        with pytest.raises(ValueError, match="dt: expected"):
+            f(dt=dt, **given)
+    with pytest.raises(ValueError, match="u: expected"):
+        f(**given | {"u": given["u"].tolist()})
+    with pytest.raises(ValueError, match="prior: expected a Gaussian"):
+        f(**given | {"prior": tuple(given["prior"])})
+    with pytest.raises(ValueError, match=r"z: expected"):
+        f(**given | {"z": given["z"][:, :1]})
+    std = torch.full((8, 2), 0.02, dtype=torch.float64)
+    for _ in range(2):
+        f(std=std, **given)
+    with pytest.raises(ValueError, match="std: expected"):
+        f(std=-std, **given)
+
+
+def test_a_prior_with_any_root_is_made_triangular(ready):
+    f, given = ready
+    mean, root = given["prior"]
+    turned, _ = torch.linalg.qr(torch.randn(6, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(0)))
+    close(f(**given), f(**given | {"prior": Gaussian(mean, root @ turned)}), 1e-9)
+
+
+def test_a_prior_that_is_not_finite_fails_its_track(ready, prepared):
+    f, given = ready
+    mean, root = given["prior"]
+    failure = f(**given | {"prior": Gaussian(mean * torch.nan, root)}).failure
+    assert (failure.step.item(), failure.cause.item()) == (0, Cause.PRIOR)
+    assert not prepared
+
+
+def test_a_gradient_flows_through_tracks_that_are_ready_without_one(ready):
+    f, given = ready
+    z = given["z"].clone().requires_grad_()
+    slopes = []
+    for _ in range(2):
+        slopes.append(torch.autograd.grad(f(**given | {"z": z}).mean.sum(), z)[0])
+        f._kernels = None
+    close(*[(slope,) for slope in slopes])
+
+
+def test_the_past_and_what_is_settled_late_are_those_of_the_filter(make, tracks):
+    f, given = make("gpb"), alone(tracks)
+    fast = copy.deepcopy(f).compile()
+    for _ in range(2):
+        close(f(past=True, **given), fast(past=True, **given), 1e-9)
+        close(f(**given).info, fast(**given).info, 1e-9)
+
+
+def test_each_form_is_remembered_by_itself(ready, tracks, prepared):
+    f, given = ready
+    shorter = alone(tracks, 5)
+    f(**shorter)
+    prepared.clear()
+    assert f(**given).mean.shape == (8, 6)
+    assert f(**shorter).mean.shape == (5, 6)
+    assert not prepared

@@ -1,0 +1,106 @@
+"""Whole tracks of a compiled filter, made ready once for each form of call, so that a call does little but run them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra.filters.compiled_step import guard, is_ordinary, number
+from torchfra.gaussian.arguments import check_values
+from torchfra.gaussian.inputs import Measurements
+from torchfra.kernel.program import Ready
+from torchfra.tree import unflattener
+from torchfra.types import Gaussian
+
+_FORMS = 16
+"""How many forms are remembered."""
+_STEPS = 4096
+"""At most, of all tracks of a form that is remembered: with more of them what a call costs besides is little."""
+
+
+class ReadyTracks:
+    """Tracks of one form.
+
+    Args:
+        begin: from prior and values to what the state before the first step is made of.
+        leaves: of that state, by number.
+        run: from that state, data and values to all that is kept.
+        tensors: what the two read: prior, data, values.
+        data: how many of these are data.
+        made: the state and the record of one track.
+    """
+
+    def __init__(
+        self, begin: Ready, leaves: Sequence[int], run: Ready, tensors: Sequence[Tensor], data: int, made: Any
+    ) -> None:
+        self._begin, self._leaves, self._run, self._values = begin, leaves, run, 2 + data
+        self.made = unflattener(made)
+        self.fit = guard(tensors)
+
+    def __call__(self, tensors: Sequence[Tensor]) -> tuple[Any, Any]:
+        """The state after the last step, and what is kept of each."""
+        begun = self._begin((*tensors[:2], *tensors[self._values :]))
+        made: tuple[Any, Any] = self.made(self._run((*[begun[i] for i in self._leaves], *tensors[2:])))
+        return made
+
+
+class AllReadyTracks:
+    """All that have been made ready."""
+
+    def __init__(self) -> None:
+        self._known: dict[Hashable, list[ReadyTracks]] = {}
+
+    def __call__(
+        self, form: Hashable, prior: Gaussian, measurements: Measurements, values: Callable[[], Any], instants: bool
+    ) -> tuple[Any, Any] | None:
+        """The state after the last step and what is kept of each; None where no such tracks are ready.
+
+        Args:
+            form: of the call.
+            prior: of the tracks.
+            measurements: that are checked for bad values here.
+            values: what the filter holds.
+            instants: whether ``dt`` may be 0.
+
+        Raises:
+            ValueError: the time steps or the noise have a bad value.
+        """
+        known = self._known.get(form, ())
+        z, dt, *rest = measurements
+        if not known or not isinstance(dt, (Tensor, float, int)):
+            return None
+        seconds = seconds_of(measurements)
+        tensors = (*prior, z, seconds, *(x for x in rest if x is not None), *values())
+        for tracks in known:
+            if tracks.fit(*tensors):
+                if not (is_ordinary(dt, z.dtype) and rest[1] is rest[2] is None):
+                    check_values(measurements, instants)
+                return tracks(tensors)
+        return None
+
+    def add(self, form: Hashable, tracks: ReadyTracks) -> None:
+        """Remembers tracks; all others are forgotten when there are too many."""
+        if sum(map(len, self._known.values())) >= _FORMS:
+            self._known = {}
+        self._known[form] = [tracks, *self._known.get(form, ())]
+
+
+def seconds_of(measurements: Measurements) -> Tensor:
+    """The time step, one for all or one for each, in the precision of the measurements."""
+    dt = measurements.dt if measurements.varying_dt else measurements.common_dt
+    return dt.to(measurements.z.dtype) if isinstance(dt, Tensor) else number(dt, measurements.z.dtype)
+
+
+def form_of(measurements: Measurements, past: bool) -> Hashable:
+    """What of a call is no form of a tensor."""
+    _, dt, u, std, noise = measurements
+    given = u is None, std is None, noise is None, isinstance(dt, Tensor), measurements.varying_dt
+    return given, past, torch.is_grad_enabled()
+
+
+def may_be_ready(tracks: int, steps: int) -> bool:
+    """Whether so many tracks of so many steps are worth being remembered."""
+    return tracks * steps <= _STEPS
