@@ -184,11 +184,13 @@ def test_without_a_prior_tracks_begin_at_their_first_whole_measurement():
     z = walks(2, 6, 8)[1]
     z[0, :2] = torch.nan
     z[1, 0, 1] = torch.nan
-    batch = batch_of(start(), z, runs=0, seed=0)
-    assert torch.equal(batch.prior.mean[:, :2], torch.stack([z[0, 2], z[1, 1], *z[2:, 0]]))
-    assert torch.equal(batch.z[0, :6], z[0, 2:])
-    assert batch.z[0, 6:].isnan().all()
-    assert (batch.prior.scale_tril[:, 0, 0] - 10 * 3 * STD).abs().max() < 1e-9
+    f = start()
+    batch = batch_of(f, z, runs=0, seed=0)
+    assert torch.equal(batch.belief(f).mean[:, :2], torch.stack([z[0, 2], z[1, 1], *z[2:, 0]]))
+    assert torch.equal(batch.z[0, :5], z[0, 3:])
+    assert batch.z[0, 5:].isnan().all()
+    f.sensor.std.set(5.0)
+    assert (batch.belief(f).scale_tril[:, 0, 0] - 5.0).abs().max() < 1e-9
     (bearing,) = (presets.srckf(ConstantVelocity(1.0), Bearings(0.1)),)
     with pytest.raises(ValueError, match="prior: expected one belief per track"):
         batch_of(bearing, z, runs=0, seed=0)
@@ -208,7 +210,7 @@ def test_recordings_of_different_lengths_are_learned_from():
     found = torchfra.fit(start(), recordings, learn=("std",), **QUICK)
     assert abs(found.learned["sensor.std"] - STD) < 0.2 * STD
     whole = batch_of(start(), recordings, runs=0, seed=0)
-    assert (~whole.z.isnan().any(-1)).sum(1).tolist() == lengths
+    assert (~whole.z.isnan().any(-1)).sum(1).tolist() == [t - 1 for t in lengths]  # the first is what each begins with
 
 
 def test_a_track_that_fails_is_left_out_and_said(data):

@@ -14,9 +14,10 @@ from torch.utils.data import DataLoader, Dataset
 
 from torchfra.cleaning.batches import padded, steps_of
 from torchfra.filters import Filter
-from torchfra.fit.starts import first_seen, started
+from torchfra.fit.starts import First, first_of, first_seen, started
 from torchfra.readers.recording import Recording
 from torchfra.scenarios.base import Scenario, Tracks
+from torchfra.tree import flatten, map_tensors
 from torchfra.types import Gaussian
 
 FIELDS = ("z", "dt", "u", "prior", "truth")
@@ -30,8 +31,9 @@ class Batch(NamedTuple):
 
     z: Tensor
     """``(N, T, m)`` measurements, or scans ``(N, T, J, m)``."""
-    prior: Gaussian
-    """``(N, n)`` and ``(N, n, n)``, each one ``dt`` before the first measurement; of several targets ``(N, K, n)``."""
+    prior: Gaussian | First
+    """``(N, n)`` and ``(N, n, n)``, each one ``dt`` before the first measurement; of several targets ``(N, K, n)``.  Of
+    tracks that came without one: the measurement that they begin with, one ``dt`` before the first of ``z``."""
     dt: Tensor
     """``(N, T)`` seconds since the step before."""
     u: Tensor | None
@@ -41,18 +43,22 @@ class Batch(NamedTuple):
 
     def rows(self, index: Tensor | slice) -> Batch:
         """Some of the tracks."""
-        u, truth = (None if x is None else x[index] for x in (self.u, self.truth))
-        return Batch(self.z[index], Gaussian(*(x[index] for x in self.prior)), self.dt[index], u, truth)
+        rows: Batch = map_tensors(lambda x: x[index], self)
+        return rows
 
     def to(self, dtype: torch.dtype) -> Batch:
         """The same in another precision."""
-        u, truth = (None if x is None else x.to(dtype) for x in (self.u, self.truth))
-        return Batch(self.z.to(dtype), Gaussian(*(x.to(dtype) for x in self.prior)), self.dt.to(dtype), u, truth)
+        batch: Batch = map_tensors(lambda x: x.to(dtype), self)
+        return batch
+
+    def belief(self, f: Filter) -> Gaussian:
+        """What the filter's tracks begin with, as it is at the moment."""
+        return self.prior if isinstance(self.prior, Gaussian) else started(f.motion, f.sensor, self.prior)
 
     def digest(self) -> str:
         """SHA-256 of all numbers, which tells whether a fit goes on with the tracks that it began with."""
-        parts = [x for x in (self.z, *self.prior, self.dt, self.u, self.truth) if x is not None]
-        return hashlib.sha256(b"".join(x.detach().cpu().contiguous().numpy().tobytes() for x in parts)).hexdigest()
+        parts = (x.detach().cpu().contiguous().numpy().tobytes() for x in flatten(self))
+        return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
 def batch_of(f: Filter, data: Source, *, runs: int, seed: int) -> Batch:
@@ -190,10 +196,13 @@ def _whole(f: Filter, given: dict[str, Any]) -> Batch:
 
 
 def _started(f: Filter, z: Tensor, dt: Tensor, u: Tensor | None, truth: Tensor | None) -> Batch:
+    """Tracks without a prior: their first whole measurement becomes it."""
     if f.sensor.locates:
         parts = iter(first_seen(z, dt, u, truth))
         z, dt = next(parts), next(parts)
         u, truth = (None if x is None else next(parts) for x in (u, truth))
     with torch.no_grad():
-        prior = started(f.motion, f.sensor, z, dt, u)
-    return Batch(z, prior, dt, u, truth)
+        first = first_of(f.motion, f.sensor, z, dt, u)
+    rest = (None if x is None else x[:, 1:] for x in (z, dt, u, truth))
+    z, dt, u, truth = rest
+    return Batch(z, first, dt, u, truth)

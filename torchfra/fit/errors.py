@@ -8,13 +8,17 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.fit.newton import STILL, Curvature
+from torchfra.fit.newton import Curvature
 from torchfra.fit.vector import NORMAL_95, Vector
 
 KINDS = ("hessian", "sandwich")
 TOLD = math.log(10.0)
 """Widest 95 % interval, in unconstrained values, of one that counts as identified: a factor of 10 for what is above 0.
 """
+OFF = 0.5
+"""Standard errors of the gradient from 0 on which the values are not where the loss is least."""
+RATIO = 1.6
+"""From which on the two kinds of standard errors differ by a quarter."""
 
 
 class Certainty(NamedTuple):
@@ -37,6 +41,12 @@ class Certainty(NamedTuple):
     """The direction that the tracks tell least, in words."""
     off: float
     """How many of its standard errors the gradient is away from 0."""
+    ratio: float
+    """Scatter of the tracks' gradients over what the Hessian says it should be: 1 where the loss is a likelihood of a
+    model that holds, and only then are standard errors of the Hessian right (White's information matrix)."""
+
+    kind: str
+    """``"hessian"`` or ``"sandwich"``."""
 
     @property
     def notes(self) -> list[str]:
@@ -44,8 +54,11 @@ class Certainty(NamedTuple):
         lines = []
         if bool(self.covariance.isnan().any()):
             lines.append("the loss has no minimum here: there are no standard errors")
-        elif not self.off <= 10 * STILL:
+        elif not self.off <= OFF:
             lines.append(f"the gradient is {self.off:.2g} of its standard errors from 0: standard errors are rough")
+        elif self.kind == "hessian" and not 1 / RATIO < self.ratio < RATIO:
+            scatter = f"gradients of tracks scatter {self.ratio:.2g} times as the Hessian says"
+            lines.append(f"{scatter}, so the model does not hold: take errors='sandwich'")
         return lines
 
 
@@ -77,6 +90,7 @@ def certainty(vector: Vector, raw: Tensor, curvature: Curvature, kind: str) -> C
     return Certainty(
         covariance, vector.errors(raw, covariance), low, high, (2 * reach < TOLD).tolist(), condition,
         _words(vector, vector.directions @ axes[:, 0], inner, axes[:, 0]), float(curvature.off[0, 0]),
+        float(torch.linalg.lstsq(hessian.nan_to_num(), scores.nan_to_num()).solution.diagonal().mean()), kind,
     )  # fmt: skip
 
 

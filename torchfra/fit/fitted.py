@@ -38,9 +38,9 @@ class Tracks:
     """The tracks of a fit, and how their losses are computed."""
 
     objective: Objective
-    train: Batch
+    sums: Sums
+    """Over the tracks that values were learned from."""
     test: Batch
-    names: list[str]
 
     @property
     def measured(self) -> Tensor | None:
@@ -123,11 +123,11 @@ class Fitted:
 
     def profile(self, name: str, *, points: int = 9, reach: float = 3.0) -> Profile:
         """How much the loss grows away from the best value of one number, all others adapted: ``fit.again.profile``."""
-        return profile(self._sums(), self._best(), self.certainty, name, points=points, reach=reach)
+        return profile(self._own().sums, self._best(), self.certainty, name, points=points, reach=reach)
 
     def bootstrap(self, resamples: int = 100) -> Bootstrap:
         """Standard errors by fitting again to tracks drawn with replacement: ``fit.again.bootstrap``."""
-        return bootstrap(self._sums(), self._best(), resamples, self.settings.seed)
+        return bootstrap(self._own().sums, self._best(), resamples, self.settings.seed)
 
     @property
     def quantity(self) -> str:
@@ -186,7 +186,3 @@ class Fitted:
     def _best(self) -> Tensor:
         assert self._raw is not None
         return self._raw
-
-    def _sums(self) -> Sums:
-        tracks = self._own()
-        return Sums(tracks.objective, tracks.train.to(torch.float64), tracks.objective.vector.directions)

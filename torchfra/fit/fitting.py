@@ -97,13 +97,13 @@ def fit(
 
     descent = Descent(objective, train, valid, starting_points(start, vector.directions, settings), settings)
     _descend(descent, checkpoint, resume, key_of(settings, vector.names, used.digest(), start), quiet)
-    raw, more = _polished(objective, descent, train, valid, settings)
-    sums = Sums(objective, train.to(torch.float64), vector.directions)
+    best = descent.best[int(descent.scores.argmin())]
+    sums, raw, more = _polished(Sums(objective, train.to(torch.float64), vector.directions), best, valid, settings)
     known = certainty(vector, raw, sums.curvature(raw[None, None]), settings.errors)
     vector.store(raw)
     for hyper in vector.hypers.values():
         hyper.raw.requires_grad_(False)
-    own = Tracks(objective, train, test, vector.names)
+    own = Tracks(objective, sums, test)
     return Fitted(
         f, _named(vector, start), _named(vector, raw), known, _judged(own, start, raw, seed), descent.rows,
         descent.scores.tolist(), settings, runs_compiled, str(tracks.z.dtype).removeprefix("torch."),
@@ -166,20 +166,21 @@ def _descend(descent: Descent, checkpoint: str | Path | None, resume: bool, key:
             checkpoints.save(descent.state(key), path)
 
 
-def _polished(
-    objective: Objective, descent: Descent, train: Batch, valid: Batch, settings: Settings
-) -> tuple[Tensor, list[str]]:
-    """The best values, made the best of all tracks that are learned from, unless validation speaks against it."""
-    best = descent.best[int(descent.scores.argmin())]
-    if not settings.polish:
-        return best, []
-    sums = Sums(objective, train.to(torch.float64), objective.vector.directions)
-    raw = minimised(sums, best[None, None])[0][0, 0]
-    change = objective.losses(raw[None, None], valid)[0] - objective.losses(best[None, None], valid)[0]
+def _polished(sums: Sums, best: Tensor, valid: Batch, settings: Settings) -> tuple[Sums, Tensor, list[str]]:
+    """The tracks that decide, the values where the sum of their losses is least, and what is to be said of both."""
+    raw, count = best, len(sums.batch.z)
+    for _ in range(2):
+        calm = sums.calm(raw[None, None])
+        sums = Sums(sums.objective, sums.batch.rows(calm), sums.directions)
+        raw = minimised(sums, best[None, None])[0][0, 0] if settings.polish else best
+    wild = count - len(sums.batch.z)
+    notes = [f"{wild} tracks whose loss is chaotic do not count in the last steps and standard errors"] if wild else []
+    one, other = (sums.objective.losses(x[None, None], valid)[0] for x in (best, raw))
+    change = other - one
     error = change.std(correction=0) / len(change) ** 0.5
     if not bool(change.isfinite().all()) or (len(change) > 2 and bool(change.mean() > WORSE * error)):
-        return best, ["validation speaks against the last steps: values are those of the best validation"]
-    return raw, []
+        return sums, best, [*notes, "validation speaks against the last steps: values are those of the best validation"]
+    return sums, raw, notes
 
 
 def _judged(own: Tracks, start: Tensor, raw: Tensor, seed: int) -> dict[str, Judged]:

@@ -18,6 +18,8 @@ REACH = 2.0
 """Longest step, in unconstrained values: a factor of 7 for what is above 0."""
 STILL = 0.02
 """Standard errors of the gradient below which it counts as 0."""
+WILD = 30.0
+"""Times the median over tracks that the curvature of one may be."""
 
 
 class Curvature(NamedTuple):
@@ -66,17 +68,33 @@ class Sums:
 
     def curvature(self, raw: Tensor) -> Curvature:
         """At ``raw (R, G, P)``, by central differences along the directions."""
+        loss, gradient, bends = self.of_tracks(raw)
+        scores = self._summed((gradient.unsqueeze(-1) * gradient.unsqueeze(-2)).flatten(-2), squared=True)
+        count = self.directions.shape[1]
+        hessian = self._summed(bends.flatten(-2)).unflatten(-1, (count, count))
+        total = self._summed(loss.unsqueeze(-1))[..., 0]
+        return Curvature(total, self._summed(gradient), scores.unflatten(-1, (count, count)), hessian)
+
+    def of_tracks(self, raw: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Losses ``(R, N)`` of single tracks, gradients ``(R, N, Q)`` and Hessians ``(R, N, Q, Q)``."""
         offsets = STEP * torch.cat([torch.zeros_like(self.directions[:, :1]), self.directions, -self.directions], 1).mT
         points = (raw.unsqueeze(1) + offsets[:, None]).flatten(0, 1)  # (R (1 + 2 Q), G, P)
         loss, gradient = self.objective.gradients(points[:, self.group], self.batch)
-        rows, count = len(raw), self.directions.shape[1]
-        gradient = (gradient @ self.directions).unflatten(0, (rows, -1))  # (R, 1 + 2 Q, N, Q)
-        here = gradient[:, 0]
-        scores = self._summed((here.unsqueeze(-1) * here.unsqueeze(-2)).flatten(-2), squared=True)
-        totals = self._summed(gradient.movedim(1, 2).flatten(-2)).unflatten(-1, (-1, count))  # (R, G, 1 + 2 Q, Q)
-        hessian = (totals[..., 1 : count + 1, :] - totals[..., count + 1 :, :]) / (2 * STEP)
-        total = self._summed(loss.unflatten(0, (rows, -1))[:, 0].unsqueeze(-1))[..., 0]
-        return Curvature(total, totals[..., 0, :], scores.unflatten(-1, (count, count)), (hessian + hessian.mT) / 2)
+        count = self.directions.shape[1]
+        gradient = (gradient @ self.directions).unflatten(0, (len(raw), -1))  # (R, 1 + 2 Q, N, Q)
+        change = (gradient[:, 1 : count + 1] - gradient[:, count + 1 :]).movedim(1, 2) / (2 * STEP)
+        return loss.unflatten(0, (len(raw), -1))[:, 0], gradient[:, 0], (change + change.mT) / 2
+
+    def calm(self, raw: Tensor) -> Tensor:
+        """``(N,)`` bool: whether the loss of each track bends as those of others do, at ``raw (1, G, P)``.
+
+        That of a track on which the filter nearly diverges can change by any amount from values to values next to
+        them.  A few such tracks would decide where the sum is least, and how sharply.
+        """
+        bends = self.of_tracks(raw)[2][0]
+        scale = bends.diagonal(dim1=-2, dim2=-1).abs().nanmedian(0).values.clamp_min(1e-300).sqrt()
+        size = torch.linalg.matrix_norm(bends / scale / scale.unsqueeze(-1))
+        return size <= WILD * size.nanmedian()
 
     def _summed(self, x: Tensor, squared: bool = False) -> Tensor:
         """``(R, G, k)`` of ``x (R, N, k)``."""

@@ -121,7 +121,7 @@ class Objective:
         return loss, copies
 
     def _estimate(self, batch: Batch) -> Estimate:
-        estimate: Estimate = self.filter(batch.z, batch.prior, dt=batch.dt, u=batch.u)
+        estimate: Estimate = self.filter(batch.z, batch.belief(self.filter), dt=batch.dt, u=batch.u)
         return estimate if self.convert is None else self.convert(estimate)
 
     def _measured(self, batch: Batch) -> Tensor:
@@ -151,7 +151,7 @@ class Objective:
         steps = torch.arange(batch.z.shape[1], device=batch.z.device)
         hides = steps % FOLDS == torch.arange(FOLDS, device=batch.z.device).unsqueeze(1)  # (F, T)
         z = batch.z.masked_fill(hides[:, None, None, :, None], torch.nan)  # (F, 1, N, T, m)
-        smoothed = self.filter.smooth(z, batch.prior, dt=batch.dt, u=batch.u)
+        smoothed = self.filter.smooth(z, batch.belief(self.filter), dt=batch.dt, u=batch.u)
         fold = steps % FOLDS
         mean = smoothed.mean[fold, ..., steps, :]  # (T, R, N, n): of the fold that hides the step
         root = smoothed.scale_tril[fold, ..., steps, :, :]

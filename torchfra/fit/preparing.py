@@ -73,7 +73,7 @@ def _coordinates(f: Filter, data: Source) -> dict[str, Any]:
 def _error(f: Filter, tracks: Batch, where: dict[str, Any]) -> float:
     """The median over tracks of the error at the start."""
     with torch.no_grad():
-        estimate = f(tracks.z, tracks.prior, dt=tracks.dt, u=tracks.u)
+        estimate = f(tracks.z, tracks.belief(f), dt=tracks.dt, u=tracks.u)
         estimate = where["convert"](estimate) if where["convert"] else estimate
     assert tracks.truth is not None
     return float(losses.mse(estimate.mean, tracks.truth, where["states"]).nanmedian().sqrt())

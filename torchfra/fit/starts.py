@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
@@ -11,9 +14,16 @@ from torchfra.targets.births import OnePoint
 from torchfra.targets.places import place
 from torchfra.types import Gaussian
 
-WIDER = 10.0
-"""Standard deviations of the first measurement that a start is wide, so that the measurement itself counts, whatever
-the noise is found to be."""
+
+class First(NamedTuple):
+    """The measurement that a track begins with, and that counts no more; a belief follows once the noise is known."""
+
+    z: Tensor
+    """``(N, m)``."""
+    u: Tensor | None
+    """``(N, k)`` what the sensor needs to know."""
+    speed: Tensor
+    """``(N,)`` m/s, the standard deviation of the velocity in each direction."""
 
 
 def first_seen(z: Tensor, *others: Tensor | None) -> tuple[Tensor, ...]:
@@ -41,34 +51,38 @@ def first_seen(z: Tensor, *others: Tensor | None) -> tuple[Tensor, ...]:
     return torch.where(over.unsqueeze(-1), torch.nan, moved(z)), *parts
 
 
-def started(motion: Motion, sensor: Sensor, z: Tensor, dt: Tensor, u: Tensor | None) -> Gaussian:
-    """Beliefs ``(N, n)`` around the first measurement of each track, ten times as wide as it.
-
-    The velocity is unknown: around 0, with twice the root mean square of the first steps' speeds as its standard
-    deviation.  Components beside position and velocity begin as births do (``torchfra.targets.births.OnePoint``).
+def first_of(motion: Motion, sensor: Sensor, z: Tensor, dt: Tensor, u: Tensor | None) -> First:
+    """What tracks ``(N, T, m)`` begin with; the velocity is 0, give or take twice the speed of a typical first step.
 
     Args:
         motion: of the targets.
         sensor: one that ``locates``.
-        z: ``(N, T, m)`` measurements, the first of each whole.
+        z: measurements, the first of each whole.
         dt: ``(N, T)`` seconds.
         u: ``(N, T, k)`` what the sensor needs to know.
 
     Raises:
-        ValueError: the sensor does not tell where a target is.
+        ValueError: the sensor does not tell where a target is, or tracks have one step.
     """
     if not sensor.locates:
         expected = f"one belief per track, as {sensor.describe()} does not tell where a target is"
         raise ValueError(f"prior: expected {expected}, received none")
-    places = [place(motion, sensor, z[:, k], None if u is None else u[:, k]) for k in range(min(2, z.shape[1]))]
-    first, dims = places[0], places[0].mean.shape[-1]
-    speed = first.mean.new_tensor(torch.nan)
-    if len(places) > 1:
-        gap = (places[1].mean - first.mean) / dt[:, 1:2]
-        speed = gap.square().sum(-1).nanmean().sqrt()
-    birth = OnePoint(2.0 * float(speed) if bool(speed > 0) else OnePoint().velocity)
-    free = torch.eye(dims, dtype=z.dtype, device=z.device).expand(len(z), -1, -1) * birth.velocity
-    root = torch.cat([
-        torch.cat([WIDER * first.scale_tril, torch.zeros_like(free)], -1), torch.cat([torch.zeros_like(free), free], -1)
-    ], -2)  # fmt: skip
-    return birth.belief(motion, torch.cat([first.mean, torch.zeros_like(first.mean)], -1), root)
+    if z.shape[1] < 2:
+        raise ValueError("data: expected two steps or more in tracks without a prior, received one")
+    here, there = (place(motion, sensor, z[:, k], None if u is None else u[:, k]).mean for k in (0, 1))
+    speed = ((there - here) / dt[:, 1:2]).square().sum(-1).nanmean().sqrt()
+    speed = torch.where(speed > 0, 2.0 * speed, OnePoint().velocity)
+    return First(z[:, 0], None if u is None else u[:, 0], speed.expand(len(z)))
+
+
+def started(motion: Motion, sensor: Sensor, first: First) -> Gaussian:
+    """Beliefs ``(..., N, n)`` at the first measurements, with the sensor's noise as it is at the moment.
+
+    Components beside position and velocity begin as births do (``torchfra.targets.births.OnePoint``).
+    """
+    at = place(motion, sensor, first.z, first.u)
+    dims = at.mean.shape[-1]
+    free = first.speed[:, None, None] * torch.eye(dims, dtype=at.mean.dtype, device=at.mean.device)
+    free = free.expand_as(at.scale_tril)
+    both = torch.cat([pad(at.scale_tril, (0, dims)), pad(free, (dims, 0))], -2)
+    return OnePoint().belief(motion, pad(at.mean, (0, dims)), both)
