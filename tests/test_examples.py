@@ -129,8 +129,10 @@ def test_ten_targets_are_followed_without_a_switch(capsys):
     assert numbers(r"GOSPA ([\d.]+) m", output)[0] < 60
 
 
-def test_a_problem_of_ones_own_is_fitted_and_compared(capsys, tmp_path):
-    load("10_own_problem").main(["--tracks", "12", "--iterations", "2", "--no-compile", "--out", str(tmp_path)])
+@pytest.mark.slow
+def test_a_problem_of_ones_own_is_fitted_and_compared(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(presets, "gpb", presets.rsrckf)  # whose kernel takes the compiler half a minute
+    load("10_own_problem").main(["--tracks", "12", "--iterations", "0", "--out", str(tmp_path)])
     output = capsys.readouterr().out
     srckf, gpb = (text for text in output.split("gpb\n")[:2])
     assert "sensor.std[1]" in srckf

@@ -1,7 +1,6 @@
 """A problem of your own: your simulator, your sensor, recorded tracks without any truth; fitted, judged, compared.
 
-You learn how ``torchfra.fit`` finds noise levels from measurements alone, how well it knows them, and whether another
-filter predicts the measurements better.
+You learn how ``torchfra.fit`` finds noise levels from measurements, and whether another filter predicts them better.
 """
 
 import argparse
@@ -69,13 +68,12 @@ def main(arguments: list[str] | None = None) -> None:
     files = [torch.from_numpy(np.loadtxt(file, delimiter=",")) for file in sorted(options.out.glob("track-*.csv"))]
     data = [{"z": rows[:, 1:], "dt": rows[:, 0].diff(prepend=rows[:1, 0] - 1)} for rows in files]
     motion, sensor = ConstantVelocity(q=1.0), Beacon((3.0, 0.06))  # guesses: a factor 3 to 5 off
-    how = {"learn": ("q", "std"), "iterations": options.iterations, "compile": options.compile}
+    how = {"learn": ("q", "std"), "iterations": options.iterations}
     plain, robust = (torchfra.fit(f(motion, sensor), data, **how) for f in (presets.srckf, presets.gpb))
     print(f"made with q {Q} (gpb has levels of its own to multiply it by), std {STD}\n")
     print(f"srckf\n{plain}\n\ngpb\n{robust}\n")
     print(robust.compare({"srckf": plain, "gpb before": presets.gpb(motion, sensor)}))
-    robust.to_json(options.out / "gpb.json")
-    robust.plot(options.out / "gpb.png")
+    robust.to_json(options.out / "gpb.json"), robust.plot(options.out / "gpb.png")
 
 
 if __name__ == "__main__":

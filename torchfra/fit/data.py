@@ -203,6 +203,5 @@ def _started(f: Filter, z: Tensor, dt: Tensor, u: Tensor | None, truth: Tensor |
         u, truth = (None if x is None else next(parts) for x in (u, truth))
     with torch.no_grad():
         first = first_of(f.motion, f.sensor, z, dt, u)
-    rest = (None if x is None else x[:, 1:] for x in (z, dt, u, truth))
-    z, dt, u, truth = rest
-    return Batch(z, first, dt, u, truth)
+    u, truth = (None if x is None else x[:, 1:] for x in (u, truth))
+    return Batch(z[:, 1:], first, dt[:, 1:], u, truth)

@@ -94,7 +94,8 @@ class Sums:
         bends = self.of_tracks(raw)[2][0]
         scale = bends.diagonal(dim1=-2, dim2=-1).abs().nanmedian(0).values.clamp_min(1e-300).sqrt()
         size = torch.linalg.matrix_norm(bends / scale / scale.unsqueeze(-1))
-        return size <= WILD * size.nanmedian()
+        calm: Tensor = size <= WILD * size.nanmedian()
+        return calm
 
     def _summed(self, x: Tensor, squared: bool = False) -> Tensor:
         """``(R, G, k)`` of ``x (R, N, k)``."""
