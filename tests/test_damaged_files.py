@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchfra import presets, state_files
+from torchfra import app, presets, state_files
 from torchfra.app import atomic_write, cli
 from torchfra.catalogue import learned_filter, make_scenario
 from torchfra.hyper import hypers
@@ -233,7 +233,8 @@ def test_there_is_a_good_checkpoint_at_every_moment(tmp_path, monkeypatch):
         moments.append((tmp_path / "checkpoint.pt").exists())
         return atomic_write.write(path, fill)
 
-    monkeypatch.setattr(checkpoints, "write", write)
+    for module in (checkpoints, app.checkpoints):
+        monkeypatch.setattr(module, "write", write)
     checkpoints.save(training, tmp_path)
     assert moments == [True] * 3
 

@@ -2,7 +2,9 @@
 
 import importlib.util
 import re
+import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
@@ -28,8 +30,8 @@ def numbers(pattern, text):
     return [float(x) for match in re.findall(pattern, text) for x in ([match] if isinstance(match, str) else match)]
 
 
-def test_there_are_nine_numbered_examples_of_80_lines_or_fewer():
-    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 10)]
+def test_there_are_twelve_numbered_examples_of_80_lines_or_fewer():
+    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 13)]
     assert all(len(path.read_text().splitlines()) <= 80 for path in EXAMPLES.values())
 
 
@@ -125,3 +127,37 @@ def test_ten_targets_are_followed_without_a_switch(capsys):
     assert sum(lives[3::4]) == 0
     assert output.count("comes") >= 10
     assert numbers(r"GOSPA ([\d.]+) m", output)[0] < 60
+
+
+@pytest.mark.slow
+def test_a_problem_of_ones_own_is_fitted_and_compared(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(presets, "gpb", presets.rsrckf)  # whose kernel takes the compiler half a minute
+    load("10_own_problem").main(["--tracks", "12", "--iterations", "0", "--out", str(tmp_path)])
+    output = capsys.readouterr().out
+    srckf, gpb = (text for text in output.split("gpb\n")[:2])
+    assert "sensor.std[1]" in srckf
+    assert "sensor.std[1]" in gpb
+    assert len(list(tmp_path.glob("track-*.csv"))) == 12
+    assert (tmp_path / "gpb.json").exists()
+    assert (tmp_path / "gpb.png").exists()
+
+
+def test_lightning_trains_a_filter(capsys):
+    pytest.importorskip("lightning")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of Lightning's own
+        load("11_lightning").main(["--epochs", "2", "--tracks", "32"])
+    before, after = numbers(r"tracks ([-\d.]+), then ([-\d.]+);", capsys.readouterr().out)
+    assert after < before
+
+
+@pytest.mark.slow
+def test_two_processes_learn_what_one_learns(capsys):
+    small = ["--iterations", "2", "--tracks", "4"]
+    load("12_several_processes").main(small)
+    alone = numbers(r" ([\d.]+)", capsys.readouterr().out)
+    launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    both = subprocess.run([*launcher, EXAMPLES["12_several_processes"], *small], capture_output=True, text=True)
+    assert both.returncode == 0, both.stderr
+    assert numbers(r" ([\d.]+)", both.stdout) == pytest.approx(alone, rel=1e-6)
+    assert len(alone) == 4

@@ -23,6 +23,7 @@ from torchfra import (
 from torchfra.app.clean import clean, track
 from torchfra.app.compare import compare
 from torchfra.app.memory import keep_memory
+from torchfra.fit.fitting import fit
 from torchfra.hyper import Hyper, learnable, summary
 from torchfra.testing.models import check_model
 from torchfra.types import Cause, Estimate, Failure, Gaussian, Innovation
@@ -42,6 +43,7 @@ __all__ = [
     "compare",
     "coordinates",
     "filters",
+    "fit",
     "gaussian",
     "keep_memory",
     "learnable",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Sequence
 from typing import TypeVar
 
@@ -160,6 +161,20 @@ def _allowed(constraint: constraints.Constraint) -> str:
 def hypers(module: nn.Module) -> dict[str, Hyper]:
     """All hyperparameters of a module, by their path, such as ``"motion.q"``."""
     return {path: part for path, part in module.named_modules() if isinstance(part, Hyper)}
+
+
+def element_names(path: str, hyper: Hyper) -> list[str]:
+    """A name for each number of a hyperparameter: its path, with an index where it has several, ``"motion.q[1]"``."""
+    indices = (",".join(map(str, index)) for index in itertools.product(*map(range, hyper.raw.shape)))
+    return [f"{path}[{index}]" if index else path for index in indices]
+
+
+def natural_values(module: nn.Module) -> dict[str, float]:
+    """All hyperparameters of a module in natural units by their path; each element of a vector by its index."""
+    values: dict[str, float] = {}
+    for path, hyper in hypers(module).items():
+        values |= zip(element_names(path, hyper), hyper().detach().flatten().tolist(), strict=True)
+    return values
 
 
 def brings_batch(module: nn.Module) -> bool:

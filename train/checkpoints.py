@@ -5,43 +5,34 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
-import sys
 from pathlib import Path
 from typing import Any
 
 from torchfra import state_files
-from torchfra.app import distributed
+from torchfra.app import checkpoints
 from torchfra.app.atomic_write import write, write_text
+from torchfra.app.checkpoints import OtherSettingsError
 from train.training import Training
 
 _BEST: dict[str, type] = {"score": float, "iteration": int, "filter": dict}
 _KINDS: dict[str, type] = {"config": dict, "iteration": int, "stopped": bool, "filter": dict, "optimiser": dict,
                            "best": dict, "rows": list}  # fmt: skip
 """What a checkpoint holds, and its best values."""
-NEWEST, PREVIOUS, BEST, LOG = FILES = "checkpoint.pt", "checkpoint-previous.pt", "state_dict.pt", "log.csv"
+NEWEST, BEST, LOG = "checkpoint.pt", "state_dict.pt", "log.csv"
+FILES = NEWEST, checkpoints.previous(Path(NEWEST)).name, BEST, LOG
 
 
 def found(out: Path) -> list[Path]:
     """The checkpoints in a folder, the newest first."""
-    return [path for path in (out / NEWEST, out / PREVIOUS) if path.exists()]
+    return checkpoints.found(out / NEWEST)
 
 
 def save(training: Training, out: Path) -> None:
     """Writes checkpoint.pt, the best values as state_dict.pt, and log.csv.
 
-    The checkpoint before stays as checkpoint-previous.pt.
-
     Raises:
-        OSError: a file cannot be written; the checkpoints are as before, and the message says so.
+        OSError: a file cannot be written; of a checkpoint the message says what is left.
     """
-    try:
-        _write(training, out)
-    except OSError as error:
-        kept = "the checkpoint before is as it was" if found(out) else "there is no checkpoint yet"
-        raise OSError(error.errno, f"{error.strerror}, {kept}", error.filename) from None
-
-
-def _write(training: Training, out: Path) -> None:
     state = {
         "config": dataclasses.asdict(training.config),
         "iteration": training.iteration,
@@ -51,10 +42,7 @@ def _write(training: Training, out: Path) -> None:
         "best": training.best,
         "rows": training.rows,
     }
-    if (newest := out / NEWEST).exists():
-        before = newest.read_bytes()
-        write(out / PREVIOUS, lambda file: file.write(before))
-    write(newest, lambda file: file.write(state_files.pack(state)))
+    checkpoints.save(state, out / NEWEST)
     write(out / BEST, lambda file: file.write(state_files.pack(training.best["filter"])))
     text = io.StringIO()
     columns = dict.fromkeys(key for row in training.rows for key in row)
@@ -65,35 +53,8 @@ def _write(training: Training, out: Path) -> None:
 
 
 def load(training: Training, out: Path) -> bool:
-    """Continues from the newest checkpoint that can be read.
-
-    Returns:
-        Whether there was a checkpoint.
-
-    Raises:
-        ValueError: none of them can be read, or it belongs to other settings.
-    """
-    paths = found(out)
-    for path in paths:
-        try:
-            _continue(training, _read(path, training))
-        except OtherSettingsError:
-            raise
-        except (ValueError, OSError) as error:
-            _say(f"{path} is damaged and is not used: {error}")
-            continue
-        if path.name != NEWEST:
-            _say(f"{path} is used")
-            if path != paths[0] and distributed.rank() == 0:  # or saving would put the damaged one in place of the good
-                paths[0].replace(out / "checkpoint-damaged.pt")
-        return True
-    if paths:
-        raise ValueError(f"resume: no checkpoint in {out} can be read")
-    return False
-
-
-class OtherSettingsError(ValueError):
-    """A checkpoint belongs to other settings."""
+    """Continues from the newest checkpoint that can be read; whether there was one: see ``app.checkpoints.load``."""
+    return checkpoints.load(out / NEWEST, lambda path: _continue(training, _read(path, training)), "train")
 
 
 def _read(path: Path, training: Training) -> dict[str, Any]:
@@ -135,8 +96,3 @@ def _continue(training: Training, state: dict[str, Any]) -> None:
         raise ValueError(f"expected the state of the optimiser, received something else ({error})") from None
     training.iteration, training.stopped = state["iteration"], state["stopped"]
     training.best, training.rows = state["best"], state["rows"]
-
-
-def _say(line: str) -> None:
-    if distributed.rank() == 0:
-        print(f"train: {line}", file=sys.stderr)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 
-import numpy as np
 from torch import nn
 
 from torchfra.catalogue import FILTERS, scenario_filter
 from torchfra.filters import Filter
 from torchfra.filters.soft import Soft
-from torchfra.hyper import hypers, named, one_of
+from torchfra.hyper import named, one_of
 from torchfra.scenarios import Scenario
 from train.config import Config
 
@@ -60,13 +59,3 @@ def set_temperature(f: nn.Module, temperature: float) -> None:
     for part in f.modules():
         if isinstance(part, Soft):
             part.temperature = temperature
-
-
-def natural_values(f: nn.Module) -> dict[str, float]:
-    """All hyperparameters in natural units by their path; an element of a vector by its index, ``"motion.q[1]"``."""
-    values: dict[str, float] = {}
-    for path, hyper in hypers(f).items():
-        numbers = hyper().detach().flatten().tolist()
-        indices = [",".join(map(str, index)) for index in np.ndindex(*hyper.raw.shape)]
-        values |= {f"{path}[{index}]" if index else path: v for index, v in zip(indices, numbers, strict=True)}
-    return values

@@ -14,9 +14,10 @@ import torch
 from torchfra.app.evaluate import evaluate, versions
 from torchfra.app.progress import progress_bar
 from torchfra.filters import Filter
+from torchfra.hyper import natural_values
 from torchfra.tables import text_table
 from train.batches import simulate
-from train.filters import make_filter, natural_values, set_temperature
+from train.filters import make_filter, set_temperature
 from train.regret import Regrets
 from train.training import Training
 

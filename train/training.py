@@ -13,12 +13,12 @@ from torch import Tensor, nn
 from torchfra import losses
 from torchfra.app import distributed
 from torchfra.filters import Filter
-from torchfra.hyper import named
+from torchfra.hyper import named, natural_values
 from torchfra.scenarios import Scenario
 from torchfra.types import Estimate
 from train.batches import Batch, task_scenario
 from train.config import Config
-from train.filters import check_candidates, make_filter, natural_values, set_temperature
+from train.filters import check_candidates, make_filter, set_temperature
 
 
 class Training:

@@ -32,6 +32,7 @@ from torchfra.app import distributed, plotting
 from torchfra.app.atomic_write import write_json
 from torchfra.app.command import Failures, check_files, check_folder, exit_status, make_parser
 from torchfra.catalogue import FILTERS
+from torchfra.fit.bounded import bounded, falling
 from torchfra.hyper import hypers
 from torchfra.kernel.build import CompileError
 from torchfra.tables import printable
@@ -95,8 +96,9 @@ def iteration(training: Training, rate: float, temperature: float) -> tuple[Tens
 
 def schedule(config: Config, progress: float) -> tuple[float, float]:
     """Learning rate and temperature after this part of all iterations."""
-    rate = config.lr * (0.55 + 0.45 * math.cos(math.pi * progress))
-    return rate, config.temperature * (config.cold / config.temperature) ** progress if config.temperature else 0.0
+    return falling(config.lr, progress), config.temperature * (
+        config.cold / config.temperature
+    ) ** progress if config.temperature else 0.0
 
 
 def track_gradients(training: Training, batch: Batch, temperature: float) -> tuple[Tensor, Tensor]:
@@ -126,11 +128,8 @@ def task_means(training: Training, batch: Batch, losses: Tensor, gradients: Tens
 
     Tracks whose loss or gradient is NaN or infinite do not count; their number is the third that is returned.
     """
-    finite = losses.isfinite() & gradients.isfinite().all(1)
-    norm = torch.linalg.vector_norm(gradients, dim=1, keepdim=True)
-    clipped = gradients * (training.config.clip / norm).clamp_max(1.0)
-    table = torch.cat([clipped, losses.unsqueeze(1), torch.ones_like(norm)], 1)
-    table = torch.where(finite.unsqueeze(1), table, 0.0)
+    clipped, finite = bounded(losses, gradients, training.config.clip)
+    table = torch.cat([clipped, torch.stack([torch.where(finite, losses, 0.0), finite.to(losses)], 1)], 1)
     count = len(training.scenarios)
     sums = distributed.summed(table.new_zeros(count, table.shape[1]).index_add(0, batch.task, table))
     means = sums[:, :-1] / sums[:, -1:].clamp_min(1)

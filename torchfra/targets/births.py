@@ -62,7 +62,7 @@ class Birth(nn.Module):
         known = known_components(motion).to(mean.device)
         others = mean.new_ones(motion.size).index_fill(0, known, 0.0)
         place = torch.nn.functional.one_hot(known, motion.size).to(mean)  # (2 dims, n)
-        both = torch.cat([place.mT @ root, torch.diag(self.more * others).expand(len(mean), -1, -1)], -1)
+        both = torch.cat([place.mT @ root, torch.diag(self.more * others).expand(*mean.shape[:-1], -1, -1)], -1)
         return from_cartesian(motion, Gaussian(mean @ place, tria(both)))
 
 

@@ -29,9 +29,9 @@ def place(motion: Motion, sensor: Sensor, z: Tensor, u: Tensor | None) -> Gaussi
         ValueError: ``u`` tells the sensor more than where it stands, so that it does not locate in the motion's axes.
     """
     unit = sensor.measurement_noise(z)
-    eye = torch.eye(sensor.size, dtype=z.dtype, device=z.device).expand(len(z), -1, -1)
-    offsets = (sensor.size**0.5 * unit.colour(eye)).movedim(-1, 0)  # (m, K, m)
-    points = sensor.locate(torch.cat([z.unsqueeze(0), z + offsets, z - offsets]))
+    eye = torch.eye(sensor.size, dtype=z.dtype, device=z.device)
+    offsets = (sensor.size**0.5 * unit.colour(eye)).movedim(-1, 0)  # (m, K, m), before K what batch the noise has
+    points = sensor.locate(torch.cat([z.expand_as(offsets[:1]), z + offsets, z - offsets]))
     if u is not None and len(z):
         points = points + _stands(motion, sensor, u)
     spread = (points[1:] - points[:1]).movedim(0, -1) / (2 * sensor.size) ** 0.5

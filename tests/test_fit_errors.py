@@ -1,0 +1,181 @@
+"""What a fit says of its own certainty is so: exact Hessians, intervals that cover, values that tracks do not tell."""
+
+import math
+
+import pytest
+import torch
+from test_fit import PRIOR, QUICK, STD, Q, start, walks
+
+import torchfra
+from torchfra import Gaussian, presets
+from torchfra.fit.data import batch_of
+from torchfra.fit.newton import Sums, minimised
+from torchfra.fit.objective import Objective
+from torchfra.fit.vector import NORMAL_95, Vector
+from torchfra.motion import ConstantVelocity, CoordinatedTurn
+from torchfra.sensors import Position
+
+
+def sums_of(f, z, **options):
+    vector = Vector(f)
+    objective = Objective(f, vector, "likelihood", scale=1.0, states=slice(0, 2))
+    return vector, Sums(objective, batch_of(f, {"z": z, "prior": PRIOR}, runs=0, seed=0), vector.directions, **options)
+
+
+def exact(f, vector, z, raw):
+    """The Hessian of the negative log likelihood that autograd gives."""
+
+    def total(values):
+        options = (z, Gaussian(*(x.expand(len(z), *x.shape) for x in PRIOR)))
+        return -torch.func.functional_call(f, vector.parameters(values), options).log_likelihood.sum()
+
+    return torch.autograd.functional.hessian(total, raw)
+
+
+def test_the_hessian_is_that_of_autograd():
+    f, z = start(learn=("q", "std")), walks(0, 4, 6)[1]
+    vector, sums = sums_of(f, z)
+    raw = vector.raw()
+    curvature = sums.curvature(raw[None, None])
+    expected = exact(f, vector, z, raw)
+    assert torch.allclose(curvature.hessian[0, 0], expected, rtol=1e-6, atol=1e-6)
+
+
+def test_the_scores_are_the_gradients_of_single_tracks():
+    f, z = start(learn=("q", "std")), walks(0, 5, 6)[1]
+    vector, sums = sums_of(f, z)
+    expected = torch.zeros(2, 2, dtype=torch.float64)
+    for track in z:
+        loss = -f(track, PRIOR).log_likelihood.sum()
+        gradient = torch.stack(torch.autograd.grad(loss, list(f.parameters())))
+        expected += gradient.outer(gradient)
+    assert torch.allclose(sums.curvature(vector.raw()[None, None]).scores[0, 0], expected)
+
+
+def test_a_track_whose_loss_is_chaotic_is_told_from_those_that_are_calm(monkeypatch):
+    f, z = start(learn=("q", "std")), walks(0, 6, 6)[1]
+    vector, sums = sums_of(f, z)
+    raw = vector.raw()[None, None]
+    assert sums.calm(raw).all()
+    loss, gradient, bends = sums.of_tracks(raw)
+    bends[:, 2] *= 1000
+    bends[:, 4] = torch.nan
+    monkeypatch.setattr(sums, "of_tracks", lambda raw: (loss, gradient, bends))
+    assert sums.calm(raw).tolist() == [True, True, False, True, False, True]
+
+
+def test_weights_count_tracks_as_often_and_groups_keep_them_apart():
+    f, z = start(learn=("q", "std")), walks(0, 4, 6)[1]
+    vector, weighted = sums_of(f, z, weights=torch.tensor([[2.0, 0, 1, 0]]).double())
+    _, twice = sums_of(f, z[[0, 0, 2]])
+    _, apart = sums_of(f, z, group=torch.tensor([0, 1, 0, 1]))
+    _, one = sums_of(f, z[[1, 3]])
+    raw = vector.raw()[None, None]
+    assert torch.allclose(weighted.curvature(raw).hessian, twice.curvature(raw).hessian)
+    both = apart.curvature(raw.expand(1, 2, 2))
+    assert torch.allclose(both.hessian[:, 1:], one.curvature(raw).hessian)
+    assert torch.allclose(apart.losses(raw.expand(1, 2, 2))[:, 1:], one.losses(raw))
+
+
+def test_rows_of_probabilities_have_a_standard_error_and_intervals_inside_zero_and_one():
+    bank = [ConstantVelocity(0.5), CoordinatedTurn(0.3, 0.5)]
+    f = presets.imm_srckf(bank, Position(STD), learn=("transition",))
+    found = torchfra.fit(f, {"z": walks(0, 12, 8)[1], "prior": PRIOR}, compile=False, iterations=2, quiet=True)
+    assert len(found.learned) == 4
+    for row in (0, 1):
+        ends = [found.learned[f"transition[{row},{j}]"] for j in (0, 1)]
+        assert sum(ends) == pytest.approx(1)
+        errors = [found.errors[f"transition[{row},{j}]"] for j in (0, 1)]
+        assert errors[0] == pytest.approx(errors[1], nan_ok=True)
+        low, high = found.intervals[f"transition[{row},0]"]
+        assert math.isnan(low) or 0 <= low <= ends[0] <= high <= 1
+
+
+def test_a_value_that_tracks_do_not_tell_is_named():
+    z = walks(1, 40, 12, q=1e-7)[1]  # hardly any process noise: below some level, it is all the same
+    f = presets.srckf(ConstantVelocity(1e-7), Position(STD))
+    found = torchfra.fit(f, {"z": z, "prior": PRIOR}, learn=("q", "std"), polish=False, **QUICK)
+    told = dict(zip(found.learned, found.certainty.identified, strict=True))
+    assert told == {"motion.q": False, "sensor.std": True}
+    assert found.certainty.weakest.startswith("motion.q up")
+
+
+def test_values_that_are_mixed_up_have_a_large_condition():
+    class Both(Position):
+        """A position whose noise is the product of two values: only the product can be known."""
+
+        def __init__(self):
+            super().__init__(STD)
+            self.more = torchfra.Hyper(1.0, name="more")
+
+        def measurement_noise(self, z, std=None, root=None):
+            return super().measurement_noise(z, (self.std(z) * self.more(z)).unsqueeze(-1), root)
+
+    f = presets.srckf(ConstantVelocity(Q), Both(), learn=("std", "more"))
+    found = torchfra.fit(f, {"z": walks(0, 20, 8)[1], "prior": PRIOR}, **QUICK)
+    assert found.certainty.condition > 1e6
+    assert set(found.certainty.weakest.split(":")[0].split(", ")) == {"sensor.std up", "sensor.more down"}
+
+
+@pytest.fixture(scope="module")
+def found():
+    return torchfra.fit(start(), {"z": walks(7, 60, 10)[1], "prior": PRIOR}, learn=("q", "std"), **QUICK)
+
+
+def test_a_profile_rises_as_the_hessian_says_near_the_best(found):
+    profile = found.profile("sensor.std", points=5, reach=1.0)
+    middle, error = found.learned["sensor.std"], found.errors["sensor.std"]
+    assert profile.growth[2] == pytest.approx(0, abs=1e-6)
+    assert profile.values[2] == pytest.approx(middle)
+    assert profile.values[4] - middle == pytest.approx(error, rel=0.1)
+    assert [profile.growth[i] for i in (0, 4)] == pytest.approx([0.5, 0.5], rel=0.1)  # one standard error away
+    assert len(profile.inside) == 5
+
+
+def test_a_profile_of_what_is_not_there_is_refused(found):
+    with pytest.raises(ValueError, match="name: expected one of"):
+        found.profile("gate")
+
+
+def test_the_bootstrap_agrees_with_the_hessian_where_the_model_holds(found):
+    drawn = found.bootstrap(30)
+    for name, error in found.errors.items():
+        assert 0.6 * error < drawn.errors[name] < 1.6 * error  # 30 resamples: a standard deviation of 13 %
+        low, high = drawn.intervals[name]
+        assert low < found.learned[name] < high
+    with pytest.raises(ValueError, match="resamples: expected 10 or more"):
+        found.bootstrap(5)
+
+
+def test_the_sandwich_is_wider_where_the_model_does_not_hold():
+    truth, z = walks(8, 100, 15)
+    z = truth[..., :2] + (z - truth[..., :2]) * torch.tensor([0.4, 1.5]).double()[torch.arange(100) % 2, None, None]
+    by_hessian, by_sandwich = (
+        torchfra.fit(start(), {"z": z, "prior": PRIOR}, learn=("std", "q"), errors=kind, **QUICK).errors["sensor.std"]
+        for kind in ("hessian", "sandwich")
+    )
+    assert by_sandwich > 2 * by_hessian
+
+
+def coverage(sets, runs, steps, seed, compiled=False):
+    """The share of 95 % intervals that hold the true q and std, over data sets that are all fitted at once."""
+    f = presets.srckf(ConstantVelocity(3 * Q), Position(3 * STD), learn=("q", "std"))
+    f = f.compile() if compiled else f
+    z = walks(seed, sets * runs, steps)[1]
+    vector, sums = sums_of(f, z, group=torch.arange(sets).repeat_interleave(runs))
+    raw, curvature = minimised(sums, vector.raw().expand(1, sets, 2))
+    assert (curvature.off < 0.1).all()
+    error = torch.linalg.inv(curvature.hessian).diagonal(dim1=-2, dim2=-1).sqrt()
+    known = torch.stack([vector.unconstrained("motion.q", [Q])[0], vector.unconstrained("sensor.std", [STD])[0]])
+    return ((raw - known).abs() <= NORMAL_95 * error).double().mean((0, 1)).tolist()
+
+
+def test_intervals_cover_the_true_values():
+    for share in coverage(sets=60, runs=12, steps=10, seed=11):
+        assert 0.86 <= share <= 1  # three standard deviations of 60 draws
+
+
+@pytest.mark.slow
+def test_intervals_cover_the_true_values_in_95_of_100_of_200_fits():
+    for share in coverage(sets=200, runs=25, steps=20, seed=12, compiled=True):
+        assert 0.90 <= share <= 0.98

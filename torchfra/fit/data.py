@@ -1,0 +1,207 @@
+"""What a fit learns from: tracks as one batch, from scenarios, functions, tensors, loaders or recordings."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import math
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
+
+from torchfra.cleaning.batches import padded, steps_of
+from torchfra.filters import Filter
+from torchfra.fit.starts import First, first_of, first_seen, started
+from torchfra.readers.recording import Recording
+from torchfra.scenarios.base import Scenario, Tracks
+from torchfra.tree import flatten, map_tensors
+from torchfra.types import Gaussian
+
+FIELDS = ("z", "dt", "u", "prior", "truth")
+"""What tensors may be given by name; all but ``z`` may be left out."""
+Simulator = Callable[..., Any]
+Source = Scenario | Simulator | Tensor | Tracks | Mapping[str, Any] | Iterable[Any]
+
+
+class Batch(NamedTuple):
+    """N tracks; those with fewer steps than the longest end in NaN."""
+
+    z: Tensor
+    """``(N, T, m)`` measurements, or scans ``(N, T, J, m)``."""
+    prior: Gaussian | First
+    """``(N, n)`` and ``(N, n, n)``, each one ``dt`` before the first measurement; of several targets ``(N, K, n)``.  Of
+    tracks that came without one: the measurement that they begin with, one ``dt`` before the first of ``z``."""
+    dt: Tensor
+    """``(N, T)`` seconds since the step before."""
+    u: Tensor | None
+    """``(N, T, k)`` what the models need to know."""
+    truth: Tensor | None
+    """``(N, T, n)`` states, NaN where unknown; None if no truth is known."""
+
+    def rows(self, index: Tensor | slice) -> Batch:
+        """Some of the tracks."""
+        rows: Batch = map_tensors(lambda x: x[index], self)
+        return rows
+
+    def to(self, dtype: torch.dtype) -> Batch:
+        """The same in another precision."""
+        batch: Batch = map_tensors(lambda x: x.to(dtype), self)
+        return batch
+
+    def belief(self, f: Filter) -> Gaussian:
+        """What the filter's tracks begin with, as it is at the moment."""
+        return self.prior if isinstance(self.prior, Gaussian) else started(f.motion, f.sensor, self.prior)
+
+    def digest(self) -> str:
+        """SHA-256 of all numbers, which tells whether a fit goes on with the tracks that it began with."""
+        parts = (x.detach().cpu().contiguous().numpy().tobytes() for x in flatten(self))
+        return hashlib.sha256(b"".join(parts)).hexdigest()
+
+
+def batch_of(f: Filter, data: Source, *, runs: int, seed: int) -> Batch:
+    """The tracks of any source as one batch.
+
+    Args:
+        f: the filter that learns, whose models say what a track is.
+        data: see ``torchfra.fit``.
+        runs: tracks of a scenario or a function.
+        seed: of a scenario or a function.
+
+    Raises:
+        ValueError: data of no known form, shapes that do not fit, or no prior where the sensor tells no place.
+    """
+    if isinstance(data, Scenario):
+        return _whole(f, {**data.simulate(runs, seed)._asdict(), "dt": data.dt})
+    if callable(data) and not isinstance(data, DataLoader):
+        takes_runs = len(inspect.signature(data).parameters) > 1
+        data = data(seed, runs) if takes_runs else data(seed)
+    if isinstance(data, Tensor | Mapping | Tracks):
+        return _whole(f, _fields(data))
+    if isinstance(data, Dataset) and hasattr(data, "__len__"):
+        data = [data[i] for i in range(len(data))]
+    if not isinstance(data, Iterable):
+        expected = "a Scenario, a function of a seed, tensors, a DataLoader or recordings"
+        raise ValueError(f"data: expected {expected}, received {type(data).__name__}")
+    items = list(data)
+    if items and all(isinstance(item, Recording) for item in items):
+        return _recorded(f, items)
+    if not items:
+        raise ValueError("data: expected one track or more, received none")
+    rank = 3 + f.scans
+    return _whole(f, _joined([_fields(item) for item in items], rank))
+
+
+def _fields(item: Any) -> dict[str, Any]:
+    """Tensors by name.
+
+    Raises:
+        ValueError: something else, or an unknown name.
+    """
+    if hasattr(item, "_asdict"):
+        item = item._asdict()
+    elif isinstance(item, Tensor):
+        item = {"z": item}
+    elif isinstance(item, list | tuple) and len(item) == 1:  # of a TensorDataset
+        item = {"z": item[0]}
+    if not isinstance(item, Mapping) or "z" not in item or not set(item) <= set(FIELDS):
+        received = sorted(map(str, item)) if isinstance(item, Mapping) else type(item).__name__
+        raise ValueError(f"data: expected z (N, T, m), or a dictionary of {', '.join(FIELDS)}, received {received}")
+    return {name: x for name, x in item.items() if x is not None}
+
+
+def _joined(items: list[dict[str, Any]], rank: int) -> dict[str, Any]:
+    """Single tracks, or batches of them, one after the other, padded to the longest."""
+    if any(set(item) != set(items[0]) for item in items):
+        raise ValueError(f"data: expected the same names in each item, received {[sorted(item) for item in items[:3]]}")
+    parts = [_alike(item, rank) for item in items]
+    longest = max(part["z"].shape[1] for part in parts)
+    fills = {"z": math.nan, "truth": math.nan, "dt": 1.0, "u": 0.0}
+    whole: dict[str, Any] = {
+        name: torch.cat([_long(part[name], longest, fill, 2 if rank == 4 and name == "truth" else 1) for part in parts])
+        for name, fill in fills.items()
+        if name in parts[0]
+    }
+    if "mean" in parts[0]:
+        whole["prior"] = Gaussian(*(torch.cat([part[name] for part in parts]) for name in ("mean", "root")))
+    return whole
+
+
+def _alike(item: dict[str, Any], rank: int) -> dict[str, Tensor]:
+    """A track or a batch of them with the batch first, and nothing left to broadcast."""
+    z, scans = torch.as_tensor(item["z"]), rank - 3
+    many = z.dim() == rank
+    z = z if many else z.unsqueeze(0)
+    count, steps = z.shape[:2]
+    alike = {"z": z}
+    if "dt" in item:
+        dt = torch.as_tensor(item["dt"], dtype=torch.float64)
+        each = many and dt.dim() == 1 and len(dt) == count  # a loader has put the numbers of its tracks together
+        alike["dt"] = (dt.unsqueeze(-1) if each else dt).expand(count, steps)
+    if "u" in item:
+        alike["u"] = torch.as_tensor(item["u"]).expand(count, steps, -1)
+    if "truth" in item:
+        truth = torch.as_tensor(item["truth"])
+        alike["truth"] = truth if many else truth.unsqueeze(0)
+    if "prior" in item:
+        mean, root = (torch.as_tensor(x) for x in item["prior"])
+        alike["mean"] = mean.expand(count, *mean.shape[mean.dim() - 1 - scans :])
+        alike["root"] = root.expand(*alike["mean"].shape, mean.shape[-1])
+    return alike
+
+
+def _long(x: Tensor, longest: int, fill: float, time: int) -> Tensor:
+    """The same with ``longest`` steps."""
+    more = list(x.shape)
+    more[time] = longest - x.shape[time]
+    return torch.cat([x, x.new_full(more, fill)], time)
+
+
+def _recorded(f: Filter, recordings: list[Recording]) -> Batch:
+    """The fixes of recordings as measurements."""
+    size = f.sensor.size
+    if any(recording.position.shape[1] < size for recording in recordings):
+        raise ValueError(f"data: expected recordings of {size} dimensions, as the sensor has, received fewer")
+    cut = [steps_of(recording) for recording in recordings]
+    z, dt, _ = padded([steps._replace(raw=steps.raw[:, :size], std=steps.std[:, :size]) for steps in cut])
+    return _whole(f, {"z": z, "dt": dt})
+
+
+def _whole(f: Filter, given: dict[str, Any]) -> Batch:
+    """The batch of tensors, all with tracks first.
+
+    Raises:
+        ValueError: a shape that does not fit, or no prior where the sensor tells no place.
+    """
+    z = torch.as_tensor(given["z"])
+    rank = 3 + f.scans
+    if z.dim() != rank or z.shape[-1] != f.sensor.size or not z.is_floating_point():
+        letters = f"(N, T, J, {f.sensor.size})" if f.scans else f"(N, T, {f.sensor.size})"
+        raise ValueError(f"z: expected floating point numbers {letters}, received {tuple(z.shape)} {z.dtype}")
+    count, steps = z.shape[:2]
+    dt = torch.as_tensor(given.get("dt", 1.0), dtype=z.dtype, device=z.device)
+    dt = dt.expand(count, steps).contiguous()
+    u, truth = given.get("u"), given.get("truth")
+    u = None if u is None else torch.as_tensor(u).to(z).expand(count, steps, -1)
+    truth = None if truth is None else torch.as_tensor(truth).to(z)
+    if "prior" not in given:
+        if f.scans:
+            raise ValueError("prior: expected one belief per target and track of scans, received none")
+        return _started(f, z, dt, u, truth)
+    mean, root = (torch.as_tensor(x).to(z) for x in given["prior"])
+    mean = mean.expand(count, *mean.shape[mean.dim() - 1 - f.scans :])
+    return Batch(z, Gaussian(mean, root.expand(*mean.shape, mean.shape[-1])), dt, u, truth)
+
+
+def _started(f: Filter, z: Tensor, dt: Tensor, u: Tensor | None, truth: Tensor | None) -> Batch:
+    """Tracks without a prior: their first whole measurement becomes it."""
+    if f.sensor.locates:
+        parts = iter(first_seen(z, dt, u, truth))
+        z, dt = next(parts), next(parts)
+        u, truth = (None if x is None else next(parts) for x in (u, truth))
+    with torch.no_grad():
+        first = first_of(f.motion, f.sensor, z, dt, u)
+    u, truth = (None if x is None else x[:, 1:] for x in (u, truth))
+    return Batch(z[:, 1:], first, dt[:, 1:], u, truth)

@@ -1,0 +1,179 @@
+"""Gradient descent on minibatches from several starts at once, with early stopping and checkpoints."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from torchfra.app import distributed
+from torchfra.fit.bounded import bounded, falling
+from torchfra.fit.data import Batch
+from torchfra.fit.errors import KINDS as KINDS_OF_ERRORS
+from torchfra.fit.objective import Objective
+from torchfra.hyper import one_of
+
+KINDS: dict[str, type] = {"key": str, "iteration": int, "raw": torch.Tensor, "optimiser": dict, "best": torch.Tensor,
+                          "scores": torch.Tensor, "since": int, "rows": list}  # fmt: skip
+"""What a checkpoint holds."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a fit goes: see ``torchfra.fit``."""
+
+    loss: str
+    iterations: int = 200
+    batch: int = 64
+    lr: float = 0.1
+    clip: float = 10.0
+    validate_every: int = 10
+    patience: int = 5
+    held_out: float = 0.3
+    restarts: int = 1
+    spread: float = 1.0
+    polish: bool = True
+    errors: str = "hessian"
+    scale: float = math.nan
+    skip: int = 0
+    runs: int = 400
+    seed: int = 0
+
+    def check(self) -> None:
+        """Checks them.
+
+        Raises:
+            ValueError: one that is out of its range.
+        """
+        for name in ("batch", "validate_every", "patience", "restarts", "runs"):
+            _at_least(1, name, getattr(self, name))
+        for name in ("iterations", "skip", "seed"):
+            _at_least(0, name, getattr(self, name))
+        for name in ("lr", "clip", "spread"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected a number above 0, received {getattr(self, name)}")
+        one_of(errors=(self.errors, KINDS_OF_ERRORS))
+        if not 0 < self.held_out < 1:
+            raise ValueError(f"held_out: expected a share between 0 and 1, received {self.held_out}")
+
+
+def _at_least(least: int, name: str, value: Any) -> None:
+    if not isinstance(value, int) or value < least:
+        raise ValueError(f"{name}: expected a whole number of at least {least}, received {value!r}")
+
+
+class Descent:
+    """Where R descents are.
+
+    Args:
+        objective: the loss.
+        train: tracks to learn from.
+        valid: tracks that say when to stop.
+        starts: ``(R, P)`` unconstrained values.
+        settings: of the fit.
+    """
+
+    def __init__(self, objective: Objective, train: Batch, valid: Batch, starts: Tensor, settings: Settings) -> None:
+        self.objective, self.train, self.valid, self.settings = objective, train, valid, settings
+        self.raw = nn.Parameter(starts.clone())
+        self.optimiser: Any = torch.optim.Adam([self.raw], lr=settings.lr)
+        self.iteration, self.since = 0, 0
+        """``since``: validations in which no start has improved."""
+        self.best, self.scores = starts.clone(), self.validation(starts)
+        """``(R, P)`` the values of each start's best validation, and ``(R,)`` its loss."""
+        self.rows: list[dict[str, float]] = []
+        """What the learning curve shows."""
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing is left to do."""
+        return self.iteration >= self.settings.iterations or self.since >= self.settings.patience
+
+    def validation(self, raw: Tensor) -> Tensor:
+        """``(R,)`` mean losses per track on the validation tracks, infinite where one is NaN."""
+        return self.objective.losses(raw.unsqueeze(1), self.valid).mean(1).nan_to_num(nan=math.inf)
+
+    def advance(self) -> dict[str, float]:
+        """One iteration; what is to be said of it."""
+        loss, gradient, left_out = self._gradient()
+        self.raw.grad = gradient
+        self.optimiser.param_groups[0]["lr"] = falling(self.settings.lr, self.iteration / self.settings.iterations)
+        self.optimiser.step()
+        self.iteration += 1
+        row = {"iteration": self.iteration, "loss": float(loss.min()), "left out": left_out}
+        if self.iteration % self.settings.validate_every == 0 or self.iteration == self.settings.iterations:
+            raw = self.raw.detach()
+            scores = self.validation(raw)
+            better = scores < self.scores
+            self.scores = torch.where(better, scores, self.scores)
+            self.best = torch.where(better.unsqueeze(-1), raw, self.best)
+            self.since = 0 if bool(better.any()) else self.since + 1
+            row["validation"] = float(self.scores.min())
+        leader = self.raw.detach()[int(self.scores.argmin())]
+        natural = self.objective.vector.natural(leader).tolist()
+        row |= zip(self.objective.vector.names, natural, strict=True)
+        self.rows.append(row)
+        return row
+
+    def _gradient(self) -> tuple[Tensor, Tensor, int]:
+        """Mean losses ``(R,)`` and mean bounded gradients ``(R, P)`` of a minibatch, over all processes."""
+        chosen = self._minibatch()
+        share = distributed.share(len(chosen))
+        part = self.train.rows(chosen[share.start : share.stop])
+        losses, gradients = self.objective.gradients(self.raw.detach().unsqueeze(1), part)
+        norms = torch.cat(distributed.gathered(torch.linalg.vector_norm(gradients, dim=-1)), 1)
+        norms = norms.nanmedian(1, keepdim=True).values
+        clipped, finite = bounded(losses, gradients, self.settings.clip * norms)
+        table = torch.cat(
+            [clipped, torch.where(finite, losses, 0.0).unsqueeze(-1), finite.to(losses).unsqueeze(-1)], -1
+        )
+        sums = distributed.summed(table.sum(1))
+        means = sums[:, :-1] / sums[:, -1:].clamp_min(1)
+        return means[:, -1], means[:, :-1], int(len(self.raw) * len(chosen) - sums[:, -1].sum())
+
+    def _minibatch(self) -> Tensor:
+        """Numbers of the next tracks; they follow from seed and iteration, so that a resumed fit sees the same ones."""
+        count, size = len(self.train.z), min(self.settings.batch, len(self.train.z))
+        epoch, place = divmod(self.iteration, max(1, count // size))
+        generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + epoch)
+        return torch.randperm(count, generator=generator)[place * size : (place + 1) * size]
+
+    def state(self, key: str) -> dict[str, Any]:
+        """What a checkpoint holds; ``key`` tells which tracks and settings it belongs to."""
+        return {"key": key, "iteration": self.iteration, "raw": self.raw.detach(), "best": self.best,
+                "optimiser": self.optimiser.state_dict(), "scores": self.scores, "since": self.since,
+                "rows": copy.deepcopy(self.rows)}  # fmt: skip
+
+    def resume(self, state: Mapping[str, Any]) -> None:
+        """Continues from ``state``.
+
+        Raises:
+            ValueError: it does not fit.
+        """
+        if not all(isinstance(state.get(name), kind) for name, kind in KINDS.items()):
+            raise ValueError(f"expected {', '.join(KINDS)}, received something else")
+        if state["raw"].shape != self.raw.shape:
+            raise ValueError(f"expected {tuple(self.raw.shape)} values, received {tuple(state['raw'].shape)}")
+        with torch.no_grad():
+            self.raw.copy_(state["raw"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.iteration, self.since, self.rows = state["iteration"], state["since"], list(state["rows"])
+        self.best, self.scores = state["best"], state["scores"]
+
+
+def starting_points(raw: Tensor, directions: Tensor, settings: Settings) -> Tensor:
+    """``(R, P)``: the values as they are, and others around them, normal in unconstrained values."""
+    generator = torch.Generator().manual_seed(settings.seed)
+    noise = torch.randn(settings.restarts, directions.shape[1], generator=generator, dtype=torch.float64)
+    noise[0] = 0.0
+    return raw + settings.spread * noise @ directions.mT
+
+
+def key_of(settings: Settings, names: list[str], digest: str, starts: Tensor) -> str:
+    """What tells one fit from another."""
+    return f"{asdict(settings)} {names} {starts.tolist()} {digest}"

@@ -1,0 +1,104 @@
+"""How well values are known: standard errors, and which of them the tracks tell at all."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra.fit.newton import Curvature
+from torchfra.fit.vector import NORMAL_95, Vector
+
+KINDS = ("hessian", "sandwich")
+TOLD = math.log(10.0)
+"""Widest 95 % interval, in unconstrained values, of one that counts as identified: a factor of 10 for what is above 0.
+"""
+OFF = 0.5
+"""Standard errors of the gradient from 0 on which the values are not where the loss is least."""
+RATIO = 1.6
+"""From which on the two kinds of standard errors differ by a quarter."""
+
+
+class Certainty(NamedTuple):
+    """What is known of the values at the end of a fit."""
+
+    covariance: Tensor
+    """``(P, P)`` of the unconstrained values; NaN where the loss has no minimum here."""
+    errors: Tensor
+    """``(P,)`` standard errors in natural units."""
+    low: Tensor
+    """``(P,)`` where the 95 % intervals begin, in natural units."""
+    high: Tensor
+    """``(P,)`` where they end."""
+    identified: list[bool]
+    """Of each value, whether its interval is narrow enough: see ``TOLD``."""
+    condition: float
+    """Of the Hessian whose rows and columns are scaled to a unit diagonal: 1 where values do not depend on each other,
+    infinite where the tracks do not tell some direction at all."""
+    weakest: str
+    """The direction that the tracks tell least, in words."""
+    off: float
+    """How many of its standard errors the gradient is away from 0."""
+    ratio: float
+    """Scatter of the tracks' gradients over what the Hessian says it should be: 1 where the loss is a likelihood of a
+    model that holds, and only then are standard errors of the Hessian right (White's information matrix)."""
+
+    kind: str
+    """``"hessian"`` or ``"sandwich"``."""
+
+    @property
+    def notes(self) -> list[str]:
+        """What is to be said of it, a line each."""
+        lines = []
+        if bool(self.covariance.isnan().any()):
+            lines.append("the loss has no minimum here: there are no standard errors")
+        elif not self.off <= OFF:
+            lines.append(f"the gradient is {self.off:.2g} of its standard errors from 0: standard errors are rough")
+        elif self.kind == "hessian" and not 1 / RATIO < self.ratio < RATIO:
+            scatter = f"gradients of tracks scatter {self.ratio:.2g} times as the Hessian says"
+            lines.append(f"{scatter}, so the model does not hold: take errors='sandwich'")
+        return lines
+
+
+def certainty(vector: Vector, raw: Tensor, curvature: Curvature, kind: str) -> Certainty:
+    """Standard errors of the values ``raw (P,)`` and what is identified.
+
+    Args:
+        vector: of the values.
+        raw: where the loss is least.
+        curvature: there, of one problem.
+        kind: ``"hessian"``, right where the loss is minus the log likelihood of a model that holds; or ``"sandwich"``,
+            right for any loss of independent tracks, which needs many of them.
+
+    Source: van der Vaart (1998), "Asymptotic Statistics", theorem 5.23; White (1982), Econometrica 50.
+    """
+    hessian, scores = curvature.hessian[0, 0], curvature.scores[0, 0]
+    bends, axes = torch.linalg.eigh(hessian.nan_to_num())
+    if bool(hessian.isfinite().all()) and bool(bends[0] > 1e-12 * bends[-1].clamp_min(1e-300)):
+        inverse = torch.linalg.inv(hessian)
+        inner = inverse if kind == "hessian" else inverse @ scores @ inverse
+    else:
+        inner = torch.full_like(hessian, torch.nan)
+    covariance = vector.directions @ inner @ vector.directions.mT
+    reach = NORMAL_95 * covariance.diagonal().sqrt()
+    scale = hessian.diagonal().clamp_min(0).sqrt()
+    scaled = torch.linalg.eigvalsh((hessian / scale / scale.unsqueeze(-1)).nan_to_num())
+    condition = float(scaled[-1] / scaled[0]) if scaled[0] > 0 else math.inf
+    low, high = vector.intervals(raw, covariance)
+    return Certainty(
+        covariance, vector.errors(raw, covariance), low, high, (2 * reach < TOLD).tolist(), condition,
+        _words(vector, vector.directions @ axes[:, 0], inner, axes[:, 0]), float(curvature.off[0, 0]),
+        float(torch.linalg.lstsq(hessian.nan_to_num(), scores.nan_to_num()).solution.diagonal().mean()), kind,
+    )  # fmt: skip
+
+
+def _words(vector: Vector, axis: Tensor, inner: Tensor, inside: Tensor) -> str:
+    """A direction: which values change in it, and how well it is known."""
+    shares = sorted(zip(axis.tolist(), vector.names, strict=True), key=lambda pair: -abs(pair[0]))
+    main = [(share, name) for share, name in shares if abs(share) > 0.3 * abs(shares[0][0])]
+    sign = math.copysign(1.0, main[0][0])
+    words = ", ".join(f"{name} {'up' if share * sign > 0 else 'down'}" for share, name in main[:4])
+    error = float((inside @ inner @ inside).clamp_min(0).sqrt())
+    return f"{words}: standard error {error:.2g} in unconstrained values"

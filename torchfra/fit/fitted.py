@@ -1,0 +1,188 @@
+"""What a fit has found: values, how well they are known, and what they are worth on held-out tracks."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra.app.atomic_write import write_json
+from torchfra.app.evaluate import versions
+from torchfra.filters import Filter
+from torchfra.fit.again import Bootstrap, Profile, bootstrap, profile
+from torchfra.fit.data import Batch
+from torchfra.fit.descent import Settings
+from torchfra.fit.errors import Certainty
+from torchfra.fit.judging import Comparison, Judged, judged
+from torchfra.fit.newton import Sums
+from torchfra.fit.objective import Objective
+from torchfra.tables import text_table
+
+QUANTITIES = {
+    "likelihood": "minus log likelihood per measurement",
+    "smoothed": "minus log density per hidden measurement",
+    "robust": "robust loss",
+    "mse": "mean squared error",
+    "nll": "minus log density of the truth",
+}
+"""Losses in words."""
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """The tracks of a fit, and how their losses are computed."""
+
+    objective: Objective
+    sums: Sums
+    """Over the tracks that values were learned from."""
+    test: Batch
+
+    @property
+    def measured(self) -> Tensor | None:
+        """``(N,)`` steps of the test tracks with a measurement, by which likelihoods are weighed; else None."""
+        if self.objective.loss not in ("likelihood", "smoothed"):
+            return None
+        return (~self.test.z.isnan()).flatten(2).any(-1).sum(1)
+
+    def judge(self, before: Tensor, after: Tensor, seed: int) -> Judged:
+        """Losses ``(N,)`` of test tracks, per measurement where they are likelihoods."""
+        steps = self.measured
+        scale = 1.0 if steps is None else 1.0 / steps.clamp_min(1)
+        return judged(before * scale, after * scale, weights=steps, seed=seed)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """The result of ``torchfra.fit``; ``print`` shows it as tables."""
+
+    filter: Filter
+    """With the learned values, which are fixed now."""
+    start: dict[str, float]
+    """The values before, in natural units."""
+    learned: dict[str, float]
+    """The values that were found."""
+    certainty: Certainty
+    """Standard errors, intervals, what is identified."""
+    held_out: dict[str, Judged]
+    """Before and after on tracks that neither learning nor stopping has seen, by quantity."""
+    rows: list[dict[str, float]]
+    """The learning curve: one for each iteration."""
+    restarts: list[float]
+    """The validation loss that each start came to."""
+    settings: Settings
+    compiled: bool
+    """Whether the filter ran as compiled kernels."""
+    dtype: str
+    """Of descent; standard errors are computed in float64."""
+    counts: dict[str, int]
+    """Tracks to learn from, to stop by, to judge by, and left out."""
+    seconds: float
+    notes: list[str] = field(default_factory=list)
+    """What went otherwise than asked for."""
+    _tracks: Tracks | None = field(default=None, repr=False)
+    _raw: Tensor | None = field(default=None, repr=False)
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Standard errors of the learned values, in natural units."""
+        return dict(zip(self.learned, self.certainty.errors.tolist(), strict=True))
+
+    @property
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """95 % intervals of the learned values."""
+        return dict(
+            zip(self.learned, zip(self.certainty.low.tolist(), self.certainty.high.tolist(), strict=True), strict=True)
+        )
+
+    def compare(self, others: Mapping[str, Filter | Fitted]) -> Comparison:
+        """This filter, named ``"fitted"``, and others on the held-out tracks.
+
+        Args:
+            others: by name; filters with the same state, or fits with the same data, seed and loss.
+
+        Raises:
+            ValueError: fits of other tracks.
+        """
+        tracks = self._own()
+        assert self._raw is not None
+        mine = tracks.objective.losses(self._raw[None, None], tracks.test)[0]
+        rows = {"fitted": tracks.judge(mine, mine, self.settings.seed)}
+        for name, other in others.items():
+            f = other.filter if isinstance(other, Fitted) else other
+            test = other._own().test if isinstance(other, Fitted) else tracks.test
+            if test.z.shape != tracks.test.z.shape or not torch.equal(test.z.nan_to_num(), tracks.test.z.nan_to_num()):
+                raise ValueError(f"others: expected fits with the same data and seed, {name} has other tracks")
+            loss = tracks.objective.of_filter(f, test)
+            rows[name] = tracks.judge(mine, loss, self.settings.seed)
+        return Comparison(self.quantity, len(tracks.test.z), rows)
+
+    def profile(self, name: str, *, points: int = 9, reach: float = 3.0) -> Profile:
+        """How much the loss grows away from the best value of one number, all others adapted: ``fit.again.profile``."""
+        return profile(self._own().sums, self._best(), self.certainty, name, points=points, reach=reach)
+
+    def bootstrap(self, resamples: int = 100) -> Bootstrap:
+        """Standard errors by fitting again to tracks drawn with replacement: ``fit.again.bootstrap``."""
+        return bootstrap(self._own().sums, self._best(), resamples, self.settings.seed)
+
+    @property
+    def quantity(self) -> str:
+        """What the loss is, in words."""
+        return QUANTITIES.get(self.settings.loss, "loss")
+
+    def to_json(self, path: str | Path | None = None) -> dict[str, Any]:
+        """All that was found, with settings and versions; written to ``path`` if there is one."""
+        known = self.certainty
+        data = {
+            "values": {
+                name: {"start": self.start[name], "learned": self.learned[name], "error": self.errors[name],
+                       "interval": list(self.intervals[name]), "identified": identified}
+                for name, identified in zip(self.learned, known.identified, strict=True)
+            },
+            "condition": known.condition, "weakest": known.weakest, "gradient": known.off,
+            "held_out": {name: {when: figure._asdict() for when, figure in row._asdict().items()}
+                         for name, row in self.held_out.items()},
+            "restarts": self.restarts, "tracks": self.counts, "settings": dataclasses.asdict(self.settings),
+            "dtype": self.dtype, "compiled": self.compiled, "seconds": self.seconds, "notes": self.notes,
+            "versions": versions(), "curve": self.rows,
+        }  # fmt: skip
+        if path is not None:
+            write_json(path, data)
+        return data
+
+    def plot(self, path: str | Path | None = None) -> Any:
+        """The learning curve, a figure of matplotlib; written to ``path`` if there is one."""
+        from torchfra.app import plotting
+
+        title = f"fit by {self.settings.loss}, seed {self.settings.seed}"
+        figure = plotting.learning_curve(self.rows, self.start, title)
+        if path is not None:
+            plotting.save(figure, Path(path))
+        return figure
+
+    def __str__(self) -> str:
+        known = self.certainty
+        rows = [
+            [name, f"{self.start[name]:.5g}", f"{value:.5g}", f"{self.errors[name]:.2g}",
+             "[{:.5g}, {:.5g}]".format(*self.intervals[name]), "yes" if told else "no"]
+            for (name, value), told in zip(self.learned.items(), known.identified, strict=True)
+        ]  # fmt: skip
+        text = text_table(["value", "start", "learned", "standard error", "95 %", "identified"], rows, align="<>>>>>")
+        text += f"\ncondition {known.condition:.3g}; least told: {known.weakest}\n"
+        rows = [[name, *map(str, row)] for name, row in self.held_out.items()]
+        text += text_table([f"{self.counts['test']} held-out tracks", "before", "after", "change"], rows) + "\n"
+        how = "compiled" if self.compiled else "interpreted"
+        text += f"{len(self.rows)} iterations, {self.seconds:.1f} s, {self.dtype}, {how}, seed {self.settings.seed}"
+        return "\n".join([text, *(f"note: {line}" for line in self.notes)])
+
+    def _own(self) -> Tracks:
+        assert self._tracks is not None
+        return self._tracks
+
+    def _best(self) -> Tensor:
+        assert self._raw is not None
+        return self._raw

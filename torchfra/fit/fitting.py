@@ -1,0 +1,199 @@
+"""``torchfra.fit``: the values of a filter from tracks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torchfra import losses, state_files
+from torchfra.app import checkpoints, distributed
+from torchfra.app.progress import progress_bar
+from torchfra.filters import Filter
+from torchfra.fit.data import Batch, Source, batch_of
+from torchfra.fit.descent import Descent, Settings, key_of, starting_points
+from torchfra.fit.errors import certainty
+from torchfra.fit.fitted import Fitted, Tracks
+from torchfra.fit.judging import Judged, judged
+from torchfra.fit.newton import Sums, minimised
+from torchfra.fit.objective import Objective, Own
+from torchfra.fit.preparing import compiled, copied, objective_of
+from torchfra.fit.vector import Vector
+
+FEWEST = 4
+"""Tracks of a fit."""
+WORSE = 2.0
+"""Standard errors by which validation tracks may speak against the last steps."""
+
+
+def fit(
+    filter: Filter, data: Source, *, learn: Collection[str] | None = None, loss: str | Own | None = None,
+    scale: float | None = None, skip: int = 0, runs: int = 400, iterations: int = 200, batch: int = 64,
+    lr: float = 0.1, clip: float = 10.0, validate_every: int = 10, patience: int = 5, held_out: float = 0.3,
+    restarts: int = 1, spread: float = 1.0, polish: bool = True, errors: str | None = None,
+    compile: bool | None = None, checkpoint: str | Path | None = None, resume: bool = False, seed: int = 0,
+    quiet: bool = False,
+) -> Fitted:  # fmt: skip
+    """Learns values of a filter from tracks, and says how well it knows them.
+
+    The tracks are split at random: most to learn from, half of the others to stop by, the last to judge by.  Adam
+    follows the mean gradient of minibatches, each track's bounded; from the values of the best validation Newton's
+    method goes on over all tracks that are learned from, and its Hessian gives the standard errors.
+
+    Args:
+        filter: any preset; it stays as it is.
+        data: a ``Scenario``; a function of a seed, or of a seed and a number of runs; measurements ``z (N, T, m)``; a
+            dictionary of tensors ``z, dt, u, prior, truth`` (or a scenario's ``Tracks``); a sequence of these, one for
+            each track or batch, a ``DataLoader`` say, which is read once to its end; or recordings of
+            ``torchfra.readers``, whose fixes are the measurements.  Without a ``prior``, tracks begin ten standard
+            deviations wide around their first whole measurement, which needs a sensor that ``locates``.
+        learn: names of hyperparameters; None for those that are learnable already (``presets.gpb(..., learn=...)``).
+        loss: ``"likelihood"`` of the measurements, ``"smoothed"``: the density of each given those before and after it;
+            with a truth also ``"robust"``, ``"mse"`` (of the position) and ``"nll"``, see ``torchfra.losses``; or a
+            function of an estimate and a batch that gives a number for each track.  None: the robust error if there is
+            a truth, else the likelihood.
+        scale: position error, m, above which the robust loss flattens; None for the filter's median error at the start.
+        skip: steps at the start of each track that do not count.
+        runs: tracks of a scenario or a function.
+        iterations: of Adam, at most.
+        batch: tracks of an iteration, over all processes of ``torchrun``.
+        lr: rate of Adam in unconstrained values; it falls to a tenth.
+        clip: largest norm of one track's gradient, in medians over the tracks of its minibatch.
+        validate_every: iterations between validations.
+        patience: validations without improvement after which it stops.
+        held_out: share of the tracks that are not learned from.
+        restarts: starts, all descended from at once; the first is the filter's values.
+        spread: standard deviation of the other starts, in unconstrained values: 1 is a factor of e.
+        polish: whether Newton's method follows; without it standard errors are those of values near the best.
+        errors: ``"hessian"`` (the default for likelihoods) or ``"sandwich"`` (for all others).
+        compile: whether the filter runs as compiled kernels; None where it can, and a note says where it cannot.
+        checkpoint: where the descent is kept, to ``resume`` from after an interruption.
+        resume: whether to go on from there, to the same bits.
+        seed: of the split, minibatches, starts and resamples, and of what is simulated.
+        quiet: whether to show no progress bar (there is none where standard error is no terminal).
+
+    Raises:
+        ValueError: arguments that do not fit each other or are out of range; a checkpoint of another fit.
+        CompileError, NotImplementedError: ``compile=True`` and the filter cannot be compiled.
+    """
+    begun = time.perf_counter()
+    f = copied(filter, learn)
+    vector = Vector(f)
+    tracks = batch_of(f, data, runs=runs, seed=seed)
+    objective = objective_of(f, vector, data, tracks, loss, scale, skip)
+    settings = Settings(
+        objective.name, iterations, batch, lr, clip, validate_every, patience, held_out, restarts, spread, polish,
+        errors or ("hessian" if objective.name == "likelihood" else "sandwich"), objective.scale, skip, runs, seed,
+    )  # fmt: skip
+    settings.check()
+    notes, runs_compiled = compiled(objective, tracks, compile)
+    start = vector.raw()
+    used, lost = _finite(objective, tracks, start)
+    notes += [f"{lost} tracks have no finite loss at the start and are left out"] if lost else []
+    train, valid, test = _split(used, settings)
+
+    descent = Descent(objective, train, valid, starting_points(start, vector.directions, settings), settings)
+    _descend(descent, checkpoint, resume, key_of(settings, vector.names, used.digest(), start), quiet)
+    best = descent.best[int(descent.scores.argmin())]
+    sums, raw, more = _polished(Sums(objective, train.to(torch.float64), vector.directions), best, valid, settings)
+    known = certainty(vector, raw, sums.curvature(raw[None, None]), settings.errors)
+    vector.store(raw)
+    for hyper in vector.hypers.values():
+        hyper.raw.requires_grad_(False)
+    own = Tracks(objective, sums, test)
+    return Fitted(
+        f, _named(vector, start), _named(vector, raw), known, _judged(own, start, raw, seed), descent.rows,
+        descent.scores.tolist(), settings, runs_compiled, str(tracks.z.dtype).removeprefix("torch."),
+        {"train": len(train.z), "validation": len(valid.z), "test": len(test.z), "left out": lost},
+        time.perf_counter() - begun, [*notes, *more, *known.notes], own, raw,
+    )  # fmt: skip
+
+
+def _named(vector: Vector, raw: Tensor) -> dict[str, float]:
+    return dict(zip(vector.names, vector.natural(raw).tolist(), strict=True))
+
+
+def _finite(objective: Objective, tracks: Batch, raw: Tensor) -> tuple[Batch, int]:
+    """The tracks whose loss is finite at the start, and how many are not.
+
+    Raises:
+        ValueError: too few are left.
+    """
+    finite = objective.losses(raw[None, None], tracks)[0].isfinite()
+    if int(finite.sum()) < FEWEST:
+        expected = f"{FEWEST} tracks or more whose loss is finite at the start"
+        raise ValueError(f"data: expected {expected}, received {int(finite.sum())} of {len(finite)}")
+    return tracks.rows(finite), int((~finite).sum())
+
+
+def _split(tracks: Batch, settings: Settings) -> tuple[Batch, Batch, Batch]:
+    """Tracks to learn from, to stop by, to judge by."""
+    order = torch.randperm(len(tracks.z), generator=torch.Generator().manual_seed(settings.seed))
+    out = min(max(2, round(settings.held_out * len(order))), len(order) - 2)
+    test, valid, train = order.split([out // 2, out - out // 2, len(order) - out])
+    return tracks.rows(train), tracks.rows(valid), tracks.rows(test)
+
+
+def _descend(descent: Descent, checkpoint: str | Path | None, resume: bool, key: str, quiet: bool) -> None:
+    """Until the last iteration, or until validation has long not improved.
+
+    Raises:
+        ValueError: there is a checkpoint and ``resume`` is not asked for, or it is of another fit.
+    """
+    path = None if checkpoint is None else Path(checkpoint)
+
+    def take(source: Path) -> None:
+        state = state_files.read(source)
+        if isinstance(state, dict) and state.get("key", key) != key:
+            raise checkpoints.OtherSettingsError(f"resume: expected the data and settings of {source}, these differ")
+        descent.resume(state if isinstance(state, dict) else {})
+
+    if path is not None and resume:
+        checkpoints.load(path, take, "fit")
+    elif path is not None and checkpoints.found(path):
+        raise ValueError(f"checkpoint: {path} holds a fit already: resume=True goes on with it")
+    shown = progress_bar(range(descent.iteration, descent.settings.iterations), "fit", not quiet)
+    for _ in shown:
+        if descent.done:
+            break
+        row = descent.advance()
+        if hasattr(shown, "set_postfix"):
+            shown.set_postfix(loss=f"{row['loss']:.4f}")
+        if path is not None and "validation" in row and distributed.rank() == 0:
+            checkpoints.save(descent.state(key), path)
+
+
+def _polished(sums: Sums, best: Tensor, valid: Batch, settings: Settings) -> tuple[Sums, Tensor, list[str]]:
+    """The tracks that decide, the values where the sum of their losses is least, and what is to be said of both."""
+    raw, count = best, len(sums.batch.z)
+    for _ in range(2):
+        calm = sums.calm(raw[None, None])
+        sums = Sums(sums.objective, sums.batch.rows(calm), sums.directions)
+        raw = minimised(sums, best[None, None])[0][0, 0] if settings.polish else best
+    wild = count - len(sums.batch.z)
+    notes = [f"{wild} tracks whose loss is chaotic do not count in the last steps and standard errors"] if wild else []
+    one, other = (sums.objective.losses(x[None, None], valid)[0] for x in (best, raw))
+    change = other - one
+    error = change.std(correction=0) / len(change) ** 0.5
+    if not bool(change.isfinite().all()) or (len(change) > 2 and bool(change.mean() > WORSE * error)):
+        return sums, best, [*notes, "validation speaks against the last steps: values are those of the best validation"]
+    return sums, raw, notes
+
+
+def _judged(own: Tracks, start: Tensor, raw: Tensor, seed: int) -> dict[str, Judged]:
+    """Before and after on held-out tracks: the loss, and the position error where there is a truth."""
+    objective, test = own.objective, own.test
+    before, after = (objective.losses(x[None, None], test)[0] for x in (start, raw))
+    name = objective.loss if isinstance(objective.loss, str) else "loss"
+    table = {name: own.judge(before, after, seed)}
+    if test.truth is not None:
+        errors = [
+            losses.mse(objective.estimate(x[None, None], test).mean[0], test.truth, objective.states)
+            for x in (start, raw)
+        ]
+        one, other = (x.flatten(1).mean(1) if x.dim() > 1 else x for x in errors)
+        table["position RMSE"] = judged(one, other, root=True, seed=seed)
+    return table

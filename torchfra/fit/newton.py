@@ -1,0 +1,146 @@
+"""Newton's method for many sets of values at once, by differences of gradients: all are one call of the filter."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra.fit.data import Batch
+from torchfra.fit.objective import Objective
+
+STEP = 1e-4
+"""Difference of the unconstrained values, in float64: errors near 1e-8 of the curvature."""
+LENGTHS = (1.0, 0.5, 0.2, 0.05, 0.01)
+"""Of a step, tried at once."""
+REACH = 2.0
+"""Longest step, in unconstrained values: a factor of 7 for what is above 0."""
+STILL = 0.02
+"""Standard errors of the gradient below which it counts as 0."""
+WILD = 30.0
+"""Times the median over tracks that the curvature of one may be."""
+
+
+class Curvature(NamedTuple):
+    """The sums over tracks of each of R problems in each of G groups, in Q directions."""
+
+    loss: Tensor
+    """``(R, G)``."""
+    gradient: Tensor
+    """``(R, G, Q)``."""
+    scores: Tensor
+    """``(R, G, Q, Q)`` of the outer products of tracks' gradients."""
+    hessian: Tensor
+    """``(R, G, Q, Q)``."""
+
+    @property
+    def off(self) -> Tensor:
+        """``(R, G)`` how many of its standard errors the gradient is away from 0."""
+        solved = torch.linalg.pinv(self.scores, hermitian=True) @ self.gradient.unsqueeze(-1)
+        square: Tensor = (self.gradient * solved.squeeze(-1)).sum(-1)
+        return square.clamp_min(0).sqrt()
+
+
+class Sums:
+    """Losses of tracks summed over groups of them.
+
+    Args:
+        objective: the loss of each track.
+        batch: the tracks, in float64.
+        directions: ``(P, Q)`` in which values may change.
+        group: ``(N,)`` to which of the G groups each track belongs, every one with values of its own; one if None.
+        weights: ``(R, N)`` how often each track counts in each problem; once if None.
+    """
+
+    def __init__(
+        self, objective: Objective, batch: Batch, directions: Tensor, group: Tensor | None = None,
+        weights: Tensor | None = None,
+    ) -> None:  # fmt: skip
+        self.objective, self.batch, self.directions, self.weights = objective, batch, directions, weights
+        self.group = torch.zeros(len(batch.z), dtype=torch.int64) if group is None else group
+        self.groups = int(self.group.max()) + 1
+
+    def losses(self, raw: Tensor) -> Tensor:
+        """``(R, G)`` at ``raw (R, G, P)``; infinite where they are NaN."""
+        loss = self.objective.losses(raw[:, self.group], self.batch)
+        return self._summed(loss.unsqueeze(-1))[..., 0].nan_to_num(nan=torch.inf)
+
+    def curvature(self, raw: Tensor) -> Curvature:
+        """At ``raw (R, G, P)``, by central differences along the directions."""
+        loss, gradient, bends = self.of_tracks(raw)
+        scores = self._summed((gradient.unsqueeze(-1) * gradient.unsqueeze(-2)).flatten(-2), squared=True)
+        count = self.directions.shape[1]
+        hessian = self._summed(bends.flatten(-2)).unflatten(-1, (count, count))
+        total = self._summed(loss.unsqueeze(-1))[..., 0]
+        return Curvature(total, self._summed(gradient), scores.unflatten(-1, (count, count)), hessian)
+
+    def of_tracks(self, raw: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Losses ``(R, N)`` of single tracks, gradients ``(R, N, Q)`` and Hessians ``(R, N, Q, Q)``."""
+        offsets = STEP * torch.cat([torch.zeros_like(self.directions[:, :1]), self.directions, -self.directions], 1).mT
+        points = (raw.unsqueeze(1) + offsets[:, None]).flatten(0, 1)  # (R (1 + 2 Q), G, P)
+        loss, gradient = self.objective.gradients(points[:, self.group], self.batch)
+        count = self.directions.shape[1]
+        gradient = (gradient @ self.directions).unflatten(0, (len(raw), -1))  # (R, 1 + 2 Q, N, Q)
+        change = (gradient[:, 1 : count + 1] - gradient[:, count + 1 :]).movedim(1, 2) / (2 * STEP)
+        return loss.unflatten(0, (len(raw), -1))[:, 0], gradient[:, 0], (change + change.mT) / 2
+
+    def calm(self, raw: Tensor) -> Tensor:
+        """``(N,)`` bool: whether the loss of each track bends as those of others do, at ``raw (1, G, P)``.
+
+        That of a track on which the filter nearly diverges can change by any amount from values to values next to
+        them.  A few such tracks would decide where the sum is least, and how sharply.
+        """
+        bends = self.of_tracks(raw)[2][0]
+        scale = bends.diagonal(dim1=-2, dim2=-1).abs().nanmedian(0).values.clamp_min(1e-300).sqrt()
+        size = torch.linalg.matrix_norm(bends / scale / scale.unsqueeze(-1))
+        calm: Tensor = size <= WILD * size.nanmedian()
+        return calm
+
+    def _summed(self, x: Tensor, squared: bool = False) -> Tensor:
+        """``(R, G, k)`` of ``x (R, N, k)``."""
+        if self.weights is not None:
+            many = len(x) // len(self.weights)  # line searches try several values for each problem
+            weights = self.weights.repeat_interleave(many, 0).unsqueeze(-1)
+            x = torch.where(weights > 0, x, 0.0) * (weights.square() if squared else weights)
+        return x.new_zeros(len(x), self.groups, x.shape[-1]).index_add(1, self.group, x)
+
+
+def minimised(sums: Sums, raw: Tensor, most: int = 30) -> tuple[Tensor, Curvature]:
+    """The values ``(R, G, P)`` of the least sums nearby, and the curvature there.
+
+    Directions of negative curvature are followed downhill.  A problem stays where no step lowers its sum.
+
+    Args:
+        sums: what is made small.
+        raw: ``(R, G, P)`` where to begin.
+        most: iterations.
+    """
+    curvature = sums.curvature(raw)
+    for _ in range(most):
+        going = curvature.off > STILL
+        if not bool(going.any()):
+            break
+        steps = _steps(curvature) @ sums.directions.mT
+        lengths = raw.new_tensor(LENGTHS).reshape(-1, 1, 1)
+        tried = raw.unsqueeze(1) + lengths * steps.unsqueeze(1)  # (R, 5, G, P)
+        losses = sums.losses(tried.flatten(0, 1)).unflatten(0, (len(raw), -1))  # (R, 5, G)
+        best, which = losses.min(1)
+        better = going & (best < curvature.loss)
+        if not bool(better.any()):
+            break
+        chosen = tried.gather(1, which[:, None, :, None].expand(-1, 1, -1, raw.shape[-1])).squeeze(1)
+        raw = torch.where(better.unsqueeze(-1), chosen, raw)
+        curvature = sums.curvature(raw)
+    return raw, curvature
+
+
+def _steps(curvature: Curvature) -> Tensor:
+    """``(R, G, Q)`` downhill: Newton's with the sizes of the curvatures."""
+    hessian, gradient = curvature.hessian.nan_to_num(), curvature.gradient.nan_to_num()
+    bends, axes = torch.linalg.eigh(hessian)
+    bends = bends.abs()
+    bends = torch.maximum(bends, 1e-10 * bends.amax(-1, keepdim=True)).clamp_min(1e-300)
+    steps: Tensor = -(axes @ ((axes.mT @ gradient.unsqueeze(-1)) / bends.unsqueeze(-1))).squeeze(-1)
+    longest: Tensor = torch.linalg.vector_norm(steps, dim=-1, keepdim=True).clamp_min(REACH)
+    return REACH * steps / longest

@@ -1,0 +1,181 @@
+"""What a fit makes small: the loss of every track at many sets of values at once, and its gradient for each of them."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.func import functional_call
+
+from torchfra import losses
+from torchfra.filters import Filter
+from torchfra.filters.srckf import SRCKF
+from torchfra.fit.data import Batch
+from torchfra.fit.vector import Vector
+from torchfra.hyper import one_of
+from torchfra.motion.bank import Bank
+from torchfra.types import Estimate, Gaussian
+
+LOSSES = ("likelihood", "smoothed", "robust", "mse", "nll")
+NEEDS_TRUTH = ("robust", "mse", "nll")
+LARGEST = 2_000_000
+"""Steps of tracks that go through the filter in one call; more go one part after the other, to bound the memory."""
+FOLDS = 5
+"""Of the smoothed likelihood: each of them hides every fifth measurement."""
+Own = Callable[[Estimate, Batch], Tensor]
+"""A loss of one's own: from an estimate and its tracks, one number per track ``(..., N)``."""
+
+
+class Objective:
+    """The loss of each track as a function of the values.
+
+    Args:
+        f: the filter, whose learned values are replaced in each call.
+        vector: of those values.
+        loss: one of ``LOSSES`` or a function.
+        scale: of the robust loss, m.
+        states: components of state and truth that count.
+        convert: from estimates to the coordinates of the truth.
+        skip: steps at the start of each track that do not count.
+
+    Raises:
+        ValueError: an unknown loss.
+    """
+
+    def __init__(
+        self, f: Filter, vector: Vector, loss: str | Own, *, scale: float, states: slice, skip: int = 0,
+        convert: Callable[[Estimate], Estimate] | None = None,
+    ) -> None:  # fmt: skip
+        if isinstance(loss, str):
+            one_of(loss=(loss, LOSSES))
+        self.filter, self.vector, self.loss, self.scale, self.states = f, vector, loss, scale, states
+        self.skip, self.convert = skip, convert
+        if loss == "smoothed" and f.scans:
+            raise ValueError("loss: expected another than 'smoothed' for scans of several targets")
+        self.call = _Call(f, loss == "smoothed")
+
+    def compile(self) -> None:
+        """From here on the filter runs as compiled kernels."""
+        self.filter.compile()
+        if self.call.one_step is not None:
+            self.call.one_step.compile()
+
+    def interpret(self) -> None:
+        """From here on it runs without kernels."""
+        for part in (self.filter, self.call.one_step):
+            if part is not None:
+                part._kernels = None
+
+    @property
+    def name(self) -> str:
+        """Of the loss."""
+        return self.loss if isinstance(self.loss, str) else getattr(self.loss, "__name__", "own")
+
+    def of_filter(self, f: Filter, batch: Batch) -> Tensor:
+        """``(N,)`` this loss of another filter with its own values."""
+        other = copy.copy(self)
+        other.filter, other.call = f, _Call(f, self.loss == "smoothed")
+        with torch.no_grad():
+            return other._measured(batch).reshape(-1)
+
+    def losses(self, raw: Tensor, batch: Batch) -> Tensor:
+        """``(R, N)`` of each track at the values ``raw (R, N, P)`` of each, or ``(R, 1, P)`` of all."""
+        with torch.no_grad():
+            return self._in_parts(lambda raw, part: self._values(raw, part)[0].unsqueeze(-1), raw, batch).squeeze(-1)
+
+    def gradients(self, raw: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
+        """``(R, N)`` losses of each track and their gradients ``(R, N, P)``; ``raw`` as above."""
+
+        def both(raw: Tensor, part: Batch) -> Tensor:
+            # Every track has its own copy of the values.  The gradient of the sum of all losses with respect to one
+            # copy is then that of this track alone, and NaN from a track that diverged stays with it.
+            with torch.enable_grad():
+                loss, copies = self._values(raw, part)
+                (gradient,) = torch.autograd.grad(loss.sum(), [copies], materialize_grads=True, allow_unused=True)
+            return torch.cat([loss.detach().unsqueeze(-1), gradient], -1)
+
+        whole = self._in_parts(both, raw, batch)
+        return whole[..., 0], whole[..., 1:]
+
+    def estimate(self, raw: Tensor, batch: Batch) -> Estimate:
+        """Of tracks ``(R, N)``, in the coordinates of the truth; ``raw`` as above."""
+        with torch.no_grad():
+            values = self.vector.parameters(raw.to(batch.z).expand(-1, len(batch.z), -1))
+            estimate: Estimate = self.call.of(values, batch, self._estimate)
+            return estimate
+
+    def _in_parts(self, work: Callable[[Tensor, Batch], Tensor], raw: Tensor, batch: Batch) -> Tensor:
+        raw = raw.detach().to(batch.z).expand(-1, len(batch.z), -1)
+        each = max(1, LARGEST // (len(raw) * batch.z.shape[1] * (FOLDS if self.loss == "smoothed" else 1)))
+        parts = [slice(i, i + each) for i in range(0, len(batch.z), each)]
+        return torch.cat([work(raw[:, part], batch.rows(part)) for part in parts], 1).double()
+
+    def _values(self, raw: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
+        """Losses ``(R, N)`` and the copies of the values ``(R, N, P)`` that they follow from."""
+        copies = raw.clone().requires_grad_()
+        shared = copies.unsqueeze(2) if self.filter.scans else copies  # among the targets of a scene
+        loss = self.call.of(self.vector.parameters(shared), batch, self._measured)
+        return loss, copies
+
+    def _estimate(self, batch: Batch) -> Estimate:
+        estimate: Estimate = self.filter(batch.z, batch.belief(self.filter), dt=batch.dt, u=batch.u)
+        return estimate if self.convert is None else self.convert(estimate)
+
+    def _measured(self, batch: Batch) -> Tensor:
+        """The loss of each track."""
+        if self.loss == "smoothed":
+            return self._hidden(batch)
+        mean, root, nis, density, info, *_ = self._estimate(batch)
+        skip = self.skip
+        counted = Estimate(mean[..., skip:, :], root[..., skip:, :, :], nis[..., skip:], density[..., skip:], info)
+        if not isinstance(self.loss, str):
+            return self.loss(counted, batch)
+        if self.loss == "likelihood":  # of the whole track: its sum, not its mean, so that long tracks say more
+            total = losses.innovation_nll(counted) * counted.log_likelihood.shape[-1]
+            return total.flatten(2).sum(-1) if total.dim() > 2 else total
+        assert batch.truth is not None
+        truth = batch.truth[..., skip:, :]
+        if self.loss == "nll":
+            each = losses.nll(counted, truth, self.states)
+        elif self.loss == "mse":
+            each = losses.mse(counted.mean, truth, self.states)
+        else:
+            each = losses.robust_mse(counted.mean, truth, self.states, self.scale)
+        return each.flatten(2).mean(-1) if each.dim() > 2 else each
+
+    def _hidden(self, batch: Batch) -> Tensor:
+        """Minus the log density of each measurement given those before and after it; every fifth is hidden in turn."""
+        steps = torch.arange(batch.z.shape[1], device=batch.z.device)
+        hides = steps % FOLDS == torch.arange(FOLDS, device=batch.z.device).unsqueeze(1)  # (F, T)
+        z = batch.z.masked_fill(hides[:, None, None, :, None], torch.nan)  # (F, 1, N, T, m)
+        smoothed = self.filter.smooth(z, batch.belief(self.filter), dt=batch.dt, u=batch.u)
+        fold = steps % FOLDS
+        mean = smoothed.mean[fold, ..., steps, :]  # (T, R, N, n): of the fold that hides the step
+        root = smoothed.scale_tril[fold, ..., steps, :, :]
+        z = batch.z.movedim(1, 0).unsqueeze(1).unsqueeze(-2)  # (T, 1, N, 1, m): each step a track of its own
+        u = None if batch.u is None else batch.u.movedim(1, 0).unsqueeze(1).unsqueeze(-2)
+        assert self.call.one_step is not None
+        density: Tensor = self.call.one_step(z, Gaussian(mean, root), dt=0.0, u=u).log_likelihood
+        return -density[self.skip :].sum((0, -1))
+
+
+class _Call(nn.Module):
+    """Calls with other values than the filter's own, for ``torch.func.functional_call``."""
+
+    def __init__(self, f: Filter, hides: bool) -> None:
+        super().__init__()
+        self.filter = f
+        motion = f.motion[0] if isinstance(f.motion, Bank) else f.motion
+        self.one_step = SRCKF(motion, f.sensor) if hides else None
+
+    def of(self, values: Mapping[str, Tensor], batch: Batch, work: Callable[[Batch], Any]) -> Any:
+        """What ``work`` makes of the tracks with these values."""
+        replaced = {f"filter.{name}": x for name, x in values.items()}
+        return functional_call(self, replaced, (batch, work), tie_weights=False)  # or both that share one stay replaced
+
+    def forward(self, batch: Batch, work: Callable[[Batch], Any]) -> Any:
+        """The same with the filter's values."""
+        return work(batch)

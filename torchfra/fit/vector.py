@@ -1,0 +1,122 @@
+"""The values that a filter learns as one vector: unconstrained for the optimiser, in natural units for people."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.distributions import constraints, transform_to
+
+from torchfra.hyper import Hyper, element_names, hypers
+
+NORMAL_95 = 1.959963984540054
+"""Standard deviations of a normal distribution on either side that hold 95 % of it."""
+
+
+class Vector:
+    """Reads and writes the learned hyperparameters of a filter; all are unconstrained, ``raw (..., P)``, unless named.
+
+    Args:
+        f: the filter; its parameters are hyperparameters that have one value each, not a batch of values.
+
+    Raises:
+        ValueError: it learns nothing, or something else.
+    """
+
+    def __init__(self, f: nn.Module) -> None:
+        known = {path: hyper for path, hyper in hypers(f).items() if hyper.raw.requires_grad}
+        others = {name for name, _ in f.named_parameters()} - {f"{path}.raw" for path in known}
+        if others:
+            expected = "a filter whose parameters are hyperparameters (others learn in a loop of your own)"
+            raise ValueError(f"filter: expected {expected}, received {', '.join(sorted(others))}")
+        if not known:
+            raise ValueError("learn: expected names of hyperparameters, or a preset with learn=..., received none")
+        for path, hyper in known.items():
+            if hyper.batch_rank:
+                expected = "one value each (restarts= and sweep try several)"
+                raise ValueError(f"filter: expected {expected}, received {path} {tuple(hyper.raw.shape)}")
+        self.hypers: dict[str, Hyper] = known
+        self.names = [name for path, hyper in known.items() for name in element_names(path, hyper)]
+        """Of each number, ``"motion.q[1]"``."""
+        self.directions = torch.block_diag(*(_directions(hyper) for hyper in known.values()))
+        """``(P, Q)`` orthonormal: in which the values change.  Odds that sum to one do not change when all grow."""
+
+    def raw(self) -> Tensor:
+        """``(P,)`` the values of the filter at the moment."""
+        return torch.cat([hyper.raw.detach().flatten().double() for hyper in self.hypers.values()])
+
+    def store(self, raw: Tensor) -> None:
+        """Writes ``(P,)`` into the filter."""
+        with torch.no_grad():
+            for hyper, part in zip(self.hypers.values(), self._split(raw), strict=True):
+                hyper.raw.copy_(part.reshape(hyper.raw.shape))
+
+    def parameters(self, raw: Tensor) -> dict[str, Tensor]:
+        """Parameters by name for ``torch.func.functional_call``, from ``raw (..., P)``."""
+        return {
+            f"{path}.raw": part.reshape((*raw.shape[:-1], *hyper.raw.shape))
+            for (path, hyper), part in zip(self.hypers.items(), self._split(raw), strict=True)
+        }
+
+    def natural(self, raw: Tensor) -> Tensor:
+        """``(..., P)`` in natural units."""
+        parts = [
+            transform_to(hyper.constraint)(part.reshape((*raw.shape[:-1], *hyper.raw.shape))).reshape(
+                (*raw.shape[:-1], -1)
+            )
+            for hyper, part in zip(self.hypers.values(), self._split(raw), strict=True)
+        ]
+        return torch.cat(parts, -1)
+
+    def unconstrained(self, name: str, values: Sequence[float]) -> Tensor:
+        """One number's natural values as unconstrained ones ``(K,)``.
+
+        Raises:
+            ValueError: an unknown name, odds that sum to one, or a value out of its range.
+        """
+        path = name.partition("[")[0]
+        if name not in self.names or self.hypers[path].constraint is constraints.simplex:
+            free = [n for n in self.names if self.hypers[n.partition("[")[0]].constraint is not constraints.simplex]
+            raise ValueError(f"name: expected one of {free}, received {name!r}")
+        raw: Tensor = Hyper(torch.tensor(values, dtype=torch.float64), self.hypers[path].constraint, name=name).raw
+        return raw
+
+    def errors(self, raw: Tensor, covariance: Tensor) -> Tensor:
+        """``(P,)`` standard errors in natural units, from those of ``raw (P,)``, by the delta method."""
+        slope = torch.func.jacrev(self.natural)(raw)
+        errors: Tensor = (slope @ covariance @ slope.mT).diagonal().clamp_min(0).sqrt()
+        return errors
+
+    def intervals(self, raw: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
+        """``(P,)`` each: 95 % intervals in natural units, those of the unconstrained values transformed."""
+        reach = NORMAL_95 * covariance.diagonal().clamp_min(0).sqrt()
+        ends = self.natural(raw - reach), self.natural(raw + reach)
+        shares = self.natural(raw)  # of what sums to one: an interval of its log odds
+        wide = NORMAL_95 * self.errors(raw, covariance) / (shares * (1 - shares)).clamp_min(1e-300)
+        logit = torch.logit(shares)
+        odds = torch.sigmoid(logit - wide), torch.sigmoid(logit + wide)
+        summing = torch.cat([
+            torch.full((hyper.raw.numel(),), hyper.constraint is constraints.simplex) for hyper in self.hypers.values()
+        ])  # fmt: skip
+        low, high = (torch.where(summing, a, b) for a, b in zip(odds, ends, strict=True))
+        return low, high
+
+    def _split(self, raw: Tensor) -> Sequence[Tensor]:
+        parts: Sequence[Tensor] = raw.split([hyper.raw.numel() for hyper in self.hypers.values()], -1)
+        return parts
+
+
+def _directions(hyper: Hyper) -> Tensor:
+    """In which the unconstrained numbers of a hyperparameter change its value ``(k, q)``."""
+    count = hyper.raw.numel()
+    if hyper.constraint is not constraints.simplex:
+        return torch.eye(count, dtype=torch.float64)
+    size = hyper.raw.shape[-1]
+    contrasts = torch.zeros(size, size - 1, dtype=torch.float64)  # Helmert's
+    for j in range(1, size):
+        contrasts[:j, j - 1], contrasts[j, j - 1] = 1.0, -float(j)
+        contrasts[:, j - 1] /= math.sqrt(j * (j + 1))
+    rows: Tensor = torch.block_diag(*[contrasts] * (count // size))
+    return rows
