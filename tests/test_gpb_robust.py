@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from torchfra import metrics, presets
+from torchfra import metrics, presets, scenarios
 from torchfra.motion import ConstantAcceleration, aircraft
 from torchfra.sensors import Bearings, Position, RangeBearing, Ranges
 from torchfra.types import Gaussian
@@ -205,3 +205,14 @@ def test_covariances_are_honest_where_targets_do_what_it_believes():
     e = presets.gpb(scenario.motion, scenario.sensor, **known)(tracks.z, tracks.prior)
     for of, size in ((slice(0, 2), 2), (slice(0, 6), 6)):
         assert 0.9 * size < metrics.nees(e, tracks.truth, of).mean() < 1.1 * size
+
+
+def test_a_poor_start_is_none_of_a_parameter_that_acts_exponentially():
+    scenario = scenarios.reentry()
+    tracks = scenario.simulate(20, 3)
+    f = presets.gpb(scenario.motion, scenario.sensor)
+    estimate = f(tracks.z, tracks.prior, u=tracks.u)
+    assert not estimate.failed.any()
+    plain = presets.srckf(scenario.motion, scenario.sensor)(tracks.z, tracks.prior, u=tracks.u)
+    errors = [(e.mean - tracks.truth)[..., scenario.position].norm(dim=-1).mean(-1) for e in (estimate, plain)]
+    assert (errors[0] < 2 * errors[1]).all()

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-KINDS = ("position", "velocity", "acceleration", "angle", "rate", "bias", "clock", "other")
-"""What a component may be; a rate is that of an angle, in rad/s."""
+KINDS = ("position", "velocity", "acceleration", "angle", "rate", "bias", "clock", "parameter", "other")
+"""What a component may be; a rate is of an angle, in rad/s; a parameter is a property of the target, such as its drag."""
 AXES = ("x", "y", "z")
 
 

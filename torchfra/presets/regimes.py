@@ -38,7 +38,7 @@ def gpb(
         sizes: factors on the covariance of the measurement noise of outliers.
         shares: of the outliers that have each size.
         poor: probability that the prior is worth little.
-        start: factor on the prior's covariance then.
+        start: factor on the prior's covariance then, but for parameters (``kinds`` of the motion).
         grows: whether the last of the sizes grows to what a measurement asks for.
         lag: 0 for an estimate from the measurements so far, 1 for one that the next measurement has settled; the
             other is in ``Estimate.info``.

@@ -43,7 +43,8 @@ class Reentry(Motion):
         one_of(method=(method, ("euler", "rk4")))
         if substeps < 1:
             raise ValueError(f"substeps: expected 1 or more, received {substeps}")
-        super().__init__(2, 2, q, size=5)
+        kinds = ("position", "position", "velocity", "velocity", "parameter")
+        super().__init__(2, 2, q, size=5, components=("x", "y", "vx", "vy", "drag"), kinds=kinds)
         self.q_parameter = Hyper(q_parameter, constraints.nonnegative, name="q_parameter")
         self.method, self.substeps = method, substeps
 

@@ -56,7 +56,7 @@ class GPB(Sensing):
         regimes: the Markov chain of the motion, of as many motions as the bank has.
         qualities: the Markov chain of outliers, of the sensor's blocks.
         poor: probability that the prior is worth little.
-        start: factor on the prior's covariance then.
+        start: factor on the prior's covariance then, but for parameters (``kinds`` of the motion).
         lag: 0 for the filtered estimate, 1 for the one that the next measurement has settled; the other is in ``info``.
         rule: from a number of states to the rule that carries a Gaussian through a function.
 
@@ -104,13 +104,15 @@ class GPB(Sensing):
         return self.motion  # type: ignore[return-value]
 
     def begin(self, belief: Gaussian) -> GPBState:
-        """The state of a belief: as it is, and widened, for every motion."""
+        """The state of a belief: as it is, and widened, for every motion; what is known of parameters stays."""
         mean, poor = belief.mean, self.poor(belief.mean)
         log_start = torch.stack([torch.log1p(-poor), poor.log()], -1)
         log_weights = log_start.unsqueeze(-1) + self.regimes.log_renew(mean).unsqueeze(-2)
         log_weights = log_weights.expand(*mean.shape[:-1], *log_weights.shape[-2:])
         every = repeated(belief, len(self.bank))
-        widened = every._replace(scale_tril=self.start(mean).sqrt()[..., None, None, None] * every.scale_tril)
+        told = torch.tensor([kind != "parameter" for kind in self.motion.kinds], device=mean.device)
+        factor = torch.where(told, self.start(mean).sqrt().unsqueeze(-1), 1.0)[..., None, :, None]
+        widened = every._replace(scale_tril=factor * every.scale_tril)
         outlier = mean.new_zeros(*mean.shape[:-1], len(self.qualities.blocks))
         return GPBState(belief, belief, every, widened, log_weights, outlier)
 
