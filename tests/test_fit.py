@@ -11,6 +11,7 @@ import torchfra
 from torchfra import Gaussian, presets, scenarios
 from torchfra.fit import sweep
 from torchfra.fit.data import batch_of
+from torchfra.fit.judging import judged
 from torchfra.motion import ConstantVelocity
 from torchfra.readers import Recording
 from torchfra.sensors import Bearings, Position
@@ -321,6 +322,26 @@ def test_other_filters_are_compared_on_the_held_out_tracks(fitted):
     assert table.rows["start"].change.low > 0
     assert table.rows["itself"].change.value == 0
     assert "held-out" in str(table)
+
+
+def test_a_track_that_is_lost_decides_the_mean_but_not_the_median_and_is_told_of():
+    before = torch.linspace(1.0, 2.0, 30).double()
+    after = before - 0.5
+    after[3] += 100.0
+    row = judged(before, after)
+    assert row.change.value > 0 > row.middle.high
+    assert row.middle.value == pytest.approx(-0.5)
+    assert row.lost == 1
+    assert row.note("likelihood", 30).startswith("1 of 30 held-out tracks change over 30 times")
+    assert judged(before, before).lost == 0
+
+
+def test_validation_does_not_turn_down_the_last_steps_where_the_model_holds():
+    for seed in (10, 22):  # where it is two standard errors better before them
+        found = torchfra.fit(start(), {"z": walks(seed, 30, 10)[1], "prior": PRIOR}, learn=("q", "std"), quiet=True,
+                             compile=False, iterations=12, lr=0.5, validate_every=1, patience=20)  # fmt: skip
+        assert found.certainty.off < 0.1
+        assert not any("validation" in note for note in found.notes)
 
 
 # ---------------------------------------------------------------- sweeps

@@ -144,7 +144,7 @@ class Fitted:
                 for name, identified in zip(self.learned, known.identified, strict=True)
             },
             "condition": known.condition, "weakest": known.weakest, "gradient": known.off,
-            "held_out": {name: {when: figure._asdict() for when, figure in row._asdict().items()}
+            "held_out": {name: {when: figure._asdict() for when, figure in row.figures.items()}
                          for name, row in self.held_out.items()},
             "restarts": self.restarts, "tracks": self.counts, "settings": dataclasses.asdict(self.settings),
             "dtype": self.dtype, "compiled": self.compiled, "seconds": self.seconds, "notes": self.notes,
@@ -173,8 +173,9 @@ class Fitted:
         ]  # fmt: skip
         text = text_table(["value", "start", "learned", "standard error", "95 %", "identified"], rows, align="<>>>>>")
         text += f"\ncondition {known.condition:.3g}; least told: {known.weakest}\n"
-        rows = [[name, *map(str, row)] for name, row in self.held_out.items()]
-        text += text_table([f"{self.counts['test']} held-out tracks", "before", "after", "change"], rows) + "\n"
+        rows = [[name, *map(str, row.figures.values())] for name, row in self.held_out.items()]
+        heads = next(iter(self.held_out.values())).figures
+        text += text_table([f"{self.counts['test']} held-out tracks", *heads], rows) + "\n"
         how = "compiled" if self.compiled else "interpreted"
         text += f"{len(self.rows)} iterations, {self.seconds:.1f} s, {self.dtype}, {how}, seed {self.settings.seed}"
         return "\n".join([text, *(f"note: {line}" for line in self.notes)])

@@ -25,8 +25,9 @@ from torchfra.fit.vector import Vector
 
 FEWEST = 4
 """Tracks of a fit."""
-WORSE = 2.0
-"""Standard errors by which validation tracks may speak against the last steps."""
+WORSE = 4.0
+"""Standard errors by which validation tracks must speak against the last steps.  They have chosen the values before
+those, which are often better there by 2 of them, even if the last steps are right."""
 
 
 def fit(
@@ -103,12 +104,13 @@ def fit(
     vector.store(raw)
     for hyper in vector.hypers.values():
         hyper.raw.requires_grad_(False)
-    own = Tracks(objective, sums, test)
+    held = _judged(own := Tracks(objective, sums, test), start, raw, seed)
+    lines = [*notes, *more, *known.notes, *(row.note(name, len(test.z)) for name, row in held.items() if row.lost)]
     return Fitted(
-        f, _named(vector, start), _named(vector, raw), known, _judged(own, start, raw, seed), descent.rows,
+        f, _named(vector, start), _named(vector, raw), known, held, descent.rows,
         descent.scores.tolist(), settings, runs_compiled, str(tracks.z.dtype).removeprefix("torch."),
         {"train": len(train.z), "validation": len(valid.z), "test": len(test.z), "left out": lost},
-        time.perf_counter() - begun, [*notes, *more, *known.notes], own, raw,
+        time.perf_counter() - begun, lines, own, raw,
     )  # fmt: skip
 
 
