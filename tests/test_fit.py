@@ -242,11 +242,50 @@ def test_a_track_that_fails_is_left_out_and_said(data):
     ({"scale": -1.0, "loss": "robust", "data": {"z": torch.ones(5, 4, 2).double(), "truth": torch.ones(5, 4, 4)}},
      "scale: expected a number above 0"),
     ({"errors": "guess"}, "errors: expected one of"),
+    ({"data": {"z": torch.zeros(5, 4, 2).double(), "dt": torch.ones(3)}}, r"dt: expected what broadcasts to \(N, T\)"),
+    ({"data": {"z": torch.zeros(5, 4, 2).double(), "u": torch.ones(3, 2)}}, "u: expected what broadcasts to"),
+    ({"data": {"z": torch.zeros(5, 4, 2).double(), "prior": 3}}, "prior: expected a Gaussian"),
+    ({"data": {"z": torch.zeros(5, 4, 2).double(), "truth": torch.zeros(5, 3, 4)}}, "truth: expected 5 tracks of 4"),
+    ({"data": [torch.zeros(4, 2).double(), torch.zeros(4, 1).double()]}, "z: expected measurements of one size"),
+    ({"data": torch.zeros(0, 4, 2).double()}, "data: expected one track or more"),
+    ({"loss": lambda estimate, batch: 1.0}, "loss: expected one number for each of 5 tracks, received float"),
+    ({"loss": 3}, "loss: expected one of"),
+    ({"learn": 3}, "learn: expected names"),
+    ({"lr": "fast"}, "lr: expected a number above 0"),
+    ({"iterations": True}, "iterations: expected a whole number"),
+    ({"resume": True}, "checkpoint: expected the name of a file"),
 ])  # fmt: skip
 def test_what_cannot_be_is_named(change, message):
     arguments = {"data": {"z": torch.zeros(5, 4, 2).double(), "prior": PRIOR}, "learn": ("q",)} | QUICK | change
     with pytest.raises(ValueError, match=message):
         torchfra.fit(start(), **arguments)
+
+
+def test_settings_are_checked_before_data_are_simulated():
+    def simulator(seed):
+        raise AssertionError("simulated")
+
+    with pytest.raises(ValueError, match="clip: expected a number above 0"):
+        torchfra.fit(start(), simulator, learn=("q",), clip=-1.0)
+
+
+def test_arrays_and_a_truth_that_nobody_knows_are_data_too():
+    truth, z = walks(0, 12, 6)
+    one = torchfra.fit(start(), z.numpy(), learn=("q",), **QUICK)
+    other = torchfra.fit(start(), {"z": z, "truth": truth * float("nan")}, learn=("q",), **QUICK)
+    assert one.learned == other.learned
+    assert other.settings.loss == "likelihood"
+
+
+def test_others_that_are_no_filters_are_refused(fitted):
+    for others in (
+        3,
+        {"a": 3},
+        {"fitted": start()},
+        {"a": presets.srckf(ConstantVelocity(1.0, dims=3), Position(2.0, dims=3))},
+    ):
+        with pytest.raises(ValueError, match="others: expected"):
+            fitted.compare(others)
 
 
 def test_a_filter_with_a_network_is_sent_to_a_loop_of_its_own():

@@ -106,8 +106,12 @@ class Fitted:
             others: by name; filters with the same state, or fits with the same data, seed and loss.
 
         Raises:
-            ValueError: fits of other tracks.
+            ValueError: no filters by name, fits of other tracks, or a filter of other measurements.
         """
+        if not isinstance(others, Mapping) or not all(isinstance(other, Filter | Fitted) for other in others.values()):
+            raise ValueError(f"others: expected filters or fits by name, received {others!r:.80}")
+        if "fitted" in others:
+            raise ValueError("others: expected names other than 'fitted', which is this filter, received 'fitted'")
         tracks = self._own()
         assert self._raw is not None
         mine = tracks.objective.losses(self._raw[None, None], tracks.test)[0]
@@ -117,6 +121,8 @@ class Fitted:
             test = other._own().test if isinstance(other, Fitted) else tracks.test
             if test.z.shape != tracks.test.z.shape or not torch.equal(test.z.nan_to_num(), tracks.test.z.nan_to_num()):
                 raise ValueError(f"others: expected fits with the same data and seed, {name} has other tracks")
+            if f.sensor.size != test.z.shape[-1]:
+                raise ValueError(f"others: expected sensors of {test.z.shape[-1]} elements, {name} has {f.sensor.size}")
             loss = tracks.objective.of_filter(f, test)
             rows[name] = tracks.judge(mine, loss, self.settings.seed)
         return Comparison(self.quantity, len(tracks.test.z), rows)

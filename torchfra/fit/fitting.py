@@ -83,13 +83,15 @@ def fit(
     begun = time.perf_counter()
     f = copied(filter, learn)
     vector = Vector(f)
-    tracks = batch_of(f, data, runs=runs, seed=seed)
-    objective = objective_of(f, vector, data, tracks, loss, scale, skip)
     settings = Settings(
-        objective.name, iterations, batch, lr, clip, validate_every, patience, held_out, restarts, spread, polish,
-        errors or ("hessian" if objective.name == "likelihood" else "sandwich"), objective.scale, skip, runs, seed,
+        "", iterations, batch, lr, clip, validate_every, patience, held_out, restarts, spread, polish,
+        "hessian" if errors is None else errors, skip=skip, runs=runs, seed=seed,
     )  # fmt: skip
     settings.check()
+    path = _file(checkpoint, resume)
+    tracks = batch_of(f, data, runs=runs, seed=seed)
+    objective = objective_of(f, vector, data, tracks, loss, scale, skip)
+    settings = settings.of(objective, errors)
     notes, runs_compiled = compiled(objective, tracks, compile)
     start = vector.raw()
     used, lost = _finite(objective, tracks, start)
@@ -97,7 +99,7 @@ def fit(
     train, valid, test = _split(used, settings)
 
     descent = Descent(objective, train, valid, starting_points(start, vector.directions, settings), settings)
-    _descend(descent, checkpoint, resume, key_of(settings, vector.names, used.digest(), start), quiet)
+    _descend(descent, path, resume, key_of(settings, vector.names, used.digest(), start), quiet)
     best = descent.best[int(descent.scores.argmin())]
     sums, raw, more = _polished(Sums(objective, train.to(torch.float64), vector.directions), best, valid, settings)
     known = certainty(vector, raw, sums.curvature(raw[None, None]), settings.errors)
@@ -139,13 +141,26 @@ def _split(tracks: Batch, settings: Settings) -> tuple[Batch, Batch, Batch]:
     return tracks.rows(train), tracks.rows(valid), tracks.rows(test)
 
 
-def _descend(descent: Descent, checkpoint: str | Path | None, resume: bool, key: str, quiet: bool) -> None:
+def _file(checkpoint: str | Path | None, resume: bool) -> Path | None:
+    """Where the descent is kept.
+
+    Raises:
+        ValueError: no file, or none to resume from; or it is there and ``resume`` is not asked for.
+    """
+    if not isinstance(checkpoint, str | Path | None) or (checkpoint is None and resume):
+        raise ValueError(f"checkpoint: expected the name of a file, received {checkpoint!r}")
+    path = None if checkpoint is None else Path(checkpoint)
+    if path is not None and not resume and checkpoints.found(path):
+        raise ValueError(f"checkpoint: {path} holds a fit already: resume=True goes on with it")
+    return path
+
+
+def _descend(descent: Descent, path: Path | None, resume: bool, key: str, quiet: bool) -> None:
     """Until the last iteration, or until validation has long not improved.
 
     Raises:
-        ValueError: there is a checkpoint and ``resume`` is not asked for, or it is of another fit.
+        ValueError: the checkpoint is of another fit.
     """
-    path = None if checkpoint is None else Path(checkpoint)
 
     def take(source: Path) -> None:
         state = state_files.read(source)
@@ -155,8 +170,6 @@ def _descend(descent: Descent, checkpoint: str | Path | None, resume: bool, key:
 
     if path is not None and resume:
         checkpoints.load(path, take, "fit")
-    elif path is not None and checkpoints.found(path):
-        raise ValueError(f"checkpoint: {path} holds a fit already: resume=True goes on with it")
     shown = progress_bar(range(descent.iteration, descent.settings.iterations), "fit", not quiet)
     for _ in shown:
         if descent.done:
