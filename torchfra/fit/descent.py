@@ -25,7 +25,11 @@ KINDS: dict[str, type] = {"key": str, "iteration": int, "raw": torch.Tensor, "op
 
 @dataclass(frozen=True)
 class Settings:
-    """How a fit goes: see ``torchfra.fit``."""
+    """How a fit goes: see ``torchfra.fit``.
+
+    Raises:
+        ValueError: one that is out of its range.
+    """
 
     loss: str
     iterations: int = 200
@@ -44,12 +48,7 @@ class Settings:
     runs: int = 400
     seed: int = 0
 
-    def check(self) -> None:
-        """Checks them.
-
-        Raises:
-            ValueError: one that is out of its range.
-        """
+    def __post_init__(self) -> None:
         for name in ("batch", "validate_every", "patience", "restarts", "runs"):
             _at_least(1, name, getattr(self, name))
         for name in ("iterations", "skip", "seed"):

@@ -87,7 +87,6 @@ def fit(
         "", iterations, batch, lr, clip, validate_every, patience, held_out, restarts, spread, polish,
         "hessian" if errors is None else errors, skip=skip, runs=runs, seed=seed,
     )  # fmt: skip
-    settings.check()
     path = _file(checkpoint, resume)
     tracks = batch_of(f, data, runs=runs, seed=seed)
     objective = objective_of(f, vector, data, tracks, loss, scale, skip)
@@ -104,8 +103,7 @@ def fit(
     sums, raw, more = _polished(Sums(objective, train.to(torch.float64), vector.directions), best, valid, settings)
     known = certainty(vector, raw, sums.curvature(raw[None, None]), settings.errors)
     vector.store(raw)
-    for hyper in vector.hypers.values():
-        hyper.raw.requires_grad_(False)
+    f.requires_grad_(False)
     held = _judged(own := Tracks(objective, sums, test), start, raw, seed)
     lines = [*notes, *more, *known.notes, *(row.note(name, len(test.z)) for name, row in held.items() if row.lost)]
     return Fitted(
