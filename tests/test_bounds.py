@@ -168,6 +168,10 @@ def test_a_bound_says_what_it_takes_as_known():
 def test_a_scenario_without_a_law_has_no_bound():
     with pytest.raises(ValueError, match="scenario: expected one with a law"):
         bound(scenarios.clutter_many())
+    with pytest.raises(ValueError, match="scenario: expected a Scenario, received int"):
+        bound(3)
+    with pytest.raises(ValueError, match="runs, seed, first: expected whole numbers"):
+        bound(scenarios.bearings_outliers(), runs=1.5)
 
 
 def test_sizes_that_do_not_fit_are_refused():

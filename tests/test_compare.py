@@ -123,6 +123,13 @@ def test_what_cannot_be_compared_is_refused():
         torchfra.compare({"a": f}, 3)
     with pytest.raises(ValueError, match="filters: expected a Filter as a, received int"):
         torchfra.compare({"a": 3}, SCENARIO)
+    for name, value in (("runs", 1.5), ("seed", "a"), ("chunk", 0), ("limit", -1.0)):
+        with pytest.raises(ValueError, match=f"{name}: expected"):
+            torchfra.compare({"a": f}, SCENARIO, **{name: value})
+    with pytest.raises(ValueError, match="filters: expected names, or filters by name"):
+        torchfra.compare([f], SCENARIO)
+    with pytest.raises(ValueError, match="tracks: expected a truth"):
+        torchfra.compare({"a": f}, SCENARIO.simulate(2)._replace(prior=None))
     with pytest.raises(ValueError, match="filters: expected one or more, received none"):
         torchfra.compare({}, SCENARIO)
     with pytest.raises(ValueError, match="filters: expected filters by name with Tracks"):

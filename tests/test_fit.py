@@ -11,6 +11,7 @@ import torchfra
 from torchfra import Gaussian, presets, scenarios
 from torchfra.fit import sweep
 from torchfra.fit.data import batch_of
+from torchfra.fit.judging import judged
 from torchfra.motion import ConstantVelocity
 from torchfra.readers import Recording
 from torchfra.sensors import Bearings, Position
@@ -241,11 +242,50 @@ def test_a_track_that_fails_is_left_out_and_said(data):
     ({"scale": -1.0, "loss": "robust", "data": {"z": torch.ones(5, 4, 2).double(), "truth": torch.ones(5, 4, 4)}},
      "scale: expected a number above 0"),
     ({"errors": "guess"}, "errors: expected one of"),
+    ({"data": {"z": torch.zeros(5, 4, 2).double(), "dt": torch.ones(3)}}, r"dt: expected what broadcasts to \(N, T\)"),
+    ({"data": {"z": torch.zeros(5, 4, 2).double(), "u": torch.ones(3, 2)}}, "u: expected what broadcasts to"),
+    ({"data": {"z": torch.zeros(5, 4, 2).double(), "prior": 3}}, "prior: expected a Gaussian"),
+    ({"data": {"z": torch.zeros(5, 4, 2).double(), "truth": torch.zeros(5, 3, 4)}}, "truth: expected 5 tracks of 4"),
+    ({"data": [torch.zeros(4, 2).double(), torch.zeros(4, 1).double()]}, "z: expected measurements of one size"),
+    ({"data": torch.zeros(0, 4, 2).double()}, "data: expected one track or more"),
+    ({"loss": lambda estimate, batch: 1.0}, "loss: expected one number for each of 5 tracks, received float"),
+    ({"loss": 3}, "loss: expected one of"),
+    ({"learn": 3}, "learn: expected names"),
+    ({"lr": "fast"}, "lr: expected a number above 0"),
+    ({"iterations": True}, "iterations: expected a whole number"),
+    ({"resume": True}, "checkpoint: expected the name of a file"),
 ])  # fmt: skip
 def test_what_cannot_be_is_named(change, message):
     arguments = {"data": {"z": torch.zeros(5, 4, 2).double(), "prior": PRIOR}, "learn": ("q",)} | QUICK | change
     with pytest.raises(ValueError, match=message):
         torchfra.fit(start(), **arguments)
+
+
+def test_settings_are_checked_before_data_are_simulated():
+    def simulator(seed):
+        raise AssertionError("simulated")
+
+    with pytest.raises(ValueError, match="clip: expected a number above 0"):
+        torchfra.fit(start(), simulator, learn=("q",), clip=-1.0)
+
+
+def test_arrays_and_a_truth_that_nobody_knows_are_data_too():
+    truth, z = walks(0, 12, 6)
+    one = torchfra.fit(start(), z.numpy(), learn=("q",), **QUICK)
+    other = torchfra.fit(start(), {"z": z, "truth": truth * float("nan")}, learn=("q",), **QUICK)
+    assert one.learned == other.learned
+    assert other.settings.loss == "likelihood"
+
+
+def test_others_that_are_no_filters_are_refused(fitted):
+    for others in (
+        3,
+        {"a": 3},
+        {"fitted": start()},
+        {"a": presets.srckf(ConstantVelocity(1.0, dims=3), Position(2.0, dims=3))},
+    ):
+        with pytest.raises(ValueError, match="others: expected"):
+            fitted.compare(others)
 
 
 def test_a_filter_with_a_network_is_sent_to_a_loop_of_its_own():
@@ -321,6 +361,26 @@ def test_other_filters_are_compared_on_the_held_out_tracks(fitted):
     assert table.rows["start"].change.low > 0
     assert table.rows["itself"].change.value == 0
     assert "held-out" in str(table)
+
+
+def test_a_track_that_is_lost_decides_the_mean_but_not_the_median_and_is_told_of():
+    before = torch.linspace(1.0, 2.0, 30).double()
+    after = before - 0.5
+    after[3] += 100.0
+    row = judged(before, after)
+    assert row.change.value > 0 > row.middle.high
+    assert row.middle.value == pytest.approx(-0.5)
+    assert row.lost == 1
+    assert row.note("likelihood", 30).startswith("1 of 30 held-out tracks change over 30 times")
+    assert judged(before, before).lost == 0
+
+
+def test_validation_does_not_turn_down_the_last_steps_where_the_model_holds():
+    for seed in (10, 22):  # where it is two standard errors better before them
+        found = torchfra.fit(start(), {"z": walks(seed, 30, 10)[1], "prior": PRIOR}, learn=("q", "std"), quiet=True,
+                             compile=False, iterations=12, lr=0.5, validate_every=1, patience=20)  # fmt: skip
+        assert found.certainty.off < 0.1
+        assert not any("validation" in note for note in found.notes)
 
 
 # ---------------------------------------------------------------- sweeps

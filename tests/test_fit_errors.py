@@ -135,6 +135,9 @@ def test_a_profile_rises_as_the_hessian_says_near_the_best(found):
 def test_a_profile_of_what_is_not_there_is_refused(found):
     with pytest.raises(ValueError, match="name: expected one of"):
         found.profile("gate")
+    for wrong in ({"points": 1}, {"reach": 0.0}):
+        with pytest.raises(ValueError, match="points, reach: expected 2 or more"):
+            found.profile("sensor.std", **wrong)
 
 
 def test_the_bootstrap_agrees_with_the_hessian_where_the_model_holds(found):

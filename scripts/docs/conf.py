@@ -22,9 +22,6 @@ extensions = [
     "builder",
 ]
 
-if not (ROOT / "torchfra" / "fit" / "README.md").exists():  # without that part its page is left out
-    exclude_patterns, suppress_warnings = ["fitting.md"], ["toc.not_readable"]
-
 html_theme = "furo"
 html_title = f"torchfra {release}"
 html_static_path = ["static"]

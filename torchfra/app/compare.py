@@ -12,6 +12,7 @@ from torchfra.catalogue import scenario_filters
 from torchfra.filters.base import Filter
 from torchfra.scenarios import Bound, Scenario, Tracks, given
 from torchfra.scenarios import bound as bound_on
+from torchfra.targets.numbers import real, whole
 
 MOST_FOR_BOUND = 500
 """Runs that expectations of a bound are over at most."""
@@ -47,7 +48,8 @@ def compare(
         progress: whether to show a bar.
 
     Raises:
-        ValueError: no filter, an unknown name, data that is neither a scenario nor tracks, or tracks that do not fit.
+        ValueError: no filter, an unknown name, data that is neither a scenario nor tracks, tracks that do not fit, or a
+            number out of its range.
 
     Example::
 
@@ -55,6 +57,7 @@ def compare(
         print(comparison)
         comparison.plot("errors.pdf")
     """
+    _check(filters, runs, seed, limit, chunk)
     scenario = _scenario(filters, data, dt)
     chosen = _filters(filters, scenario)
     if runs is None:
@@ -65,6 +68,19 @@ def compare(
     )  # fmt: skip
     results = results_of(metrics, chosen, scenario, runs, limit)
     return Comparison(scenario, runs, seed, results, metrics, bound_of(scenario, runs, seed) if bound else None)
+
+
+def _check(
+    filters: Mapping[str, Filter] | Sequence[str], runs: int | None, seed: int, limit: float | None, chunk: int
+) -> None:
+    names = [filters] if isinstance(filters, str) else filters
+    if not isinstance(names, Mapping | list | tuple) or not all(isinstance(name, str) for name in names):
+        raise ValueError(f"filters: expected names, or filters by name, received {filters!r:.80}")
+    for name, value, least in (("runs", 1 if runs is None else runs, 1), ("seed", seed, 0), ("chunk", chunk, 1)):
+        if not whole(value, least):
+            raise ValueError(f"{name}: expected a whole number of {least} or more, received {value!r}")
+    if limit is not None and not real(limit) > 0:
+        raise ValueError(f"limit: expected metres above 0, received {limit!r}")
 
 
 def bound_of(scenario: Scenario, runs: int, seed: int) -> Bound | None:

@@ -62,9 +62,12 @@ def profile(
         reach: how many standard errors to either side.
 
     Raises:
-        ValueError: an unknown name, one of odds that sum to one, or a value without a standard error.
+        ValueError: an unknown name, one of odds that sum to one, or a value without a standard error; ``points`` or
+            ``reach`` out of range.
     """
     vector = sums.objective.vector
+    if not isinstance(points, int) or points < 2 or not reach > 0:
+        raise ValueError(f"points, reach: expected 2 or more, and a number above 0, received {points!r}, {reach!r}")
     best = vector.natural(raw)[vector.names.index(name)].item() if name in vector.names else 1.0
     vector.unconstrained(name, [best])
     i = vector.names.index(name)
@@ -97,8 +100,8 @@ def bootstrap(sums: Sums, raw: Tensor, resamples: int, seed: int) -> Bootstrap:
 
     Source: Efron & Tibshirani (1993), "An Introduction to the Bootstrap", chapter 6.
     """
-    if resamples < 10:
-        raise ValueError(f"resamples: expected 10 or more, received {resamples}")
+    if not isinstance(resamples, int) or resamples < 10:
+        raise ValueError(f"resamples: expected 10 or more, received {resamples!r}")
     generator, count = torch.Generator().manual_seed(seed), len(sums.batch.z)
     drawn = torch.randint(count, (resamples, count), generator=generator)
     weights = torch.zeros(resamples, count, dtype=torch.float64).scatter_add(1, drawn, torch.ones_like(drawn).double())

@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
@@ -39,7 +40,7 @@ class Batch(NamedTuple):
     u: Tensor | None
     """``(N, T, k)`` what the models need to know."""
     truth: Tensor | None
-    """``(N, T, n)`` states, NaN where unknown; None if no truth is known."""
+    """``(N, T, n)`` states, NaN where unknown; None if none is known."""
 
     def rows(self, index: Tensor | slice) -> Batch:
         """Some of the tracks."""
@@ -78,7 +79,7 @@ def batch_of(f: Filter, data: Source, *, runs: int, seed: int) -> Batch:
     if callable(data) and not isinstance(data, DataLoader):
         takes_runs = len(inspect.signature(data).parameters) > 1
         data = data(seed, runs) if takes_runs else data(seed)
-    if isinstance(data, Tensor | Mapping | Tracks):
+    if isinstance(data, Tensor | np.ndarray | Mapping | Tracks):
         return _whole(f, _fields(data))
     if isinstance(data, Dataset) and hasattr(data, "__len__"):
         data = [data[i] for i in range(len(data))]
@@ -102,8 +103,8 @@ def _fields(item: Any) -> dict[str, Any]:
     """
     if hasattr(item, "_asdict"):
         item = item._asdict()
-    elif isinstance(item, Tensor):
-        item = {"z": item}
+    elif isinstance(item, Tensor | np.ndarray):
+        item = {"z": torch.as_tensor(item)}
     elif isinstance(item, list | tuple) and len(item) == 1:  # of a TensorDataset
         item = {"z": item[0]}
     if not isinstance(item, Mapping) or "z" not in item or not set(item) <= set(FIELDS):
@@ -117,6 +118,9 @@ def _joined(items: list[dict[str, Any]], rank: int) -> dict[str, Any]:
     if any(set(item) != set(items[0]) for item in items):
         raise ValueError(f"data: expected the same names in each item, received {[sorted(item) for item in items[:3]]}")
     parts = [_alike(item, rank) for item in items]
+    if any(part["z"].shape[2:] != parts[0]["z"].shape[2:] for part in parts):
+        received = sorted({tuple(part["z"].shape[2:]) for part in parts})
+        raise ValueError(f"z: expected measurements of one size in all items, received {received}")
     longest = max(part["z"].shape[1] for part in parts)
     fills = {"z": math.nan, "truth": math.nan, "dt": 1.0, "u": 0.0}
     whole: dict[str, Any] = {
@@ -139,17 +143,43 @@ def _alike(item: dict[str, Any], rank: int) -> dict[str, Tensor]:
     if "dt" in item:
         dt = torch.as_tensor(item["dt"], dtype=torch.float64)
         each = many and dt.dim() == 1 and len(dt) == count  # a loader has put the numbers of its tracks together
-        alike["dt"] = (dt.unsqueeze(-1) if each else dt).expand(count, steps)
+        alike["dt"] = _expanded("dt", dt.unsqueeze(-1) if each else dt, (count, steps))
     if "u" in item:
-        alike["u"] = torch.as_tensor(item["u"]).expand(count, steps, -1)
+        alike["u"] = _expanded("u", torch.as_tensor(item["u"]), (count, steps, -1))
     if "truth" in item:
         truth = torch.as_tensor(item["truth"])
         alike["truth"] = truth if many else truth.unsqueeze(0)
     if "prior" in item:
-        mean, root = (torch.as_tensor(x) for x in item["prior"])
+        mean, root = _belief(item["prior"])
         alike["mean"] = mean.expand(count, *mean.shape[mean.dim() - 1 - scans :])
         alike["root"] = root.expand(*alike["mean"].shape, mean.shape[-1])
     return alike
+
+
+def _expanded(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """For each step of each track.
+
+    Raises:
+        ValueError: it is of others.
+    """
+    try:
+        return x.expand(shape)
+    except RuntimeError:
+        letters = "(N, T)" if len(shape) == 2 else "(N, T, k)"
+        received = f"{tuple(x.shape)} for N, T = {shape[:2]}"
+        raise ValueError(f"{name}: expected what broadcasts to {letters}, received {received}") from None
+
+
+def _belief(prior: Any) -> tuple[Tensor, Tensor]:
+    """Mean and root of a prior.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not isinstance(prior, tuple) or len(prior) != 2:
+        raise ValueError(f"prior: expected a Gaussian, received {type(prior).__name__}")
+    mean, root = (torch.as_tensor(x) for x in prior)
+    return mean, root
 
 
 def _long(x: Tensor, longest: int, fill: float, time: int) -> Tensor:
@@ -181,16 +211,26 @@ def _whole(f: Filter, given: dict[str, Any]) -> Batch:
         letters = f"(N, T, J, {f.sensor.size})" if f.scans else f"(N, T, {f.sensor.size})"
         raise ValueError(f"z: expected floating point numbers {letters}, received {tuple(z.shape)} {z.dtype}")
     count, steps = z.shape[:2]
+    if not count:
+        raise ValueError("data: expected one track or more, received none")
+    if isinstance(given.get("dt"), str):
+        raise ValueError(f"dt: expected seconds, received {given['dt']!r}")
     dt = torch.as_tensor(given.get("dt", 1.0), dtype=z.dtype, device=z.device)
-    dt = dt.expand(count, steps).contiguous()
+    dt = _expanded("dt", dt, (count, steps)).contiguous()
     u, truth = given.get("u"), given.get("truth")
-    u = None if u is None else torch.as_tensor(u).to(z).expand(count, steps, -1)
+    u = None if u is None else _expanded("u", torch.as_tensor(u).to(z), (count, steps, -1))
     truth = None if truth is None else torch.as_tensor(truth).to(z)
+    if truth is not None and (len(truth), truth.shape[1 + f.scans]) != (count, steps):
+        raise ValueError(f"truth: expected {count} tracks of {steps} steps, received {tuple(truth.shape)}")
+    if truth is not None and bool(truth.isnan().all()):
+        truth = None
     if "prior" not in given:
         if f.scans:
             raise ValueError("prior: expected one belief per target and track of scans, received none")
         return _started(f, z, dt, u, truth)
-    mean, root = (torch.as_tensor(x).to(z) for x in given["prior"])
+    mean, root = (x.to(z) for x in _belief(given["prior"]))
+    if mean.dim() > 1 + f.scans and len(mean) not in (1, count):
+        raise ValueError(f"prior: expected one, or one for each of {count} tracks, received {len(mean)}")
     mean = mean.expand(count, *mean.shape[mean.dim() - 1 - f.scans :])
     return Batch(z, Gaussian(mean, root.expand(*mean.shape, mean.shape[-1])), dt, u, truth)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import torch
@@ -25,7 +25,11 @@ KINDS: dict[str, type] = {"key": str, "iteration": int, "raw": torch.Tensor, "op
 
 @dataclass(frozen=True)
 class Settings:
-    """How a fit goes: see ``torchfra.fit``."""
+    """How a fit goes: see ``torchfra.fit``.
+
+    Raises:
+        ValueError: one that is out of its range.
+    """
 
     loss: str
     iterations: int = 200
@@ -44,26 +48,27 @@ class Settings:
     runs: int = 400
     seed: int = 0
 
-    def check(self) -> None:
-        """Checks them.
-
-        Raises:
-            ValueError: one that is out of its range.
-        """
+    def __post_init__(self) -> None:
         for name in ("batch", "validate_every", "patience", "restarts", "runs"):
             _at_least(1, name, getattr(self, name))
         for name in ("iterations", "skip", "seed"):
             _at_least(0, name, getattr(self, name))
         for name in ("lr", "clip", "spread"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: expected a number above 0, received {getattr(self, name)}")
+            value = getattr(self, name)
+            if not isinstance(value, int | float) or not 0 < value < math.inf:
+                raise ValueError(f"{name}: expected a number above 0, received {value!r}")
         one_of(errors=(self.errors, KINDS_OF_ERRORS))
-        if not 0 < self.held_out < 1:
-            raise ValueError(f"held_out: expected a share between 0 and 1, received {self.held_out}")
+        if not isinstance(self.held_out, float) or not 0 < self.held_out < 1:
+            raise ValueError(f"held_out: expected a share between 0 and 1, received {self.held_out!r}")
+
+    def of(self, objective: Objective, errors: str | None) -> Settings:
+        """The same with the loss that was chosen, and the standard errors that go with it unless others are wanted."""
+        kind = errors or ("hessian" if objective.name == "likelihood" else "sandwich")
+        return replace(self, loss=objective.name, scale=objective.scale, errors=kind)
 
 
 def _at_least(least: int, name: str, value: Any) -> None:
-    if not isinstance(value, int) or value < least:
+    if not isinstance(value, int) or isinstance(value, bool) or value < least:
         raise ValueError(f"{name}: expected a whole number of at least {least}, received {value!r}")
 
 

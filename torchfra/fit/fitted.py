@@ -106,8 +106,12 @@ class Fitted:
             others: by name; filters with the same state, or fits with the same data, seed and loss.
 
         Raises:
-            ValueError: fits of other tracks.
+            ValueError: no filters by name, fits of other tracks, or a filter of other measurements.
         """
+        if not isinstance(others, Mapping) or not all(isinstance(other, Filter | Fitted) for other in others.values()):
+            raise ValueError(f"others: expected filters or fits by name, received {others!r:.80}")
+        if "fitted" in others:
+            raise ValueError("others: expected names other than 'fitted', which is this filter, received 'fitted'")
         tracks = self._own()
         assert self._raw is not None
         mine = tracks.objective.losses(self._raw[None, None], tracks.test)[0]
@@ -117,6 +121,8 @@ class Fitted:
             test = other._own().test if isinstance(other, Fitted) else tracks.test
             if test.z.shape != tracks.test.z.shape or not torch.equal(test.z.nan_to_num(), tracks.test.z.nan_to_num()):
                 raise ValueError(f"others: expected fits with the same data and seed, {name} has other tracks")
+            if f.sensor.size != test.z.shape[-1]:
+                raise ValueError(f"others: expected sensors of {test.z.shape[-1]} elements, {name} has {f.sensor.size}")
             loss = tracks.objective.of_filter(f, test)
             rows[name] = tracks.judge(mine, loss, self.settings.seed)
         return Comparison(self.quantity, len(tracks.test.z), rows)
@@ -144,7 +150,7 @@ class Fitted:
                 for name, identified in zip(self.learned, known.identified, strict=True)
             },
             "condition": known.condition, "weakest": known.weakest, "gradient": known.off,
-            "held_out": {name: {when: figure._asdict() for when, figure in row._asdict().items()}
+            "held_out": {name: {when: figure._asdict() for when, figure in row.figures.items()}
                          for name, row in self.held_out.items()},
             "restarts": self.restarts, "tracks": self.counts, "settings": dataclasses.asdict(self.settings),
             "dtype": self.dtype, "compiled": self.compiled, "seconds": self.seconds, "notes": self.notes,
@@ -173,8 +179,9 @@ class Fitted:
         ]  # fmt: skip
         text = text_table(["value", "start", "learned", "standard error", "95 %", "identified"], rows, align="<>>>>>")
         text += f"\ncondition {known.condition:.3g}; least told: {known.weakest}\n"
-        rows = [[name, *map(str, row)] for name, row in self.held_out.items()]
-        text += text_table([f"{self.counts['test']} held-out tracks", "before", "after", "change"], rows) + "\n"
+        rows = [[name, *map(str, row.figures.values())] for name, row in self.held_out.items()]
+        heads = next(iter(self.held_out.values())).figures
+        text += text_table([f"{self.counts['test']} held-out tracks", *heads], rows) + "\n"
         how = "compiled" if self.compiled else "interpreted"
         text += f"{len(self.rows)} iterations, {self.seconds:.1f} s, {self.dtype}, {how}, seed {self.settings.seed}"
         return "\n".join([text, *(f"note: {line}" for line in self.notes)])

@@ -25,8 +25,9 @@ from torchfra.fit.vector import Vector
 
 FEWEST = 4
 """Tracks of a fit."""
-WORSE = 2.0
-"""Standard errors by which validation tracks may speak against the last steps."""
+WORSE = 4.0
+"""Standard errors by which validation tracks must speak against the last steps.  They have chosen the values before
+those, which are often better there by 2 of them, even if the last steps are right."""
 
 
 def fit(
@@ -82,13 +83,14 @@ def fit(
     begun = time.perf_counter()
     f = copied(filter, learn)
     vector = Vector(f)
+    settings = Settings(
+        "", iterations, batch, lr, clip, validate_every, patience, held_out, restarts, spread, polish,
+        "hessian" if errors is None else errors, skip=skip, runs=runs, seed=seed,
+    )  # fmt: skip
+    path = _file(checkpoint, resume)
     tracks = batch_of(f, data, runs=runs, seed=seed)
     objective = objective_of(f, vector, data, tracks, loss, scale, skip)
-    settings = Settings(
-        objective.name, iterations, batch, lr, clip, validate_every, patience, held_out, restarts, spread, polish,
-        errors or ("hessian" if objective.name == "likelihood" else "sandwich"), objective.scale, skip, runs, seed,
-    )  # fmt: skip
-    settings.check()
+    settings = settings.of(objective, errors)
     notes, runs_compiled = compiled(objective, tracks, compile)
     start = vector.raw()
     used, lost = _finite(objective, tracks, start)
@@ -96,19 +98,19 @@ def fit(
     train, valid, test = _split(used, settings)
 
     descent = Descent(objective, train, valid, starting_points(start, vector.directions, settings), settings)
-    _descend(descent, checkpoint, resume, key_of(settings, vector.names, used.digest(), start), quiet)
+    _descend(descent, path, resume, key_of(settings, vector.names, used.digest(), start), quiet)
     best = descent.best[int(descent.scores.argmin())]
     sums, raw, more = _polished(Sums(objective, train.to(torch.float64), vector.directions), best, valid, settings)
     known = certainty(vector, raw, sums.curvature(raw[None, None]), settings.errors)
     vector.store(raw)
-    for hyper in vector.hypers.values():
-        hyper.raw.requires_grad_(False)
-    own = Tracks(objective, sums, test)
+    f.requires_grad_(False)
+    held = _judged(own := Tracks(objective, sums, test), start, raw, seed)
+    lines = [*notes, *more, *known.notes, *(row.note(name, len(test.z)) for name, row in held.items() if row.lost)]
     return Fitted(
-        f, _named(vector, start), _named(vector, raw), known, _judged(own, start, raw, seed), descent.rows,
+        f, _named(vector, start), _named(vector, raw), known, held, descent.rows,
         descent.scores.tolist(), settings, runs_compiled, str(tracks.z.dtype).removeprefix("torch."),
         {"train": len(train.z), "validation": len(valid.z), "test": len(test.z), "left out": lost},
-        time.perf_counter() - begun, [*notes, *more, *known.notes], own, raw,
+        time.perf_counter() - begun, lines, own, raw,
     )  # fmt: skip
 
 
@@ -137,13 +139,26 @@ def _split(tracks: Batch, settings: Settings) -> tuple[Batch, Batch, Batch]:
     return tracks.rows(train), tracks.rows(valid), tracks.rows(test)
 
 
-def _descend(descent: Descent, checkpoint: str | Path | None, resume: bool, key: str, quiet: bool) -> None:
+def _file(checkpoint: str | Path | None, resume: bool) -> Path | None:
+    """Where the descent is kept.
+
+    Raises:
+        ValueError: no file, or none to resume from; or it is there and ``resume`` is not asked for.
+    """
+    if not isinstance(checkpoint, str | Path | None) or (checkpoint is None and resume):
+        raise ValueError(f"checkpoint: expected the name of a file, received {checkpoint!r}")
+    path = None if checkpoint is None else Path(checkpoint)
+    if path is not None and not resume and checkpoints.found(path):
+        raise ValueError(f"checkpoint: {path} holds a fit already: resume=True goes on with it")
+    return path
+
+
+def _descend(descent: Descent, path: Path | None, resume: bool, key: str, quiet: bool) -> None:
     """Until the last iteration, or until validation has long not improved.
 
     Raises:
-        ValueError: there is a checkpoint and ``resume`` is not asked for, or it is of another fit.
+        ValueError: the checkpoint is of another fit.
     """
-    path = None if checkpoint is None else Path(checkpoint)
 
     def take(source: Path) -> None:
         state = state_files.read(source)
@@ -153,8 +168,6 @@ def _descend(descent: Descent, checkpoint: str | Path | None, resume: bool, key:
 
     if path is not None and resume:
         checkpoints.load(path, take, "fit")
-    elif path is not None and checkpoints.found(path):
-        raise ValueError(f"checkpoint: {path} holds a fit already: resume=True goes on with it")
     shown = progress_bar(range(descent.iteration, descent.settings.iterations), "fit", not quiet)
     for _ in shown:
         if descent.done:

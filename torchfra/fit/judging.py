@@ -12,6 +12,8 @@ from torchfra.tables import text_table
 
 RESAMPLES = 2000
 """Of the tracks."""
+LOST = 30.0
+"""Median changes from which on a track decides the mean of all."""
 
 
 class Figure(NamedTuple):
@@ -32,6 +34,20 @@ class Judged(NamedTuple):
     after: Figure
     change: Figure
     """After minus before, by tracks drawn for both together."""
+    middle: Figure
+    """The median over tracks of what each changes by, which a few lost tracks do not decide."""
+    lost: int
+    """Tracks that change by over 30 times as much as the median track: they decide the mean."""
+
+    @property
+    def figures(self) -> dict[str, Figure]:
+        """By name, as tables and files have them."""
+        return {"before": self.before, "after": self.after, "change": self.change, "median change": self.middle}
+
+    def note(self, name: str, count: int) -> str:
+        """What is to be said of those that are lost, out of so many."""
+        much = f"over {LOST:g} times as much as the median one"
+        return f"{self.lost} of {count} held-out tracks change {much}, and decide that of the {name}: are they lost?"
 
 
 def judged(
@@ -53,7 +69,11 @@ def judged(
     drawn = torch.cat([torch.arange(count).unsqueeze(0), drawn])  # the tracks as they are come first
     means = [(x * weights)[drawn].sum(1) / weights[drawn].sum(1) for x in (before.double(), after.double())]
     one, other = (x.sqrt() if root else x for x in means)
-    return Judged(*(_figure(x) for x in (one, other, other - one)))
+    change = after.double().sqrt() - before.double().sqrt() if root else after.double() - before.double()
+    lost = int((change.abs() > LOST * change.abs().median()).sum())
+    ordered = change[drawn].sort(1).values
+    middle = (ordered[:, (count - 1) // 2] + ordered[:, count // 2]) / 2
+    return Judged(_figure(one), _figure(other), _figure(other - one), _figure(middle), lost)
 
 
 def _figure(x: Tensor) -> Figure:
@@ -62,19 +82,21 @@ def _figure(x: Tensor) -> Figure:
 
 
 class Comparison:
-    """Filters on the same held-out tracks; printing it prints a table."""
+    """Filters on the same held-out tracks; printing it prints a table, the last column the median over tracks."""
 
     def __init__(self, quantity: str, tracks: int, rows: Mapping[str, Judged]) -> None:
         self.quantity, self.tracks, self.rows = quantity, tracks, dict(rows)
 
     def __str__(self) -> str:
-        head = [f"{self.quantity}, {self.tracks} held-out tracks", "value", "minus the first's"]
-        return text_table(head, [[name, str(row.after), str(row.change)] for name, row in self.rows.items()], align="<")
+        head = [f"{self.quantity}, {self.tracks} held-out tracks", "value", "minus the first's", "median"]
+        rows = [[name, *map(str, (row.after, row.change, row.middle))] for name, row in self.rows.items()]
+        return text_table(head, rows, align="<")
 
     __repr__ = __str__
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         return {"quantity": self.quantity, "tracks": self.tracks,
-                "filters": {name: {"value": row.after._asdict(), "change": row.change._asdict()}
+                "filters": {name: {"value": row.after._asdict(), "change": row.change._asdict(),
+                                   "median": row.middle._asdict()}
                             for name, row in self.rows.items()}}  # fmt: skip

@@ -49,7 +49,7 @@ class Objective:
         self, f: Filter, vector: Vector, loss: str | Own, *, scale: float, states: slice, skip: int = 0,
         convert: Callable[[Estimate], Estimate] | None = None,
     ) -> None:  # fmt: skip
-        if isinstance(loss, str):
+        if not callable(loss):
             one_of(loss=(loss, LOSSES))
         self.filter, self.vector, self.loss, self.scale, self.states = f, vector, loss, scale, states
         self.skip, self.convert = skip, convert
@@ -132,7 +132,7 @@ class Objective:
         skip = self.skip
         counted = Estimate(mean[..., skip:, :], root[..., skip:, :, :], nis[..., skip:], density[..., skip:], info)
         if not isinstance(self.loss, str):
-            return self.loss(counted, batch)
+            return _of_tracks(self.loss(counted, batch), batch)
         if self.loss == "likelihood":  # of the whole track: its sum, not its mean, so that long tracks say more
             total = losses.innovation_nll(counted) * counted.log_likelihood.shape[-1]
             return total.flatten(2).sum(-1) if total.dim() > 2 else total
@@ -160,6 +160,18 @@ class Objective:
         assert self.call.one_step is not None
         density: Tensor = self.call.one_step(z, Gaussian(mean, root), dt=0.0, u=u).log_likelihood
         return -density[self.skip :].sum((0, -1))
+
+
+def _of_tracks(found: Any, batch: Batch) -> Tensor:
+    """What a loss of one's own gives.
+
+    Raises:
+        ValueError: it is not one number for each track.
+    """
+    if not isinstance(found, Tensor) or found.shape[-1:] != batch.z.shape[:1]:
+        received = tuple(found.shape) if isinstance(found, Tensor) else type(found).__name__
+        raise ValueError(f"loss: expected one number for each of {len(batch.z)} tracks, received {received}")
+    return found
 
 
 class _Call(nn.Module):

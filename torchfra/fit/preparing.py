@@ -21,7 +21,15 @@ F = TypeVar("F", bound=Filter)
 
 
 def copied(f: F, learn: Collection[str] | None) -> F:
-    """A copy whose values of these names learn, and no others."""
+    """A copy whose values of these names learn, and no others.
+
+    Raises:
+        ValueError: no filter, or names that are none.
+    """
+    if not isinstance(f, Filter):
+        raise ValueError(f"filter: expected a filter, received {type(f).__name__}")
+    if not isinstance(learn, Collection | None):
+        raise ValueError(f"learn: expected names of hyperparameters, received {learn!r}")
     f = copy.deepcopy(f)
     if learn is not None:
         for parameter in f.parameters():
@@ -58,8 +66,8 @@ def objective_of(
     if kind == "robust" and scale is None:
         scale = _error(f, tracks, where)
     scale = 1.0 if scale is None else scale
-    if not 0 < scale < float("inf"):
-        raise ValueError(f"scale: expected a number above 0, received {scale}")
+    if not isinstance(scale, int | float) or not 0 < scale < float("inf"):
+        raise ValueError(f"scale: expected a number above 0, received {scale!r}")
     return Objective(f, vector, kind, scale=scale, skip=skip, **where)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
 from typing import NamedTuple
 
 import torch
@@ -58,6 +58,8 @@ def sweep(
     Raises:
         ValueError: names that are not those of single numbers, or arguments that do not fit.
     """
+    if not isinstance(values, Mapping) or not all(isinstance(tried, Sized) for tried in values.values()):
+        raise ValueError(f"values: expected a sequence of numbers for each name, received {values!r}")
     f = copied(filter, tuple(values))
     vector = Vector(f)
     if len(vector.names) != len(values):

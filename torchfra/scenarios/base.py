@@ -145,8 +145,10 @@ class Scenario:
         Raises:
             ValueError: ``runs`` below 1, ``seed`` or ``first`` below 0.
         """
-        if runs < 1 or seed < 0 or first < 0:
-            raise ValueError(f"runs, seed, first: expected at least 1, 0, 0, received {runs}, {seed}, {first}")
+        given = (runs, seed, first)
+        if not all(isinstance(x, int) and x >= least for x, least in zip(given, (1, 0, 0), strict=True)):
+            received = ", ".join(map(repr, given))
+            raise ValueError(f"runs, seed, first: expected whole numbers of at least 1, 0, 0, received {received}")
         size = len(self.recordings) or BLOCK
         numbers = range(first // size, -(-(first + runs) // size))
         blocks = [self.block(np.random.default_rng([seed, n]), torch.arange(n * size, (n + 1) * size)) for n in numbers]

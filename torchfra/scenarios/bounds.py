@@ -48,8 +48,10 @@ def bound(scenario: Scenario, *, runs: int = RUNS, seed: int = 0, first: int = 0
         first: number of the first run.
 
     Raises:
-        ValueError: the scenario has no law.
+        ValueError: no scenario, or one without a law; ``runs``, ``seed`` or ``first`` out of range.
     """
+    if not isinstance(scenario, Scenario):
+        raise ValueError(f"scenario: expected a Scenario, received {type(scenario).__name__}")
     if scenario.law is None:
         raise ValueError(f"scenario: expected one with a law, by which bounds are known, received {scenario.name}")
     law, tracks = scenario.law, scenario.simulate(runs, seed, first=first)

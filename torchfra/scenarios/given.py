@@ -22,9 +22,14 @@ def given(tracks: Tracks, motion: Motion, sensor: Sensor, *, dt: float = 1.0, na
         name: of the scenario.
 
     Raises:
-        ValueError: measurements that are no batch of tracks, or a truth of another number of tracks or steps.
+        ValueError: measurements that are no batch of tracks, a truth of another number of tracks or steps, no prior.
     """
     z, truth = tracks.z, tracks.truth
+    if not isinstance(truth, Tensor) or not isinstance(tracks.prior, Gaussian) or not len(z):
+        received = f"{type(truth).__name__}, {type(tracks.prior).__name__} and {len(z)} tracks"
+        raise ValueError(
+            f"tracks: expected a truth (NaN where unknown), a prior and one track or more, received {received}"
+        )
     if z.dim() != 3 or truth.dim() != 3 or truth.shape[:2] != z.shape[:2]:
         received = f"{tuple(truth.shape)} and {tuple(z.shape)}"
         raise ValueError(f"tracks: expected truth (B, T, n) and z (B, T, m), received {received}")

@@ -87,12 +87,20 @@ class Comparison:
             ValueError: a name that was not compared.
         """
         for name in (one, other):
-            if name not in self.results:
-                raise ValueError(f"filter: expected one of {', '.join(self.results)}, received {name!r}")
+            self._known(name)
         return next((test.corrected for test in self._tests if {test.one, test.other} == {one, other}), 1.0)
 
+    def _known(self, name: str) -> None:
+        if name not in self.results:
+            raise ValueError(f"filter: expected one of {', '.join(self.results)}, received {name!r}")
+
     def efficiency(self, name: str) -> float:
-        """The bound as a share of the error, both RMS over the runs and means over time; NaN without one."""
+        """The bound as a share of the error, both RMS over the runs and means over time; NaN without one.
+
+        Raises:
+            ValueError: a name that was not compared.
+        """
+        self._known(name)
         if self.bound is None or self.by != ERROR:
             return math.nan
         least = self.bound.rmse(self.scenario.truth_position).nanmean().item()
