@@ -13,7 +13,7 @@ import torch
 import torchfra
 from torchfra import presets
 from torchfra.filters.exported import export
-from torchfra.kernel import build, names
+from torchfra.kernel import build, names, origin
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.step import Input, Step
 from torchfra.motion import ConstantVelocity
@@ -50,12 +50,19 @@ def test_inputs_state_and_outputs_have_the_names_of_their_fields(source):
 def test_comments_name_lines_of_functions_that_exist_and_none_of_the_tracing(source):
     origins = set(ORIGIN.findall(source))
     assert {"gaussian/update.py", "linalg/triangular.py", Path(__file__).name} <= {file for file, *_ in origins}
-    for file, line, name in origins:
+    for file, line, name in sorted(origins):
         assert not file.startswith("kernel/")
         path = Path(__file__) if file == Path(__file__).name else LIBRARY / file
         tree = ast.walk(ast.parse(path.read_text()))
         spans = [range(f.lineno, f.end_lineno + 1) for f in tree if getattr(f, "name", None) == name]
         assert any(int(line) in span for span in spans), (file, line, name)
+
+
+def test_files_beside_torch_are_no_part_of_it_and_odd_names_stay_in_their_comment():
+    torch_folder = Path(torch.__file__).parent
+    assert origin._place(str(torch_folder / "_refs" / "a.py")) is None
+    assert origin._place(str(torch_folder.with_name("torchmine") / "a.py")) == "a.py"
+    assert origin._place("/home/me/a\nb\\c é.py") == "a_b_c__.py"
 
 
 def test_another_process_writes_the_same_text(source):

@@ -11,12 +11,13 @@ from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.statements import file
 
 KEYWORDS = {
-    *keyword.kwlist, "alignas", "alignof", "and_eq", "asm", "auto", "bitand", "bitor", "bool", "case", "catch", "char",
-    "compl", "const", "constexpr", "decltype", "default", "delete", "do", "double", "enum", "explicit", "export",
-    "extern", "false", "float", "friend", "goto", "inline", "int", "long", "mutable", "namespace", "new", "noexcept",
-    "nullptr", "operator", "private", "protected", "public", "register", "requires", "short", "signed", "sizeof",
-    "static", "struct", "switch", "template", "this", "throw", "true", "typedef", "typeid", "typename", "union",
-    "unsigned", "using", "virtual", "void", "volatile", "xor",
+    *keyword.kwlist, "alignas", "alignof", "and_eq", "asm", "auto", "bitand", "bitor", "bool", "case", "catch",
+    "char", "compl", "concept", "const", "constexpr", "decltype", "default", "delete", "do", "double", "enum",
+    "explicit", "export", "extern", "false", "float", "friend", "goto", "inline", "int", "long", "mutable",
+    "namespace", "new", "noexcept", "not_eq", "nullptr", "or_eq", "operator", "private", "protected", "public",
+    "register", "requires", "short", "signed", "sizeof", "static", "struct", "switch", "template", "this",
+    "thread_local", "throw", "true", "typedef", "typeid", "typename", "union", "unsigned", "using", "virtual",
+    "void", "volatile", "wchar_t", "xor", "xor_eq",
 }  # fmt: skip
 """Of C++; some are Python's too."""
 _MACROS = {"assert", "errno", "linux", "major", "minor", "unix"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from functools import lru_cache
@@ -11,7 +12,7 @@ from typing import Any
 import torch
 
 _PACKAGE = Path(__file__).parents[1]
-_BELOW = (str(Path(__file__).parent), str(Path(torch.__file__).parent))
+_BELOW = tuple(f"{Path(module).parent}{os.sep}" for module in (__file__, torch.__file__))
 """Folders that say nothing of a step."""
 _STEP = str(Path(__file__).with_name("step.py"))
 _DIFFERENTIATED = "kernel/step.py:"
