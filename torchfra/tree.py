@@ -81,6 +81,16 @@ def flatten(tree: Any) -> list[Tensor]:
     return [tree] if isinstance(tree, Tensor) else []
 
 
+def paths(tree: Any, path: str = "") -> Iterator[tuple[str, Tensor]]:
+    """The same with where each is: fields with dots between them, ``belief.mean``, and ``part0`` in a plain tuple."""
+    if isinstance(tree, Tensor):
+        yield path, tree
+    elif isinstance(tree, tuple):
+        names = getattr(tree, "_fields", [f"part{i}" for i in range(len(tree))])
+        for name, part in zip(names, tree, strict=True):
+            yield from paths(part, f"{path}.{name}".lstrip("."))
+
+
 def unflatten(like: Any, tensors: Iterator[Tensor]) -> Any:
     """A tree of the same form around other tensors."""
     # Not by the map: compiled filters call this in every step, of which it would take a tenth.

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import copy
-import keyword
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import torch
@@ -16,13 +15,14 @@ from torchfra.filters.base import Filter
 from torchfra.hyper import hypers, one_of
 from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import Expressions
+from torchfra.kernel.names import KEYWORDS, give
 from torchfra.kernel.refusals import refusals_of
 from torchfra.kernel.source import SCALARS, Port, Scan
 from torchfra.kernel.standalone import Field, Standalone
 from torchfra.kernel.step import Input, Step, frozen
 from torchfra.linalg.tracing import elementary
 from torchfra.linalg.triangular import tria
-from torchfra.tree import flatten
+from torchfra.tree import flatten, paths
 from torchfra.types import Gaussian
 from torchfra.version import __version__
 
@@ -82,15 +82,8 @@ _MEANINGS = {
 """Of inputs and outputs."""
 
 
-_TAKEN = {
-    *keyword.kwlist, "advance", "alignas", "alignof", "asm", "auto", "begin", "block", "bool", "case", "catch", "char",
-    "const", "constexpr", "decltype", "default", "delete", "do", "double", "enum", "example", "explicit", "export",
-    "extern", "false", "float", "friend", "goto", "inline", "int", "long", "main", "mutable", "namespace", "new",
-    "noexcept", "nullptr", "operator", "private", "protected", "public", "read", "register", "short", "signed",
-    "sizeof", "static", "std", "struct", "switch", "template", "this", "throw", "true", "typedef", "typeid",
-    "typename", "union", "unsigned", "using", "virtual", "void", "volatile", "write", "xor", "bitand", "bitor", "compl",
-}  # fmt: skip
-"""Keywords of C++ (some are Python's too), and names in the files themselves."""
+_TAKEN = KEYWORDS | {"advance", "begin", "block", "example", "main", "read", "std", "write"}
+"""Keywords, and names in the files themselves."""
 
 
 def _check(f: Filter, name: str, u: int, inputs: Collection[str], dtype: torch.dtype) -> None:
@@ -125,6 +118,9 @@ def _begin(f: Any, dtype: torch.dtype) -> tuple[Scan, list[Field]]:
     module: Any = frozen(f)
     with refusals_of(type(f).__name__), elementary(), torch.no_grad():
         state = module.begin(Gaussian(prior.mean, tria(prior.scale_tril)))
+    for part in (prior, state):
+        for path, x in paths(part):
+            give(book, path, _port(as_entries(book, x)).ids, x.dim() == 0)
     reads, writes = ([_port(as_entries(book, x)) for x in flatten(part)] for part in (prior, state))
     return Scan(book, [], [], reads, writes, dtype=dtype), [
         Field(key, x.shape, _MEANINGS[key]) for key, x in prior._asdict().items()
@@ -137,16 +133,7 @@ def _port(x: Entries) -> Port:
 
 def _fields(tree: Any) -> list[Field]:
     """The tensors of a tree as they stand in a struct."""
-    return [Field(path.replace(".", "_"), x.shape, _MEANINGS.get(path, path)) for path, x in _paths(tree)]
-
-
-def _paths(tree: Any, path: str = "") -> Iterator[tuple[str, Tensor]]:
-    if isinstance(tree, Tensor):
-        yield path, tree
-    elif isinstance(tree, tuple):
-        names = getattr(tree, "_fields", [f"part{i}" for i in range(len(tree))])
-        for name, part in zip(names, tree, strict=True):
-            yield from _paths(part, f"{path}.{name}".lstrip("."))
+    return [Field(path.replace(".", "_"), x.shape, _MEANINGS.get(path, path)) for path, x in paths(tree)]
 
 
 def _about(f: Filter) -> list[str]:

@@ -35,9 +35,9 @@ def load(source: str) -> Any:
         CompileError: there is no compiler, it fails, or what it makes cannot be loaded.
     """
     compiler = compilers.find()
-    flags = [*compiler.flags(source.count("\n") > LARGE), *compilers.words("CXXFLAGS")]
+    flags = [*compiler.flags(is_large(source)), *compilers.words("CXXFLAGS")]
     command = [*compiler.command, *flags]
-    key = "\n".join((source, *command, compiler.version, torch.__version__, *platform.libc_ver(), _processor()))
+    key = "\n".join((bare(source), *command, compiler.version, torch.__version__, *platform.libc_ver(), _processor()))
     name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}{compilers.SUFFIX}"
     try:
         function = (cache.fetch(name) or _compile(compiler, flags, source, name)).run
@@ -46,6 +46,16 @@ def load(source: str) -> Any:
     function.argtypes = [ctypes.c_int64, ctypes.c_int64, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]
     function.restype = None
     return function
+
+
+def bare(source: str) -> str:
+    """A source without its lines of comments, which name lines of the step: what a kernel is known by."""
+    return "".join(line for line in source.splitlines(keepends=True) if not line.lstrip().startswith("//"))
+
+
+def is_large(source: str) -> bool:
+    """Whether the compiler optimises less, for the sake of its time."""
+    return bare(source).count("\n") > LARGE
 
 
 def compiler() -> str:

@@ -18,6 +18,7 @@ from typing import Any
 import torch
 
 from torchfra.kernel import cache
+from torchfra.kernel.build import bare
 from torchfra.kernel.compilers import CompileError
 
 THREADS = 64
@@ -66,7 +67,7 @@ def compiled(source: str, architecture: str) -> bytes:
     """
     major, minor = ctypes.c_int(), ctypes.c_int()
     _nvrtc().nvrtcVersion(ctypes.byref(major), ctypes.byref(minor))
-    key = "\n".join((source, architecture, *_OPTIONS, f"{major.value}.{minor.value}"))
+    key = "\n".join((bare(source), architecture, *_OPTIONS, f"{major.value}.{minor.value}"))
     name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.cubin"
     image = cache.read(name)
     if image is None:

@@ -74,6 +74,7 @@ class Entries(Tensor):
         rule = RULES.get(func)
         if rule is None:
             raise unsupported(func, "it is not among them")
+        book.here = book.origins.here()
         return rule(book, func, args, kwargs)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 
+from torchfra.kernel.origin import Origins
+
 ZERO = 0
 """The number of the constant 0, which is also False."""
 
@@ -32,6 +34,8 @@ _FOLD: dict[str, Callable[..., float]] = {
 class Expressions:
     """Expressions by number, each once: ``nodes[i]`` is an operation and the numbers of what it acts on.
 
+    ``names`` has what some are called, ``origin[i]`` says where each was first written: what ``here`` was then.
+
     Operations on constants are folded, and so are additions of 0 and products with 0 and 1.  (So 0 times NaN is 0
     here.)
     """
@@ -39,6 +43,10 @@ class Expressions:
     def __init__(self) -> None:
         self.nodes: list[tuple[str, tuple[int, ...]]] = []
         self.values: dict[int, float] = {}
+        self.names: dict[int, str] = {}
+        self.origin: list[str] = []
+        self.here = ""
+        self.origins = Origins()
         self._known: dict[tuple[object, ...], int] = {}
         self.constant(0.0)
 
@@ -46,7 +54,7 @@ class Expressions:
         key = (op, args, *more)
         if key not in self._known:
             self._known[key] = len(self.nodes)
-            self.nodes.append((op, args))
+            self._append(op, args)
         return self._known[key]
 
     def constant(self, value: float) -> int:
@@ -57,8 +65,12 @@ class Expressions:
 
     def input(self) -> int:
         """A number that is not known yet."""
-        self.nodes.append(("input", ()))
+        self._append("input", ())
         return len(self.nodes) - 1
+
+    def _append(self, op: str, args: tuple[int, ...]) -> None:
+        self.nodes.append((op, args))
+        self.origin.append(self.here)
 
     def is_bool(self, number: int) -> bool:
         """Whether it is true or false."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import torch
 
-from torchfra.kernel.build import LARGE
+from torchfra.kernel.build import is_large
 from torchfra.kernel.source import SCALARS, Scan
 
 
@@ -58,7 +58,7 @@ class Standalone(NamedTuple):
     def files(self) -> dict[str, str]:
         """The text of each file by its name."""
         source = self.source()
-        level = "-O1" if source.count("\n") > LARGE else "-O2"
+        level = "-O1" if is_large(source) else "-O2"
         return {
             f"{self.name}.hpp": self.header(),
             f"{self.name}.cpp": source,

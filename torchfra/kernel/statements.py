@@ -9,11 +9,16 @@ from pathlib import Path
 from torchfra.kernel.expressions import Expressions
 
 
+def called(book: Expressions, number: int) -> str:
+    """The variable of an expression."""
+    return book.names.get(number) or f"v{number}"
+
+
 def as_number(book: Expressions, number: int) -> str:
     """An expression where a vector of numbers is wanted."""
     value = book.values.get(number)
     if value is None:
-        return f"v{number}"
+        return called(book, number)
     if math.isnan(value):
         return "all(NAN)"
     return f"all({value!r})" if math.isfinite(value) else f"all({'-' if value < 0 else ''}INFINITY)"
@@ -23,12 +28,12 @@ def as_truth(book: Expressions, number: int) -> str:
     """An expression where a vector of truth values is wanted."""
     if number in book.values:
         return "(all(1.0) > all(0.0))" if book.values[number] else "(all(0.0) > all(1.0))"
-    return f"v{number}"
+    return called(book, number)
 
 
 def declared(book: Expressions, number: int, text: str) -> str:
     """The line that gives an expression its value."""
-    return f"const {'M' if book.is_bool(number) else 'V'} v{number} = {text};"
+    return f"const {'M' if book.is_bool(number) else 'V'} {called(book, number)} = {text};"
 
 
 def computed(book: Expressions, number: int) -> str:

@@ -12,11 +12,12 @@ from torch import Tensor, nn
 import torchfra.kernel.operations  # noqa: F401  fills the table of operations that Entries look up
 from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import ZERO, Expressions
+from torchfra.kernel.names import give
 from torchfra.kernel.refusals import gradient_refusals_of, refusals_of
 from torchfra.kernel.source import Port, Scan
 from torchfra.kernel.tangents import tangent
 from torchfra.linalg.tracing import elementary
-from torchfra.tree import flatten, late, unflatten
+from torchfra.tree import flatten, late, paths, unflatten
 
 Advance = Callable[[Any, Any, dict[str, Any]], tuple[Any, Any]]
 """From a module, its state and its inputs by name to the next state and the record of the step."""
@@ -140,6 +141,10 @@ class Step:
         with refusals_of(name), elementary(), torch.set_grad_enabled(differentiable):
             state, record = self._advance(module, unflatten(self.state, iter(before)), data)
         after, kept = (tuple(as_entries(book, x) for x in flatten(tree)) for tree in (state, record))
+        for kind, leaves in (("", before), ("next.", after)):
+            _name(book, [kind + path for path in _paths(self.state, "state")], leaves)
+        _name(book, list(inputs), list(inputs.values()))
+        _name(book, _paths(record, "record"), kept)
         if [x.shape for x in after] != [x.shape for x in zero]:
             raise ValueError(f"state: expected a step to keep its form {self.state}, received {state}")
         return Trace(book, before, inputs, after, record, kept)
@@ -187,6 +192,8 @@ class Step:
         stays = [g for g, name in zip(pulled[states:], needed, strict=True) if not self.inputs[name].timed]
         timed = [g for g, name in zip(pulled[states:], needed, strict=True) if self.inputs[name].timed]
         sums = [Entries.inputs(book, g.shape, self.dtype) for g in stays]
+        _name(book, [f"gradient.{path}" for path in _paths(self.state, "state")], after)
+        _name(book, [f"gradient.{name}" for name in needed if not self.inputs[name].timed], sums)
         totals = [as_entries(book, a + b) for a, b in zip(sums, stays, strict=True)]
         return Scan(
             book,
@@ -214,6 +221,16 @@ def _pullback(
     with elementary():
         pulled = torch.autograd.grad(ends, sources, pulls, allow_unused=True)
     return [as_entries(book, torch.zeros(x.shape) if g is None else g) for x, g in zip(sources, pulled, strict=True)]
+
+
+def _paths(tree: Any, whole: str) -> list[str]:
+    """Where the tensors of a tree are, for their names."""
+    return [f"{whole}.{path}".rstrip(".") if path[:4] in ("", "part") else path for path, _ in paths(tree)]
+
+
+def _name(book: Expressions, names: Sequence[str], tensors: Sequence[Entries]) -> None:
+    for name, x in zip(names, tensors, strict=True):
+        give(book, name, _ids(x), x.dim() == 0)
 
 
 def _ids(x: Entries) -> list[int]:

@@ -65,6 +65,7 @@ def tangents(book: Expressions, numbers: Iterable[int], seeds: Mapping[int, int]
             op, args = book.nodes[number]
             rates = [found.get(i, ZERO) for i in args]
             moves = any(rates) and op not in _CONSTANT
+            book.here = f"derivative of {book.origin[number]}"
             found[number] = _rate(_Writer(book), op, number, args, rates) if moves else ZERO
     return found
 

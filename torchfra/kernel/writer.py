@@ -10,7 +10,7 @@ from typing import NamedTuple
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.frame import crossing, frame
 from torchfra.kernel.schedule import Piece, cut, pieces
-from torchfra.kernel.statements import as_number, as_truth, computed, declared
+from torchfra.kernel.statements import as_number, as_truth, called, computed, declared
 
 _PACKS, _BYTES = 16, 1 << 18
 """Packs of a block at most, and bytes of their values: a part of the second cache."""
@@ -116,6 +116,7 @@ class Writer:
         late: list[str] = []
         opened: dict[str, str] = {}
         known = set(piece.numbers)
+        told = ""
         for number in piece.numbers:
             access = self._step.loads.get(number)
             for arg in self._book.nodes[number][1]:
@@ -123,6 +124,10 @@ class Writer:
                     body.append(self._taken(arg))
                     known.add(arg)
             if access is None:
+                origin = self._book.origin[number]
+                if origin not in ("", told):
+                    body.append(f"// {origin}")
+                    told = origin
                 body.append(declared(self._book, number, computed(self._book, number)))
             else:
                 opened[access.name] = access.opened
@@ -141,8 +146,8 @@ class Writer:
         return declared(self._book, number, f"truth({place})" if self._book.is_bool(number) else place)
 
     def _put_aside(self, number: int) -> str:
-        value = f"kept(v{number})" if self._book.is_bool(number) else f"v{number}"
-        return f"s[{self._frame.places[number]}] = {value};"
+        name = called(self._book, number)
+        return f"s[{self._frame.places[number]}] = {f'kept({name})' if self._book.is_bool(number) else name};"
 
     def _written(self, number: int, access: Access) -> str:
         value = (as_truth if access.how == "mark" else as_number)(self._book, number)

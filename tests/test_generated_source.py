@@ -1,0 +1,119 @@
+"""Generated source can be read: it names the fields and inputs of a step, and the lines that each part came from."""
+
+import ast
+import re
+import subprocess
+import sys
+from ctypes import addressof, c_int64
+from pathlib import Path
+
+import pytest
+import torch
+
+import torchfra
+from torchfra import presets
+from torchfra.filters.exported import export
+from torchfra.kernel import build, names, origin
+from torchfra.kernel.expressions import Expressions
+from torchfra.kernel.step import Input, Step
+from torchfra.motion import ConstantVelocity
+from torchfra.sensors import Position
+
+LIBRARY = Path(torchfra.__file__).parent
+ORIGIN = re.compile(r"// (?:(?:gradient|derivative) of )?(\S+):(\d+) (\S+)$", re.MULTILINE)
+
+
+class Slower(Position):
+    """A sensor of a user, in this file."""
+
+    def forward(self, x, u=None):
+        return 0.5 * super().forward(x)
+
+
+def exported():
+    return export(presets.srckf(ConstantVelocity(0.1), Slower(2.0)), "tracker")["tracker.cpp"]
+
+
+@pytest.fixture(scope="module")
+def source():
+    return exported()
+
+
+def test_inputs_state_and_outputs_have_the_names_of_their_fields(source):
+    step = source.partition("namespace advance")[2]
+    for name in ("z_0", "z_1", "dt", "belief_mean_3", "belief_scale_tril_0", "next_belief_mean_3", "log_likelihood"):
+        assert re.search(rf"const V {name} = ", step), name
+    declared = re.findall(r"const [VM] (\w+) = [^;]*;", step)
+    assert len(declared) > 100
+
+
+def test_comments_name_lines_of_functions_that_exist_and_none_of_the_tracing(source):
+    origins = set(ORIGIN.findall(source))
+    assert {"gaussian/update.py", "linalg/triangular.py", Path(__file__).name} <= {file for file, *_ in origins}
+    for file, line, name in sorted(origins):
+        assert not file.startswith("kernel/")
+        path = Path(__file__) if file == Path(__file__).name else LIBRARY / file
+        tree = ast.walk(ast.parse(path.read_text()))
+        spans = [range(f.lineno, f.end_lineno + 1) for f in tree if getattr(f, "name", None) == name]
+        assert any(int(line) in span for span in spans), (file, line, name)
+
+
+def test_files_beside_torch_are_no_part_of_it_and_odd_names_stay_in_their_comment():
+    torch_folder = Path(torch.__file__).parent
+    assert origin._place(str(torch_folder / "_refs" / "a.py")) is None
+    assert origin._place(str(torch_folder.with_name("torchmine") / "a.py")) == "a.py"
+    assert origin._place("/home/me/a\nb\\c é.py") == "a_b_c__.py"
+
+
+def test_another_process_writes_the_same_text(source):
+    code = "import sys, test_generated_source as t; sys.stdout.write(t.exported())"
+    command = [sys.executable, "-c", code]
+    again = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+    assert again.stdout == source
+
+
+def advance(module, state, data):
+    return (state[0] * data["z"].sin(),), (state[0].exp(),)
+
+
+def test_a_gradient_names_the_lines_it_is_the_gradient_of():
+    inputs = {"z": Input(torch.Size([2]), True, False)}
+    step = Step(torch.nn.Module(), lambda m: (torch.ones(2, dtype=torch.float64),), advance, inputs, torch.float64)
+    text = step.backwards((True,), ("z",)).source()
+    line = advance.__code__.co_firstlineno + 1
+    assert f"// gradient of {Path(__file__).name}:{line} advance\n" in text
+    assert "gradient_state_part0_1 = " in text
+    assert f"// derivative of {Path(__file__).name}:{line} advance\n" in step.tangent(("z",)).source()
+
+
+@pytest.mark.parametrize("path", ["at", "double", "v17", "in0", "std", "errno", "sin_", "a__b", "_a", "Δ", "log1p_"])
+def test_a_name_that_c_reads_otherwise_is_not_given(path):
+    book = Expressions()
+    names.give(book, path, [book.input()], single=True)
+    assert book.names == {}
+
+
+def test_no_two_expressions_have_one_name_and_none_has_two():
+    book = Expressions()
+    x, y, z = book.input(), book.input(), book.input()
+    names.give(book, "a", [x, y, x, 0], single=False)
+    names.give(book, "a_1", [z], single=True)
+    names.give(book, "b.c", [x], single=True)
+    names.give(book, "b.c", [z], single=True)
+    assert book.names == {x: "a_0", y: "a_1", z: "b_c"}
+
+
+def test_a_comment_makes_no_new_kernel(tmp_path, monkeypatch):
+    monkeypatch.setenv("TORCHFRA_CACHE", str(tmp_path))
+    monkeypatch.setenv("CXXFLAGS", "-O0")
+    text = """#include <cstdint>
+    // mine.py:LINE forward
+    extern "C" void run(int64_t n, int64_t, int, const void*, void* out) { *(int64_t*)out = n + 1; }
+    """
+    before, out = build.compiled, c_int64()
+    for line in ("7", "80", "80 \n    // once more"):
+        build.load(text.replace("LINE", line))(2, 0, 0, None, addressof(out))
+        assert out.value == 3
+    assert build.compiled == before + 1
+    build.load(text.replace("n + 1", "n + 2"))(2, 0, 0, None, addressof(out))
+    assert (out.value, build.compiled) == (4, before + 2)
