@@ -16,6 +16,7 @@ import json
 import math
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,10 +27,12 @@ from torchfra.app.atomic_write import write_json
 from torchfra.app.command import add_quiet_option, add_runs_options, exit_status, make_parser
 from torchfra.app.evaluate import versions
 from torchfra.app.progress import progress_bar
-from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, make_scenario, scenario_filter
+from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, scenario_filter
 from torchfra.filters import Filter
 from torchfra.presets.values import FILE, made_with
 from torchfra.scenarios import Scenario
+from train.batches import task_scenario
+from train.config import Task
 from train.runs import RUNS
 
 Figures = dict[str, Any]
@@ -40,15 +43,15 @@ class Source(NamedTuple):
 
     name: str
     learned_on: str
-    elsewhere: tuple[tuple[str, Figures], ...] = ()
-    """Scenarios with options, to try beside those of the catalogue at their defaults."""
+    elsewhere: tuple[Task, ...] = ()
+    """To try beside the scenarios of the catalogue at their defaults."""
 
 
 SOURCES = {
     "fra_bearings": Source("bearings", "two moving stations that take bearings: starts, outliers, a manoeuvre"),
     "gpb_bearings": Source("bearings", "the same, half of the targets disturbed as the motion says"),
     "switching": Source("turns", "positions of aircraft that fly straight and turn, five motions",
-                        (("adsb-turns", {"std": 10.0}), ("adsb-turns", {"std": 100.0}))),
+                        (Task("adsb-turns", {"std": 10.0}), Task("adsb-turns", {"std": 100.0}))),
     "contaminated": Source("contaminated", "three in ten measurements with 15 times the standard deviation"),
     "association": Source("clutter", "two targets among false measurements, noise as assumed and four times that"),
 }  # fmt: skip
@@ -83,7 +86,7 @@ def measure(options: argparse.Namespace) -> None:
             compared(record, *cell, runs=options.runs, seed=options.seed)
             for cell in progress_bar(cells, record["preset"], not options.quiet)
         ]
-    made = {"runs": options.runs, "seed": options.seed, "versions": versions(), "by": "python -m train.values"}
+    made = {"seed": options.seed, "versions": versions(), "by": "python -m train.values"}
     write_json(options.out, {"settings": made, "sets": list(sets.values())})
 
 
@@ -133,16 +136,21 @@ def _check_seed(seed: int, sets: list[Figures]) -> None:
         raise ValueError(f"seed: expected one that no set was learned on, received {seed}, of {', '.join(seen)}")
 
 
-def cells_of(record: Figures) -> Iterator[tuple[str, Figures, bool]]:
-    """Scenario, options, and whether the set was learned there: its tasks, then the rest of the catalogue."""
+def cells_of(record: Figures) -> Iterator[tuple[Task, bool]]:
+    """Tasks, and whether the set was learned there: those of its run, then the rest of the catalogue."""
     run = record["run"].split()[-1]
-    tasks = [(task.scenario, task.options, True) for task in RUNS[run]().tasks]
-    others = [*SOURCES[run].elsewhere, *((name, {}) for name in SCENARIOS)]
-    seen = []
-    for name, options, learned_on in [*tasks, *((*other, False) for other in others)]:
-        if (name, options) not in seen and goes(record, make_scenario(name, **options)):
-            seen.append((name, options))
-            yield name, options, learned_on
+    tasks = [replace(task, weight=1.0) for task in RUNS[run]().tasks]
+    others = [*SOURCES[run].elsewhere, *map(Task, SCENARIOS)]
+    seen: list[Task] = []
+    for task in (*tasks, *others):
+        if task not in seen and goes(record, scenario_of(task)):
+            seen.append(task)
+            yield task, task in tasks
+
+
+def scenario_of(task: Task) -> Scenario:
+    """The scenario, without its bank for a task of one motion."""
+    return task_scenario(task, RUNS["noise"](), held_out=True)
 
 
 def goes(record: Figures, scenario: Scenario) -> bool:
@@ -167,15 +175,16 @@ def made(record: Figures, scenario: Scenario) -> Filter:
 
 
 @torch.no_grad()
-def compared(record: Figures, name: str, options: Figures, learned_on: bool, *, runs: int, seed: int) -> Figures:
+def compared(record: Figures, task: Task, learned_on: bool, *, runs: int, seed: int) -> Figures:
     """Errors of a filter at its defaults and with a set, on the same runs: the change with half its 95 % interval."""
-    scenario = make_scenario(name, **options)
+    scenario = scenario_of(task)
     filters = {"defaults": scenario_filter(record["preset"], scenario), "set": made(record, scenario)}
     comparison = torchfra.compare(filters, scenario, runs=runs, seed=seed, bound=False)
     before, after = (comparison.of_runs(kind) for kind in filters)
     ratio = (after.mean() / before.mean()).item()
     spread = (after - ratio * before).std().item() / before.mean().item() / math.sqrt(runs)
-    figures: Figures = {"scenario": name, "options": options, "learned_on": learned_on}
+    figures: Figures = {"scenario": task.scenario, "options": task.options, "models": task.models}
+    figures |= {"learned_on": learned_on, "runs": runs}
     figures |= {"defaults": before.mean().item(), "set": after.mean().item()}
     figures |= {"change": ratio - 1, "half": 1.96 * spread}
     return figures | {f"{kind}_lost": comparison.results[kind]["divergence_rate"] for kind in filters}

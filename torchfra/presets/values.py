@@ -33,7 +33,7 @@ class ValueSets(list[dict[str, Any]]):
     """Records of sets of values, a dictionary each; printed, a table."""
 
     def __repr__(self) -> str:
-        head = ("preset", "values", "scenario", "learned on", "defaults", "set", "change", "lost")
+        head = ("preset", "values", "scenario", "learned on", "runs", "defaults", "set", "change", "lost")
         rows = [_row(of, result) for of in self for result in of["results"]]
         return text_table(head, rows, align="<<<<>") + "\n" + _caption()
 
@@ -132,12 +132,14 @@ def _scaled(kind: str, model: Any, record: dict[str, Any]) -> Any:
 
 
 def _row(of: dict[str, Any], result: dict[str, Any]) -> list[str]:
-    options = ", ".join(f"{key} {value}" for key, value in result["options"].items())
+    said = [f"{key} {value}" for key, value in result["options"].items()]
+    options = ", ".join([*said, *(["one motion"] if result["models"] == "motion" else [])])
     scenario = f"{result['scenario']} ({options})" if options else result["scenario"]
     change = f"{result['change']:+.1%} +- {result['half']:.1%}" if result["half"] < 1 else "-"
     lost = " -> ".join(f"{result[f'{kind}_lost']:.1%}" for kind in ("defaults", "set"))
+    where = "yes" if result["learned_on"] else ""
     errors = [significant(result[kind]) for kind in ("defaults", "set")]
-    return [of["preset"], of["values"], scenario, "yes" if result["learned_on"] else "", *errors, change, lost]
+    return [of["preset"], of["values"], scenario, where, str(result["runs"]), *errors, change, lost]
 
 
 def _caption() -> str:
@@ -145,7 +147,7 @@ def _caption() -> str:
     made = _contents()["settings"]
     versions = ", ".join(f"{name} {version}" for name, version in made["versions"].items())
     return (
-        f"RMSE of the position in a run, m: mean over {made['runs']} runs of seed {made['seed']}, which no set was "
+        f"RMSE of the position in a run, m: mean over runs of seed {made['seed']}, which no set was "
         "learned on;\nchange with its 95 % interval, - where that is wider than the error; lost: runs that diverge.\n"
         f"{versions}; {made['by']}"
     )
