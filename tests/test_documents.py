@@ -20,7 +20,7 @@ import torch
 
 from torchfra.app import cli
 from torchfra.catalogue import make_scenario, scenario_filters
-from train import tune
+from train import tune, values
 
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = [
@@ -31,7 +31,7 @@ NAMES = [str(path.relative_to(ROOT)) for path in DOCUMENTS]
 WORDS = 1200
 """The most that README.md may have."""
 
-STARTS = ("python scripts/", "python -m train.tune", "python -m torchfra", "torchfra ", "torchrun ", "bash scripts/")
+STARTS = ("python scripts/", "python -m train.", "python -m torchfra", "torchfra ", "torchrun ", "bash scripts/")
 SETUP = ("pip install ", "python -m pip install ", "git clone ", "cd ", "python3 -m venv ", "source ")
 """Commands that prepare a machine, which are not run here."""
 
@@ -295,6 +295,7 @@ def small_training(words, flights):
         "fra_recorded": ["files=" + ",".join(flights)],
         "gpb": ['tasks=[{"scenario":"bearings-manoeuvre"}]', "rivals=srckf", "population=4"],
     }
+    one["gpb_bearings"] = one["gpb"]
     return [*words, *one.get(words[0], []), *SMALL_TRAINING]
 
 
@@ -308,6 +309,8 @@ def understood(line, flights):
         return tune.main, [w.replace("RUN", "fra_bearings") for w in small_training(words, flights)], False
     if words[:3] == ["python", "-m", "torchfra"]:
         words = ["torchfra", *words[3:]]
+    if words[:3] == ["python", "-m", "train.values"]:  # measures for minutes: run by test_values.py
+        return values.main, [], True
     main, words = (cli.main, words[1:]) if words[0] == "torchfra" else (script(words[1]), words[2:])
     line = line.removeprefix("python ")
     if line.startswith(tuple(HELP_ONLY)):

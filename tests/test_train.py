@@ -253,7 +253,9 @@ def test_an_unknown_run_is_answered_with_the_known_ones(capsys):
     assert all(name in message for name in RUNS)
 
 
-@pytest.mark.parametrize("name", sorted(RUNS.keys() - {"gpb", "recover_gpb"}))  # those: test_train_gpb.py
+@pytest.mark.parametrize(
+    "name", sorted(RUNS.keys() - {"gpb", "gpb_bearings", "recover_gpb"})
+)  # those: test_train_gpb.py
 def test_every_named_run_takes_a_step(name, tmp_path):
     training = prepare(name, "batch=4", "iterations=1", "validation_runs=1", "compile=false")
     before = training.learned_values()

@@ -25,6 +25,7 @@ from torchfra.app.compare import compare
 from torchfra.app.memory import keep_memory
 from torchfra.fit.fitting import fit
 from torchfra.hyper import Hyper, learnable, summary
+from torchfra.presets.values import values
 from torchfra.testing.models import check_model
 from torchfra.types import Cause, Estimate, Failure, Gaussian, Innovation
 from torchfra.version import __version__ as __version__
@@ -62,4 +63,5 @@ __all__ = [
     "targets",
     "testing",
     "track",
+    "values",
 ]

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchfra import readers, scenarios
 from torchfra.app import distributed
+from torchfra.app.loading import is_place, load_scenario
 from torchfra.catalogue import make_scenario
 from torchfra.scenarios import Scenario
 from torchfra.types import Gaussian
@@ -56,9 +57,11 @@ def task_scenario(task: Task, config: Config, *, held_out: bool) -> Scenario:
 
 
 def simulated(task: Task) -> Scenario:
-    """The simulated scenario of a task: one of the catalogue, or ``"regimes"``."""
-    own = {"regimes": regimes}.get(task.scenario)
-    return make_scenario(task.scenario, **task.options) if own is None else own(**task.options)
+    """The simulated scenario of a task: one of the catalogue, ``"regimes"``, or what a user's function makes."""
+    if task.scenario == "regimes":
+        return regimes(**task.options)
+    make = load_scenario if is_place(task.scenario) else make_scenario
+    return make(task.scenario, **task.options)
 
 
 def _recorded(task: Task, config: Config, held_out: bool) -> Scenario:

@@ -20,7 +20,8 @@ class Task:
     """Tracks to learn from, and how much they count."""
 
     scenario: str
-    """A name of ``torchfra.catalogue.SCENARIOS``, ``"bearings-outliers"`` for example, or ``"recorded"``."""
+    """A name of ``torchfra.catalogue.SCENARIOS``, ``"bearings-outliers"`` for example, a function of one's own that
+    makes a ``Scenario``, as ``module:function`` or ``file.py:function``, or ``"recorded"``."""
     options: dict[str, Any] = field(default_factory=dict)
     """Arguments of the scenario, such as ``outliers`` and ``truth_noise``."""
     weight: float = 1.0
@@ -99,7 +100,7 @@ class Config:
 
 
 def read_changes(changes: Sequence[str]) -> dict[str, Any]:
-    """Fields of ``Config`` from ``KEY=VALUE``.
+    """Fields of ``Config`` from ``KEY=VALUE``; ``scenario=A,B`` is short for tasks without options.
 
     Raises:
         ValueError: an unknown key, or a value of another type.
@@ -108,8 +109,12 @@ def read_changes(changes: Sequence[str]) -> dict[str, Any]:
     fields: dict[str, Any] = {}
     for change in changes:
         key, equals, text = change.partition("=")
+        if equals and key == "scenario":
+            fields["tasks"] = tuple(Task(name) for name in _read(text, tuple[str, ...]))
+            continue
         if not equals or key not in types:
-            raise ValueError(f"config: expected KEY=VALUE with a key out of {', '.join(types)}, received {change!r}")
+            known = ", ".join(("scenario", *types))
+            raise ValueError(f"config: expected KEY=VALUE with a key out of {known}, received {change!r}")
         try:
             fields[key] = _read(text, types[key])
         except (ValueError, KeyError, TypeError):
@@ -164,4 +169,7 @@ def check(config: Config) -> Config:
         raise ValueError("seed, validation_seed, test_seed: expected three different ones")
     if not config.tasks or not config.learn:
         raise ValueError("tasks, learn: expected at least one of each")
+    if config.files and not any(task.scenario == "recorded" for task in config.tasks):
+        names = ", ".join(task.scenario for task in config.tasks)
+        raise ValueError(f"files: expected a task 'recorded' beside them, received tasks {names}")
     return config

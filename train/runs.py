@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from train.config import Config, Task, check, read_changes
-from train.runs_gpb import gpb, recover_gpb
+from train.runs_gpb import gpb, gpb_bearings, recover_gpb
 
 
 def _bearings(name: str, weight: float = 1.0, **options: Any) -> Task:
@@ -164,10 +164,9 @@ def association() -> Config:
     )
 
 
-RUNS: dict[str, Callable[[], Config]] = {
-    f.__name__: f
-    for f in (fra_bearings, fra_recorded, gpb, switching, contaminated, association, noise, recover, recover_gpb)
-}
+BEARINGS, OTHERS = (fra_bearings, gpb_bearings), (fra_recorded, gpb, switching, contaminated, association)
+KNOWN = (noise, recover, recover_gpb)
+RUNS: dict[str, Callable[[], Config]] = {f.__name__: f for f in (*BEARINGS, *OTHERS, *KNOWN)}
 
 
 def configured(name: str, changes: Sequence[str] = ()) -> Config:

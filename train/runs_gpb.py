@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import replace
 from typing import Any
 
+from torchfra import presets
 from train.config import Config, Task
 
 SINGLE = ("bearings-outliers", "ranges-outliers")
@@ -46,6 +48,26 @@ def gpb() -> Config:
         patience=6,
         test_runs=200,
     )  # fmt: skip
+
+
+def gpb_bearings() -> Config:
+    """Values of ``gpb`` for two bearings, from the defaults on: half of the targets are disturbed as the motion says.
+
+    The defaults expect calmer targets than that.  With one motion and with the bank, as in ``gpb``.
+    """
+    kinds = [Task("bearings-outliers", {"initial": initial}) for initial in ("paper", "truth")]
+    kinds.append(Task("bearings-manoeuvre"))
+    tasks = [_task(kind, outliers="std", truth_noise=noise) for kind in kinds for noise in (0.0, 0.01)]
+    tasks += [_task(kind, outliers=outliers) for kind in kinds[1:] for outliers in ("covariance", "bursts")]
+    arguments = inspect.signature(presets.gpb).parameters
+    return replace(
+        gpb(),
+        name="gpb_bearings",
+        tasks=(*tasks, *(replace(task, models="motion", weight=0.5) for task in tasks)),
+        start={name: arguments[name].default for name in gpb().start},
+        iterations=40,
+        lr=0.2,
+    )
 
 
 def recover_gpb() -> Config:

@@ -4,13 +4,14 @@
     python -m train.tune fra_bearings --resume                 continues from the last checkpoint, to the same bits
     python -m train.tune fra_bearings iterations=50 lr=0.1     any field of train.config.Config
     python -m train.tune fra_recorded files=a.csv,b.csv        recorded tracks: needs no truth
+    python -m train.tune noise scenario=own.py:make            one's own simulator: a function that makes a Scenario
     python -m train.tune gpb                                   one set of values for all models, without gradients
     torchrun --nproc-per-node 2 -m train.tune fra_bearings     two processes share each batch
 
-Runs (train/runs.py): fra_bearings, fra_recorded, gpb, switching (interacting models), contaminated (the Huber score),
-association (scans of several targets in clutter), noise, recover, recover_gpb.  Written to out/train/RUN: config.json,
-log.csv, checkpoint.pt, the learned state_dict.pt (of the best validation), learning.png and results.json with the
-errors on unseen tracks before and after.  To use the learned values:
+Runs (train/runs.py): fra_bearings, fra_recorded, gpb, gpb_bearings, switching (interacting models), contaminated (the
+Huber score), association (scans of several targets in clutter), noise, recover, recover_gpb.  Written to out/train/RUN:
+config.json, log.csv, checkpoint.pt, the learned state_dict.pt (of the best validation), learning.png and results.json
+with the errors on unseen tracks before and after.  To use the learned values:
 
     fra = torchfra.presets.fra(scenario.motion, scenario.sensor)
     fra.load_state_dict(torch.load("out/train/fra_bearings/state_dict.pt", weights_only=True))

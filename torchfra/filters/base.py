@@ -16,6 +16,7 @@ from torchfra.filters.failures import diagnose
 from torchfra.filters.fusion import fused
 from torchfra.filters.loop import run
 from torchfra.filters.other_sensors import HasViews, SensorViews
+from torchfra.filters.precision import in_full_precision
 from torchfra.filters.records import Kept, Record
 from torchfra.filters.smoothing import Smoother
 from torchfra.gaussian.arguments import check, check_belief
@@ -54,6 +55,7 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
             check_models(motion, sensor)
             self.motion, self.sensor = motion, sensor
 
+    @in_full_precision
     def init(self, prior: Gaussian) -> S:
         """The state before the first measurement.
 
@@ -87,6 +89,7 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
         """
         return belief, info
 
+    @in_full_precision
     def step(
         self,
         state: S,
@@ -125,6 +128,7 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
             return compiled
         return self.observe(state, frame())
 
+    @in_full_precision
     def forward(
         self,
         z: Tensor,

@@ -14,6 +14,7 @@ from torchfra import tree
 from torchfra.filters.checks import check_lengths
 from torchfra.filters.fusion import fused
 from torchfra.filters.loop import scan
+from torchfra.filters.precision import in_full_precision
 from torchfra.gaussian.inputs import Frame, Measurements, Time
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
@@ -75,6 +76,7 @@ class Smoother(nn.Module):
         def _batch(self, measurements: Measurements, prior: Gaussian) -> torch.Size: ...
         def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]: ...
 
+    @in_full_precision
     def smooth(
         self,
         z: Tensor,

@@ -12,6 +12,7 @@ from torchfra.adaptive.fading import NoFading
 from torchfra.filters.ahead import Ahead, look_ahead
 from torchfra.filters.base import Filter, S
 from torchfra.filters.checks import check_state
+from torchfra.filters.precision import in_full_precision
 from torchfra.filters.records import Record, scores
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.gaussian.cubature import third_degree
@@ -39,6 +40,7 @@ class Past(NamedTuple):
 class TrackFilter(Filter[S]):
     """Abstract: measurements ``z (..., T, m)``, beliefs ``(..., n)``."""
 
+    @in_full_precision
     def predict(self, state: Any, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None) -> Ahead:
         """What is expected after ``dt`` seconds, without a measurement; it runs interpreted.
 

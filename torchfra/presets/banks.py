@@ -19,6 +19,7 @@ from torchfra.presets.feedback import fra
 from torchfra.presets.learning import with_learning
 from torchfra.presets.sides import Share, States
 from torchfra.presets.single import srckf
+from torchfra.presets.values import with_values
 from torchfra.robust.weights import Weights
 from torchfra.sensors.base import Sensor
 
@@ -135,10 +136,11 @@ def imm_fra(
     return imm(models, sensor, inner=inner, stay=stay, transition=transition, initial=initial, learn=learn)
 
 
+@with_values
 def vsimm_srckf(
     models: Models, sensor: Sensor, *, inner: Inner = srckf, neighbours: Sequence[Sequence[int]] | None = None,
     first: Sequence[int] | None = None, stay: float = 0.95, transition: Value | None = None, unlikely: Value = 0.05,
-    principal: Value = 0.5, learn: Collection[str] = (),
+    principal: Value = 0.5, values: str | None = None, learn: Collection[str] = (),
 ) -> VSIMM:  # fmt: skip
     """Interacting models of which a few run at a time: three of five in the paper.  Source: Du & Zhang (2020).
 
@@ -152,6 +154,7 @@ def vsimm_srckf(
         transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.VSIMM``.
         unlikely: probability below which a model is left out: ``filters.VSIMM``.
         principal: probability above which a model calls its neighbours: ``filters.VSIMM``.
+        values: name of a set of learned values for what is not given: ``torchfra.values()``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
     Raises:

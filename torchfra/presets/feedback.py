@@ -12,6 +12,7 @@ from torchfra.hyper import Value
 from torchfra.motion.base import Motion
 from torchfra.presets.learning import with_learning
 from torchfra.presets.sides import Share, States, robust_side
+from torchfra.presets.values import with_values
 from torchfra.robust.weights import Weights
 from torchfra.sensors.base import Sensor
 
@@ -58,13 +59,14 @@ def fra_srckf(
     return with_learning(f, learn)
 
 
+@with_values
 def fra(
     motion: Motion, sensor: Sensor, *, threshold: Value | None = None, per_element: bool = False,
     robust: Weights | None = None, weakening: Value = 2.0, forgetting: Value = 0.95, fading_max: Value = 1e3,
     rcond: float = 0.2, states: States = None, share: Share = None, trace: str = "full", gate: Value = 5.991,
     preference: Value = 0.0, plain: Value | None = None, decision: str = "likelihood", temperature: float = 0.0,
     memory: str = "weighted", provisional: str = "robust", final: str = "robust",
-    rule: Callable[[int], Rule] = third_degree, learn: Collection[str] = (),
+    rule: Callable[[int], Rule] = third_degree, values: str | None = None, learn: Collection[str] = (),
 ) -> FRA:  # fmt: skip
     """This package's filter: ``fra_srckf`` with other defaults for ``decision``, ``memory`` and ``rcond``.
 
@@ -90,6 +92,7 @@ def fra(
         provisional: branch of an abnormal step until it is decided, ``"robust"`` or ``"likeliest"``: ``filters.FRA``.
         final: branch of an abnormal last step: ``"robust"``, ``"adaptive"``, ``"plain"`` or ``"likeliest"``.
         rule: makes the points for a number of states: ``torchfra.gaussian.cubature``.
+        values: name of a set of learned values for what is not given: ``torchfra.values()``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
     return fra_srckf(

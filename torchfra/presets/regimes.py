@@ -12,15 +12,17 @@ from torchfra.hyper import Value, Values
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.presets.learning import with_learning
+from torchfra.presets.values import with_values
 from torchfra.sensors.base import Sensor
 
 
+@with_values
 def gpb(
     motion: Motion | Sequence[Motion], sensor: Sensor, *, levels: Values = (0.00371, 0.933), jumps: Values = (6.5,),
     stay: Values = (0.9929, 0.28, 0.9988, 0.0013), renew: Values = (0.117, 0.38, 0.5029985, 1.5e-06),
     qualities: Values = ((0.99913, 0.00087), (0.84, 0.16)), sizes: Values = (4.7, 57.0, 1900.0, 20000.0),
     shares: Values = (0.47, 0.5215, 0.0061, 0.0024), poor: Value = 0.026, start: Value = 135.0, grows: bool = True,
-    lag: int = 0, rule: Callable[[int], Rule] = third_degree, learn: Collection[str] = (),
+    lag: int = 0, rule: Callable[[int], Rule] = third_degree, values: str | None = None, learn: Collection[str] = (),
 ) -> GPB:  # fmt: skip
     """The filter to reach for first: outliers, manoeuvres, jumps and a poor start as hypotheses of every step.
 
@@ -43,6 +45,7 @@ def gpb(
         lag: 0 for an estimate from the measurements so far, 1 for one that the next measurement has settled; the
             other is in ``Estimate.info``.
         rule: makes the points for a number of states.
+        values: name of a set of learned values for what is not given: ``torchfra.values()``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
     Raises:

@@ -15,6 +15,7 @@ from torchfra.motion.base import Motion
 from torchfra.presets.adaptive import iaukf
 from torchfra.presets.learning import with_learning
 from torchfra.presets.single import srckf, ukf
+from torchfra.presets.values import with_values
 from torchfra.sensors.base import Sensor
 
 
@@ -80,12 +81,13 @@ def ukf_jpda(
     )  # fmt: skip
 
 
+@with_values
 def iaukf_jpda(
     motion: Motion, sensor: Sensor, *, clutter: Clutter, forgetting: Value = 0.96,
     confidence: Value | Sequence[float] = 0.5, confidence_in: str = "nominal", lowest: float = 0.25,
     highest: float = 1e4, warmup: int = 5, adapt: str = "innovation", gate: Gate | None = None,
     detection: Value = 0.95, lost: float = 1e-3, share_noise: bool = False, exact: tuple[int, int] = (4, 10),
-    temperature: float = 0.0, learn: Collection[str] = (),
+    temperature: float = 0.0, values: str | None = None, learn: Collection[str] = (),
 ) -> JPDA:  # fmt: skip
     """``jpda`` with ``iaukf`` for each target.
 
@@ -106,6 +108,7 @@ def iaukf_jpda(
         share_noise: whether targets share their estimates of the measurement noise: ``filters.JPDA``.
         exact: targets and measurements of a cluster up to which association is exact: ``filters.JPDA``.
         temperature: 0 for gates with a hard edge, above for a soft one, to train by: ``filters.JPDA``.
+        values: name of a set of learned values for what is not given: ``torchfra.values()``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
     Source: Chen, Zou & Wu.  Differs: the gate is never smaller than the uncertainty of the prediction requires, and the

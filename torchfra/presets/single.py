@@ -11,6 +11,7 @@ from torchfra.hyper import Value
 from torchfra.motion.base import Motion
 from torchfra.presets.learning import with_learning
 from torchfra.presets.sides import robust_side
+from torchfra.presets.values import with_values
 from torchfra.robust.base import Robust
 from torchfra.robust.regression import HuberRegression
 from torchfra.robust.score import HuberScore
@@ -141,10 +142,11 @@ def hghckf1(
     return with_learning(SRCKF(motion, sensor, rule=rule, robust=robust), learn)
 
 
+@with_values
 def hghckf2(
     motion: Motion, sensor: Sensor, *, rule: Callable[[int], Rule] = fifth_degree, threshold: Value = 1.345,
     eps: Value | str = "minimax", cov_mode: str = "constant", whitening: str = "cholesky", zeta_scale: bool = False,
-    learn: Collection[str] = (),
+    values: str | None = None, learn: Collection[str] = (),
 ) -> SRCKF:  # fmt: skip
     """Robust by the Huber score of the normalised innovation.
 
@@ -157,6 +159,7 @@ def hghckf2(
         cov_mode: factor of the covariance, ``"constant"`` or ``"indicator"``: ``robust.HuberScore``.
         whitening: root of the innovation covariance, ``"cholesky"`` or ``"symmetric"``.
         zeta_scale: whether the density behind the score is scaled to variance 1: ``robust.HuberScore``.
+        values: name of a set of learned values for what is not given: ``torchfra.values()``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
     Source: Qin et al. (2018), eqs. (53)-(59).

@@ -1,0 +1,150 @@
+"""Presets take named sets of learned values; a table says what these give where they were learned and elsewhere."""
+
+import copy
+import inspect
+import json
+
+import pytest
+
+import torchfra
+from torchfra import presets, scenarios
+from torchfra.hyper import natural_values
+from torchfra.presets.values import FILE
+from train import values as measured
+from train.config import Task
+from train.runs import RUNS
+
+RECORDS = torchfra.values()
+NAMES = [f"{record['preset']}-{record['values']}" for record in RECORDS]
+
+
+def models():
+    scenario = scenarios.bearings_outliers("std", initial="truth")
+    return scenario.motion, scenario.sensor
+
+
+def bearings():
+    (record,) = (r for r in RECORDS if (r["preset"], r["values"]) == ("fra", "bearings"))
+    return record
+
+
+# ---------------------------------------------------------------- what a preset makes of them
+
+
+def test_a_preset_takes_the_values_of_the_set_and_scales_the_noise_of_its_models():
+    motion, sensor = models()
+    f, record = presets.fra(motion, sensor, values="bearings"), bearings()
+    for name, value in record["arguments"].items():
+        ((_, hyper),) = torchfra.hyper.named(f, (name,)).items()
+        assert hyper().item() == pytest.approx(value, rel=1e-12), name
+    assert f.motion.q().item() == pytest.approx(motion.q().item() * record["factors"]["motion.q"])
+    assert f.sensor.std().item() == pytest.approx(sensor.std().item() * record["factors"]["sensor.std"])
+
+
+def test_what_is_given_wins_over_the_set():
+    f = presets.fra(*models(), values="bearings", gate=9.0, threshold=1.345)
+    assert (f.gate().item(), f.robust.threshold().item()) == pytest.approx((9.0, 1.345))
+    assert f.preference().item() == pytest.approx(bearings()["arguments"]["preference"])
+    f = presets.fra(*models(), values="bearings", robust=torchfra.robust.Huber(0.7))
+    assert f.robust.threshold().item() == pytest.approx(0.7)
+    turns = scenarios.adsb_turns()
+    f = presets.vsimm_srckf(turns.bank, turns.sensor, values="turns", stay=0.9)
+    assert f.transition()[0, 0].item() == pytest.approx(0.9)
+
+
+def test_the_models_that_are_handed_in_stay_as_they_are():
+    motion, sensor = models()
+    before = natural_values(motion) | natural_values(sensor)
+    presets.fra(motion, sensor, values="bearings")
+    assert natural_values(motion) | natural_values(sensor) == before
+    turns = scenarios.adsb_turns()
+    before = natural_values(turns.bank)
+    presets.vsimm_srckf(turns.bank, turns.sensor, values="turns")
+    assert natural_values(turns.bank) == before
+
+
+def test_values_of_a_set_learn_on():
+    f = presets.fra(*models(), values="bearings", learn=("gate", "q"))
+    assert sorted(name for name, _ in f.named_parameters()) == ["gate.raw", "motion.q.raw"]
+    assert f.gate().item() == pytest.approx(bearings()["arguments"]["gate"])
+
+
+def test_no_set_is_no_change():
+    assert natural_values(presets.gpb(*models(), values=None)) == natural_values(presets.gpb(*models()))
+
+
+@pytest.mark.parametrize("preset", sorted({record["preset"] for record in RECORDS}))
+def test_an_unknown_set_is_answered_with_those_of_the_preset(preset):
+    known = ", ".join(record["values"] for record in RECORDS if record["preset"] == preset)
+    clutter = {"clutter": torchfra.association.Clutter(1.0)} if preset == "iaukf_jpda" else {}
+    with pytest.raises(ValueError, match=rf"values: expected None or one of {known} for {preset}, received 'calm'"):
+        getattr(presets, preset)(*models(), values="calm", **clutter)
+
+
+def test_a_model_without_what_the_set_changes_is_refused():
+    motion = torchfra.motion.ConstantAcceleration(0.1)
+    with pytest.raises(ValueError, match=r"expected a motion with models\.0\.q, .* received one without models\.2"):
+        presets.vsimm_srckf([motion, copy.deepcopy(motion)], torchfra.sensors.Position(1.0), values="turns")
+
+
+def test_presets_with_sets_say_so_and_no_others():
+    with_sets = {name for name in presets.__all__ if "values" in inspect.signature(getattr(presets, name)).parameters}
+    assert with_sets == {record["preset"] for record in RECORDS}
+
+
+# ---------------------------------------------------------------- the table
+
+
+def test_the_table_has_a_line_for_each_scenario_and_says_how_it_was_made():
+    lines = str(RECORDS).splitlines()
+    results = [result for record in RECORDS for result in record["results"]]
+    assert len(lines) == 1 + len(results) + 3
+    made = json.loads(FILE.read_text())["settings"]
+    assert f"runs of seed {made['seed']}" in str(RECORDS)
+
+
+@pytest.mark.parametrize("record", RECORDS, ids=NAMES)
+def test_a_set_says_what_it_was_learned_on_and_was_measured_elsewhere_on_other_seeds(record):
+    run = RUNS[record["run"].split()[-1]]()
+    tasks = [(task.scenario, task.options, task.models) for task in run.tasks]
+    results = [((of["scenario"], of["options"], of["models"]), of["learned_on"]) for of in record["results"]]
+    learned_on = [cell for cell, there in results if there]
+    assert all(task in learned_on for task in tasks)
+    assert all(cell in tasks for cell in learned_on)
+    assert not all(result["learned_on"] for result in record["results"])
+    assert record["seeds"] == [run.seed, run.validation_seed]
+    assert json.loads(FILE.read_text())["settings"]["seed"] not in record["seeds"]
+
+
+def test_a_record_is_a_copy():
+    torchfra.values()[0]["arguments"].clear()
+    assert torchfra.values()[0]["arguments"]
+
+
+# ---------------------------------------------------------------- the program that writes it
+
+
+def test_the_program_computes_the_figures_of_the_file():
+    record = next(r for r in RECORDS if r["preset"] == "hghckf2")
+    (known,) = (r for r in record["results"] if (r["scenario"], r["options"]) == ("noise-change", {}))
+    settings = json.loads(FILE.read_text())["settings"]
+    anew = measured.compared(record, Task("noise-change"), False, runs=known["runs"], seed=settings["seed"])
+    assert anew.keys() == known.keys()
+    for name in ("defaults", "set", "change"):
+        assert anew[name] == pytest.approx(known[name], rel=1e-3), name
+
+
+def test_a_seed_that_was_learned_on_is_refused(capsys, tmp_path):
+    assert measured.main(["--seed", "0", "--out", str(tmp_path / "values.json")]) == 2
+    assert "seed: expected one that no set was learned on, received 0" in capsys.readouterr().err
+
+
+def test_a_run_is_taken_as_arguments_and_factors(tmp_path):
+    config = {"name": "switching", "filter": "vsimm_srckf", "seed": 0, "validation_seed": 1}
+    start = {"inner.motion.models.0.q": 2.0, "transition[0,0]": 0.5, "transition[0,1]": 0.5, "unlikely": 0.1}
+    learned = {"inner.motion.models.0.q": 3.0, "transition[0,0]": 0.9, "transition[0,1]": 0.1, "unlikely": 0.2}
+    result = {"config": config, "values": {"start": start, "learned": learned}, "versions": {}}
+    (tmp_path / "results.json").write_text(json.dumps(result))
+    record = measured.taken(tmp_path)
+    assert record["factors"] == {"motion.models.0.q": 1.5}
+    assert record["arguments"] == {"transition": [[0.9, 0.1]], "unlikely": 0.2}

@@ -1,0 +1,153 @@
+"""Named sets of learned values: ``presets.fra(motion, sensor, values="bearings")``.
+
+``values.json`` holds them with what they were learned on and what they give there and elsewhere; ``python -m
+train.values`` writes it.
+"""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import json
+from collections.abc import Callable, Sequence
+from functools import cache, wraps
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import torch
+
+from torchfra.association.gates import Euclidean
+from torchfra.hyper import hypers
+from torchfra.motion.bank import Bank
+from torchfra.motion.base import Motion
+from torchfra.tables import significant, text_table
+
+P = ParamSpec("P")
+F = TypeVar("F")
+FILE = Path(__file__).with_name("values.json")
+INSTEAD = {"robust": "threshold", "stay": "transition"}
+"""Arguments that, given, take the place of another."""
+
+
+class ValueSets(list[dict[str, Any]]):
+    """Records of sets of values, a dictionary each; printed, a table."""
+
+    def __repr__(self) -> str:
+        head = ("preset", "values", "scenario", "learned on", "runs", "defaults", "set", "change", "lost")
+        rows = [_row(of, result) for of in self for result in of["results"]]
+        return text_table(head, rows, align="<<<<>") + "\n" + _caption()
+
+
+def values() -> ValueSets:
+    """The sets of learned values that presets take by name, with what they give where they were learned and elsewhere.
+
+    Each record has ``preset`` and ``values`` (the names), ``run`` (the command that learned them), ``learned_on`` (what
+    from), ``arguments`` (of the preset), ``factors`` (on values of the motion and the sensor, by their path) and
+    ``results``: a dictionary for each scenario, errors in m.
+
+    Example:
+        >>> {record["values"] for record in torchfra.values() if record["preset"] == "fra"}
+        {'bearings'}
+    """
+    return ValueSets(copy.deepcopy(_contents()["sets"]))
+
+
+def with_values(preset: Callable[P, F]) -> Callable[P, F]:
+    """A preset that takes the name of a set of values as ``values``; arguments that are given win over the set.
+
+    The motion and the sensor are copied where the set has factors on their values.
+    """
+
+    @wraps(preset)
+    def chosen(*arguments: P.args, **options: P.kwargs) -> F:
+        if options.get("values") is None:
+            return preset(*arguments, **options)
+        given: dict[str, Any] = dict(inspect.signature(preset).bind(*arguments, **options).arguments)
+        return made_with(preset, _record(preset.__name__, given.pop("values")), given)
+
+    return chosen
+
+
+def made_with(preset: Callable[..., F], record: dict[str, Any], given: dict[str, Any]) -> F:
+    """What a preset makes of a set of values and of arguments by name, which win.
+
+    Raises:
+        ValueError: the motion or the sensor has no values that the set changes; or see the preset.
+    """
+    replaced = {INSTEAD[name] for name in INSTEAD.keys() & given.keys()}
+    found = {name: _argument(value) for name, value in record["arguments"].items() if name not in replaced}
+    parts = {}
+    for kind, name in zip(("motion", "sensor"), inspect.signature(preset).parameters, strict=False):
+        parts[name] = _scaled(kind, given[name], record)
+    return preset(**found | given | parts)
+
+
+def _record(preset: str, name: object) -> dict[str, Any]:
+    """The set of this name.
+
+    Raises:
+        ValueError: the preset has none of this name; the message lists those that it has.
+    """
+    sets = {record["values"]: record for record in _contents()["sets"] if record["preset"] == preset}
+    if name not in sets:
+        raise ValueError(f"values: expected None or one of {', '.join(sets)} for {preset}, received {name!r}")
+    record: dict[str, Any] = sets[name]
+    return record
+
+
+@cache
+def _contents() -> dict[str, Any]:
+    contents: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
+    return contents
+
+
+def _argument(value: Any) -> Any:
+    """An argument of a preset as the file has it: lists are tensors, what has a size is a gate in metres."""
+    if isinstance(value, dict):
+        return Euclidean(**value)
+    return torch.tensor(value, dtype=torch.float64) if isinstance(value, list) else value
+
+
+def _scaled(kind: str, model: Any, record: dict[str, Any]) -> Any:
+    """A motion or sensor, or a copy whose values are those that it has times the factors of the set.
+
+    Raises:
+        ValueError: it has no such value, or the product is out of its range.
+    """
+    prefix = f"{kind}."
+    factors = {path.removeprefix(prefix): f for path, f in record["factors"].items() if path.startswith(prefix)}
+    if not factors:
+        return model
+    if isinstance(model, Sequence) and not isinstance(model, Motion):
+        model = Bank(model)
+    own = copy.deepcopy(model)
+    known = hypers(own) if isinstance(own, torch.nn.Module) else {}
+    if missing := factors.keys() - known.keys():
+        name = f"{record['values']!r} of {record['preset']}"
+        expected = f"a {kind} with {', '.join(sorted(factors))} for {name}"
+        raise ValueError(f"values: expected {expected}, received one without {', '.join(sorted(missing))}")
+    for path, factor in factors.items():
+        known[path].set(known[path]().detach() * factor, path)
+    return own
+
+
+def _row(of: dict[str, Any], result: dict[str, Any]) -> list[str]:
+    said = [f"{key} {value}" for key, value in result["options"].items()]
+    options = ", ".join([*said, *(["one motion"] if result["models"] == "motion" else [])])
+    scenario = f"{result['scenario']} ({options})" if options else result["scenario"]
+    change = f"{result['change']:+.1%} +- {result['half']:.1%}" if result["half"] < 1 else "-"
+    lost = " -> ".join(f"{result[f'{kind}_lost']:.1%}" for kind in ("defaults", "set"))
+    where = "yes" if result["learned_on"] else ""
+    errors = [significant(result[kind]) for kind in ("defaults", "set")]
+    return [of["preset"], of["values"], scenario, where, str(result["runs"]), *errors, change, lost]
+
+
+def _caption() -> str:
+    """What the figures are."""
+    made = _contents()["settings"]
+    versions = ", ".join(f"{name} {version}" for name, version in made["versions"].items())
+    return (
+        f"RMSE of the position in a run, m: mean over runs of seed {made['seed']}, which no set was "
+        "learned on;\nchange with its 95 % interval, - where that is wider than the error; lost: runs that diverge.\n"
+        f"{versions}; {made['by']}"
+    )

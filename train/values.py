@@ -1,0 +1,194 @@
+"""Makes the named sets of values that presets take, and measures what they give.
+
+    python -m train.values                                     measures all sets anew
+    python -m train.values --take out/train/fra_bearings       takes the learned values of runs of train.tune first
+
+Each set is compared with the preset's defaults where it was learned (the tasks of its run) and in all other scenarios
+of the catalogue that the filter takes, on the same runs, of a seed that no training has seen.  All is written to
+torchfra/presets/values.json, which ``torchfra.values()`` prints.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import json
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+
+import torchfra
+from torchfra.app.atomic_write import write_json
+from torchfra.app.command import add_quiet_option, add_runs_options, exit_status, make_parser
+from torchfra.app.evaluate import versions
+from torchfra.app.progress import progress_bar
+from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, scenario_filter
+from torchfra.filters import Filter
+from torchfra.presets.values import FILE, made_with
+from torchfra.scenarios import Scenario
+from train.batches import task_scenario
+from train.config import Task
+from train.runs import RUNS
+
+Figures = dict[str, Any]
+
+
+class Source(NamedTuple):
+    """A named run as a set of values."""
+
+    name: str
+    learned_on: str
+    elsewhere: tuple[Task, ...] = ()
+    """To try beside the scenarios of the catalogue at their defaults."""
+
+
+SOURCES = {
+    "fra_bearings": Source("bearings", "two moving stations that take bearings: starts, outliers, a manoeuvre"),
+    "gpb_bearings": Source("bearings", "the same, half of the targets disturbed as the motion says"),
+    "switching": Source("turns", "positions of aircraft that fly straight and turn, five motions",
+                        (Task("adsb-turns", {"std": 10.0}), Task("adsb-turns", {"std": 100.0}))),
+    "contaminated": Source("contaminated", "three in ten measurements with 15 times the standard deviation"),
+    "association": Source("clutter", "two targets among false measurements, noise as assumed and four times that"),
+}  # fmt: skip
+"""What each run is called, and from what it learned."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    parser = make_parser(__doc__, "python -m train.values")
+    parser.add_argument("--take", metavar="DIR", type=Path, nargs="+", default=[], help="what runs have written")
+    parser.add_argument("--out", metavar="FILE", type=Path, default=FILE, help="where to write (default: the package)")
+    add_runs_options(parser, 300, seed=77)
+    add_quiet_option(parser)
+    return exit_status("values", lambda: measure(parser.parse_args(arguments)))
+
+
+def measure(options: argparse.Namespace) -> None:
+    """Takes learned values, measures the sets and writes the file.
+
+    Raises:
+        ValueError: a folder without the results of a run that is a set, or a seed that was learned on.
+    """
+    contents = json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {"sets": []}
+    sets = {(record["preset"], record["values"]): record for record in contents["sets"]}
+    for folder in options.take:
+        record = taken(folder)
+        sets[record["preset"], record["values"]] = record
+    _check_seed(options.seed, list(sets.values()))
+    for record in sets.values():
+        cells = list(cells_of(record))
+        record["results"] = [
+            compared(record, *cell, runs=options.runs, seed=options.seed)
+            for cell in progress_bar(cells, record["preset"], not options.quiet)
+        ]
+    made = {"seed": options.seed, "versions": versions(), "by": "python -m train.values"}
+    write_json(options.out, {"settings": made, "sets": list(sets.values())})
+
+
+def taken(folder: Path) -> Figures:
+    """A set, without results, from what a run of ``train.tune`` has written.
+
+    Raises:
+        ValueError: the run is none of ``SOURCES``.
+    """
+    result = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    run, config = result["config"]["name"], result["config"]
+    if run not in SOURCES:
+        raise ValueError(f"take: expected a run out of {', '.join(SOURCES)}, received {run}")
+    start, learned = result["values"]["start"], result["values"]["learned"]
+    arguments, factors = dict(result.get("preset", {})), {}
+    for path in {} if arguments else learned:
+        kind, _, rest = path.removeprefix("inner.").partition(".")
+        if kind in ("motion", "sensor"):
+            factors[f"{kind}.{rest}"] = learned[path] / start[path]
+        else:
+            _put(arguments, path, learned[path])
+    if "gate.size" in arguments:
+        arguments["gate"] = {"size": arguments.pop("gate.size"), "least": 0.9999}
+    head = {"preset": config["filter"], "values": SOURCES[run].name, "run": f"python -m train.tune {run}"}
+    said = {"learned_on": SOURCES[run].learned_on, "seeds": [config["seed"], config["validation_seed"]]}
+    return {**head, **said, "versions": result["versions"], "arguments": arguments, "factors": factors, "results": []}
+
+
+def _put(arguments: Figures, path: str, value: float) -> None:
+    """Puts one number where it belongs: ``"transition[0,1]"`` into a list of lists, in the order of the indices."""
+    name, _, indices = path.partition("[")
+    key = name if name == "gate.size" else name.rpartition(".")[2]
+    if not indices:
+        arguments[key] = value
+        return
+    *outer, _ = map(int, indices.rstrip("]").split(","))
+    place = arguments.setdefault(key, [])
+    for index in outer:
+        if index == len(place):
+            place.append([])
+        place = place[index]
+    place.append(value)
+
+
+def _check_seed(seed: int, sets: list[Figures]) -> None:
+    if seen := [of["run"] for of in sets if seed in of["seeds"]]:
+        raise ValueError(f"seed: expected one that no set was learned on, received {seed}, of {', '.join(seen)}")
+
+
+def cells_of(record: Figures) -> Iterator[tuple[Task, bool]]:
+    """Tasks, and whether the set was learned there: those of its run, then the rest of the catalogue."""
+    run = record["run"].split()[-1]
+    tasks = [replace(task, weight=1.0) for task in RUNS[run]().tasks]
+    others = [*SOURCES[run].elsewhere, *map(Task, SCENARIOS)]
+    seen: list[Task] = []
+    for task in (*tasks, *others):
+        if task not in seen and goes(record, scenario_of(task)):
+            seen.append(task)
+            yield task, task in tasks
+
+
+def scenario_of(task: Task) -> Scenario:
+    """The scenario, without its bank for a task of one motion."""
+    return task_scenario(task, RUNS["noise"](), held_out=True)
+
+
+def goes(record: Figures, scenario: Scenario) -> bool:
+    """Whether filter and set go with the models of a scenario."""
+    if record["preset"] not in filters_for(scenario):
+        return False
+    try:
+        made(record, scenario)
+    except ValueError:  # a bank of another size, a motion without the values that the set changes
+        return False
+    return True
+
+
+def made(record: Figures, scenario: Scenario) -> Filter:
+    """The filter with the set; its detection is that of the set where it has one."""
+    entry = FILTERS[record["preset"]]
+    models = scenario.motion if scenario.bank is None or not (entry.bank or entry.either) else scenario.bank
+    scans = {} if scenario.clutter is None else {"clutter": scenario.clutter}
+    first = next(iter(inspect.signature(entry.preset).parameters))
+    f: Filter = made_with(entry.preset, record, {first: models, "sensor": scenario.sensor, **scans})
+    return f
+
+
+@torch.no_grad()
+def compared(record: Figures, task: Task, learned_on: bool, *, runs: int, seed: int) -> Figures:
+    """Errors of a filter at its defaults and with a set, on the same runs: the change with half its 95 % interval."""
+    scenario = scenario_of(task)
+    filters = {"defaults": scenario_filter(record["preset"], scenario), "set": made(record, scenario)}
+    comparison = torchfra.compare(filters, scenario, runs=runs, seed=seed, bound=False)
+    before, after = (comparison.of_runs(kind) for kind in filters)
+    ratio = (after.mean() / before.mean()).item()
+    spread = (after - ratio * before).std().item() / before.mean().item() / math.sqrt(runs)
+    figures: Figures = {"scenario": task.scenario, "options": task.options, "models": task.models}
+    figures |= {"learned_on": learned_on, "runs": runs}
+    figures |= {"defaults": before.mean().item(), "set": after.mean().item()}
+    figures |= {"change": ratio - 1, "half": 1.96 * spread}
+    return figures | {f"{kind}_lost": comparison.results[kind]["divergence_rate"] for kind in filters}
+
+
+if __name__ == "__main__":
+    sys.exit(main())
