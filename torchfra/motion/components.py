@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 KINDS = ("position", "velocity", "acceleration", "angle", "rate", "bias", "clock", "parameter", "other")
-"""What a component may be; a rate is of an angle, in rad/s; a parameter is a property of the target, such as its drag."""
+"""What a component may be; a rate is of an angle, in rad/s; a parameter is a property of the target, as its drag."""
 AXES = ("x", "y", "z")
 
 
