@@ -105,8 +105,7 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
 
         Args:
             state: from ``init`` or the step before; it is not changed.
-            z: ``(..., m)``, of scans ``(..., J, m)``; NaN is missing, and a step with nothing measured is a pure
-                prediction.
+            z: ``(..., m)``, of scans ``(..., J, m)``; NaN is missing; with nothing measured a step is a prediction.
             dt: seconds since the last step, a number or ``(...)``; 0 for another measurement at the same instant.
             u: ``(..., k)`` what the models need to know, such as where the stations are.
             std: like ``z``: standard deviation of this measurement's noise, instead of the sensor's.

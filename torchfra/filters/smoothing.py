@@ -108,8 +108,7 @@ class Smoother(nn.Module):
             noise: likewise.
             truncate: steps after which gradients of the way forward flow no further back.
             checkpoint: steps between states that are kept for gradients, both ways.
-            lag: steps after which measurements are no longer looked at: the estimate of each step then is that of the
-                measurements up to so many later.  None for all there are.
+            lag: measurements up to so many steps later count for the estimate of a step; None for all there are.
             estimate: what ``forward`` gave for the same arguments, so that it need not run again; of several models,
                 if it was told ``past=True``: else an estimate does not hold what each knew, and they run all the same.
             sensors: as of ``forward``.
