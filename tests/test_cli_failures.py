@@ -264,7 +264,9 @@ def test_a_mistake_in_the_program_itself_keeps_its_traceback():
 
 
 def test_compiling_what_has_no_kernel_is_said_in_a_line(tmp_path, capsys):
-    arguments = ["compare", "--scenario", "clutter-straight", "--filters", "ukf_jpda", "--runs", "1", "--compile"]
+    own = tmp_path / "own.py"  # scans that are larger than those of which all events are summed
+    own.write_text("import torchfra\n\n\ndef crowd():\n    return torchfra.scenarios.clutter_straight(clutter=12)\n")
+    arguments = ["compare", "--scenario", f"{own}:crowd", "--filters", "ukf_jpda", "--runs", "1", "--compile"]
     assert cli.main([*arguments, "--figure", str(tmp_path / "f.png")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 

@@ -118,7 +118,7 @@ def test_more_targets_than_all_of_whose_events_are_summed_are_refused():
 
 @pytest.mark.slow
 def test_compiled_filters_of_scans_keep_what_filters_promise():
-    z, prior = scans(count=2)
+    z, prior = scans(steps=6, count=2)
     report = check_filter(plane(), z=z, prior=prior)
     assert len(report.of("passed")) > 30
     assert report.of("failed") == ()
