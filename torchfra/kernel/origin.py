@@ -28,11 +28,14 @@ class Origins:
     def here(self) -> str:
         """The innermost line of the filter that is running, or what is differentiated."""
         line = _line()
-        if not line.startswith(_DIFFERENTIATED):
-            self._forwards.setdefault(torch.autograd._get_sequence_nr(), line)  # type: ignore[attr-defined]
+        try:
+            if not line.startswith(_DIFFERENTIATED):
+                self._forwards.setdefault(torch.autograd._get_sequence_nr(), line)  # type: ignore[attr-defined]
+                return line
+            node = torch._C._current_autograd_node()
+            of = node and self._forwards.get(node._sequence_nr() + 1)  # its own number, counted on before it ran
+        except AttributeError:  # they are private: versions may differ, and comments say less
             return line
-        node = torch._C._current_autograd_node()
-        of = node and self._forwards.get(node._sequence_nr() + 1)  # its own number, counted on before it ran
         return f"gradient of {of}" if of else line
 
 
