@@ -106,10 +106,12 @@ def scaling(panels: dict[str, list[tuple[float, float]]], title: str) -> Figure:
         panels: one for each size, such as ``"batch"``: pairs of the size and microseconds.
         title: of the figure.
     """
-    figure = Figure(figsize=(4 * len(panels), 3.4), layout="constrained")
-    grid = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
-    grid[0].set(ylabel="microseconds per track and step", yscale="log")
-    for axes, (size, pairs) in zip(grid, panels.items(), strict=True):
+    columns, rows = min(len(panels), 3), -(-len(panels) // 3)
+    figure = Figure(figsize=(4 * columns, 3.1 * rows), layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    grid[0, 0].set(yscale="log")
+    figure.supylabel("microseconds per track and step", fontsize="medium")
+    for axes, (size, pairs) in zip(grid.flat, panels.items(), strict=False):
         axes.plot(*zip(*pairs, strict=True), marker="o", color=BLUE)
         axes.set(xlabel=size)
         if max(pairs)[0] > 100:
