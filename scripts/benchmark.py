@@ -78,7 +78,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--batch", help="tracks at once (default: 1,1000,10000; 64 for training, 100000 for positions)")
     p.add_argument("--filters", default=FILTERS, help=f"out of {', '.join(track_filters())}")
     p.add_argument("--modes", default="compiled,eager", help="compiled, eager or both (default)")
-    p.add_argument("--device", default="cpu", help="cpu (default) or cuda; compiled kernels run on the cpu only")
+    p.add_argument("--device", default="cpu", help="cpu (default) or cuda, which is timed eager")
     p.add_argument("--scenario", default="bearings-outliers", choices=BEARINGS)
     p.add_argument("--initial", default="truth", choices=["truth", "paper"], help="initial state (default: truth)")
     p.add_argument("--passes", type=int, default=7, help="timed passes (default: 7)")

@@ -245,6 +245,7 @@ def test_what_does_not_go_with_recorded_ranges_is_refused(walks, capsys, options
             ["compare", "--scenario", "growth", "--runs", "9", "--flight", "9"],
             "flight: expected the number of a run, 0 to 8, received 9\n",
         ),
+        (["compare", "--scenario", "growth", "--limit", "-1"], "limit: expected metres above 0, received -1.0\n"),
         (["compare", "--scenario", "bearings-outliers", "--no-repair"], "repair: goes with files, not with --scenario"),
         (["compare", "{file}", "--ranges", "{file}"], "received files and --ranges\n"),
         (["compare", "--ranges", "{file}", "--outliers", "none"], "outliers: goes with files or --scenario, not with"),

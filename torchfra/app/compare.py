@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 import torch
 
 from torchfra.app.evaluate.comparison import Comparison
+from torchfra.app.evaluate.limits import check_limit
 from torchfra.app.evaluate.runs import measure, results_of
 from torchfra.catalogue import scenario_filters
 from torchfra.filters.base import Filter
 from torchfra.scenarios import Bound, Scenario, Tracks, given
 from torchfra.scenarios import bound as bound_on
-from torchfra.targets.numbers import real, whole
+from torchfra.targets.numbers import whole
 
 MOST_FOR_BOUND = 500
 """Runs that expectations of a bound are over at most."""
@@ -79,8 +80,7 @@ def _check(
     for name, value, least in (("runs", 1 if runs is None else runs, 1), ("seed", seed, 0), ("chunk", chunk, 1)):
         if not whole(value, least):
             raise ValueError(f"{name}: expected a whole number of {least} or more, received {value!r}")
-    if limit is not None and not real(limit) > 0:
-        raise ValueError(f"limit: expected metres above 0, received {limit!r}")
+    check_limit(limit)
 
 
 def bound_of(scenario: Scenario, runs: int, seed: int) -> Bound | None:

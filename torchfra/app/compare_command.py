@@ -15,6 +15,7 @@ from torchfra.app.compiling import add_compile_option, choose, reporters
 from torchfra.app.evaluate import (
     BASELINE,
     Result,
+    check_limit,
     flight,
     leaders,
     measure,
@@ -97,6 +98,7 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> None:
     """Runs the command; under ``torchrun`` in every process, of which the first writes."""
     inputs = _inputs(options)
+    check_limit(options.limit)
     check_files(_outputs(options), inputs)
     for module in options.modules:
         load_module(module)

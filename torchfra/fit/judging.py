@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -93,10 +93,3 @@ class Comparison:
         return text_table(head, rows, align="<")
 
     __repr__ = __str__
-
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {"quantity": self.quantity, "tracks": self.tracks,
-                "filters": {name: {"value": row.after._asdict(), "change": row.change._asdict(),
-                                   "median": row.middle._asdict()}
-                            for name, row in self.rows.items()}}  # fmt: skip

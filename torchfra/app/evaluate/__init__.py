@@ -1,7 +1,7 @@
 """Monte-Carlo evaluation: runs of a scenario through filters, and what is written and printed of them."""
 
 from torchfra.app.evaluate.flights import Flight, flight
-from torchfra.app.evaluate.limits import divergence_limit
+from torchfra.app.evaluate.limits import check_limit, divergence_limit
 from torchfra.app.evaluate.recordings import recordings_table
 from torchfra.app.evaluate.results import BASELINE, Result, leaders, not_finite, report, table, versions
 from torchfra.app.evaluate.runs import evaluate, measure, results_of, run
@@ -11,6 +11,7 @@ __all__ = [
     "BASELINE",
     "Flight",
     "Result",
+    "check_limit",
     "divergence_limit",
     "evaluate",
     "flight",

@@ -7,11 +7,22 @@ from torch import Tensor
 
 from torchfra.app.evaluate.fixes import fixes
 from torchfra.scenarios import Scenario, Tracks
+from torchfra.targets.numbers import real
 
 TIMES = 10.0
 """A run has diverged if its error is so many times that of the positions that single measurements imply."""
 RUNS = 32
 """Among which that is looked for."""
+
+
+def check_limit(limit: float | None) -> None:
+    """Checks what a user has said of it; None is nothing.
+
+    Raises:
+        ValueError: no number above 0.
+    """
+    if limit is not None and not real(limit) > 0:
+        raise ValueError(f"limit: expected metres above 0, received {limit!r}")
 
 
 def divergence_limit(scenario: Scenario) -> float:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchfra.app import distributed
 from torchfra.app.compiling import Fallback, compiled
-from torchfra.app.evaluate.limits import divergence_limit
+from torchfra.app.evaluate.limits import check_limit, divergence_limit
 from torchfra.app.evaluate.results import Result
 from torchfra.app.evaluate.sureness import sureness
 from torchfra.app.progress import progress_bar
@@ -56,9 +56,10 @@ def evaluate(
         For each filter its ``Result``; in every process that of all runs.
 
     Raises:
-        ValueError: an unknown filter, or fewer runs than processes.
+        ValueError: an unknown filter, fewer runs than processes, or a limit that is not above 0.
         CompileError: ``compile`` without ``fallback``, and there is no compiler or a filter has no kernel.
     """
+    check_limit(limit)
     metrics = measure(
         scenario, filters, runs=runs, seed=seed, chunk=chunk, compile=compile, fallback=fallback, progress=progress
     )
