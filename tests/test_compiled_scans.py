@@ -116,6 +116,21 @@ def test_more_targets_than_all_of_whose_events_are_summed_are_refused():
     close(*both(plane(exact=(2, 4)), z[:1, :2], Gaussian(prior.mean[:1], prior.scale_tril[:1])))
 
 
+def test_gradients_are_finite_where_the_tail_beyond_a_soft_gate_is_no_normal_number_any_more():
+    """The tail of chi squared of two is below the normal numbers from 1417 on, and 0 from 1490 on."""
+    far = torch.linspace(1400.0, 1500.0, 41).double()
+    f = learnable(plane(temperature=0.3), ("probability", "std"))
+    prior = Gaussian(PRIOR.mean[:1].expand(41, 1, 4), PRIOR.scale_tril[:1].expand(41, 1, 4, 4))
+    variance = 3.0**2 + 1.0 + 0.5 / 4 + 2.0**2  # position, velocity, process noise, measurement
+    z = torch.stack([1 + (variance * far).sqrt(), torch.zeros_like(far)], -1)[:, None, None]
+    gradients = [
+        torch.autograd.grad(g(z, prior).log_likelihood.sum(), list(g.parameters()))
+        for g in (f, copy.deepcopy(f).compile())
+    ]
+    assert all(x.isfinite().all() for x in gradients[1])
+    close(*gradients)
+
+
 @pytest.mark.slow
 def test_compiled_filters_of_scans_keep_what_filters_promise():
     z, prior = scans(steps=6, count=2)

@@ -204,6 +204,7 @@ def test_small_helpers():
 SAFE = {
     "sqrt": (safe_sqrt, [4.0, 0.0, -1.0], [2.0, 0.0, 0.0], [0.25, 0.0, 0.0]),
     "log": (safe_log, [2.0, 0.0, -1.0], [math.log(2), -math.inf, -math.inf], [0.5, 0.0, 0.0]),
+    "log of a subnormal": (safe_log, [1.0, 1e-310], [0.0, -math.inf], [1.0, 0.0]),
     "log, filled": (lambda x: safe_log(x, fill=0.0), [2.0, 0.0], [math.log(2), 0.0], [0.5, 0.0]),
     "divide": (lambda x: safe_divide(3.0, x), [2.0, 0.0, -1.0], [1.5, 0.0, -3.0], [-0.75, 0.0, -3.0]),
     "divide, filled": (lambda x: safe_divide(3.0, x, fill=7.0), [2.0, 0.0], [1.5, 7.0], [-0.75, 0.0]),

@@ -143,7 +143,8 @@ def _beyond_ellipsoid(candidates: Candidates, probability: Tensor) -> Tensor:
     """
     seen = candidates.seen.sum(-1).expand(candidates.nis.shape)
     tail = _tail(candidates.nis.clamp(1e-12, 1e4), seen, candidates.seen.shape[-1])
-    beyond: Tensor = torch.where(tail > 0, safe_log(tail, fill=0.0) / torch.log1p(-probability) - 1, torch.inf)
+    normal = tail >= torch.finfo(tail.dtype).tiny
+    beyond: Tensor = torch.where(normal, safe_log(tail, fill=0.0) / torch.log1p(-probability) - 1, torch.inf)
     return beyond
 
 

@@ -17,9 +17,12 @@ def safe_sqrt(x: Tensor) -> Tensor:
 
 
 def safe_log(x: Tensor, fill: float = -torch.inf) -> Tensor:
-    """Logarithm where ``x > 0``; elsewhere, also where ``x`` is NaN, the value is ``fill`` and the gradient 0."""
-    positive = x > 0
-    return torch.where(positive, torch.where(positive, x, 1.0).log(), fill)
+    """Logarithm where ``x`` is above 0 and a normal number; elsewhere the value is ``fill`` and the gradient 0.
+
+    The slope at a subnormal number is beyond the range of floating point numbers.
+    """
+    normal = x >= torch.finfo(x.dtype).tiny
+    return torch.where(normal, torch.where(normal, x, 1.0).log(), fill)
 
 
 def safe_divide(a: Tensor | float, b: Tensor, fill: float = 0.0) -> Tensor:
