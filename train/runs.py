@@ -160,7 +160,6 @@ def association() -> Config:
         cold=0.05,
         validation_runs=64,
         test_runs=200,
-        compile=False,  # there are no kernels for scans
     )
 
 
