@@ -27,7 +27,7 @@ PRIVATE = {
 }
 """Names without which something does not work, and what."""
 GUARDED = {
-    "torch._C._dynamo.guards": "filters/compiled_step.py has a slower check of its own",
+    "torch._C._dynamo.guards": "filters/compiled/step.py has a slower check of its own",
     "torch._C._current_autograd_node": "kernel/origin.py then names no line in comments of gradients",
     "torch.autograd._get_sequence_nr": "likewise",
     "torch._dynamo": "association/events.py only marks a function for torch.compile",
@@ -74,11 +74,11 @@ def test_private_names_are_found_however_they_are_written():
 def test_without_torchs_guard_a_ready_step_is_checked_by_the_slower_one(monkeypatch):
     import importlib
 
-    from torchfra.filters import compiled_step
+    from torchfra.filters.compiled import step as ready_step
 
     x = torch.zeros(2, 3)
     monkeypatch.setattr(importlib, "import_module", lambda name: (_ for _ in ()).throw(ImportError(name)))
-    fits = compiled_step.guard([x])
+    fits = ready_step.guard([x])
     assert fits(torch.ones(2, 3))
     assert not fits(torch.ones(3, 2))
     assert not fits(torch.ones(2, 3).double())

@@ -9,10 +9,10 @@ from torchfra.filters.branches import FRAInfo, FRAState
 from torchfra.filters.fixed_lag import FixedLag, FixedLagState
 from torchfra.filters.fra import FRA
 from torchfra.filters.gpb import GPB, GPBInfo, GPBState, Qualities, Regimes
-from torchfra.filters.hypotheses import JPDAInfo, JPDAState
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
-from torchfra.filters.jpda import JPDA
-from torchfra.filters.scans import ScanFilter
+from torchfra.filters.scans.base import ScanFilter
+from torchfra.filters.scans.hypotheses import JPDAInfo, JPDAState
+from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.smoothing import SmoothInfo
 from torchfra.filters.srckf import SRCKF, Info, State
 from torchfra.filters.tracks import GaussianFilter, TrackFilter

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.filters import traced
 from torchfra.filters.base import Filter
+from torchfra.filters.compiled import traced
 from torchfra.hyper import hypers, one_of
 from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import Expressions

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from torchfra.filters.base import Filter
 from torchfra.filters.imm import Around
-from torchfra.filters.jpda import JPDA
+from torchfra.filters.scans.jpda import JPDA
 from torchfra.hyper import learnable, named
 
 F = TypeVar("F", bound=Filter)

@@ -9,7 +9,7 @@ from typing import Any
 from torchfra.association.clutter import Clutter
 from torchfra.association.gates import ChiSquare, Euclidean, Gate
 from torchfra.filters.base import Filter
-from torchfra.filters.jpda import JPDA
+from torchfra.filters.scans.jpda import JPDA
 from torchfra.hyper import Value
 from torchfra.motion.base import Motion
 from torchfra.presets.adaptive import iaukf

@@ -7,8 +7,8 @@ import math
 import torch
 from torch import Tensor
 
-from torchfra.filters.jpda import JPDA
-from torchfra.filters.lost_tracks import log_miss
+from torchfra.filters.scans.jpda import JPDA
+from torchfra.filters.scans.lost_tracks import log_miss
 from torchfra.gaussian.inputs import Time, batch_rank
 from torchfra.targets.places import known_components
 from torchfra.targets.scan import Look

@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchfra.filters.jpda import JPDA
-from torchfra.filters.lost_tracks import log_miss
+from torchfra.filters.scans.jpda import JPDA
+from torchfra.filters.scans.lost_tracks import log_miss
 from torchfra.gaussian.inputs import Time
 from torchfra.targets.births import Birth, Newborn, OnePoint
 from torchfra.targets.checks import check_filter, check_parts, check_scan, check_scans

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.jpda import JPDA
+from torchfra.filters.scans.jpda import JPDA
 from torchfra.gaussian.inputs import Measurements
 from torchfra.targets.clusters import Group, clusters
 from torchfra.targets.gating import expected, in_reach

@@ -10,11 +10,11 @@ import torch
 from torch import Tensor, nn
 from torch.autograd import forward_ad
 
-from torchfra.filters import traced
-from torchfra.filters.compiled_back import given
-from torchfra.filters.compiled_step import Data, check_changing, is_ordinary, number
-from torchfra.filters.compiled_tracks import form_of, may_be_ready, seconds_of
-from torchfra.filters.compiled_version import Plan, Version
+from torchfra.filters.compiled import traced
+from torchfra.filters.compiled.back import given
+from torchfra.filters.compiled.step import Data, check_changing, is_ordinary, number
+from torchfra.filters.compiled.tracks import form_of, may_be_ready, seconds_of
+from torchfra.filters.compiled.version import Plan, Version
 from torchfra.gaussian.arguments import check_seconds
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.kernel.program import BUILDING

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchfra.adaptive.fading import Memory
 from torchfra.adaptive.noise import NominalNoise
 from torchfra.association.clusters import Association
-from torchfra.filters.hypotheses import Scan, gated, likeliest, missed_or_measured, weighted_mean
+from torchfra.filters.scans.hypotheses import Scan, gated, likeliest, missed_or_measured, weighted_mean
 from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import missed_or_hit, moment_match

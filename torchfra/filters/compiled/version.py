@@ -11,10 +11,10 @@ import torch
 from torch import Tensor, nn
 from torch.autograd import forward_ad
 
-from torchfra.filters import traced
-from torchfra.filters.compiled_back import Given, retreat
-from torchfra.filters.compiled_step import Data, ReadyStep, ReadySteps, may_be_ready, number
-from torchfra.filters.compiled_tracks import AllReadyTracks, ReadyTracks
+from torchfra.filters.compiled import traced
+from torchfra.filters.compiled.back import Given, retreat
+from torchfra.filters.compiled.step import Data, ReadyStep, ReadySteps, may_be_ready, number
+from torchfra.filters.compiled.tracks import AllReadyTracks, ReadyTracks
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import Hyper
 from torchfra.kernel.program import Program

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchfra.filters.compiled_step import guard, is_ordinary, number
+from torchfra.filters.compiled.step import guard, is_ordinary, number
 from torchfra.gaussian.arguments import check_values
 from torchfra.gaussian.inputs import Measurements
 from torchfra.kernel.program import Ready

@@ -10,10 +10,10 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.association.clusters import Association
 from torchfra.filters.base import Filter
-from torchfra.filters.hypotheses import chosen, gated_first
 from torchfra.filters.imm import Around
-from torchfra.filters.merging import averaged, merged, on_beliefs
 from torchfra.filters.records import Record
+from torchfra.filters.scans.hypotheses import chosen, gated_first
+from torchfra.filters.scans.merging import averaged, merged, on_beliefs
 from torchfra.gaussian.inputs import Frame
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian

@@ -16,20 +16,20 @@ from torchfra.association.clutter import Clutter
 from torchfra.association.events import check_exact
 from torchfra.association.gates import Candidates, Gate
 from torchfra.association.joint import associate
-from torchfra.filters.apart import core, measured, missed, together, widened
 from torchfra.filters.base import Filter, Mix
-from torchfra.filters.combined import learned, update, widen
-from torchfra.filters.hypotheses import (
+from torchfra.filters.records import Record
+from torchfra.filters.scans.apart import core, measured, missed, together, widened
+from torchfra.filters.scans.base import ScanFilter
+from torchfra.filters.scans.combined import learned, update, widen
+from torchfra.filters.scans.hypotheses import (
     JPDAInfo,
     JPDAState,
     Scan,
     combined,
     target_repairs,
 )
-from torchfra.filters.lost_tracks import log_miss, missed_scans, search, wider
-from torchfra.filters.merging import check_merges
-from torchfra.filters.records import Record
-from torchfra.filters.scans import ScanFilter
+from torchfra.filters.scans.lost_tracks import log_miss, missed_scans, search, wider
+from torchfra.filters.scans.merging import check_merges
 from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import SRCKF, State
 from torchfra.gaussian.inputs import Frame
