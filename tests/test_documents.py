@@ -52,7 +52,7 @@ SMALL = {
         {"--runs": "1", "--scans": "10", "--targets": "2", "--clutter": "2"},
         {"--trackers": "srckf"},
     ),
-    "scripts/bounds.py": ({"--runs": "2", "--scenarios": "bearings-manoeuvre"}, {"--filters": "srckf"}),
+    "scripts/bounds.py": ({"--runs": "2", "--cells": "bearings-manoeuvre"}, {"--filters": "srckf"}),
     "scripts/particles.py": ({"--runs": "2", "--particles": "50"}, {}),
     "scripts/benchmark.py": ({"--batch": "1", "--passes": "1", "--modes": "eager"}, {"--filters": "srckf"}),
     "scripts/targets.py": ({"--runs": "1", "--scans": "3", "--what": "many,crowd"}, {}),
