@@ -116,6 +116,10 @@ def test_a_set_says_what_it_was_learned_on_and_was_measured_elsewhere_on_other_s
     assert json.loads(FILE.read_text())["settings"]["seed"] not in record["seeds"]
 
 
+def test_every_figure_of_the_table_is_of_200_runs_or_more():
+    assert min(result["runs"] for record in RECORDS for result in record["results"]) >= 200
+
+
 def test_a_record_is_a_copy():
     torchfra.values()[0]["arguments"].clear()
     assert torchfra.values()[0]["arguments"]
