@@ -350,6 +350,8 @@ def test_the_result_is_written_as_json_and_as_a_figure(fitted, tmp_path):
     assert data["values"]["motion.q"]["learned"] == fitted.learned["motion.q"]
     assert data["settings"]["seed"] == 3
     assert {"torch", "torchfra"} <= set(data["versions"])
+    with pytest.raises(ValueError, match=r"path: expected a file that ends in .*, received fit\.docx"):
+        fitted.plot("fit.docx")
     fitted.plot(tmp_path / "fit.png")
     assert (tmp_path / "fit.png").stat().st_size > 10_000
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchfra.app.atomic_write import write_json
 from torchfra.app.evaluate import versions
+from torchfra.app.pictures import picture_form
 from torchfra.filters import Filter
 from torchfra.fit.again import Bootstrap, Profile, bootstrap, profile
 from torchfra.fit.data import Batch
@@ -161,7 +162,14 @@ class Fitted:
         return data
 
     def plot(self, path: str | Path | None = None) -> Any:
-        """The learning curve, a figure of matplotlib; written to ``path`` if there is one."""
+        """The learning curve, a figure of matplotlib; written to ``path`` if there is one, as PDF, SVG or PNG.
+
+        Raises:
+            ValueError: another ending.
+            OSError: it cannot be written.
+        """
+        if path is not None:
+            picture_form(path)
         from torchfra.app import plotting
 
         title = f"fit by {self.settings.loss}, seed {self.settings.seed}"
