@@ -1,9 +1,13 @@
 """Importing the package imports torch, itself and no more: what is slow or optional is imported when it is used."""
 
+import importlib
+import pkgutil
 import subprocess
 import sys
 
 import pytest
+
+import torchfra
 
 HELP = """
 sys.argv = ["torchfra", "--help"]
@@ -29,6 +33,18 @@ print(*sorted(others | slow), file=sys.stderr)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.split() == []
+
+
+def test_no_function_hides_a_package_so_that_what_is_inside_can_be_imported():
+    import torchfra.fitting.data as inside
+
+    assert inside.batch_of
+    packages = [found.name for found in pkgutil.walk_packages(torchfra.__path__, "torchfra.") if found.ispkg]
+    assert len(packages) > 20
+    for name in packages:
+        package = importlib.import_module(name)
+        above, _, last = name.rpartition(".")
+        assert getattr(importlib.import_module(above), last) is package, name
 
 
 def test_a_compiled_srckf_runs_without_the_compiler_of_torch():
