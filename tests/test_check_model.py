@@ -6,6 +6,7 @@ import re
 import pytest
 import torch
 
+import torchfra
 from torchfra import Hyper, check_model
 from torchfra.motion import Augmented, Bank, Bicycle, Clock, ConstantVelocity, Motion, RandomWalk, Spherical
 from torchfra.sensors import Biased, Camera, InfraredLaser, Pseudoranges, Ranges, Sensor, Stacked
@@ -25,6 +26,24 @@ class Drag(Motion):
     def forward(self, x, dt, u=None):
         velocity = x[..., 2:] * torch.exp(-self.drag(x) * dt).unsqueeze(-1)
         return torch.cat([x[..., :2] + dt.unsqueeze(-1) * velocity, velocity], -1)
+
+
+class Wild(Motion):
+    """Right, and a change of the last digit of a state grows a thousandfold in some steps."""
+
+    def __init__(self):
+        super().__init__(1, 1, 0.01)
+
+    def forward(self, x, dt, u=None):
+        return 4 * torch.sin(4 * x) + 0 * u
+
+
+class Itself(Sensor):
+    def __init__(self):
+        super().__init__(1, [False], 300.0, None)
+
+    def forward(self, x, u=None):
+        return x[..., :1]
 
 
 class Deciding(Drag):
@@ -253,3 +272,33 @@ def test_a_state_and_a_u_may_be_lists_and_what_mixes_tracks_is_told_by_how_much(
     assert check_model(STRAIGHT, Needy(), state=[100, 50, 1, 2], u=[3, 4]).ok
     (problem,) = check_model(Together(), RANGES).problems
     assert re.search(r"state 0 of a batch.* received .*, a difference of \[", problem)
+
+
+# ---------------------------------------------------------------- models in which rounding grows
+
+
+def test_a_model_that_amplifies_rounding_is_not_blamed_for_what_float32_makes_of_it():
+    report = check_model(Wild(), Itself(), u=torch.ones(1), state=torch.ones(1))
+    assert report.ok, report
+
+
+def test_a_growth_model_whose_gradient_bends_strongly_is_right():
+    growth = torchfra.scenarios.growth()
+    report = check_model(growth.motion, growth.sensor, u=torch.tensor([3.0]), state=torch.tensor([5.0]), seed=34)
+    assert report.ok, report
+
+
+def test_a_gradient_that_is_wrong_is_told_of_once_and_the_checks_after_it_see_the_same_values():
+    growth = torchfra.scenarios.growth()
+
+    class Detached(type(growth.sensor)):
+        def __init__(self):
+            super().__init__()
+            self.size = Hyper(1.0, name="size")
+
+        def forward(self, x, u=None):
+            return super().forward(x) * (0.9 * self.size(x) + 0.1 * self.size(x).detach()).unsqueeze(-1)
+
+    report = check_model(growth.motion, Detached(), u=torch.tensor([3.0]), state=torch.tensor([5.0]))
+    (problem,) = report.problems
+    assert "gradient of sensor.size.raw" in problem
