@@ -294,11 +294,11 @@ def test_a_gradient_that_is_wrong_is_told_of_once_and_the_checks_after_it_see_th
     class Detached(type(growth.sensor)):
         def __init__(self):
             super().__init__()
-            self.size = Hyper(1.0, name="size")
+            self.gain = Hyper(1.0, name="gain")
 
         def forward(self, x, u=None):
-            return super().forward(x) * (0.9 * self.size(x) + 0.1 * self.size(x).detach()).unsqueeze(-1)
+            return super().forward(x) * (0.9 * self.gain(x) + 0.1 * self.gain(x).detach()).unsqueeze(-1)
 
     report = check_model(growth.motion, Detached(), u=torch.tensor([3.0]), state=torch.tensor([5.0]))
     (problem,) = report.problems
-    assert "gradient of sensor.size.raw" in problem
+    assert "gradient of sensor.gain.raw" in problem

@@ -11,10 +11,10 @@ from scipy.integrate import quad
 
 from torchfra import presets
 from torchfra.filters import SRCKF
-from torchfra.gaussian import third_degree
+from torchfra.gaussian import fifth_degree, third_degree
 from torchfra.motion import ConstantAcceleration, Motion
 from torchfra.robust import HuberRegression, HuberScore
-from torchfra.scenarios import growth, reentry
+from torchfra.scenarios import bearings_outliers, growth, reentry
 from torchfra.sensors import Position
 from torchfra.types import Gaussian
 
@@ -45,6 +45,25 @@ def test_scalar_updates_have_their_known_values():
     assert scalar(presets.hghckf2, 4, 6.0)[0] == pytest.approx(4 / 5**0.5 * 1.345)
     assert scalar(presets.hghckf1, 4, 6.0) == pytest.approx((5.3275, 0.88792), abs=1e-5)
     assert scalar(presets.ghckf, 4, 6.0) == pytest.approx((4.8, 0.8))
+
+
+@pytest.mark.parametrize("rule", [third_degree, fifth_degree])
+def test_from_a_poor_start_a_bounded_score_never_catches_up_where_its_covariance_shrinks_as_if_it_had(rule):
+    """Whatever the rule: the reason is the constant factor, not weights of points, and the indicator mends it."""
+    scenario = bearings_outliers("none")  # 2.5 km off, said to be 14 m
+    tracks = scenario.simulate(20)
+    estimates = {
+        mode: presets.hghckf2(scenario.motion, scenario.sensor, rule=rule, cov_mode=mode)(
+            tracks.z, tracks.prior, u=tracks.u
+        )
+        for mode in ("constant", "indicator")
+    }
+    last = {mode: (e.mean - tracks.truth)[:, -1, :2].norm(dim=-1) for mode, e in estimates.items()}
+    assert (last["constant"] > 2000).all()
+    assert (last["indicator"] < 1000).all()
+    assert (estimates["constant"].nis[:, 0] > 500).all()  # the first innovations: over 20 standard deviations
+    shrunk, grown = (e.covariance[:, 20, :2, :2].diagonal(dim1=-2, dim2=-1).sum(-1) for e in estimates.values())
+    assert (grown > 4 * shrunk).all()
 
 
 @pytest.mark.parametrize("preset", [presets.hghckf1, presets.hghckf2])

@@ -150,6 +150,11 @@ def hghckf2(
 ) -> SRCKF:  # fmt: skip
     """Robust by the Huber score of the normalised innovation.
 
+    A measurement moves the estimate by no more than ``threshold`` standard deviations of the innovation, and with the
+    paper's ``cov_mode="constant"`` the covariance shrinks as if it had been followed.  So a filter that is far off,
+    from a poor start or after a manoeuvre, stays sure of itself and may never catch up; with ``"indicator"`` the
+    covariance grows until it does.
+
     Args:
         motion: how targets move.
         sensor: what is measured.
