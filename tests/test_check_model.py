@@ -38,6 +38,16 @@ class Wild(Motion):
         return 4 * torch.sin(4 * x) + 0 * u
 
 
+class Short(Sensor):
+    """Says that it reads three components, and reads four."""
+
+    def __init__(self):
+        super().__init__(3, [False], 1.0)
+
+    def forward(self, x, u=None):
+        return (x[..., :2] * x[..., 2:]).sum(-1, keepdim=True)
+
+
 class Itself(Sensor):
     def __init__(self):
         super().__init__(1, [False], 300.0, None)
@@ -272,6 +282,11 @@ def test_a_state_and_a_u_may_be_lists_and_what_mixes_tracks_is_told_by_how_much(
     assert check_model(STRAIGHT, Needy(), state=[100, 50, 1, 2], u=[3, 4]).ok
     (problem,) = check_model(Together(), RANGES).problems
     assert re.search(r"state 0 of a batch.* received .*, a difference of \[", problem)
+
+
+def test_a_sensor_that_reads_more_than_it_says_is_told_of_although_shapes_fit():
+    (problem,) = check_model(STRAIGHT, Short()).problems
+    assert "measurement of the 3 components that it reads alone (reads): expected that of the whole state" in problem
 
 
 # ---------------------------------------------------------------- models in which rounding grows

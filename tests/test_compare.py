@@ -127,7 +127,7 @@ def test_several_targets_of_a_run_are_one_run_in_tests():
 
 def test_what_cannot_be_compared_is_refused():
     f = torchfra.presets.srckf(SCENARIO.motion, SCENARIO.sensor)
-    with pytest.raises(ValueError, match="data: expected a Scenario or Tracks, received int"):
+    with pytest.raises(ValueError, match=r"data: expected a Scenario or Tracks \(truth, z, u, prior\), received int"):
         torchfra.compare({"a": f}, 3)
     with pytest.raises(ValueError, match="filters: expected a Filter as a, received int"):
         torchfra.compare({"a": 3}, SCENARIO)

@@ -94,7 +94,7 @@ def _scenario(filters: Mapping[str, Filter] | Sequence[str], data: Scenario | Tr
     if isinstance(data, Scenario):
         return data
     if not isinstance(data, Tracks):
-        raise ValueError(f"data: expected a Scenario or Tracks, received {type(data).__name__}")
+        raise ValueError(f"data: expected a Scenario or Tracks (truth, z, u, prior), received {type(data).__name__}")
     if not isinstance(filters, Mapping) or not filters:
         raise ValueError("filters: expected filters by name with Tracks, which have no models for the catalogue's")
     first = next(iter(_checked(filters).values()))

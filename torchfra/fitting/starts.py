@@ -65,7 +65,7 @@ def first_of(motion: Motion, sensor: Sensor, z: Tensor, dt: Tensor, u: Tensor | 
         ValueError: the sensor does not tell where a target is, or tracks have one step.
     """
     if not sensor.locates:
-        expected = f"one belief per track, as {sensor.describe()} does not tell where a target is"
+        expected = f"one belief per track, as {sensor.describe()} does not tell where a target is (locates, locate)"
         raise ValueError(f"prior: expected {expected}, received none")
     if z.shape[1] < 2:
         raise ValueError("data: expected two steps or more in tracks without a prior, received one")

@@ -32,7 +32,8 @@ class Vector:
             expected = "a filter whose parameters are hyperparameters (others learn in a loop of your own)"
             raise ValueError(f"filter: expected {expected}, received {', '.join(sorted(others))}")
         if not known:
-            raise ValueError("learn: expected names of hyperparameters, or a preset with learn=..., received none")
+            names = ", ".join(dict.fromkeys(path.rpartition(".")[2] for path in hypers(f)))
+            raise ValueError(f"learn: expected names of hyperparameters ({names}), or a preset with learn=..., received none")
         for path, hyper in known.items():
             if hyper.batch_rank:
                 expected = "one value each (restarts= and sweep try several)"

@@ -106,7 +106,7 @@ class Sensor(nn.Module):
         self._lay_out(reads, angles)
         self.register_buffer("root", None)
         if (std is None) == (noise is None):
-            raise ValueError("std, noise: expected exactly one of the two")
+            raise ValueError(f"std, noise: expected one of the two, received {'none' if std is None else 'both'}")
         if std is not None:
             self.std = elementwise(std, self.size, "std")
         if noise is not None:

@@ -37,7 +37,11 @@ def shapes(part: Part) -> None:
 def what_it_reads(part: Part) -> None:
     """Of a sensor: it does with the components that it says it reads."""
     assert isinstance(part.model, Sensor)
-    shapes(replace(part, x=part.x[:, : part.model.reads]))
+    alone = replace(part, x=part.x[:, : part.model.reads])
+    shapes(alone)
+    same = torch.allclose(alone.together(), part.together(), rtol=1e-9, atol=1e-9)
+    what = f"measurement of the {part.model.reads} components that it reads alone (reads)"
+    expect(same, what, f"that of the whole state, {_rounded(part.together())}", _rounded(alone.together()))
 
 
 def batches(part: Part) -> None:
