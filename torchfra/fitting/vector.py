@@ -33,7 +33,8 @@ class Vector:
             raise ValueError(f"filter: expected {expected}, received {', '.join(sorted(others))}")
         if not known:
             names = ", ".join(dict.fromkeys(path.rpartition(".")[2] for path in hypers(f)))
-            raise ValueError(f"learn: expected names of hyperparameters ({names}), or a preset with learn=..., received none")
+            expected = f"names of hyperparameters ({names}), or a preset with learn=..."
+            raise ValueError(f"learn: expected {expected}, received none")
         for path, hyper in known.items():
             if hyper.batch_rank:
                 expected = "one value each (restarts= and sweep try several)"
