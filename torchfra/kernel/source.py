@@ -75,7 +75,7 @@ class Scan:
         Args:
             narrow: whether for one track, in plain C++ that needs no headers of torch; or for many, in vectors.
         """
-        return "".join((*self.parts(narrow), file("run.cpp")))
+        return "".join((*self.parts(narrow, apart=True), file("run.cpp")))
 
     def cuda(self) -> str:
         """The same for a GPU: one thread for each track, whose tensors come as an argument by value."""
@@ -85,11 +85,17 @@ class Scan:
             run = run.replace(word, str(count))
         return "".join((*self.parts(True), run))
 
-    def parts(self, narrow: bool, name: str = "step") -> tuple[str, str]:
-        """What any scan of this dtype needs, and the namespace of this one, whose function is ``block``."""
+    def parts(self, narrow: bool, name: str = "step", apart: bool = False) -> tuple[str, str]:
+        """What any scan of this dtype needs, and the namespace of this one, whose function is ``block``.
+
+        Args:
+            narrow: whether for one track.
+            name: of the namespace.
+            apart: whether parts of a large step may be compiled apart.
+        """
         head, block = (text.replace("SCALAR", SCALARS[self.dtype]) for text in template(narrow))
         block = block.replace("TIME", "steps - 1 - k" if self.backwards else "k").replace("NAME", name)
-        for word, text in Writer(self._step(), narrow).texts().items():
+        for word, text in Writer(self._step(), narrow, apart).texts().items():
             block = block.replace(word, text)
         return head, block
 
