@@ -10,7 +10,7 @@ from typing import NamedTuple
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.frame import crossing, frame
 from torchfra.kernel.parts import apart, together
-from torchfra.kernel.schedule import Piece, cut, pieces
+from torchfra.kernel.schedule import Piece, cut, guarded_share, pieces
 from torchfra.kernel.statements import as_number, as_truth, called, computed, declared, function, indented
 
 _PACKS, _BYTES = 16, 1 << 18
@@ -68,24 +68,26 @@ class Writer:
     Args:
         step: the step.
         narrow: whether for one track.
-        apart: whether parts of a large step may be compiled apart: see ``parts.apart``.
+        length: expressions of a function, about; None for what suits a CPU.
     """
 
-    def __init__(self, step: Step, narrow: bool, apart: bool = False) -> None:
-        self._step, self._book, self._apart = step, step.book, apart
+    def __init__(self, step: Step, narrow: bool, length: int | None = None) -> None:
+        self._step, self._book = step, step.book
         live = [i for i in _lazily(self._book, step.live) if i not in self._book.values and i not in step.carried]
-        self._before = [Piece(part, None) for part in cut(self._book, [i for i in live if i not in step.varying])]
+        self._before = [
+            Piece(part, None) for part in cut(self._book, [i for i in live if i not in step.varying], length)
+        ]
         ends = [*step.carried.values(), *(i for i, _ in step.stores)]
-        self._steps = pieces(self._book, [i for i in live if i in step.varying], ends)
+        self._steps = pieces(self._book, [i for i in live if i in step.varying], ends, length)
         self._frame = frame(self._book, self._before, self._steps, step.carried, ends)
-        guarded = any(piece.guard for piece in self._steps) and not narrow
-        self._packs = max(1, min(_PACKS, _BYTES // (64 * self._frame.size))) if guarded else 1
+        self.guarded = guarded_share(self._book, self._steps)
+        self._packs = max(1, min(_PACKS, _BYTES // (64 * self._frame.size))) if self.guarded and not narrow else 1
         self._stores: dict[int, list[Access]] = defaultdict(list)
         for number, access in step.stores:
             self._stores[number].append(access)
 
-    def texts(self) -> dict[str, str]:
-        """What takes the place of each word of the template."""
+    def texts(self, split: bool = False) -> dict[str, str]:
+        """What takes the place of each word of the template; ``split``: functions of a large step are in parts."""
         functions = [self._begin()]
         long: dict[str, list[str]] = {}
         before, calls = ["begin(s[p], in, at[p]);"], []
@@ -107,7 +109,7 @@ class Writer:
         return {
             "SIZE": str(self._frame.size),
             "MANY": str(self._packs),
-            "// PIECES\n": "".join(((apart if self._apart else together)(long), *functions)),
+            "// PIECES\n": "".join(((apart if split else together)(long), *functions)),
             "    // FIXED\n": indented(before, 4),
             "    // STEP\n": indented(calls, 4),
             "    // END\n": indented(["end(s[p], out, at[p]);"], 4),
