@@ -21,6 +21,7 @@ import torch
 from torchfra import register
 from torchfra.app import cli
 from torchfra.catalogue import make_scenario, scenario_filters
+from torchfra.scenarios import Scenario
 from train import tune, values
 
 ROOT = Path(__file__).parent.parent
@@ -68,6 +69,8 @@ HELP_ONLY = {
     "scripts/benchmark.py --what scaling": "compiles a filter for each number of states",
 }
 """Commands of which only the arguments are checked, and why."""
+STEPS = 25
+"""The most that a simulated track may have: code and commands run as well on short ones."""
 LEARNED = {
     "fra_bearings": ("fra", "bearings-outliers"), "fra_recorded": ("fra", "bearings-outliers"),
     "switching": ("vsimm_srckf", "adsb-turns"), "contaminated": ("hghckf2", "growth"),
@@ -103,6 +106,26 @@ def commands_of(text):
 
 
 LINES = sorted({line for path in DOCUMENTS for line in commands_of(path.read_text())})
+
+
+@pytest.fixture(autouse=True)
+def short_tracks(monkeypatch):
+    """Scenarios of the first steps only."""
+    made = Scenario.__init__
+
+    def make_short(scenario, *arguments, **named):
+        made(scenario, *arguments, **named)
+        block = scenario.block
+        object.__setattr__(scenario, "steps", min(scenario.steps, STEPS))
+        object.__setattr__(scenario, "block", lambda rng, runs: beginning(block(rng, runs)))
+
+    monkeypatch.setattr(Scenario, "__init__", make_short)
+
+
+def beginning(tracks):
+    """The first steps of tracks or scans."""
+    u = tracks.u if tracks.u is None else tracks.u[..., :STEPS, :]
+    return tracks._replace(truth=tracks.truth[..., :STEPS, :], z=tracks.z[:, :STEPS], u=u)
 
 
 @pytest.mark.parametrize("name", NAMES)
