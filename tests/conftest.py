@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from short_tracks import short
 
 from torchfra import presets, scenarios
 from torchfra.kernel import build, compilers
@@ -67,6 +68,13 @@ def make(scenario):
 def seeded():
     """Random numbers of a test are the same in every run."""
     torch.manual_seed(0)
+
+
+@pytest.fixture
+def short_tracks():
+    """Scenarios that are made by the test have few steps."""
+    with short():
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

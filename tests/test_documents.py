@@ -2,7 +2,6 @@
 
 import ast
 import contextlib
-import dataclasses
 import functools
 import importlib.util
 import io
@@ -22,8 +21,9 @@ import torch
 from torchfra import register
 from torchfra.app import cli
 from torchfra.catalogue import make_scenario, scenario_filters
-from torchfra.scenarios import Scenario
 from train import tune, values
+
+pytestmark = pytest.mark.usefixtures("short_tracks")  # on which code and commands run as well
 
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = [
@@ -70,8 +70,6 @@ HELP_ONLY = {
     "scripts/benchmark.py --what scaling": "compiles a filter for each number of states",
 }
 """Commands of which only the arguments are checked, and why."""
-STEPS = 25
-"""The most that a simulated track may have: code and commands run as well on short ones."""
 LEARNED = {
     "fra_bearings": ("fra", "bearings-outliers"), "fra_recorded": ("fra", "bearings-outliers"),
     "switching": ("vsimm_srckf", "adsb-turns"), "contaminated": ("hghckf2", "growth"),
@@ -107,39 +105,6 @@ def commands_of(text):
 
 
 LINES = sorted({line for path in DOCUMENTS for line in commands_of(path.read_text())})
-
-
-@pytest.fixture(autouse=True)
-def short_tracks(monkeypatch):
-    """Scenarios of the first steps only, but for the one of which single steps are asked for."""
-    made = Scenario.__init__
-
-    def make_short(scenario, *arguments, **named):
-        made(scenario, *arguments, **named)
-        if scenario.name == "alpha-beta":
-            return
-        block, law = scenario.block, scenario.law
-        short = {"steps": min(scenario.steps, STEPS), "block": lambda rng, runs: beginning(block(rng, runs))}
-        for name, value in (short | {"law": law and beginning_of_law(law)}).items():
-            object.__setattr__(scenario, name, value)
-
-    monkeypatch.setattr(Scenario, "__init__", make_short)
-
-
-def beginning(tracks):
-    """The first steps of tracks or scans."""
-    u = tracks.u if tracks.u is None else tracks.u[..., :STEPS, :]
-    return tracks._replace(truth=tracks.truth[..., :STEPS, :], z=tracks.z[:, :STEPS], u=u)
-
-
-def beginning_of_law(law):
-    """The same of what may be said of each step."""
-    motion = law.motion[:STEPS] if isinstance(law.motion, list | tuple) else law.motion
-    std, information = (
-        x[:STEPS] if isinstance(x, torch.Tensor) and x.dim() == steps else x
-        for x, steps in ((law.std, 2), (law.information, 1))
-    )
-    return dataclasses.replace(law, motion=motion, std=std, information=information)
 
 
 @pytest.mark.parametrize("name", NAMES[1:])  # of README.md: test_scripts.py, which reads what they print
