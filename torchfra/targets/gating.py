@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchfra.association.gates import Candidates, ChiSquare, Gate
-from torchfra.linalg.triangular import hstack, tria
+from torchfra.linalg.triangular import tria
 from torchfra.sensors.base import Sensor
 from torchfra.targets.assignment import scipy
 from torchfra.types import Gaussian
@@ -16,34 +16,13 @@ _WIDER = 1.25
 first order only."""
 
 
-def expected(sensor: Sensor, belief: Gaussian, u: Tensor | None, learned: Tensor | None) -> Gaussian:
-    """What a sensor will measure: mean ``(N, m)`` and root of the innovation's covariance, by points of third degree.
-
-    Args:
-        sensor: it measures.
-        belief: predictions ``(N,)``.
-        u: ``(N, k)`` or None.
-        learned: ``(N, m)`` variances of the noise that it has learned, as multiples of the nominal ones, or None.
-    """
-    mean, root = belief
-    n = mean.shape[-1]
-    offsets = (n**0.5 * root).movedim(-1, 0)  # (n, N, n)
-    points = torch.cat([mean.unsqueeze(0), mean + offsets, mean - offsets])
-    z = sensor.at_points(points, u)
-    spread = sensor.difference(z[1:], z[:1]).movedim(0, -1) / (2 * n) ** 0.5  # (N, m, 2n)
-    unit = sensor.measurement_noise(torch.zeros_like(z[0]))
-    scale = torch.ones_like(z[0]) if learned is None else learned
-    noise = unit.colour(scale.sqrt().diag_embed())
-    return Gaussian(z[0], tria(hstack(spread, noise)))
-
-
 def in_reach(gate: Gate, sensor: Sensor, predicted: Gaussian, scans: Tensor, scene: Tensor, heat: float) -> Tensor:
     """Which measurements of its scene may be in the gate of each target: ``(N, J)`` bool; none that is missing.
 
     Args:
         gate: the filter's.
         sensor: it measured.
-        predicted: measurements ``(N,)``, see ``expected``.
+        predicted: measurements ``(N,)``, see ``JPDA.outlook``.
         scans: ``(R, J, m)``; NaN is missing.
         scene: ``(N,)`` of each target.
         heat: temperature of the gate.

@@ -111,6 +111,18 @@ class Compiled:
             plan = now.plan(back.advance, back.state, data, timed, back)
         return now.run(plan, back.steps, back.state, data)[1]
 
+    def once(
+        self, f: Any, function: Callable[[Any, Any, Frame], Any], state: Any, measurements: Measurements
+    ) -> tuple[Any, Any]:
+        """What ``function(f, state, frame)`` gives for one measurement or scan: a state, and what it says of the step.
+
+        All has been checked.
+        """
+        data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
+        with BUILDING:
+            plan = now.plan(traced.Once(function, _whole(f, measurements)), state, data, (False,) * 5)
+        return now.run(plan, 1, state, data)
+
     def step(
         self, f: Any, state: Any, measurements: Measurements, check: Callable[[], Frame]
     ) -> tuple[Any, Innovation]:
