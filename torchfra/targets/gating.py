@@ -27,25 +27,28 @@ def in_reach(gate: Gate, sensor: Sensor, predicted: Gaussian, scans: Tensor, sce
         scene: ``(N,)`` of each target.
         heat: temperature of the gate.
     """
-    z, seen = scans[scene], ~scans.isnan()
-    centre = predicted.mean.unsqueeze(-2)
+    z = scans.expand(len(scene), -1, -1) if len(scans) == 1 else scans[scene]
+    seen, centre = ~scans.isnan(), predicted.mean.unsqueeze(-2)
     gap = sensor.difference(z, centre)
     kind = seen.to(torch.int64) @ (2 ** torch.arange(sensor.size, device=z.device))  # which elements, as bits
+    kinds = [bits for bits in kind.unique().tolist() if bits]
     nis = torch.full_like(gap[..., 0], torch.inf)
-    for bits in kind.unique().tolist():  # one, unless devices measure parts of it
+    for bits in kinds:  # one, unless devices measure parts of it
         some = [i for i in range(sensor.size) if bits >> i & 1]
-        if some:
-            root = predicted.scale_tril if len(some) == sensor.size else tria(predicted.scale_tril[:, some])
-            squared = torch.linalg.solve_triangular(root, gap[..., some].mT, upper=False).square().sum(-2)
-            nis = torch.where((kind == bits)[scene], squared / _WIDER**2, nis)
-    number = seen.sum(-1)[scene]
+        root, part = predicted.scale_tril, gap
+        if len(some) < sensor.size:
+            root, part = tria(root[:, some]), gap[..., some]
+        white = torch.linalg.solve_triangular(_WIDER * root, part.mT, upper=False)
+        squared = torch.stack(white.unbind(-2)).square().sum(0)  # NaN, which no gate holds, where it is missing
+        nis = squared if len(kinds) == 1 else torch.where((kind == bits)[scene], squared, nis)
+    number = seen.sum(-1)
     if isinstance(gate, ChiSquare) and heat == 0:
-        largest: Tensor = _quantiles(gate, z)[number]
-        return nis <= largest
+        inside: Tensor = nis <= _quantiles(gate, z)[number][scene]
+        return inside
     there = seen[scene]
     candidates = Candidates(torch.where(there, z, centre), centre.expand_as(z), there.to(z), nis)
     membership: Tensor = gate(candidates, sensor, heat)
-    return (membership > -torch.inf) & (number > 0)
+    return (membership > -torch.inf) & (number > 0)[scene]
 
 
 def _quantiles(gate: ChiSquare, like: Tensor) -> Tensor:

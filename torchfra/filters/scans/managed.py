@@ -10,8 +10,8 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.filters.scans.apart import missed, widened
-from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.hypotheses import JPDAState
+from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.lost_tracks import log_miss, search, wider
 from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.inputs import Frame, Measurements
