@@ -24,7 +24,7 @@ def stepped(
     f: JPDA, function: Callable[[JPDA, JPDAState, Frame], tuple[JPDAState, Any]], state: JPDAState,
     measurements: Measurements,
 ) -> tuple[JPDAState, Any]:  # fmt: skip
-    """A ``function`` of this module on a scan ``z (C, J, m)`` that has been checked, as a kernel if the filter has some.
+    """A ``function`` of this module on a checked scan ``z (C, J, m)``, as a kernel if the filter has some.
 
     Kernels sum over all events of a scan: where clusters may be too large for that, they do not run.
     """
