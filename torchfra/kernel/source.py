@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 
 from torchfra.kernel.expressions import ZERO, Expressions
+from torchfra.kernel.parts import are_in, opened
 from torchfra.kernel.statements import file, template
 from torchfra.kernel.writer import Access, Step, Writer
 
@@ -104,7 +105,7 @@ class Scan:
         block = block.replace("TIME", "steps - 1 - k" if self.backwards else "k").replace("NAME", name)
         for word, text in writer.texts(apart).items():
             block = block.replace(word, text)
-        return head, block
+        return (opened(head), opened(block)) if are_in(block) else (head, block)
 
     def _step(self) -> Step:
         """The step as its writer needs it."""
