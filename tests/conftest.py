@@ -2,11 +2,14 @@
 
 import copy
 import os
+import shutil
 
 import pytest
 import torch
+from short_tracks import short
 
 from torchfra import presets, scenarios
+from torchfra.kernel import compilers
 
 PRESETS = ["ekf", "ukf", "srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "iaukf", "fra_srckf", "fra", "gpb"]
 STEPS = 12
@@ -63,6 +66,13 @@ def seeded():
     torch.manual_seed(0)
 
 
+@pytest.fixture
+def short_tracks():
+    """Scenarios that are made by the test have few steps."""
+    with short():
+        yield
+
+
 @pytest.fixture(scope="session", autouse=True)
 def kernels(tmp_path_factory):
     """Kernels of this session alone, compiled in a hurry: not optimised."""
@@ -70,5 +80,11 @@ def kernels(tmp_path_factory):
         folder = tmp_path_factory.getbasetemp()  # of one worker, where there are several
         folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "kernels"
         patch.setenv("TORCHFRA_CACHE", str(folder))
-        patch.setenv("CXXFLAGS", "-O0")
+        patch.setenv("CXXFLAGS", f"-O0 {quick_linker()}")
         yield
+
+
+def quick_linker():
+    """The option for a linker that reads torch's symbols in a third of the time, where there is one."""
+    gold = compilers.find().family == "gcc" and shutil.which("ld.gold")
+    return "-fuse-ld=gold" if gold else ""

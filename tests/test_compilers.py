@@ -112,17 +112,20 @@ def test_the_compiler_of_windows_is_given_its_own_arguments():
 
 @pytest.mark.slow
 @needs_zig
-@pytest.mark.parametrize(("name", "dtype"), [("srckf", torch.float32), ("fra", torch.float64)])
-def test_zig_makes_what_the_other_compiler_makes(name, dtype, make, tracks, folder, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "dtype", "gradients"), [("srckf", torch.float32, False), ("fra", torch.float64, True)]
+)
+def test_zig_makes_what_the_other_compiler_makes(name, dtype, gradients, make, tracks, folder, monkeypatch):
     found = []
     z, prior = tracks.z.to(dtype), type(tracks.prior)(*(x.to(dtype) for x in tracks.prior))
-    monkeypatch.setenv("CXXFLAGS", "-O1 -ffp-contract=off")
+    monkeypatch.setenv("CXXFLAGS", "-O0 -ffp-contract=off")
     for command in ("g++", ZIG):
         monkeypatch.setenv("CXX", command)
-        f = make(name, learn=("q",)).compile()
+        f = make(name, learn=("q",) if gradients else ()).compile()
         estimate = f(z, prior, u=tracks.u.to(dtype))
-        gradient = torch.autograd.grad(estimate.mean.double().square().mean(), f.motion.q.raw)
-        found.append((estimate.mean.detach(), *gradient))
+        found.append([estimate.mean.detach()])
+        if gradients:
+            found[-1] += torch.autograd.grad(estimate.mean.square().mean(), f.motion.q.raw)
     tolerance = 1e-12 if dtype == torch.float64 else 1e-4
     for one, other in zip(*found, strict=True):
         torch.testing.assert_close(one, other, rtol=tolerance, atol=tolerance * one.abs().max().item())
