@@ -10,7 +10,6 @@ using int64_t = long long;
 // Functions that are called once for each track and step, the same where parts are compiled apart, small ones, and tables of
 // places: where and how.
 #ifdef __CUDACC__
-#define all every  // CUDA has a function of that name
 #define NOINLINE static __device__ __noinline__
 #define INLINE __device__ __forceinline__
 #define TABLE __device__ const short
