@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import torch
 
+from torchfra.kernel.divisions import with_quotients
 from torchfra.kernel.expressions import ZERO, Expressions
+from torchfra.kernel.parts import are_in, opened
 from torchfra.kernel.statements import file, template
 from torchfra.kernel.writer import Access, Step, Writer
 
@@ -104,20 +106,22 @@ class Scan:
         block = block.replace("TIME", "steps - 1 - k" if self.backwards else "k").replace("NAME", name)
         for word, text in writer.texts(apart).items():
             block = block.replace(word, text)
-        return head, block
+        return (opened(head), opened(block)) if are_in(block) else (head, block)
 
     def _step(self) -> Step:
         """The step as its writer needs it."""
         carry = [(i, p, e) for p, port in enumerate(self.carry) for e, i in enumerate(port.ids)]
         live = self.live()
+        varying, carried, stores = self._varying(live), self._carried(), self._stores()
+        book, live = with_quotients(self.book, live, varying, [*carried.values(), *(i for i, _ in stores)])
         return Step(
-            self.book,
+            book,
             live,
-            self._varying(live),
-            self._carried(),
+            varying.intersection(live),
+            carried,
             {i: Access(f"in[{p}]", "Scalar", "get", e) for i, p, e in carry if i != ZERO},
             self._loads(),
-            self._stores(),
+            stores,
             [(i, Access(f"out[{p}]", "Scalar", "put", e)) for i, p, e in carry],
         )
 

@@ -77,7 +77,7 @@ def indented(lines: Iterable[str], indent: int) -> str:
 def template(narrow: bool) -> tuple[str, str]:
     """``template.cpp``, before its namespace and that, with ``narrow.cpp`` or ``wide.cpp`` in it."""
     lanes = file("narrow.cpp" if narrow else "wide.cpp")
-    head, mark, block = file("template.cpp").replace("// LANES\n", lanes).partition("namespace NAME {")
+    head, mark, block = file("template.cpp").replace("// LANES\n", lanes).partition("namespace {\nnamespace NAME {")
     return head, mark + block
 
 

@@ -7,10 +7,9 @@ using int64_t = long long;
 #include <cstdint>
 #endif
 
-// Functions that are called once for each track and step, the same between parts that are compiled apart, small ones, and
-// tables of places: where and how.
+// Functions that are called once for each track and step, the same where parts are compiled apart, small ones, and tables of
+// places: where and how.
 #ifdef __CUDACC__
-#define all every  // CUDA has a function of that name
 #define NOINLINE static __device__ __noinline__
 #define INLINE __device__ __forceinline__
 #define TABLE __device__ const short
@@ -26,15 +25,13 @@ using int64_t = long long;
 #define TABLE constexpr short
 #endif
 
-inline namespace torchfra {
+namespace {
+using Scalar = SCALAR;
+
 // A tensor: where it is, and how far it is to the next track, the next step, the next entry.
 struct Port { char* data; int64_t track, time, entry; };
 // A block of tracks at a step; those beyond the last are the last once more.
 struct Block { int64_t first, lanes, step; };
-}  // namespace torchfra
-
-namespace {
-using Scalar = SCALAR;
 
 // The entries of a tensor at a step, from the first track of a block on.
 template <class T> struct Entries {
@@ -98,6 +95,7 @@ template <class... A> INLINE V norm_(const A&... a) {
 }
 }  // namespace
 
+namespace {
 namespace NAME {
 constexpr int PLACES = SIZE;  // of values that go from piece to piece, side by side for each pack of tracks
 constexpr int64_t PACKS = MANY;  // at most, in a block of tracks
@@ -121,3 +119,4 @@ static INLINE void block(const Port* in, const Port* out, int64_t steps, const B
   }
 }
 }  // namespace NAME
+}  // namespace

@@ -1,0 +1,49 @@
+"""Kernels divide as torch does: by numbers below the least normal one too, whose inverses are not finite."""
+
+import pytest
+import torch
+
+from torchfra.kernel.divisions import with_quotients
+from torchfra.kernel.expressions import Expressions
+from torchfra.kernel.run import Kernels
+from torchfra.kernel.step import Input, Step
+
+TINY = 1e-310
+
+
+def advance(module, state, data):
+    z, w = data["z"].unbind(-1)
+    guarded = torch.where(z > 1e-300, z.log(), 0.0)
+    return state, (w / z, guarded)
+
+
+@pytest.mark.parametrize("tracks", [1, 13])
+def test_quotients_and_gradients_of_tiny_numbers_are_those_of_torch(tracks):
+    z = torch.tensor([[TINY, 3 * TINY], [TINY, 0.0], [0.5, 1.0]], dtype=torch.float64).expand(tracks, 3, 2).clone()
+    state = (torch.ones(1, dtype=torch.float64),)
+    step = Step(torch.nn.Module(), lambda m: state, advance, {"z": Input(torch.Size([2]), True, False)}, z.dtype)
+    kernels, found, expected = Kernels(step), [], []
+    for run, kept in ((lambda x: kernels.run(x.shape[:1], 3, [state[0].expand(tracks, 1)], [x])[1], found),
+                      (lambda x: advance(None, state, {"z": x})[1], expected)):  # fmt: skip
+        x = z.clone().requires_grad_()
+        quotient, logarithm = run(x)
+        (gradient,) = torch.autograd.grad(logarithm.sum(), x)
+        kept += [quotient.detach(), logarithm.detach(), gradient]
+    assert all(x.isfinite().all() for x in expected)
+    for a, b in zip(expected, found, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-13, atol=0.0)
+
+
+def test_an_inverse_that_several_share_or_that_stays_is_computed_once():
+    book = Expressions()
+    a, b, c, d = (book.input() for _ in range(4))
+    alone, twice, other = book.apply("div", a, b), book.apply("div", a, c), book.apply("div", b, c)
+    stays = book.apply("div", a, d)
+    ends = [alone, twice, other, stays]
+    every = list(range(len(book.nodes)))
+    varying = {i for i in every if i not in (d, book.apply("div", book.constant(1.0), d))}
+    new, live = with_quotients(book, every, varying, ends)
+    assert new.nodes[alone] == ("div", (a, b))
+    assert all(new.nodes[i] == book.nodes[i] for i in (twice, other, stays))
+    assert set(every) - set(live) == {book.apply("div", book.constant(1.0), b)}
+    assert book.nodes[alone][0] == "mul"
