@@ -27,6 +27,7 @@ BEFORE = """
 #define __CUDACC__
 #define __device__
 #define __global__
+#define __launch_bounds__(...)
 #define __grid_constant__
 #define __noinline__ __attribute__((noinline))
 #define __forceinline__ inline

@@ -20,9 +20,8 @@ import torch
 from torchfra.kernel import cache
 from torchfra.kernel.build import bare
 from torchfra.kernel.compilers import CompileError
+from torchfra.kernel.source import THREADS
 
-THREADS = 64
-"""Of a block: few, as each holds the values of a step in registers."""
 _OPTIONS = ("--std=c++17", "--fmad=true")
 
 

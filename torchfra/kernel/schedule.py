@@ -34,13 +34,14 @@ def cost(book: Expressions, numbers: Iterable[int]) -> int:
     return sum(COSTS.get(book.nodes[i][0], 1) for i in numbers)
 
 
-def pieces(book: Expressions, live: Sequence[int], ends: Iterable[int]) -> list[Piece]:
+def pieces(book: Expressions, live: Sequence[int], ends: Iterable[int], length: int | None = None) -> list[Piece]:
     """A step in an order in which it can be computed, with what only some tracks need apart.
 
     Args:
         book: the expressions.
         live: those to be computed, arguments first.
         ends: those that all tracks need.
+        length: expressions of a piece, about; None for what suits a CPU.
     """
     guards = regions(book, live, conditions(book, live, ends))
     before = {i: [a for a in (*book.nodes[i][1], *(guards[i] or ())[:1]) if a in guards] for i in live}
@@ -48,8 +49,14 @@ def pieces(book: Expressions, live: Sequence[int], ends: Iterable[int]) -> list[
     return [
         Piece(part, guard)
         for (_, guard), group in sorted(groups.items(), key=lambda item: item[0][0])
-        for part in cut(book, group)
+        for part in cut(book, group, length)
     ]
+
+
+def guarded_share(book: Expressions, steps: Sequence[Piece]) -> float:
+    """What of a step only some tracks need: its cost over that of the whole."""
+    costs = [(cost(book, piece.numbers), piece.guard is not None) for piece in steps]
+    return sum(c for c, guarded in costs if guarded) / max(sum(c for c, _ in costs), 1)
 
 
 def conditions(book: Expressions, live: Sequence[int], ends: Iterable[int]) -> dict[int, frozenset[Condition]]:
@@ -144,8 +151,9 @@ def _groups(
     return groups
 
 
-def cut(book: Expressions, numbers: Sequence[int]) -> list[list[int]]:
+def cut(book: Expressions, numbers: Sequence[int], length: int | None = None) -> list[list[int]]:
     """Expressions in pieces of about equal length, cut where few values go across."""
+    length = length or _PIECE
     last = {arg: k for k, number in enumerate(numbers) for arg in book.nodes[number][1]}
     ends = [0] * (len(numbers) + 1)
     for k, number in enumerate(numbers):
@@ -156,7 +164,7 @@ def cut(book: Expressions, numbers: Sequence[int]) -> list[list[int]]:
         alive += change
         across.append(alive)
     cuts = [0]
-    while len(numbers) - cuts[-1] > _PIECE * 3 // 2:
-        window = range(cuts[-1] + _PIECE // 2, cuts[-1] + _PIECE)
+    while len(numbers) - cuts[-1] > length * 3 // 2:
+        window = range(cuts[-1] + length // 2, cuts[-1] + length)
         cuts.append(min(window, key=lambda k: across[k]) + 1)
     return [list(numbers[a:b]) for a, b in zip(cuts, [*cuts[1:], len(numbers)], strict=True) if a < b]

@@ -13,6 +13,10 @@ from torchfra.kernel.writer import Access, Step, Writer
 
 SCALARS = {torch.float64: "double", torch.float32: "float"}
 """The dtypes that kernels compute in, and what C++ calls them."""
+THREADS = 32
+"""Of a block on a GPU: few, as each holds the values of a step in registers."""
+_LONG = 6000
+"""Expressions of a function there, about, where it is slower to put values aside and no slower to compile."""
 
 
 @dataclass
@@ -79,17 +83,26 @@ class Scan:
 
     def cuda(self) -> str:
         """The same for a GPU: one thread for each track, whose tensors come as an argument by value."""
-        counts = {"INPUTS": len(self.carry + self.reads), "OUTPUTS": len(self.after + self.writes)}
+        writer = Writer(self._step(), True, _LONG)
+        counts = {
+            "INPUTS": len(self.carry + self.reads),
+            "OUTPUTS": len(self.after + self.writes),
+            "THREADS": THREADS,
+            "BLOCKS": 16 if writer.guarded > 0.5 else 8,
+        }
         run = file("cuda.cpp")
         for word, count in counts.items():
             run = run.replace(word, str(count))
-        return "".join((*self.parts(True), run))
+        return "".join((*self._parts(writer, True), run))
 
     def parts(self, narrow: bool, name: str = "step") -> tuple[str, str]:
         """What any scan of this dtype needs, and the namespace of this one, whose function is ``block``."""
+        return self._parts(Writer(self._step(), narrow), narrow, name)
+
+    def _parts(self, writer: Writer, narrow: bool, name: str = "step") -> tuple[str, str]:
         head, block = (text.replace("SCALAR", SCALARS[self.dtype]) for text in template(narrow))
         block = block.replace("TIME", "steps - 1 - k" if self.backwards else "k").replace("NAME", name)
-        for word, text in Writer(self._step(), narrow).texts().items():
+        for word, text in writer.texts().items():
             block = block.replace(word, text)
         return head, block
 

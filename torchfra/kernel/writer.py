@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.frame import crossing, frame
-from torchfra.kernel.schedule import Piece, cut, pieces
+from torchfra.kernel.schedule import Piece, cut, guarded_share, pieces
 from torchfra.kernel.statements import as_number, as_truth, called, computed, declared
 
 _PACKS, _BYTES = 16, 1 << 18
@@ -67,17 +67,20 @@ class Writer:
     Args:
         step: the step.
         narrow: whether for one track.
+        length: expressions of a function, about; None for what suits a CPU.
     """
 
-    def __init__(self, step: Step, narrow: bool) -> None:
+    def __init__(self, step: Step, narrow: bool, length: int | None = None) -> None:
         self._step, self._book = step, step.book
         live = [i for i in _lazily(self._book, step.live) if i not in self._book.values and i not in step.carried]
-        self._before = [Piece(part, None) for part in cut(self._book, [i for i in live if i not in step.varying])]
+        self._before = [
+            Piece(part, None) for part in cut(self._book, [i for i in live if i not in step.varying], length)
+        ]
         ends = [*step.carried.values(), *(i for i, _ in step.stores)]
-        self._steps = pieces(self._book, [i for i in live if i in step.varying], ends)
+        self._steps = pieces(self._book, [i for i in live if i in step.varying], ends, length)
         self._frame = frame(self._book, self._before, self._steps, step.carried, ends)
-        guarded = any(piece.guard for piece in self._steps) and not narrow
-        self._packs = max(1, min(_PACKS, _BYTES // (64 * self._frame.size))) if guarded else 1
+        self.guarded = guarded_share(self._book, self._steps)
+        self._packs = max(1, min(_PACKS, _BYTES // (64 * self._frame.size))) if self.guarded and not narrow else 1
         self._stores: dict[int, list[Access]] = defaultdict(list)
         for number, access in step.stores:
             self._stores[number].append(access)
