@@ -3,7 +3,6 @@
 import contextlib
 import copy
 import os
-import re
 import shutil
 import subprocess
 import time
@@ -14,7 +13,7 @@ import torch
 from short_tracks import short
 
 from torchfra import presets, scenarios
-from torchfra.kernel import build, compilers
+from torchfra.kernel import compilers
 
 PRESETS = ["ekf", "ukf", "srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "iaukf", "fra_srckf", "fra", "gpb"]
 STEPS = 12
@@ -89,6 +88,15 @@ def kernels(tmp_path_factory):
         yield
 
 
+HEADERS = """#include <math.h>
+#include <cstdint>
+#ifdef __AVX2__
+#include <immintrin.h>
+#endif
+"""
+"""What takes most of a compiler's time for a small kernel."""
+
+
 def parsed_headers(folder):
     """The option that includes a precompiled header, which the first worker makes; none where that fails."""
     header, done = folder / "headers.h", folder / "headers-done"
@@ -100,20 +108,11 @@ def parsed_headers(folder):
                 break
             time.sleep(0.1)
     else:
-        wide = (Path(build.__file__).parent / "wide.cpp").read_text()
-        (torch_header,) = re.findall(r"#include (<ATen/\S+>)", wide)  # takes most of a compiler's time
-        header.write_text(f"#if __has_include({torch_header})\n{wide[: wide.index('namespace {')]}#endif\n")
+        header.write_text(HEADERS)
         compiler = compilers.find()
-        command = [
-            *compiler.command,
-            *compiler.flags(),
-            "-O0",
-            f"-I{Path(torch.__file__).parent / 'include'}",
-            "-x",
-            "c++-header",
-        ]
+        command = [*compiler.command, *compiler.flags(), "-O0", "-x", "c++-header", str(header)]
         with contextlib.suppress(OSError):
-            subprocess.run([*command, str(header), "-o", f"{header}.gch"], capture_output=True, check=False)
+            subprocess.run([*command, "-o", f"{header}.gch"], capture_output=True, check=False)
         done.touch()
     return f"-include {header}" if Path(f"{header}.gch").exists() else ""
 

@@ -1,9 +1,13 @@
 """Importing the package imports torch, itself and no more: what is slow or optional is imported when it is used."""
 
+import importlib
+import pkgutil
 import subprocess
 import sys
 
 import pytest
+
+import torchfra
 
 CODE = """
 import runpy, sys
@@ -42,6 +46,18 @@ def imported():
 @pytest.mark.parametrize("step", [0, 1], ids=["the package", "its command"])
 def test_nothing_but_torch_and_itself_is_imported(step, imported):
     assert imported[step] == []
+
+
+def test_no_function_hides_a_package_so_that_what_is_inside_can_be_imported():
+    import torchfra.fitting.data as inside
+
+    assert inside.batch_of
+    packages = [found.name for found in pkgutil.walk_packages(torchfra.__path__, "torchfra.") if found.ispkg]
+    assert len(packages) > 20
+    for name in packages:
+        package = importlib.import_module(name)
+        above, _, last = name.rpartition(".")
+        assert getattr(importlib.import_module(above), last) is package, name
 
 
 def test_a_compiled_srckf_runs_without_the_compiler_of_torch(imported):

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from torchfra import Gaussian, presets, scenarios
+from torchfra.filters import compiled
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
 
@@ -12,6 +13,7 @@ LAGS = [None, 3]
 MOTION, SENSOR = ConstantVelocity(1.0), Position(2.0)
 PRIOR = Gaussian(torch.zeros(4).double(), torch.eye(4).double())
 Z = torch.zeros(6, 2).double()
+DT = torch.linspace(0.5, 1.5, 48).double().reshape(4, 12)
 
 
 def close(a, b, tol=1e-9):
@@ -127,20 +129,35 @@ def test_values_may_differ_by_track(make, tracks):
         close([x[i] for x in smoothed[:2]], f.smooth(tracks.z, tracks.prior, u=tracks.u))
 
 
-@pytest.mark.parametrize("options", [{"lag": 3}, {"dt": 0.5 + torch.rand(4, 12).double()}])
+@pytest.mark.parametrize("options", [{"lag": 3}, {"dt": DT}, {"dt": DT, "lag": 3}])
 def test_a_compiled_filter_smooths_as_one_that_is_not(make, tracks, options):
     f, fast = make("rsrckf"), make("rsrckf").compile()
     slow = f.smooth(tracks.z, tracks.prior, u=tracks.u, **options)
     close(fast.smooth(tracks.z, tracks.prior, u=tracks.u, **options), slow)
 
 
-@pytest.mark.parametrize(("name", "learn"), [("asrckf", ("weakening", "q")), ("fra", ("q",))])
-def test_gradients_of_a_compiled_filter_are_the_same(make, tracks, name, learn):
+@pytest.mark.parametrize("options", [{}, {"dt": 0.5 + torch.rand(4, 1).double()}])
+def test_with_a_lag_a_compiled_filter_that_decides_late_smooths_as_one_that_is_not(make, tracks, options, monkeypatch):
+    """Also where not all windows are taken at once."""
+    monkeypatch.setattr(compiled.back, "_AT_ONCE", 80)
+    f, fast, z = make("fra"), make("fra").compile(), tracks.z.clone()
+    z[:, 7] += 0.4
+    for lag in (1, 4, 11):
+        slow = f.smooth(z, tracks.prior, u=tracks.u, lag=lag, **options)
+        quick = fast.smooth(z, tracks.prior, u=tracks.u, lag=lag, **options)
+        close(quick, slow, tol=1e-10)
+    assert slow.info.filtered.info.abnormal[:, 7].any()
+
+
+@pytest.mark.parametrize(
+    ("name", "learn", "lag"), [("asrckf", ("weakening", "q"), None), ("fra", ("q",), None), ("fra", ("q",), 3)]
+)
+def test_gradients_of_a_compiled_filter_are_the_same(make, tracks, name, learn, lag):
     slow, fast = make(name, learn=learn), make(name, learn=learn).compile()
     losses, inputs = [], []
     for f in (slow, fast):
         z = tracks.z.clone().requires_grad_()
-        smoothed = f.smooth(z, tracks.prior, u=tracks.u)
+        smoothed = f.smooth(z, tracks.prior, u=tracks.u, lag=lag)
         losses.append(smoothed.mean.square().sum() + smoothed.scale_tril.square().sum())
         inputs.append([z, *f.parameters()])
     torch.testing.assert_close(*losses, rtol=1e-9, atol=0.0)

@@ -289,6 +289,22 @@ def test_gates_of_metres_and_soft_gates_are_gates_too():
         assert estimate.confirmed[:, -1].sum() == 4
 
 
+def test_a_compiled_filter_runs_compiled_and_leaves_the_same_targets():
+    """Two that fly side by side, in a cluster, and one alone."""
+    _, z = moving([(0, 0, 5, 0), (0, 9, 5, 0), (400, 0, 0, 4)], 12)
+    z[5, 2] = z[8, 1] = math.nan
+    plain = Targets(plane(gate=ChiSquare(0.9999)), birth=TwoPoint(10.0))
+    quick = Targets(plane(gate=ChiSquare(0.9999)).compile(), birth=TwoPoint(10.0))
+    slow, fast = run(plain, z)[-1], run(quick, z)[-1]
+    assert len(slow.identity) == 3
+    assert slow.identity.equal(fast.identity)
+    for a, b in zip(tree.flatten(slow.filter), tree.flatten(fast.filter), strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-10, atol=1e-10)
+    torch.testing.assert_close(slow.track.score, fast.track.score, rtol=1e-10, atol=1e-10)
+    (version,) = quick.filter._kernels._versions
+    assert len(version.kernels) >= 3  # what to expect, clusters of one, clusters of two
+
+
 def test_gradients_flow_through_the_lives_of_targets():
     f = plane(learn=("detection", "q"))
     targets = Targets(f, birth=TwoPoint(20.0))

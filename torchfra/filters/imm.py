@@ -53,6 +53,7 @@ class Around(TrackFilter[S]):
     """
 
     keeps_past = True
+    kernels_back = True
 
     def __init__(self, inner: Filter) -> None:
         super().__init__()
@@ -176,11 +177,6 @@ class IMM(Around[IMMState]):
             raise ValueError(f"initial: expected ({count},), received {tuple(initial.shape)}")
         self.transition = Hyper(transition, constraints.simplex, event_dim=2, name="transition")
         self.initial = Hyper(initial.double(), constraints.simplex, event_dim=1, name="initial")
-
-    @property
-    def kernels_back(self) -> bool:  # type: ignore[override]  # of this bank, not of the class
-        """Whether the way back can run as a kernel: that of two models."""
-        return len(self.motion) == 2
 
     def begin(self, belief: Gaussian) -> IMMState:
         """The state of a belief: the same for each model."""

@@ -129,8 +129,8 @@ class Smoother(nn.Module):
         measurements = Measurements(z, dt, u, std, noise)
         filtered, past = f._filtered(measurements, prior, checkpoint, truncate, estimate)
         rank = filtered.mean.dim() - 2
-        if lag is None and self.kernels_back and self._kernels is not None and self._kernels.takes(z):
-            told: Told = self._kernels.back(self, past, measurements, rank)
+        if self.kernels_back and self._kernels is not None and self._kernels.takes(z):
+            told: Told = self._kernels.back(self, past, measurements, rank, lag)
         else:
             frames, _ = f._frames(measurements, rank)
             *steps, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(frames))

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchfra.association.gates import Candidates, ChiSquare, Gate
-from torchfra.linalg.triangular import hstack, tria
+from torchfra.linalg.triangular import tria
 from torchfra.sensors.base import Sensor
 from torchfra.targets.assignment import scipy
 from torchfra.types import Gaussian
@@ -16,57 +16,39 @@ _WIDER = 1.25
 first order only."""
 
 
-def expected(sensor: Sensor, belief: Gaussian, u: Tensor | None, learned: Tensor | None) -> Gaussian:
-    """What a sensor will measure: mean ``(N, m)`` and root of the innovation's covariance, by points of third degree.
-
-    Args:
-        sensor: it measures.
-        belief: predictions ``(N,)``.
-        u: ``(N, k)`` or None.
-        learned: ``(N, m)`` variances of the noise that it has learned, as multiples of the nominal ones, or None.
-    """
-    mean, root = belief
-    n = mean.shape[-1]
-    offsets = (n**0.5 * root).movedim(-1, 0)  # (n, N, n)
-    points = torch.cat([mean.unsqueeze(0), mean + offsets, mean - offsets])
-    z = sensor.at_points(points, u)
-    spread = sensor.difference(z[1:], z[:1]).movedim(0, -1) / (2 * n) ** 0.5  # (N, m, 2n)
-    unit = sensor.measurement_noise(torch.zeros_like(z[0]))
-    scale = torch.ones_like(z[0]) if learned is None else learned
-    noise = unit.colour(scale.sqrt().diag_embed())
-    return Gaussian(z[0], tria(hstack(spread, noise)))
-
-
 def in_reach(gate: Gate, sensor: Sensor, predicted: Gaussian, scans: Tensor, scene: Tensor, heat: float) -> Tensor:
     """Which measurements of its scene may be in the gate of each target: ``(N, J)`` bool; none that is missing.
 
     Args:
         gate: the filter's.
         sensor: it measured.
-        predicted: measurements ``(N,)``, see ``expected``.
+        predicted: measurements ``(N,)``, see ``JPDA.outlook``.
         scans: ``(R, J, m)``; NaN is missing.
         scene: ``(N,)`` of each target.
         heat: temperature of the gate.
     """
-    z, seen = scans[scene], ~scans.isnan()
-    centre = predicted.mean.unsqueeze(-2)
+    z = scans.expand(len(scene), -1, -1) if len(scans) == 1 else scans[scene]
+    seen, centre = ~scans.isnan(), predicted.mean.unsqueeze(-2)
     gap = sensor.difference(z, centre)
     kind = seen.to(torch.int64) @ (2 ** torch.arange(sensor.size, device=z.device))  # which elements, as bits
+    kinds = [bits for bits in kind.unique().tolist() if bits]
     nis = torch.full_like(gap[..., 0], torch.inf)
-    for bits in kind.unique().tolist():  # one, unless devices measure parts of it
+    for bits in kinds:  # one, unless devices measure parts of it
         some = [i for i in range(sensor.size) if bits >> i & 1]
-        if some:
-            root = predicted.scale_tril if len(some) == sensor.size else tria(predicted.scale_tril[:, some])
-            squared = torch.linalg.solve_triangular(root, gap[..., some].mT, upper=False).square().sum(-2)
-            nis = torch.where((kind == bits)[scene], squared / _WIDER**2, nis)
-    number = seen.sum(-1)[scene]
+        root, part = predicted.scale_tril, gap
+        if len(some) < sensor.size:
+            root, part = tria(root[:, some]), gap[..., some]
+        white = torch.linalg.solve_triangular(_WIDER * root, part.mT, upper=False)
+        squared = torch.stack(white.unbind(-2)).square().sum(0)  # NaN, which no gate holds, where it is missing
+        nis = squared if len(kinds) == 1 else torch.where((kind == bits)[scene], squared, nis)
+    number = seen.sum(-1)
     if isinstance(gate, ChiSquare) and heat == 0:
-        largest: Tensor = _quantiles(gate, z)[number]
-        return nis <= largest
+        inside: Tensor = nis <= _quantiles(gate, z)[number][scene]
+        return inside
     there = seen[scene]
     candidates = Candidates(torch.where(there, z, centre), centre.expand_as(z), there.to(z), nis)
     membership: Tensor = gate(candidates, sensor, heat)
-    return (membership > -torch.inf) & (number > 0)
+    return (membership > -torch.inf) & (number > 0)[scene]
 
 
 def _quantiles(gate: ChiSquare, like: Tensor) -> Tensor:

@@ -9,9 +9,10 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.filters.scans.jpda import JPDA
+from torchfra.filters.scans.managed import among, outlook, stepped
 from torchfra.gaussian.inputs import Measurements
 from torchfra.targets.clusters import Group, clusters
-from torchfra.targets.gating import expected, in_reach
+from torchfra.targets.gating import in_reach
 from torchfra.targets.state import rows
 from torchfra.types import Gaussian
 
@@ -61,14 +62,13 @@ def look_at(filter: JPDA, state: Any, scene: Tensor, look: Look) -> tuple[Any, S
     parts, missed, density = [], [], []
     for targets, measurements in groups:
         of, group = scene[targets[:, 0]], rows(state, targets)
-        after, record = _advance(filter, group, table[measurements], of, look)
-        association: Tensor = record.info.association
+        after, (association, evidence) = stepped(filter, among, group, _measured(table[measurements], of, look))
         share = association[..., 1:].sum(-2)
         inside = measurements >= 0
         explained = explained.index_put((measurements[inside],), share[inside], accumulate=True)
         parts.append(tree.map_tensors(lambda x: x.flatten(0, 1), after))
         missed.append(association[..., 0].log().flatten())
-        density.append(record.density.flatten())
+        density.append(evidence.flatten())
     order = torch.cat([group.targets.flatten() for group in groups]).argsort()
     state = tree.map_tensors(lambda *xs: torch.cat(xs)[order], *parts)
     said = Said(torch.cat(missed)[order], torch.cat(density)[order], explained.reshape(there.shape))
@@ -77,17 +77,13 @@ def look_at(filter: JPDA, state: Any, scene: Tensor, look: Look) -> tuple[Any, S
 
 def _reach(filter: JPDA, state: Any, scene: Tensor, look: Look) -> Tensor:
     """Which measurements ``(N, J)`` of its scene may be in the gate of each target."""
-    alone = tree.map_tensors(lambda x: x.unsqueeze(1), state)  # each target in a scene of its own, with nothing to see
-    nothing = look.z.new_full((len(scene), 1, filter.sensor.size), torch.nan)
-    after, record = _advance(filter, alone, nothing, scene, look)
-    belief, learned = Gaussian(*(x.squeeze(1) for x in after.belief)), record.info.noise
-    u = None if look.u is None else look.u[scene]
-    predicted = expected(filter.sensor, belief, u, None if learned is None else learned.squeeze(1))
+    alone = tree.map_tensors(lambda x: x.unsqueeze(1), state)  # each target in a scene of its own
+    anything = look.z.new_zeros(len(scene), 1, filter.sensor.size)
+    _, predicted = stepped(filter, outlook, alone, _measured(anything, scene, look))
+    predicted = Gaussian(*(x.squeeze(1) for x in predicted))
     return in_reach(filter.gate, filter.sensor, predicted, look.z, scene, filter.temperature)
 
 
-def _advance(filter: JPDA, state: Any, z: Tensor, scene: Tensor, look: Look) -> tuple[Any, Any]:
-    """One step of clusters ``(C, k)`` on measurements ``(C, J, m)``."""
-    u = None if look.u is None else look.u[scene]
-    # Not by step, which does not tell whose each measurement is.
-    return filter.advance(state, filter._frame(state, Measurements(z, look.dt[scene], u)), looked=True)
+def _measured(z: Tensor, scene: Tensor, look: Look) -> Measurements:
+    """Measurements ``(C, J, m)`` of clusters in their scenes."""
+    return Measurements(z, look.dt[scene], None if look.u is None else look.u[scene])

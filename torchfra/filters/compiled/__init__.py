@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.autograd import forward_ad
 
 from torchfra.filters.compiled import traced
-from torchfra.filters.compiled.back import given
+from torchfra.filters.compiled.back import given, of_windows, windows
 from torchfra.filters.compiled.step import Data, check_changing, is_ordinary, number
 from torchfra.filters.compiled.tracks import form_of, may_be_ready, seconds_of
 from torchfra.filters.compiled.version import Plan, Version
@@ -103,13 +103,28 @@ class Compiled:
         with BUILDING:
             return now, now.plan(keep, state, data, timed), data
 
-    def back(self, f: Any, past: Any, measurements: Measurements, rank: int) -> Any:
+    def back(self, f: Any, past: Any, measurements: Measurements, rank: int, lag: int | None = None) -> Any:
         """What the way back says of every step, time behind ``rank`` batch dimensions: see ``Smoother``."""
+        if lag is not None and lag < flatten(past)[0].shape[rank] - 1:
+            parts = [self.back(f, *part, rank + 1) for part in windows(f, past, measurements, rank, lag)]
+            return of_windows(parts, rank, lag)
         back, now = given(f, past, measurements, rank), self._now(f)
         data, timed = list(back.data.values()), list(back.timed.values())
         with BUILDING:
             plan = now.plan(back.advance, back.state, data, timed, back)
         return now.run(plan, back.steps, back.state, data)[1]
+
+    def once(
+        self, f: Any, function: Callable[[Any, Any, Frame], Any], state: Any, measurements: Measurements
+    ) -> tuple[Any, Any]:
+        """What ``function(f, state, frame)`` gives for one measurement or scan: a state, and what it says of the step.
+
+        All has been checked.
+        """
+        data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
+        with BUILDING:
+            plan = now.plan(traced.Once(function, _whole(f, measurements)), state, data, (False,) * 5)
+        return now.run(plan, 1, state, data)
 
     def step(
         self, f: Any, state: Any, measurements: Measurements, check: Callable[[], Frame]

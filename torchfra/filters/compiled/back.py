@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -11,6 +12,9 @@ from torchfra import tree
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.types import Gaussian
+
+_AT_ONCE = 1 << 20
+"""Steps of windows that a kernel is given at once, as each step of a track is in many."""
 
 
 class Given(NamedTuple):
@@ -37,6 +41,43 @@ class Given(NamedTuple):
     def advance(self, f: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any, Told]:
         """One step back of one track: see ``retreat``."""
         return retreat(f, self.like, after, data)
+
+
+def windows(f: Any, past: Any, measurements: Measurements, rank: int, lag: int) -> Iterator[tuple[Any, Measurements]]:
+    """A track of ``lag + 1`` steps for each step that has so many later ones, along one more dimension of the batch.
+
+    What the last step of a window has not decided yet is taken as it was at the step itself.  They come in parts, each
+    of ``_AT_ONCE`` steps in all or so, and the arguments are as those of ``given``.
+    """
+    decided, fresh = f.decided(past), f.fresh(past)
+    shape = tree.flatten(past)[0].shape[: rank + 1]
+    count, most = shape[-1] - lag, max(_AT_ONCE // max(shape[:-1].numel() * (lag + 1), 1), 1)
+    for first in range(0, count, most):
+        size = min(most, count - first)
+
+        def unfolded(x: Tensor, time: int, first: int = first, size: int = size) -> Tensor:
+            return x.narrow(time, first, size + lag).unfold(time, lag + 1, 1).movedim(-1, time + 1)
+
+        def ending(x: Tensor, fresh: Tensor, first: int = first, size: int = size) -> Tensor:
+            end = torch.cat([fresh.narrow(rank, 0, fresh.shape[rank] - 1), x.narrow(rank, -1, 1)], rank)
+            last = end.narrow(rank, first + lag, size).unsqueeze(rank + 1)
+            return torch.cat([unfolded(x, rank).narrow(rank + 1, 0, lag), last], rank + 1)
+
+        _, dt, u, _, _ = measurements
+        if isinstance(dt, Tensor) and dt.dim():
+            dt = unfolded(dt, dt.dim() - 1) if measurements.varying_dt else dt.unsqueeze(-1)
+        u = None if u is None else unfolded(u, u.dim() - 2)
+        yield tree.map_tensors(ending, decided, fresh), measurements._replace(dt=dt, u=u)
+
+
+def of_windows(told: Sequence[Any], rank: int, lag: int) -> Any:
+    """What parts of the windows say: each window of its first step, the very last one of all its steps."""
+
+    def steps(*parts: Tensor) -> Tensor:
+        last = parts[-1].select(rank, -1).narrow(rank, 1, lag)
+        return torch.cat([*(x.select(rank + 1, 0) for x in parts), last], rank)
+
+    return tree.map_tensors(steps, *told)
 
 
 def given(f: Any, past: Any, measurements: Measurements, rank: int) -> Given:

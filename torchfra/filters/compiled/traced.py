@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,6 +48,18 @@ class Observe:
     def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
         """The next state, and the innovation."""
         return f.observe(state, _frame(f, data, self.whole))
+
+
+@dataclass(frozen=True)
+class Once:
+    """One step by a function of the filter, a state and a frame, of scans that are ``whole`` or not."""
+
+    function: Callable[[Any, Any, Frame], Any]
+    whole: bool = False
+
+    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
+        """What the function gives."""
+        return self.function(f, state, _frame(f, data, self.whole))
 
 
 def _frame(f: Any, data: dict[str, Tensor], whole: bool) -> Frame:

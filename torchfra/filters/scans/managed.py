@@ -1,0 +1,78 @@
+"""Steps of a filter of scans for who manages its targets: what to expect of a scan, and what it has said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra import tree
+from torchfra.filters.scans.apart import missed, widened
+from torchfra.filters.scans.hypotheses import JPDAState
+from torchfra.filters.scans.jpda import JPDA
+from torchfra.filters.scans.lost_tracks import log_miss, search, wider
+from torchfra.filters.srckf import SRCKF
+from torchfra.gaussian.inputs import Frame, Measurements
+from torchfra.linalg.triangular import hstack, tria
+from torchfra.sensors.base import Sensor
+from torchfra.types import Gaussian
+
+
+def stepped(
+    f: JPDA, function: Callable[[JPDA, JPDAState, Frame], tuple[JPDAState, Any]], state: JPDAState,
+    measurements: Measurements,
+) -> tuple[JPDAState, Any]:  # fmt: skip
+    """A ``function`` of this module on a checked scan ``z (C, J, m)``, as a kernel if the filter has some.
+
+    Kernels sum over all events of a scan: where clusters may be too large for that, they do not run.
+    """
+    targets, count = state.belief.mean.shape[-2], measurements.z.shape[-2]
+    small = targets == 1 or (targets <= f.exact[0] and count <= f.exact[1])
+    if small and f._kernels is not None and f._kernels.takes(measurements.z):
+        done: tuple[JPDAState, Any] = f._kernels.once(f, function, state, measurements)
+        return done
+    (frame,), _ = f._frames(measurements.as_track(scans=True), state.belief.mean.dim() - 1)
+    return function(f, state, frame)
+
+
+def among(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, tuple[Tensor, Tensor]]:
+    """The state after a scan, the association ``(..., N, J + 1)`` and the log density ``(..., N)``: see ``JPDAInfo``.
+
+    In a scan without any measurement all targets were missed.
+    """
+    state, record = f.advance(state, frame, looked=True)
+    assert record.density is not None
+    return state, (record.info.association, record.density)
+
+
+def outlook(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, Gaussian]:
+    """The state as it was, and what a measurement ``(..., N)`` of each target in the scan is expected to be.
+
+    Of the scan only the noise counts.
+    """
+    inner, learned, times = state.inner, None, None
+    if f.lost:
+        miss = log_miss(f.detection, f.gate, state.missed)
+        times, _ = search(state.missed, state.searched, miss, f.lost)
+    if isinstance(f.inner, SRCKF):
+        before, _, noise = tree.insert_batch_dimension(inner)
+        prediction = f.inner.predicted(before, frame)
+        belief = (prediction if times is None else wider(prediction, times)).belief
+        learned = f.inner.noise.scale(noise)
+    else:
+        belief = missed(f.inner, inner if times is None else widened(inner, times), frame, f.sensor)[1].belief
+    return state, tree.remove_batch_dimension(_measurement(f.sensor, belief, frame, learned))
+
+
+def _measurement(sensor: Sensor, belief: Gaussian, frame: Frame, learned: Tensor | None) -> Gaussian:
+    """A measurement ``(..., m)`` of predictions ``(..., n)``, its noise included, by points of third degree."""
+    mean, root = belief
+    n = mean.shape[-1]
+    offsets = (n**0.5 * root).movedim(-1, 0)  # (n, ..., n)
+    points = torch.cat([mean.unsqueeze(0), mean + offsets, mean - offsets])
+    z = sensor.at_points(points, frame.u)
+    spread = sensor.difference(z[1:], z[:1]).movedim(0, -1) / (2 * n) ** 0.5  # (..., m, 2n)
+    scale = torch.ones_like(z[0]) if learned is None else learned
+    return Gaussian(z[0], tria(hstack(spread, frame.measurement_noise.colour(scale.sqrt().diag_embed()))))
