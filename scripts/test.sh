@@ -9,5 +9,5 @@ source "$(dirname "${BASH_SOURCE[0]}")/setup.sh" dev
 ruff check .
 ruff format --check .
 mypy --strict
-# One worker for each core, and one thread for each worker.
-OMP_NUM_THREADS=1 pytest -n auto --dist loadfile "$@"
+# One worker for each core, which takes over tests of another where it has none left, and one thread for each worker.
+OMP_NUM_THREADS=1 pytest -n auto --dist worksteal "$@"

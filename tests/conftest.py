@@ -1,8 +1,12 @@
 """What several test files share."""
 
+import contextlib
 import copy
 import os
 import shutil
+import subprocess
+import time
+from pathlib import Path
 
 import pytest
 import torch
@@ -75,13 +79,42 @@ def short_tracks():
 
 @pytest.fixture(scope="session", autouse=True)
 def kernels(tmp_path_factory):
-    """Kernels of this session alone, compiled in a hurry: not optimised."""
+    """Kernels of this session alone, compiled in a hurry: not optimised, the headers that all include parsed once."""
     with pytest.MonkeyPatch.context() as patch:
         folder = tmp_path_factory.getbasetemp()  # of one worker, where there are several
         folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "kernels"
         patch.setenv("TORCHFRA_CACHE", str(folder))
-        patch.setenv("CXXFLAGS", f"-O0 {quick_linker()}")
+        patch.setenv("CXXFLAGS", f"-O0 {parsed_headers(folder)} {quick_linker()}")
         yield
+
+
+HEADERS = """#include <math.h>
+#include <cstdint>
+#ifdef __AVX2__
+#include <immintrin.h>
+#endif
+"""
+"""What takes most of a compiler's time for a small kernel."""
+
+
+def parsed_headers(folder):
+    """The option that includes a precompiled header, which the first worker makes; none where that fails."""
+    header, done = folder / "headers.h", folder / "headers-done"
+    try:
+        folder.mkdir(mode=0o700)
+    except FileExistsError:
+        for _ in range(600):
+            if done.exists():
+                break
+            time.sleep(0.1)
+    else:
+        header.write_text(HEADERS)
+        compiler = compilers.find()
+        command = [*compiler.command, *compiler.flags(), "-O0", "-x", "c++-header", str(header)]
+        with contextlib.suppress(OSError):
+            subprocess.run([*command, "-o", f"{header}.gch"], capture_output=True, check=False)
+        done.touch()
+    return f"-include {header}" if Path(f"{header}.gch").exists() else ""
 
 
 def quick_linker():

@@ -78,6 +78,7 @@ def test_commands_compile_when_it_is_worthwhile_and_say_so(noisy_track, tmp_path
     assert calls == [(None, False), (False, True), (None, False), (True, True), (None, False), (None, False)]
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_without_a_compiler_commands_run_interpreted_unless_told_to_compile(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("CXX", "/no/such/compiler")
     monkeypatch.setattr("torchfra.app.compare_command.WORTHWHILE", 1)
@@ -305,6 +306,7 @@ def test_python_m_torchfra_is_the_command():
     assert done.stdout.startswith("torchfra ")
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_compare_takes_values_that_were_learned(tmp_path, capsys):
     scenario = make_scenario("bearings-outliers")
     f = presets.rsrckf(scenario.motion, scenario.sensor, threshold=0.5)

@@ -10,6 +10,7 @@ import pytest
 import regret
 import torch
 from regrets import cells, ratios, show, tuning
+from short_tracks import short
 
 from torchfra import metrics, presets, scenarios
 from torchfra.app import plotting
@@ -57,7 +58,8 @@ def result(tmp_path_factory):
     """The JSON of a small run, and the picture it made."""
     folder = tmp_path_factory.mktemp("regret")
     files = ["--json", str(folder / "r.json"), "--figure", str(folder / "r.png")]
-    assert regret.main(["--filters", "fra,rsrckf", *FEW, "--quiet", *files]) == 0
+    with short():
+        assert regret.main(["--filters", "fra,rsrckf", *FEW, "--quiet", *files]) == 0
     assert (folder / "r.png").stat().st_size > 1000
     return json.loads((folder / "r.json").read_text())
 
@@ -166,6 +168,7 @@ def test_a_file_holds_every_filter_of_a_cell_and_what_it_was_compared_with(resul
         assert result["summary"][kind]["fra"]["worst"] == pytest.approx(of["fra"]["ratio"] - 1)
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_errors_are_those_of_evaluate_and_the_provisional_estimates_are_the_filtered_ones(result):
     scenario = make_scenario("bearings-manoeuvre", outliers="std")
     expected = evaluate(scenario, ["srckf", "fra", "imm_srckf"], runs=3, seed=3)
@@ -181,6 +184,7 @@ def test_errors_are_those_of_evaluate_and_the_provisional_estimates_are_the_filt
     assert cell["filtered"]["filters"]["fra"]["rmse"] == pytest.approx(provisional, rel=1e-9)
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_tables_have_a_line_for_each_compared_filter_and_a_summary(capsys):
     assert regret.main(["--filters", "fra,srckf", *FEW]) == 0
     filtered, settled = (block.splitlines() for block in capsys.readouterr().out.strip().split("\n\n"))
@@ -191,6 +195,7 @@ def test_tables_have_a_line_for_each_compared_filter_and_a_summary(capsys):
         assert all(f", {kind}: median regret " in line for line in lines[3:])
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_learned_values_are_compared_and_are_no_candidates_for_the_best(tmp_path, capsys):
     scenario = scenarios.bearings_manoeuvre()
     same, other = tmp_path / "same" / "state_dict.pt", tmp_path / "other" / "state_dict.pt"

@@ -12,6 +12,7 @@ import reproduce
 import time_stamps
 import torch
 from benchmarks import elsewhere, roof, timing, training
+from short_tracks import STEPS
 
 from torchfra import presets, scenarios
 from torchfra.catalogue import SCENARIOS
@@ -32,6 +33,7 @@ def test_the_quickstart_of_the_readme_runs(capsys):
 
 
 @pytest.mark.parametrize("experiment", ["bearings-outliers", "bearings-manoeuvre"])
+@pytest.mark.usefixtures("short_tracks")
 def test_reproduce_writes_results_and_the_papers_figures(experiment, tmp_path):
     arguments = [experiment, "--runs", "10", "--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
     assert reproduce.main(arguments) == 0
@@ -42,7 +44,7 @@ def test_reproduce_writes_results_and_the_papers_figures(experiment, tmp_path):
                 "relative_time"}  # fmt: skip
     for figures in result["filters"].values():
         assert expected <= figures.keys()
-        assert len(figures["rmse_position"]) == 100
+        assert len(figures["rmse_position"]) == STEPS
     assert len(list(tmp_path.glob("figure-*.png"))) == 4
 
 
@@ -92,11 +94,12 @@ def test_reproduce_writes_mean_square_errors_over_the_contamination(tmp_path):
     assert {p.name for p in tmp_path.glob("*.png")} == {"growth-position.png", "growth-mmse.png"}
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_reproduce_writes_the_errors_of_the_reentry(tmp_path):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
     assert reproduce.main(["reentry", "--runs", "2", "--filters", "ghckf", "--sizes", "1", *out]) == 0
     result = json.loads((tmp_path / "r.json").read_text())
-    assert len(result["filters"]["ghckf"]["rmse_parameter"]) == 200
+    assert len(result["filters"]["ghckf"]["rmse_parameter"]) == STEPS
     assert result["by_size"]["1"]["ghckf"].keys() == {"mmse", "mse", "mmse_velocity", "mmse_parameter"}
     names = {f"reentry-{name}.png" for name in ("position", "velocity", "parameter", "mmse")}
     assert {p.name for p in tmp_path.glob("*.png")} == names

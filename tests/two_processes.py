@@ -19,7 +19,8 @@ def run_in_two(main, arguments, out=os.devnull):
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     context = multiprocessing.get_context("fork")
-    processes = [context.Process(target=_run, args=(rank, port, main, arguments, out)) for rank in range(2)]
+    given = (port, main, arguments, out)
+    processes = [context.Process(target=_run, args=(rank, *given), daemon=True) for rank in range(2)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # threads of pytest-xdist do nothing in the copies
         for process in processes:
@@ -32,6 +33,7 @@ def run_in_two(main, arguments, out=os.devnull):
 def _run(rank, port, main, arguments, out):
     team = {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": 2, "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
     os.environ.update({name: str(value) for name, value in team.items()})
+    torch.set_num_threads(1)  # those of the first process are not there
     with open(os.devnull if rank else out, "w") as file, contextlib.redirect_stdout(file):
         status = main(arguments)
     sys.exit(status or 0)
