@@ -167,13 +167,17 @@ def test_single_steps_run(compiled, make, tracks):
     close(far.belief.mean, state.belief.mean)
 
 
-def test_values_are_fitted_to_tracks_there():
-    truth = torch.randn(200, 30, 4, dtype=torch.float64).cumsum(1)
+@pytest.mark.parametrize("loss", ["likelihood", "smoothed", "robust"])
+def test_values_are_fitted_there_to_tracks_from_the_cpu(loss):
+    truth = torch.randn(120, 30, 4, dtype=torch.float64).cumsum(1)
     prior = Gaussian(torch.zeros(4, dtype=torch.float64), 10 * torch.eye(4, dtype=torch.float64))
-    z = truth[..., :2] + 2 * torch.randn(200, 30, 2, dtype=torch.float64)
+    data = {"z": truth[..., :2] + 2 * torch.randn(120, 30, 2, dtype=torch.float64), "prior": prior, "truth": truth}
     found = []
     for device in ("cpu", "cuda"):
         f = presets.srckf(ConstantVelocity(0.5), Position(6.0), learn=("q", "std")).to(device)
-        data = {"z": z.to(device), "prior": moved(prior, device)}
-        found.append(torchfra.fit(f, data, learn=("q", "std"), iterations=0, seed=0, quiet=True).learned)
-    assert found[1] == pytest.approx(found[0], rel=1e-5)
+        fitted = torchfra.fit(f, data, loss=loss, iterations=4, seed=0, quiet=True)
+        assert next(fitted.filter.buffers()).device.type == device
+        profile = fitted.profile("sensor.std", points=3).growth
+        errors = [fitted.errors, fitted.bootstrap(10).errors]
+        found.append([*fitted.learned.values(), *profile, *(x for table in errors for x in table.values())])
+    assert found[1] == pytest.approx(found[0], rel=1e-4, abs=1e-6)

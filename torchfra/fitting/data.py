@@ -6,6 +6,7 @@ import hashlib
 import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,7 +64,7 @@ class Batch(NamedTuple):
 
 
 def batch_of(f: Filter, data: Source, *, runs: int, seed: int) -> Batch:
-    """The tracks of any source as one batch.
+    """The tracks of any source as one batch, where the filter is.
 
     Args:
         f: the filter that learns, whose models say what a track is.
@@ -205,7 +206,7 @@ def _whole(f: Filter, given: dict[str, Any]) -> Batch:
     Raises:
         ValueError: a shape that does not fit, or no prior where the sensor tells no place.
     """
-    z = torch.as_tensor(given["z"])
+    z = torch.as_tensor(given["z"]).to(next(chain(f.parameters(), f.buffers())).device)
     rank = 3 + f.scans
     if z.dim() != rank or z.shape[-1] != f.sensor.size or not z.is_floating_point():
         letters = f"(N, T, J, {f.sensor.size})" if f.scans else f"(N, T, {f.sensor.size})"

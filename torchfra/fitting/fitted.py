@@ -48,7 +48,7 @@ class Tracks:
         """``(N,)`` steps of the test tracks with a measurement, by which likelihoods are weighed; else None."""
         if self.objective.loss not in ("likelihood", "smoothed"):
             return None
-        return (~self.test.z.isnan()).flatten(2).any(-1).sum(1)
+        return (~self.test.z.isnan()).flatten(2).any(-1).sum(1).cpu()
 
     def judge(self, before: Tensor, after: Tensor, seed: int) -> Judged:
         """Losses ``(N,)`` of test tracks, per measurement where they are likelihoods."""

@@ -38,7 +38,7 @@ def fit(
     compile: bool | None = None, checkpoint: str | Path | None = None, resume: bool = False, seed: int = 0,
     quiet: bool = False,
 ) -> Fitted:  # fmt: skip
-    """Learns values of a filter from tracks, and says how well it knows them.
+    """Learns values of a filter from tracks, and says how well it knows them; all runs on the filter's device.
 
     The tracks are split at random: most to learn from, half of the others to stop by, the last to judge by.  Adam
     follows the mean gradient of minibatches, each track's bounded; from the values of the best validation Newton's
@@ -204,7 +204,7 @@ def _judged(own: Tracks, start: Tensor, raw: Tensor, seed: int) -> dict[str, Jud
     table = {name: own.judge(before, after, seed)}
     if test.truth is not None:
         errors = [
-            losses.mse(objective.estimate(x[None, None], test).mean[0], test.truth, objective.states)
+            losses.mse(objective.estimate(x[None, None], test).mean[0], test.truth, objective.states).cpu()
             for x in (start, raw)
         ]
         one, other = (x.flatten(1).mean(1) if x.dim() > 1 else x for x in errors)

@@ -30,7 +30,7 @@ Own = Callable[[Estimate, Batch], Tensor]
 
 
 class Objective:
-    """The loss of each track as a function of the values.
+    """The loss of each track as a function of the values; both are on the CPU, the tracks where the filter is.
 
     Args:
         f: the filter, whose learned values are replaced in each call.
@@ -79,7 +79,7 @@ class Objective:
         other = copy.copy(self)
         other.filter, other.call = f, _Call(f, self.loss == "smoothed")
         with torch.no_grad():
-            return other._measured(batch).reshape(-1)
+            return other._measured(batch).reshape(-1).cpu()
 
     def losses(self, raw: Tensor, batch: Batch) -> Tensor:
         """``(R, N)`` of each track at the values ``raw (R, N, P)`` of each, or ``(R, 1, P)`` of all."""
@@ -111,7 +111,7 @@ class Objective:
         raw = raw.detach().to(batch.z).expand(-1, len(batch.z), -1)
         each = max(1, LARGEST // (len(raw) * batch.z.shape[1] * (FOLDS if self.loss == "smoothed" else 1)))
         parts = [slice(i, i + each) for i in range(0, len(batch.z), each)]
-        return torch.cat([work(raw[:, part], batch.rows(part)) for part in parts], 1).double()
+        return torch.cat([work(raw[:, part], batch.rows(part)) for part in parts], 1).to("cpu", torch.float64)
 
     def _values(self, raw: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
         """Losses ``(R, N)`` and the copies of the values ``(R, N, P)`` that they follow from."""

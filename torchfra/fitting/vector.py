@@ -18,6 +18,8 @@ NORMAL_95 = 1.959963984540054
 class Vector:
     """Reads and writes the learned hyperparameters of a filter; all are unconstrained, ``raw (..., P)``, unless named.
 
+    Wherever the filter is, the vector is float64 on the CPU: it is short, and every number of it is looked at.
+
     Args:
         f: the filter; its parameters are hyperparameters that have one value each, not a batch of values.
 
@@ -47,7 +49,7 @@ class Vector:
 
     def raw(self) -> Tensor:
         """``(P,)`` the values of the filter at the moment."""
-        return torch.cat([hyper.raw.detach().flatten().double() for hyper in self.hypers.values()])
+        return torch.cat([hyper.raw.detach().flatten().to("cpu", torch.float64) for hyper in self.hypers.values()])
 
     def store(self, raw: Tensor) -> None:
         """Writes ``(P,)`` into the filter."""
