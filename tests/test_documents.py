@@ -321,7 +321,8 @@ def understood(line, flights):
         return values.main, [], True
     main, words = (cli.main, words[1:]) if words[0] == "torchfra" else (script(words[1]), words[2:])
     line = line.removeprefix("python ")
-    if line.startswith(tuple(HELP_ONLY)):
+    no_gpu = "--device cuda" in line and not torch.cuda.is_available()
+    if no_gpu or line.startswith(tuple(HELP_ONLY)):
         return main, words, True
     known = help_of(main, words[:1] if main is cli.main else [])
     words = list(filled(words, flights))
