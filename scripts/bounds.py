@@ -1,10 +1,10 @@
-"""How far every filter is from the Cramer-Rao bound of every scenario.
+"""How far every filter is from the Cramer-Rao bound of every cell: scenarios, and cells of scripts/regret.py.
 
-    python scripts/bounds.py --runs 200 --seed 11 --json out/bounds.json
-    python scripts/bounds.py --scenarios reentry,noise-change --filters srckf,gpb --runs 500
+    python scripts/bounds.py --runs 200 --seed 11 --jobs 2 --json out/bounds.json
+    python scripts/bounds.py --cells reentry,noise-change --filters srckf,gpb --runs 500
     python scripts/bounds.py --cells '2-*,flights-*' --filters srckf,gpb
 
-A line for each scenario: the bound on the position RMSE, mean over time, what it takes as known, and for each filter by
+A line for each cell: the bound on the position RMSE, mean over time, what it takes as known, and for each filter by
 how much its error is above; at the end whether any is below, and how far single steps are, in standard errors of the
 mean square over the runs.  The bound is that of the true process, which no filter knows: where a target's manoeuvres
 are not random it is that of who knows them, and where measurements have outliers it has their information.
@@ -14,11 +14,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import torch
-from regrets.cells import all_cells, chosen_cells
+from regrets.cells import Cell, all_cells, chosen_cells
 
 import torchfra
 from torchfra.app.atomic_write import write_json
@@ -32,27 +32,26 @@ from torchfra.app.command import (
     make_parser,
 )
 from torchfra.app.evaluate import versions
+from torchfra.app.jobs import add_jobs_option, check_jobs, finished
 from torchfra.app.progress import progress_bar
 from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, make_scenario
-from torchfra.scenarios import Scenario
 from torchfra.tables import formed_table, significant
+
+Found = dict[str, Any]
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Prints the table; returns its exit status: see ``torchfra.app.command.exit_status``."""
     p = make_parser(__doc__)
-    p.add_argument("--scenarios", metavar="A,B", default=",".join(SCENARIOS), help="(default: all)")
-    p.add_argument(
-        "--cells", metavar="A,B", help="instead, cells of scripts/regret.py by names, or patterns such as '2-*'"
-    )
-    p.add_argument("--filters", metavar="A,B", help="those of them that go with a scenario (default: all)")
+    p.add_argument("--cells", metavar="A,B", default="*", help="names, or patterns such as '2-*' (default: all)")
+    p.add_argument("--filters", metavar="A,B", help="those of them that go with a cell (default: all)")
+    add_jobs_option(p)
     add_runs_options(p, 200, seed=11)
     add_json_option(p)
     add_quiet_option(p)
 
     def run() -> None:
         options = p.parse_args(arguments)
-        check_list(p, "scenarios", options.scenarios, SCENARIOS)
         if options.filters is not None:
             check_list(p, "filters", options.filters, FILTERS)
         bounds(options)
@@ -60,33 +59,42 @@ def main(arguments: list[str] | None = None) -> int:
     return exit_status("bounds", run)
 
 
+def known_cells() -> dict[str, Cell]:
+    """All that have a bound: scenarios of the catalogue at their defaults, and the cells of scripts/regret.py."""
+    return {name: Cell(partial(make_scenario, name)) for name in SCENARIOS} | all_cells()
+
+
 def bounds(options: argparse.Namespace) -> None:
-    """All scenarios, and the table when the last one is done."""
+    """All cells, and the table when the last one is done.
+
+    Raises:
+        ValueError: a name that no cell has, no filter that goes with any, or fewer than 1 job.
+    """
+    check_jobs(options.jobs)
     check_files({"json": options.json})
-    found = {}
-    makers: dict[str, Callable[[], Scenario]]
-    if options.cells is None:
-        makers = {name: partial(make_scenario, name) for name in options.scenarios.split(",")}
-    else:
-        makers = {name: cell.make for name, cell in chosen_cells(all_cells(), options.cells.split(",")).items()}
-    for name, make in progress_bar(makers.items(), "scenario", not options.quiet):
-        scenario = make()
-        known = filters_for(scenario)
-        names = known if options.filters is None else [f for f in options.filters.split(",") if f in known]
-        if names:
-            found[name] = cell(scenario, names, options)
+    names = list(chosen_cells(known_cells(), options.cells.split(",")))
+    listed = None if options.filters is None else options.filters.split(",")
+    parts = [(name, listed, options.runs, options.seed) for name in names]
+    done = progress_bar(finished(of_cell, parts, options.jobs), "cell", not options.quiet)
+    every = {names[number]: of for number, of in done}
+    found = {name: of for name in names if (of := every[name]) is not None}
+    if not found:
+        raise ValueError(f"filters: expected some that go with {options.cells}, received {options.filters}")
     if not options.quiet:
         print(table(found))
         print(summary(found), flush=True)
     if options.json is not None:
-        write_json(
-            options.json, {"runs": options.runs, "seed": options.seed, "versions": versions(), "scenarios": found}
-        )
+        write_json(options.json, {"runs": options.runs, "seed": options.seed, "versions": versions(), "cells": found})
 
 
-def cell(scenario: Scenario, names: list[str], options: argparse.Namespace) -> dict[str, object]:
-    """The bound of a scenario, and of each filter the error, the ratio to it and the lowest step."""
-    comparison = torchfra.compare(names, scenario, runs=options.runs, seed=options.seed)
+def of_cell(cell: str, listed: list[str] | None, runs: int, seed: int) -> Found | None:
+    """The bound of a cell, and of each filter the error, the ratio to it and the lowest step; None without filters."""
+    scenario = known_cells()[cell].make()
+    known = filters_for(scenario)
+    names = known if listed is None else [name for name in listed if name in known]
+    if not names:
+        return None
+    comparison = torchfra.compare(names, scenario, runs=runs, seed=seed)
     assert comparison.bound is not None
     least = comparison.bound.rmse(scenario.truth_position)
     filters = {}
@@ -101,27 +109,32 @@ def cell(scenario: Scenario, names: list[str], options: argparse.Namespace) -> d
             "filters": filters}  # fmt: skip
 
 
-def table(found: dict[str, dict]) -> str:
-    """Filters by scenarios: by what factor the error is above the bound."""
-    header = ["times the bound", *found]
-    rows = [["bound, m", *(significant(of["bound"]) for of in found.values())]]
-    rows.append(["of", *(of["kind"] for of in found.values())])
-    for name in dict.fromkeys(name for of in found.values() for name in of["filters"]):
-        ratios = [of["filters"].get(name, {}).get("ratio") for of in found.values()]
-        rows.append([f"`{name}`", *("" if x is None else significant(x) for x in ratios)])
-    known = "; ".join(f"{name}: {', '.join(of['known']) or 'nothing'}" for name, of in found.items())
+def table(found: dict[str, Found]) -> str:
+    """Cells by filters: by what factor the error is above the bound."""
+    names = list(dict.fromkeys(name for of in found.values() for name in of["filters"]))
+    header = ["times the bound", "bound, m", "", *(f"`{name}`" for name in names)]
+    rows = []
+    for cell, of in found.items():
+        ratios = [of["filters"].get(name, {}).get("ratio") for name in names]
+        rows.append(
+            [cell, significant(of["bound"]), of["kind"], *("" if x is None else significant(x) for x in ratios)]
+        )
+    kinds: dict[str, list[str]] = {}
+    for cell, of in found.items():
+        kinds.setdefault(", ".join(of["known"]) or "nothing", []).append(cell)
+    known = "; ".join(f"{what}: {', '.join(cells)}" for what, cells in kinds.items())
     return formed_table("markdown", header, rows, f"Taken as known: {known}.")
 
 
-def summary(found: dict[str, dict]) -> str:
+def summary(found: dict[str, Found]) -> str:
     """The cell that is nearest to its bound, and the lowest step."""
-    cells = [(f["ratio"], f["lowest_step"], f"{f_name} in {s}") for s, of in found.items()
+    cells = [(f["ratio"], f["lowest_step"], f"{f_name} in {cell}") for cell, of in found.items()
              for f_name, f in of["filters"].items()]  # fmt: skip
     ratio, _, nearest = min(cells)
     low, lowest = min((low, where) for _, low, where in cells)
     below = sum(one < 1 for one, _, _ in cells)
-    return (f"{len(cells)} cells, {below} below the bound; nearest: {nearest}, {ratio:.3f} times; lowest single step: "
-            f"{lowest}, {low:+.1f} standard errors")  # fmt: skip
+    return (f"{len(cells)} errors in {len(found)} cells, {below} below the bound; nearest: {nearest}, {ratio:.3f} "
+            f"times; lowest single step: {lowest}, {low:+.1f} standard errors")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -1,20 +1,38 @@
 #!/usr/bin/env bash
 # A release: builds wheel and source archive into out/dist, checks both in an environment of their own, and sets the tag.
-# Nothing is uploaded.
+# Nothing is uploaded.  Before it, --prepare VERSION gives the files that version, to be looked at and committed.
 set -euo pipefail
-dry=
-for argument; do
-  case $argument in
-    -h | --help) echo "usage: bash scripts/release.sh [--dry-run]    --dry-run: all but the tag"; exit ;;
-    --dry-run) dry=1 ;;
-    *) echo "release: expected --dry-run or nothing, received $argument" >&2; exit 2 ;;
-  esac
-done
+dry= next=
+case "$#,${1-}" in
+  0,) ;;
+  1,-h | 1,--help)
+    echo "usage: bash scripts/release.sh [--dry-run | --prepare VERSION]"
+    echo "--dry-run: all but the tag; --prepare: names the version where it is written, and what is unreleased by it"
+    exit ;;
+  1,--dry-run) dry=1 ;;
+  2,--prepare) next=$2 ;;
+  *) echo "release: expected --dry-run, --prepare VERSION or nothing, received $*" >&2; exit 2 ;;
+esac
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 version=$(sed -n 's/^__version__ = "\(.*\)"$/\1/p' torchfra/version.py)
 refuse() { echo "release: $*" >&2; exit 1; }
+replace() { sed "$1" "$2" > "$2.part" && mv "$2.part" "$2"; }
 [ -z "$(git status --porcelain)" ] || refuse "expected a clean tree; git status tells what is not committed"
-grep -qF "## [$version]" CHANGELOG.md || refuse "CHANGELOG.md: expected a heading [$version], there is none"
+
+if [ -n "$next" ]; then
+  [[ $next =~ ^[0-9]+\.[0-9]+\.[0-9]+$ ]] || refuse "--prepare: expected a version such as 1.2.0, received $next"
+  ! grep -qF "## [$next]" CHANGELOG.md || refuse "CHANGELOG.md: there is a heading [$next] already"
+  news=$(sed -n '/^## \[Unreleased\]$/,/^## \[[0-9]/{/^- /p;}' CHANGELOG.md)
+  [ -n "$news" ] || refuse "CHANGELOG.md: expected changes below [Unreleased], there are none"
+  replace "s/^## \\[Unreleased\\]$/&\\
+\\
+## [$next] - $(date -u +%F)/" CHANGELOG.md
+  replace "s/^version: .*/version: $next/" CITATION.cff
+  replace "s/^__version__ = .*/__version__ = \"$next\"/" torchfra/version.py
+  echo "torchfra $next: look at CHANGELOG.md, CITATION.cff and torchfra/version.py, commit them, and release without --prepare"
+  exit
+fi
+grep -qF "## [$version]" CHANGELOG.md || refuse "CHANGELOG.md: expected a heading [$version], there is none: --prepare $version"
 grep -qx "version: $version" CITATION.cff || refuse "CITATION.cff: expected version $version"
 git rev-parse -q --verify "refs/tags/v$version" > /dev/null && refuse "there is a tag v$version already"
 

@@ -1,17 +1,15 @@
 """What several test files share."""
 
-import contextlib
 import copy
 import os
-import subprocess
-import time
-from pathlib import Path
+import shutil
 
 import pytest
 import torch
+from short_tracks import short
 
 from torchfra import presets, scenarios
-from torchfra.kernel import build, compilers
+from torchfra.kernel import compilers
 
 PRESETS = ["ekf", "ukf", "srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "iaukf", "fra_srckf", "fra", "gpb"]
 STEPS = 12
@@ -68,40 +66,25 @@ def seeded():
     torch.manual_seed(0)
 
 
+@pytest.fixture
+def short_tracks():
+    """Scenarios that are made by the test have few steps."""
+    with short():
+        yield
+
+
 @pytest.fixture(scope="session", autouse=True)
 def kernels(tmp_path_factory):
-    """Kernels of this session alone, compiled in a hurry: not optimised, the headers that all include parsed once."""
+    """Kernels of this session alone, compiled in a hurry: not optimised."""
     with pytest.MonkeyPatch.context() as patch:
         folder = tmp_path_factory.getbasetemp()  # of one worker, where there are several
         folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "kernels"
         patch.setenv("TORCHFRA_CACHE", str(folder))
-        patch.setenv("CXXFLAGS", f"-O0 {parsed_headers(folder)}")
+        patch.setenv("CXXFLAGS", f"-O0 {quick_linker()}")
         yield
 
 
-def parsed_headers(folder):
-    """The option that includes a precompiled header, which the first worker makes; none where that fails."""
-    header, done = folder / "headers.h", folder / "headers-done"
-    try:
-        folder.mkdir(mode=0o700)
-    except FileExistsError:
-        for _ in range(600):
-            if done.exists():
-                break
-            time.sleep(0.1)
-    else:
-        template = (Path(build.__file__).parent / "template.cpp").read_text()
-        header.write_text(template[: template.index("namespace {")])
-        compiler = compilers.find()
-        command = [
-            *compiler.command,
-            *compiler.flags(),
-            "-O0",
-            f"-I{Path(torch.__file__).parent / 'include'}",
-            "-x",
-            "c++-header",
-        ]
-        with contextlib.suppress(OSError):
-            subprocess.run([*command, str(header), "-o", f"{header}.gch"], capture_output=True, check=False)
-        done.touch()
-    return f"-include {header}" if Path(f"{header}.gch").exists() else ""
+def quick_linker():
+    """The option for a linker that reads torch's symbols in a third of the time, where there is one."""
+    gold = compilers.find().family == "gcc" and shutil.which("ld.gold")
+    return "-fuse-ld=gold" if gold else ""

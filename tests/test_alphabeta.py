@@ -193,11 +193,11 @@ def test_a_batch_is_a_loop_streaming_is_the_batch_and_kernels_agree(options, ord
         one = f(z[i], prior)
         torch.testing.assert_close(one.mean, batch.mean[i])
         torch.testing.assert_close(one.scale_tril, batch.scale_tril[i])
-        state = f.init(prior)
-        for k in range(60):
-            state, _ = f.step(state, z[i, k])
-        torch.testing.assert_close(state.belief.mean, batch.mean[i, -1])
-        torch.testing.assert_close(state.belief.scale_tril, batch.scale_tril[i, -1])
+    state = f.init(prior._replace(mean=prior.mean.expand(4, -1)))
+    for k in range(60):
+        state, _ = f.step(state, z[:, k])
+    torch.testing.assert_close(state.belief.mean, batch.mean[:, -1])
+    torch.testing.assert_close(state.belief.scale_tril, batch.scale_tril[:, -1])
 
 
 def test_soft_choices_become_hard_ones_and_have_gradients():

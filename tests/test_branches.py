@@ -192,9 +192,9 @@ def test_a_batch_of_odds_and_an_ensemble_under_vmap_are_a_loop_over_them(make, t
 def test_torch_compile_sees_one_graph(make, tracks):
     f = make("fra", **THREE)
     torch._dynamo.reset()
-    graph = torch.compile(lambda z: f(z, tracks.prior, u=tracks.u[:3]).mean, backend="eager", fullgraph=True)
-    z = tracks.z[:, :3]
-    torch.testing.assert_close(graph(z), f(z, tracks.prior, u=tracks.u[:3]).mean, rtol=1e-9, atol=1e-9)
+    graph = torch.compile(lambda z: f(z, tracks.prior, u=tracks.u[:2]).mean, backend="eager", fullgraph=True)
+    z = tracks.z[:, :2]
+    torch.testing.assert_close(graph(z), f(z, tracks.prior, u=tracks.u[:2]).mean, rtol=1e-9, atol=1e-9)
 
 
 def test_learned_odds_load_and_those_of_two_branches_stay_as_they_were(make, tracks):

@@ -293,6 +293,13 @@ def test_an_option_that_does_nothing_with_a_scenario_is_refused(capsys):
     assert "flight: goes with positions in two dimensions or more, not with growth\n" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("option", ["figure", "print"])
+def test_a_figure_in_no_known_form_is_refused_before_any_work(option, monkeypatch, capsys):
+    monkeypatch.setattr("torchfra.app.compare_command.scenario_of", None)
+    assert cli.main([*COMPARE, f"--{option}", "x.docx"]) == 2
+    assert f"{option}: expected a file that ends in .pdf, .svg, .png, received x.docx" in capsys.readouterr().err
+
+
 # ---------------------------------------------------------------- endings
 
 

@@ -99,6 +99,12 @@ def test_the_figure_is_drawn_for_print_in_vectors_and_the_same_each_time(compari
     assert [label.get_text() for label in means.get_yticklabels()] == ["srckf", "rsrckf", "ukf"]
 
 
+def test_a_figure_in_no_known_form_is_refused_before_it_is_drawn(comparison, tmp_path, monkeypatch):
+    monkeypatch.setattr("torchfra.app.plotting.printed", None)
+    with pytest.raises(ValueError, match=r"path: expected a file that ends in \.pdf, \.svg, \.png, received x\.docx"):
+        comparison.plot("x.docx")
+
+
 def test_tracks_without_truth_are_compared_by_how_likely_their_measurements_were():
     tracks = SCENARIO.simulate(30)
     tracks = tracks._replace(truth=torch.full_like(tracks.truth, torch.nan))

@@ -103,7 +103,7 @@ def test_backslashes_are_part_of_paths_on_windows(monkeypatch):
 
 
 def test_the_compiler_of_windows_is_given_its_own_arguments():
-    made = Compiler(("cl",), "Microsoft").to_library(Path("kernel.cpp"), Path("kernel.dll"), wide=False)
+    made = Compiler(("cl",), "Microsoft").to_library([Path("kernel.cpp")], Path("kernel.dll"), wide=False)
     assert made == ["kernel.cpp", "/Fokernel.obj", "/Fekernel.dll"]
 
 
@@ -112,17 +112,20 @@ def test_the_compiler_of_windows_is_given_its_own_arguments():
 
 @pytest.mark.slow
 @needs_zig
-@pytest.mark.parametrize(("name", "dtype"), [("srckf", torch.float32), ("fra", torch.float64)])
-def test_zig_makes_what_the_other_compiler_makes(name, dtype, make, tracks, folder, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "dtype", "gradients"), [("srckf", torch.float32, False), ("fra", torch.float64, True)]
+)
+def test_zig_makes_what_the_other_compiler_makes(name, dtype, gradients, make, tracks, folder, monkeypatch):
     found = []
     z, prior = tracks.z.to(dtype), type(tracks.prior)(*(x.to(dtype) for x in tracks.prior))
-    monkeypatch.setenv("CXXFLAGS", "-O1 -ffp-contract=off")
+    monkeypatch.setenv("CXXFLAGS", "-O0 -ffp-contract=off")
     for command in ("g++", ZIG):
         monkeypatch.setenv("CXX", command)
-        f = make(name, learn=("q",)).compile()
+        f = make(name, learn=("q",) if gradients else ()).compile()
         estimate = f(z, prior, u=tracks.u.to(dtype))
-        gradient = torch.autograd.grad(estimate.mean.double().square().mean(), f.motion.q.raw)
-        found.append((estimate.mean.detach(), *gradient))
+        found.append([estimate.mean.detach()])
+        if gradients:
+            found[-1] += torch.autograd.grad(estimate.mean.square().mean(), f.motion.q.raw)
     tolerance = 1e-12 if dtype == torch.float64 else 1e-4
     for one, other in zip(*found, strict=True):
         torch.testing.assert_close(one, other, rtol=tolerance, atol=tolerance * one.abs().max().item())
@@ -168,15 +171,14 @@ def machine_of(path):
 def test_kernels_compile_for_other_systems_and_processors(system, form, processor, sources, tmp_path):
     """Vectors and single tracks; on Windows single tracks alone."""
     for k, source in enumerate(sources("fra")):
-        wide = "<ATen/" in source
+        wide = "SLEEF" in source
         if wide and system == "windows-gnu":
             continue
         text, made = tmp_path / f"{k}.cpp", tmp_path / f"{k}.o"
         text.write_text(source)
         model = ["-mcpu=x86_64_v3"] if processor == "x86_64" else []
-        include = [f"-I{Path(torch.__file__).parent / 'include'}"] if wide else []
         flags = ["-c", "-O0", "-w", "-std=c++20", "-target", f"{processor}-{system}"]
-        command = [*ZIG.split(), *flags, *model, *include, str(text), "-o", str(made)]
+        command = [*ZIG.split(), *flags, *model, str(text), "-o", str(made)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr[-2000:]
         assert machine_of(made) == (form, processor)

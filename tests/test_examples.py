@@ -2,13 +2,13 @@
 
 import importlib.util
 import re
-import subprocess
 import sys
 import warnings
 from pathlib import Path
 
 import pytest
 import torch
+from two_processes import run_in_two
 
 from torchfra import presets
 
@@ -151,13 +151,10 @@ def test_lightning_trains_a_filter(capsys):
     assert after < before
 
 
-@pytest.mark.slow
-def test_two_processes_learn_what_one_learns(capsys):
-    small = ["--iterations", "2", "--tracks", "4"]
-    load("12_several_processes").main(small)
+def test_two_processes_learn_what_one_learns(capsys, tmp_path):
+    example, small = load("12_several_processes"), ["--iterations", "2", "--tracks", "4"]
+    example.main(small)
     alone = numbers(r" ([\d.]+)", capsys.readouterr().out)
-    launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-    both = subprocess.run([*launcher, EXAMPLES["12_several_processes"], *small], capture_output=True, text=True)
-    assert both.returncode == 0, both.stderr
-    assert numbers(r" ([\d.]+)", both.stdout) == pytest.approx(alone, rel=1e-6)
+    run_in_two(example.main, small, tmp_path / "out")
+    assert numbers(r" ([\d.]+)", (tmp_path / "out").read_text()) == pytest.approx(alone, rel=1e-6)
     assert len(alone) == 4

@@ -9,9 +9,9 @@ from torch.utils.data import DataLoader, TensorDataset
 
 import torchfra
 from torchfra import Gaussian, presets, scenarios
-from torchfra.fit import sweep
-from torchfra.fit.data import batch_of
-from torchfra.fit.judging import judged
+from torchfra.fitting import sweep
+from torchfra.fitting.data import batch_of
+from torchfra.fitting.judging import judged
 from torchfra.motion import ConstantVelocity
 from torchfra.readers import Recording
 from torchfra.sensors import Bearings, Position
@@ -299,7 +299,7 @@ def test_a_filter_with_a_network_is_sent_to_a_loop_of_its_own():
 
 
 def test_a_fit_that_was_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypatch):
-    from torchfra.fit.descent import Descent
+    from torchfra.fitting.descent import Descent
 
     options = {"learn": ("q",), "compile": False, "iterations": 12, "validate_every": 3, "batch": 4}
     z = {"z": walks(6, 12, 5)[1], "prior": PRIOR}
@@ -350,6 +350,8 @@ def test_the_result_is_written_as_json_and_as_a_figure(fitted, tmp_path):
     assert data["values"]["motion.q"]["learned"] == fitted.learned["motion.q"]
     assert data["settings"]["seed"] == 3
     assert {"torch", "torchfra"} <= set(data["versions"])
+    with pytest.raises(ValueError, match=r"path: expected a file that ends in .*, received fit\.docx"):
+        fitted.plot("fit.docx")
     fitted.plot(tmp_path / "fit.png")
     assert (tmp_path / "fit.png").stat().st_size > 10_000
 

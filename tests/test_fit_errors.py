@@ -8,10 +8,11 @@ from test_fit import PRIOR, QUICK, STD, Q, start, walks
 
 import torchfra
 from torchfra import Gaussian, presets
-from torchfra.fit.data import batch_of
-from torchfra.fit.newton import Sums, minimised
-from torchfra.fit.objective import Objective
-from torchfra.fit.vector import NORMAL_95, Vector
+from torchfra.filters.hessian import hessian
+from torchfra.fitting.data import batch_of
+from torchfra.fitting.newton import Sums, minimised
+from torchfra.fitting.objective import Objective
+from torchfra.fitting.vector import NORMAL_95, Vector
 from torchfra.motion import ConstantVelocity, CoordinatedTurn
 from torchfra.sensors import Position
 
@@ -39,6 +40,14 @@ def test_the_hessian_is_that_of_autograd():
     curvature = sums.curvature(raw[None, None])
     expected = exact(f, vector, z, raw)
     assert torch.allclose(curvature.hessian[0, 0], expected, rtol=1e-6, atol=1e-6)
+
+
+def test_the_hessian_is_that_of_a_loop_of_ones_own():
+    f, z = start(learn=("q", "std")), walks(0, 4, 6)[1]
+    vector, sums = sums_of(f, z)
+    alone = hessian(lambda: -f(z, PRIOR).log_likelihood.sum(), list(f.parameters()))
+    found = sums.curvature(vector.raw()[None, None]).hessian[0, 0]
+    assert torch.allclose(found, alone.matrix, rtol=1e-6, atol=1e-6)
 
 
 def test_the_scores_are_the_gradients_of_single_tracks():

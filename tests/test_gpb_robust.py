@@ -1,11 +1,12 @@
 """Never locked out, never blown up: GPB with its defaults has left behind what went wrong five measured steps later."""
 
+import functools
 import math
 
 import pytest
 import torch
 
-from torchfra import metrics, presets, scenarios
+from torchfra import metrics, presets, scenarios, tree
 from torchfra.motion import ConstantAcceleration, aircraft
 from torchfra.sensors import Bearings, Position, RangeBearing, Ranges
 from torchfra.types import Gaussian
@@ -95,32 +96,106 @@ def well(estimate, truth, usual):
     return (error < 3 * usual) | (nees(estimate, truth) < 25)
 
 
-def check(motion, name, truth, z, prior, since):
+# ---------------------------------------------------------------- what goes wrong, from a sensor
+
+
+def nothing(sensor):
+    truth = flight()
+    return truth, measured(SENSORS[sensor], truth), start(truth)
+
+
+def silence(sensor):
+    truth, z, prior = nothing(sensor)
+    z[:, 100:130] = torch.nan
+    return truth, z, prior
+
+
+def jump(sensor):
+    truth = flight()
+    truth[:, 120:, :2] += 100 * SIGMA[sensor] * tensor([0.6, 0.8])
+    return truth, measured(SENSORS[sensor], truth), start(truth)
+
+
+def poor_start(sensor):
+    truth, z, _ = nothing(sensor)
+    return truth, z, start(truth, 3000.0)
+
+
+def half(wrong):
+    def case(sensor):
+        truth, z, prior = nothing(sensor)
+        off = torch.rand(RUNS, 60, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+        z[:, 100:160, :2] += 300 * off if wrong == "anew" else tensor([300.0, 200.0])
+        return truth, z, prior
+
+    return case
+
+
+def elsewhere(sensor):
+    truth, z, prior = nothing(sensor)
+    place = truth[:, 120].clone()
+    place[:, 0] += 3.6e6
+    z[:, 120] = SENSORS[sensor](place)
+    return truth, z, prior
+
+
+def bursts(sensor):
+    truth, z, prior = nothing(sensor)
+    quiet = SENSORS[sensor](truth)
+    starts = torch.rand(RUNS, STEPS, generator=torch.Generator().manual_seed(4)) < 0.0125
+    inside = torch.stack([starts.roll(k, 1) for k in range(4)]).any(0)
+    inside[:, :10] = False
+    return truth, quiet + torch.where(inside.unsqueeze(-1), 10.0, 1.0) * (z - quiet), prior
+
+
+CASES = dict.fromkeys((nothing, silence, jump, poor_start, bursts), SENSORS)
+CASES |= {elsewhere: ("position", "radar", "ranges")}
+HALF = {wrong: half(wrong) for wrong in ("anew", "the same")}
+CASES |= dict.fromkeys(HALF.values(), ("ranges",))
+"""Each with the sensors that it is of."""
+
+
+@functools.cache
+def estimates(motion, sensor):
+    """Of all cases at once: the truth, the measurements, the prior, the estimate of each."""
+    cases = [(case, *case(sensor)) for case, sensors in CASES.items() if sensor in sensors]
+    _, _, zs, priors = zip(*cases, strict=True)
+    prior = Gaussian(torch.cat([prior.mean for prior in priors]), START)
+    whole = presets.gpb(MOTIONS[motion](), SENSORS[sensor])(torch.cat(zs), prior)
+    parts = [tree.map_tensors(lambda x, i=i: x[RUNS * i : RUNS * (i + 1)], whole) for i in range(len(cases))]
+    return {case: (*given, part) for (case, *given), part in zip(cases, parts, strict=True)}
+
+
+@functools.cache
+def usual_error(sensor):
+    """Of a plain filter where nothing is wrong."""
+    truth, z, prior = nothing(sensor)
+    e = presets.srckf(ConstantAcceleration(4.0), SENSORS[sensor])(z, prior)
+    return (e.mean - truth)[:, 20:, :2].norm(dim=-1).square().mean().sqrt()
+
+
+def check(motion, sensor, case, since):
     """Finite; well from the fifth measured step on; and its covariance covers what happened."""
-    sensor = SENSORS[name]
-    e = presets.gpb(MOTIONS[motion](), sensor)(z, prior)
-    usual = (presets.srckf(ConstantAcceleration(4.0), sensor)(measured(sensor, flight()), start(flight())).mean
-             - flight())[:, 20:, :2].norm(dim=-1).square().mean().sqrt()  # fmt: skip
+    truth, _, _, e = estimates(motion, sensor)[case]
+    usual = usual_error(sensor)
     assert not e.failed.any()
     assert all(x.isfinite().all() for of in (e.info.filtered, e.info.settled) for x in of)
     assert well(e, truth, usual)[:, since + RECOVERED - 1 :].all()
     assert (nees(e, truth) < BOUND).double().mean() > COVERED[motion]
-    return e, usual
+    return e, truth, usual
 
 
 @every_motion
 @every_sensor
 def test_nothing_is_wrong(sensor, motion):
-    truth = flight()
-    e, usual = check(motion, sensor, truth, measured(SENSORS[sensor], truth), start(truth), 0)
+    e, truth, usual = check(motion, sensor, nothing, 0)
     assert (e.mean - truth)[:, 20:, :2].norm(dim=-1).square().mean().sqrt() < 1.1 * usual
 
 
 @every_sensor
 @pytest.mark.xfail(strict=True, reason="a bank's calm is so calm that it misses the beginning of some turns")
 def test_a_bank_covers_99_percent_of_the_steps(sensor):
-    truth = flight()
-    e = presets.gpb(aircraft(), SENSORS[sensor])(measured(SENSORS[sensor], truth), start(truth))
+    truth, _, _, e = estimates("bank", sensor)[nothing]
     assert (nees(e, truth) < BOUND).double().mean() > COVERED["one motion"]
 
 
@@ -133,48 +208,34 @@ def test_a_bank_that_leaves_its_calm_more_easily_does():
 @every_motion
 @every_sensor
 def test_half_a_minute_without_any_measurement(sensor, motion):
-    truth = flight()
-    z = measured(SENSORS[sensor], truth)
-    z[:, 100:130] = torch.nan
-    check(motion, sensor, truth, z, start(truth), 130)
+    check(motion, sensor, silence, 130)
 
 
 @every_motion
 @every_sensor
 def test_a_target_that_jumps_by_a_hundred_sigma_and_stays(sensor, motion):
-    truth = flight()
-    truth[:, 120:, :2] += 100 * SIGMA[sensor] * tensor([0.6, 0.8])
-    check(motion, sensor, truth, measured(SENSORS[sensor], truth), start(truth), 120)
+    check(motion, sensor, jump, 120)
 
 
 @every_motion
 @every_sensor
 def test_a_start_that_is_three_kilometres_off(sensor, motion):
-    truth = flight()
-    check(motion, sensor, truth, measured(SENSORS[sensor], truth), start(truth, 3000.0), 0)
+    check(motion, sensor, poor_start, 0)
 
 
 @every_motion
-@pytest.mark.parametrize("wrong", ["anew", "the same"])
+@pytest.mark.parametrize("wrong", HALF)
 def test_half_of_the_elements_wrong_for_a_minute(wrong, motion):
-    truth = flight()
-    z = measured(SENSORS["ranges"], truth)
-    off = torch.rand(RUNS, 60, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
-    z[:, 100:160, :2] += 300 * off if wrong == "anew" else tensor([300.0, 200.0])
-    e, usual = check(motion, "ranges", truth, z, start(truth), 160)
+    e, truth, usual = check(motion, "ranges", HALF[wrong], 160)
     assert (e.info.outlier[:, 105:160, :2].mean((0, 1)) > 0.8).all()
     assert (e.info.outlier[:, 105:160, 2:].mean((0, 1)) < 0.2).all()
     assert (e.mean - truth)[:, 100:160, :2].norm(dim=-1).median() < 3 * usual
 
 
 @every_motion
-@pytest.mark.parametrize("sensor", ["position", "radar", "ranges"])
+@pytest.mark.parametrize("sensor", CASES[elsewhere])
 def test_one_fix_that_is_thousands_of_kilometres_off(sensor, motion):
-    truth = flight()
-    z, elsewhere = measured(SENSORS[sensor], truth), truth[:, 120].clone()
-    elsewhere[:, 0] += 3.6e6
-    z[:, 120] = SENSORS[sensor](elsewhere)
-    e, usual = check(motion, sensor, truth, z, start(truth), 120)
+    e, truth, usual = check(motion, sensor, elsewhere, 120)
     assert (nees(e, truth)[:, 120] < 25).all()
     assert well(e, truth, usual)[:, 120:].all()
     assert ((e.mean - truth)[:, 121, :2].norm(dim=-1) < 5 * usual).all()
@@ -183,14 +244,9 @@ def test_one_fix_that_is_thousands_of_kilometres_off(sensor, motion):
 @every_motion
 @every_sensor
 def test_bursts_of_four_measurements_at_ten_sigma(sensor, motion):
-    truth = flight()
-    z, quiet = measured(SENSORS[sensor], truth), SENSORS[sensor](truth)
-    starts = torch.rand(RUNS, STEPS, generator=torch.Generator().manual_seed(4)) < 0.0125
-    inside = torch.stack([starts.roll(k, 1) for k in range(4)]).any(0)
-    inside[:, :10] = False
-    noisy = quiet + torch.where(inside.unsqueeze(-1), 10.0, 1.0) * (z - quiet)
-    e, usual = check(motion, sensor, truth, noisy, start(truth), STEPS)
-    plain = presets.srckf(ConstantAcceleration(4.0), SENSORS[sensor])(noisy, start(truth))
+    e, truth, usual = check(motion, sensor, bursts, STEPS)
+    _, z, prior = bursts(sensor)
+    plain = presets.srckf(ConstantAcceleration(4.0), SENSORS[sensor])(z, prior)
     error, loose = ((x.mean - truth)[:, 20:, :2].norm(dim=-1).square().mean().sqrt() for x in (e, plain))
     assert error < 0.7 * loose
     assert error < 1.6 * usual

@@ -16,7 +16,7 @@ LEVELS = [
     {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"kernel"}, {"filters"},
     {"register"}, {"stream"}, {"targets"}, {"testing"},
     {"presets"},
-    {"scenarios"}, {"catalogue"}, {"cleaning"}, {"app"}, {"adapters"}, {"fit"}, {"__init__", "__main__"},
+    {"scenarios"}, {"catalogue"}, {"cleaning"}, {"app"}, {"adapters"}, {"fitting"}, {"__init__", "__main__"},
 ]  # fmt: skip
 """Lower first: a module or package imports those below it, and within a package there is no circle."""
 APART = {("scenarios", "filters"), ("scenarios", "presets")}

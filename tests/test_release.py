@@ -1,5 +1,6 @@
 """A release is refused before any work where something is missing."""
 
+import re
 import subprocess
 from pathlib import Path
 
@@ -37,10 +38,13 @@ def commit(folder):
     git(folder, "commit", "--quiet", "--message", "all")
 
 
+def release(folder, *words):
+    command = ["bash", "scripts/release.sh", *words]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=30)
+
+
 def refusal(folder, *words):
-    done = subprocess.run(
-        ["bash", "scripts/release.sh", *words], cwd=folder, capture_output=True, text=True, timeout=30
-    )
+    done = release(folder, *words)
     assert done.returncode
     return done.stderr
 
@@ -63,6 +67,33 @@ def test_a_version_that_a_file_does_not_have_is_refused(clone, name, message):
 def test_a_tag_that_is_there_is_not_set_again(clone):
     git(clone, "tag", f"v{version()}")
     assert f"there is a tag v{version()} already" in refusal(clone)
+
+
+def test_the_changes_of_this_tree_become_those_of_a_version_from_which_a_release_can_be_made(clone):
+    (clone / "CHANGELOG.md").write_text((ROOT / "CHANGELOG.md").read_text())
+    commit(clone)
+    done = release(clone, "--prepare", "7.8.9")
+    assert done.returncode == 0, done.stderr
+    before, after = ((folder / "CHANGELOG.md").read_text() for folder in (ROOT, clone))
+    assert re.sub(r"\n\n## \[7\.8\.9\] - \d{4}-\d\d-\d\d\n", "\n", after) == before  # nothing else has changed
+    assert re.search(r"^## \[Unreleased\]\n\n## \[7\.8\.9\]", after, re.M)
+    assert '__version__ = "7.8.9"\n' in (clone / "torchfra/version.py").read_text()
+    commit(clone)
+    git(clone, "tag", "v7.8.9")
+    assert "there is a tag v7.8.9 already" in refusal(clone, "--dry-run")  # the last that is asked before the work
+
+
+@pytest.mark.parametrize(("words", "message"), [
+    (["--prepare", "next"], "--prepare: expected a version such as 1.2.0, received next"),
+    (["--prepare", "0.1.0"], "there is a heading [0.1.0] already"),
+    (["--prepare", "7.8.9"], "expected changes below [Unreleased], there are none"),
+    (["--prepare"], "expected --dry-run, --prepare VERSION or nothing, received --prepare"),
+])  # fmt: skip
+def test_a_version_that_cannot_be_prepared_is_refused_and_files_stay(clone, words, message):
+    (clone / "CHANGELOG.md").write_text("# Changelog\n\n## [Unreleased]\n\n## [0.1.0] - 2026-01-01\n\n- All.\n")
+    commit(clone)
+    assert message in refusal(clone, *words)
+    git(clone, "diff", "--exit-code")
 
 
 def test_an_unknown_argument_is_refused(clone):

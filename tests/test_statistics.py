@@ -1,5 +1,6 @@
 """Intervals hold what they should, tests err as often as they say, and quantiles are those of tables."""
 
+import itertools
 import math
 
 import numpy as np
@@ -33,6 +34,28 @@ def test_quantiles_and_tests_are_those_of_scipy():
     for one, other in (rng.normal(size=(2, 60)), rng.integers(0, 5, (2, 60)), rng.normal(size=(2, 300)) * [[1], [2]]):
         expected = stats.wilcoxon(one, other, correction=True, method="approx").pvalue
         assert signed_rank(one, other) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 9, 12])
+def test_of_few_runs_the_test_is_that_of_all_signs(n):
+    rng = np.random.default_rng(n)
+    for gap in (rng.normal(size=n), rng.integers(1, 4, n) * rng.choice([-1.0, 1.0], n)):  # without ties and with many
+        size = np.abs(gap)
+        rank = (size[:, None] > size).sum(1) + (1 + (size[:, None] == size).sum(1)) / 2
+        sums = np.array([rank @ signs for signs in itertools.product((0, 1), repeat=n)])
+        middle = rank.sum() / 2
+        expected = np.mean(np.abs(sums - middle) >= abs(rank[gap > 0].sum() - middle) - 1e-9)
+        assert signed_rank(gap, np.zeros(n)) == pytest.approx(expected, rel=1e-12)
+
+
+def test_of_few_runs_without_ties_the_test_is_that_of_scipy_and_near_the_approximation():
+    stats = pytest.importorskip("scipy.stats")
+    one, other = np.random.default_rng(4).normal(size=(2, 25))
+    expected = stats.wilcoxon(one, other, method="exact").pvalue
+    assert signed_rank(one, other) == pytest.approx(expected, rel=1e-9)
+    assert signed_rank(one, other) == pytest.approx(
+        stats.wilcoxon(one, other, correction=True, method="approx").pvalue, rel=0.05
+    )
 
 
 def test_intervals_hold_the_mean_and_the_median_in_95_of_100_samples():

@@ -4,6 +4,7 @@ import json
 
 import pytest
 import torch
+from short_tracks import STEPS, short
 
 from torchfra import metrics, presets, scenarios
 from torchfra.app import distributed
@@ -29,14 +30,16 @@ def settings(*changes, tasks=TASKS[:2]):
 
 @pytest.fixture(scope="module")
 def training():
-    return Regrets(settings())
+    with short():
+        return Regrets(settings())
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """What two iterations leave, and the folder."""
     out = tmp_path_factory.mktemp("gpb")
-    return tune.tune(settings(tasks=TASKS), out, quiet=True), out
+    with short():
+        return tune.tune(settings(tasks=TASKS), out, quiet=True), out
 
 
 # ---------------------------------------------------------------- what is shared
@@ -52,18 +55,21 @@ def test_filters_of_a_motion_and_of_a_bank_have_the_same_values(training):
         assert sum(p is q for p in f.parameters() for q in training.parameters.values()) == len(training.config.start)
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_tasks_with_the_same_models_have_one_filter():
     same = [TASKS[0], {**TASKS[0], "options": {"outliers": "none"}}, TASKS[1]]
     first, second, other = Regrets(settings("rivals=srckf", tasks=same)).filters
     assert first is second is not other
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_tasks_with_other_places_of_the_sensor_have_another_filter():
     tasks = [{"scenario": "ranges-outliers", "options": {"anchors": anchors}} for anchors in ("together", "around")]
     one, other = Regrets(settings("rivals=srckf", tasks=tasks)).filters
     assert one is not other
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_only_what_is_named_learns():
     training = Regrets(settings("learn=stay,poor", "rivals=srckf"))
     assert sorted(training.parameters) == ["poor.raw", "stay.raw"]
@@ -91,12 +97,12 @@ def test_an_error_is_the_mean_over_time_of_the_rmse_over_the_runs(training):
 
 def test_steps_of_unknown_truth_do_not_count_but_an_estimate_that_is_nan_does(training):
     tracks = tracks_of(training, 0)
-    ended = tracks.truth.index_fill(1, torch.arange(60, 100), torch.nan)
+    ended = tracks.truth.index_fill(1, torch.arange(15, STEPS), torch.nan)
     with torch.no_grad():
         part = training.errors([0], tracks._replace(truth=ended))
         lost = training.errors([0], tracks._replace(prior=tracks.prior._replace(mean=tracks.prior.mean * torch.nan)))
         info = training.filters[0](tracks.z, tracks.prior, u=tracks.u, dt=tracks.dt).info
-    first = metrics.rmse(info.filtered.mean[:, :60], tracks.truth[:, :60], slice(0, 2)).mean()
+    first = metrics.rmse(info.filtered.mean[:, :15], tracks.truth[:, :15], slice(0, 2)).mean()
     torch.testing.assert_close(part[0, 0], first)
     assert lost.isnan().all()
 
@@ -109,6 +115,7 @@ def test_a_loss_is_the_sixth_power_of_the_ratios_to_the_rival_within_bounds(trai
     assert training.losses_of([([0], None)])[0] == 12.0**6
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_a_rival_is_the_best_of_all_that_the_scenario_has_models_for(training):
     name, error = training.best_rival(1, held_out=False, runs=2, seed=0)
     alone = {rival: Regrets(settings(f"rivals={rival}")).best_rival(1, held_out=False, runs=2, seed=0)[1]
@@ -173,6 +180,7 @@ def test_a_run_tells_each_tasks_best_rival_and_errors_before_and_after(run):
     assert "best rival" in text
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_a_run_that_is_interrupted_resumes_to_the_same_values(run, tmp_path, monkeypatch):
     save = checkpoints.save
 

@@ -116,6 +116,10 @@ def test_a_set_says_what_it_was_learned_on_and_was_measured_elsewhere_on_other_s
     assert json.loads(FILE.read_text())["settings"]["seed"] not in record["seeds"]
 
 
+def test_every_figure_of_the_table_is_of_200_runs_or_more():
+    assert min(result["runs"] for record in RECORDS for result in record["results"]) >= 200
+
+
 def test_a_record_is_a_copy():
     torchfra.values()[0]["arguments"].clear()
     assert torchfra.values()[0]["arguments"]
@@ -126,9 +130,9 @@ def test_a_record_is_a_copy():
 
 def test_the_program_computes_the_figures_of_the_file():
     record = next(r for r in RECORDS if r["preset"] == "hghckf2")
-    (known,) = (r for r in record["results"] if (r["scenario"], r["options"]) == ("noise-change", {}))
+    (known,) = (r for r in record["results"] if (r["scenario"], r["options"]) == ("growth", {}))
     settings = json.loads(FILE.read_text())["settings"]
-    anew = measured.compared(record, Task("noise-change"), False, runs=known["runs"], seed=settings["seed"])
+    anew = measured.compared(record, Task("growth"), False, known["runs"], settings["seed"])
     assert anew.keys() == known.keys()
     for name in ("defaults", "set", "change"):
         assert anew[name] == pytest.approx(known[name], rel=1e-3), name
@@ -137,6 +141,65 @@ def test_the_program_computes_the_figures_of_the_file():
 def test_a_seed_that_was_learned_on_is_refused(capsys, tmp_path):
     assert measured.main(["--seed", "0", "--out", str(tmp_path / "values.json")]) == 2
     assert "seed: expected one that no set was learned on, received 0" in capsys.readouterr().err
+
+
+@pytest.fixture
+def measure(tmp_path, monkeypatch):
+    """Calls the program with a stand-in for what takes time; returns what was measured, and what the file has."""
+    asked = []
+
+    def stand_in(record, task, learned_on, runs, seed):
+        asked.append((record["preset"], task.scenario))
+        cell = {"scenario": task.scenario, "options": task.options, "models": task.models, "learned_on": learned_on}
+        return cell | {"runs": runs, "change": float(len(asked))}
+
+    def call(*arguments, status=0):
+        asked.clear()
+        assert measured.main(["--out", str(tmp_path / "values.json"), "--quiet", *arguments]) == status
+        sets = json.loads((tmp_path / "values.json").read_text())["sets"]
+        return list(asked), {record["preset"]: record["results"] for record in sets}
+
+    monkeypatch.setattr(measured, "compared", stand_in)
+    return call
+
+
+def test_sets_and_scenarios_are_measured_by_name_and_all_others_stay(measure):
+    asked, found = measure("--sets", "fra-*", "--cells", "reentry,growth")
+    assert asked == [("fra", "growth"), ("fra", "reentry")]
+    assert {name for name, results in found.items() if results} == {"fra"}
+    asked, found = measure("--sets", "gpb-*", "--cells", "reentry")
+    assert asked == [("gpb", "reentry")]
+    assert {name: len(results) for name, results in found.items() if results} == {"fra": 2, "gpb": 1}
+
+
+def test_a_command_that_was_ended_goes_on_with_what_is_missing(measure):
+    measure("--sets", "fra-*", "--cells", "reentry")
+    asked, found = measure("--sets", "fra-*", "--cells", "reentry,growth", "--resume")
+    assert asked == [("fra", "growth")]
+    assert [result["scenario"] for result in found["fra"]] == ["growth", "reentry"]  # in the order of the catalogue
+    asked, found = measure("--sets", "fra-*", "--cells", "reentry", "--resume", "--runs", "9")  # other runs: anew
+    assert asked == [("fra", "reentry")]
+    assert [result["runs"] for result in found["fra"]] == [300, 9]
+
+
+def test_all_is_measured_in_one_go_where_settings_are_others(measure, capsys):
+    measure("--sets", "hghckf2-*", "--cells", "growth")
+    measure("--sets", "hghckf2-*", "--cells", "growth", "--seed", "78", status=2)
+    assert "cells: expected all, as" in capsys.readouterr().err
+    asked, found = measure("--seed", "78", "--resume")
+    assert len(asked) == sum(map(len, found.values())) == sum(len(record["results"]) for record in RECORDS)
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["--cells", "calm"], "cells: expected scenarios of *, received calm"),
+    (["--sets", "calm"], "cells: expected scenarios of calm, received *"),
+    (["--runs", "1"], "runs: expected 2 or more, received 1"),
+    (["--jobs", "0"], "jobs: expected 1 or more, received 0"),
+])  # fmt: skip
+def test_what_cannot_be_measured_is_named_and_nothing_is_written(arguments, message, tmp_path, capsys):
+    assert measured.main([*arguments, "--out", str(tmp_path / "values.json")]) == 2
+    assert message in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_run_is_taken_as_arguments_and_factors(tmp_path):

@@ -23,7 +23,7 @@ from torchfra import (
 from torchfra.app.clean import clean, track
 from torchfra.app.compare import compare
 from torchfra.app.memory import keep_memory
-from torchfra.fit.fitting import fit
+from torchfra.fitting.from_tracks import fit
 from torchfra.hyper import Hyper, learnable, summary
 from torchfra.presets.values import values
 from torchfra.testing.models import check_model

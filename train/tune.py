@@ -33,7 +33,7 @@ from torchfra.app import distributed, plotting
 from torchfra.app.atomic_write import write_json
 from torchfra.app.command import Failures, check_files, check_folder, exit_status, make_parser
 from torchfra.catalogue import FILTERS
-from torchfra.fit.bounded import bounded, falling
+from torchfra.fitting.bounded import bounded, falling
 from torchfra.hyper import hypers
 from torchfra.kernel.build import CompileError
 from torchfra.tables import printable

@@ -1,11 +1,14 @@
 """Makes the named sets of values that presets take, and measures what they give.
 
-    python -m train.values                                     measures all sets anew
+    python -m train.values --jobs 4                            measures all sets anew, in four processes
+    python -m train.values --jobs 4 --resume                   only what has not been measured so
     python -m train.values --take out/train/fra_bearings       takes the learned values of runs of train.tune first
+    python -m train.values --sets 'gpb-*' --cells reentry      some sets, some scenarios
 
 Each set is compared with the preset's defaults where it was learned (the tasks of its run) and in all other scenarios
 of the catalogue that the filter takes, on the same runs, of a seed that no training has seen.  All is written to
-torchfra/presets/values.json, which ``torchfra.values()`` prints.
+torchfra/presets/values.json, which ``torchfra.values()`` prints, after each scenario anew: a command that was ended
+goes on with ``--resume``.
 """
 
 from __future__ import annotations
@@ -18,14 +21,15 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 
 import torchfra
 from torchfra.app.atomic_write import write_json
-from torchfra.app.command import add_quiet_option, add_runs_options, exit_status, make_parser
+from torchfra.app.command import add_quiet_option, add_runs_options, check_files, exit_status, make_parser
 from torchfra.app.evaluate import versions
+from torchfra.app.jobs import add_jobs_option, check_jobs, finished
 from torchfra.app.progress import progress_bar
 from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, scenario_filter
 from torchfra.filters import Filter
@@ -34,8 +38,10 @@ from torchfra.scenarios import Scenario
 from train.batches import task_scenario
 from train.config import Task
 from train.runs import RUNS
+from train.table import Figures, add_result, matches, measured, name_of, read, take_results
 
-Figures = dict[str, Any]
+CHUNK = 100
+"""Runs that are filtered at once: a bank of seven motions takes megabytes for each."""
 
 
 class Source(NamedTuple):
@@ -63,6 +69,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser = make_parser(__doc__, "python -m train.values")
     parser.add_argument("--take", metavar="DIR", type=Path, nargs="+", default=[], help="what runs have written")
     parser.add_argument("--out", metavar="FILE", type=Path, default=FILE, help="where to write (default: the package)")
+    parser.add_argument("--sets", metavar="A,B", default="*", help="PRESET-VALUES, or patterns of them (default: all)")
+    parser.add_argument("--cells", metavar="A,B", default="*", help="scenarios, or patterns of them (default: all)")
+    parser.add_argument("--resume", action="store_true", help="keep what the output has of these runs and values")
+    add_jobs_option(parser)
     add_runs_options(parser, 300, seed=77)
     add_quiet_option(parser)
     return exit_status("values", lambda: measure(parser.parse_args(arguments)))
@@ -72,22 +82,29 @@ def measure(options: argparse.Namespace) -> None:
     """Takes learned values, measures the sets and writes the file.
 
     Raises:
-        ValueError: a folder without the results of a run that is a set, or a seed that was learned on.
+        ValueError: a folder without the results of a run that is a set, a seed that was learned on, fewer than 2 runs,
+            fewer than 1 job, names that no set or scenario has, or some of them where the output has other settings.
     """
-    contents = json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {"sets": []}
-    sets = {(record["preset"], record["values"]): record for record in contents["sets"]}
-    for folder in options.take:
-        record = taken(folder)
-        sets[record["preset"], record["values"]] = record
+    check_jobs(options.jobs)
+    if options.runs < 2:
+        raise ValueError(f"runs: expected 2 or more, received {options.runs}")
+    check_files({"out": options.out})
+    sets = {name_of(record): record for record in read(FILE)["sets"]}
+    sets |= {name_of(record): record for record in map(taken, options.take)}
     _check_seed(options.seed, list(sets.values()))
-    for record in sets.values():
-        cells = list(cells_of(record))
-        record["results"] = [
-            compared(record, *cell, runs=options.runs, seed=options.seed)
-            for cell in progress_bar(cells, record["preset"], not options.quiet)
-        ]
-    made = {"seed": options.seed, "versions": versions(), "by": "python -m train.values"}
-    write_json(options.out, {"settings": made, "sets": list(sets.values())})
+    settings = {"seed": options.seed, "versions": versions(), "by": "python -m train.values"}
+    take_results(sets, settings, options.out, everything=(options.sets, options.cells) == ("*", "*"))
+    cells = {name: list(cells_of(record)) for name, record in sets.items() if matches(name, options.sets)}
+    todo = [(name, *cell) for name, of in cells.items() for cell in of if matches(cell[0].scenario, options.cells)]
+    if not todo:
+        raise ValueError(f"cells: expected scenarios of {options.sets}, received {options.cells}")
+    if options.resume:
+        todo = [part for part in todo if not measured(sets[part[0]], part[1], options.runs)]
+    parts = [(sets[name], task, learned_on, options.runs, options.seed) for name, task, learned_on in todo]
+    for number, figures in progress_bar(finished(compared, parts, options.jobs), "cell", not options.quiet):
+        name = todo[number][0]
+        add_result(sets[name], figures, [task for task, _ in cells[name]])
+        write_json(options.out, {"settings": settings, "sets": list(sets.values())})
 
 
 def taken(folder: Path) -> Figures:
@@ -175,11 +192,11 @@ def made(record: Figures, scenario: Scenario) -> Filter:
 
 
 @torch.no_grad()
-def compared(record: Figures, task: Task, learned_on: bool, *, runs: int, seed: int) -> Figures:
+def compared(record: Figures, task: Task, learned_on: bool, runs: int, seed: int) -> Figures:
     """Errors of a filter at its defaults and with a set, on the same runs: the change with half its 95 % interval."""
     scenario = scenario_of(task)
     filters = {"defaults": scenario_filter(record["preset"], scenario), "set": made(record, scenario)}
-    comparison = torchfra.compare(filters, scenario, runs=runs, seed=seed, bound=False)
+    comparison = torchfra.compare(filters, scenario, runs=runs, seed=seed, compile=True, bound=False, chunk=CHUNK)
     before, after = (comparison.of_runs(kind) for kind in filters)
     ratio = (after.mean() / before.mean()).item()
     spread = (after - ratio * before).std().item() / before.mean().item() / math.sqrt(runs)

@@ -21,7 +21,7 @@ PAGES = {
     "scripts/results/README.md": "results", "torchfra/filters/README.md": "choosing",
     "torchfra/stream/README.md": "streaming", "torchfra/targets/README.md": "targets",
     "torchfra/cleaning/README.md": "cleaning", "torchfra/kernel/README.md": "performance",
-    "scripts/examples": "gallery/examples/index", "torchfra/fit/README.md": "fitting",
+    "scripts/examples": "gallery/examples/index", "torchfra/fitting/README.md": "fitting",
     "torchfra/app/evaluate/README.md": "comparing",
     "torchfra/adapters/README.md": "adapters",
 }  # fmt: skip

@@ -28,6 +28,7 @@ from torchfra.app.evaluate import (
 from torchfra.app.evaluate.comparison import Comparison
 from torchfra.app.evaluate.comparison_table import FORMS, table_form
 from torchfra.app.loading import load_filters, load_module
+from torchfra.app.pictures import picture_form
 from torchfra.app.running_metrics import RunningMetrics
 from torchfra.app.sources import RANGES, add_source_options, scenario_of
 from torchfra.app.track_command import FILES
@@ -135,9 +136,16 @@ def _filters(options: argparse.Namespace, scenario: Scenario) -> dict[str, Filte
 
 
 def _outputs(options: argparse.Namespace) -> dict[str, Path | None]:
-    """The files that are written, by option."""
+    """The files that are written, by option.
+
+    Raises:
+        ValueError: an ending that is none of a table, or of a figure.
+    """
     if options.table is not None:
         table_form(options.table)
+    for option, path in (("figure", options.figure), ("print", options.printed)):
+        if path is not None:
+            picture_form(path, option)
     return {"json": options.json, "figure": options.figure, "table": options.table, "print": options.printed}
 
 

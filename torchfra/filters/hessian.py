@@ -1,4 +1,8 @@
-"""Second derivatives of a loss in a handful of values, as standard errors need them."""
+"""Second derivatives of any loss in a handful of values, with what they may be wrong by.
+
+For loops of one's own.  ``torchfra.fit`` needs those of each track apart, of many sets of values at once, which
+``torchfra.fitting.newton`` has from one call of the filter.
+"""
 
 from __future__ import annotations
 

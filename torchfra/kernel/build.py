@@ -8,13 +8,15 @@ import importlib
 import os
 import platform
 import shlex
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from torchfra.kernel import cache, compilers
+from torchfra.kernel import cache, compilers, parts
 from torchfra.kernel.compilers import CompileError as CompileError
 from torchfra.kernel.compilers import Compiler
 
@@ -87,18 +89,44 @@ def _places() -> Any:
 
 
 def _compile(compiler: Compiler, flags: list[str], source: str, name: str) -> ctypes.CDLL:
+    """The library; parts of a large source are compiled at the same time, by as many processes as there are cores."""
     global compiled
     places = _places()
+    command = [*compiler.command, *flags]
     with places.workplace() as folder:
+
+        def run(arguments: list[str], made: Path) -> None:
+            status, errors = places.run([*command, *arguments], folder)
+            if status or not made.exists():
+                failed = f"{compilers.described(command)} failed (exit status {status})"
+                raise CompileError(f"compile: {failed}:\n{errors[-2000:]}")
+
         text, made = folder / "kernel.cpp", folder / f"kernel{compilers.SUFFIX}"
         text.write_text(source)
-        command = [*compiler.command, *flags]
-        status, errors = places.run([*command, *compiler.to_library(text, made, "<ATen/" in source)], folder)
-        if status or not made.exists():
-            failed = f"{compilers.described(command)} failed (exit status {status})"
-            raise CompileError(f"compile: {failed}:\n{errors[-2000:]}")
+        shares = parts.shares(source, 1 if compiler.family == "msvc" else _cores())
+        texts = [text] if len(shares) == 1 else [folder / f"part{k}.o" for k in range(len(shares))]
+        if len(shares) > 1:
+            _at_once([partial(run, compiler.to_object(text, x, n), x) for x, n in zip(texts, shares, strict=True)])
+        run(compiler.to_library(texts, made, "SLEEF" in source), made)
         compiled += 1
         return cache.keep(name, made)
+
+
+def _at_once(calls: Sequence[Callable[[], None]]) -> None:
+    """Makes all calls, each in a thread; raises what one of them raises, when all have ended."""
+    with ThreadPoolExecutor(len(calls)) as threads:
+        try:
+            list(threads.map(lambda call: call(), calls))
+        except CompileError:
+            raise
+        except BaseException:  # an interruption
+            stop()
+            raise
+
+
+def _cores() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @lru_cache(maxsize=1)

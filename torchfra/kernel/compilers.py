@@ -65,14 +65,17 @@ class Compiler(NamedTuple):
         text = _FLAGS[self.family].replace("NATIVE", "-mcpu=native" if arm else "-march=native")
         return text.split() + ([_LESS.get(self.family, "-O1")] if large else [])
 
-    def to_library(self, text: Path, made: Path, wide: bool) -> list[str]:
-        """The arguments behind the flags: from a source to a library, which is ``wide`` if it has torch's vectors."""
+    def to_library(self, texts: Sequence[Path], made: Path, wide: bool) -> list[str]:
+        """The arguments behind the flags: from sources or objects to a library; ``wide``: it has torch's functions."""
+        names = list(map(str, texts))
         if self.family == "msvc":
-            return [str(text), f"/Fo{made.with_suffix('.obj')}", f"/Fe{made}"]
-        folder = Path(torch.__file__).parent
-        library = folder / "lib"
-        link = [f"-L{library}", f"-Wl,-rpath,{library}", "-ltorch_cpu"] if wide else []
-        return [*([f"-I{folder / 'include'}"] if wide else []), str(text), "-o", str(made), *link]
+            return [*names, f"/Fo{made.with_suffix('.obj')}", f"/Fe{made}"]
+        library = Path(torch.__file__).parent / "lib"
+        return [*names, "-o", str(made), *([f"-L{library}", f"-Wl,-rpath,{library}", "-ltorch_cpu"] if wide else [])]
+
+    def to_object(self, text: Path, made: Path, parts: int) -> list[str]:
+        """The arguments behind the flags: from these parts of a source, as bits, to an object; not of ``msvc``."""
+        return ["-c", f"-DPARTS={parts}", str(text), "-o", str(made)]
 
 
 def find() -> Compiler:

@@ -83,7 +83,7 @@ def _compile(nvrtc: ctypes.CDLL, source: str, architecture: str) -> bytes:
             getattr(nvrtc, f"{read}Size")(program, ctypes.byref(size))
             log = ctypes.create_string_buffer(max(size.value, 1))
             getattr(nvrtc, read)(program, log)
-            said = log.value.decode(errors="replace")[-2000:]
+            said = log.value.decode(errors="replace")[:2000]  # what follows from the first error does not help
             raise CompileError(f"compile: NVRTC for {architecture} failed (status {status}):\n{said}")
 
     check(nvrtc.nvrtcCreateProgram(ctypes.byref(program), source.encode(), b"kernel.cu", 0, None, None))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import reduce
 from typing import Any
@@ -118,6 +119,12 @@ def _remainder(book: Expressions, a: int, b: int) -> int:
     return book.apply("sub", a, book.apply("mul", multiple, b))
 
 
+def _sinc(book: Expressions, a: int) -> int:
+    angle, zero, one = book.apply("mul", a, book.constant(math.pi)), book.constant(0.0), book.constant(1.0)
+    at_zero = book.apply("eq", angle, zero)
+    return book.apply("select", at_zero, one, book.apply("div", book.apply("sin", angle), angle))
+
+
 def _sigmoid(book: Expressions, a: int) -> int:
     return _reciprocal(book, book.apply("add", book.constant(1.0), book.apply("exp", book.apply("neg", a))))
 
@@ -134,7 +141,7 @@ ENTRYWISE: dict[Any, Function] = {
     **{getattr(torch.ops.prims, name).default: _arithmetic(name) for name in ("add", "sub", "mul", "div")},
     aten.reciprocal.default: _reciprocal, aten.rsqrt.default: _reciprocal_root,
     aten.pow.Tensor_Scalar: _power, aten.pow.Tensor_Tensor: _power, aten.pow.Scalar: _power,
-    aten.sigmoid.default: _sigmoid, aten.sign.default: _sign, aten.sgn.default: _sign,
+    aten.sigmoid.default: _sigmoid, aten.sinc.default: _sinc, aten.sign.default: _sign, aten.sgn.default: _sign,
     aten.maximum.default: _arithmetic("max"), aten.minimum.default: _arithmetic("min"),
     aten.clamp_min.default: _arithmetic("max"), aten.clamp_min.Tensor: _arithmetic("max"),
     aten.clamp_max.default: _arithmetic("min"), aten.clamp_max.Tensor: _arithmetic("min"),

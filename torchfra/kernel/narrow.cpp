@@ -1,4 +1,14 @@
 // One track at a time, by the mathematics of C++ alone.
+#define LANES1(ours, name) \
+  static INLINE SCALAR ours(SCALAR a) { return ::name(a); }
+#define LANES2(ours, name) \
+  static INLINE SCALAR ours(SCALAR a, SCALAR b) { return ::name(a, b); }
+#define FUNCTION1(ours, name, off) LANES1(ours, name)
+#define FUNCTION2(ours, name, off) LANES2(ours, name)
+LANES1(sqrt_, sqrt)
+LANES1(abs_, fabs)
+LANES2(atan2_, atan2)
+
 namespace {
 constexpr int64_t W = 1;
 using V = Scalar;
@@ -16,5 +26,4 @@ template <int64_t PLACES> INLINE void guarded(
     V (*s)[PLACES], int64_t, int place, bool value, void (*region)(V*), const Values&, const Values&) {
   if (truth(s[0][place]) == value) region(s[0]);
 }
-// FUNCTIONS
 }  // namespace

@@ -70,6 +70,13 @@ def _mean(book: Expressions, x: Tensor, dim: Any = None, keepdim: bool = False, 
     return total * (total.numel() / x.numel())
 
 
+def _logsumexp(book: Expressions, x: Tensor, dim: Any, keepdim: bool = False) -> Tensor:
+    largest = torch.amax(x, dim, True)
+    largest = torch.where(largest.abs() == torch.inf, 0.0, largest)
+    total = torch.log(torch.sum(torch.exp(x - largest), dim, True)) + largest
+    return total if keepdim else torch.squeeze(total, dim)
+
+
 def _norm(book: Expressions, x: Entries, ord: float = 2, dim: Any = None, keepdim: bool = False, **_: Any) -> Entries:
     if ord != 2:
         raise unsupported(aten.linalg_vector_norm.default, f"with order {ord}; order 2 can")
@@ -129,7 +136,8 @@ _any, _all = _reduction("or", 0.0), _reduction("and", 1.0)
 
 REDUCTIONS: dict[Any, Callable[..., Any]] = {
     aten.sum.default: _sum, aten.sum.dim_IntList: _sum, aten.prod.default: _product,
-    aten.mean.default: _mean, aten.mean.dim: _mean, aten.linalg_vector_norm.default: _norm,
+    aten.mean.default: _mean, aten.mean.dim: _mean,
+    aten.logsumexp.default: _logsumexp, aten.linalg_vector_norm.default: _norm,
     aten.amax.default: _maximum, aten.max.default: _maximum, aten.max.dim: _maximum_and_place,
     aten.argmax.default: _place, aten.amin.default: _minimum, aten.min.default: _minimum,
     aten.any.default: _any, aten.any.dim: _any, aten.all.default: _all, aten.all.dim: _all,

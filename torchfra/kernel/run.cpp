@@ -1,3 +1,4 @@
+#if !defined(PARTS) || PARTS & 1
 #ifndef _OPENMP
 #include <thread>
 #include <vector>
@@ -23,3 +24,4 @@ extern "C" void run(int64_t tracks, int64_t steps, int threads, const Port* in, 
   for (std::thread& other : others) other.join();
 #endif
 }
+#endif

@@ -79,7 +79,7 @@ class Scan:
         Args:
             narrow: whether for one track, in plain C++ that needs no headers of torch; or for many, in vectors.
         """
-        return "".join((*self.parts(narrow), file("run.cpp")))
+        return "".join((*self._parts(Writer(self._step(), narrow), narrow, apart=True), file("run.cpp")))
 
     def cuda(self) -> str:
         """The same for a GPU: one thread for each track, whose tensors come as an argument by value."""
@@ -99,10 +99,10 @@ class Scan:
         """What any scan of this dtype needs, and the namespace of this one, whose function is ``block``."""
         return self._parts(Writer(self._step(), narrow), narrow, name)
 
-    def _parts(self, writer: Writer, narrow: bool, name: str = "step") -> tuple[str, str]:
+    def _parts(self, writer: Writer, narrow: bool, name: str = "step", apart: bool = False) -> tuple[str, str]:
         head, block = (text.replace("SCALAR", SCALARS[self.dtype]) for text in template(narrow))
         block = block.replace("TIME", "steps - 1 - k" if self.backwards else "k").replace("NAME", name)
-        for word, text in writer.texts().items():
+        for word, text in writer.texts(apart).items():
             block = block.replace(word, text)
         return head, block
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 
@@ -55,32 +56,28 @@ def computed(book: Expressions, number: int) -> str:
 
 _OPERATORS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "eq": "=="}
 
-_FUNCTIONS = {"sqrt": 1, "abs": 1, "exp": 1, "expm1": 1, "log": 1, "log1p": 1, "erf": 1, "erfc": 1, "lgamma": 1,
-              "sin": 1, "cos": 1, "tan": 1, "asin": 1, "acos": 1, "atan": 1, "sinh": 1, "cosh": 1, "tanh": 1,
-              "round": 1, "floor": 1, "ceil": 1, "trunc": 1, "atan2": 2, "hypot": 2, "pow": 2}  # fmt: skip
-"""Functions of torch's vectors and of C++, with the number of their arguments."""
 
-_VECTORS = {
-    1: "inline V {0}_(const V& a) {{ return raw(vec(a).{0}()); }}\n",
-    2: "inline V {0}_(const V& a, const V& b) {{ return raw(vec(a).{0}(vec(b))); }}\n",
-}
-_NUMBERS = {
-    1: "INLINE V {0}_(V a) {{ return ::{0}(a); }}\n",
-    2: "INLINE V {0}_(V a, V b) {{ return ::{0}(a, b); }}\n",
-}
+def function(head: str, lines: Iterable[str], kind: str = "NOINLINE") -> str:
+    """A function without a result.
+
+    Args:
+        head: its name and arguments.
+        lines: what it does.
+        kind: ``"NOINLINE"``, or ``"SHARED"`` if it is called from other parts.
+    """
+    return f"{kind} void {head} {{\n{indented(lines, 2)}}}\n"
+
+
+def indented(lines: Iterable[str], indent: int) -> str:
+    """Lines as text."""
+    return "".join(f"{' ' * indent}{line}\n" for line in lines)
 
 
 @lru_cache(maxsize=2)
 def template(narrow: bool) -> tuple[str, str]:
-    """``template.cpp``, before its namespace and that, with ``narrow.cpp`` or ``wide.cpp`` and the functions in it."""
-    forms = _NUMBERS if narrow else _VECTORS
-    written = () if narrow else ("atan2",)
-    functions = "".join(forms[count].format(name) for name, count in _FUNCTIONS.items() if name not in written)
-    if narrow:
-        functions = functions.replace("::round(", "::nearbyint(")  # halves to the even neighbour, as torch does
-        functions = functions.replace("::abs(", "::fabs(")
-    lanes = file("narrow.cpp" if narrow else "wide.cpp").replace("// FUNCTIONS\n", functions)
-    head, mark, block = file("template.cpp").replace("// LANES\n", lanes).partition("namespace {\nnamespace NAME {")
+    """``template.cpp``, before its namespace and that, with ``narrow.cpp`` or ``wide.cpp`` in it."""
+    lanes = file("narrow.cpp" if narrow else "wide.cpp")
+    head, mark, block = file("template.cpp").replace("// LANES\n", lanes).partition("namespace NAME {")
     return head, mark + block
 
 

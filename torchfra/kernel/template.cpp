@@ -7,28 +7,34 @@ using int64_t = long long;
 #include <cstdint>
 #endif
 
-// Functions that are called once for each track and step, small ones, and tables of places: where and how.
+// Functions that are called once for each track and step, the same between parts that are compiled apart, small ones, and
+// tables of places: where and how.
 #ifdef __CUDACC__
-#define NOINLINE __device__ __noinline__
+#define all every  // CUDA has a function of that name
+#define NOINLINE static __device__ __noinline__
 #define INLINE __device__ __forceinline__
 #define TABLE __device__ const short
 #elif defined(_MSC_VER)
-#define NOINLINE __declspec(noinline)
+#define NOINLINE static __declspec(noinline)
+#define SHARED __declspec(noinline)
 #define INLINE inline
 #define TABLE constexpr short
 #else
-#define NOINLINE __attribute__((noinline))
+#define NOINLINE static __attribute__((noinline))
+#define SHARED __attribute__((noinline, visibility("hidden")))
 #define INLINE inline
 #define TABLE constexpr short
 #endif
 
-namespace {
-using Scalar = SCALAR;
-
+inline namespace torchfra {
 // A tensor: where it is, and how far it is to the next track, the next step, the next entry.
 struct Port { char* data; int64_t track, time, entry; };
 // A block of tracks at a step; those beyond the last are the last once more.
 struct Block { int64_t first, lanes, step; };
+}  // namespace torchfra
+
+namespace {
+using Scalar = SCALAR;
 
 // The entries of a tensor at a step, from the first track of a block on.
 template <class T> struct Entries {
@@ -43,6 +49,29 @@ struct Values { const short* places; int count; };
 }  // namespace
 
 // LANES
+FUNCTION1(exp_, exp, 10)
+FUNCTION1(expm1_, expm1, 10)
+FUNCTION1(log_, log, 10)
+FUNCTION1(log1p_, log1p, 10)
+FUNCTION1(erf_, erf, 10)
+FUNCTION1(erfc_, erfc, 15)
+FUNCTION1(lgamma_, lgamma, 10)
+FUNCTION1(sin_, sin, 10)
+FUNCTION1(cos_, cos, 10)
+FUNCTION1(tan_, tan, 10)
+FUNCTION1(asin_, asin, 10)
+FUNCTION1(acos_, acos, 10)
+FUNCTION1(atan_, atan, 10)
+FUNCTION1(sinh_, sinh, 10)
+FUNCTION1(cosh_, cosh, 10)
+FUNCTION1(tanh_, tanh, 10)
+FUNCTION2(hypot_, hypot, 05)
+FUNCTION2(pow_, pow, 10)
+LANES1(round_, nearbyint)  // halves to the even neighbour, as torch does
+LANES1(floor_, floor)
+LANES1(ceil_, ceil)
+LANES1(trunc_, trunc)
+
 namespace {
 INLINE V max_(const V& a, const V& b) { return (a > b) | (a != a) ? a : b; }
 INLINE V min_(const V& a, const V& b) { return (a < b) | (a != a) ? a : b; }
@@ -69,12 +98,11 @@ template <class... A> INLINE V norm_(const A&... a) {
 }
 }  // namespace
 
-namespace {
 namespace NAME {
 constexpr int PLACES = SIZE;  // of values that go from piece to piece, side by side for each pack of tracks
 constexpr int64_t PACKS = MANY;  // at most, in a block of tracks
 // PIECES
-INLINE void block(const Port* in, const Port* out, int64_t steps, const Block& tracks) {
+static INLINE void block(const Port* in, const Port* out, int64_t steps, const Block& tracks) {
   V s[PACKS][PLACES];
   Block at[PACKS];
   const int64_t packs = (tracks.lanes + W - 1) / W;
@@ -93,4 +121,3 @@ INLINE void block(const Port* in, const Port* out, int64_t steps, const Block& t
   }
 }
 }  // namespace NAME
-}  // namespace

@@ -1,17 +1,66 @@
-// Neighbouring tracks side by side in vector registers, by torch's vectors and their mathematics.
+// Neighbouring tracks side by side in vector registers.  Functions are those of SLEEF, which torch has in its own library for
+// the registers of AVX; elsewhere those of C++, lane by lane.
 #if defined(__AVX512F__) && defined(__AVX512BW__) && defined(__AVX512DQ__) && defined(__AVX512VL__)
-#define CPU_CAPABILITY_AVX512
+#include <immintrin.h>
+#define BYTES 64
+#define SLEEF_double(name, off) Sleef_##name##d8_u##off
+#define SLEEF_float(name, off) Sleef_##name##f16_u##off
+#define SQRT_double _mm512_sqrt_pd
+#define SQRT_float _mm512_sqrt_ps
+#define BITS_double(m) _mm512_movepi64_mask((__m512i)m)
+#define BITS_float(m) _mm512_movepi32_mask((__m512i)m)
 #elif defined(__AVX2__) && defined(__FMA__)
-#define CPU_CAPABILITY_AVX2
+#include <immintrin.h>
+#define BYTES 32
+#define SLEEF_double(name, off) Sleef_##name##d4_u##off
+#define SLEEF_float(name, off) Sleef_##name##f8_u##off
+#define SQRT_double _mm256_sqrt_pd
+#define SQRT_float _mm256_sqrt_ps
+#define BITS_double(m) _mm256_movemask_pd((__m256d)m)
+#define BITS_float(m) _mm256_movemask_ps((__m256)m)
+#else
+#define BYTES 16
 #endif
-#include <ATen/cpu/vec/vec.h>
-
-namespace {
-using Vec = at::vec::Vectorized<Scalar>;
-constexpr int64_t W = Vec::size();
-typedef Scalar V __attribute__((vector_size(W * sizeof(Scalar))));
+constexpr int64_t W = BYTES / sizeof(SCALAR);
+typedef SCALAR V __attribute__((vector_size(BYTES)));
 typedef decltype(V() < V()) M;
 
+// A function of one number or of two, called ``ours``: that of C++ in each lane; or one of SLEEF, off by so many tenths of the
+// last place.
+#define LANES1(ours, name)                           \
+  static inline V ours(const V& a) {                 \
+    V r;                                             \
+    for (int i = 0; i < W; i++) r[i] = ::name(a[i]); \
+    return r;                                        \
+  }
+#define LANES2(ours, name)                                 \
+  static inline V ours(const V& a, const V& b) {           \
+    V r;                                                   \
+    for (int i = 0; i < W; i++) r[i] = ::name(a[i], b[i]); \
+    return r;                                              \
+  }
+#ifdef SLEEF_double
+#define FUNCTION1(ours, name, off)       \
+  extern "C" V SLEEF_SCALAR(name, off)(V); \
+  static inline V ours(const V& a) { return SLEEF_SCALAR(name, off)(a); }
+#define FUNCTION2(ours, name, off)          \
+  extern "C" V SLEEF_SCALAR(name, off)(V, V); \
+  static inline V ours(const V& a, const V& b) { return SLEEF_SCALAR(name, off)(a, b); }
+static inline V sqrt_(const V& a) { return SQRT_SCALAR(a); }
+static inline int lanes(const M& m) { return BITS_SCALAR(m); }
+#else
+#define FUNCTION1(ours, name, off) LANES1(ours, name)
+#define FUNCTION2(ours, name, off) LANES2(ours, name)
+LANES1(sqrt_, sqrt)
+static inline int lanes(const M& m) {
+  int bits = 0;
+  for (int i = 0; i < W; i++) bits |= (m[i] != 0) << i;
+  return bits;
+}
+#endif
+FUNCTION2(extreme_atan2, atan2, 10)
+
+namespace {
 inline V all(Scalar a) { return V{} + a; }
 template <class T> NOINLINE V get(const Entries<T>& x, int64_t entry) {
   const T* from = x[entry];
@@ -36,9 +85,6 @@ inline void mark(const Entries<bool>& x, int64_t entry, const M& v) {
 }
 inline V kept(const M& m) { return (V)m; }
 inline M truth(const V& v) { return (M)v; }
-inline Vec vec(const V& a) { return Vec::loadu(&a); }
-inline V raw(const Vec& a) { V r; a.store(&r); return r; }
-inline int lanes(const M& m) { return ~vec((V)m).zero_mask() & ((1 << W) - 1); }
 inline bool any(const M& m) { return lanes(m); }
 
 struct Lane { V* s; int number; };
@@ -73,14 +119,13 @@ template <int64_t PLACES> void guarded(
   }
   if (count) flush();
 }
-// FUNCTIONS
 
 // The sign of one number and the size of another.
 inline V signed_as(const V& size, const V& sign) {
   const M bit = (M{} - 1) << (8 * sizeof(Scalar) - 1);
   return (V)(((M)size & ~bit) | ((M)sign & bit));
 }
-NOINLINE V extreme_atan2(const V& y, const V& x) { return raw(vec(y).atan2(vec(x))); }
+inline V abs_(const V& a) { return signed_as(a, all(0)); }
 // Of (atan(t) / t - 1) / t^2 by powers of t^2, the best of degree 10 for t within pi/8: off by 3e-17 at most.
 constexpr Scalar C[] = {
     -0.3333333333333333, 0.19999999999995516, -0.14285714284665682, 0.11111111015187018, -0.09090904575306488, 0.07692183125376885,

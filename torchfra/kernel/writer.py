@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.frame import crossing, frame
+from torchfra.kernel.parts import apart, together
 from torchfra.kernel.schedule import Piece, cut, guarded_share, pieces
-from torchfra.kernel.statements import as_number, as_truth, called, computed, declared
+from torchfra.kernel.statements import as_number, as_truth, called, computed, declared, function, indented
 
 _PACKS, _BYTES = 16, 1 << 18
 """Packs of a block at most, and bytes of their values: a part of the second cache."""
@@ -85,20 +86,21 @@ class Writer:
         for number, access in step.stores:
             self._stores[number].append(access)
 
-    def texts(self) -> dict[str, str]:
-        """What takes the place of each word of the template."""
+    def texts(self, split: bool = False) -> dict[str, str]:
+        """What takes the place of each word of the template; ``split``: functions of a large step are in parts."""
         functions = [self._begin()]
+        long: dict[str, list[str]] = {}
         before, calls = ["begin(s[p], in, at[p]);"], []
         for k, piece in enumerate(self._before):
-            functions.append(self._function(f"before{k}(V* s, const Port* in, const Block& at)", piece))
+            head = f"before{k}(V* s, const Port* in, const Block& at)"
+            long[head] = self._body(piece)
             before.append(f"before{k}(s[p], in, at[p]);")
         stored: set[int] = set()
         start = 0
         for guard, group in groupby(self._steps, key=lambda piece: piece.guard):
             parts = list(group)
             inside = "V* s" if guard else "V* s, const Port* in, const Port* out, const Block& at"
-            for k, piece in enumerate(parts, start):
-                functions.append(self._function(f"piece{k}({inside})", piece, stored))
+            long |= {f"piece{k}({inside})": self._body(piece, stored) for k, piece in enumerate(parts, start)}
             names = [f"piece{k}" for k in range(start, start + len(parts))]
             calls += self._region(guard, parts, names, functions) if guard else _always(names)
             start += len(parts)
@@ -107,14 +109,14 @@ class Writer:
         return {
             "SIZE": str(self._frame.size),
             "MANY": str(self._packs),
-            "// PIECES\n": "".join(functions),
-            "    // FIXED\n": _lines(before, 4),
-            "    // STEP\n": _lines(calls, 4),
-            "    // END\n": _lines(["end(s[p], out, at[p]);"], 4),
+            "// PIECES\n": "".join(((apart if split else together)(long), *functions)),
+            "    // FIXED\n": indented(before, 4),
+            "    // STEP\n": indented(calls, 4),
+            "    // END\n": indented(["end(s[p], out, at[p]);"], 4),
         }
 
-    def _function(self, head: str, piece: Piece, stored: set[int] | None = None) -> str:
-        """The function of a piece; ``stored``, if given, grows by what it writes."""
+    def _body(self, piece: Piece, stored: set[int] | None = None) -> list[str]:
+        """The lines of a piece's function; ``stored``, if given, grows by what it writes."""
         body: list[str] = []
         late: list[str] = []
         opened: dict[str, str] = {}
@@ -141,7 +143,7 @@ class Writer:
                 opened.update((access.name, access.opened) for access in self._stores[number])
                 body += [self._written(number, access) for access in self._stores[number]]
                 stored.add(number)
-        return _function(head, [*opened.values(), *body, *late])
+        return [*opened.values(), *body, *late]
 
     def _taken(self, number: int) -> str:
         """The line that takes a value from its place."""
@@ -162,7 +164,7 @@ class Writer:
         """The line that calls pieces for the tracks that need them; adds what it takes to the functions."""
         mask, value = guard
         name = names[0].replace("piece", "region")
-        functions.append(_function(f"{name}(V* s)", [f"{piece}(s);" for piece in names]))
+        functions.append(function(f"{name}(V* s)", [f"{piece}(s);" for piece in names]))
         kinds = zip(("taken", "given"), crossing(self._book, parts, self._steps), strict=True)
         values = []
         for kind, numbers in kinds:
@@ -179,7 +181,7 @@ class Writer:
             f"s[{self._frame.places[i]}] = get({access.name}, {access.entry});"
             for i, access in self._step.first.items()
         ]
-        return _function("begin(V* s, const Port* in, const Block& at)", [*opened, *reads])
+        return function("begin(V* s, const Port* in, const Block& at)", [*opened, *reads])
 
     def _turn(self, stored: set[int]) -> str:
         """The function that ends a step: it writes what no piece has computed, and moves what is carried on."""
@@ -190,7 +192,7 @@ class Writer:
         writes = [self._written(i, access) for i, access in stores]
         moves = [f"s[{place}] = {as_number(self._book, i)};" for i, place in self._frame.moves]
         head = "turn(V* s, const Port* in, const Port* out, const Block& at)"
-        return _function(head, [*opened, *taken, *writes, *moves])
+        return function(head, [*opened, *taken, *writes, *moves])
 
     def _end(self) -> str:
         """The function that writes what the last step has carried."""
@@ -200,7 +202,7 @@ class Writer:
             f"put({access.name}, {access.entry}, {f's[{places[i]}]' if i in self._step.carried else 'all(0)'});"
             for i, access in self._step.end
         ]
-        return _function("end(V* s, const Port* out, const Block& at)", [*opened, *writes])
+        return function("end(V* s, const Port* out, const Block& at)", [*opened, *writes])
 
 
 def _lazily(book: Expressions, live: Sequence[int]) -> Iterable[int]:
@@ -219,11 +221,3 @@ def _lazily(book: Expressions, live: Sequence[int]) -> Iterable[int]:
 def _always(names: Iterable[str]) -> list[str]:
     calls = [f"  {name}(s[p], in, out, at[p]);" for name in names]
     return ["for (int64_t p = 0; p < packs; p++) {", *calls, "}"]
-
-
-def _function(head: str, lines: Iterable[str]) -> str:
-    return f"NOINLINE void {head} {{\n{_lines(lines, 2)}}}\n"
-
-
-def _lines(lines: Iterable[str], indent: int) -> str:
-    return "".join(f"{' ' * indent}{line}\n" for line in lines)

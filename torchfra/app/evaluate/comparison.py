@@ -15,6 +15,7 @@ from torch import Tensor
 from torchfra.app.atomic_write import write, write_json
 from torchfra.app.evaluate.comparison_table import errors_row, formed, last_row, likelihood_row, table_form, told_p
 from torchfra.app.evaluate.results import Result, report
+from torchfra.app.pictures import picture_form
 from torchfra.app.running_metrics import RunningMetrics
 from torchfra.metrics.statistics import LEVEL, holm, signed_rank
 from torchfra.scenarios import Bound, Scenario
@@ -162,6 +163,8 @@ class Comparison:
             ValueError: another ending, or no truth to compare with.
             OSError: it cannot be written.
         """
+        if path is not None:
+            picture_form(path)
         from torchfra.app import plotting  # matplotlib takes long to import
 
         if self.by != ERROR:

@@ -17,6 +17,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from torchfra.app.atomic_write import write
 from torchfra.app.outputs.colours import APART
+from torchfra.app.pictures import picture_form
 from torchfra.catalogue import FILTERS
 from torchfra.tables import printable
 
@@ -31,9 +32,9 @@ def save(figure: Figure, path: str | Path) -> Path:
 
     Raises:
         OSError: it cannot be written.
+        ValueError: another ending.
     """
-    picture, form = BytesIO(), Path(path).suffix.lower().removeprefix(".")
-    form = form if form in ("pdf", "svg") else "png"
+    picture, form = BytesIO(), picture_form(path)
     undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": None}[form]
     fonts = {"pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "torchfra"}
     with any_letters(), rc_context(fonts):

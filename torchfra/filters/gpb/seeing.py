@@ -26,9 +26,11 @@ def by_points_or_slope(compare: Callable[[Gaussian], Whitened], belief: Gaussian
     both = compare(Gaussian(mean.expand(2, *mean.shape), torch.stack([root, NEAR * root])))
     slope, rest = (reduce(torch.add, x[0].square().unbind(-1), x.new_zeros(())) for x in (both.slope, both.rest))
     blind = slope < BLIND * (slope + rest)
+    some = blind.any()  # hardly ever: in kernels the points nearby are then not computed
     (wide, near), spread = both.residual, both.spread
+    steep = torch.where(blind.unsqueeze(-1), spread[1] / NEAR, spread[0])
     return Whitened(
-        torch.where(blind, near, wide), torch.where(blind.unsqueeze(-1), spread[1] / NEAR, spread[0]), both.reads
+        torch.where(some, torch.where(blind, near, wide), wide), torch.where(some, steep, spread[0]), both.reads
     )
 
 

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import torch
 
 from torchfra.filters import Filter
-from torchfra.fit.data import Source, batch_of
-from torchfra.fit.objective import Own
-from torchfra.fit.preparing import compiled, copied, objective_of
-from torchfra.fit.vector import Vector
+from torchfra.fitting.data import Source, batch_of
+from torchfra.fitting.objective import Own
+from torchfra.fitting.preparing import compiled, copied, objective_of
+from torchfra.fitting.vector import Vector
 from torchfra.tables import text_table
 
 

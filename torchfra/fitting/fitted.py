@@ -13,14 +13,15 @@ from torch import Tensor
 
 from torchfra.app.atomic_write import write_json
 from torchfra.app.evaluate import versions
+from torchfra.app.pictures import picture_form
 from torchfra.filters import Filter
-from torchfra.fit.again import Bootstrap, Profile, bootstrap, profile
-from torchfra.fit.data import Batch
-from torchfra.fit.descent import Settings
-from torchfra.fit.errors import Certainty
-from torchfra.fit.judging import Comparison, Judged, judged
-from torchfra.fit.newton import Sums
-from torchfra.fit.objective import Objective
+from torchfra.fitting.again import Bootstrap, Profile, bootstrap, profile
+from torchfra.fitting.data import Batch
+from torchfra.fitting.descent import Settings
+from torchfra.fitting.errors import Certainty
+from torchfra.fitting.judging import HeldOutComparison, Judged, judged
+from torchfra.fitting.newton import Sums
+from torchfra.fitting.objective import Objective
 from torchfra.tables import text_table
 
 QUANTITIES = {
@@ -99,7 +100,7 @@ class Fitted:
             zip(self.learned, zip(self.certainty.low.tolist(), self.certainty.high.tolist(), strict=True), strict=True)
         )
 
-    def compare(self, others: Mapping[str, Filter | Fitted]) -> Comparison:
+    def compare(self, others: Mapping[str, Filter | Fitted]) -> HeldOutComparison:
         """This filter, named ``"fitted"``, and others on the held-out tracks.
 
         Args:
@@ -125,14 +126,14 @@ class Fitted:
                 raise ValueError(f"others: expected sensors of {test.z.shape[-1]} elements, {name} has {f.sensor.size}")
             loss = tracks.objective.of_filter(f, test)
             rows[name] = tracks.judge(mine, loss, self.settings.seed)
-        return Comparison(self.quantity, len(tracks.test.z), rows)
+        return HeldOutComparison(self.quantity, len(tracks.test.z), rows)
 
     def profile(self, name: str, *, points: int = 9, reach: float = 3.0) -> Profile:
-        """How much the loss grows away from the best value of one number, all others adapted: ``fit.again.profile``."""
+        """How the loss grows away from the best value of one number, all others adapted: ``fitting.again.profile``."""
         return profile(self._own().sums, self._best(), self.certainty, name, points=points, reach=reach)
 
     def bootstrap(self, resamples: int = 100) -> Bootstrap:
-        """Standard errors by fitting again to tracks drawn with replacement: ``fit.again.bootstrap``."""
+        """Standard errors by fitting again to tracks drawn with replacement: ``fitting.again.bootstrap``."""
         return bootstrap(self._own().sums, self._best(), resamples, self.settings.seed)
 
     @property
@@ -161,7 +162,14 @@ class Fitted:
         return data
 
     def plot(self, path: str | Path | None = None) -> Any:
-        """The learning curve, a figure of matplotlib; written to ``path`` if there is one."""
+        """The learning curve, a figure of matplotlib; written to ``path`` if there is one, as PDF, SVG or PNG.
+
+        Raises:
+            ValueError: another ending.
+            OSError: it cannot be written.
+        """
+        if path is not None:
+            picture_form(path)
         from torchfra.app import plotting
 
         title = f"fit by {self.settings.loss}, seed {self.settings.seed}"

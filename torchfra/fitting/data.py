@@ -15,7 +15,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from torchfra.cleaning.batches import padded, steps_of
 from torchfra.filters import Filter
-from torchfra.fit.starts import First, first_of, first_seen, started
+from torchfra.fitting.starts import First, first_of, first_seen, started
 from torchfra.readers.recording import Recording
 from torchfra.scenarios.base import Scenario, Tracks
 from torchfra.tree import flatten, map_tensors

@@ -13,8 +13,8 @@ from torch.func import functional_call
 from torchfra import losses
 from torchfra.filters import Filter
 from torchfra.filters.srckf import SRCKF
-from torchfra.fit.data import Batch
-from torchfra.fit.vector import Vector
+from torchfra.fitting.data import Batch
+from torchfra.fitting.vector import Vector
 from torchfra.hyper import one_of
 from torchfra.motion.bank import Bank
 from torchfra.types import Estimate, Gaussian

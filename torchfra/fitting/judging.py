@@ -81,8 +81,11 @@ def _figure(x: Tensor) -> Figure:
     return Figure(float(x[0]), low, high)
 
 
-class Comparison:
-    """Filters on the same held-out tracks; printing it prints a table, the last column the median over tracks."""
+class HeldOutComparison:
+    """Filters by the loss of a fit on its held-out tracks; printed, a table, its last column the median over tracks.
+
+    ``torchfra.compare`` compares any filters by their errors, as papers do.
+    """
 
     def __init__(self, quantity: str, tracks: int, rows: Mapping[str, Judged]) -> None:
         self.quantity, self.tracks, self.rows = quantity, tracks, dict(rows)

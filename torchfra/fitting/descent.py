@@ -12,10 +12,10 @@ import torch
 from torch import Tensor, nn
 
 from torchfra.app import distributed
-from torchfra.fit.bounded import bounded, falling
-from torchfra.fit.data import Batch
-from torchfra.fit.errors import KINDS as KINDS_OF_ERRORS
-from torchfra.fit.objective import Objective
+from torchfra.fitting.bounded import bounded, falling
+from torchfra.fitting.data import Batch
+from torchfra.fitting.errors import KINDS as KINDS_OF_ERRORS
+from torchfra.fitting.objective import Objective
 from torchfra.hyper import one_of
 
 KINDS: dict[str, type] = {"key": str, "iteration": int, "raw": torch.Tensor, "optimiser": dict, "best": torch.Tensor,

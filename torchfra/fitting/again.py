@@ -7,8 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.fit.errors import Certainty
-from torchfra.fit.newton import Sums, minimised
+from torchfra.fitting.errors import Certainty
+from torchfra.fitting.newton import Sums, minimised
 from torchfra.tables import text_table
 
 WITHIN = 3.841458820694124

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.fit.newton import Curvature
-from torchfra.fit.vector import NORMAL_95, Vector
+from torchfra.fitting.newton import Curvature
+from torchfra.fitting.vector import NORMAL_95, Vector
 
 KINDS = ("hessian", "sandwich")
 TOLD = math.log(10.0)

@@ -13,15 +13,15 @@ from torchfra import losses, state_files
 from torchfra.app import checkpoints, distributed
 from torchfra.app.progress import progress_bar
 from torchfra.filters import Filter
-from torchfra.fit.data import Batch, Source, batch_of
-from torchfra.fit.descent import Descent, Settings, key_of, starting_points
-from torchfra.fit.errors import certainty
-from torchfra.fit.fitted import Fitted, Tracks
-from torchfra.fit.judging import Judged, judged
-from torchfra.fit.newton import Sums, minimised
-from torchfra.fit.objective import Objective, Own
-from torchfra.fit.preparing import compiled, copied, objective_of
-from torchfra.fit.vector import Vector
+from torchfra.fitting.data import Batch, Source, batch_of
+from torchfra.fitting.descent import Descent, Settings, key_of, starting_points
+from torchfra.fitting.errors import certainty
+from torchfra.fitting.fitted import Fitted, Tracks
+from torchfra.fitting.judging import Judged, judged
+from torchfra.fitting.newton import Sums, minimised
+from torchfra.fitting.objective import Objective, Own
+from torchfra.fitting.preparing import compiled, copied, objective_of
+from torchfra.fitting.vector import Vector
 
 FEWEST = 4
 """Tracks of a fit."""

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.fit.data import Batch
-from torchfra.fit.objective import Objective
+from torchfra.fitting.data import Batch
+from torchfra.fitting.objective import Objective
 
 STEP = 1e-4
 """Difference of the unconstrained values, in float64: errors near 1e-8 of the curvature."""
@@ -76,7 +76,11 @@ class Sums:
         return Curvature(total, self._summed(gradient), scores.unflatten(-1, (count, count)), hessian)
 
     def of_tracks(self, raw: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Losses ``(R, N)`` of single tracks, gradients ``(R, N, Q)`` and Hessians ``(R, N, Q, Q)``."""
+        """Losses ``(R, N)`` of single tracks, gradients ``(R, N, Q)`` and Hessians ``(R, N, Q, Q)``.
+
+        All from one call of the filter: one step of the differences is enough in float64.  ``filters.hessian`` takes
+        two, one after the other, and says how far they agree.
+        """
         offsets = STEP * torch.cat([torch.zeros_like(self.directions[:, :1]), self.directions, -self.directions], 1).mT
         points = (raw.unsqueeze(1) + offsets[:, None]).flatten(0, 1)  # (R (1 + 2 Q), G, P)
         loss, gradient = self.objective.gradients(points[:, self.group], self.batch)

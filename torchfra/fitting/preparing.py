@@ -10,9 +10,9 @@ import torch
 
 from torchfra import losses
 from torchfra.filters import Filter
-from torchfra.fit.data import Batch, Source
-from torchfra.fit.objective import NEEDS_TRUTH, Objective, Own
-from torchfra.fit.vector import Vector
+from torchfra.fitting.data import Batch, Source
+from torchfra.fitting.objective import NEEDS_TRUTH, Objective, Own
+from torchfra.fitting.vector import Vector
 from torchfra.hyper import named
 from torchfra.kernel.build import CompileError
 from torchfra.scenarios.base import Scenario
