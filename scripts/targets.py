@@ -54,6 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--what", default=",".join(WHAT), metavar="A,B", help=f"out of {', '.join(WHAT)} (default: all)")
     p.add_argument("--scans", type=int, default=360, metavar="T", help="of the recorded flights (default: 360)")
     p.add_argument("--picture", type=Path, metavar="FILE", help="draw the recorded flights, else the folded ones")
+    p.add_argument("--compile", action="store_true", help="run filters compiled to machine code")
     add_json_option(p)
     add_quiet_option(p)
     options = p.parse_args(arguments)
@@ -69,16 +70,16 @@ def compare(options: argparse.Namespace) -> None:
     what, found = options.what.split(","), {}
     with torch.no_grad():
         if "many" in what:
-            found["many"] = many(options.runs, options.seed)
+            found["many"] = many(options.runs, options.seed, options.compile)
         flights = swiss_traffic() if {"recorded", "folded"} & set(what) else []
         for name in ("folded", "recorded"):
             if name in what:
                 world = recorded(flights, options.seed, DT, options.scans, folded=name == "folded")
-                found[name], estimate = streamed(world)
+                found[name], estimate = streamed(world, options.compile)
                 if options.picture is not None:
                     save(picture(world, estimate), options.picture)
         if "crowd" in what:
-            found["crowd"] = streamed(crowd(options.seed, min(options.scans, CROWD)))[0]
+            found["crowd"] = streamed(crowd(options.seed, min(options.scans, CROWD)), options.compile)[0]
     if not options.quiet:
         keys = list(dict.fromkeys(key for figures in found.values() for key in figures))
         rows = [[key, *(f"{of[key]:.4g}" if key in of else "" for of in found.values())] for key in keys]
@@ -88,11 +89,12 @@ def compare(options: argparse.Namespace) -> None:
         write_json(options.json, {"settings": settings, "versions": versions(), **found})
 
 
-def many(runs: int, seed: int) -> dict[str, float]:
+def many(runs: int, seed: int, compiled: bool) -> dict[str, float]:
     """Ten aircraft in clutter."""
     scenario = scenarios.clutter_many()
     f = presets.jpda(scenario.motion, scenario.sensor, clutter=scenario.clutter, detection=scenario.detection,
                      gate=ChiSquare(0.99999))  # fmt: skip
+    f = f.compile() if compiled else f
     targets = Targets(f, birth=TwoPoint(80.0), deletion=Deletion(4), merging=Merging())
     parts = []
     for first in range(0, runs, AT_ONCE):
@@ -102,8 +104,10 @@ def many(runs: int, seed: int) -> dict[str, float]:
     return summary({key: torch.cat([part[key] for part in parts]) for key in parts[0]})
 
 
-def streamed(world: World) -> tuple[dict[str, float], Tensor]:
+def streamed(world: World, compiled: bool = False) -> tuple[dict[str, float], Tensor]:
     """One scan after the other, each timed; also the means of all targets ``(K, T, n)``."""
+    if compiled:
+        world.targets.filter.compile()
     states, times = [world.targets.init()], []
     for scan in world.scans:
         start = time.perf_counter()

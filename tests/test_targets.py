@@ -273,6 +273,27 @@ def test_any_filter_of_scans_has_targets_that_come_and_go(make):
     assert (gospa.missed[-3:] == 0).all()
 
 
+@pytest.mark.parametrize("make", [presets.srckf, presets.rsrckf, presets.imm_srckf])
+def test_a_sensor_like_the_filters_own_says_the_same(make):
+    _, z = moving(FOUR, 8)
+    models = ConstantVelocity(0.5) if make is not presets.imm_srckf else [ConstantVelocity(0.5), ConstantVelocity(5.0)]
+    f = presets.jpda(models, Position(2.0), clutter=Clutter(1e4, rate=2.0), detection=0.9, inner=make)
+    targets = Targets(f, birth=TwoPoint(10.0), sensors={"other": f})
+    own, other = run(targets, z), run(targets, z, sensor="other")
+    assert len(own[-1].track.identity) == 4
+    for a, b in zip(tree.flatten(own[-1]), tree.flatten(other[-1]), strict=True):
+        torch.testing.assert_close(a, b, rtol=0, atol=0)
+
+
+def test_sensors_that_cannot_have_the_same_targets_are_named():
+    walk = presets.jpda(ConstantAcceleration(1.0), Position(2.0), clutter=Clutter(1e4, rate=2.0))
+    with pytest.raises(ValueError, match="sensors: expected the motion of the targets, ConstantVelocity"):
+        Targets(plane(), sensors={"other": walk})
+    faded = presets.jpda(ConstantVelocity(0.5), Position(2.0), clutter=Clutter(1e4, rate=2.0), inner=presets.asrckf)
+    with pytest.raises(ValueError, match="sensors: expected none beside fading factors"):
+        Targets(faded, sensors={"other": plane()})
+
+
 def test_missing_elements_are_marginalised_and_begin_nothing():
     _, z = moving([(0, 0, 5, 0)], 12)
     z[6:8, 0, 1] = math.nan
@@ -419,7 +440,11 @@ def test_a_sensor_that_does_not_locate_has_no_births():
     ([[0.0, 0.0]], {}, "z: expected floating-point scans"),
     (torch.zeros(2, 3, 2).double(), {}, "z: expected 1 scenes"),
     (torch.full((1, 2), math.inf).double(), {}, "z: expected finite measurements"),
-    (torch.zeros(3, 2).double(), {"dt": 0.0}, "dt: expected finite seconds above 0"),
+    (torch.zeros(3, 2).double(), {"dt": -1.0}, "dt: expected finite seconds above 0"),
+    (torch.zeros(3, 2).double(), {"sensor": "radar"}, "sensor: expected one of none, received 'radar'"),
+    (torch.zeros(3, 2).double(), {"std": torch.ones(2)}, r"std: expected \(3, 2\), received \(2,\)"),
+    (torch.zeros(3, 2).double(), {"std": torch.zeros(3, 2)}, "std: expected finite numbers above 0"),
+    (torch.zeros(3, 2).double(), {"noise": torch.ones(3, 2)}, r"noise: expected \(3, 2, 2\), received \(3, 2\)"),
     (torch.zeros(3, 2).double(), {"dt": math.nan}, "dt: expected finite seconds above 0"),
     (torch.zeros(3, 2).double(), {"dt": "x"}, r"dt: expected a number or \(1,\), received 'x'"),
     (torch.zeros(3, 2).double(), {"dt": None}, "dt: expected a number"),

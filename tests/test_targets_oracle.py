@@ -36,12 +36,12 @@ def scans(seed, steps=30):
     return found
 
 
-def manager(birth, confirmation, deletion):
+def manager(birth, confirmation, deletion, **options):
     f = presets.jpda(
         ConstantVelocity(Q), Position(STD), clutter=Clutter(WIDTH**2, rate=RATE), detection=PD, gate=ChiSquare(PG),
         exact=(6, 6),
     )  # fmt: skip
-    return Targets(f, birth=birth, confirmation=confirmation, deletion=deletion)
+    return Targets(f, birth=birth, confirmation=confirmation, deletion=deletion, **options)
 
 
 @pytest.mark.parametrize("deletion", DELETIONS)
@@ -57,9 +57,41 @@ def test_every_scan_leaves_the_targets_of_plain_loops(birth, confirmation, delet
         confirm=how, **when,
     )  # fmt: skip
     targets = manager(birth, confirmation, deletion)
+    follow(targets, z, expected, [{"dt": DT}] * len(z))
+
+
+@pytest.mark.parametrize("birth", BIRTHS)
+def test_scans_of_two_sensors_at_one_instant_are_two_scans_of_plain_loops(birth):
+    """The second looks half a second after the first, then at the same instant; its noise comes with its scans."""
+    z, two = [scan for pair in zip(scans(0), scans(1), strict=True) for scan in pair], 2 * len(scans(0))
+    own, more = {"std": STD, "PD": PD, "density": RATE / WIDTH**2}, {"PD": 0.6, "density": 0.7 / WIDTH**2}
+    gaps = [(DT, 0.0) if k % 3 else (DT - 0.5, 0.5) for k in range(two // 2)]
+    looks = [one for first, second in gaps for one in ({"dt": first, **own}, {"dt": second, "std": 3.0, **more})]
+    (how, born), (confirmation, when) = BIRTHS[birth], CONFIRMATIONS["score"]
+    expected = manage(
+        z, std=STD, q=Q, dt=DT, PD=PD, PG=PG, limit=-2 * math.log(1 - PG), density=RATE / WIDTH**2, birth=born,
+        confirm=when, misses=6, looks=looks,
+    )  # fmt: skip
+    other = presets.jpda(
+        ConstantVelocity(Q), Position(1.0), clutter=Clutter(WIDTH**2, rate=0.7), detection=0.6, gate=ChiSquare(PG),
+        exact=(6, 6),
+    )  # fmt: skip
+    targets = manager(how, confirmation, Deletion(6), sensors={"other": other})
+    options = [{"dt": look["dt"]} for look in looks]
+    for k in range(1, two, 2):
+        options[k] |= {"sensor": "other"}
+        if k % 4 == 1:
+            options[k] |= {"std": torch.full(z[k].shape, 3.0).double()}
+        else:
+            options[k] |= {"noise": 3.0 * torch.eye(2).double().expand(len(z[k]), 2, 2)}
+    follow(targets, z, expected, options)
+
+
+def follow(targets, z, expected, options):
+    """The manager beside the oracle."""
     state, most, confirmed = targets.init(), 0, set()
-    for scan, there in zip(z, expected, strict=True):
-        state = targets.step(state, torch.from_numpy(scan), dt=DT)
+    for scan, there, option in zip(z, expected, options, strict=True):
+        state = targets.step(state, torch.from_numpy(scan), **option)
         assert state.track.identity.tolist() == [t.identity for t in there]
         assert state.track.confirmed.tolist() == [t.confirmed for t in there]
         np.testing.assert_allclose(state.track.score, [t.score for t in there], rtol=1e-9, atol=1e-9)

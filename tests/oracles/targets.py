@@ -30,14 +30,20 @@ class Target:
 def manage(
     scans: list[Array], *, std: float, q: float, dt: float, PD: float, PG: float, limit: float, density: float,
     birth: dict[str, float], confirm: dict[str, Any], misses: int, drop: float | None = None,
+    looks: list[dict[str, float]] | None = None,
 ) -> list[list[Target]]:  # fmt: skip
-    """After each scan (J, 2) copies of the targets that are there; constant velocity, positions, Poisson clutter."""
-    one, none = np.eye(2), np.zeros((2, 2))
-    F, G = np.block([[one, dt * one], [none, one]]), np.vstack([dt**2 / 2 * one, dt * one])
-    R, H, Q = std**2 * one, np.hstack([one, none]), q * G @ G.T
+    """After each scan (J, 2) copies of the targets that are there; constant velocity, positions, Poisson clutter.
+
+    ``looks`` has what a scan has of its own: its std, dt, PD or density.
+    """
+    one, none, H = np.eye(2), np.zeros((2, 2)), np.eye(2, 4)
     targets: list[Target] = []
     number, free_before, shown = 0, [], []
-    for z in scans:
+    for z, look in zip(scans, looks or [{}] * len(scans), strict=True):
+        std, dt = look.get("std", std), look.get("dt", dt)
+        PD, density = look.get("PD", PD), look.get("density", density)
+        F, G = np.block([[one, dt * one], [none, one]]), np.vstack([dt**2 / 2 * one, dt * one])
+        R, Q = std**2 * one, q * G @ G.T
         likelihood = np.zeros((len(z), len(targets)))
         for t, target in enumerate(targets):
             target.mean, target.P = F @ target.mean, F @ target.P @ F.T + Q
@@ -54,8 +60,8 @@ def manage(
             target.best = max(target.best, target.score)
             target.hits.append(bool(missed[t] < 0.5))
         targets = [t for t in targets if not ends(t, misses, drop)]
-        free = [z[j] for j in range(len(z)) if beta[j].sum() < 0.5]
-        begun, free_before = begin(birth, free, free_before, dt, R)
+        free = [(z[j], R, 0.0) for j in range(len(z)) if beta[j].sum() < 0.5]
+        begun, free_before = begin(birth, free, [(x, S, since + dt) for x, S, since in free_before])
         for mean, P, hits in begun:
             targets.append(Target(number, mean, P, [True] * hits))
             number += 1
@@ -96,28 +102,38 @@ def stays(target: Target, how: dict[str, Any]) -> bool:
     return target.confirmed or possible
 
 
+Free = tuple[Array, Array, float]  # a position, its covariance, and seconds since
+
+
 def begin(
-    how: dict[str, float], free: list[Array], before: list[Array], dt: float, R: Array
-) -> tuple[list[tuple[Array, Array, int]], list[Array]]:
+    how: dict[str, float], free: list[Free], before: list[Free]
+) -> tuple[list[tuple[Array, Array, int]], list[Free]]:
     """Births (mean, P, measurements), and the measurements that are left for the next scan's."""
     none = np.zeros((2, 2))
     if "velocity" in how:
-        P = np.block([[R, none], [none, how["velocity"] ** 2 * np.eye(2)]])
-        return [(np.r_[z, 0, 0], P, 1) for z in free], []
-    reach = how["speed"] * dt + 3 * 2 * math.sqrt(np.trace(R))
-    P = np.block([[R, R / dt], [R / dt, 2 * R / dt**2]])
-    pairs = nearest(before, free, reach)
-    begun = [(np.r_[free[j], (free[j] - before[i]) / dt], P, 2) for i, j in pairs]
-    return begun, [z for j, z in enumerate(free) if j not in {j for _, j in pairs}]
+        spread = how["velocity"] ** 2 * np.eye(2)
+        return [(np.r_[z, 0, 0], np.block([[R, none], [none, spread]]), 1) for z, R, _ in free], []
+    old, left, begun = [x for x in before if x[2] > 0], [x for x in before if x[2] == 0], []
+    reach = [
+        [how["speed"] * dt + 3 * (math.sqrt(np.trace(S)) + math.sqrt(np.trace(R))) for _, R, _ in free]
+        for _, S, dt in old
+    ]
+    pairs = nearest([x for x, _, _ in old], [x for x, _, _ in free], reach)
+    for i, j in pairs:
+        (x, S, dt), (z, R, _) = old[i], free[j]
+        begun.append((np.r_[z, (z - x) / dt], np.block([[R, R / dt], [R / dt, (R + S) / dt**2]]), 2))
+    return begun, left + [x for j, x in enumerate(free) if j not in {j for _, j in pairs}]
 
 
-def nearest(before: list[Array], now: list[Array], reach: float) -> list[tuple[int, int]]:
+def nearest(before: list[Array], now: list[Array], reach: list[list[float]]) -> list[tuple[int, int]]:
     """As many pairs within reach as possible, and of all such choices the one with the least sum."""
     best: tuple[int, float, list[tuple[int, int]]] = (0, 0.0, [])
     for choice in itertools.product([None, *range(len(now))], repeat=len(before)):
         pairs = [(i, j) for i, j in enumerate(choice) if j is not None]
         far = [float(np.linalg.norm(now[j] - before[i])) for i, j in pairs]
-        allowed = len({j for _, j in pairs}) == len(pairs) and all(d <= reach for d in far)
+        allowed = len({j for _, j in pairs}) == len(pairs) and all(
+            d <= reach[i][j] for d, (i, j) in zip(far, pairs, strict=True)
+        )
         if allowed and (-len(pairs), sum(far)) < (-best[0], best[1]):
             best = (len(pairs), sum(far), pairs)
     return best[2]

@@ -123,8 +123,15 @@ def _bethe_correction(detected: Tensor, missed: Tensor, to_target: Tensor, gated
 
 
 def _log_sum_of_others(x: Tensor) -> Tensor:
-    """For each entry of ``x (..., n)`` the log of the sum over all others of the last dimension."""
-    if x.shape[-1] == 1:
+    """For each entry of ``x (..., n)`` the log of the sum over all others of the last dimension.
+
+    The sum of all less one entry loses no digits as long as the largest is another: that one's own is summed apart.
+    """
+    n = x.shape[-1]
+    if n == 1:
         return torch.full_like(x, -torch.inf)
-    before, after = x[..., :-1].logcumsumexp(-1), x[..., 1:].flip(-1).logcumsumexp(-1).flip(-1)
-    return torch.logaddexp(pad(before, (1, 0), value=-torch.inf), pad(after, (0, 1), value=-torch.inf))
+    largest, place = x.detach().max(-1, keepdim=True)
+    own = torch.arange(n, device=x.device) == place
+    weight = (x - largest).exp()
+    others = torch.where(own, 1.0, weight.sum(-1, keepdim=True) - weight).log() + largest
+    return torch.where(own, x.masked_fill(own, -torch.inf).logsumexp(-1, keepdim=True), others)

@@ -14,7 +14,7 @@ from torchfra.motion.base import Motion
 from torchfra.targets.assignment import scipy
 from torchfra.targets.numbers import real
 from torchfra.targets.places import from_cartesian, known_components
-from torchfra.targets.state import Unexplained, rows
+from torchfra.targets.state import Unexplained, joined, rows
 from torchfra.types import Gaussian
 
 _SIGMAS = 3.0
@@ -102,7 +102,7 @@ class TwoPoint(Birth):
     """Two measurements in consecutive scans that are no target's begin one: the velocity is their difference.
 
     Of the pairs that the speed allows as many as possible are taken, and of those with the least sum of distances; no
-    measurement is in two.
+    measurement is in two.  Those of one instant begin none together: all of them are left for the next one.
 
     Args:
         speed: highest speed of a target, m/s.
@@ -128,7 +128,8 @@ class TwoPoint(Birth):
         both = torch.cat([pad(root, (0, motion.dims)), moved], -2)
         left = torch.ones_like(now.scene, dtype=torch.bool).index_fill(0, new, False)
         belief = self.belief(motion, torch.cat([position, velocity], -1), both)
-        return Newborn(belief, now.scene[new], 2), rows(now, left)
+        same = rows(before, before.since == 0)
+        return Newborn(belief, now.scene[new], 2), joined(same, rows(now, left))
 
     def _pairs(self, now: Unexplained, before: Unexplained) -> tuple[Tensor, Tensor]:
         """Rows of the measurements before and now that belong together."""
@@ -146,7 +147,7 @@ class TwoPoint(Birth):
         distance = (before.position.mean.unsqueeze(1) - now.position.mean).norm(dim=-1)
         spread = [torch.linalg.matrix_norm(x.position.scale_tril) for x in (before, now)]
         reach = self.speed * before.since.unsqueeze(-1) + _SIGMAS * (spread[0].unsqueeze(-1) + spread[1])
-        allowed = distance <= reach
+        allowed = (distance <= reach) & (before.since > 0).unsqueeze(-1)
         far = distance.sum() + 1  # more than all that is allowed together
         return torch.where(allowed, distance, far).numpy(force=True), allowed
 

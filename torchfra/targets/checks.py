@@ -7,9 +7,11 @@ import math
 import torch
 from torch import Tensor
 
+from torchfra.filters.gpb import GPB
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.lost_tracks import log_miss
-from torchfra.gaussian.inputs import Time, batch_rank
+from torchfra.gaussian.arguments import check_kinds, check_values
+from torchfra.gaussian.inputs import Measurements, Time, batch_rank
 from torchfra.targets.places import known_components
 from torchfra.targets.scan import Look
 from torchfra.targets.state import TargetsState
@@ -60,7 +62,7 @@ def check_parts(**parts: tuple[object, type]) -> None:
             raise ValueError(f"{name}: expected {expected}, received {type(part).__name__}")
 
 
-def check_scan(filter: JPDA, state: TargetsState, z: Tensor, dt: Time, u: Tensor | None, window: int) -> Look:
+def check_scan(filter: JPDA, state: TargetsState, measurements: Measurements, window: int) -> Look:
     """One scan of each scene, in one form.
 
     Raises:
@@ -71,13 +73,29 @@ def check_scan(filter: JPDA, state: TargetsState, z: Tensor, dt: Time, u: Tensor
     if state.track.hits.shape[-1] != window:
         expected = f"hits of the last {window} scans, as the confirmation looks at"
         raise ValueError(f"state: expected {expected}, received those of {state.track.hits.shape[-1]}")
+    z, dt, u, std, noise = measurements
     scenes, like = len(state.next_identity), state.belief.mean
     _check_scans(filter, z, "(J, m) or (R, J, m)", (2, 3))
+    _check_noise(filter, measurements)
     if z.dim() == 2:
-        z = z.unsqueeze(0)
+        z, (std, noise) = z.unsqueeze(0), (None if x is None else x.unsqueeze(0) for x in (std, noise))
     if len(z) != scenes:
         raise ValueError(f"z: expected {scenes} scenes as the state has, received {len(z)}")
-    return Look(z.to(like), _seconds(dt, (scenes,)).to(like), _inputs(u, (scenes,), like))
+    seconds = _seconds(dt, (scenes,), instants=filter.inner.instants).to(like)
+    own = (x if x is None else x.to(like) for x in (std, noise))
+    return Look(z.to(like), seconds, _inputs(u, (scenes,), like), *own)
+
+
+def _check_noise(filter: JPDA, measurements: Measurements) -> None:
+    """Whether what is known of the noise of each measurement fits it."""
+    z, _, _, std, noise = measurements
+    check_kinds(measurements._replace(dt=1.0))
+    for name, x, shape in (("std", std, z.shape), ("noise", noise, (*z.shape, z.shape[-1]))):
+        if x is not None and x.shape != shape:
+            raise ValueError(f"{name}: expected {tuple(shape)}, received {tuple(x.shape)}")
+    check_values(measurements._replace(dt=1.0, u=None))
+    if isinstance(filter.inner, GPB):
+        filter.inner.qualities.check_noise("noise", noise)
 
 
 def check_scans(filter: JPDA, z: Tensor, dt: Time, u: Tensor | None) -> list[Look]:
@@ -111,15 +129,15 @@ def _check_scans(filter: JPDA, z: Tensor, shape: str, ranks: tuple[int, ...] | r
         raise ValueError("z: expected finite measurements, or NaN where there is none, received an infinite one")
 
 
-def _seconds(dt: Time, shape: tuple[int, ...]) -> Tensor:
+def _seconds(dt: Time, shape: tuple[int, ...], *, instants: bool = False) -> Tensor:
     try:  # a number of Python's own would be rounded to torch's default
         seconds = dt if isinstance(dt, Tensor) else torch.as_tensor(dt, dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError):
         raise ValueError(f"dt: expected a number or {shape}, received {dt!r}") from None
     if seconds.dim() > 1 or (seconds.dim() and seconds.shape != shape):
         raise ValueError(f"dt: expected a number or {shape}, received {tuple(seconds.shape)}")
-    if not all(0 < x < math.inf for x in seconds.flatten().tolist()):
-        raise ValueError(f"dt: expected finite seconds above 0, received {seconds.tolist()}")
+    if not all(0 < x < math.inf or (instants and x == 0) for x in seconds.flatten().tolist()):
+        raise ValueError(f"dt: expected finite seconds above 0{' or 0' * instants}, received {seconds.tolist()}")
     return seconds.expand(shape)
 
 

@@ -12,12 +12,13 @@ from torch import Tensor, nn
 
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.lost_tracks import log_miss
-from torchfra.gaussian.inputs import Time
+from torchfra.gaussian.inputs import Measurements, Time
 from torchfra.targets.births import Birth, Newborn, OnePoint
 from torchfra.targets.checks import check_filter, check_parts, check_scan, check_scans
 from torchfra.targets.clusters import Group
 from torchfra.targets.merging import Merging
 from torchfra.targets.numbers import real, whole
+from torchfra.targets.others import around, others
 from torchfra.targets.places import known_components, place, to_cartesian
 from torchfra.targets.records import collect
 from torchfra.targets.rules import SPRT, Confirmation, Deletion
@@ -47,6 +48,9 @@ class Targets(nn.Module):
         deletion: when targets end, ``Deletion()`` if None.
         merging: which tracks are of one target; None for never.
         free: probability that a measurement is no target's above which it may begin one.
+        sensors: others that scan the same targets, by name, each as a ``JPDA`` with its sensor, gate, clutter and
+            detection; targets are followed by the inner filter of ``filter``, around that sensor.  A scan of any sensor
+            counts as one for births, confirmation and deletion.
 
     Raises:
         ValueError: an argument that is none of those, or does not go with the others.
@@ -59,6 +63,7 @@ class Targets(nn.Module):
     def __init__(
         self, filter: JPDA, *, birth: Birth | None = None, confirmation: Confirmation | None = None,
         deletion: Deletion | None = None, merging: Merging | None = None, free: float = 0.5,
+        sensors: Mapping[str, JPDA] | None = None,
     ) -> None:  # fmt: skip
         super().__init__()
         check_filter(filter)
@@ -71,7 +76,10 @@ class Targets(nn.Module):
         self.confirmation = SPRT() if confirmation is None else confirmation
         self.deletion = Deletion() if deletion is None else deletion
         self.merging, self.free = merging, free
-        if (self.confirmation.scored or self.deletion.drop is not None) and filter.clutter.rate is None:
+        more = others(self.filter, sensors)
+        self.sensors = nn.ModuleDict(more)
+        rates = [f.clutter.rate for f in (self.filter, *more.values())]
+        if (self.confirmation.scored or self.deletion.drop is not None) and None in rates:
             expected = "clutter of a Poisson rate for scores, as of Clutter(..., rate=), or MOfN and no drop"
             raise ValueError(f"confirmation, deletion: expected {expected}, received none")
 
@@ -117,20 +125,27 @@ class Targets(nn.Module):
         """
         return restored(values, self.init())
 
-    def step(self, state: TargetsState, z: Tensor, *, dt: Time = 1.0, u: Tensor | None = None) -> TargetsState:
+    def step(
+        self, state: TargetsState, z: Tensor, *, dt: Time = 1.0, u: Tensor | None = None, std: Tensor | None = None,
+        noise: Tensor | None = None, sensor: str | None = None,
+    ) -> TargetsState:  # fmt: skip
         """One scan.
 
         Args:
             state: from ``init`` or the step before; it is not changed.
             z: ``(J, m)``, or ``(R, J, m)`` of R scenes, of any J, also 0; NaN is missing.
-            dt: seconds since the last scan, a number or ``(R,)``.
+            dt: seconds since the last scan, a number or ``(R,)``; 0 for another scan at the same instant.
             u: ``(k,)`` or ``(R, k)`` what the models need to know, such as where the sensor is.
+            std: like ``z``: standard deviations of the noise of these measurements, instead of the sensor's.
+            noise: like ``z`` with one more ``m``: roots of its covariances, instead of the sensor's.
+            sensor: whose scan it is, one of ``sensors``; None for the filter's own.
 
         Raises:
             ValueError: a shape or a value that does not fit.
             ImportError: scipy is not installed.
         """
-        return self._step(state, check_scan(self.filter, state, z, dt, u, self.confirmation.window))
+        filter, measurements = self._of(sensor), Measurements(z, dt, u, std, noise)
+        return self._step(state, check_scan(filter, state, measurements, self.confirmation.window), filter)
 
     def forward(self, z: Tensor, *, dt: Time = 1.0, u: Tensor | None = None) -> TargetsEstimate:
         """Whole sequences of scans, from no target on.
@@ -147,17 +162,25 @@ class Targets(nn.Module):
         looks = check_scans(self.filter, z, dt, u)
         state, states = self.init(len(looks[0].z), dtype=z.dtype, device=z.device), []
         for look in looks:
-            state = self._step(state, look)
+            state = self._step(state, look, self.filter)
             states.append(state)
         return collect(states, z.shape[:-3])
 
-    def _step(self, state: TargetsState, look: Look) -> TargetsState:
-        """The next state."""
-        after, said, groups = look_at(self.filter, state.filter, state.track.scene, look)
-        miss = log_miss(self.filter.detection, self.filter.gate, said.log_missed)
+    def _of(self, sensor: str | None) -> JPDA:
+        """The filter of a sensor."""
+        if sensor is None:
+            return self.filter
+        if sensor not in self.sensors:
+            raise ValueError(f"sensor: expected one of {', '.join(self.sensors) or 'none'}, received {sensor!r}")
+        return around(self.filter, self.sensors[sensor])  # type: ignore[arg-type]  # torch knows modules only
+
+    def _step(self, state: TargetsState, look: Look, filter: JPDA) -> TargetsState:
+        """The next state, of a look by the sensor of this filter."""
+        after, said, groups = look_at(filter, state.filter, state.track.scene, look)
+        miss = log_miss(filter.detection, filter.gate, said.log_missed)
         track = _aged(state.track, said, miss)
         stays = ~self._ends(after.belief, track, groups)
-        newborn, unexplained = self._births(state.unexplained, said.explained, look)
+        newborn, unexplained = self._births(state.unexplained, said.explained, look, filter)
         track, next_identity = _with_newborn(rows(track, stays), newborn, state.next_identity)
         everyone = rows(after, stays)
         if len(newborn.scene):
@@ -174,14 +197,14 @@ class Targets(nn.Module):
         ends: Tensor = self.deletion(track, position)
         return ends if self.merging is None else ends | self.merging(motion, belief, track, groups)
 
-    def _births(self, before: Unexplained, explained: Tensor, look: Look) -> tuple[Newborn, Unexplained]:
+    def _births(self, before: Unexplained, explained: Tensor, look: Look, filter: JPDA) -> tuple[Newborn, Unexplained]:
         """Who begins, and what is left for the next scan's births."""
         whole = ~look.z.isnan().any(-1)
         scene, j = (whole & (explained < 1 - self.free)).nonzero().unbind(-1)
         u = None if look.u is None else look.u[scene]
-        now = Unexplained(
-            place(self.filter.motion, self.filter.sensor, look.z[scene, j], u), scene, look.dt.new_zeros(len(scene))
-        )
+        own = (None if x is None else x[scene, j] for x in (look.std, look.noise))
+        where = place(filter.motion, filter.sensor, look.z[scene, j], u, *own)
+        now = Unexplained(where, scene, look.dt.new_zeros(len(scene)))
         before = before._replace(since=before.since + look.dt[before.scene])
         newborn, left = self.birth(self.filter.motion, now, before)
         return newborn, left

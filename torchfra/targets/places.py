@@ -16,7 +16,9 @@ _PROBES = (300.0, -700.0, 500.0), (-600.0, 200.0, 900.0)
 """Two places, m, that tell where a sensor stands."""
 
 
-def place(motion: Motion, sensor: Sensor, z: Tensor, u: Tensor | None) -> Gaussian:
+def place(
+    motion: Motion, sensor: Sensor, z: Tensor, u: Tensor | None, std: Tensor | None = None, noise: Tensor | None = None
+) -> Gaussian:
     """Positions ``(K, dims)`` that measurements ``(K, m)`` tell, m, by points of third degree of the noise.
 
     Args:
@@ -24,11 +26,13 @@ def place(motion: Motion, sensor: Sensor, z: Tensor, u: Tensor | None) -> Gaussi
         sensor: one that ``locates``.
         z: the measurements, without missing elements.
         u: ``(K, k)`` what the sensor needs to know, or None.
+        std: ``(K, m)`` of the noise, instead of the sensor's.
+        noise: ``(K, m, m)`` roots of its covariance, likewise.
 
     Raises:
         ValueError: ``u`` tells the sensor more than where it stands, so that it does not locate in the motion's axes.
     """
-    unit = sensor.measurement_noise(z)
+    unit = sensor.measurement_noise(z, std, noise)
     eye = torch.eye(sensor.size, dtype=z.dtype, device=z.device)
     offsets = (sensor.size**0.5 * unit.colour(eye)).movedim(-1, 0)  # (m, K, m), before K what batch the noise has
     points = sensor.locate(torch.cat([z.expand_as(offsets[:1]), z + offsets, z - offsets]))

@@ -26,6 +26,10 @@ class Look(NamedTuple):
     """``(R,)`` seconds since the last one."""
     u: Tensor | None
     """``(R, k)``."""
+    std: Tensor | None = None
+    """``(R, J, m)`` of each measurement's noise, instead of the sensor's."""
+    noise: Tensor | None = None
+    """``(R, J, m, m)`` roots of its covariance, likewise."""
 
 
 class Said(NamedTuple):
@@ -57,12 +61,11 @@ def look_at(filter: JPDA, state: Any, scene: Tensor, look: Look) -> tuple[Any, S
         return state, Said(explained[:0], explained[:0], explained.reshape(there.shape)), []
     with torch.no_grad():
         groups = clusters(_reach(filter, state, scene, look), scene)
-    nothing = look.z.new_full((1, filter.sensor.size), torch.nan)
-    table = torch.cat([look.z.flatten(0, 1), nothing])  # the last row is none
+    tables = _tables(look)
     parts, missed, density = [], [], []
     for targets, measurements in groups:
         of, group = scene[targets[:, 0]], rows(state, targets)
-        after, (association, evidence) = stepped(filter, among, group, _measured(table[measurements], of, look))
+        after, (association, evidence) = stepped(filter, among, group, _measured(of, look, *rows(tables, measurements)))
         share = association[..., 1:].sum(-2)
         inside = measurements >= 0
         explained = explained.index_put((measurements[inside],), share[inside], accumulate=True)
@@ -79,11 +82,32 @@ def _reach(filter: JPDA, state: Any, scene: Tensor, look: Look) -> Tensor:
     """Which measurements ``(N, J)`` of its scene may be in the gate of each target."""
     alone = tree.map_tensors(lambda x: x.unsqueeze(1), state)  # each target in a scene of its own
     anything = look.z.new_zeros(len(scene), 1, filter.sensor.size)
-    _, predicted = stepped(filter, outlook, alone, _measured(anything, scene, look))
+    _, predicted = stepped(filter, outlook, alone, _measured(scene, look, anything, _widest(scene, look)))
     predicted = Gaussian(*(x.squeeze(1) for x in predicted))
     return in_reach(filter.gate, filter.sensor, predicted, look.z, scene, filter.temperature)
 
 
-def _measured(z: Tensor, scene: Tensor, look: Look) -> Measurements:
+def _measured(
+    scene: Tensor, look: Look, z: Tensor, std: Tensor | None = None, noise: Tensor | None = None
+) -> Measurements:
     """Measurements ``(C, J, m)`` of clusters in their scenes."""
-    return Measurements(z, look.dt[scene], None if look.u is None else look.u[scene])
+    return Measurements(z, look.dt[scene], None if look.u is None else look.u[scene], std, noise)
+
+
+def _tables(look: Look) -> tuple[Tensor, Tensor | None, Tensor | None]:
+    """Measurements ``(R J + 1, m)`` of all scenes, the last of which is none, and what is known of their noise."""
+    (z, _, _, std, noise), size = look, look.z.shape[-1]
+    std = None if std is None else torch.cat([std.flatten(0, 1), z.new_ones(1, size)])
+    noise = None if noise is None else torch.cat([noise.flatten(0, 1), torch.eye(size).to(z).unsqueeze(0)])
+    return torch.cat([z.flatten(0, 1), z.new_full((1, size), torch.nan)]), std, noise
+
+
+def _widest(scene: Tensor, look: Look) -> Tensor | None:
+    """Deviations ``(N, 1, m)`` of a noise that is wider than that of any measurement of each target's scene."""
+    std, size = look.std, look.z.shape[-1]
+    if look.noise is not None:
+        std = (size * look.noise.square().sum(-1)).sqrt()  # no covariance exceeds m times its diagonal
+    if std is None:
+        return None
+    some = torch.where(look.z.isnan(), 0.0, std).amax(-2, keepdim=True) if look.z.shape[-2] else std.new_zeros(())
+    return torch.where(some > 0, some, 1.0).expand(len(look.z), 1, size)[scene]
