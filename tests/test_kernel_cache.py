@@ -148,8 +148,16 @@ check, module._is_intact = module._is_intact, exchange
 # ---------------------------------------------------------------- damage
 
 
+def exchange(library, content):
+    """Another file of the name: to cut off the one that this process runs would end it, whatever is checked."""
+    other = library.with_name("other")
+    other.write_bytes(content)
+    other.chmod(0o600)
+    other.replace(library)
+
+
 def with_other_content(change):
-    return lambda library, _: library.write_bytes(change(library.read_bytes()))
+    return lambda library, _: exchange(library, change(library.read_bytes()))
 
 
 def linked(library, hostile):
@@ -171,7 +179,7 @@ DAMAGE = {
     "without its end": with_other_content(lambda x: x[:-1]),
     "longer": with_other_content(lambda x: x + b"0"),
     "one bit": with_other_content(lambda x: x[:5000] + bytes([x[5000] ^ 1]) + x[5001:]),
-    "planted": lambda library, hostile: library.write_bytes(hostile),
+    "planted": exchange,
     "of another kernel": exchanged,
     "a link": linked,
     "open to others": lambda library, _: library.chmod(0o666),

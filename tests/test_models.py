@@ -256,8 +256,8 @@ def test_only_angles_wrap():
 
 def test_sensors_refuse_what_does_not_fit():
     for options, said in (
-        ({}, "exactly one"),
-        ({"std": 1.0, "noise": torch.eye(2)}, "exactly one"),
+        ({}, "expected one of the two, received none"),
+        ({"std": 1.0, "noise": torch.eye(2)}, "expected one of the two, received both"),
         ({"std": torch.ones(3)}, r"std: expected a number or \(\.\.\., 2\)"),
         ({"std": 0.0}, "std: expected a value above 0"),
         ({"noise": torch.eye(3)}, "noise: expected"),

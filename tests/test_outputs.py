@@ -253,16 +253,20 @@ def test_no_output_replaces_an_input_or_another_output(tmp_path, capsys):
     flight = tmp_path / "flight.csv"
     flight.write_text("t,x,y\n0,0,0\n1,1,1\n")
     (tmp_path / "link").symlink_to("flight.csv")
+    learned = tmp_path / "learned.png"
+    learned.write_text("{}")
     for main, arguments in (
         (cli.main, ["track", str(flight), "--json", str(tmp_path / "link")]),
         (cli.main, ["compare", str(flight), "--json", str(flight)]),
-        (cli.main, [*COMPARE, "--learned", str(flight), "--figure", str(flight)]),
+        (cli.main, [*COMPARE, "--learned", str(learned), "--figure", str(learned)]),
         (time_stamps.main, [str(flight), "--json", str(flight)]),
     ):
         assert main(arguments) == 2
-        assert f"expected a file of its own, received the input {flight}\n" in capsys.readouterr().err
+        given = learned if str(learned) in arguments else flight
+        assert f"expected a file of its own, received the input {given}\n" in capsys.readouterr().err
     assert flight.read_text().startswith("t,x,y")
-    same = str(tmp_path / "same")
+    assert learned.read_text() == "{}"
+    same = str(tmp_path / "same.png")
     assert cli.main([*COMPARE, "--json", same, "--figure", same]) == 2
     assert f"figure: expected a file of its own, received {same}, as for json\n" in capsys.readouterr().err
 
