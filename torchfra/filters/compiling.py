@@ -13,7 +13,7 @@ class Compilable(nn.Module):
 
     kernel_numbers: tuple[str, ...] = ()
     """Attributes that are plain numbers, which compiled kernels read when they run."""
-    slow_to_compile = False  # a quarter of a minute or more: commands compile such a filter only when told to
+    slow_to_compile = False  # some ten seconds or more: commands compile such a filter only when told to
     _kernels: Any
 
     def compile(self, *args: Any, **options: Any) -> Self:  # type: ignore[override]  # torch's own returns None

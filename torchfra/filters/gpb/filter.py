@@ -95,7 +95,7 @@ class GPB(Sensing):
 
     @property
     def slow_to_compile(self) -> bool:  # type: ignore[override]  # of this bank, not of the class
-        """Whether its kernel takes a quarter of a minute or more: that of a bank of more than three motions."""
+        """Whether its kernel takes some ten seconds or more: that of a bank of more than three motions."""
         return len(self.bank) > 3
 
     @property
