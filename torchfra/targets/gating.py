@@ -22,7 +22,7 @@ def in_reach(gate: Gate, sensor: Sensor, predicted: Gaussian, scans: Tensor, sce
     Args:
         gate: the filter's.
         sensor: it measured.
-        predicted: measurements ``(N,)``, see ``JPDA.outlook``.
+        predicted: measurements ``(N,)``, see ``filters.scans.managed.outlook``.
         scans: ``(R, J, m)``; NaN is missing.
         scene: ``(N,)`` of each target.
         heat: temperature of the gate.
