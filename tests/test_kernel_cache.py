@@ -45,6 +45,14 @@ def only(folder):
     return library
 
 
+def exchange(library, content):
+    """Another file of the name: to cut off the one that this process runs would end it, whatever is checked."""
+    other = library.with_name("other")
+    other.write_bytes(content)
+    other.chmod(0o600)
+    other.replace(library)
+
+
 def fetched(name, before="", *arguments):
     """Whether another process, which has loaded nothing yet, finds a kernel; and what it says."""
     code = f"{LOADED}{before}\nprint(module.fetch(sys.argv[2]) is not None)"
@@ -99,7 +107,7 @@ def test_a_hostile_library_would_be_seen(folder, hostile):
     """Were it signed, it would be loaded: the next tests can fail."""
     answer()
     name = only(folder).name
-    only(folder).write_bytes(hostile + cache._digest(name, hostile))
+    exchange(only(folder), hostile + cache._digest(name, hostile))
     with pytest.raises(subprocess.CalledProcessError):
         fetched(name)
 
@@ -108,7 +116,7 @@ def test_a_hostile_library_would_be_seen(folder, hostile):
 def test_a_folder_to_which_others_may_write_is_not_used(mode, folder, hostile):
     answer()
     name = only(folder).name
-    only(folder).write_bytes(signed := hostile + cache._digest(name, hostile))
+    exchange(only(folder), signed := hostile + cache._digest(name, hostile))
     folder.chmod(mode)
     found, said = fetched(name)
     assert not found
@@ -121,7 +129,7 @@ def test_a_folder_to_which_others_may_write_is_not_used(mode, folder, hostile):
 def test_a_folder_of_another_user_is_not_used(folder, hostile, monkeypatch):
     answer()
     name = only(folder).name
-    only(folder).write_bytes(hostile + cache._digest(name, hostile))
+    exchange(only(folder), hostile + cache._digest(name, hostile))
     found, said = fetched(name, "owner = os.geteuid(); os.geteuid = lambda: owner + 1")
     assert not found
     assert f"it belongs to user {os.geteuid()}" in said
@@ -146,14 +154,6 @@ check, module._is_intact = module._is_intact, exchange
 
 
 # ---------------------------------------------------------------- damage
-
-
-def exchange(library, content):
-    """Another file of the name: to cut off the one that this process runs would end it, whatever is checked."""
-    other = library.with_name("other")
-    other.write_bytes(content)
-    other.chmod(0o600)
-    other.replace(library)
 
 
 def with_other_content(change):
