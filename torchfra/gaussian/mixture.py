@@ -61,12 +61,6 @@ def missed_or_hit(missed: Gaussian, hit: Gaussian, log_weights: Tensor) -> Gauss
     return Gaussian(middle.squeeze(-2), tria(hstack(first, second, apart)))
 
 
-def pooled(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] = ()) -> Gaussian:
-    """As ``moment_match``, with a root ``(..., n, K (p + 1))``, for what makes it triangular later."""
-    middle, columns = _moments(beliefs, log_weights, angles)
-    return Gaussian(middle, torch.cat(columns, -1))
-
-
 def _moments(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int]) -> tuple[Tensor, list[Tensor]]:
     """The mean ``(..., n)``, and columns of a root of the covariance, ``(..., n, p)`` and ``(..., n, 1)``."""
     counts = log_weights != -torch.inf  # NaN does count: it must show in the result
