@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 
 from torchfra import tree
 from torchfra.filters.gpb.regimes import in_front
-from torchfra.gaussian.mixture import moment_match
+from torchfra.gaussian.mixture import matched, shared
 from torchfra.hyper import Hyper, Values
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import apply, hstack, tria
@@ -151,11 +151,11 @@ class Qualities(nn.Module):
             if b:  # clean and dirty have the first block in common alone
                 clean, log_clean = told_by(inside.rows[0], residual[0], sizes[:1], gone)
             joint = torch.cat([log_told[:1] + torch.log1p(-share), log_told[1:] + share.log() + log_shares])
-            total = joint.logsumexp(0)
-            both = tree.stack([entry(clean, 0), moment_match(told, joint - total)], 0)
+            roots, total = shared(joint)
+            both = tree.stack([entry(clean, 0), matched(told, roots)], 0)
             belief = inward(belief, inside, both)
             log_density = log_density + torch.cat([log_clean, total.unsqueeze(0)])
-            outliers.append((joint[1:].logsumexp(0) - total).exp())
+            outliers.append(roots[1:].square().sum(0))
         return Corrected(belief, log_density, torch.stack(outliers, -1))
 
     def grown(self, sizes: Tensor, residual: Tensor, missing: Tensor) -> Tensor:
