@@ -176,10 +176,10 @@ def hghckf(
     motion: Motion, sensor: Sensor, *, rule: Callable[[int], Rule] = fifth_degree, threshold: Value = 1.345,
     eps: Value | str = "minimax", whitening: str = "cholesky", zeta_scale: bool = False, learn: Collection[str] = (),
 ) -> SRCKF:  # fmt: skip
-    """``hghckf2`` with ``cov_mode="indicator"``, which loses no target: prefer it.
+    """``hghckf2`` with ``cov_mode="indicator"``: prefer it, as it catches up where ``hghckf2`` loses the target.
 
     Where the score cuts an innovation off, the covariance does not shrink.  So a filter that is far off grows unsure of
-    itself until it catches up.
+    itself until it follows again.
 
     Args:
         motion: how targets move.
