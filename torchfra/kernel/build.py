@@ -27,8 +27,13 @@ LARGE = 30_000
 """Lines of a source from which the compiler optimises less: in half the time, for steps of many models."""
 
 
-def load(source: str) -> Any:
-    """The function ``run`` of a translation unit.
+_ARGUMENTS = {"run": "qqipp", "whole": "pqqippq"}
+"""Functions of kernels, and what each of their arguments is: a number, a count of threads, or an address."""
+_TYPES = {"q": ctypes.c_int64, "i": ctypes.c_int, "p": ctypes.c_void_p}
+
+
+def load(source: str, name: str = "run") -> Any:
+    """The function of this name of a translation unit: ``run``, or ``whole`` of the ends of tracks.
 
     It is compiled by the first compiler there is (see ``compilers``) with ``CXXFLAGS`` behind its flags, unless an
     earlier process has done so: libraries are kept in ``TORCHFRA_CACHE``, or ``~/.cache/torchfra`` (see ``cache``).
@@ -40,13 +45,13 @@ def load(source: str) -> Any:
     flags = [*compiler.flags(is_large(source)), *compilers.words("CXXFLAGS")]
     command = [*compiler.command, *flags]
     key = "\n".join((bare(source), *command, compiler.version, torch.__version__, *platform.libc_ver(), _processor()))
-    name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}{compilers.SUFFIX}"
+    library = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}{compilers.SUFFIX}"
     try:
-        function = (cache.fetch(name) or _compile(compiler, flags, source, name)).run
+        function = getattr(cache.fetch(library) or _compile(compiler, flags, source, library), name)
     except (OSError, AttributeError) as error:
         raise CompileError(f"compile: no kernel from {compilers.described(command)}: {error}") from None
-    function.argtypes = [ctypes.c_int64, ctypes.c_int64, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]
-    function.restype = None
+    function.argtypes = [_TYPES[word] for word in _ARGUMENTS[name]]
+    function.restype = None if name == "run" else ctypes.c_int
     return function
 
 

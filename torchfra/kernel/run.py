@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -13,8 +13,10 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.autograd.function import once_differentiable
 
-from torchfra.kernel.program import BUILDING, Program, batch_first
+from torchfra.kernel.ends import Ends
+from torchfra.kernel.program import BUILDING, Program, Ready, batch_first
 from torchfra.kernel.step import Step
+from torchfra.kernel.whole import Whole, load, whole
 from torchfra.tree import flatten, unflatten
 
 
@@ -28,6 +30,7 @@ class Kernels:
     def __init__(self, step: Step) -> None:
         self.step = step
         self._programs: dict[tuple[Any, ...], Program] = {}
+        self._ends: tuple[Ends, Any] | None = None
         self._making = threading.Lock()
 
     def forwards(self, batch: torch.Size, device: torch.device) -> Program:
@@ -44,6 +47,26 @@ class Kernels:
                         scan = getattr(self.step, kind)(*how)
                     self._programs[key] = Program(scan, narrow, device)
         return self._programs[key]
+
+    def whole(
+        self, ready: Ready, batch: torch.Size, prior: Sequence[Tensor], ends: Callable[[Step], Ends]
+    ) -> Whole | None:
+        """The steps, and all before and after them, in one call; None where that cannot be.
+
+        Args:
+            ready: the steps.
+            batch: of the tracks.
+            prior: mean and root.
+            ends: what comes before and after the steps, always the same.
+        """
+        try:
+            if self._ends is None:
+                with BUILDING, torch.inference_mode(False):
+                    made = ends(self.step)
+                self._ends = made, load(made)
+        except NotImplementedError:
+            return None
+        return whole(ready, *self._ends, batch, prior)
 
     def run(
         self,
