@@ -27,13 +27,8 @@ LARGE = 30_000
 """Lines of a source from which the compiler optimises less: in half the time, for steps of many models."""
 
 
-_ARGUMENTS = {"run": "qqipp", "whole": "pqqippq"}
-"""Functions of kernels, and what each of their arguments is: a number, a count of threads, or an address."""
-_TYPES = {"q": ctypes.c_int64, "i": ctypes.c_int, "p": ctypes.c_void_p}
-
-
-def load(source: str, name: str = "run") -> Any:
-    """The function of this name of a translation unit: ``run``, or ``whole`` of the ends of tracks.
+def load(source: str) -> Any:
+    """The function ``run`` of a translation unit.
 
     It is compiled by the first compiler there is (see ``compilers``) with ``CXXFLAGS`` behind its flags, unless an
     earlier process has done so: libraries are kept in ``TORCHFRA_CACHE``, or ``~/.cache/torchfra`` (see ``cache``).
@@ -41,6 +36,20 @@ def load(source: str, name: str = "run") -> Any:
     Raises:
         CompileError: there is no compiler, it fails, or what it makes cannot be loaded.
     """
+    return _function(source, "run", [*[ctypes.c_int64] * 2, ctypes.c_int, *[ctypes.c_void_p] * 2], None)
+
+
+def load_whole(source: str) -> Any:
+    """Likewise the function ``whole`` of the ends of tracks.
+
+    Raises:
+        CompileError: likewise.
+    """
+    arguments = [ctypes.c_void_p, *[ctypes.c_int64] * 2, ctypes.c_int, *[ctypes.c_void_p] * 2, ctypes.c_int64]
+    return _function(source, "whole", arguments, ctypes.c_int)
+
+
+def _function(source: str, name: str, arguments: list[Any], result: Any) -> Any:
     compiler = compilers.find()
     flags = [*compiler.flags(is_large(source)), *compilers.words("CXXFLAGS")]
     command = [*compiler.command, *flags]
@@ -50,8 +59,7 @@ def load(source: str, name: str = "run") -> Any:
         function = getattr(cache.fetch(library) or _compile(compiler, flags, source, library), name)
     except (OSError, AttributeError) as error:
         raise CompileError(f"compile: no kernel from {compilers.described(command)}: {error}") from None
-    function.argtypes = [_TYPES[word] for word in _ARGUMENTS[name]]
-    function.restype = None if name == "run" else ctypes.c_int
+    function.argtypes, function.restype = arguments, result
     return function
 
 

@@ -73,7 +73,7 @@ def load(ends: Ends) -> Any:
     Raises:
         CompileError: see ``build.load``.
     """
-    return build.load(ends.source(not build.wide()), "whole")
+    return build.load_whole(ends.source(not build.wide()))
 
 
 _ROOMS = threading.local()

@@ -185,8 +185,7 @@ class Version:
         run = plan.forwards.ready(plan.batch, steps, full)
         if run is None:
             return
-        apart = past or plan.device.type != "cpu"  # of whose kernels no other can call
-        whole = None if apart else plan.kernels.whole(run, plan.batch, prior, traced.ends)
+        whole = None if past else plan.kernels.whole(run, plan.batch, prior, traced.ends)
         if whole is not None:
             self.tracks.add(form, WholeTracks(whole, plan.batch, tensors))
         else:
