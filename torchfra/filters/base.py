@@ -156,7 +156,7 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
             noise: like ``z`` with one more ``m``: roots of the noise covariances, instead of the sensor's.
             truncate: steps after which gradients flow no further back (truncated back-propagation); None for all.
             checkpoint: steps between states that are kept for the way back, which computes the steps between anew:
-                less memory for more time.  None keeps everything, and after ``compile`` a state every sqrt(T) steps.
+                less memory for more time.  None keeps everything, after ``compile`` no more than 64 MiB.
             sensors: where steps have several: ``z (..., T, m)`` has the elements of the largest, NaN behind those
                 of a smaller; ``std`` and ``noise`` likewise, and so has ``info`` what it says of elements.
             which: ``(T,)`` number of each step's sensor, beside ``sensors``; ``dt`` 0 for two at the same instant.  The

@@ -149,12 +149,12 @@ class Step:
             raise ValueError(f"state: expected a step to keep its form {self.state}, received {state}")
         return Trace(book, before, inputs, after, record, kept)
 
-    def forwards(self) -> Scan:
-        """Filters: reads the inputs, writes the record of each step."""
+    def forwards(self, remembers: bool = False) -> Scan:
+        """Filters: reads the inputs, writes the record of each step; with ``remembers`` the state before it as well."""
         ports = _ports(self._plain.kept, timed=self.repeated)
         for port, is_late in zip(ports, late(self._plain.record), strict=True):
             port.late = is_late and self.repeated
-        return self._scan(self._plain, ports)
+        return self._scan(self._plain, ports + (_nonzero_ports(self._plain.before) if remembers else []))
 
     def trajectory(self) -> Scan:
         """Filters again: writes the state before each step."""
