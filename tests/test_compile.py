@@ -12,7 +12,7 @@ from torch import nn
 
 from torchfra import Hyper, learnable, presets, scenarios
 from torchfra.filters import SRCKF
-from torchfra.kernel import build
+from torchfra.kernel import build, run
 from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.program import Program, batch_first
@@ -162,6 +162,15 @@ def test_checkpoints_leave_the_gradient_and_truncation_cuts_it(compiled, make, t
     slow = make("srckf", learn=("q",))
     cut = slow(tracks.z, tracks.prior, u=tracks.u, truncate=5).mean[:, -1].sum()
     assert gradient(truncate=5) == pytest.approx(torch.autograd.grad(cut, slow.motion.q.raw)[0].item(), rel=1e-9)
+
+
+def test_what_is_too_much_to_remember_is_computed_anew_for_the_gradient(make, tracks, monkeypatch):
+    f, data = make("fra", learn="all").compile(), {"z": tracks.z, "prior": tracks.prior, "u": tracks.u}
+    slopes = []
+    for most in (1 << 26, 0):
+        monkeypatch.setattr(run, "_REMEMBERED", most)
+        slopes.append(torch.autograd.grad(f(**data).mean.square().sum(), list(f.parameters())))
+    close(*slopes)
 
 
 def test_a_gradient_of_a_gradient_is_refused(make, tracks):
