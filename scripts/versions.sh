@@ -49,8 +49,7 @@ prepare() {
     timeout 120 "$work/tools/bin/python" -m pip install --quiet --disable-pip-version-check --retries 1 --timeout 20 uv || return
   fi
   timeout 120 uv build --quiet --out-dir "$work/dist" . || return
-  mkdir "$work/tree"
-  tar -xzf "$work"/dist/*.tar.gz -C "$work/tree" --strip-components 1
+  mkdir "$work/tree" && tar -xzf "$work"/dist/*.tar.gz -C "$work/tree" --strip-components 1 || return
   rm -r "$work/tree/torchfra" # as a user has it: the wheel alone
   grep -v '^torch==' constraints.txt > "$work/constraints.txt"
 }

@@ -82,3 +82,15 @@ def test_without_torchs_guard_a_ready_step_is_checked_by_the_slower_one(monkeypa
     assert fits(torch.ones(2, 3))
     assert not fits(torch.ones(3, 2))
     assert not fits(torch.ones(2, 3).double())
+
+
+@pytest.mark.parametrize(("owner", "name", "begins"), [
+    (torch.autograd, "_get_sequence_nr", "nothing"), (torch._C, "_current_autograd_node", "test_private_names"),
+])  # fmt: skip
+def test_without_torchs_numbers_of_operations_a_comment_names_the_line_alone(monkeypatch, owner, name, begins):
+    from torchfra.kernel import origin
+
+    monkeypatch.setattr(origin, "_DIFFERENTIATED", begins)  # where a way back begins
+    monkeypatch.delattr(owner, name)
+    origins = origin.Origins()
+    assert (lambda: origins.here())().startswith("test_private_names.py:")
