@@ -41,7 +41,7 @@ interpreter() {
   return 0
 }
 
-# Installs uv, which takes a third of pip's time, and makes the wheel and what the tests need beside it.
+# Installs uv where there is none, and makes the wheel and what the tests need beside it.
 prepare() {
   PATH=$PATH:$work/tools/bin
   if ! command -v uv > /dev/null; then
@@ -79,7 +79,7 @@ try() {
     return
   fi
   installed=$((SECONDS - begin))
-  torch=$("$work/venv/bin/python" -c 'import torch; print(torch.__version__)')
+  torch=$("$work/venv/bin/python" -c 'import torch; print(torch.__version__)') || torch="$torch, which cannot be imported"
   echo "Python $python, torch $torch: installed in $installed s"
   files=("${tests[@]/#/tests/test_}")
   (
