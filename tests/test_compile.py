@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import torch
 from conftest import STEPS
+from one_graph import ONE_GRAPH
 from torch import nn
 
 from torchfra import Hyper, learnable, presets, scenarios
@@ -237,7 +238,7 @@ def test_transforms_and_torch_compile_see_the_filter_as_it_is(make, tracks):
     plain = make("srckf")(tracks.z, tracks.prior, u=tracks.u).mean
     mapped = torch.func.vmap(lambda z, mean: f(z, Gaussian(mean, tracks.prior.scale_tril), u=tracks.u).mean)
     close(plain, mapped(tracks.z, tracks.prior.mean))
-    graph = torch.compile(lambda z: f(z, tracks.prior, u=tracks.u[:2]).mean, backend="eager", fullgraph=True)
+    graph = torch.compile(lambda z: f(z, tracks.prior, u=tracks.u[:2]).mean, backend="eager", fullgraph=ONE_GRAPH)
     close(plain[:, :2], graph(tracks.z[:, :2]))
 
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchfra.kernel import build, cuda
-from torchfra.kernel.pages import in_large_pages
+from torchfra.kernel.pages import rows_of_tracks
 from torchfra.kernel.source import Port, Scan
 
 BUILDING = threading.RLock()
@@ -62,7 +62,7 @@ class Program:
         ports = [strided(x, port, len(batch), tracks) for x, port in zip(tensors, self._reads, strict=True)]
         written = self._outputs(batch, steps)
         table = array("q", [number for x, *strides in ports for number in (x.data_ptr(), *strides)])
-        table.extend(number for x, *strides in self._packed(written, tracks) for number in (x.data_ptr(), *strides))
+        table.extend(number for x, *strides in self._packed(written, len(batch)) for number in (x.data_ptr(), *strides))
         address = table.buffer_info()[0]
         self._run(tracks, steps, threads(tracks), address, address + 32 * len(tensors))
         return written
@@ -70,18 +70,18 @@ class Program:
     def _outputs(self, batch: torch.Size, steps: int) -> list[Tensor]:
         """What it will write, with tracks innermost."""
         return [
-            in_large_pages(
-                torch.empty(
-                    ((steps + port.late,) if port.timed else ()) + tuple(port.shape) + tuple(batch),
-                    dtype=torch.bool if port.truth else self._dtype,
-                    device=self._device,
-                )
+            rows_of_tracks(
+                ((steps + port.late,) if port.timed else ()) + tuple(port.shape),
+                batch,
+                torch.bool if port.truth else self._dtype,
+                self._device,
             )
             for port in self._writes
         ]
 
-    def _packed(self, written: Sequence[Tensor], tracks: int) -> list[Strided]:
-        return [(x, 1, len(port.ids) * tracks, tracks) for x, port in zip(written, self._writes, strict=True)]
+    def _packed(self, written: Sequence[Tensor], rank: int) -> list[Strided]:
+        rows = [x.stride(-1 - rank) if x.dim() > rank else 0 for x in written]
+        return [(x, 1, len(port.ids) * row, row) for x, port, row in zip(written, self._writes, rows, strict=True)]
 
     def ready(self, batch: torch.Size, steps: int, tensors: Sequence[Tensor]) -> Ready | None:
         """All of a call but addresses, for tensors that lie in memory like these; None if some must be copied."""
@@ -90,7 +90,7 @@ class Program:
         if any(x.data_ptr() != y.data_ptr() or x.is_neg() for (x, *_), y in zip(ports, tensors, strict=True)):
             return None
         written = self._outputs(batch, steps)
-        table = array("q", [n for _, *strides in [*ports, *self._packed(written, tracks)] for n in (0, *strides)])
+        table = array("q", [n for _, *strides in [*ports, *self._packed(written, len(batch))] for n in (0, *strides)])
         return Ready(self._run, tracks, steps, table, [batch_first(x, len(batch)) for x in written])
 
 
