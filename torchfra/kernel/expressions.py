@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Iterable
+from functools import partial, reduce
 
 from torchfra.kernel.origin import Origins
 
@@ -12,6 +14,8 @@ ZERO = 0
 
 _LONG = 64
 """Arguments at most of one operation in C++: some compilers take no more than 256."""
+_MANY = 4
+"""Terms from which a sum is two."""
 _BOOL = {"lt", "le", "eq", "and", "or", "not"}
 _FOLD: dict[str, Callable[..., float]] = {
     "add": lambda a, b: a + b,
@@ -92,12 +96,18 @@ class Expressions:
             args = tuple(sorted(args))
         return self._new(op, args)
 
+    def copied(self) -> Expressions:
+        """A copy that can grow and change by itself."""
+        new = copy.copy(self)
+        new.nodes, new.origin, new.values, new._known = [*self.nodes], [*self.origin], {**self.values}, {**self._known}
+        return new
+
     def sum(self, terms: Iterable[int]) -> int:
-        """All of them together, from the first on."""
-        total = ZERO
-        for term in terms:
-            total = self.apply("add", total, term)
-        return total
+        """All of them together; of many two parts, which need not wait for each other."""
+        rest = [term for term in terms if term != ZERO]
+        if len(rest) >= _MANY:
+            return self.apply("add", self.sum(rest[::2]), self.sum(rest[1::2]))
+        return reduce(partial(self.apply, "add"), rest, ZERO)
 
     def _argument(self, op: str, number: int) -> int | None:
         """What ``op`` acts on if that is what the number is."""

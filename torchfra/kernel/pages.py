@@ -29,7 +29,8 @@ def rows_of_tracks(shape: Sequence[int], batch: torch.Size, dtype: torch.dtype, 
     if not large or width == tracks or tracks < 8 * lanes:
         return in_large_pages(torch.empty((*shape, *batch), dtype=dtype, device=device))
     padded = in_large_pages(torch.empty((*shape, width), dtype=dtype, device=device))
-    return padded[..., :tracks].unflatten(-1, batch)
+    rows: Tensor = padded[..., :tracks].unflatten(-1, batch)
+    return rows
 
 
 def in_large_pages(x: Tensor) -> Tensor:

@@ -26,7 +26,8 @@ def _reduction(op: str, start: float | None = None) -> Callable[..., Entries]:
         counts = torch.int64 if x.dtype == torch.bool and op in ("add", "mul") else x.dtype
 
         def combine(row: list[int]) -> int:
-            return reduce(lambda a, b: book.apply(op, a, b), first + [convert(book, i) for i in row])
+            terms = [convert(book, i) for i in row]
+            return book.sum(terms) if op == "add" else reduce(lambda a, b: book.apply(op, a, b), first + terms)
 
         return _reduced(x, dim, keepdim, combine, torch.bool if logical else counts)
 
@@ -127,7 +128,7 @@ def _transpose(x: Entries) -> Entries:
 
 
 _sum, _product, _maximum, _minimum = (
-    _reduction("add", 0.0),
+    _reduction("add"),
     _reduction("mul", 1.0),
     _reduction("max"),
     _reduction("min"),
