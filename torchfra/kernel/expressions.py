@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Iterable
-from functools import partial, reduce
 
 from torchfra.kernel.origin import Origins
 
@@ -14,8 +13,6 @@ ZERO = 0
 
 _LONG = 64
 """Arguments at most of one operation in C++: some compilers take no more than 256."""
-_MANY = 4
-"""Terms from which a sum is two."""
 _BOOL = {"lt", "le", "eq", "and", "or", "not"}
 _FOLD: dict[str, Callable[..., float]] = {
     "add": lambda a, b: a + b,
@@ -103,11 +100,11 @@ class Expressions:
         return new
 
     def sum(self, terms: Iterable[int]) -> int:
-        """All of them together; of many two parts, which need not wait for each other."""
-        rest = [term for term in terms if term != ZERO]
-        if len(rest) >= _MANY:
-            return self.apply("add", self.sum(rest[::2]), self.sum(rest[1::2]))
-        return reduce(partial(self.apply, "add"), rest, ZERO)
+        """All of them together, from the first on."""
+        total = ZERO
+        for term in terms:
+            total = self.apply("add", total, term)
+        return total
 
     def _argument(self, op: str, number: int) -> int | None:
         """What ``op`` acts on if that is what the number is."""

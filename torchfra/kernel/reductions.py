@@ -26,8 +26,7 @@ def _reduction(op: str, start: float | None = None) -> Callable[..., Entries]:
         counts = torch.int64 if x.dtype == torch.bool and op in ("add", "mul") else x.dtype
 
         def combine(row: list[int]) -> int:
-            terms = [convert(book, i) for i in row]
-            return book.sum(terms) if op == "add" else reduce(lambda a, b: book.apply(op, a, b), first + terms)
+            return reduce(lambda a, b: book.apply(op, a, b), first + [convert(book, i) for i in row])
 
         return _reduced(x, dim, keepdim, combine, torch.bool if logical else counts)
 
@@ -128,7 +127,7 @@ def _transpose(x: Entries) -> Entries:
 
 
 _sum, _product, _maximum, _minimum = (
-    _reduction("add"),
+    _reduction("add", 0.0),
     _reduction("mul", 1.0),
     _reduction("max"),
     _reduction("min"),
