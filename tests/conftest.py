@@ -79,12 +79,12 @@ def short_tracks():
 
 @pytest.fixture(scope="session", autouse=True)
 def kernels(tmp_path_factory):
-    """Kernels of this session alone, compiled in a hurry: not optimised, the headers that all include parsed once."""
+    """Kernels of this session alone, compiled in a hurry: not optimised, and without what takes most of the time."""
     with pytest.MonkeyPatch.context() as patch:
         folder = tmp_path_factory.getbasetemp()  # of one worker, where there are several
         folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "kernels"
         patch.setenv("TORCHFRA_CACHE", str(folder))
-        patch.setenv("CXXFLAGS", f"-O0 {parsed_headers(folder)} {quick_linker()}")
+        patch.setenv("CXXFLAGS", " ".join(("-O0", *hurried(folder))))
         yield
 
 
@@ -97,9 +97,9 @@ HEADERS = """#include <math.h>
 """What takes most of a compiler's time for a small kernel."""
 
 
-def parsed_headers(folder):
-    """The option that includes a precompiled header, which the first worker makes; none where that fails."""
-    header, done = folder / "headers.h", folder / "headers-done"
+def hurried(folder):
+    """Options of g++ that save most of its time, as far as what they name can be made; the first worker makes it."""
+    done, header, library = (folder / name for name in ("done", "headers.h", "libtorch_cpu.so"))
     try:
         folder.mkdir(mode=0o700)
     except FileExistsError:
@@ -110,14 +110,17 @@ def parsed_headers(folder):
     else:
         header.write_text(HEADERS)
         compiler = compilers.find()
-        command = [*compiler.command, *compiler.flags(), "-O0", "-x", "c++-header", str(header)]
-        with contextlib.suppress(OSError):
-            subprocess.run([*command, "-o", f"{header}.gch"], capture_output=True, check=False)
+        for kind, text, made, named in (
+            ("c++-header", header, f"{header}.gch", ["-c"]),
+            ("c++", os.devnull, library, [f"-Wl,-soname,{library.name}"]),
+        ):
+            command = [*compiler.command, *compiler.flags(), "-O0", *named, "-x", kind, str(text), "-o", str(made)]
+            with contextlib.suppress(OSError):
+                subprocess.run(command, capture_output=True, check=False)
         done.touch()
-    return f"-include {header}" if Path(f"{header}.gch").exists() else ""
-
-
-def quick_linker():
-    """The option for a linker that reads torch's symbols in a third of the time, where there is one."""
-    gold = compilers.find().family == "gcc" and shutil.which("ld.gold")
-    return "-fuse-ld=gold" if gold else ""
+    if Path(f"{header}.gch").exists():
+        yield f"-include {header}"  # parsed once
+    if library.exists():
+        yield f"-L{folder} -Wl,--no-as-needed"  # empty, for torch's of that name, whose symbols take long to read
+    if compilers.find().family == "gcc" and shutil.which("ld.gold"):
+        yield "-fuse-ld=gold"

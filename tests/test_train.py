@@ -4,7 +4,6 @@ import csv
 import json
 import os
 import signal
-import subprocess
 import sys
 import time
 from contextlib import nullcontext
@@ -13,7 +12,7 @@ from pathlib import Path
 import pytest
 import torch
 from short_tracks import short
-from two_processes import run_in_two
+from two_processes import forked, run_in_two
 
 import torchfra
 from torchfra import presets, scenarios
@@ -114,13 +113,13 @@ def test_the_same_settings_learn_the_same_values(unbroken, tmp_path):
 
 
 def test_a_run_that_is_killed_resumes_to_the_same_values(unbroken, tmp_path):
-    command = [sys.executable, "-m", "train.tune", "fra_bearings", *SMALL, SHORT, "--quiet", "--out", str(tmp_path)]
-    process = subprocess.Popen(command, cwd=ROOT, env=environment())
+    process = forked(train, tmp_path)
     until, checkpoint = time.monotonic() + 300, tmp_path / "checkpoint.pt"
-    while time.monotonic() < until and process.poll() is None and not checkpoint.exists():
+    while time.monotonic() < until and process.is_alive() and not checkpoint.exists():
         time.sleep(0.02)
-    process.send_signal(signal.SIGKILL)  # some time after the checkpoint of iteration 2
-    assert process.wait() == -signal.SIGKILL
+    process.kill()  # some time after the checkpoint of iteration 2
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
     assert train(tmp_path, "--resume") == 0
     assert equal(learned(tmp_path), learned(unbroken))
     assert [int(row["iteration"]) for row in log_of(tmp_path)] == [1, 2, 3, 4, 5, 6]
@@ -288,7 +287,7 @@ def test_what_no_gradient_reaches_is_searched_on_validation_tracks():
 def test_learned_switching_errs_less_than_all_five_models_with_fixed_values(tmp_path):
     """At the cost of three: 12.4 and 13.9 m for all five, unseen runs, from sample 21 on."""
     one_task = 'tasks=[{"scenario":"adsb-turns"}]'
-    fewer = ["iterations=20", "lr=0.2", "batch=24", "validation_runs=32", "test_runs=100"]
+    fewer = ["iterations=8", "lr=0.4", "batch=16", "validation_runs=16", "test_runs=100"]
     result = tune.tune(configured("switching", [one_task, *fewer]), tmp_path, quiet=True)
     after = result["tasks"][0]["after"]
     assert after["rmse_x"] < 11.5
@@ -328,9 +327,7 @@ def test_all_learns_all():
 
 @pytest.mark.slow
 def test_two_processes_train_as_one_does(unbroken, tmp_path):
-    launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-    command = [*launcher, "-m", "train.tune", "fra_bearings", *SMALL, SHORT, "--quiet", "--out", str(tmp_path)]
-    subprocess.run(command, cwd=ROOT, env=environment(), check=True, capture_output=True, timeout=600)
+    run_in_two(tune.main, ["fra_bearings", *SMALL, SHORT, "--quiet", "--out", str(tmp_path)])
     one, two = (log_of(out) for out in (unbroken, tmp_path))
     assert len(one) == len(two)
     for a, b in zip(one, two, strict=True):

@@ -64,7 +64,7 @@ class Program:
         table = array("q", [number for x, *strides in ports for number in (x.data_ptr(), *strides)])
         table.extend(number for x, *strides in self._packed(written, len(batch)) for number in (x.data_ptr(), *strides))
         address = table.buffer_info()[0]
-        self._run(tracks, steps, _threads(tracks), address, address + 32 * len(tensors))
+        self._run(tracks, steps, threads(tracks), address, address + 32 * len(tensors))
         return written
 
     def _outputs(self, batch: torch.Size, steps: int) -> list[Tensor]:
@@ -98,20 +98,21 @@ class Ready:
     """A program for tensors of one form, of which nothing but addresses differs from call to call."""
 
     def __init__(self, run: Any, tracks: int, steps: int, table: array[int], like: list[Tensor]) -> None:
-        self._run, self._tracks, self._steps, self._table, self._like = run, tracks, steps, table, like
+        self.run, self.tracks, self.steps, self.table, self.like = run, tracks, steps, table, like
         self._outputs = 32 * (len(table) // 4 - len(like))
 
     def __call__(self, tensors: Sequence[Tensor]) -> list[Tensor]:
         """What it writes, new, with the batch in front."""
-        written = list(map(torch.empty_like, self._like))
-        table = self._table[:]  # each thread its own
+        written = list(map(torch.empty_like, self.like))
+        table = self.table[:]  # each thread its own
         table[::4] = array("q", map(Tensor.data_ptr, (*tensors, *written)))
         address = table.buffer_info()[0]
-        self._run(self._tracks, self._steps, _threads(self._tracks), address, address + self._outputs)
+        self.run(self.tracks, self.steps, threads(self.tracks), address, address + self._outputs)
         return written
 
 
-def _threads(tracks: int) -> int:
+def threads(tracks: int) -> int:
+    """How many share so many tracks."""
     return 1 if tracks <= _TRACKS_PER_THREAD else min(torch.get_num_threads(), -(-tracks // _TRACKS_PER_THREAD))
 
 
