@@ -241,7 +241,7 @@ KEEPS = (
     LOADED
     + """
 from pathlib import Path
-for _ in range(100):
+for _ in range(20):
     module.keep("a.so", Path(sys.argv[2]))
     assert module.fetch("a.so") is not None
 """
