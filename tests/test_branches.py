@@ -5,6 +5,7 @@ import copy
 import pytest
 import torch
 from conftest import STEPS
+from one_graph import needs_one_graph
 from test_compile import close
 
 from torchfra import metrics, presets, scenarios
@@ -189,6 +190,7 @@ def test_a_batch_of_odds_and_an_ensemble_under_vmap_are_a_loop_over_them(make, t
         torch.testing.assert_close(mapped[i], alone, rtol=1e-9, atol=1e-6)
 
 
+@needs_one_graph
 def test_torch_compile_sees_one_graph(make, tracks):
     f = make("fra", **THREE)
     torch._dynamo.reset()

@@ -7,11 +7,12 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import torch
 from conftest import STEPS
+from one_graph import ONE_GRAPH
 from torch import nn
 
 from torchfra import Hyper, learnable, presets, scenarios
 from torchfra.filters import SRCKF
-from torchfra.kernel import build
+from torchfra.kernel import build, run
 from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.program import Program, batch_first
@@ -163,6 +164,15 @@ def test_checkpoints_leave_the_gradient_and_truncation_cuts_it(compiled, make, t
     assert gradient(truncate=5) == pytest.approx(torch.autograd.grad(cut, slow.motion.q.raw)[0].item(), rel=1e-9)
 
 
+def test_what_is_too_much_to_remember_is_computed_anew_for_the_gradient(make, tracks, monkeypatch):
+    f, data = make("fra", learn="all").compile(), {"z": tracks.z, "prior": tracks.prior, "u": tracks.u}
+    slopes = []
+    for most in (1 << 26, 0):
+        monkeypatch.setattr(run, "_REMEMBERED", most)
+        slopes.append(torch.autograd.grad(f(**data).mean.square().sum(), list(f.parameters())))
+    close(*slopes)
+
+
 def test_a_gradient_of_a_gradient_is_refused(make, tracks):
     f = make("srckf", learn=("q",)).compile()
     mean = f(tracks.z, tracks.prior, u=tracks.u).mean
@@ -228,7 +238,7 @@ def test_transforms_and_torch_compile_see_the_filter_as_it_is(make, tracks):
     plain = make("srckf")(tracks.z, tracks.prior, u=tracks.u).mean
     mapped = torch.func.vmap(lambda z, mean: f(z, Gaussian(mean, tracks.prior.scale_tril), u=tracks.u).mean)
     close(plain, mapped(tracks.z, tracks.prior.mean))
-    graph = torch.compile(lambda z: f(z, tracks.prior, u=tracks.u[:2]).mean, backend="eager", fullgraph=True)
+    graph = torch.compile(lambda z: f(z, tracks.prior, u=tracks.u[:2]).mean, backend="eager", fullgraph=ONE_GRAPH)
     close(plain[:, :2], graph(tracks.z[:, :2]))
 
 

@@ -3,6 +3,7 @@
 import pytest
 import torch
 from conftest import PRESETS, STEPS
+from one_graph import needs_one_graph
 
 from torchfra import presets
 from torchfra.motion import ConstantAcceleration
@@ -64,6 +65,7 @@ def test_no_initial_uncertainty_has_finite_gradients(name, make, tracks):
     assert all(p.grad.isfinite().all() for p in f.parameters())
 
 
+@needs_one_graph
 @pytest.mark.slow
 def test_it_compiles_whole(name, make, tracks):
     f = make(name)

@@ -5,6 +5,7 @@ import math
 
 import pytest
 import torch
+from one_graph import needs_one_graph
 from test_compile import close
 from test_gpb import ANCHORS, MOTION, PRIOR, SENSORS, STEPS, VALUES, measured, tensor
 
@@ -118,6 +119,7 @@ def test_single_precision_is_close_to_double(name):
     assert (single.info.outlier - double.info.outlier).abs().max() < 1e-3
 
 
+@needs_one_graph
 def test_torch_compile_sees_one_graph():
     f, z = FILTERS["bank of ranges"]()
     torch._dynamo.reset()

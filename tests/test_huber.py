@@ -53,10 +53,8 @@ def test_from_a_poor_start_a_bounded_score_never_catches_up_where_its_covariance
     scenario = bearings_outliers("none")  # 2.5 km off, said to be 14 m
     tracks = scenario.simulate(20)
     estimates = {
-        mode: presets.hghckf2(scenario.motion, scenario.sensor, rule=rule, cov_mode=mode)(
-            tracks.z, tracks.prior, u=tracks.u
-        )
-        for mode in ("constant", "indicator")
+        mode: preset(scenario.motion, scenario.sensor, rule=rule)(tracks.z, tracks.prior, u=tracks.u)
+        for mode, preset in (("constant", presets.hghckf2), ("indicator", presets.hghckf))
     }
     last = {mode: (e.mean - tracks.truth)[:, -1, :2].norm(dim=-1) for mode, e in estimates.items()}
     assert (last["constant"] > 2000).all()

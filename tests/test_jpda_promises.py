@@ -6,6 +6,7 @@ import math
 import pytest
 import torch
 from joint import STEPS, flat_prior, make, plane
+from one_graph import needs_one_graph
 
 from torchfra import presets, scenarios
 from torchfra.association import ChiSquare, Clutter, Euclidean
@@ -147,6 +148,7 @@ def test_info_counts_repairs_and_holds_the_weights_of_robust_filters(crossing, s
     assert high(scans.z, scans.prior).info.repaired.shape == (3, 2, STEPS)
 
 
+@needs_one_graph
 @pytest.mark.slow
 def test_torch_compile_sees_a_step_as_it_is(crossing, scans):
     f = make("iaukf_jpda", crossing)

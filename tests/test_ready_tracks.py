@@ -1,6 +1,7 @@
 """Short tracks through a compiled filter whose form is known cost little but the run, and keep every promise."""
 
 import copy
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
@@ -138,3 +139,40 @@ def test_each_form_is_remembered_by_itself(ready, tracks, prepared):
     assert f(**given).mean.shape == (8, 6)
     assert f(**shorter).mean.shape == (5, 6)
     assert not prepared
+
+
+def test_both_ends_of_a_track_are_part_of_the_kernel_where_nothing_of_the_past_is_kept(make, tracks, monkeypatch):
+    for name in ("srckf", "fra", "gpb"):
+        f, given = make(name).compile(), alone(tracks)
+        first = f(**given)
+        monkeypatch.setattr(type(f), "begin", None)
+        monkeypatch.setattr(type(f), "finish", None)
+        close(first, f(**given))
+        monkeypatch.undo()
+
+
+def test_priors_of_a_batch_of_one_in_single_precision_and_from_several_threads(make, tracks):
+    f = make("fra")
+    fast = copy.deepcopy(f).compile()
+    mean, root = (x.float() for x in (tracks.prior.mean[:1], tracks.prior.scale_tril))
+    given = {"z": tracks.z[:1, :8].float(), "prior": Gaussian(mean, root[None]), "u": tracks.u[:8].float()}
+    slow = f(**given)
+    close(slow, fast(**given), 2e-3)
+    with ThreadPoolExecutor(4) as pool:
+        for estimate in pool.map(lambda _: fast(**given), range(50)):
+            close(slow, estimate, 2e-3)
+
+
+def test_a_filter_whose_finish_does_more_than_to_end_what_is_late_is_ready_all_the_same(make, tracks, prepared):
+    f, given = make("srckf"), alone(tracks)
+    moved = type("Moved", (type(f),), {"finish": lambda self, state, belief, info: (tree_moved(belief), info)})
+    f.__class__ = moved
+    expected, fast = f(**given), copy.deepcopy(f).compile()
+    for _ in range(2):
+        close(expected, fast(**given))
+    assert len(prepared) == 1
+
+
+def tree_moved(belief):
+    """A belief elsewhere."""
+    return belief._replace(mean=belief.mean + 1)

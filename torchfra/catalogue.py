@@ -32,6 +32,7 @@ FILTERS.update({
     "ghckf": FilterEntry(presets.ghckf),
     "hghckf1": FilterEntry(presets.hghckf1),
     "hghckf2": FilterEntry(presets.hghckf2),
+    "hghckf": FilterEntry(presets.hghckf),
     "iaukf": FilterEntry(presets.iaukf),
     "fra_srckf": FilterEntry(presets.fra_srckf, gated=True, emphasised=True),
     "fra": FilterEntry(presets.fra, gated=True, emphasised=True),

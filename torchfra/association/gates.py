@@ -101,7 +101,7 @@ class Euclidean(Gate):
         beyond: Tensor = safe_sqrt(gap.square().sum(-1)) / self.size(gap) - 1
         if not self.least:
             return beyond
-        return torch.minimum(beyond, _beyond_ellipsoid(candidates, beyond.new_tensor(self.least)))
+        return torch.minimum(beyond, _beyond_ellipsoid(candidates, torch.as_tensor(self.least).to(beyond)))
 
 
 class ChiSquare(Gate):

@@ -77,7 +77,7 @@ def _pack(scans: GatedScans, chosen: Tensor, table: tuple[int, int]) -> _Packed:
 
 def _true_first(mask: Tensor, count: int) -> Tensor:
     """``(..., count)`` indices of ``mask (..., n)``: first where it is true, in order, then others."""
-    return mask.to(torch.int8).argsort(dim=-1, descending=True, stable=True)[..., :count]
+    return mask.to(torch.int8).sort(dim=-1, descending=True, stable=True)[1][..., :count]
 
 
 def _unpack(scans: GatedScans, packed: _Packed, log_weights: Tensor, log_total: Tensor) -> Association:

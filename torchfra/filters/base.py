@@ -12,7 +12,7 @@ from typing_extensions import TypeVar
 
 from torchfra.filters.checks import check_lengths, check_models, check_step
 from torchfra.filters.compiling import Compilable
-from torchfra.filters.failures import diagnose
+from torchfra.filters.failures import diagnosed
 from torchfra.filters.fusion import fused
 from torchfra.filters.loop import run
 from torchfra.filters.other_sensors import HasViews, SensorViews
@@ -156,7 +156,7 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
             noise: like ``z`` with one more ``m``: roots of the noise covariances, instead of the sensor's.
             truncate: steps after which gradients flow no further back (truncated back-propagation); None for all.
             checkpoint: steps between states that are kept for the way back, which computes the steps between anew:
-                less memory for more time.  None keeps everything, and after ``compile`` a state every sqrt(T) steps.
+                less memory for more time.  None keeps everything, after ``compile`` no more than 64 MiB.
             sensors: where steps have several: ``z (..., T, m)`` has the elements of the largest, NaN behind those
                 of a smaller; ``std`` and ``noise`` likewise, and so has ``info`` what it says of elements.
             which: ``(T,)`` number of each step's sensor, beside ``sensors``; ``dt`` 0 for two at the same instant.  The
@@ -173,8 +173,7 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
         check_lengths(truncate=truncate, checkpoint=checkpoint)
         f = self if sensors is None and which is None else fused(self, sensors, which)
         run = f._remembered if past else f._forth
-        estimate: Estimate = run(Measurements(z, dt, u, std, noise), prior, checkpoint, truncate)[0]
-        return estimate
+        return run(Measurements(z, dt, u, std, noise), prior, checkpoint, truncate)[0]
 
     if TYPE_CHECKING:  # what torch types as a call that may return anything
         __call__ = forward
@@ -205,19 +204,20 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
             done = self._pass(begun, measurements, len(batch), checkpoint, truncate, past)
             if compiled:
                 self._kernels.get_ready(self, begun, measurements, prior, past)
+        if isinstance(done, Estimate):
+            return diagnosed(self, done, measurements, prior), None, None
         state, kept = done
         belief, info = self.finish(state, kept.belief, kept.info)
-        failure = diagnose(self, belief, kept.log_likelihood, measurements, prior)
-        return Estimate(*belief, kept.nis, kept.log_likelihood, info, failure), state, kept.past
+        estimate = Estimate(*belief, kept.nis, kept.log_likelihood, info)
+        return diagnosed(self, estimate, measurements, prior), state, kept.past
 
     def _pass(
         self, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
         past: bool,
-    ) -> tuple[Any, Kept]:  # fmt: skip
+    ) -> Any:  # fmt: skip
         """The state after all steps, and what is kept of each."""
         if self._kernels is not None and self._kernels.takes(measurements.z):
-            done: tuple[Any, Kept] = self._kernels.forward(self, state, measurements, checkpoint, truncate, past)
-            return done
+            return self._kernels.forward(self, state, measurements, checkpoint, truncate, past)
         frames, log_norm = self._frames(measurements, rank)
         state, record = run(self.advance, state, frames, rank, checkpoint, truncate, past)
         return state, Kept(record.belief, *self._scores(record, log_norm.movedim(0, -1)), record.info, record.past)

@@ -11,21 +11,27 @@ from torch import Tensor
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import hypers
 from torchfra.linalg.tracing import is_traced
-from torchfra.types import Cause, Failure, Gaussian
+from torchfra.types import Cause, Estimate, Failure, Gaussian
 
 
-def diagnose(f: Any, belief: Gaussian, log_likelihood: Tensor, measurements: Measurements, prior: Gaussian) -> Failure:
+def diagnosed(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaussian) -> Estimate:
+    """An estimate with its failures, if it has none yet: see ``diagnose``."""
+    if estimate.failure is not None:
+        return estimate
+    return estimate._replace(failure=diagnose(f, estimate, measurements, prior))
+
+
+def diagnose(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaussian) -> Failure:
     """At which step each track of a sequence has failed, and why.
 
     Args:
         f: the filter.
-        belief: ``(..., T, n)`` estimates.
-        log_likelihood: ``(..., T)``.
+        estimate: ``(..., T)`` of the sequence.
         measurements: that the filter was given.
         prior: likewise.
     """
-    mean, root = (x.detach() for x in belief)
-    scores, tracks = log_likelihood.detach(), mean.shape[:-2]
+    mean, root, scores = (x.detach() for x in (estimate.mean, estimate.scale_tril, estimate.log_likelihood))
+    tracks = mean.shape[:-2]
     if not is_traced(mean, scores):
         # What is not finite at a step makes that of the next one's score; sums show it without a look at every root.
         total = scores.sum() + mean.select(-2, -1).sum() + root.select(-3, -1).sum()

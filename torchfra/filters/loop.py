@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
-from torch.utils.checkpoint import checkpoint as recompute
 
 from torchfra import tree
 from torchfra.filters.records import Record
@@ -60,6 +59,8 @@ def scan(
 
     if checkpoint is None or not torch.is_grad_enabled():
         return stretch(state, 0, len(inputs))
+    from torch.utils.checkpoint import checkpoint as recompute  # before torch 2.11 it imports half of torch's compiler
+
     records: list[Any] = []
     for first in range(0, len(inputs), checkpoint):
         last = min(first + checkpoint, len(inputs))

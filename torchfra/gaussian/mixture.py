@@ -33,9 +33,34 @@ def moment_match(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] =
         >>> torchfra.gaussian.moment_match(two, torch.log(torch.tensor([0.5, 0.5]))).covariance.round(decimals=3)
         tensor([[1.]])
     """
-    middle, columns = _moments(beliefs, log_weights, angles)
+    roots = (0.5 * log_weights).exp()  # not the root of a weight: its gradient at 0 is infinite
+    return matched(beliefs, roots, angles)
+
+
+def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = ()) -> Gaussian:
+    """``moment_match`` with square roots ``(K, ...)`` of weights: 0 for a belief that does not count."""
+    counts = roots != 0  # NaN does count: it must show in the result
+    mean = torch.where(counts.unsqueeze(-1), beliefs.mean, 0.0)
+    if angles:
+        mean = _together(mean, roots, angles)
+    middle = (roots.square().unsqueeze(-1) * mean).sum(0)
+    spread = roots[..., None, None] * torch.where(counts[..., None, None], beliefs.scale_tril, 0.0)
+    apart = (roots.unsqueeze(-1) * (mean - middle)).unsqueeze(-1)
     zeros = torch.zeros_like(middle).unsqueeze(-1).expand(*middle.shape, middle.shape[-1])
+    columns = [x for pair in zip(spread.unbind(), apart.unbind(), strict=True) for x in pair]
     return Gaussian(middle, tria(torch.cat([zeros, *columns], -1), padded=True))
+
+
+def shared(log_weights: Tensor) -> tuple[Tensor, Tensor]:
+    """Square roots ``(K, ...)`` of the shares that weights have in their sum, and its log ``(...)``.
+
+    One exponential for each gives both.
+    """
+    top = log_weights.detach().amax(0)
+    top = torch.where(top == -torch.inf, 0.0, top)  # where nothing counts
+    roots = (0.5 * (log_weights - top)).exp()
+    total = roots.square().sum(0)
+    return roots / total.sqrt(), top + total.log()
 
 
 def missed_or_hit(missed: Gaussian, hit: Gaussian, log_weights: Tensor) -> Gaussian:
@@ -61,31 +86,12 @@ def missed_or_hit(missed: Gaussian, hit: Gaussian, log_weights: Tensor) -> Gauss
     return Gaussian(middle.squeeze(-2), tria(hstack(first, second, apart)))
 
 
-def pooled(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] = ()) -> Gaussian:
-    """As ``moment_match``, with a root ``(..., n, K (p + 1))``, for what makes it triangular later."""
-    middle, columns = _moments(beliefs, log_weights, angles)
-    return Gaussian(middle, torch.cat(columns, -1))
-
-
-def _moments(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int]) -> tuple[Tensor, list[Tensor]]:
-    """The mean ``(..., n)``, and columns of a root of the covariance, ``(..., n, p)`` and ``(..., n, 1)``."""
-    counts = log_weights != -torch.inf  # NaN does count: it must show in the result
-    root = (0.5 * log_weights).exp()  # not the root of a weight: its gradient at 0 is infinite
-    mean = torch.where(counts.unsqueeze(-1), beliefs.mean, 0.0)
-    if angles:
-        mean = _together(mean, log_weights, angles)
-    middle = (root.square().unsqueeze(-1) * mean).sum(0)
-    spread = root[..., None, None] * torch.where(counts[..., None, None], beliefs.scale_tril, 0.0)
-    apart = (root.unsqueeze(-1) * (mean - middle)).unsqueeze(-1)
-    return middle, [x for pair in zip(spread.unbind(), apart.unbind(), strict=True) for x in pair]
-
-
-def _together(mean: Tensor, log_weights: Tensor, angles: Sequence[int]) -> Tensor:
+def _together(mean: Tensor, weights: Tensor, angles: Sequence[int]) -> Tensor:
     """Means ``(K, ..., n)`` with their angles within half a turn of the likeliest one's."""
     columns = list(mean.unbind(-1))
     for i in angles:
         if i < len(columns):  # else they are of components that a sensor does not read
-            column, weight = torch.broadcast_tensors(columns[i], log_weights)
+            column, weight = torch.broadcast_tensors(columns[i], weights)
             likeliest, most = column[0], weight[0]
             for angle, w in zip(column[1:], weight[1:], strict=True):
                 likeliest, most = torch.where(w > most, angle, likeliest), torch.maximum(w, most)

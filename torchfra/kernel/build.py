@@ -36,17 +36,30 @@ def load(source: str) -> Any:
     Raises:
         CompileError: there is no compiler, it fails, or what it makes cannot be loaded.
     """
+    return _function(source, "run", [*[ctypes.c_int64] * 2, ctypes.c_int, *[ctypes.c_void_p] * 2], None)
+
+
+def load_whole(source: str) -> Any:
+    """Likewise the function ``whole`` of the ends of tracks.
+
+    Raises:
+        CompileError: likewise.
+    """
+    arguments = [ctypes.c_void_p, *[ctypes.c_int64] * 2, ctypes.c_int, *[ctypes.c_void_p] * 2, ctypes.c_int64]
+    return _function(source, "whole", arguments, ctypes.c_int)
+
+
+def _function(source: str, name: str, arguments: list[Any], result: Any) -> Any:
     compiler = compilers.find()
     flags = [*compiler.flags(is_large(source)), *compilers.words("CXXFLAGS")]
     command = [*compiler.command, *flags]
     key = "\n".join((bare(source), *command, compiler.version, torch.__version__, *platform.libc_ver(), _processor()))
-    name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}{compilers.SUFFIX}"
+    library = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}{compilers.SUFFIX}"
     try:
-        function = (cache.fetch(name) or _compile(compiler, flags, source, name)).run
+        function = getattr(cache.fetch(library) or _compile(compiler, flags, source, library), name)
     except (OSError, AttributeError) as error:
         raise CompileError(f"compile: no kernel from {compilers.described(command)}: {error}") from None
-    function.argtypes = [ctypes.c_int64, ctypes.c_int64, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]
-    function.restype = None
+    function.argtypes, function.restype = arguments, result
     return function
 
 

@@ -85,6 +85,12 @@ def as_entries(book: Expressions, x: Any) -> Entries:
     return Entries.constants(book, x if isinstance(x, Tensor) else torch.tensor(x, dtype=torch.float64))
 
 
+def entry_ids(x: Entries) -> list[int]:
+    """The numbers of the entries' expressions, in order."""
+    ids: list[int] = x.ids.flatten().tolist()
+    return ids
+
+
 def from_numbers(book: Expressions, numbers: Sequence[Any], shape: Sequence[int], dtype: torch.dtype) -> Entries:
     """Entries from the numbers of their expressions, in a (nested) list."""
     return Entries(book, torch.tensor(numbers, dtype=torch.int64).reshape(tuple(shape)), dtype)

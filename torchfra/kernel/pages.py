@@ -1,16 +1,36 @@
-"""Large pages for what kernels write, where the system has them to give."""
+"""Memory for what kernels write: large pages, where the system has them to give, and rows on lines of the cache."""
 
 from __future__ import annotations
 
 import ctypes
 import mmap
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
+import torch
 from torch import Tensor
 
 LEAST = 1 << 22
 """Bytes of a tensor for which it is worth asking."""
+_LINE = 64
+"""Bytes of a line of the cache."""
+
+
+def rows_of_tracks(shape: Sequence[int], batch: torch.Size, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """A new tensor ``(*shape, *batch)``, in large pages if it is large.
+
+    Rows of many tracks then begin on lines of the cache each, so that kernels can write packs of tracks past it; there
+    is room between them where they are no multiple of a line.
+    """
+    tracks, lanes = batch.numel(), _LINE // dtype.itemsize
+    width = -(-tracks // lanes) * lanes
+    large = torch.Size(shape).numel() * tracks * dtype.itemsize >= LEAST
+    if not large or width == tracks or tracks < 8 * lanes:
+        return in_large_pages(torch.empty((*shape, *batch), dtype=dtype, device=device))
+    padded = in_large_pages(torch.empty((*shape, width), dtype=dtype, device=device))
+    rows: Tensor = padded[..., :tracks].unflatten(-1, batch)
+    return rows
 
 
 def in_large_pages(x: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchfra.kernel import build, cuda
-from torchfra.kernel.pages import in_large_pages
+from torchfra.kernel.pages import rows_of_tracks
 from torchfra.kernel.source import Port, Scan
 
 BUILDING = threading.RLock()
@@ -62,26 +62,26 @@ class Program:
         ports = [strided(x, port, len(batch), tracks) for x, port in zip(tensors, self._reads, strict=True)]
         written = self._outputs(batch, steps)
         table = array("q", [number for x, *strides in ports for number in (x.data_ptr(), *strides)])
-        table.extend(number for x, *strides in self._packed(written, tracks) for number in (x.data_ptr(), *strides))
+        table.extend(number for x, *strides in self._packed(written, len(batch)) for number in (x.data_ptr(), *strides))
         address = table.buffer_info()[0]
-        self._run(tracks, steps, _threads(tracks), address, address + 32 * len(tensors))
+        self._run(tracks, steps, threads(tracks), address, address + 32 * len(tensors))
         return written
 
     def _outputs(self, batch: torch.Size, steps: int) -> list[Tensor]:
         """What it will write, with tracks innermost."""
         return [
-            in_large_pages(
-                torch.empty(
-                    ((steps + port.late,) if port.timed else ()) + tuple(port.shape) + tuple(batch),
-                    dtype=torch.bool if port.truth else self._dtype,
-                    device=self._device,
-                )
+            rows_of_tracks(
+                ((steps + port.late,) if port.timed else ()) + tuple(port.shape),
+                batch,
+                torch.bool if port.truth else self._dtype,
+                self._device,
             )
             for port in self._writes
         ]
 
-    def _packed(self, written: Sequence[Tensor], tracks: int) -> list[Strided]:
-        return [(x, 1, len(port.ids) * tracks, tracks) for x, port in zip(written, self._writes, strict=True)]
+    def _packed(self, written: Sequence[Tensor], rank: int) -> list[Strided]:
+        rows = [x.stride(-1 - rank) if x.dim() > rank else 0 for x in written]
+        return [(x, 1, len(port.ids) * row, row) for x, port, row in zip(written, self._writes, rows, strict=True)]
 
     def ready(self, batch: torch.Size, steps: int, tensors: Sequence[Tensor]) -> Ready | None:
         """All of a call but addresses, for tensors that lie in memory like these; None if some must be copied."""
@@ -90,7 +90,7 @@ class Program:
         if any(x.data_ptr() != y.data_ptr() or x.is_neg() for (x, *_), y in zip(ports, tensors, strict=True)):
             return None
         written = self._outputs(batch, steps)
-        table = array("q", [n for _, *strides in [*ports, *self._packed(written, tracks)] for n in (0, *strides)])
+        table = array("q", [n for _, *strides in [*ports, *self._packed(written, len(batch))] for n in (0, *strides)])
         return Ready(self._run, tracks, steps, table, [batch_first(x, len(batch)) for x in written])
 
 
@@ -98,20 +98,21 @@ class Ready:
     """A program for tensors of one form, of which nothing but addresses differs from call to call."""
 
     def __init__(self, run: Any, tracks: int, steps: int, table: array[int], like: list[Tensor]) -> None:
-        self._run, self._tracks, self._steps, self._table, self._like = run, tracks, steps, table, like
+        self.run, self.tracks, self.steps, self.table, self.like = run, tracks, steps, table, like
         self._outputs = 32 * (len(table) // 4 - len(like))
 
     def __call__(self, tensors: Sequence[Tensor]) -> list[Tensor]:
         """What it writes, new, with the batch in front."""
-        written = list(map(torch.empty_like, self._like))
-        table = self._table[:]  # each thread its own
+        written = list(map(torch.empty_like, self.like))
+        table = self.table[:]  # each thread its own
         table[::4] = array("q", map(Tensor.data_ptr, (*tensors, *written)))
         address = table.buffer_info()[0]
-        self._run(self._tracks, self._steps, _threads(self._tracks), address, address + self._outputs)
+        self.run(self.tracks, self.steps, threads(self.tracks), address, address + self._outputs)
         return written
 
 
-def _threads(tracks: int) -> int:
+def threads(tracks: int) -> int:
+    """How many share so many tracks."""
     return 1 if tracks <= _TRACKS_PER_THREAD else min(torch.get_num_threads(), -(-tracks // _TRACKS_PER_THREAD))
 
 

@@ -10,9 +10,13 @@ extern "C" void run(int64_t tracks, int64_t steps, int threads, const Port* in, 
   if (tracks == 0) return;
   const int64_t share = (tracks + W * threads - 1) / (W * threads), packs = share < step::PACKS ? share : step::PACKS;
   const int64_t size = W * packs, blocks = (tracks + size - 1) / size;
+  const bool past = tracks * steps * step::WRITTEN * int64_t{sizeof(Scalar)} >= 1 << 24;  // of what no cache keeps
   const auto part = [&](int64_t thread) {
     for (int64_t first = blocks * thread / threads * size; first < blocks * (thread + 1) / threads * size; first += size)
-      step::block(in, out, steps, Block{first, tracks - first < size ? tracks - first : size, 0});
+      step::block(in, out, steps, Block{first, tracks - first < size ? tracks - first : size, 0, past});
+#ifdef PAST_CACHES
+    _mm_sfence();  // all is there before the threads meet
+#endif
   };
 #ifdef _OPENMP
 #pragma omp parallel for num_threads(threads) schedule(static)

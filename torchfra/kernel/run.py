@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -13,9 +13,14 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.autograd.function import once_differentiable
 
-from torchfra.kernel.program import BUILDING, Program, batch_first
+from torchfra.kernel.ends import Ends
+from torchfra.kernel.program import BUILDING, Program, Ready, batch_first
 from torchfra.kernel.step import Step
+from torchfra.kernel.whole import Whole, load, whole
 from torchfra.tree import flatten, unflatten
+
+_REMEMBERED = 1 << 26
+"""Bytes of states at most that wait for the way back where no checkpoints are asked for; more are computed anew."""
 
 
 class Kernels:
@@ -28,11 +33,15 @@ class Kernels:
     def __init__(self, step: Step) -> None:
         self.step = step
         self._programs: dict[tuple[Any, ...], Program] = {}
+        self._ends: tuple[Ends, Any] | None = None
         self._making = threading.Lock()
 
-    def forwards(self, batch: torch.Size, device: torch.device) -> Program:
+    def forwards(self, batch: torch.Size, device: torch.device, remembers: bool = False) -> Program:
         """What filters a batch of this shape; a single step of one track has a program of its own, for its speed."""
-        return self.program("forwards", device, narrow=batch.numel() == 1 and not self.step.repeated)
+        how = (True,) if remembers else ()
+        return self.program(
+            "forwards", device, *how, narrow=batch.numel() == 1 and not (self.step.repeated or remembers)
+        )
 
     def program(self, kind: str, device: torch.device, *how: Any, narrow: bool = False) -> Program:
         """``"forwards"``, ``"trajectory"``, ``"tangent"`` or ``"backwards"`` of the step, see there."""
@@ -44,6 +53,28 @@ class Kernels:
                         scan = getattr(self.step, kind)(*how)
                     self._programs[key] = Program(scan, narrow, device)
         return self._programs[key]
+
+    def whole(
+        self, ready: Ready, batch: torch.Size, prior: Sequence[Tensor], ends: Callable[[Step], Ends]
+    ) -> Whole | None:
+        """The steps, and all before and after them, in one call; None where that cannot be.
+
+        Args:
+            ready: the steps.
+            batch: of the tracks.
+            prior: mean and root.
+            ends: what comes before and after the steps, always the same.
+        """
+        if not hasattr(ready.run, "argtypes"):
+            return None  # no function of C but one that starts a GPU
+        try:
+            if self._ends is None:
+                with BUILDING, torch.inference_mode(False):
+                    made = ends(self.step)
+                self._ends = made, load(made)
+        except NotImplementedError:
+            return None
+        return whole(ready, *self._ends, batch, prior)
 
     def run(
         self,
@@ -61,15 +92,19 @@ class Kernels:
             steps: how many.
             state: before the first.
             inputs: in the order of the step's own.
-            checkpoint: steps between states that wait for the way back, where the others are computed anew.
+            checkpoint: steps between states that wait for the way back, where the others are computed anew; None for
+                all if they are few, else for one every sqrt(T) steps.
             truncate: steps after which gradients flow no further back.
         """
         if forward_ad._current_level >= 0:
             done = self._with_tangents(batch, steps, [forward_ad.unpack_dual(x) for x in (*state, *inputs)])
         elif torch.is_grad_enabled() and any(x.requires_grad for x in (*state, *inputs)):
-            length = steps if self.step.last_first else checkpoint or math.isqrt((truncate or steps) - 1) + 1
-            starts = sorted({*range(0, steps, length), *range(0, steps, truncate or steps)})
-            done = _Run.apply(self, batch, (*starts, steps), truncate, *state, *inputs)  # type: ignore[no-untyped-call]
+            size = sum(int((~zero).sum()) for zero in self.step.zero) * state[0].element_size()
+            remembers = checkpoint is None and size * steps * batch.numel() <= _REMEMBERED
+            whole = remembers or self.step.last_first
+            length = steps if whole else checkpoint or math.isqrt((truncate or steps) - 1) + 1
+            starts = (*sorted({*range(0, steps, length), *range(0, steps, truncate or steps)}), steps)
+            done = _Run.apply(self, batch, starts, truncate, remembers, *state, *inputs)  # type: ignore[no-untyped-call]
         else:
             done = self.forwards(batch, inputs[0].device)(batch, steps, (*state, *inputs))
         rest = iter([batch_first(x, len(batch)) for x in done])
@@ -89,26 +124,31 @@ class Kernels:
 
 
 class _Run(torch.autograd.Function):
-    """Runs stretches of steps, from each of ``starts`` to the next; on the way back each is computed anew."""
+    """Runs stretches of steps, from each of ``starts`` to the next.
+
+    The states between wait for the way back if they are remembered, else each stretch is computed anew.
+    """
 
     @staticmethod
     def forward(
-        ctx: Any, kernels: Kernels, batch: torch.Size, starts: Sequence[int], truncate: int | None, *tensors: Tensor
-    ) -> tuple[Tensor, ...]:
+        ctx: Any, kernels: Kernels, batch: torch.Size, starts: Sequence[int], truncate: int | None, remembers: bool,
+        *tensors: Tensor,
+    ) -> tuple[Tensor, ...]:  # fmt: skip
         step, rank = kernels.step, len(batch)
         count = len(step.zero)
         state, inputs = tensors[:count], tensors[count:]
+        program = kernels.forwards(batch, inputs[0].device, remembers)
         begun: list[Tensor] = []
         kept: list[list[Tensor]] = []
         done: list[Tensor] = []
         for first, last in pairwise(starts):
-            begun += state
-            reads = _part(step, inputs, first, last, rank)
-            done = kernels.forwards(batch, inputs[0].device)(batch, last - first, (*state, *reads))
+            done = program(batch, last - first, (*state, *_part(step, inputs, first, last, rank)))
+            begun += done[len(done) - count :] if remembers else state
+            done = done[: len(done) - count] if remembers else done
             state = tuple(batch_first(x, rank) for x in done[:count])
-            kept.append([x[: last - first] for x in done[count:]] if step.repeated else done[count:])
+            kept.append([_without_room(x, last - first) for x in done[count:]] if step.repeated else done[count:])
         ctx.save_for_backward(*inputs, *begun)
-        ctx.kernels, ctx.batch, ctx.starts, ctx.truncate = kernels, batch, starts, truncate
+        ctx.kernels, ctx.batch, ctx.starts, ctx.truncate, ctx.remembers = kernels, batch, starts, truncate, remembers
         ctx.set_materialize_grads(False)
         joined = _joined(kept)
         ctx.mark_non_differentiable(*(x for x in joined if not x.is_floating_point()))
@@ -121,7 +161,7 @@ class _Run(torch.autograd.Function):
         names, count, rank = list(step.inputs), len(step.zero), len(ctx.batch)
         inputs, begun = ctx.saved_tensors[: len(names)], ctx.saved_tensors[len(names) :]
         device = inputs[0].device
-        needed = tuple(n for n, wanted in zip(names, ctx.needs_input_grad[4 + count :], strict=True) if wanted)
+        needed = tuple(n for n, wanted in zip(names, ctx.needs_input_grad[5 + count :], strict=True) if wanted)
         stay = [n for n in needed if not step.inputs[n].timed]
         program = kernels.program("backwards", device, tuple(g is not None for g in grads[count:]), needed)
         pulls = [batch_first(g, rank) for g in grads[count:] if g is not None]
@@ -133,10 +173,10 @@ class _Run(torch.autograd.Function):
             if ctx.truncate and last % ctx.truncate == 0 and last < ctx.starts[-1]:
                 state = zero
             reads = _part(step, inputs, first, last, rank)
-            before = (*begun[k * count : (k + 1) * count], *reads)
-            path = [
-                batch_first(x, rank) for x in kernels.program("trajectory", device)(batch, last - first, before)[count:]
-            ]
+            before = begun[k * count : (k + 1) * count]
+            if not ctx.remembers:
+                before = kernels.program("trajectory", device)(batch, last - first, (*before, *reads))[count:]
+            path = [batch_first(x, rank) for x in before]
             local = [g.narrow(rank, first, last - first) for g in pulls] if step.repeated else pulls
             done = program(batch, last - first, (*state, *sums, *reads, *path, *local))
             moved = [batch_first(x, rank) for x in done[: count + len(stay)]]
@@ -145,7 +185,12 @@ class _Run(torch.autograd.Function):
         joined = [batch_first(x, rank) for x in _joined(timed)]
         gradients = dict(zip([n for n in needed if step.inputs[n].timed], joined, strict=True))
         gradients |= zip(stay, sums, strict=True)
-        return (*[None] * 4, *state, *(gradients.get(n) for n in names))
+        return (*[None] * 5, *state, *(gradients.get(n) for n in names))
+
+
+def _without_room(x: Tensor, steps: int) -> Tensor:
+    """So many steps; what comes late has room behind them, and a view of it could not be written to."""
+    return x if len(x) == steps else x[:steps].clone()
 
 
 def _part(step: Step, inputs: Sequence[Tensor], first: int, last: int, rank: int) -> list[Tensor]:

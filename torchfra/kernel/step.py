@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 import torchfra.kernel.operations  # noqa: F401  fills the table of operations that Entries look up
-from torchfra.kernel.entries import Entries, as_entries
+from torchfra.kernel.entries import Entries, as_entries, entry_ids
 from torchfra.kernel.expressions import ZERO, Expressions
 from torchfra.kernel.names import give
 from torchfra.kernel.refusals import gradient_refusals_of, refusals_of
@@ -72,7 +72,7 @@ def _copied(x: Any) -> Any:
     return copy.copy(x) if isinstance(x, list | dict | set) else x
 
 
-def _replace(module: nn.Module, path: str, x: Tensor) -> None:
+def put_in_place(module: nn.Module, path: str, x: Tensor) -> None:
     """Puts a tensor in the place of the parameter, buffer or number of this path."""
     owner, _, key = path.rpartition(".")
     part = module.get_submodule(owner)
@@ -108,7 +108,7 @@ class Step:
         repeated: bool = True,
         last_first: bool = False,
     ) -> None:
-        self._module, self._advance, self.inputs = module, advance, inputs
+        self.module, self._advance, self.inputs = module, advance, inputs
         self.dtype, self.repeated, self.last_first = dtype, repeated, last_first
         with elementary(), torch.no_grad():
             self.state = begin(module)
@@ -128,14 +128,14 @@ class Step:
             zero = still
 
     def _trace(self, zero: Sequence[Tensor], differentiable: bool = False) -> Trace:
-        book, module = Expressions(), frozen(self._module)
-        before = _carried(book, zero, self.dtype)
+        book, module = Expressions(), frozen(self.module)
+        before = carried(book, zero, self.dtype)
         inputs = {name: Entries.inputs(book, x.shape, self.dtype) for name, x in self.inputs.items()}
         if differentiable:
             for x in (*before, *inputs.values()):
                 x.requires_grad_()
         for name in (name for name, kind in self.inputs.items() if kind.value):
-            _replace(module, name, inputs[name])
+            put_in_place(module, name, inputs[name])
         data = {name: inputs[name] for name, kind in self.inputs.items() if not kind.value}
         name = type(module).__name__
         with refusals_of(name), elementary(), torch.set_grad_enabled(differentiable):
@@ -149,12 +149,12 @@ class Step:
             raise ValueError(f"state: expected a step to keep its form {self.state}, received {state}")
         return Trace(book, before, inputs, after, record, kept)
 
-    def forwards(self) -> Scan:
-        """Filters: reads the inputs, writes the record of each step."""
+    def forwards(self, remembers: bool = False) -> Scan:
+        """Filters: reads the inputs, writes the record of each step; with ``remembers`` the state before it as well."""
         ports = _ports(self._plain.kept, timed=self.repeated)
         for port, is_late in zip(ports, late(self._plain.record), strict=True):
             port.late = is_late and self.repeated
-        return self._scan(self._plain, ports)
+        return self._scan(self._plain, ports + (_nonzero_ports(self._plain.before) if remembers else []))
 
     def trajectory(self) -> Scan:
         """Filters again: writes the state before each step."""
@@ -169,7 +169,8 @@ class Step:
         return Scan(trace.book, before, after, self._reads(trace), writes, self.last_first, self.dtype)
 
     def _reads(self, trace: Trace) -> list[Port]:
-        return [Port(_ids(trace.inputs[name]), x.shape, x.timed, double=x.double) for name, x in self.inputs.items()]
+        inputs = self.inputs.items()
+        return [Port(entry_ids(trace.inputs[name]), x.shape, x.timed, double=x.double) for name, x in inputs]
 
     def backwards(self, graded: Sequence[bool], needed: Sequence[str]) -> Scan:
         """The adjoint, which runs the other way.
@@ -177,14 +178,14 @@ class Step:
         Reads the inputs, the state before each step and the gradients of the record, where ``graded``.  Carries the
         gradients of the state and of the ``needed`` inputs without time, and writes those of the inputs with time.
         """
-        of = f"{type(self._module).__name__}, gradient of {', '.join(['the state', *needed])}"
+        of = f"{type(self.module).__name__}, gradient of {', '.join(['the state', *needed])}"
         with gradient_refusals_of(of, lambda: self._adjoint(graded, needed)):
             return self._adjoint(graded, needed)
 
     def _adjoint(self, graded: Sequence[bool], needed: Sequence[str]) -> Scan:
         trace = self._trace(self.zero, differentiable=True)
         book, states = trace.book, len(trace.before)
-        after = _carried(book, self.zero, self.dtype)
+        after = carried(book, self.zero, self.dtype)
         kept = [x for x, wanted in zip(trace.kept, graded, strict=True) if wanted]
         grads = [Entries.inputs(book, x.shape, self.dtype) for x in kept]
         sources = [*trace.before, *(trace.inputs[name] for name in needed)]
@@ -206,7 +207,7 @@ class Step:
         )
 
 
-def _carried(book: Expressions, zero: Sequence[Tensor], dtype: torch.dtype) -> tuple[Entries, ...]:
+def carried(book: Expressions, zero: Sequence[Tensor], dtype: torch.dtype) -> tuple[Entries, ...]:
     """What goes from step to step: unknown, but for the entries that are always 0."""
     new = [Entries.inputs(book, z.shape, dtype).ids for z in zero]
     return tuple(Entries(book, torch.where(z, ZERO, ids), dtype) for z, ids in zip(zero, new, strict=True))
@@ -230,19 +231,14 @@ def _paths(tree: Any, whole: str) -> list[str]:
 
 def _name(book: Expressions, names: Sequence[str], tensors: Sequence[Entries]) -> None:
     for name, x in zip(names, tensors, strict=True):
-        give(book, name, _ids(x), x.dim() == 0)
-
-
-def _ids(x: Entries) -> list[int]:
-    ids: list[int] = x.ids.flatten().tolist()
-    return ids
+        give(book, name, entry_ids(x), x.dim() == 0)
 
 
 def _ports(tensors: Sequence[Entries], *, timed: bool = False) -> list[Port]:
-    return [Port(_ids(x), x.shape, timed, truth=x.dtype == torch.bool) for x in tensors]
+    return [Port(entry_ids(x), x.shape, timed, truth=x.dtype == torch.bool) for x in tensors]
 
 
 def _nonzero_ports(tensors: Sequence[Entries]) -> list[Port]:
     """Ports without the entries that are always 0."""
-    parts = [[i for i in _ids(x) if i != ZERO] for x in tensors]
+    parts = [[i for i in entry_ids(x) if i != ZERO] for x in tensors]
     return [Port(part, torch.Size([len(part)]), timed=True, packed=True) for part in parts]

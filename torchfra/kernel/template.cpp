@@ -7,19 +7,25 @@ using int64_t = long long;
 #include <cstdint>
 #endif
 
-// Functions that are called once for each track and step, the same where parts are compiled apart, small ones, and tables of
-// places: where and how.
+// Functions that are called once for each track and step, those that hardly ever are, the same where parts are compiled apart,
+// small ones, and tables of places: where and how; what is nearly always true.
 #ifdef __CUDACC__
 #define NOINLINE static __device__ __noinline__
+#define COLD NOINLINE
+#define EXPECT(x) (x)
 #define INLINE __device__ __forceinline__
 #define TABLE __device__ const short
 #elif defined(_MSC_VER)
 #define NOINLINE static __declspec(noinline)
+#define COLD NOINLINE
+#define EXPECT(x) (x)
 #define SHARED __declspec(noinline)
 #define INLINE inline
 #define TABLE constexpr short
 #else
 #define NOINLINE static __attribute__((noinline))
+#define COLD static __attribute__((noinline, cold))
+#define EXPECT(x) __builtin_expect(x, 1)
 #define SHARED __attribute__((noinline, visibility("hidden")))
 #define INLINE inline
 #define TABLE constexpr short
@@ -30,15 +36,17 @@ using Scalar = SCALAR;
 
 // A tensor: where it is, and how far it is to the next track, the next step, the next entry.
 struct Port { char* data; int64_t track, time, entry; };
-// A block of tracks at a step; those beyond the last are the last once more.
-struct Block { int64_t first, lanes, step; };
+// A block of tracks at a step; those beyond the last are the last once more.  ``past``: what is written is too much for caches.
+struct Block { int64_t first, lanes, step; bool past = false; };
 
 // The entries of a tensor at a step, from the first track of a block on.
 template <class T> struct Entries {
   T* first;
   int64_t track, entry, lanes;
+  bool past;
   INLINE Entries(const Port& p, const Block& at)
-      : first(reinterpret_cast<T*>(p.data) + at.first * p.track + at.step * p.time), track(p.track), entry(p.entry), lanes(at.lanes) {}
+      : first(reinterpret_cast<T*>(p.data) + at.first * p.track + at.step * p.time), track(p.track), entry(p.entry), lanes(at.lanes),
+        past(at.past) {}
   INLINE T* operator[](int64_t number) const { return first + number * entry; }
 };
 // Places of values: those that a region of a step takes from the rest of it, or those that it gives.
@@ -78,20 +86,31 @@ constexpr bool wide = sizeof(Scalar) == 8;
 constexpr Scalar LEAST = wide ? 0x1p-960 : 0x1p-100, MOST = wide ? 0x1p1000 : 0x1p120;
 constexpr Scalar LOWEST = wide ? 0x1p-1022 : 0x1p-126;  // that is normal
 constexpr Scalar UP = wide ? 0x1p600 : 0x1p90, DOWN = wide ? 0x1p-600 : 0x1p-90;
-NOINLINE V scaled_norm(const V* a, int count, const V& squares) {
-  const V factor = squares < LEAST ? all(UP) : squares > MOST ? all(DOWN) : all(1);
+// Four at a time: none waits for all that come before it.
+template <class... A> INLINE V sum_of_squares(const V& a, const A&... more) {
+  return ((a * a) + ... + (more * more));
+}
+template <class... A> INLINE V sum_of_squares(const V& a, const V& b, const V& c, const V& d, const A&... more) {
+  const V four = (a * a + b * b) + (c * c + d * d);
+  if constexpr (sizeof...(more) == 0) return four;
+  else return four + sum_of_squares(more...);
+}
+// In the place of the first: others keep what they have without scaling, to the bit.
+COLD void scaled_norm(V* a, int count, const V& squares) {
+  const M small = squares < LEAST, large = squares > MOST;
+  const V factor = small ? all(UP) : large ? all(DOWN) : all(1);
   V sum = all(0);
   for (int i = 0; i < count; i++) sum += (a[i] * factor) * (a[i] * factor);
   const V norm = sqrt_(sum) / factor;
-  return norm < LOWEST ? all(0) : norm;  // its inverse would not be finite
+  a[0] = !(small | large) ? sqrt_(squares) : norm < LOWEST ? all(0) : norm;  // its inverse would not be finite
 }
 // The Euclidean norm, scaled where that is needed: hardly ever.
 template <class... A> INLINE V norm_(const A&... a) {
-  const V squares = (... + (a * a));
-  const M outside = (squares < LEAST) | (squares > MOST);
-  if (!any(outside)) return sqrt_(squares);
-  const V all_of_them[] = {a...};
-  return scaled_norm(all_of_them, sizeof...(a), squares);
+  const V squares = sum_of_squares(a...);
+  if (EXPECT(!any((squares < LEAST) | (squares > MOST)))) return sqrt_(squares);
+  V all_of_them[] = {a...};
+  scaled_norm(all_of_them, sizeof...(a), squares);
+  return all_of_them[0];
 }
 }  // namespace
 
@@ -99,6 +118,7 @@ namespace {
 namespace NAME {
 constexpr int PLACES = SIZE;  // of values that go from piece to piece, side by side for each pack of tracks
 constexpr int64_t PACKS = MANY;  // at most, in a block of tracks
+constexpr int64_t WRITTEN = NUMBERS;  // at each step, of a track
 // PIECES
 static INLINE void block(const Port* in, const Port* out, int64_t steps, const Block& tracks) {
   V s[PACKS][PLACES];
@@ -106,7 +126,7 @@ static INLINE void block(const Port* in, const Port* out, int64_t steps, const B
   const int64_t packs = (tracks.lanes + W - 1) / W;
   for (int64_t p = 0; p < packs; p++) {
     const int64_t left = tracks.lanes - p * W;
-    at[p] = Block{tracks.first + p * W, left < W ? left : W, 0};
+    at[p] = Block{tracks.first + p * W, left < W ? left : W, 0, tracks.past && left >= W};
     // FIXED
   }
   for (int64_t k = 0; k < steps; k++) {

@@ -9,6 +9,7 @@
 #define SQRT_float _mm512_sqrt_ps
 #define BITS_double(m) _mm512_movepi64_mask((__m512i)m)
 #define BITS_float(m) _mm512_movepi32_mask((__m512i)m)
+#define PAST_CACHES(to, v) _mm512_stream_si512(reinterpret_cast<__m512i*>(to), (__m512i)v)
 #elif defined(__AVX2__) && defined(__FMA__)
 #include <immintrin.h>
 #define BYTES 32
@@ -18,6 +19,7 @@
 #define SQRT_float _mm256_sqrt_ps
 #define BITS_double(m) _mm256_movemask_pd((__m256d)m)
 #define BITS_float(m) _mm256_movemask_ps((__m256)m)
+#define PAST_CACHES(to, v) _mm256_stream_si256(reinterpret_cast<__m256i*>(to), (__m256i)v)
 #else
 #define BYTES 16
 #endif
@@ -76,6 +78,12 @@ inline V load(const Entries<Scalar>& x, int64_t entry) {
   return v;
 }
 inline void put(const Entries<Scalar>& x, int64_t entry, const V& v) {
+#ifdef PAST_CACHES  // a store that does not read the line first
+  if (x.past && (reinterpret_cast<uintptr_t>(x.first) | x.entry * sizeof(Scalar)) % BYTES == 0) {
+    PAST_CACHES(x[entry], v);
+    return;
+  }
+#endif
   if (x.lanes < W) __builtin_memcpy(x[entry], &v, x.lanes * sizeof(Scalar));
   else __builtin_memcpy(x[entry], &v, sizeof v);
 }
@@ -136,7 +144,7 @@ inline V atan2_(const V& y, const V& x) {
   const V a = signed_as(x, all(0)), b = signed_as(y, all(0));
   const M steep = b > a;
   const V low = steep ? a : b, high = steep ? b : a;
-  if (any(~((high > 1 / TOP) & (high < TOP)))) return extreme_atan2(y, x);
+  if (!EXPECT(!any(~((high > 1 / TOP) & (high < TOP))))) return extreme_atan2(y, x);
   const M beyond = low > TANGENT * high;
   const V t = (beyond ? low - high : low) / (beyond ? low + high : high), s = t * t, s2 = s * s, s4 = s2 * s2;
   const V p0 = (C[0] + C[1] * s) + (C[2] + C[3] * s) * s2, p1 = (C[4] + C[5] * s) + (C[6] + C[7] * s) * s2;

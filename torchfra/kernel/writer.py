@@ -109,6 +109,7 @@ class Writer:
         return {
             "SIZE": str(self._frame.size),
             "MANY": str(self._packs),
+            "NUMBERS": str(len(self._step.stores)),
             "// PIECES\n": "".join(((apart if split else together)(long), *functions)),
             "    // FIXED\n": indented(before, 4),
             "    // STEP\n": indented(calls, 4),

@@ -100,7 +100,7 @@ def _orthogonalise(a: Tensor) -> Tensor:
     for j in range(a.shape[-2]):
         row, rest = rest[..., :1, :], rest[..., 1:, :]
         norm = _norms(row)
-        unit = safe_divide(row, norm)
+        unit = row / torch.where(norm == 0, 1.0, norm)  # a row without length is zero
         below = (rest * unit).sum(-1, keepdim=True)
         rest = rest - below * unit
         columns.append(pad(torch.cat([norm, below], -2), (0, 0, j, 0)))

@@ -33,7 +33,7 @@ from torchfra.presets.constant_gains import alphabeta
 from torchfra.presets.feedback import fra, fra_srckf
 from torchfra.presets.regimes import gpb
 from torchfra.presets.scans import iaukf_jpda, jpda, ukf_jpda
-from torchfra.presets.single import ekf, ghckf, hghckf1, hghckf2, mr_ckf, rsrckf, srckf, ukf
+from torchfra.presets.single import ekf, ghckf, hghckf, hghckf1, hghckf2, mr_ckf, rsrckf, srckf, ukf
 
 __all__ = [
     "alphabeta",
@@ -43,6 +43,7 @@ __all__ = [
     "fra_srckf",
     "ghckf",
     "gpb",
+    "hghckf",
     "hghckf1",
     "hghckf2",
     "iaukf",

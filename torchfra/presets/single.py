@@ -152,8 +152,7 @@ def hghckf2(
 
     A measurement moves the estimate by no more than ``threshold`` standard deviations of the innovation, and with the
     paper's ``cov_mode="constant"`` the covariance shrinks as if it had been followed.  So a filter that is far off,
-    from a poor start or after a manoeuvre, stays sure of itself and may never catch up; with ``"indicator"`` the
-    covariance grows until it does.
+    from a poor start or after a manoeuvre, stays sure of itself and may never catch up: ``hghckf`` does.
 
     Args:
         motion: how targets move.
@@ -170,4 +169,30 @@ def hghckf2(
     Source: Qin et al. (2018), eqs. (53)-(59).
     """
     robust = HuberScore(threshold, eps=eps, cov_mode=cov_mode, whitening=whitening, zeta_scale=zeta_scale)
+    return with_learning(SRCKF(motion, sensor, rule=rule, robust=robust), learn)
+
+
+def hghckf(
+    motion: Motion, sensor: Sensor, *, rule: Callable[[int], Rule] = fifth_degree, threshold: Value = 1.345,
+    eps: Value | str = "minimax", whitening: str = "cholesky", zeta_scale: bool = False, learn: Collection[str] = (),
+) -> SRCKF:  # fmt: skip
+    """``hghckf2`` with ``cov_mode="indicator"``: prefer it, as it catches up where ``hghckf2`` loses the target.
+
+    Where the score cuts an innovation off, the covariance does not shrink.  So a filter that is far off grows unsure of
+    itself until it follows again.
+
+    Args:
+        motion: how targets move.
+        sensor: what is measured.
+        rule: makes the points for a number of states: ``torchfra.gaussian.cubature``.
+        threshold: in standard deviations of the innovation: ``robust.HuberScore``.
+        eps: assumed share of outliers, or ``"minimax"``: ``robust.HuberScore``.
+        whitening: root of the innovation covariance, ``"cholesky"`` or ``"symmetric"``.
+        zeta_scale: whether the density behind the score is scaled to variance 1: ``robust.HuberScore``.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+
+    Source: Qin et al. (2018), eqs. (53)-(59), with the derivative of the score itself, at the innovation, in place of
+    its mean.
+    """
+    robust = HuberScore(threshold, eps=eps, cov_mode="indicator", whitening=whitening, zeta_scale=zeta_scale)
     return with_learning(SRCKF(motion, sensor, rule=rule, robust=robust), learn)

@@ -23,6 +23,8 @@ BYTES_OF_A_TEXT = 2**12
 """What each name of a target or an anchor counts for at least: about what it takes to repair and filter a target."""
 LONGEST_ROW = 2**20
 """Characters of a row of CSV: all such rows are read, and none of twice the length; about as many are in memory."""
+_PIECE = 2**16
+"""Bytes that are read at a time."""
 _CELLS = 2**20
 """Cells that are in memory at a time, about."""
 
@@ -54,7 +56,7 @@ def open_bounded(path: Path, max_bytes: int) -> Iterator[io.BufferedReader]:
         gzipped = file.peek(2)[:2] == b"\x1f\x8b"
         if not gzipped and os.fstat(file.fileno()).st_size > max_bytes:
             raise too_large(max_bytes)
-        yield io.BufferedReader(_Bounded(gzip.GzipFile(fileobj=file) if gzipped else file, max_bytes), 2**16)
+        yield io.BufferedReader(_Bounded(gzip.GzipFile(fileobj=file) if gzipped else file, max_bytes), _PIECE)
 
 
 class _Bounded(io.RawIOBase):
@@ -68,7 +70,7 @@ class _Bounded(io.RawIOBase):
 
     def readinto(self, buffer: WriteableBuffer, /) -> int:
         view = memoryview(buffer)
-        data = self.file.read(len(view))
+        data = self.file.read(min(len(view), _PIECE))  # what unpacks a larger one holds it several times over
         self.left -= len(data)
         if self.left < 0:
             raise too_large(self.max_bytes)

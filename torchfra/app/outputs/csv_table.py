@@ -30,7 +30,7 @@ def _cells(name: str, values: NDArray[Any]) -> list[str]:
     if values.dtype.kind in "iu":
         return ["" if name == "row" and v < 0 else str(v) for v in values.tolist()]
     if values.dtype.kind != "f":
-        return [str(v) for v in values.tolist()]
+        return [str(v).replace("\0", r"\x00") for v in values.tolist()]  # csv of Python 3.10 writes and reads none
     form = _form(name)
     cells = [form % v for v in values.tolist()]
     for i in np.flatnonzero(~np.isfinite(values)):

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 from torch import Tensor
 
 from torchfra.app.outputs.colours import BLACK, BLUE
@@ -116,6 +117,8 @@ def scaling(panels: dict[str, list[tuple[float, float]]], title: str) -> Figure:
         axes.set(xlabel=size)
         if max(pairs)[0] > 100:
             axes.set_xscale("log")
+        else:
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         finish(axes)
     figure.suptitle(words(title, TITLE))
     return figure

@@ -11,7 +11,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from torchfra.app.plotting.style import TITLE, words
+from torchfra.app.plotting.style import TITLE, width, words
 
 _WORST = 10.0
 """Ratios above have the same colour."""
@@ -27,8 +27,8 @@ def ratios(panels: Mapping[str, tuple[Sequence[str], Sequence[Sequence[float]]]]
         title: of the figure.
     """
     widths = [len(columns) for columns, _ in panels.values()]
-    beside = 0.075 * max(len(words(row)) for row in rows)
-    below = max(1.8, 0.8 + 0.075 * max(len(words(name)) for columns, _ in panels.values() for name in columns))
+    beside = 0.075 * max(width(words(row)) for row in rows)
+    below = max(1.8, 0.8 + 0.075 * max(width(words(name)) for columns, _ in panels.values() for name in columns))
     figure = Figure(figsize=(2 + beside + 0.5 * sum(widths), below + 0.27 * len(rows)), layout="constrained")
     places = figure.subplots(1, len(panels), squeeze=False, sharey=True, gridspec_kw={"width_ratios": widths})[0]
     values = {name: np.asarray(ratio, dtype=float) for name, (_, ratio) in panels.items()}

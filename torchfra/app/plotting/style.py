@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -55,9 +56,17 @@ TITLE = 100
 
 
 def words(text: str, longest: int = 50) -> str:
-    """Text from outside, a name or a title that has one, as figures draw it: ``$`` is no mathematics there."""
-    drawn = printable(text, longest).replace("$", r"\$")
+    """Text from outside, a name or a title that has one, as figures draw it: ``$`` is no mathematics there.
+
+    Of a longer text, with each letter of twice the width counted as two, the middle is left out.
+    """
+    drawn = printable(text, longest * len(text) // max(width(text), 1)).replace("$", r"\$")
     return f" {drawn}" if drawn.startswith("_") else drawn  # a legend leaves out what begins with it
+
+
+def width(text: str) -> int:
+    """Letters of a text, those of twice the width counted as two."""
+    return len(text) + sum(unicodedata.east_asian_width(letter) in "FW" for letter in text)
 
 
 def line_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:

@@ -65,8 +65,8 @@ class Compiled:
             and (forward_ad._current_level < 0 or not torch.is_grad_enabled())
         )
 
-    def ready(self, f: Any, measurements: Measurements, prior: Gaussian, past: bool) -> tuple[Any, Any] | None:
-        """What ``forward`` gives for the state of a prior; None unless a call of the same form has been checked.
+    def ready(self, f: Any, measurements: Measurements, prior: Gaussian, past: bool) -> Any:
+        """The estimate, or what ``forward`` gives for the state of a prior; None unless a call of this form is known.
 
         Raises:
             ValueError: the time steps or the noise have a bad value.
@@ -81,7 +81,7 @@ class Compiled:
         z = measurements.z
         if f.home is f and not f.scans and may_be_ready(z.shape[:-2].numel(), z.shape[-2]):
             now, plan, data = self._plan(f, state, measurements, past)
-            now.get_tracks_ready(form_of(measurements, past), plan, prior, state, data)
+            now.get_tracks_ready(form_of(measurements, past), plan, prior, state, data, past)
 
     def forward(
         self, f: Any, state: Any, measurements: Measurements, checkpoint: int | None, truncate: int | None, past: bool

@@ -11,9 +11,12 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.gaussian.inputs import Frame, Measurements, Whole
+from torchfra.kernel.ends import Ends
 from torchfra.kernel.entries import Entries
 from torchfra.kernel.expressions import Expressions
-from torchfra.types import Gaussian
+from torchfra.kernel.step import Step
+from torchfra.linalg.triangular import tria
+from torchfra.types import Estimate, Gaussian
 
 
 def begin(f: Any, targets: Sequence[int] = ()) -> Any:
@@ -25,6 +28,20 @@ def begin(f: Any, targets: Sequence[int] = ()) -> Any:
         return state
     # What a view keeps of a measurement is not nothing, as it seems to be from the view's own steps.
     return f.remembering(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
+
+
+def ends(step: Step) -> Ends:
+    """From a prior with any root to the first state, and from what has been kept of each step to an estimate."""
+
+    def start(f: Any, mean: Tensor, root: Tensor) -> Any:
+        return f.begin(Gaussian(mean, tria(root)))
+
+    def finish(f: Any, state: Any, kept: Any) -> Estimate:
+        (mean, root), info = f.finish(state, kept.belief, kept.info)
+        return Estimate(mean, root, kept.nis, kept.log_likelihood, info)
+
+    f: Any = step.module
+    return Ends(step, start, finish, f.motion.size)
 
 
 @dataclass(frozen=True)

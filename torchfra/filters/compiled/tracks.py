@@ -12,9 +12,10 @@ from torchfra.filters.compiled.step import guard, is_ordinary, number
 from torchfra.gaussian.arguments import check_values
 from torchfra.gaussian.inputs import Measurements
 from torchfra.kernel.program import Ready
+from torchfra.kernel.whole import Whole
 from torchfra.linalg.triangular import tria
 from torchfra.tree import flattener, unflattener
-from torchfra.types import Gaussian
+from torchfra.types import Cause, Estimate, Failure, Gaussian
 
 _FORMS = 16
 """How many forms are remembered."""
@@ -46,16 +47,38 @@ class ReadyTracks:
         return made
 
 
+class WholeTracks:
+    """Tracks of one form whose beginning and end are part of a kernel too.
+
+    Args:
+        whole: the kernel.
+        batch: of the tracks.
+        tensors: as of ``ReadyTracks``.
+    """
+
+    def __init__(self, whole: Whole, batch: torch.Size, tensors: Sequence[Tensor]) -> None:
+        self._whole, self._batch = whole, batch
+        self._made = unflattener(whole.made._replace(failure=Failure(*tensors[:2])))
+        self.fit = guard(tensors)
+
+    def __call__(self, begin: Callable[[Gaussian], Any], tensors: Sequence[Tensor]) -> Estimate:
+        """What ``forward`` returns, but for the causes of failures: the failure is None where there may be any."""
+        written, sound = self._whole(tensors)
+        each = (torch.full(self._batch, value) for value in (-1, int(Cause.NONE)))
+        made: Estimate = self._made([*written, *each])
+        return made if sound else made._replace(failure=None)
+
+
 class AllReadyTracks:
     """All that have been made ready."""
 
     def __init__(self) -> None:
-        self._known: dict[Hashable, list[ReadyTracks]] = {}
+        self._known: dict[Hashable, list[ReadyTracks | WholeTracks]] = {}
 
     def __call__(
         self, f: Any, form: Hashable, prior: Gaussian, measurements: Measurements, values: Callable[[], Any]
-    ) -> tuple[Any, Any] | None:
-        """The state after the last step and what is kept of each; None where no such tracks are ready.
+    ) -> Estimate | tuple[Any, Any] | None:
+        """The estimate, or the state after the last step and what is kept of each; None where no such tracks are ready.
 
         Args:
             f: the filter.
@@ -80,7 +103,7 @@ class AllReadyTracks:
                 return tracks(f.begin, tensors)
         return None
 
-    def add(self, form: Hashable, tracks: ReadyTracks) -> None:
+    def add(self, form: Hashable, tracks: ReadyTracks | WholeTracks) -> None:
         """Remembers tracks; all others are forgotten when there are too many."""
         if sum(map(len, self._known.values())) >= _FORMS:
             self._known = {}

@@ -14,7 +14,7 @@ from torch.autograd import forward_ad
 from torchfra.filters.compiled import traced
 from torchfra.filters.compiled.back import Given, retreat
 from torchfra.filters.compiled.step import Data, ReadyStep, ReadySteps, may_be_ready, number
-from torchfra.filters.compiled.tracks import AllReadyTracks, ReadyTracks
+from torchfra.filters.compiled.tracks import AllReadyTracks, ReadyTracks, WholeTracks
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import Hyper
 from torchfra.kernel.program import Program
@@ -170,7 +170,7 @@ class Version:
         if ready is not None:
             self.ready[whole].add(ReadyStep(ready, state, tensors, (step.state, step.record)), state, data)
 
-    def get_tracks_ready(self, form: Hashable, plan: Plan, prior: Gaussian, state: Any, data: Data) -> None:
+    def get_tracks_ready(self, form: Hashable, plan: Plan, prior: Gaussian, state: Any, data: Data, past: bool) -> None:
         """Makes later tracks like these ready, likewise."""
         steps, values = data[0].shape[-2], self.read()
         given = [x for x in data if x is not None]
@@ -183,7 +183,12 @@ class Version:
         ):
             return
         run = plan.forwards.ready(plan.batch, steps, full)
-        if run is not None:
+        if run is None:
+            return
+        whole = None if past else plan.kernels.whole(run, plan.batch, prior, traced.ends)
+        if whole is not None:
+            self.tracks.add(form, WholeTracks(whole, plan.batch, tensors))
+        else:
             made = plan.kernels.step.state, plan.kernels.step.record
             self.tracks.add(form, ReadyTracks(run, plan.batch, tensors, state, made))
 

@@ -21,7 +21,7 @@ from torchfra.filters.interaction import for_each_model
 from torchfra.filters.records import Record
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import models_first, moment_match, pooled, repeated
+from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, shared
 from torchfra.gaussian.model import propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import innovation
@@ -151,7 +151,7 @@ class GPB(Sensing):
     def compare_all(self, seen: Gaussian, log_ahead: Tensor, frame: Frame) -> tuple[Whitened, Whitened]:
         """The measurement against all predictions, ``(1, R, 2, ...)``, and against the Gaussian with their moments."""
         flat = tree.map_tensors(lambda x: x.flatten(0, 1), seen)
-        expected = moment_match(flat, log_share(log_ahead.flatten(0, 1)), self.motion.angles)
+        expected = matched(flat, shared(log_ahead.flatten(0, 1))[0], self.motion.angles)
         every = [torch.cat([x, y.unsqueeze(0)]) for x, y in zip(flat, expected, strict=True)]
         whitened = self.compare(Gaussian(*every), frame)
         each = tree.map_tensors(lambda x: x[:-1].unflatten(0, (1, *log_ahead.shape[:2])), whitened)
@@ -204,8 +204,8 @@ class GPB(Sensing):
         shares = Shares(of_motion(stayed) - ahead, of_motion(drawn) - ahead, origin)
         common = moment_match(models_first(before), origin.movedim(-1, 0), self.motion.angles)
         pair = tree.stack([before, repeated(common, len(self.bank))], 0)
-        mix = pooled if self.motion.linear else moment_match  # predictions are made triangular anyway
-        return mix(pair, torch.stack([shares.own, shares.common]), self.motion.angles), log_ahead, shares
+        mixed = moment_match(pair, torch.stack([shares.own, shares.common]), self.motion.angles)
+        return mixed, log_ahead, shares
 
     def hindsight(self, joint: Tensor, shares: Shares | None) -> Tensor:
         """Log weights ``(2, ..., K)`` of the beliefs before a step, now that it is measured."""

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.gpb.merging import log_share, together
+from torchfra.filters.gpb.merging import together
 from torchfra.filters.gpb.qualities import entry
 from torchfra.filters.gpb.regimes import Regimes, in_front
 from torchfra.filters.gpb.states import GPBState
@@ -17,7 +17,7 @@ from torchfra.filters.interaction import for_each_model, held
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.future import Future, future
-from torchfra.gaussian.mixture import moment_match, repeated, without_failed
+from torchfra.gaussian.mixture import matched, repeated, shared, without_failed
 from torchfra.gaussian.model import Carried, adapted
 from torchfra.motion.base import Motion
 from torchfra.types import Gaussian
@@ -126,7 +126,7 @@ def _retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
     joint = joint + after.log_weights.movedim(-2, 0)[:, None, ..., None, :]
     log_weights = joint.logsumexp((0, -1))  # (was, ..., R)
     share = regimes.of_motion(joint.transpose(-1, -2)).movedim((-2, -1), (0, 2))  # (R, now, motion was, was, ...)
-    told = moment_match(Gaussian(*(x.flatten(0, 1) for x in each)), log_share(share.flatten(0, 1)))
+    told = matched(Gaussian(*(x.flatten(0, 1) for x in each)), shared(share.flatten(0, 1))[0])
     told = Gaussian(told.mean.movedim(0, -2), told.scale_tril.movedim(0, -3))
     clean, dirty = tree.unbind(inside(before, told), 2)
     return GPBPast(clean, dirty, log_weights.movedim(0, -2), past.outlier, past.far)
@@ -159,12 +159,12 @@ def _predicted(f: Any, ahead: Carried, far: Tensor, log_weights: Tensor) -> Gaus
 
     own = (torch.cat([x[:first], jump]).flatten(0, 1).unsqueeze(1) for x, jump in zip(levels, jumped, strict=True))
     share_own = torch.cat([share[:, :first], share[:, first + others :]], 1).movedim(0, 2).flatten(0, 1)
-    merged = moment_match(Gaussian(*own), log_share(share_own), f.motion.angles)  # (now, ...)
+    merged = matched(Gaussian(*own), shared(share_own)[0], f.motion.angles)  # (now, ...)
     if not others:
         return Gaussian(merged.mean.unsqueeze(-2), merged.scale_tril.unsqueeze(-3))
     other = Gaussian(*(x[first:].transpose(0, 1).unsqueeze(1) for x in levels))  # (was, 1, motion, ...)
     share_others = share[:, first : first + others].movedim(2, 0)
-    mean, root = moment_match(other, log_share(share_others), f.motion.angles)  # (now, motion, ...)
+    mean, root = matched(other, shared(share_others)[0], f.motion.angles)  # (now, motion, ...)
     return Gaussian(
         torch.cat([merged.mean.unsqueeze(-2), mean.movedim(1, -2)], -2),
         torch.cat([merged.scale_tril.unsqueeze(-3), root.movedim(1, -3)], -3),

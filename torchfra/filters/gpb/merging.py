@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchfra.filters.gpb.regimes import Regimes
-from torchfra.gaussian.mixture import moment_match
+from torchfra.gaussian.mixture import matched, moment_match, shared
 from torchfra.linalg.triangular import apply, hstack
 from torchfra.motion.base import Motion
 from torchfra.types import Gaussian
@@ -31,13 +31,13 @@ def merged(regimes: Regimes, beliefs: Gaussian, joint: Tensor, angles: Sequence[
     first, end = regimes.count, regimes.count + regimes.motions - 1
     own = every if regimes.motions == 1 else [torch.cat([x[:first], x[end:]]) for x in every]
     mean, root, weight = (x.flatten(0, 1) for x in own)
-    log_own = weight.logsumexp(0)
-    one = moment_match(Gaussian(mean, root), weight - log_own, angles)
+    shares, log_own = shared(weight)
+    one = matched(Gaussian(mean, root), shares, angles)
     if regimes.motions == 1:
         return Gaussian(one.mean.unsqueeze(-2), one.scale_tril.unsqueeze(-3)), log_own.unsqueeze(-1)
     mean, root, weight = (x[first:end].transpose(0, 1) for x in every)  # (before, others, now, ...)
-    log_others = weight.logsumexp(0)
-    rest = moment_match(Gaussian(mean, root), weight - log_others, angles)
+    shares, log_others = shared(weight)
+    rest = matched(Gaussian(mean, root), shares, angles)
     after = Gaussian(
         torch.cat([one.mean.unsqueeze(-2), rest.mean.movedim(0, -2)], -2),
         torch.cat([one.scale_tril.unsqueeze(-3), rest.scale_tril.movedim(0, -3)], -3),

@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 
 from torchfra import tree
 from torchfra.filters.gpb.regimes import in_front
-from torchfra.gaussian.mixture import moment_match
+from torchfra.gaussian.mixture import matched, shared
 from torchfra.hyper import Hyper, Values
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import apply, hstack, tria
@@ -137,7 +137,7 @@ class Qualities(nn.Module):
             prior: ``(..., B)`` of each block that it is an outlier if the step is dirty.
             missing: ``(..., m)`` 1 where missing, 0 where measured.
         """
-        (mean, root), rank, last = seen, seen.mean.dim() - 1, len(self.blocks) - 1
+        (mean, root), rank = seen, seen.mean.dim() - 1
         sizes, log_shares = in_front(self.sizes(seen.mean), rank), in_front(self.shares(seen.mean).log(), rank)
         sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])  # of a clean block, and of an outlier
         belief, log_density, outliers = unit(seen), torch.zeros_like(seen.mean[..., 0]), []
@@ -151,11 +151,11 @@ class Qualities(nn.Module):
             if b:  # clean and dirty have the first block in common alone
                 clean, log_clean = told_by(inside.rows[0], residual[0], sizes[:1], gone)
             joint = torch.cat([log_told[:1] + torch.log1p(-share), log_told[1:] + share.log() + log_shares])
-            total = joint.logsumexp(0)
-            both = tree.stack([entry(clean, 0), moment_match(told, joint - total)], 0)
-            belief = inward(belief, inside, both, triangular=b < last)
+            roots, total = shared(joint)
+            both = tree.stack([entry(clean, 0), matched(told, roots)], 0)
+            belief = inward(belief, inside, both)
             log_density = log_density + torch.cat([log_clean, total.unsqueeze(0)])
-            outliers.append((joint[1:].logsumexp(0) - total).exp())
+            outliers.append(roots[1:].square().sum(0))
         return Corrected(belief, log_density, torch.stack(outliers, -1))
 
     def grown(self, sizes: Tensor, residual: Tensor, missing: Tensor) -> Tensor:
@@ -221,8 +221,8 @@ def told_by(rows: Tensor, residual: Tensor, sizes: Tensor, missing: Tensor) -> t
     return Gaussian(mean.movedim(0, -1), root.movedim((0, 1), (-2, -1))), log_density
 
 
-def inward(belief: Gaussian, inside: Inside, told: Gaussian, *, triangular: bool) -> Gaussian:
-    """The belief after what a measurement has told of itself; any root, if it need not be triangular."""
+def inward(belief: Gaussian, inside: Inside, told: Gaussian) -> Gaussian:
+    """The belief after what a measurement has told of itself."""
     root = inside.cross @ told.scale_tril
     root = root if inside.left is None else hstack(root, inside.left)
-    return Gaussian(belief.mean + apply(inside.cross, told.mean), tria(root) if triangular else root)
+    return Gaussian(belief.mean + apply(inside.cross, told.mean), tria(root))

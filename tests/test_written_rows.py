@@ -1,0 +1,37 @@
+"""What kernels write for many tracks: rows that begin on lines of the cache, past it where they are too much for it."""
+
+import pytest
+import torch
+
+from torchfra import presets, scenarios
+from torchfra.kernel.pages import LEAST, rows_of_tracks
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_many_tracks_and_some_of_them_have_the_same_estimates_to_the_bit(dtype):
+    scenario = scenarios.bearings_outliers()
+    data = scenario.simulate(1003, 0)
+    z, u, prior = data.z.to(dtype), data.u.to(dtype), type(data.prior)(*(x.to(dtype) for x in data.prior))
+    f = presets.fra(scenario.motion, scenario.sensor).compile()
+    with torch.no_grad():
+        every = f(z, prior, u=u)
+        some = f(z[900:], prior._replace(mean=prior.mean[900:]), u=u)
+    assert every.scale_tril.numel() * every.scale_tril.itemsize > LEAST
+    assert torch.equal(every.mean[900:], some.mean)
+    assert torch.equal(every.scale_tril[900:], some.scale_tril)
+    assert torch.equal(every.log_likelihood[900:], some.log_likelihood)
+
+
+def test_rows_of_a_large_tensor_begin_on_lines_of_the_cache():
+    x = rows_of_tracks((100, 6), torch.Size([17, 101]), torch.float64, torch.device("cpu"))
+    assert x.shape == (100, 6, 17, 101)
+    assert x.data_ptr() % 64 == 0
+    assert x.stride(1) * 8 % 64 == 0
+    assert x.stride() == (6 * x.stride(1), x.stride(1), 101, 1)
+
+
+@pytest.mark.parametrize(
+    ("shape", "batch"), [((6,), (17, 101)), ((100_000, 6), ()), ((100_000, 6), (3,)), ((100, 6), (1024,))]
+)
+def test_other_tensors_have_no_room_between_rows(shape, batch):
+    assert rows_of_tracks(shape, torch.Size(batch), torch.float64, torch.device("cpu")).is_contiguous()

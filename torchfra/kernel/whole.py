@@ -1,0 +1,101 @@
+"""Whole tracks of one form in one call, from a prior to all that a filter returns."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from array import array
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra.kernel import build
+from torchfra.kernel.ends import Ends
+from torchfra.kernel.program import Ready, Strided, strided, threads
+from torchfra.kernel.source import Port
+
+
+class Whole:
+    """A kernel and what comes before and after its steps, of which nothing but addresses differs from call to call.
+
+    Args:
+        ready: the steps.
+        ends: what comes before and after them.
+        function: of these, as compiled by ``load``.
+        prior: mean and root, of all tracks or of one that stands for all.
+        rank: batch dimensions of what is written.
+    """
+
+    made: Any
+    """The tree that is made."""
+
+    def __init__(self, ready: Ready, ends: Ends, function: Any, prior: Sequence[Strided], rank: int) -> None:
+        self._ready, self._function, self._rank, self.made, self._places = ready, function, rank, ends.made, ends.places
+        self._run = ctypes.cast(ready.run, ctypes.c_void_p).value
+        count, reads = len(ends.sizes), len(ready.table) // 4 - len(ready.like)
+        self._like, self._late = ready.like[count:], [port - reads - count for port in ends.settled]
+        self._begun = ready.tracks if any(track for _, track, _, _ in prior) else 1
+        self._table, end = ready.table[:], 0
+        for first, tracks in ((0, self._begun), (reads, ready.tracks)):
+            for row, size in enumerate(ends.sizes, first):
+                self._table[4 * row : 4 * row + 4] = array("q", [end, int(tracks > 1), 0, tracks])
+                end += size * tracks * self._like[0].element_size()
+        for row, same in enumerate(ends.same):  # what is the same at first lies in one place
+            self._table[4 * row] = self._table[4 * same]
+        self._table.extend(number for _, *strides in prior for number in (0, *strides))
+        self._states = self._table[: 4 * count : 4], self._table[4 * reads : 4 * (reads + count) : 4]
+        self._table.extend([0, 1, 0, ready.tracks] * len(ends.settled))
+        self._room = end
+
+    def __call__(self, tensors: Sequence[Tensor]) -> tuple[list[Tensor], bool]:
+        """The tensors of what is made, new, with the batch in front; and whether what ends each track is finite.
+
+        Args:
+            tensors: the prior's, and what the steps read besides the state.
+        """
+        ready, written = self._ready, list(map(torch.empty_like, self._like))
+        (before, after), place = self._states, Tensor.data_ptr
+        table = self._table[:]  # each thread its own
+        filled = array("q", [*before, *map(place, tensors[2:]), *after, *map(place, written), *map(place, tensors[:2])])
+        table[: 4 * len(filled) : 4] = filled
+        count, (address, _) = threads(ready.tracks), table.buffer_info()
+        sound = self._function(self._run, ready.tracks, ready.steps, count, address, _room(self._room), self._begun)
+        for k in self._late:
+            written[k] = written[k].narrow(self._rank, 1, ready.steps)
+        return [written[k] for k in self._places], bool(sound)
+
+
+def load(ends: Ends) -> Any:
+    """The function of both ends, compiled.
+
+    Raises:
+        CompileError: see ``build.load``.
+    """
+    return build.load_whole(ends.source(not build.wide()))
+
+
+_ROOMS = threading.local()
+"""Where states lie between the kernels of a call; each thread has its own, as large as it has needed."""
+
+
+def _room(size: int) -> int:
+    """The address of so many bytes."""
+    if size > getattr(_ROOMS, "size", -1):
+        _ROOMS.memory, _ROOMS.size = torch.empty(size, dtype=torch.uint8, device="cpu"), size
+        _ROOMS.address = _ROOMS.memory.data_ptr()
+    address: int = _ROOMS.address
+    return address
+
+
+def whole(ready: Ready, ends: Ends, function: Any, batch: torch.Size, prior: Sequence[Tensor]) -> Whole | None:
+    """Whole tracks of this batch from priors that lie in memory like this; None if one must be copied."""
+    shared = torch.broadcast_shapes(prior[0].shape[:-1], prior[1].shape[:-2])
+    shared = shared if shared.numel() == 1 else batch
+    ports = [Port([0] * x.shape[-1] ** event, x.shape[-event:]) for event, x in enumerate(prior, 1)]
+    full = [x.expand(shared + port.shape) for x, port in zip(prior, ports, strict=True)]
+    places = [strided(x, port, len(shared), shared.numel()) for x, port in zip(full, ports, strict=True)]
+    if any(x.data_ptr() != y.data_ptr() for (x, *_), y in zip(places, prior, strict=True)):
+        return None
+    return Whole(ready, ends, function, places, len(batch))
