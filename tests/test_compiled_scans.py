@@ -140,8 +140,8 @@ def test_compiled_filters_of_scans_keep_what_filters_promise():
 
 
 FEWER = {
-    "jumps": (), "grows": False, "sizes": (100.0,), "shares": (1.0,), "renew": (0.5, 0.4, 0.1), "stay": (0.95, 0.8, 0.5),
-    "levels": (0.1, 10.0),
+    "levels": (0.1, 10.0), "jumps": (), "stay": (0.95, 0.8, 0.5), "renew": (0.5, 0.4, 0.1),
+    "sizes": (100.0,), "shares": (1.0,), "grows": False,
 }  # fmt: skip
 """Regimes and outliers of ``gpb``, for the compiler's time."""
 INNER = {
