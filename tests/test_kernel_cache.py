@@ -336,11 +336,11 @@ with module.workplace() as folder:
 
 
 def wait_until(true):
-    for _ in range(500):
+    for _ in range(1000):
         if true():
             return
         time.sleep(0.02)
-    raise AssertionError("in ten seconds nothing has happened")
+    raise AssertionError("in twenty seconds nothing has happened")
 
 
 def runs(pid):
