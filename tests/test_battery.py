@@ -8,9 +8,10 @@ import torch
 from torchfra import presets
 from torchfra.catalogue import FILTERS
 from torchfra.filters import SRCKF
-from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity
+from torchfra.motion import Bank, ConstantVelocity
 from torchfra.sensors import Position, Sensor
 from torchfra.testing import CHECKS, check_filter
+from torchfra.types import Gaussian
 
 NAMES = [name for name, entry in FILTERS.items() if entry.preset is not presets.imm_ckf]
 
@@ -24,10 +25,11 @@ def preset(name, scenario, crossing):
         return entry.preset(crossing.motion, crossing.sensor, **options), {"z": tracks.z, "prior": tracks.prior}
     if entry.constant_gains:
         return entry.preset(ConstantVelocity(1.0), Position(2.0)), {}
-    tracks = scenario.simulate(3, 0)
-    motions = Bank([copy.deepcopy(scenario.motion), ConstantAcceleration(1.0)], neighbours=[[1], [0]], first=[0, 1])
-    f = entry.preset(motions if entry.bank else copy.deepcopy(scenario.motion), copy.deepcopy(scenario.sensor))
-    return f, {"z": tracks.z, "prior": tracks.prior, "u": tracks.u}
+    tracks, motion = scenario.simulate(3, 0), ConstantVelocity(1.0)
+    prior = Gaussian(tracks.prior.mean[..., :4], tracks.prior.scale_tril[..., :4, :4])  # no acceleration: small kernels
+    motions = Bank([motion, ConstantVelocity(10.0)], neighbours=[[1], [0]], first=[0, 1])
+    f = entry.preset(motions if entry.bank else motion, copy.deepcopy(scenario.sensor))
+    return f, {"z": tracks.z, "prior": prior, "u": tracks.u}
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from matplotlib.figure import Figure
+from short_tracks import STEPS
 
 from torchfra import presets
 from torchfra.app import cli, plotting
@@ -58,6 +59,7 @@ def compare(tmp_path, *options):
     return cli.main(["compare", "--scenario", "bearings-outliers", "--filters", "srckf", *options, *out])
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_commands_compile_when_it_is_worthwhile_and_say_so(noisy_track, tmp_path, capsys, monkeypatch):
     calls = []
 
@@ -67,8 +69,9 @@ def test_commands_compile_when_it_is_worthwhile_and_say_so(noisy_track, tmp_path
 
     monkeypatch.setattr("torchfra.app.compare_command.choose", choose)
     monkeypatch.setattr("torchfra.app.track_command.choose", choose)
-    assert compare(tmp_path, "--runs", "10", "--quiet") == 0
-    assert compare(tmp_path, "--runs", "1000", "--no-compile", "--quiet") == 0
+    monkeypatch.setattr("torchfra.app.compare_command.WORTHWHILE", 10 * STEPS)
+    assert compare(tmp_path, "--runs", "9", "--quiet") == 0
+    assert compare(tmp_path, "--runs", "10", "--no-compile", "--quiet") == 0
     track_it = ["track", str(noisy_track), "--no-plots", "--quiet", "--out", str(tmp_path / "out")]
     assert cli.main(track_it) == 0
     monkeypatch.setattr("torchfra.app.track_command.WORTHWHILE", 80)

@@ -92,6 +92,7 @@ def test_learned_values_load_into_a_filter_for_scans(tmp_path):
     assert s.detection == 0.95
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_the_command_compares_filters_on_them(tmp_path):
     arguments = ["compare", "--scenario", "clutter-crossing", "--runs", "3", "--json", str(tmp_path / "r.json")]
     assert main([*arguments, "--figure", str(tmp_path / "r.png"), "--quiet"]) == 0

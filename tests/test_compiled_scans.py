@@ -139,13 +139,18 @@ def test_compiled_filters_of_scans_keep_what_filters_promise():
     assert report.of("failed") == ()
 
 
+FEWER = {
+    "levels": (0.1, 10.0), "jumps": (), "stay": (0.95, 0.8, 0.5), "renew": (0.5, 0.4, 0.1),
+    "sizes": (100.0,), "shares": (1.0,), "grows": False,
+}  # fmt: skip
+"""Regimes and outliers of ``gpb``, for the compiler's time."""
 INNER = {
     "robust": {"inner": presets.rsrckf},
     "fading": {"inner": presets.asrckf},
     "residual": {"inner": partial(presets.iaukf, adapt="residual")},
     "fifth degree": {"inner": presets.ghckf},
     "models": {"inner": presets.imm_srckf, "motion": [ConstantVelocity(0.5), ConstantVelocity(5.0)]},
-    "regimes": {"inner": presets.gpb},
+    "regimes": {"inner": partial(presets.gpb, **FEWER)},
     "soft": {"temperature": 0.3},
     "diffuse": {"clutter": Clutter(400.0)},
     "always measured": {"detection": 1.0, "gate": Euclidean(15.0)},

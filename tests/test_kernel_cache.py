@@ -241,7 +241,7 @@ KEEPS = (
     LOADED
     + """
 from pathlib import Path
-for _ in range(100):
+for _ in range(20):
     module.keep("a.so", Path(sys.argv[2]))
     assert module.fetch("a.so") is not None
 """
@@ -336,11 +336,11 @@ with module.workplace() as folder:
 
 
 def wait_until(true):
-    for _ in range(500):
+    for _ in range(1000):
         if true():
             return
         time.sleep(0.02)
-    raise AssertionError("in ten seconds nothing has happened")
+    raise AssertionError("in twenty seconds nothing has happened")
 
 
 def runs(pid):

@@ -5,9 +5,7 @@ import json
 import os
 import signal
 import sys
-import time
 from contextlib import nullcontext
-from pathlib import Path
 
 import pytest
 import torch
@@ -25,7 +23,6 @@ from train.runs import RUNS, configured
 from train.search import search
 from train.training import Training
 
-ROOT = Path(__file__).parent.parent
 SMALL = (
     "batch=8",
     "iterations=6",
@@ -63,10 +60,6 @@ def log_of(out):
 
 def equal(a, b):
     return a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a)
-
-
-def environment():
-    return os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
 
 
 @pytest.fixture(scope="module")
@@ -112,13 +105,22 @@ def test_the_same_settings_learn_the_same_values(unbroken, tmp_path):
 # ---------------------------------------------------------------- interruptions
 
 
+def train_until_killed(out):
+    """Ends this process like ``kill -9`` in the fourth iteration, where the last checkpoint is that of the second."""
+    iteration = tune.iteration
+
+    def killed_in_the_fourth(training, *rate_and_temperature):
+        if training.iteration == 3:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return iteration(training, *rate_and_temperature)
+
+    tune.iteration = killed_in_the_fourth
+    return train(out)
+
+
 def test_a_run_that_is_killed_resumes_to_the_same_values(unbroken, tmp_path):
-    process = forked(train, tmp_path)
-    until, checkpoint = time.monotonic() + 300, tmp_path / "checkpoint.pt"
-    while time.monotonic() < until and process.is_alive() and not checkpoint.exists():
-        time.sleep(0.02)
-    process.kill()  # some time after the checkpoint of iteration 2
-    process.join()
+    process = forked(train_until_killed, tmp_path)
+    process.join(300)
     assert process.exitcode == -signal.SIGKILL
     assert train(tmp_path, "--resume") == 0
     assert equal(learned(tmp_path), learned(unbroken))

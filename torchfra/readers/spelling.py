@@ -71,8 +71,9 @@ def unit(name: str) -> str | None:
 
 def found(names: Iterable[str], role: str) -> list[str]:
     """The names that may hold something, the best first."""
-    rank = {spelt: i for i, spelt in enumerate(NAMES[role])}
-    ranked = [(rank[plain(name)], name != plain(name), i, name) for i, name in enumerate(names) if plain(name) in rank]
+    rank, names = {spelt: i for i, spelt in enumerate(NAMES[role])}, list(names)
+    spelt = {name: plain(name) for name in set(names)}
+    ranked = [(rank[spelt[name]], name != spelt[name], i, name) for i, name in enumerate(names) if spelt[name] in rank]
     return [name for *_, name in sorted(ranked)]
 
 
