@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchfra.gaussian import moment_match
+from torchfra.gaussian.mixture import shared
 from torchfra.types import Gaussian
 
 
@@ -66,3 +67,19 @@ def test_its_gradient_is_that_of_finite_differences_down_to_weights_of_zero(logi
         lambda mean, root, x: tuple(moment_match(Gaussian(mean, root.tril()), torch.log_softmax(x, 0))),
         (*parts, logits),
     )
+
+
+@given(k=st.integers(1, 5), scale=st.sampled_from([1.0, 300.0, 1e5]), seed=st.integers(0, 1000))
+@settings(deadline=None, max_examples=30)
+def test_weights_of_any_sum_are_shared_as_by_softmax_and_their_sum_is_that_of_logsumexp(k, scale, seed):
+    log_weights = scale * torch.randn(k, 3, generator=torch.Generator().manual_seed(seed)).double()
+    log_weights[1:, 0] = -torch.inf
+    roots, log_sum = shared(log_weights)
+    torch.testing.assert_close(roots.square(), log_weights.softmax(0))
+    torch.testing.assert_close(log_sum, log_weights.logsumexp(0))
+
+
+def test_shares_and_their_sum_have_exact_gradients():
+    log_weights = torch.tensor([[0.3, -40.0], [-1.0, 2.0], [0.5, 2.0]], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(shared, (log_weights,))
+    assert torch.autograd.gradgradcheck(shared, (log_weights,))

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from torchfra.filters.compiled import Compiled
+from torchfra.kernel import pages
 from torchfra.tree import flatten
 from torchfra.types import Cause, Gaussian
 
@@ -161,6 +162,16 @@ def test_priors_of_a_batch_of_one_in_single_precision_and_from_several_threads(m
     with ThreadPoolExecutor(4) as pool:
         for estimate in pool.map(lambda _: fast(**given), range(50)):
             close(slow, estimate, 2e-3)
+
+
+def test_rows_that_lie_on_lines_of_the_cache_are_written_where_they_lie(make, tracks, monkeypatch):
+    monkeypatch.setattr(pages, "LEAST", 1)
+    fast, batch = make("srckf").compile(), (67,)
+    given = alone(tracks, 3) | {"z": tracks.z[0, :3].expand(*batch, 3, 2).contiguous()}
+    first = fast(**given)
+    for _ in range(20):
+        close(first, fast(**given), 0)
+    close(first.mean[:1], fast(**alone(tracks, 3)).mean[None])
 
 
 def test_a_filter_whose_finish_does_more_than_to_end_what_is_late_is_ready_all_the_same(make, tracks, prepared):

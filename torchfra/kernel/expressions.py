@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Iterable
 
@@ -91,6 +92,12 @@ class Expressions:
         if op in ("add", "mul", "and", "or", "eq", "max", "min"):
             args = tuple(sorted(args))
         return self._new(op, args)
+
+    def copied(self) -> Expressions:
+        """A copy that can grow and change by itself."""
+        new = copy.copy(self)
+        new.nodes, new.origin, new.values, new._known = [*self.nodes], [*self.origin], {**self.values}, {**self._known}
+        return new
 
     def sum(self, terms: Iterable[int]) -> int:
         """All of them together, from the first on."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
+from torchfra.kernel.choices import with_choices_last
 from torchfra.kernel.divisions import with_quotients
 from torchfra.kernel.expressions import ZERO, Expressions
 from torchfra.kernel.parts import are_in, opened
@@ -113,7 +114,8 @@ class Scan:
         carry = [(i, p, e) for p, port in enumerate(self.carry) for e, i in enumerate(port.ids)]
         live = self.live()
         varying, carried, stores = self._varying(live), self._carried(), self._stores()
-        book, live = with_quotients(self.book, live, varying, [*carried.values(), *(i for i, _ in stores)])
+        ends = [*carried.values(), *(i for i, _ in stores)]
+        book, live = with_choices_last(*with_quotients(self.book, live, varying, ends), varying, ends)
         return Step(
             book,
             live,
