@@ -34,7 +34,7 @@ def run_in_two(main, arguments, out=os.devnull):
         pytest.skip("processes cannot be forked here")
     team = LaunchConfig(
         *(1, 1, 2), run_id="tests", rdzv_backend="c10d", rdzv_endpoint="localhost:0", start_method="fork",
-        monitor_interval=0.05,
+        monitor_interval=0.05, local_addr="127.0.0.1",
     )  # fmt: skip
     with warnings.catch_warnings(), own_signals():
         warnings.simplefilter("ignore", DeprecationWarning)  # threads of pytest-xdist do nothing in the copies
