@@ -26,7 +26,7 @@ from pathlib import Path
 import torch
 from benchmarks.cores import cores
 from benchmarks.positions import positions
-from benchmarks.roof import FILTERS, roof
+from benchmarks.roof import FILTERS, PRECISIONS, roof
 from benchmarks.scaling import draw, scaling
 from benchmarks.step import step
 from benchmarks.timing import Row, table
@@ -81,6 +81,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--device", default="cpu", help="cpu (default) or cuda, for tracks and positions")
     p.add_argument("--scenario", default="bearings-outliers", choices=BEARINGS)
     p.add_argument("--initial", default="truth", choices=["truth", "paper"], help="initial state (default: truth)")
+    p.add_argument("--precision", default="double", choices=PRECISIONS, help="for roof (default: double)")
     p.add_argument("--passes", type=int, default=7, help="timed passes (default: 7)")
     p.add_argument("--peers", action="store_true", help="also JAX, dynamax and FilterPy, where installed, and C++; "
                    "the environment variable TORCHFRA_PEERS_PYTHON may name the Python that has them")  # fmt: skip

@@ -4,7 +4,7 @@ namespace {
 template <class T> __attribute__((noinline)) T multiply_add(T x, int64_t times) {
   T sums[16];
 #pragma GCC unroll 16
-  for (int i = 0; i < 16; i++) sums[i] = x + i;
+  for (int i = 0; i < 16; i++) sums[i] = x + static_cast<Scalar>(i);
   for (int64_t k = 0; k < times; k++)
 #pragma GCC unroll 16
     for (int i = 0; i < 16; i++) sums[i] = sums[i] * x + x;

@@ -26,9 +26,11 @@ from torchfra.kernel.program import Program
 from torchfra.kernel.schedule import conditions, regions
 from torchfra.kernel.source import SCALARS, Port, Scan
 from torchfra.kernel.statements import template
+from torchfra.tree import map_tensors
 
 ROUNDS, LANES = 20_000, 2048
 """Rounds of 16 multiply-adds in a call; tracks for which a function is timed, which stay in the first cache."""
+PRECISIONS = {"double": torch.float64, "single": torch.float32}
 COSTLY = {"div": 2, "sqrt": 1, "norm": 2, "atan2": 2, "hypot": 2, "exp": 1, "expm1": 1, "log": 1, "log1p": 1, "erf": 1,
           "sin": 1, "cos": 1, "tan": 1, "asin": 1, "acos": 1, "atan": 1, "pow": 2}  # fmt: skip
 """Operations whose time is measured, with the number of their arguments; any other is half a fused multiply-add."""
@@ -124,9 +126,10 @@ def work(f: Filter) -> Work:
     """What a compiled filter that has run computes at each step, for every track: what few need is left out."""
     compiled: Compiled = f.__dict__["_kernels"]
     scan = next(x for x in compiled._versions[0].kernels.values() if x.step.repeated).step.forwards()
-    nodes, live = scan.book.nodes, [i for i in scan.live() if scan.book.nodes[i][0] not in ("constant", "input")]
-    needed = conditions(scan.book, scan.live(), [i for port in (*scan.after, *scan.writes) for i in port.ids])
-    guards = regions(scan.book, live, needed)
+    step = scan.step()
+    nodes, live = step.book.nodes, [i for i in step.live if i in step.varying and step.book.nodes[i][0] != "input"]
+    needed = conditions(step.book, step.live, [*step.carried.values(), *(i for i, _ in step.stores)])
+    guards = regions(step.book, live, needed)
     always = [i for i in live if guards[i] is None]
     operations = Counter(nodes[i][0] for i in always)
     operations["add"] += sum(2 * (len(nodes[i][1]) - 2) for i in always if nodes[i][0] == "norm")
@@ -145,7 +148,7 @@ def roof(options: argparse.Namespace) -> list[Row]:
     names = every if options.filters == FILTERS else options.filters.split(",")
     rows: list[Row] = []
     for batch in map(int, (options.batch or "1000,10000").split(",")):
-        tracks = scenario.simulate(batch, 0)
+        tracks = map_tensors(lambda x: x.to(PRECISIONS[options.precision]), scenario.simulate(batch, 0))
         steps = min(scenario.steps, max(10, 1_000_000 // batch))
         tracks = tracks._replace(z=tracks.z[:, :steps], u=None if tracks.u is None else tracks.u[:steps])
         filters = {name: copy.deepcopy(scenario_filter(name, scenario)).compile() for name in names}

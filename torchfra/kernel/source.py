@@ -82,11 +82,11 @@ class Scan:
         Args:
             narrow: whether for one track, in plain C++ that needs no headers of torch; or for many, in vectors.
         """
-        return "".join((*self._parts(Writer(self._step(), narrow), narrow, apart=True), file("run.cpp")))
+        return "".join((*self._parts(Writer(self.step(), narrow), narrow, apart=True), file("run.cpp")))
 
     def cuda(self) -> str:
         """The same for a GPU: one thread for each track, whose tensors come as an argument by value."""
-        writer = Writer(self._step(), True, _LONG)
+        writer = Writer(self.step(), True, _LONG)
         counts = {
             "INPUTS": len(self.carry + self.reads),
             "OUTPUTS": len(self.after + self.writes),
@@ -100,7 +100,7 @@ class Scan:
 
     def parts(self, narrow: bool, name: str = "step") -> tuple[str, str]:
         """What any scan of this dtype needs, and the namespace of this one, whose function is ``block``."""
-        return self._parts(Writer(self._step(), narrow), narrow, name)
+        return self._parts(Writer(self.step(), narrow), narrow, name)
 
     def _parts(self, writer: Writer, narrow: bool, name: str = "step", apart: bool = False) -> tuple[str, str]:
         head, block = (text.replace("SCALAR", SCALARS[self.dtype]) for text in template(narrow))
@@ -109,8 +109,8 @@ class Scan:
             block = block.replace(word, text)
         return (opened(head), opened(block)) if are_in(block) else (head, block)
 
-    def _step(self) -> Step:
-        """The step as its writer needs it."""
+    def step(self) -> Step:
+        """The step as its writer needs it, without what it need not compute each time."""
         carry = [(i, p, e) for p, port in enumerate(self.carry) for e, i in enumerate(port.ids)]
         live = self.live()
         varying, carried, stores = self._varying(live), self._carried(), self._stores()
