@@ -44,6 +44,7 @@ class Ends:
         with refusals_of(type(module).__name__), elementary(), torch.no_grad():
             begun = [entry_ids(as_entries(self._book, x)) for x in flatten(begin(module, *prior))]
             self.made = finish(module, unflatten(step.state, iter(after)), steps)
+        self.values = [k for k, kind in enumerate(step.inputs.values(), len(begun)) if kind.value]
         self.sizes, self.same = list(map(len, begun)), list(map(begun.index, begun))
         self._begun = [ids if k == same else [] for k, (ids, same) in enumerate(zip(begun, self.same, strict=True))]
         self._matched([entry_ids(as_entries(self._book, x)) for x in flatten(steps)], 2 * len(self.sizes) + len(inputs))

@@ -36,7 +36,8 @@ class Whole:
         self._run = ctypes.cast(ready.run, ctypes.c_void_p).value
         count, reads = len(ends.sizes), len(ready.table) // 4 - len(ready.like)
         self._like, self._late = ready.like[count:], [port - reads - count for port in ends.settled]
-        self._begun = ready.tracks if any(track for _, track, _, _ in prior) else 1
+        differ = [*(track for _, track, _, _ in prior), *(ready.table[4 * row + 1] for row in ends.values)]
+        self._begun = ready.tracks if any(differ) else 1
         self._table, end = ready.table[:], 0
         for first, tracks in ((0, self._begun), (reads, ready.tracks)):
             for row, size in enumerate(ends.sizes, first):
