@@ -69,6 +69,14 @@ def test_a_single_track_and_a_grid_of_tracks_and_a_batch_of_hyperparameters(make
     close(f(many.z, many.prior, u=many.u), fast(many.z, many.prior, u=many.u))
 
 
+def test_what_a_filter_begins_with_may_differ_between_tracks(make, tracks, scenario):
+    poor = torch.linspace(0.1, 0.4, len(tracks.z), dtype=torch.float64)
+    chances = torch.stack([poor, 1 - 2 * poor, poor], -1)
+    bank = presets.imm_srckf(scenario.bank, scenario.sensor, initial=chances)
+    for f in (make("gpb", poor=poor, start=1 / poor), bank):
+        close(*both(f, tracks.z, tracks.prior, u=tracks.u))
+
+
 def test_no_tracks_at_all_have_estimates_of_none(make, tracks):
     nothing = Gaussian(*(x[:0] for x in (tracks.prior.mean, tracks.prior.scale_tril.expand(4, 6, 6))))
     slow, fast = both(make("srckf"), tracks.z[:0], nothing, u=tracks.u)
@@ -468,7 +476,7 @@ def test_traces_in_several_threads_are_equal_and_leave_the_module_alone():
 
     module = Decay()
     inputs = {"z": Input(torch.Size([2]), True, False), "rate": Input(torch.Size([]), False, True)}
-    step = Step(module, lambda m: (torch.ones(2, dtype=torch.float64),), advance, inputs, torch.float64)
+    step = Step(module, lambda *_: (torch.ones(2, dtype=torch.float64),), advance, inputs, torch.float64)
     with ThreadPoolExecutor(4) as pool:
         sources = set(pool.map(lambda _: step.backwards((True,), ("z", "rate")).source(), range(16)))
     assert len(sources) == 1

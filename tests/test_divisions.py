@@ -21,7 +21,7 @@ def advance(module, state, data):
 def test_quotients_and_gradients_of_tiny_numbers_are_those_of_torch(tracks):
     z = torch.tensor([[TINY, 3 * TINY], [TINY, 0.0], [0.5, 1.0]], dtype=torch.float64).expand(tracks, 3, 2).clone()
     state = (torch.ones(1, dtype=torch.float64),)
-    step = Step(torch.nn.Module(), lambda m: state, advance, {"z": Input(torch.Size([2]), True, False)}, z.dtype)
+    step = Step(torch.nn.Module(), lambda *_: state, advance, {"z": Input(torch.Size([2]), True, False)}, z.dtype)
     kernels, found, expected = Kernels(step), [], []
     for run, kept in ((lambda x: kernels.run(x.shape[:1], 3, [state[0].expand(tracks, 1)], [x])[1], found),
                       (lambda x: advance(None, state, {"z": x})[1], expected)):  # fmt: skip

@@ -78,7 +78,7 @@ def advance(module, state, data):
 
 def test_a_gradient_names_the_lines_it_is_the_gradient_of():
     inputs = {"z": Input(torch.Size([2]), True, False)}
-    step = Step(torch.nn.Module(), lambda m: (torch.ones(2, dtype=torch.float64),), advance, inputs, torch.float64)
+    step = Step(torch.nn.Module(), lambda *_: (torch.ones(2, dtype=torch.float64),), advance, inputs, torch.float64)
     text = step.backwards((True,), ("z",)).source()
     line = advance.__code__.co_firstlineno + 1
     assert f"// gradient of {Path(__file__).name}:{line} advance\n" in text

@@ -87,7 +87,7 @@ class Step:
 
     Args:
         module: the filter; nobody may change it from here on (see ``frozen``).
-        begin: the state before the first step, from a module.
+        begin: the state before the first step, from a module whose values are entries of a book, and that book.
         advance: one step.
         inputs: what each step reads besides the state, by name.
         dtype: of all numbers.
@@ -101,7 +101,7 @@ class Step:
     def __init__(
         self,
         module: nn.Module,
-        begin: Callable[[nn.Module], Any],
+        begin: Callable[[nn.Module, Expressions], Any],
         advance: Advance,
         inputs: Mapping[str, Input],
         dtype: torch.dtype,
@@ -110,13 +110,22 @@ class Step:
     ) -> None:
         self.module, self._advance, self.inputs = module, advance, inputs
         self.dtype, self.repeated, self.last_first = dtype, repeated, last_first
-        with elementary(), torch.no_grad():
-            self.state = begin(module)
+        with refusals_of(type(module).__name__), elementary(), torch.no_grad():
+            book = Expressions()
+            self.state = begin(self._of_one_track(book), book)
         leaves = flatten(self.state)
         if not all(x.is_floating_point() for x in leaves):
             raise NotImplementedError(f"state: kernels carry floating point numbers, received {self.state}")
         self.zero, self._plain = self._always_zero([as_entries(Expressions(), x.detach()).ids == ZERO for x in leaves])
         self.record = self._plain.record
+
+    def _of_one_track(self, book: Expressions) -> nn.Module:
+        """A copy of the module whose values are unknown: those of tracks differ, and others may be set later."""
+        module = frozen(self.module)
+        for name, kind in self.inputs.items():
+            if kind.value:
+                put_in_place(module, name, Entries.inputs(book, kind.shape, self.dtype))
+        return module
 
     def _always_zero(self, zero: list[Tensor]) -> tuple[list[Tensor], Trace]:
         """The entries of the state that are 0 before the first step and stay 0, and a trace that knows it."""

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.gaussian.inputs import Frame, Measurements
+from torchfra.kernel.expressions import Expressions
 from torchfra.types import Gaussian
 
 _AT_ONCE = 1 << 20
@@ -33,7 +34,7 @@ class Given(NamedTuple):
     like: Any
     """A past and what is needed of the step ahead, whose leaves come first in the data."""
 
-    def begin(self, f: Any) -> Any:
+    def begin(self, f: Any, book: Expressions) -> Any:
         """The state of one track, in which all is unknown but the zeros of lower roots."""
         rank = len(self.batch)
         return _lower(tree.map_tensors(lambda x: torch.ones(x.shape[rank:], dtype=x.dtype), self.state))

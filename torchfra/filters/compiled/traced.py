@@ -19,9 +19,9 @@ from torchfra.linalg.triangular import tria
 from torchfra.types import Estimate, Gaussian
 
 
-def begin(f: Any, targets: Sequence[int] = ()) -> Any:
+def begin(f: Any, book: Expressions, targets: Sequence[int] = ()) -> Any:
     """The state before the first measurement, of scans that of so many ``targets``."""
-    n, dtype, book = f.motion.size, torch.float64, Expressions()
+    n, dtype = f.motion.size, torch.float64
     root = Entries.inputs(book, (*targets, n, n), dtype).ids.tril()
     state = f.begin(Gaussian(Entries.inputs(book, (*targets, n), dtype), Entries(book, root, dtype)))
     if f.home is f:
