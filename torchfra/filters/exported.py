@@ -13,13 +13,14 @@ from torch import Tensor
 from torchfra.filters.base import Filter
 from torchfra.filters.compiled import traced
 from torchfra.hyper import hypers, one_of
+from torchfra.kernel.copies import frozen
 from torchfra.kernel.entries import Entries, as_entries
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.names import KEYWORDS, give
 from torchfra.kernel.refusals import refusals_of
 from torchfra.kernel.source import SCALARS, Port, Scan
 from torchfra.kernel.standalone import Field, Standalone
-from torchfra.kernel.step import Input, Step, frozen
+from torchfra.kernel.step import Input, Step
 from torchfra.linalg.tracing import elementary
 from torchfra.linalg.triangular import tria
 from torchfra.tree import flatten, paths

@@ -13,7 +13,7 @@ from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.refusals import refusals_of
 from torchfra.kernel.source import Port, Scan
 from torchfra.kernel.statements import file
-from torchfra.kernel.step import Step, carried, frozen, put_in_place
+from torchfra.kernel.step import Step, carried
 from torchfra.linalg.tracing import elementary
 from torchfra.tree import flatten, map_tensors, unflatten
 
@@ -34,10 +34,9 @@ class Ends:
     def __init__(
         self, step: Step, begin: Callable[..., Any], finish: Callable[[Any, Any, Any], Any], size: int
     ) -> None:
-        self._step, self._book, module = step, Expressions(), frozen(step.module)
-        inputs = {name: Entries.inputs(self._book, x.shape, step.dtype) for name, x in step.inputs.items()}
-        for name in (name for name, kind in step.inputs.items() if kind.value):
-            put_in_place(module, name, inputs[name])
+        self._step, self._book = step, Expressions()
+        inputs = step.unknown(self._book)
+        module = step.copy_with(inputs)
         prior = [Entries.inputs(self._book, shape, step.dtype) for shape in ((size,), (size, size))]
         after = carried(self._book, step.zero, step.dtype)
         steps = map_tensors(self._two_steps, step.record)

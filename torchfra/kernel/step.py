@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -10,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 import torchfra.kernel.operations  # noqa: F401  fills the table of operations that Entries look up
+from torchfra.kernel.copies import frozen, put_in_place
 from torchfra.kernel.entries import Entries, as_entries, entry_ids
 from torchfra.kernel.expressions import ZERO, Expressions
 from torchfra.kernel.names import give
@@ -51,35 +51,6 @@ class Trace(NamedTuple):
     """Leaves of the record."""
 
 
-def frozen(module: nn.Module, memo: dict[int, nn.Module] | None = None) -> nn.Module:
-    """A copy that no later change of the module reaches.
-
-    Tensors without a gradient, lists, dictionaries and sets are copied, tensors to the CPU, where traces are made;
-    everything else is shared.
-    """
-    memo = {} if memo is None else memo
-    if id(module) not in memo:
-        new = memo[id(module)] = module.__new__(type(module))
-        new.__dict__.update({key: _copied(x) for key, x in module.__dict__.items()})
-        new.__dict__["_buffers"] = {key: _copied(x) for key, x in module._buffers.items()}
-        new.__dict__["_modules"] = {key: x and frozen(x, memo) for key, x in module._modules.items()}
-    return memo[id(module)]
-
-
-def _copied(x: Any) -> Any:
-    if isinstance(x, Tensor):
-        return x if x.requires_grad else x.detach().cpu().clone()
-    return copy.copy(x) if isinstance(x, list | dict | set) else x
-
-
-def put_in_place(module: nn.Module, path: str, x: Tensor) -> None:
-    """Puts a tensor in the place of the parameter, buffer or number of this path."""
-    owner, _, key = path.rpartition(".")
-    part = module.get_submodule(owner)
-    part._parameters.pop(key, None)
-    (part.__dict__ if key in part.__dict__ else part._buffers)[key] = x
-
-
 class Step:
     """One step of a filter for one track.
 
@@ -112,19 +83,22 @@ class Step:
         self.dtype, self.repeated, self.last_first = dtype, repeated, last_first
         with refusals_of(type(module).__name__), elementary(), torch.no_grad():
             book = Expressions()
-            self.state = begin(self._of_one_track(book), book)
+            self.state = begin(self.copy_with(self.unknown(book)), book)
         leaves = flatten(self.state)
         if not all(x.is_floating_point() for x in leaves):
             raise NotImplementedError(f"state: kernels carry floating point numbers, received {self.state}")
         self.zero, self._plain = self._always_zero([as_entries(Expressions(), x.detach()).ids == ZERO for x in leaves])
         self.record = self._plain.record
 
-    def _of_one_track(self, book: Expressions) -> nn.Module:
-        """A copy of the module whose values are unknown: those of tracks differ, and others may be set later."""
+    def unknown(self, book: Expressions) -> dict[str, Entries]:
+        """All inputs, of one track."""
+        return {name: Entries.inputs(book, x.shape, self.dtype) for name, x in self.inputs.items()}
+
+    def copy_with(self, inputs: Mapping[str, Entries]) -> nn.Module:
+        """A copy of the module that has these values: they may differ between tracks, and be set to others later."""
         module = frozen(self.module)
-        for name, kind in self.inputs.items():
-            if kind.value:
-                put_in_place(module, name, Entries.inputs(book, kind.shape, self.dtype))
+        for name in (name for name, kind in self.inputs.items() if kind.value):
+            put_in_place(module, name, inputs[name])
         return module
 
     def _always_zero(self, zero: list[Tensor]) -> tuple[list[Tensor], Trace]:
@@ -137,14 +111,12 @@ class Step:
             zero = still
 
     def _trace(self, zero: Sequence[Tensor], differentiable: bool = False) -> Trace:
-        book, module = Expressions(), frozen(self.module)
-        before = carried(book, zero, self.dtype)
-        inputs = {name: Entries.inputs(book, x.shape, self.dtype) for name, x in self.inputs.items()}
+        book = Expressions()
+        before, inputs = carried(book, zero, self.dtype), self.unknown(book)
         if differentiable:
             for x in (*before, *inputs.values()):
                 x.requires_grad_()
-        for name in (name for name, kind in self.inputs.items() if kind.value):
-            put_in_place(module, name, inputs[name])
+        module = self.copy_with(inputs)
         data = {name: inputs[name] for name, kind in self.inputs.items() if not kind.value}
         name = type(module).__name__
         with refusals_of(name), elementary(), torch.set_grad_enabled(differentiable):

@@ -17,9 +17,10 @@ from torchfra.filters.compiled.step import Data, ReadyStep, ReadySteps, may_be_r
 from torchfra.filters.compiled.tracks import AllReadyTracks, ReadyTracks, WholeTracks
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import Hyper
+from torchfra.kernel.copies import frozen
 from torchfra.kernel.program import Program
 from torchfra.kernel.run import Kernels
-from torchfra.kernel.step import Input, Step, frozen
+from torchfra.kernel.step import Input, Step
 from torchfra.tree import flatten, map_tensors, ranks
 from torchfra.types import Gaussian
 
