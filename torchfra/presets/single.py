@@ -194,5 +194,7 @@ def hghckf(
     Source: Qin et al. (2018), eqs. (53)-(59), with the derivative of the score itself, at the innovation, in place of
     its mean.
     """
-    robust = HuberScore(threshold, eps=eps, cov_mode="indicator", whitening=whitening, zeta_scale=zeta_scale)
-    return with_learning(SRCKF(motion, sensor, rule=rule, robust=robust), learn)
+    return hghckf2(
+        motion, sensor, rule=rule, threshold=threshold, eps=eps, cov_mode="indicator", whitening=whitening,
+        zeta_scale=zeta_scale, learn=learn,
+    )  # fmt: skip
