@@ -3,6 +3,7 @@
 
 import json
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -57,13 +58,15 @@ def test_nan_in_any_letters_is_missing_as_an_empty_cell_is(write, written):
 @pytest.mark.parametrize("written", REFUSED)
 @pytest.mark.parametrize("beside", ["2", "nan"])
 def test_what_only_a_programming_language_or_a_reader_takes_for_a_number_is_refused(write, written, beside):
-    said, itself = "expected a number in data row 2, column x, received", "line contains NUL"  # by csv of Python 3.10
-    with pytest.raises(ValueError, match=f"{said} {re.escape(repr(written))}|{itself}"):
+    old = "\0" in written and sys.version_info < (3, 11)  # whose csv itself reads no NUL
+    said = f"expected a number in data row 2, column x, received {re.escape(repr(written))}"
+    with pytest.raises(ValueError, match="line contains NUL" if old else said):
         read(write(table("t,x,y", (0, beside, 2), (1, written, 2), (2, 1, 2))))
     with pytest.raises(ValueError, match=said):
         read(write([{"t": i, "x": x, "y": 0} for i, x in enumerate([beside, written])], "a.json"))
     ranges = table("t,range,x,y", (0, beside, 0, 0), (1, written, 0, 0), (2, 1, 0, 0))
-    with pytest.raises(ValueError, match=f"expected a number of metres in data row 2, column range, received|{itself}"):
+    said = "expected a number of metres in data row 2, column range, received"
+    with pytest.raises(ValueError, match="line contains NUL" if old else said):
         read_ranges(write(ranges))
 
 

@@ -12,7 +12,7 @@ from torchfra import tree
 from torchfra.filters.base import Mix
 from torchfra.filters.checks import check_models
 from torchfra.filters.gpb.hindsight import GPBPast
-from torchfra.filters.gpb.merging import lifted, log_share, merged, together
+from torchfra.filters.gpb.merging import lifted, merged, together
 from torchfra.filters.gpb.qualities import Qualities, entry
 from torchfra.filters.gpb.regimes import Regimes
 from torchfra.filters.gpb.sensing import Sensing
@@ -183,7 +183,8 @@ class GPB(Sensing):
         before = tree.stack([state.clean, state.dirty], 0)
         predicted, log_ahead, _, _ = self.look_ahead(before, state.log_weights.movedim(-2, 0), frame)
         flat: Gaussian = tree.map_tensors(lambda x: x.flatten(0, 1), predicted)
-        return flat, log_share(log_ahead.flatten(0, 1))
+        log_weights = log_ahead.flatten(0, 1)
+        return flat, log_weights - log_weights.logsumexp(0)
 
     def interact(self, before: Gaussian, log_weights: Tensor, dt: Tensor) -> tuple[Gaussian, Tensor, Shares | None]:
         """The motions ``(2, ..., K)`` mixed, log weights ``(2, ..., R)`` of the regimes ahead, and who contributed.

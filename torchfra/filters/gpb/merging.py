@@ -51,8 +51,3 @@ def together(beliefs: Gaussian, log_weights: Tensor, motion: Motion) -> Gaussian
     flat = Gaussian(mean.flatten(0, 1), root.flatten(0, 1))
     belief = moment_match(flat, log_weights.movedim(-1, 0).flatten(0, 1), motion.angles)
     return belief._replace(mean=motion.canonical(belief.mean))
-
-
-def log_share(log_weights: Tensor) -> Tensor:
-    """The same, so that the exponentials sum to one over the first dimension."""
-    return log_weights - log_weights.logsumexp(0)
