@@ -8,6 +8,8 @@
 LANES1(sqrt_, sqrt)
 LANES1(abs_, fabs)
 LANES2(atan2_, atan2)
+LANES1(exp_, exp)
+LANES1(log_, log)
 
 namespace {
 constexpr int64_t W = 1;
@@ -21,7 +23,7 @@ INLINE void put(const Entries<Scalar>& x, int64_t entry, V v) { *x[entry] = v; }
 INLINE void mark(const Entries<bool>& x, int64_t entry, M v) { *x[entry] = v; }
 INLINE V kept(M m) { return m; }
 INLINE M truth(V v) { return v != 0; }
-INLINE bool any(M m) { return m; }
+INLINE bool within(V a, Scalar least, Scalar most) { return !(a < least) & !(a > most); }
 template <int64_t PLACES> INLINE void guarded(
     V (*s)[PLACES], int64_t, int place, bool value, void (*region)(V*), const Values&, const Values&) {
   if (truth(s[0][place]) == value) region(s[0]);

@@ -34,7 +34,7 @@ def cost(book: Expressions, numbers: Iterable[int]) -> int:
     return sum(COSTS.get(book.nodes[i][0], 1) for i in numbers)
 
 
-def pieces(book: Expressions, live: Sequence[int], ends: Iterable[int], length: int | None = None) -> list[Piece]:
+def pieces(book: Expressions, live: Sequence[int], ends: Sequence[int], length: int | None = None) -> list[Piece]:
     """A step in an order in which it can be computed, with what only some tracks need apart.
 
     Args:
@@ -45,7 +45,7 @@ def pieces(book: Expressions, live: Sequence[int], ends: Iterable[int], length: 
     """
     guards = regions(book, live, conditions(book, live, ends))
     before = {i: [a for a in (*book.nodes[i][1], *(guards[i] or ())[:1]) if a in guards] for i in live}
-    groups = _groups(_ordered(live, before), before, guards, {i for i in live if book.nodes[i][0] == "input"})
+    groups = _groups(_ordered(live, before, ends), before, guards, {i for i in live if book.nodes[i][0] == "input"})
     return [
         Piece(part, guard)
         for (_, guard), group in sorted(groups.items(), key=lambda item: item[0][0])
@@ -116,14 +116,21 @@ def regions(
     return guards
 
 
-def _ordered(live: Sequence[int], before: Mapping[int, Sequence[int]]) -> list[int]:
-    """Expressions behind all that must come before them, else as they are."""
-    done: dict[int, None] = {}
+def _ordered(live: Sequence[int], before: Mapping[int, Sequence[int]], ends: Sequence[int]) -> list[int]:
+    """Expressions behind all that must come before them, and soon after: few values wait at any time.
+
+    From the last end to the first, each behind the longest chain that leads to it.  (In the order in which a step is
+    traced, all hypotheses of a filter would go through each operation together.)
+    """
+    lengths: dict[int, int] = {}
     for number in live:
-        todo = [number]
+        lengths[number] = 1 + max((lengths.get(i, 0) for i in before[number]), default=0)
+    done: dict[int, None] = {}
+    for number in [*reversed(ends), *live]:
+        todo = [number] if number in before else []
         while todo:
             missing = [i for i in before[todo[-1]] if i not in done]
-            todo += missing[::-1]
+            todo += sorted(missing, key=lengths.__getitem__)
             if not missing:
                 done[todo.pop()] = None
     return list(done)

@@ -4,35 +4,34 @@ using int64_t = long long;
 #define INFINITY __int_as_float(0x7f800000)
 #else
 #include <math.h>
+#include <cstddef>
 #include <cstdint>
 #endif
 
-// Functions that are called once for each track and step, those that hardly ever are, the same where parts are compiled apart,
-// small ones, and tables of places: where and how; what is nearly always true.
+// Functions that are called once for each track and step, the same where parts are compiled apart, those that are never called but
+// written where they are used, and tables of places: where and how; what is nearly always true.
 #ifdef __CUDACC__
 #define NOINLINE static __device__ __noinline__
-#define COLD NOINLINE
 #define EXPECT(x) (x)
 #define INLINE __device__ __forceinline__
 #define TABLE __device__ const short
 #elif defined(_MSC_VER)
 #define NOINLINE static __declspec(noinline)
-#define COLD NOINLINE
 #define EXPECT(x) (x)
 #define SHARED __declspec(noinline)
-#define INLINE inline
+#define INLINE __forceinline
 #define TABLE constexpr short
 #else
 #define NOINLINE static __attribute__((noinline))
-#define COLD static __attribute__((noinline, cold))
 #define EXPECT(x) __builtin_expect(x, 1)
 #define SHARED __attribute__((noinline, visibility("hidden")))
-#define INLINE inline
+#define INLINE inline __attribute__((always_inline))
 #define TABLE constexpr short
 #endif
 
 namespace {
 using Scalar = SCALAR;
+constexpr bool DOUBLE = sizeof(Scalar) == 8;
 
 // A tensor: where it is, and how far it is to the next track, the next step, the next entry.
 struct Port { char* data; int64_t track, time, entry; };
@@ -46,7 +45,7 @@ template <class T> struct Entries {
   bool past;
   INLINE Entries(const Port& p, const Block& at)
       : first(reinterpret_cast<T*>(p.data) + at.first * p.track + at.step * p.time), track(p.track), entry(p.entry), lanes(at.lanes),
-        past(at.past) {}
+        past(at.past && (reinterpret_cast<size_t>(first) | entry * sizeof(T)) % 64 == 0) {}
   INLINE T* operator[](int64_t number) const { return first + number * entry; }
 };
 // Places of values: those that a region of a step takes from the rest of it, or those that it gives.
@@ -54,9 +53,7 @@ struct Values { const short* places; int count; };
 }  // namespace
 
 // LANES
-FUNCTION1(exp_, exp, 10)
 FUNCTION1(expm1_, expm1, 10)
-FUNCTION1(log_, log, 10)
 FUNCTION1(log1p_, log1p, 10)
 FUNCTION1(erf_, erf, 10)
 FUNCTION1(erfc_, erfc, 15)
@@ -82,10 +79,9 @@ INLINE V max_(const V& a, const V& b) { return (a > b) | (a != a) ? a : b; }
 INLINE V min_(const V& a, const V& b) { return (a < b) | (a != a) ? a : b; }
 
 // Sums of squares from LEAST to MOST have lost nothing to under- or overflow; outside, factors UP and DOWN bring them there.
-constexpr bool wide = sizeof(Scalar) == 8;
-constexpr Scalar LEAST = wide ? 0x1p-960 : 0x1p-100, MOST = wide ? 0x1p1000 : 0x1p120;
-constexpr Scalar LOWEST = wide ? 0x1p-1022 : 0x1p-126;  // that is normal
-constexpr Scalar UP = wide ? 0x1p600 : 0x1p90, DOWN = wide ? 0x1p-600 : 0x1p-90;
+constexpr Scalar LEAST = DOUBLE ? 0x1p-960 : 0x1p-100, MOST = DOUBLE ? 0x1p1000 : 0x1p120;
+constexpr Scalar LOWEST = DOUBLE ? 0x1p-1022 : 0x1p-126;  // that is normal
+constexpr Scalar UP = DOUBLE ? 0x1p600 : 0x1p90, DOWN = DOUBLE ? 0x1p-600 : 0x1p-90;
 // Four at a time: none waits for all that come before it.
 template <class... A> INLINE V sum_of_squares(const V& a, const A&... more) {
   return ((a * a) + ... + (more * more));
@@ -95,22 +91,15 @@ template <class... A> INLINE V sum_of_squares(const V& a, const V& b, const V& c
   if constexpr (sizeof...(more) == 0) return four;
   else return four + sum_of_squares(more...);
 }
-// In the place of the first: others keep what they have without scaling, to the bit.
-COLD void scaled_norm(V* a, int count, const V& squares) {
-  const M small = squares < LEAST, large = squares > MOST;
-  const V factor = small ? all(UP) : large ? all(DOWN) : all(1);
-  V sum = all(0);
-  for (int i = 0; i < count; i++) sum += (a[i] * factor) * (a[i] * factor);
-  const V norm = sqrt_(sum) / factor;
-  a[0] = !(small | large) ? sqrt_(squares) : norm < LOWEST ? all(0) : norm;  // its inverse would not be finite
-}
-// The Euclidean norm, scaled where that is needed: hardly ever.
+// The Euclidean norm, scaled where that is needed: hardly ever.  Others keep what they have without scaling, to the bit.  No
+// function is called, so that the values of a step stay in registers.
 template <class... A> INLINE V norm_(const A&... a) {
   const V squares = sum_of_squares(a...);
-  if (EXPECT(!any((squares < LEAST) | (squares > MOST)))) return sqrt_(squares);
-  V all_of_them[] = {a...};
-  scaled_norm(all_of_them, sizeof...(a), squares);
-  return all_of_them[0];
+  if (EXPECT(within(squares, LEAST, MOST))) return sqrt_(squares);
+  const M small = squares < LEAST, large = squares > MOST;
+  const V factor = small ? all(UP) : large ? all(DOWN) : all(1);
+  const V norm = sqrt_(sum_of_squares(a * factor...)) / factor;
+  return !(small | large) ? sqrt_(squares) : norm < LOWEST ? all(0) : norm;  // its inverse would not be finite
 }
 }  // namespace
 
