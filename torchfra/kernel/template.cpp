@@ -4,7 +4,6 @@ using int64_t = long long;
 #define INFINITY __int_as_float(0x7f800000)
 #else
 #include <math.h>
-#include <cstddef>
 #include <cstdint>
 #endif
 
@@ -45,7 +44,7 @@ template <class T> struct Entries {
   bool past;
   INLINE Entries(const Port& p, const Block& at)
       : first(reinterpret_cast<T*>(p.data) + at.first * p.track + at.step * p.time), track(p.track), entry(p.entry), lanes(at.lanes),
-        past(at.past && (reinterpret_cast<size_t>(first) | entry * sizeof(T)) % 64 == 0) {}
+        past(at.past && (reinterpret_cast<int64_t>(first) | entry * int64_t(sizeof(T))) % 64 == 0) {}
   INLINE T* operator[](int64_t number) const { return first + number * entry; }
 };
 // Places of values: those that a region of a step takes from the rest of it, or those that it gives.
