@@ -2,6 +2,7 @@
 
 import contextlib
 import copy
+import gc
 import os
 import shutil
 import subprocess
@@ -15,12 +16,25 @@ from short_tracks import short
 from torchfra import presets, scenarios
 from torchfra.kernel import compilers
 
+gc.disable()  # while modules are imported and tests are collected, of which nothing is garbage
+
 PRESETS = ["ekf", "ukf", "srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "iaukf", "fra_srckf", "fra", "gpb"]
 STEPS = 12
 
 
 def pytest_addoption(parser):
     parser.addoption("--thorough", action="store_true", help="all combinations of options in the battery of filters")
+
+
+def pytest_collection_modifyitems(items):
+    """Slow tests come first, so that no worker begins with one when the others have nothing left to do."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
+def pytest_collection_finish():
+    """From here on garbage is collected, without looking through modules and tests each time."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

@@ -319,8 +319,8 @@ def test_learned_values_are_called_by_their_folder_and_large_numbers_are_short()
 def test_filters_tuned_to_a_cell_err_less_there_and_say_by_how_much_they_changed(tmp_path):
     scenario = scenarios.bearings_outliers("none", initial="truth")  # its targets move without any process noise
     f = {
-        "srckf": presets.srckf(scenario.motion, scenario.sensor),
-        "rsrckf": presets.rsrckf(scenario.motion, scenario.sensor),
+        "srckf": presets.srckf(scenario.motion, scenario.sensor).compile(),
+        "rsrckf": presets.rsrckf(scenario.motion, scenario.sensor).compile(),
     }
     before = {name: one.state_dict() for name, one in f.items()}
     tuned, factors = tuning.specialists(f, scenario, seed=5)

@@ -38,7 +38,8 @@ SHORT = 'tasks=[{"scenario":"bearings-outliers","options":{"outliers":"std","ini
 
 
 def train(out, *arguments):
-    return tune.main(["fra_bearings", *SMALL, SHORT, *arguments, "--out", str(out), "--quiet"])
+    with short():
+        return tune.main(["fra_bearings", *SMALL, SHORT, *arguments, "--out", str(out), "--quiet"])
 
 
 def prepare(name, *changes):
@@ -329,7 +330,8 @@ def test_all_learns_all():
 
 @pytest.mark.slow
 def test_two_processes_train_as_one_does(unbroken, tmp_path):
-    run_in_two(tune.main, ["fra_bearings", *SMALL, SHORT, "--quiet", "--out", str(tmp_path)])
+    with short():
+        run_in_two(tune.main, ["fra_bearings", *SMALL, SHORT, "--quiet", "--out", str(tmp_path)])
     one, two = (log_of(out) for out in (unbroken, tmp_path))
     assert len(one) == len(two)
     for a, b in zip(one, two, strict=True):
@@ -341,8 +343,9 @@ def test_two_processes_compare_as_one_does(tmp_path):
     arguments = ["compare", "--scenario", "bearings-outliers", "--outliers", "std", "--runs", "5", "--filters",
                  "srckf,fra", "--quiet", "--figure", str(tmp_path / "f.png"), "--json"]  # fmt: skip
     one, two = tmp_path / "1.json", tmp_path / "2.json"
-    assert cli.main([*arguments, str(one)]) == 0
-    run_in_two(cli.main, [*arguments, str(two)])
+    with short():
+        assert cli.main([*arguments, str(one)]) == 0
+        run_in_two(cli.main, [*arguments, str(two)])
     results = [json.loads(path.read_text().replace("null", "NaN"))["filters"] for path in (one, two)]
     for name, figures in results[0].items():
         for key in figures.keys() - {"microseconds", "relative_time"}:

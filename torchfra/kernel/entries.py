@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_flatten
 
 from torchfra.kernel.expressions import Expressions
 
@@ -70,12 +69,26 @@ class Entries(Tensor):
     @classmethod
     def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:  # type: ignore[override]
         kwargs = kwargs or {}
-        book = next(x.book for x in tree_flatten((args, kwargs))[0] if isinstance(x, Entries))
+        book = next(x.book for x in leaves((*args, *kwargs.values())) if isinstance(x, Entries))
         rule = RULES.get(func)
         if rule is None:
             raise unsupported(func, "it is not among them")
         book.here = book.origins.here()
         return rule(book, func, args, kwargs)
+
+
+def leaves(arguments: Iterable[Any]) -> Iterator[Any]:
+    """The arguments of an operation, and in place of lists what is in them."""
+    for x in arguments:
+        if isinstance(x, list | tuple):
+            yield from leaves(x)
+        else:
+            yield x
+
+
+def each(function: Callable[[Any], Any], x: Any) -> Any:
+    """What a function gives for an argument or a result of an operation; a list for each in a list."""
+    return [each(function, y) for y in x] if isinstance(x, list | tuple) else function(x)
 
 
 def as_entries(book: Expressions, x: Any) -> Entries:

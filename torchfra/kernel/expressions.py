@@ -52,11 +52,10 @@ class Expressions:
         self.constant(0.0)
 
     def _new(self, op: str, args: tuple[int, ...], *more: object) -> int:
-        key = (op, args, *more)
-        if key not in self._known:
-            self._known[key] = len(self.nodes)
+        number = self._known.setdefault((op, args, *more), len(self.nodes))
+        if number == len(self.nodes):
             self._append(op, args)
-        return self._known[key]
+        return number
 
     def constant(self, value: float) -> int:
         """A known number; True is 1 and False is 0."""
@@ -85,10 +84,10 @@ class Expressions:
             return self.constant(_FOLD[op](*known))
         if op in ("sqrt", "exp", "log", "sin", "cos") and known[0] is not None and known[0] > 0:
             return self.constant(getattr(math, op)(known[0]))
-        simple = getattr(self, f"_{op}", None)
-        simplified = None if simple is None else simple(args, known)
+        simple = _SIMPLE.get(op)
+        simplified = None if simple is None else simple(self, args, known)
         if simplified is not None:
-            return int(simplified)
+            return simplified
         if op in ("add", "mul", "and", "or", "eq", "max", "min"):
             args = tuple(sorted(args))
         return self._new(op, args)
@@ -183,3 +182,11 @@ class Expressions:
             if value is not None:
                 return self.constant(1.0) if value else b
         return args[0] if args[0] == args[1] else None
+
+
+_SIMPLE: dict[str, Callable[[Expressions, tuple[int, ...], list[float | None]], int | None]] = {
+    "add": Expressions._add, "sub": Expressions._sub, "mul": Expressions._mul, "div": Expressions._div,
+    "neg": Expressions._neg, "norm": Expressions._norm, "not": Expressions._not, "select": Expressions._select,
+    "and": Expressions._and, "or": Expressions._or,
+}  # fmt: skip
+"""What simplifies an operation; None where it does not."""

@@ -12,9 +12,8 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_flatten, tree_map
 
-from torchfra.kernel.entries import Entries, as_entries, from_numbers, unsupported
+from torchfra.kernel.entries import Entries, as_entries, each, from_numbers, leaves, unsupported
 from torchfra.kernel.entrywise import integer, number, truth_value
 from torchfra.kernel.expressions import ZERO, Expressions
 
@@ -50,7 +49,7 @@ _LAYOUT = ("dtype", "layout", "device", "pin_memory", "memory_format")
 def move(book: Expressions, func: Any, args: Any, kwargs: Any) -> Any:
     """Moves entries by moving the numbers of their expressions."""
     indexed = func in INDEXED
-    if indexed and any(isinstance(x, Entries) for x in tree_flatten(args[1:])[0]):
+    if indexed and any(isinstance(x, Entries) for x in leaves(args[1:])):
         if func is aten.gather.default:
             return _gather(*args, **kwargs)
         raise unsupported(func, "the index depends on data; choose by torch.where")
@@ -62,14 +61,14 @@ def move(book: Expressions, func: Any, args: Any, kwargs: Any) -> Any:
         return as_entries(book, x).ids if is_moved(x) else x
 
     func = aten.reshape.default if func in (aten.view.default, aten._unsafe_view.default) else func
-    dtype = reduce(torch.promote_types, (x.dtype for x in tree_flatten(args)[0] if is_moved(x)))
-    moved = func(*tree_map(ids, args), **{k: v for k, v in kwargs.items() if k not in _LAYOUT})
-    return tree_map(lambda x: Entries(book, x, dtype), moved)
+    dtype = reduce(torch.promote_types, (x.dtype for x in leaves(args) if is_moved(x)))
+    moved = func(*each(ids, args), **{k: v for k, v in kwargs.items() if k not in _LAYOUT})
+    return each(lambda x: Entries(book, x, dtype), moved)
 
 
 def shaped(book: Expressions, func: Any, args: Any, kwargs: Any) -> Any:
     """Makes a tensor of known values that needs nothing but the shape of its argument."""
-    return Entries.constants(book, func(*tree_map(_zeros, args), **kwargs))
+    return Entries.constants(book, func(*each(_zeros, args), **kwargs))
 
 
 def _zeros(x: Any) -> Any:

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.nn.functional import pad
 
+from torchfra.linalg.batches import common_batch
 from torchfra.linalg.safe import safe_divide
 from torchfra.linalg.tracing import is_elementary, is_traced
 
@@ -151,8 +152,7 @@ def _norms(a: Tensor) -> Tensor:
 def _reflect(a: Tensor) -> Tensor:
     """``torch.linalg.qr`` without its extra copy, and without ``triu``, which starts threads even for small inputs."""
     n = a.shape[-2]
-    reflected = torch.geqrf(a.mT)[0][..., :n, :].mT
-    lower: Tensor = reflected * _minus_lower(n, a.dtype, a.device)
+    lower: Tensor = torch.geqrf(a.mT)[0][..., :n, :].mT * _minus_lower(n, a.dtype, a.device)
     return lower
 
 
@@ -235,14 +235,14 @@ def whiten(root: Tensor, vector: Tensor) -> Tensor:
 def hstack(*blocks: Tensor) -> Tensor:
     """Matrices ``(..., n, p_i)`` side by side; their batch dimensions are broadcast."""
     if len({b.shape[:-2] for b in blocks}) > 1:
-        batch = torch.broadcast_shapes(*(b.shape[:-2] for b in blocks))
+        batch = common_batch(b.shape[:-2] for b in blocks)
         blocks = tuple(b.expand(batch + b.shape[-2:]) for b in blocks)
     return torch.cat(blocks, -1)
 
 
 def block_diagonal(blocks: Sequence[Tensor]) -> Tensor:
     """Matrices ``(..., n_i, p_i)`` along the diagonal of one; their batch dimensions are broadcast."""
-    batch = torch.broadcast_shapes(*(b.shape[:-2] for b in blocks))
+    batch = common_batch(b.shape[:-2] for b in blocks)
     wide, before, rows = sum(b.shape[-1] for b in blocks), 0, []
     for block in blocks:
         rows.append(pad(block, (before, wide - before - block.shape[-1])).expand(*batch, -1, -1))

@@ -22,6 +22,8 @@ from torchfra.types import Estimate
 
 MOST_RUNS = 10**9
 """More would take years, and more memory than there is."""
+_FIRST = 5
+"""Steps of a first call that is not timed."""
 
 
 def evaluate(
@@ -139,9 +141,9 @@ def _accumulate(
     """Metrics of the runs of this process."""
     metrics = {name: RunningMetrics(scenario.quantities) for name in filters}
     with torch.no_grad():
-        few = scenario.simulate(min(len(share), chunk), seed)
-        for f in filters.values():
-            run(f, scenario, few)  # not timed: the first call allocates memory
+        first_call = scenario.simulate(min(len(share), chunk), seed)
+        for f in filters.values():  # not timed: it allocates memory, and gets compiled filters ready for tracks so long
+            run(f, scenario, _beginning(first_call) if f._kernels is None else first_call)
         for first in progress_bar(share[::chunk], f"{chunk} runs", progress):
             tracks = scenario.simulate(min(chunk, share.stop - first), seed, first=first)
             for name, f in filters.items():
@@ -150,6 +152,12 @@ def _accumulate(
                 metrics[name].add(estimate, tracks.truth, time.perf_counter() - start, _single(tracks.z))
                 del estimate  # before the next one is made
     return metrics
+
+
+def _beginning(tracks: Tracks) -> Tracks:
+    """The first steps, each of which an interpreted filter computes as it computes all others."""
+    u = tracks.u if tracks.u is None else tracks.u[..., :_FIRST, :]
+    return tracks._replace(truth=tracks.truth[..., :_FIRST, :], z=tracks.z[:, :_FIRST], u=u)
 
 
 def _single(z: Tensor) -> Tensor | None:
