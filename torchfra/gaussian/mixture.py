@@ -56,11 +56,18 @@ def shared(log_weights: Tensor) -> tuple[Tensor, Tensor]:
 
     One exponential for each gives both.
     """
-    top = log_weights.detach().amax(0)
-    top = torch.where(top == -torch.inf, 0.0, top)  # where nothing counts
+    if len(log_weights) == 1:
+        return torch.ones_like(log_weights), log_weights[0]
+    top = largest(log_weights, 0)
     roots = (0.5 * (log_weights - top)).exp()
     total = roots.square().sum(0)
     return roots / total.sqrt(), top + total.log()
+
+
+def largest(log_weights: Tensor, dim: int, keepdim: bool = False) -> Tensor:
+    """The largest of logs of weights, without a gradient; 0 where nothing counts."""
+    top = log_weights.detach().amax(dim, keepdim)
+    return torch.where(top == -torch.inf, 0.0, top)
 
 
 def missed_or_hit(missed: Gaussian, hit: Gaussian, log_weights: Tensor) -> Gaussian:
