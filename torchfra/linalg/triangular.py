@@ -104,8 +104,7 @@ def _orthogonalise(a: Tensor) -> Tensor:
         below = (rest * unit).sum(-1, keepdim=True)
         rest = rest - below * unit
         columns.append(pad(torch.cat([norm, below], -2), (0, 0, j, 0)))
-    missing = a.shape[-2] - len(columns)  # of a tall matrix: nothing is left of its last rows
-    return pad(torch.cat(columns, -1), (0, missing))
+    return pad(torch.cat(columns, -1), (0, a.shape[-2] - len(columns)))  # of a tall matrix no more is left
 
 
 def eliminated(a: Tensor, count: int, rounding: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -210,7 +209,7 @@ class _MovingTria(_Tria):
 def _rotated(a: Tensor, lower: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """``L``, the same with ones for zero pivots, ``Q^T``, and which pivots are not zero."""
     rounding = 4 * sum(a.shape[-2:]) * torch.finfo(a.dtype).eps
-    nonzero = lower.diagonal(dim1=-2, dim2=-1) > rounding * _norms(a).squeeze(-1)
+    nonzero = lower.diagonal(dim1=-2, dim2=-1) > rounding * lower.abs().sum(-1)  # not the norms, which take roots
     root = lower + torch.diag_embed((~nonzero).to(a.dtype))
     return lower, root, torch.linalg.solve_triangular(root, a, upper=False), nonzero
 
