@@ -84,7 +84,7 @@ def particle_filter(f: GPB, z: Tensor, prior: Gaussian, u: Tensor | None, count:
 def first(f: GPB, prior: Gaussian, count: int, rng: torch.Generator) -> Particles:
     """Two for each regime: the prior as given, and widened."""
     mean, root = prior
-    log_renew, poor = f.regimes.log_renew(mean), f.poor(mean)
+    log_renew, poor = f.regimes.renewed(mean).log(), f.poor(mean)
     regimes = len(log_renew)
     roots = torch.stack([root, f.start(mean).sqrt() * root]).repeat_interleave(regimes, 0)
     weights = (torch.stack([torch.log1p(-poor), poor.log()]).unsqueeze(-1) + log_renew).flatten()
@@ -96,11 +96,11 @@ def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generat
     """The mean ``(n,)`` over all continuations, and those that are kept."""
     mean, spread, noise, _ = propagate(f.motion, f.motion_rule, one_motion(before.belief), frame)
     still = f.regimes.predictions(mean, spread, noise.expand(len(mean), *noise.shape[-3:]))
-    predicted, far = f.with_jumps(still, frame)
+    predicted, _, far = f.with_jumps(still, frame)
     whitened = f.compare(f.read(predicted), frame)  # of (R, N)
     sizes = f.qualities.sizes(mean)
     sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])[:, None, None].expand(-1, *whitened.residual.shape[:-1])
-    sizes = f.qualities.grown(sizes, whitened.residual, (1 - frame.seen).sum())  # (C, R, N)
+    sizes = f.qualities.grown(sizes, whitened.residual, 1 - frame.seen)  # (C, R, N)
     rooted = [innovation(down_weight(whitened, (1 / s).unsqueeze(-1).expand_as(whitened.residual))) for s in sizes]
     told = torch.stack([density(*pair) for pair in rooted])  # (C, R, N)
     told = told - 0.5 * frame.seen.sum() * sizes.log()
@@ -125,10 +125,7 @@ def one_motion(belief: Gaussian) -> Gaussian:
 def log_ahead(f: GPB, before: Particles) -> Tensor:
     """Logs ``(R, N)`` of the odds of each regime after those of the particles."""
     like = before.belief.mean[0]
-    log_stay, log_leave = f.regimes.log_stay(like)
-    drawn = log_leave.unsqueeze(-1) + f.regimes.log_renew(like)  # (R, R), [was, now]
-    log_chain = torch.logaddexp(drawn, log_stay.exp().diag().log())
-    return log_chain[before.regime].mT
+    return f.regimes.transition(like)[before.regime].mT
 
 
 def log_quality(f: GPB, before: Particles) -> Tensor:

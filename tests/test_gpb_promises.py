@@ -9,8 +9,8 @@ from one_graph import needs_one_graph
 from test_compile import close
 from test_gpb import ANCHORS, MOTION, PRIOR, SENSORS, STEPS, VALUES, measured, tensor
 
-from torchfra import presets, scenarios
-from torchfra.motion import ConstantAcceleration, CoordinatedTurn
+from torchfra import presets, scenarios, tree
+from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn
 from torchfra.sensors import Position, Ranges
 from torchfra.types import Gaussian
 
@@ -193,3 +193,25 @@ def test_a_state_may_be_a_single_number():
     tracks = scenario.simulate(3)
     estimate = presets.gpb(scenario.motion, scenario.sensor)(tracks.z, tracks.prior, u=tracks.u)
     assert not estimate.failed.any()
+
+
+NEVER = {
+    "no outliers": ({"qualities": ((1.0, 0.0), (1.0, 0.0))}, {"qualities": ((1 - 1e-15, 1e-15), (1 - 1e-15, 1e-15))}),
+    "no poor start": ({"poor": 0.0}, {"poor": 1e-15}),
+    "no other regime": ({"renew": (1.0, 0.0, 0.0, 0.0)}, {"renew": (1 - 3e-15, 1e-15, 1e-15, 1e-15)}),
+}
+"""Probabilities of 0, and nearly so."""
+
+
+@pytest.mark.parametrize("motions", [1, 3])
+@pytest.mark.parametrize("never", NEVER)
+def test_what_never_happens_is_as_what_hardly_ever_does(never, motions):
+    bank = [ConstantVelocity(q) for q in (1.0, 5.0, 0.2)][:motions]
+    prior = Gaussian(torch.zeros(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64))
+    z = 2 * torch.randn(5, 20, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    nothing, hardly = (presets.gpb(bank, Position(2.0), **values)(z, prior) for values in NEVER[never])
+    for ours, expected in zip(tree.flatten(nothing), tree.flatten(hardly), strict=True):
+        torch.testing.assert_close(ours, expected, rtol=1e-6, atol=1e-6)
+    compiled = presets.gpb(bank, Position(2.0), **NEVER[never][0]).compile()(z, prior)
+    for ours, expected in zip(tree.flatten(compiled), tree.flatten(nothing), strict=True):
+        torch.testing.assert_close(ours, expected, rtol=1e-10, atol=1e-10)

@@ -12,7 +12,7 @@ from torchfra.filters.base import Filter, Mix
 from torchfra.filters.hindsight import ModelsStep
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import models_first, moment_match, repeated, without_failed
+from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, shared, without_failed
 from torchfra.gaussian.update import density
 from torchfra.linalg.triangular import whiten
 from torchfra.motion.base import Motion
@@ -41,8 +41,9 @@ def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame:
     assert record.residual is not None
     log_density = without_failed(density(record.root, record.normalised))
     log_weights = predicted + (log_density if record.evidence is None else without_failed(record.evidence))
-    log_weights = log_weights - log_weights.logsumexp(-1, keepdim=True)  # eq. (9)
-    belief = moment_match(models_first(record.belief), log_weights.movedim(-1, 0), motion.angles)  # eqs. (10), (11)
+    roots, total = shared(log_weights.movedim(-1, 0))
+    log_weights = log_weights - total.unsqueeze(-1)  # eq. (9)
+    belief = matched(models_first(record.belief), roots, motion.angles)  # eqs. (10), (11)
     belief = belief._replace(mean=motion.canonical(belief.mean))
     innovation = moment_match(models_first(Gaussian(record.residual, record.root)), predicted.movedim(-1, 0))
     normalised = whiten(innovation.scale_tril, innovation.mean)
@@ -53,14 +54,12 @@ def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame:
 
 def interaction(log_weights: Tensor, matrix: Tensor, motion: Motion) -> tuple[Tensor, Mix]:
     """Logs ``(..., K)`` of the models' probabilities after a transition, and what mixes their beliefs for it."""
-    joint = matrix + log_weights.unsqueeze(-1)
-    predicted = joint.logsumexp(-2)  # eq. (5): (..., K) before the measurement
-    shares = (joint - predicted.unsqueeze(-2)).movedim(-2, 0)  # eq. (6): [was, ..., now]
+    joint = (matrix + log_weights.unsqueeze(-1)).movedim(-2, 0)  # [was, ..., now]
+    roots, predicted = shared(joint)  # eqs. (6), by square roots, and (5): (..., K) before the measurement
 
     def interact(belief: Gaussian) -> Gaussian:
         """Eqs. (7), (8)."""
-        mean, root = models_first(belief)
-        return moment_match(repeated(Gaussian(mean, root), shares.shape[-1]), shares, motion.angles)
+        return matched(repeated(models_first(belief), joint.shape[-1]), roots, motion.angles)
 
     return predicted, interact
 

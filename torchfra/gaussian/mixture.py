@@ -16,7 +16,8 @@ from torchfra.types import Gaussian
 def moment_match(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] = ()) -> Gaussian:
     """The Gaussian with the mean and the covariance of a mixture.
 
-    ``tria([sqrt(w_i) S_i, sqrt(w_i) (mean_i - mean)])`` over all i: no covariance is formed.
+    ``tria([sqrt(w_i) S_i, sqrt(w_i) (mean_i - mean)])`` over all i, and ``tria([sqrt(w_1) S_1, sqrt(w_2) S_2,
+    sqrt(w_1 w_2) (mean_1 - mean_2)])`` of two: no covariance is formed.
 
     Args:
         beliefs: ``mean (K, ..., n)`` and ``scale_tril (K, ..., n, n)``, the K beliefs on the first dimension; any
@@ -43,12 +44,16 @@ def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = ()) -> Gau
     mean = torch.where(counts.unsqueeze(-1), beliefs.mean, 0.0)
     if angles:
         mean = _together(mean, roots, angles)
-    middle = (roots.square().unsqueeze(-1) * mean).sum(0)
+    if len(roots) == 2:  # one column for both means, as their shares sum to one
+        between = mean[1] - mean[0]
+        middle = mean[0] + roots[1].square().unsqueeze(-1) * between
+        apart = ((roots[0] * roots[1]).unsqueeze(-1) * between).unsqueeze(-1).unsqueeze(0)
+    else:
+        middle = (roots.square().unsqueeze(-1) * mean).sum(0)
+        apart = (roots.unsqueeze(-1) * (mean - middle)).unsqueeze(-1)
     spread = roots[..., None, None] * torch.where(counts[..., None, None], beliefs.scale_tril, 0.0)
-    apart = (roots.unsqueeze(-1) * (mean - middle)).unsqueeze(-1)
     zeros = torch.zeros_like(middle).unsqueeze(-1).expand(*middle.shape, middle.shape[-1])
-    columns = [x for pair in zip(spread.unbind(), apart.unbind(), strict=True) for x in pair]
-    return Gaussian(middle, tria(torch.cat([zeros, *columns], -1), padded=True))
+    return Gaussian(middle, tria(torch.cat([zeros, *spread.unbind(), *apart.unbind()], -1), padded=True))
 
 
 def shared(log_weights: Tensor) -> tuple[Tensor, Tensor]:
@@ -56,11 +61,18 @@ def shared(log_weights: Tensor) -> tuple[Tensor, Tensor]:
 
     One exponential for each gives both.
     """
-    top = log_weights.detach().amax(0)
-    top = torch.where(top == -torch.inf, 0.0, top)  # where nothing counts
+    if len(log_weights) == 1:
+        return torch.ones_like(log_weights), log_weights[0]
+    top = largest(log_weights, 0)
     roots = (0.5 * (log_weights - top)).exp()
     total = roots.square().sum(0)
     return roots / total.sqrt(), top + total.log()
+
+
+def largest(log_weights: Tensor, dim: int, keepdim: bool = False) -> Tensor:
+    """The largest of logs of weights, without a gradient; 0 where nothing counts."""
+    top = log_weights.detach().amax(dim, keepdim)
+    return torch.where(top == -torch.inf, 0.0, top)
 
 
 def missed_or_hit(missed: Gaussian, hit: Gaussian, log_weights: Tensor) -> Gaussian:

@@ -96,11 +96,12 @@ class SigmaPoints(nn.Module):
                 "the centre's weight in the covariance is too negative for a root: choose beta >= alpha^2, or a larger "
                 "kappa"
             )
-        root = basis * power.clamp_min(0.0).sqrt()
+        there = power > 1e-12 * power[-1]  # equal weights that sum to one leave nothing in one direction
+        root = basis[:, there] * power[there].sqrt()
         turn = torch.linalg.qr((points @ root).mT, mode="complete").Q
         root = root @ turn
         root[:, : len(points)] *= (points @ root).diagonal().sign()
-        root = root[:, root.norm(dim=0) > 1e-12 * root.norm()]
+        root = torch.where(root.abs() < 1e-14 * root.abs().max(), 0.0, root)  # kernels leave out what is zero
         ordered: Tensor = root.roll(-len(points), 1)
         return ordered
 

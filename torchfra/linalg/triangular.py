@@ -98,14 +98,14 @@ _SMALL = 16
 def _orthogonalise(a: Tensor) -> Tensor:
     """Modified Gram-Schmidt: in exact arithmetic the same root as that of Householder reflections."""
     columns, rest = [], a[..., a.shape[-2] :]
-    for j in range(a.shape[-2]):
+    for j in range(min(rest.shape[-2:])):
         row, rest = rest[..., :1, :], rest[..., 1:, :]
         norm = _norms(row)
         unit = row / torch.where(norm == 0, 1.0, norm)  # a row without length is zero
         below = (rest * unit).sum(-1, keepdim=True)
         rest = rest - below * unit
         columns.append(pad(torch.cat([norm, below], -2), (0, 0, j, 0)))
-    return torch.cat(columns, -1)
+    return pad(torch.cat(columns, -1), (0, a.shape[-2] - len(columns)))  # of a tall matrix no more is left
 
 
 def eliminated(a: Tensor, count: int, rounding: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -209,7 +209,7 @@ class _MovingTria(_Tria):
 def _rotated(a: Tensor, lower: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """``L``, the same with ones for zero pivots, ``Q^T``, and which pivots are not zero."""
     rounding = 4 * sum(a.shape[-2:]) * torch.finfo(a.dtype).eps
-    nonzero = lower.diagonal(dim1=-2, dim2=-1) > rounding * _norms(a).squeeze(-1)
+    nonzero = lower.diagonal(dim1=-2, dim2=-1) > rounding * lower.abs().sum(-1)  # not the norms, which take roots
     root = lower + torch.diag_embed((~nonzero).to(a.dtype))
     return lower, root, torch.linalg.solve_triangular(root, a, upper=False), nonzero
 

@@ -12,7 +12,7 @@ from torchfra import tree
 from torchfra.filters.base import Mix
 from torchfra.filters.checks import check_models
 from torchfra.filters.gpb.hindsight import GPBPast
-from torchfra.filters.gpb.merging import lifted, merged, together
+from torchfra.filters.gpb.merging import lifted, merged, shares, together
 from torchfra.filters.gpb.qualities import Qualities, entry
 from torchfra.filters.gpb.regimes import Regimes
 from torchfra.filters.gpb.sensing import Sensing
@@ -21,11 +21,12 @@ from torchfra.filters.interaction import for_each_model
 from torchfra.filters.records import Record
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, shared
+from torchfra.gaussian.mixture import largest, matched, models_first, repeated, shared
 from torchfra.gaussian.model import propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import innovation
 from torchfra.hyper import Hyper, Value
+from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
@@ -107,7 +108,7 @@ class GPB(Sensing):
         """The state of a belief: as it is, and widened, for every motion; what is known of parameters stays."""
         mean, poor = belief.mean, self.poor(belief.mean)
         log_start = torch.stack([torch.log1p(-poor), poor.log()], -1)
-        log_weights = log_start.unsqueeze(-1) + self.regimes.log_renew(mean).unsqueeze(-2)
+        log_weights = log_start.unsqueeze(-1) + self.regimes.renewed(mean).log().unsqueeze(-2)
         log_weights = log_weights.expand(*mean.shape[:-1], *log_weights.shape[-2:])
         every = repeated(belief, len(self.bank))
         told = torch.tensor([kind != "parameter" for kind in self.motion.kinds], device=mean.device)
@@ -119,23 +120,26 @@ class GPB(Sensing):
     def advance(self, state: GPBState, frame: Frame, mix: Mix | None = None) -> tuple[GPBState, Record]:
         """One step; ``mix`` is not looked at, as this filter mixes itself."""
         before = tree.stack([state.clean, state.dirty], 0)  # (2, ..., K)
-        predicted, log_ahead, shares, far = self.look_ahead(before, state.log_weights.movedim(-2, 0), frame)
+        predicted, log_ahead, made_of, agile, far = self.look_ahead(before, state.log_weights.movedim(-2, 0), frame)
         seen = self.read(predicted)
-        whitened, expected = self.compare_all(seen, log_ahead, frame)
+        whitened, expected = self.compare_all(seen, agile, log_ahead, frame)
         log_quality, prior = self.qualities.ahead(state.outlier)
         corrected = self.qualities(seen, whitened, lambda x: self.compare(x, frame), prior, 1 - frame.seen)
         joint = log_quality.unsqueeze(1) + log_ahead + corrected.log_density  # (2, R, 2, ...): now, regime, before
         joint = torch.where(joint.isnan(), -torch.inf, joint)  # nothing speaks for a hypothesis that failed
-        log_likelihood = joint.flatten(0, 2).logsumexp(0)
-        joint = joint - log_likelihood
 
-        after, log_after = merged(self.regimes, lifted(predicted, corrected.belief), joint, self.motion.angles)
-        ends = tree.stack([after, before], 1), torch.stack([log_after, self.hindsight(joint, shares)], 1)
+        after, log_after, roots = merged(self.regimes, lifted(predicted, corrected.belief), joint, self.motion.angles)
+        of_motion, log_now = shares(log_after.movedim(-1, 0))  # (K, 2, ...), (2, ...)
+        now, log_likelihood = shared(log_now)
+        share = roots.square() * self.regimes.of_each(of_motion.square(), 0).unsqueeze(1)  # (R, before, now, ...)
+        weights = share * now.square()
+        settling = safe_sqrt(self.hindsight(weights.sum(2), made_of))
+        ends = tree.stack([after, before], 1), torch.stack([(of_motion * now).movedim(0, -1), settling], 1)
         belief, settled = tree.unbind(together(*ends, self.motion), 2)
-        outlier = (joint[1].exp().unsqueeze(-1) * corrected.outlier).sum((0, 1))
-        log_regimes = joint.logsumexp(2).movedim(1, -1)  # (2, ..., R)
-        if_dirty = outlier / log_regimes[1].logsumexp(-1, keepdim=True).exp()
-        info = Step(tree.Late(settled), log_regimes.exp().sum(0), outlier)
+        if_dirty = (share[:, :, 1].unsqueeze(-1) * corrected.outlier).sum((0, 1))
+        info = Step(tree.Late(settled), weights.sum((1, 2)).movedim(0, -1), if_dirty * now[1].square().unsqueeze(-1))
+        log_regimes = self.regimes.of_each(log_after, -1) + safe_log(roots.square().sum(1)).movedim(0, -1)
+        log_regimes = log_regimes - log_likelihood.unsqueeze(-1)  # (2, ..., R)
         clean, dirty = tree.unbind(after, 2)
         carried = clean, dirty, log_regimes.movedim(0, -2), if_dirty
         record = Record(
@@ -148,40 +152,47 @@ class GPB(Sensing):
         )
         return GPBState(belief, settled, *carried), record
 
-    def compare_all(self, seen: Gaussian, log_ahead: Tensor, frame: Frame) -> tuple[Whitened, Whitened]:
-        """The measurement against all predictions, ``(1, R, 2, ...)``, and against the Gaussian with their moments."""
-        flat = tree.map_tensors(lambda x: x.flatten(0, 1), seen)
+    def compare_all(
+        self, seen: Gaussian, agile: Whitened, log_ahead: Tensor, frame: Frame
+    ) -> tuple[Whitened, Whitened]:
+        """The measurement against all predictions, ``(1, R, 2, ...)``, and against the Gaussian with their moments.
+
+        Against the agile ones it is ``agile (2, ...)``.
+        """
+        flat, at = tree.map_tensors(lambda x: x.flatten(0, 1), seen), 2 * (self.regimes.count - 1)
         expected = matched(flat, shared(log_ahead.flatten(0, 1))[0], self.motion.angles)
-        every = [torch.cat([x, y.unsqueeze(0)]) for x, y in zip(flat, expected, strict=True)]
-        whitened = self.compare(Gaussian(*every), frame)
-        each = tree.map_tensors(lambda x: x[:-1].unflatten(0, (1, *log_ahead.shape[:2])), whitened)
+        others = [torch.cat([x[:at], x[at + 2 :], y.unsqueeze(0)]) for x, y in zip(flat, expected, strict=True)]
+        whitened = self.compare(Gaussian(*others), frame)
+        each = tree.map_tensors(
+            lambda x, y: torch.cat([x[:at], y, x[at:-1]]).unflatten(0, (1, *log_ahead.shape[:2])), whitened, agile
+        )
         return each, tree.map_tensors(lambda x: x[-1], whitened)
 
     def look_ahead(
         self, before: Gaussian, log_weights: Tensor, frame: Frame
-    ) -> tuple[Gaussian, Tensor, Shares | None, Tensor]:
+    ) -> tuple[Gaussian, Tensor, Shares | None, Whitened, Tensor]:
         """Predictions ``(R, 2, ..., n)`` of all regimes, their log weights, and who contributed to which motion.
 
-        Also ``(2, ...)`` how far the measurement is: its normalised innovation squared per element.
+        Also ``(2, ...)`` the measurement against the agile ones, and its normalised innovation squared per element.
         """
-        mixed, log_ahead, shares = self.interact(before, log_weights, frame.dt)
+        mixed, log_ahead, made_of = self.interact(before, log_weights, frame.dt)
         mean, spread, noise, _ = propagate(self.motion, self.motion_rule, mixed, for_each_model(frame))
-        predicted, far = self.with_jumps(self.regimes.predictions(mean, spread, noise), frame)
-        return predicted, self.regimes.rarer(log_ahead.movedim(-1, 0), far), shares, far
+        predicted, agile, far = self.with_jumps(self.regimes.predictions(mean, spread, noise), frame)
+        return predicted, self.regimes.rarer(log_ahead.movedim(-1, 0), far), made_of, agile, far
 
-    def with_jumps(self, predicted: Gaussian, frame: Frame) -> tuple[Gaussian, Tensor]:
-        """Predictions of levels and motions, and of jumps after them; how far the measurement is."""
+    def with_jumps(self, predicted: Gaussian, frame: Frame) -> tuple[Gaussian, Whitened, Tensor]:
+        """Predictions of levels and motions, and of jumps after them; the measurement against agile ones, how far."""
         agile = entry(predicted, self.regimes.count - 1)
         whitened = self.compare(self.read(agile), frame)
         far = innovation(whitened)[1].square().sum(-1) / frame.seen.sum(-1).clamp_min(1.0)
         far = torch.where(frame.dt == 0, 0.0, far)  # over no time nothing jumps
         jumped = self.regimes.jumped(agile, far, self.motion.position)
-        return Gaussian(*map(torch.cat, zip(predicted, jumped, strict=True))), far
+        return Gaussian(*map(torch.cat, zip(predicted, jumped, strict=True))), whitened, far
 
     def foresee(self, state: GPBState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(2 R, ..., n)`` of the state after a step, and logs of their weights."""
         before = tree.stack([state.clean, state.dirty], 0)
-        predicted, log_ahead, _, _ = self.look_ahead(before, state.log_weights.movedim(-2, 0), frame)
+        predicted, log_ahead, _, _, _ = self.look_ahead(before, state.log_weights.movedim(-2, 0), frame)
         flat: Gaussian = tree.map_tensors(lambda x: x.flatten(0, 1), predicted)
         log_weights = log_ahead.flatten(0, 1)
         return flat, log_weights - log_weights.logsumexp(0)
@@ -192,29 +203,29 @@ class GPB(Sensing):
         As regimes that do not stay are drawn anew, a motion's belief is a mixture of its own and of one that all share.
         Over ``dt (...)`` of 0 seconds every regime stays.
         """
-        of_motion, (log_stay, log_leave) = self.regimes.of_motion, self.regimes.log_stay(log_weights)
-        left = log_weights + log_leave
-        all_left = left.logsumexp(-1, keepdim=True)
-        instant = (dt == 0).unsqueeze(-1)
-        stayed = log_weights + torch.where(instant, 0.0, log_stay)
-        drawn = torch.where(instant, -torch.inf, all_left + self.regimes.log_renew(log_weights))
-        log_ahead = torch.stack([stayed, drawn]).logsumexp(0)
+        regimes, top = self.regimes, largest(log_weights, -1, keepdim=True)
+        weights = (log_weights - top).exp()
+        stay = torch.where((dt == 0).unsqueeze(-1), 1.0, regimes.staying(weights))
+        stayed, left = stay * weights, (1 - stay) * weights
+        all_left = left.sum(-1, keepdim=True)
+        drawn = all_left * regimes.renewed(weights)
+        log_ahead = safe_log(stayed + drawn) + top
         if len(self.bank) == 1:
             return before, log_ahead, None
-        origin, ahead = of_motion(left) - all_left, of_motion(log_ahead)
-        shares = Shares(of_motion(stayed) - ahead, of_motion(drawn) - ahead, origin)
-        common = moment_match(models_first(before), origin.movedim(-1, 0), self.motion.angles)
-        pair = tree.stack([before, repeated(common, len(self.bank))], 0)
-        mixed = moment_match(pair, torch.stack([shares.own, shares.common]), self.motion.angles)
-        return mixed, log_ahead, shares
+        ahead = regimes.sums(stayed + drawn)
+        own, common = (safe_divide(regimes.sums(x), ahead) for x in (stayed, drawn))
+        made_of = Shares(own, common, safe_divide(regimes.sums(left), all_left))
+        anew = matched(models_first(before), safe_sqrt(made_of.origin).movedim(-1, 0), self.motion.angles)
+        pair = tree.stack([before, repeated(anew, len(self.bank))], 0)
+        mixed = matched(pair, safe_sqrt(torch.stack([own, common])), self.motion.angles)
+        return mixed, log_ahead, made_of
 
-    def hindsight(self, joint: Tensor, shares: Shares | None) -> Tensor:
-        """Log weights ``(2, ..., K)`` of the beliefs before a step, now that it is measured."""
-        now = self.regimes.of_motion(joint.logsumexp(0).movedim(0, -1))
-        if shares is None:
+    def hindsight(self, weights: Tensor, made_of: Shares | None) -> Tensor:
+        """Weights ``(2, ..., K)`` of the beliefs before a step, from those of what they became, ``(R, 2, ...)``."""
+        now = self.regimes.sums(weights.movedim(0, -1))
+        if made_of is None:
             return now
-        drawn = (now + shares.common).logsumexp(-1, keepdim=True)
-        return torch.stack([now + shares.own, drawn + shares.origin]).logsumexp(0)
+        return now * made_of.own + (now * made_of.common).sum(-1, keepdim=True) * made_of.origin
 
     def finish(self, state: GPBState, belief: Gaussian, info: Step) -> tuple[Gaussian, GPBInfo]:
         """Each step's settled estimate comes with the next."""

@@ -47,7 +47,8 @@ class GPBPast(NamedTuple):
         log_weights = self.log_weights.movedim(-2, 0)
         weights = log_weights.exp()
         outlier = weights[1].sum(-1, keepdim=True) * self.outlier
-        return Told(together(self.beliefs(), regimes.of_motion(log_weights), motion), weights.sum(0), outlier)
+        roots = (0.5 * regimes.of_motion(log_weights)).exp()
+        return Told(together(self.beliefs(), roots, motion), weights.sum(0), outlier)
 
 
 class WayBack(GaussianFilter[GPBState]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import reduce
 from typing import NamedTuple, TypeVar
 
 import torch
@@ -142,7 +143,7 @@ class Qualities(nn.Module):
         sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])  # of a clean block, and of an outlier
         belief, log_density, outliers = unit(seen), torch.zeros_like(seen.mean[..., 0]), []
         for b, block in enumerate(self.blocks):
-            share, gone = prior[..., b], missing[..., list(block)].sum(-1)
+            share, gone = prior[..., b], missing[..., list(block)]
             if b:
                 whitened = compare(Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril))
             inside, residual = measured(whitened, belief, block)
@@ -151,18 +152,19 @@ class Qualities(nn.Module):
             if b:  # clean and dirty have the first block in common alone
                 clean, log_clean = told_by(inside.rows[0], residual[0], sizes[:1], gone)
             joint = torch.cat([log_told[:1] + torch.log1p(-share), log_told[1:] + share.log() + log_shares])
-            roots, total = shared(joint)
-            both = tree.stack([entry(clean, 0), matched(told, roots)], 0)
-            belief = inward(belief, inside, both)
+            none = int(len(self.blocks) == 1)  # a step is dirty by this block alone: it is not clean then
+            roots, total = shared(joint[none:])
+            dirty = matched(Gaussian(told.mean[none:], told.scale_tril[none:]), roots)
+            belief = inward(belief, inside, tree.stack([entry(clean, 0), dirty], 0))
             log_density = log_density + torch.cat([log_clean, total.unsqueeze(0)])
-            outliers.append(roots[1:].square().sum(0))
+            outliers.append(torch.ones_like(total) if none else roots[1:].square().sum(0))
         return Corrected(belief, log_density, torch.stack(outliers, -1))
 
     def grown(self, sizes: Tensor, residual: Tensor, missing: Tensor) -> Tensor:
         """Sizes ``(C, ...)`` of the noise, the last one as large as a residual ``(..., m)`` asks for, if it grows."""
         if not self.grows:
             return sizes
-        asked = residual.square().sum(-1) / (residual.shape[-1] - missing).clamp_min(1.0)
+        asked = residual.square().sum(-1) / (1 - missing).sum(-1).clamp_min(1.0)
         last = torch.maximum(sizes[-1:], asked)
         return torch.cat([sizes[:-1].expand(-1, *last.shape[1:]), last])
 
@@ -202,22 +204,29 @@ def told_by(rows: Tensor, residual: Tensor, sizes: Tensor, missing: Tensor) -> t
         rows: ``(..., m, k)`` of ``Inside``.
         residual: ``(..., m)``.
         sizes: ``(C, ...)`` of the noise's covariance.
-        missing: ``(...)`` number of missing elements.
+        missing: ``(..., m)`` 1 where missing, 0 where measured.
 
     Source: Potter's square-root update, in Bierman (1977), chapter II.
     """
     rows = rows.movedim((-2, -1), (0, 1)).contiguous().unsqueeze(2)  # sums over short first dimensions are fast
     m, k, rank = rows.shape[0], rows.shape[1], rows.dim() - 2
     root = torch.eye(k, dtype=rows.dtype, device=rows.device).reshape(k, k, *(1,) * rank)
-    mean, log_density, noise = torch.zeros_like(rows[0]), 0.5 * missing * sizes.log(), sizes.sqrt()
+    mean, noise, squares, stds = torch.zeros_like(rows[0]), sizes.sqrt(), torch.zeros_like(residual[..., 0]), []
     for i in range(m):
         follows = (root * rows[i].unsqueeze(1)).sum(0)
-        variance = follows.square().sum(0) + sizes
-        error = residual[..., i] - (mean * rows[i]).sum(0)
+        std = (follows.square().sum(0) + sizes).sqrt()
+        once = 1 / (std * (std + noise))
+        inverse = (std + noise) * once  # of std, by the same division
+        normalised = (residual[..., i] - (mean * rows[i]).sum(0)) * inverse
         covariance = (root * follows).sum(1)
-        mean = mean + covariance * (error / variance)
-        root = root - covariance.unsqueeze(1) * (follows / (variance + variance.sqrt() * noise))
-        log_density = log_density - 0.5 * (error.square() / variance + variance.log())
+        mean = mean + covariance * (normalised * inverse)
+        root = root - covariance.unsqueeze(1) * (follows * once)
+        squares = squares + normalised.square()
+        stds.append(torch.where(missing[..., i] > 0, 1.0, std))
+    # Two at a time: their product does not overflow where their squares do not.
+    log_density = -0.5 * squares
+    for i in range(0, m, 2):
+        log_density = log_density - reduce(torch.mul, stds[i : i + 2]).log()
     return Gaussian(mean.movedim(0, -1), root.movedim((0, 1), (-2, -1))), log_density
 
 

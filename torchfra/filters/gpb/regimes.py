@@ -54,17 +54,25 @@ class Regimes(nn.Module):
         self.renew = Hyper(renew, constraints.simplex, event_dim=1, name="renew")
 
     def of_motion(self, log_weights: Tensor) -> Tensor:
-        """Of regimes ``(..., R)`` those of each motion together, ``(..., K)``."""
-        own = torch.cat([log_weights[..., : self.count], log_weights[..., self.count + self.motions - 1 :]], -1)
-        others = log_weights[..., self.count : self.count + self.motions - 1]
+        """Of logs of weights of regimes ``(..., R)`` those of each motion together, ``(..., K)``."""
+        own, others = self._own_and_others(log_weights)
         return torch.cat([own.logsumexp(-1, keepdim=True), others], -1)
 
-    def log_renew(self, like: Tensor) -> Tensor:
-        """Logs ``(..., R)`` of the odds of a regime drawn anew."""
+    def sums(self, weights: Tensor) -> Tensor:
+        """Of weights of regimes ``(..., R)`` the sum of each motion, ``(..., K)``."""
+        own, others = self._own_and_others(weights)
+        return torch.cat([own.sum(-1, keepdim=True), others], -1)
+
+    def _own_and_others(self, values: Tensor) -> tuple[Tensor, Tensor]:
+        """Of regimes ``(..., R)`` those of the first motion, and those of the others."""
+        end = self.count + self.motions - 1
+        return torch.cat([values[..., : self.count], values[..., end:]], -1), values[..., self.count : end]
+
+    def renewed(self, like: Tensor) -> Tensor:
+        """Odds ``(..., R)`` of a regime drawn anew, which sum to one."""
         kinds = self.renew(like)
         odds = self._by_regime(kinds, kinds[..., self.count : self.count + 1] / max(self.motions - 1, 1))
-        log_odds: Tensor = (odds / odds.sum(-1, keepdim=True)).log()  # one motion has no others
-        return log_odds
+        return odds / odds.sum(-1, keepdim=True)  # one motion has no others
 
     def of_each(self, values: Tensor, dim: int) -> Tensor:
         """Of motions, along a dimension, what goes with each regime."""
@@ -74,17 +82,14 @@ class Regimes(nn.Module):
 
     def transition(self, log_weights: Tensor) -> Tensor:
         """Logs ``(..., R, R)`` of how regimes follow each other, ``[was, now]``, of tracks ``log_weights (..., R)``."""
-        log_stay, log_leave = self.log_stay(log_weights)
-        drawn = log_leave.unsqueeze(-1) + self.log_renew(log_weights).unsqueeze(-2)
-        same = torch.eye(drawn.shape[-1], dtype=torch.bool, device=drawn.device)
-        stayed = torch.where(same, log_stay.unsqueeze(-1), -torch.inf)
-        return torch.stack([drawn, stayed.expand_as(drawn)]).logsumexp(0)
+        stay = self.staying(log_weights)
+        drawn = (1 - stay).unsqueeze(-1) * self.renewed(log_weights).unsqueeze(-2)
+        return (drawn + torch.diag_embed(stay)).log()
 
-    def log_stay(self, like: Tensor) -> tuple[Tensor, Tensor]:
-        """Logs ``(..., R)`` of the probabilities that a regime stays, and that it does not."""
-        stay = self.stay(like)
-        stay = self._by_regime(stay, stay[..., self.count : self.count + 1])
-        return stay.log(), torch.log1p(-stay)
+    def staying(self, like: Tensor) -> Tensor:
+        """Probabilities ``(..., R)`` that a regime stays."""
+        kinds = self.stay(like)
+        return self._by_regime(kinds, kinds[..., self.count : self.count + 1])
 
     def _by_regime(self, kinds: Tensor, others: Tensor) -> Tensor:
         """Values by kind ``(..., L + 1 + J)`` as ``(..., R)``; those of ``others`` ``(..., 1)``."""

@@ -41,7 +41,7 @@ class GPBInfo(NamedTuple):
 
 
 class Shares(NamedTuple):
-    """Logs of what the mixed belief of each motion is made of, ``(2, ..., K)``."""
+    """What the mixed belief of each motion is made of, ``(2, ..., K)``."""
 
     own: Tensor
     """Of its own."""
