@@ -8,7 +8,7 @@ using int64_t = long long;
 #endif
 
 // Functions that are called once for each track and step, those that hardly ever are, the same where parts are compiled apart,
-// small ones, and tables of places: where and how; what is nearly always true.
+// small ones, those that large steps would call unless told not to, and tables of places: where and how; what is nearly always true.
 #ifdef __CUDACC__
 #define NOINLINE static __device__ __noinline__
 #define COLD NOINLINE
@@ -16,6 +16,7 @@ using int64_t = long long;
 #define INLINE __device__ __forceinline__
 #define TABLE __device__ const short
 #elif defined(_MSC_VER)
+#define ALWAYS __forceinline
 #define NOINLINE static __declspec(noinline)
 #define COLD NOINLINE
 #define EXPECT(x) (x)
@@ -23,6 +24,7 @@ using int64_t = long long;
 #define INLINE inline
 #define TABLE constexpr short
 #else
+#define ALWAYS inline __attribute__((always_inline))
 #define NOINLINE static __attribute__((noinline))
 #define COLD static __attribute__((noinline, cold))
 #define EXPECT(x) __builtin_expect(x, 1)

@@ -77,7 +77,7 @@ inline V load(const Entries<Scalar>& x, int64_t entry) {
   __builtin_memcpy(&v, x[entry], sizeof v);
   return v;
 }
-inline void put(const Entries<Scalar>& x, int64_t entry, const V& v) {
+ALWAYS void write(const Entries<Scalar>& x, int64_t entry, const V& v) {
 #ifdef PAST_CACHES  // a store that does not read the line first
   if (x.past && (reinterpret_cast<uintptr_t>(x.first) | x.entry * sizeof(Scalar)) % BYTES == 0) {
     PAST_CACHES(x[entry], v);
@@ -87,6 +87,8 @@ inline void put(const Entries<Scalar>& x, int64_t entry, const V& v) {
   if (x.lanes < W) __builtin_memcpy(x[entry], &v, x.lanes * sizeof(Scalar));
   else __builtin_memcpy(x[entry], &v, sizeof v);
 }
+// The same where it is done once: a call.
+NOINLINE void put(const Entries<Scalar>& x, int64_t entry, const V& v) { write(x, entry, v); }
 inline void mark(const Entries<bool>& x, int64_t entry, const M& v) {
   bool* to = x[entry];
   for (int64_t i = 0; i < x.lanes; i++) to[i] = v[i] != 0;
