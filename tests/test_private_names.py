@@ -27,7 +27,7 @@ PRIVATE = {
 }
 """Names without which something does not work, and what."""
 GUARDED = {
-    "torch._C._dynamo.guards": "filters/compiled/step.py has a slower check of its own",
+    "torch._C._dynamo.guards": "filters/compiled/step.py has a slower check of its own, pages.py empty_like",
     "torch._C._current_autograd_node": "kernel/origin.py then names no line in comments of gradients",
     "torch.autograd._get_sequence_nr": "likewise",
     "torch._dynamo": "association/events.py only marks a function for torch.compile",

@@ -1,13 +1,14 @@
 """Short tracks through a compiled filter whose form is known cost little but the run, and keep every promise."""
 
 import copy
+import importlib
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
 
 from torchfra.filters.compiled import Compiled
-from torchfra.kernel import pages
+from torchfra.kernel import program
 from torchfra.tree import flatten
 from torchfra.types import Cause, Gaussian
 
@@ -32,7 +33,7 @@ def alone(tracks, steps=8):
             "u": tracks.u[:steps]}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["srckf", "fra"])
+@pytest.mark.parametrize("name", ["srckf", "fra", "gpb"])
 def test_the_second_call_says_what_the_filter_says_without_being_prepared(name, make, tracks, prepared):
     f = make(name)
     fast = copy.deepcopy(f).compile()
@@ -59,6 +60,28 @@ def test_results_are_new_each_time(ready):
     for x in first:
         x.zero_()
     assert all(map(torch.equal, flatten(f(**given)), kept))
+
+
+@pytest.mark.parametrize("steps", [1, 2])
+def test_one_step_says_what_the_first_of_many_says(make, tracks, steps):
+    f = make("fra")
+    fast, given = copy.deepcopy(f).compile(), alone(tracks, steps)
+    first = fast(**given)
+    for _ in range(2):
+        close(f(**given), fast(**given))
+    assert all(map(torch.equal, flatten(first), flatten(fast(**given))))
+    for x in flatten(first):
+        assert x.stride() == torch.empty_like(x).stride() or x.shape[0] == steps
+
+
+def test_tensors_are_made_where_torch_has_no_short_way_too(make, tracks, monkeypatch):
+    given = alone(tracks)
+    expected = make("fra")(**given)
+    guards = importlib.import_module("torch._C._dynamo.guards")
+    monkeypatch.delattr(guards, "_empty_strided_cpu")
+    fast = make("fra").compile()
+    for _ in range(2):
+        close(expected, fast(**given))
 
 
 def test_values_are_read_and_changes_noticed_between_two_calls(ready, prepared):
@@ -165,7 +188,7 @@ def test_priors_of_a_batch_of_one_in_single_precision_and_from_several_threads(m
 
 
 def test_rows_that_lie_on_lines_of_the_cache_are_written_where_they_lie(make, tracks, monkeypatch):
-    monkeypatch.setattr(pages, "LEAST", 1)
+    monkeypatch.setattr(program, "PAST", 1)
     fast, batch = make("srckf").compile(), (67,)
     given = alone(tracks, 3) | {"z": tracks.z[0, :3].expand(*batch, 3, 2).contiguous()}
     first = fast(**given)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from torchfra import presets, scenarios
-from torchfra.kernel.pages import LEAST, rows_of_tracks
+from torchfra.kernel.pages import LEAST, PAST, rows_of_tracks
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
@@ -23,7 +23,7 @@ def test_many_tracks_and_some_of_them_have_the_same_estimates_to_the_bit(dtype):
 
 
 def test_rows_of_a_large_tensor_begin_on_lines_of_the_cache():
-    x = rows_of_tracks((100, 6), torch.Size([17, 101]), torch.float64, torch.device("cpu"))
+    x = rows_of_tracks((100, 6), torch.Size([17, 101]), torch.float64, torch.device("cpu"), past=True)
     assert x.shape == (100, 6, 17, 101)
     assert x.data_ptr() % 64 == 0
     assert x.stride(1) * 8 % 64 == 0
@@ -31,7 +31,18 @@ def test_rows_of_a_large_tensor_begin_on_lines_of_the_cache():
 
 
 @pytest.mark.parametrize(
-    ("shape", "batch"), [((6,), (17, 101)), ((100_000, 6), ()), ((100_000, 6), (3,)), ((100, 6), (1024,))]
+    ("shape", "batch", "past"),
+    [((6,), (17, 101), False), ((100_000, 6), (), True), ((100_000, 6), (3,), True), ((100, 6), (1024,), True)],
 )
-def test_other_tensors_have_no_room_between_rows(shape, batch):
-    assert rows_of_tracks(shape, torch.Size(batch), torch.float64, torch.device("cpu")).is_contiguous()
+def test_other_tensors_have_no_room_between_rows(shape, batch, past):
+    assert rows_of_tracks(shape, torch.Size(batch), torch.float64, torch.device("cpu"), past).is_contiguous()
+
+
+def test_all_that_a_call_writes_past_the_caches_lies_on_lines_of_them_be_a_tensor_ever_so_small():
+    scenario = scenarios.bearings_outliers()
+    data = scenario.simulate(90, 0)
+    f = presets.srckf(scenario.motion, scenario.sensor).compile()
+    with torch.no_grad():
+        estimate = f(data.z, data.prior, u=data.u)
+    assert sum(x.numel() * x.itemsize for x in estimate[:4]) > PAST
+    assert all(x.stride(1) * 8 % 64 == 0 for x in estimate[:4])

@@ -8,7 +8,7 @@ fields differ in that says so with ``event_ranks``.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import torch
@@ -112,14 +112,14 @@ def flattener(like: Any) -> Callable[[Any], tuple[Tensor, ...] | None]:
     return function
 
 
-def unflattener(like: Any) -> Callable[[Sequence[Tensor]], Any]:
-    """``unflatten`` for trees of this form alone, faster, written likewise."""
+def unflattener(like: Any, places: Iterable[int] | None = None) -> Callable[[Sequence[Tensor]], Any]:
+    """``unflatten`` for trees of this form alone, faster, written likewise; tensors may be in other ``places``."""
     known: list[Any] = []
-    count = itertools.count()
+    place = itertools.count() if places is None else iter(places)
 
     def text(tree: Any) -> str:
         if isinstance(tree, Tensor):
-            return f"tensors[{next(count)}]"
+            return f"tensors[{next(place)}]"
         parts = "".join(f"{text(part)}, " for part in tree) if isinstance(tree, tuple) else None
         if parts is not None and not hasattr(tree, "_fields"):
             return f"({parts})"

@@ -45,7 +45,7 @@ def load_whole(source: str) -> Any:
     Raises:
         CompileError: likewise.
     """
-    arguments = [ctypes.c_void_p, *[ctypes.c_int64] * 2, ctypes.c_int, *[ctypes.c_void_p] * 2, ctypes.c_int64]
+    arguments = [ctypes.c_void_p, *[ctypes.c_int64] * 2, ctypes.c_int, *[ctypes.c_void_p] * 3, ctypes.c_int64]
     return _function(source, "whole", arguments, ctypes.c_int)
 
 

@@ -3,17 +3,25 @@ __declspec(dllexport)
 #endif
 // Filters whole tracks: the state before the first step comes from a prior, and what the last step has left open is settled.
 // Returns whether what ends each track is finite.
-// ``ports`` are those of the steps' own kernel, ``run``, then the prior and the last entries of what is settled late; states lie
-// in ``room``, so many bytes from its start as their ports say.
+// ``like`` are the ports of the steps' own kernel, ``run``, then the prior, the last entries of what is settled late and whole
+// numbers that are the same for all tracks.  Addresses come in ``places``, but those of states: they lie in ``room``, so many
+// bytes from its start as their ports say.
 extern "C" int whole(
-    void (*run)(int64_t, int64_t, int, const Port*, const Port*), int64_t tracks, int64_t steps, int threads, Port* ports,
-    char* room, int64_t begun) {
-  constexpr int states[] = {STATES}, settled[] = {SETTLED}, sizes[] = {SIZES}, looks[] = {LOOKS};
+    void (*run)(int64_t, int64_t, int, const Port*, const Port*), int64_t tracks, int64_t steps, int threads, const Port* like,
+    char* const* places, char* room, int64_t begun) {
+  constexpr int states[] = {STATES}, given[] = {GIVEN}, settled[] = {SETTLED}, sizes[] = {SIZES}, looks[] = {LOOKS};
+  constexpr int64_t entries[] = {NUMBERS}, each[] = {EACH};
+  Port ports[PORTS];
+  for (int i = 0; i < PORTS; i++) ports[i] = like[i];
+  for (int port : given) ports[port].data = *places++;
   for (int port : states) ports[port].data = room + reinterpret_cast<int64_t>(ports[port].data);
+  int last = LAST;
   for (int i = 0; settled[i] >= 0; i++) {
     const Port& late = ports[settled[i]];
-    ports[LAST + i].data = late.data + steps * late.time * sizes[i];
+    ports[last++].data = late.data + steps * late.time * sizes[i];
   }
+  for (int i = 0; last + i < PORTS; i++)
+    for (int64_t track = 0; track < tracks; track++) reinterpret_cast<int64_t*>(ports[last + i].data)[track] = each[i];
   const auto over = [&](int64_t count, int64_t size, auto block) {
     for (int64_t first = 0; first < count; first += size) block(Block{first, count - first < size ? count - first : size, 0});
   };
@@ -23,17 +31,17 @@ extern "C" int whole(
   // Not finite at a step is not finite in the next one's score: all scores, which come first, and the last belief say it all.
   V sum = all(0);
   Scalar rest = 0;
-  for (int port : looks) {
-    const Port& p = ports[port / 2];
-    const int64_t end = (steps + port % 2) * p.time, first = port == looks[0] ? port % 2 * p.time : end - p.time;
-    const Scalar* x = reinterpret_cast<const Scalar*>(p.data);
-    int64_t i = first;
-    for (; i + W <= end; i += W) {
+  for (int k = 0; k < static_cast<int>(sizeof looks / sizeof *looks); k++) {
+    const Port& p = ports[looks[k] / 2];
+    const int64_t first = (k == 0 ? 0 : steps - 1) + looks[k] % 2, count = (k == 0 ? steps : 1) * entries[k] * tracks;
+    const Scalar* x = reinterpret_cast<const Scalar*>(p.data) + first * p.time;
+    int64_t i = 0;
+    for (; i + W <= count; i += W) {
       V v;
       __builtin_memcpy(&v, x + i, sizeof v);
       sum += v;
     }
-    for (; i < end; i++) rest += x[i];
+    for (; i < count; i++) rest += x[i];
   }
   Scalar lanes[W];
   __builtin_memcpy(lanes, &sum, sizeof lanes);

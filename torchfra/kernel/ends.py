@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -26,15 +27,17 @@ class Ends:
         begin: the state before the first, from the module and the mean and any root of a prior.
         finish: what becomes of the records of all steps, from the module, the state after the last and the records.
         size: of a state.
+        each: whole numbers that every track is given besides.
 
     Raises:
         NotImplementedError: an operation that kernels do not have; or ``finish`` does more than to end what is late.
     """
 
     def __init__(
-        self, step: Step, begin: Callable[..., Any], finish: Callable[[Any, Any, Any], Any], size: int
-    ) -> None:
-        self._step, self._book = step, Expressions()
+        self, step: Step, begin: Callable[..., Any], finish: Callable[[Any, Any, Any], Any], size: int,
+        each: Sequence[int] = (),
+    ) -> None:  # fmt: skip
+        self._step, self._book, self.each = step, Expressions(), each
         inputs = step.unknown(self._book)
         module = step.copy_with(inputs)
         prior = [Entries.inputs(self._book, shape, step.dtype) for shape in ((size,), (size, size))]
@@ -96,13 +99,19 @@ class Ends:
         finish = Scan(self._book, [], [], reads, [*[_port([])] * len(reads), *last], dtype=step.dtype)
         (head, started), (_, finished) = begin.parts(narrow, "begin"), finish.parts(narrow, "finish")
         looked = [first + self.places[k] for k in looks]
+        made, prior, end = flatten(self.made), len(reads) - 2, len(reads) + len(last)
+        given = [range(prior, len(reads)), range(states, after), range(first, prior), range(end, end + len(self.each))]
         words: dict[str, Iterable[Any]] = {
             "STATES": [*range(states), *range(after, first)],
+            "GIVEN": itertools.chain(*given),
             "SETTLED": [*self.settled, -1],
             "SIZES": [*(1 if port.truth else "sizeof(Scalar)" for port in last), 0],
             "LOOKS": (2 * port + (port in self.settled) for port in looked),
+            "NUMBERS": (made[k].numel() // 2 for k in looks),
+            "EACH": [*self.each, 0],
             "AFTER": [after],
             "LAST": [len(reads)],
+            "PORTS": [end + len(self.each)],
         }
         text = file("ends.cpp")
         for word, numbers in words.items():

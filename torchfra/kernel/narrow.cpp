@@ -20,6 +20,7 @@ INLINE V all(Scalar a) { return a; }
 template <class T> INLINE V get(const Entries<T>& x, int64_t entry) { return static_cast<V>(*x[entry]); }
 INLINE V load(const Entries<Scalar>& x, int64_t entry) { return get(x, entry); }
 INLINE void put(const Entries<Scalar>& x, int64_t entry, V v) { *x[entry] = v; }
+INLINE void write(const Entries<Scalar>& x, int64_t entry, V v) { *x[entry] = v; }
 INLINE void mark(const Entries<bool>& x, int64_t entry, M v) { *x[entry] = v; }
 INLINE V kept(M m) { return m; }
 INLINE M truth(V v) { return v != 0; }

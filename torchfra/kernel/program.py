@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchfra.kernel import build, cuda
-from torchfra.kernel.pages import rows_of_tracks
+from torchfra.kernel.pages import PAST, maker, rows_of_tracks
 from torchfra.kernel.source import Port, Scan
 
 BUILDING = threading.RLock()
@@ -40,7 +40,7 @@ class Program:
 
     def __init__(self, scan: Scan, narrow: bool = False, device: torch.device = _CPU) -> None:
         self._dtype, self._device = scan.dtype, device
-        self._reads, self._writes = scan.carry + scan.reads, scan.after + scan.writes
+        self._reads, self._timed, self._writes = scan.carry + scan.reads, scan.writes, scan.after + scan.writes
         with BUILDING:
             source = scan.cuda() if device.type == "cuda" else scan.source(narrow or not build.wide())
         # Outside: several filters compile at the same time.
@@ -69,12 +69,15 @@ class Program:
 
     def _outputs(self, batch: torch.Size, steps: int) -> list[Tensor]:
         """What it will write, with tracks innermost."""
+        written = sum(len(port.ids) for port in self._timed)
+        past = batch.numel() * steps * written * self._dtype.itemsize >= PAST
         return [
             rows_of_tracks(
                 ((steps + port.late,) if port.timed else ()) + tuple(port.shape),
                 batch,
                 torch.bool if port.truth else self._dtype,
                 self._device,
+                past,
             )
             for port in self._writes
         ]
@@ -99,11 +102,12 @@ class Ready:
 
     def __init__(self, run: Any, tracks: int, steps: int, table: array[int], like: list[Tensor]) -> None:
         self.run, self.tracks, self.steps, self.table, self.like = run, tracks, steps, table, like
+        self._new = maker(like)
         self._outputs = 32 * (len(table) // 4 - len(like))
 
     def __call__(self, tensors: Sequence[Tensor]) -> list[Tensor]:
         """What it writes, new, with the batch in front."""
-        written = list(map(torch.empty_like, self.like))
+        written = self._new()
         table = self.table[:]  # each thread its own
         table[::4] = array("q", map(Tensor.data_ptr, (*tensors, *written)))
         address = table.buffer_info()[0]

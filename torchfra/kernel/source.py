@@ -10,6 +10,7 @@ import torch
 from torchfra.kernel.choices import with_choices_last
 from torchfra.kernel.divisions import with_quotients
 from torchfra.kernel.expressions import ZERO, Expressions
+from torchfra.kernel.pages import PAST
 from torchfra.kernel.parts import are_in, opened
 from torchfra.kernel.statements import file, template
 from torchfra.kernel.writer import Access, Step, Writer
@@ -82,7 +83,9 @@ class Scan:
         Args:
             narrow: whether for one track, in plain C++ that needs no headers of torch; or for many, in vectors.
         """
-        return "".join((*self._parts(Writer(self.step(), narrow), narrow, apart=True), file("run.cpp")))
+        return "".join(
+            (*self._parts(Writer(self.step(), narrow), narrow, apart=True), file("run.cpp").replace("MOST", str(PAST)))
+        )
 
     def cuda(self) -> str:
         """The same for a GPU: one thread for each track, whose tensors come as an argument by value."""
@@ -113,7 +116,8 @@ class Scan:
         """The step as its writer needs it, without what it need not compute each time."""
         carry = [(i, p, e) for p, port in enumerate(self.carry) for e, i in enumerate(port.ids)]
         live = self.live()
-        varying, carried, stores = self._varying(live), self._carried(), self._stores()
+        varying, stores, same = self._varying(live), self._stores(), self._same(live)
+        carried = {i: j for i, j in self._carried().items() if i not in same}
         ends = [*carried.values(), *(i for i, _ in stores)]
         book, live = with_choices_last(*with_quotients(self.book, live, varying, ends), varying, ends)
         return Step(
@@ -121,16 +125,22 @@ class Scan:
             live,
             varying.intersection(live),
             carried,
-            {i: Access(f"in[{p}]", "Scalar", "get", e) for i, p, e in carry if i != ZERO},
+            {i: Access(f"in[{p}]", "Scalar", "get", e) for i, p, e in carry if i in carried},
             self._loads(),
             stores,
-            [(i, Access(f"out[{p}]", "Scalar", "put", e)) for i, p, e in carry],
+            [(same.get(i, i), Access(f"out[{p}]", "Scalar", "put", e)) for i, p, e in carry],
         )
 
     def _carried(self) -> dict[int, int]:
         """What goes from step to step, with what takes its place after the step."""
         pairs = zip(self.carry, self.after, strict=True)
         return {i: j for old, new in pairs for i, j in zip(old.ids, new.ids, strict=True) if i != ZERO}
+
+    def _same(self, live: Sequence[int]) -> dict[int, int]:
+        """What no step reads and what after each step is the same: it is not carried itself."""
+        read, carried = set(live), self._carried()
+        others = {j: i for i, j in sorted(carried.items(), key=lambda pair: pair[0] in read)}
+        return {i: others[j] for i, j in carried.items() if i not in read and others[j] != i}
 
     def _varying(self, live: Sequence[int]) -> set[int]:
         """The expressions that change from step to step; all others are computed once, before the loop."""
@@ -151,7 +161,7 @@ class Scan:
 
     def _stores(self) -> list[tuple[int, Access]]:
         return [
-            (i, Access(f"out[{p}]", "bool" if port.truth else "Scalar", "mark" if port.truth else "put", e))
+            (i, Access(f"out[{p}]", "bool" if port.truth else "Scalar", "mark" if port.truth else "write", e))
             for p, port in enumerate(self.writes, len(self.carry))
             for e, i in enumerate(port.ids)
         ]

@@ -6,6 +6,7 @@ import ctypes
 import threading
 from array import array
 from collections.abc import Sequence
+from struct import Struct
 from typing import Any
 
 import torch
@@ -13,6 +14,7 @@ from torch import Tensor
 
 from torchfra.kernel import build
 from torchfra.kernel.ends import Ends
+from torchfra.kernel.pages import maker
 from torchfra.kernel.program import Ready, Strided, strided, threads
 from torchfra.kernel.source import Port
 
@@ -32,40 +34,46 @@ class Whole:
     """The tree that is made."""
 
     def __init__(self, ready: Ready, ends: Ends, function: Any, prior: Sequence[Strided], rank: int) -> None:
-        self._ready, self._function, self._rank, self.made, self._places = ready, function, rank, ends.made, ends.places
+        self._ready, self._function, self._rank, self.made, self.places = ready, function, rank, ends.made, ends.places
         self._run = ctypes.cast(ready.run, ctypes.c_void_p).value
         count, reads = len(ends.sizes), len(ready.table) // 4 - len(ready.like)
-        self._like, self._late = ready.like[count:], [port - reads - count for port in ends.settled]
+        like, late = ready.like[count:], [port - reads - count for port in ends.settled]
         differ = [*(track for _, track, _, _ in prior), *(ready.table[4 * row + 1] for row in ends.values)]
         self._begun = ready.tracks if any(differ) else 1
         self._table, end = ready.table[:], 0
         for first, tracks in ((0, self._begun), (reads, ready.tracks)):
             for row, size in enumerate(ends.sizes, first):
                 self._table[4 * row : 4 * row + 4] = array("q", [end, int(tracks > 1), 0, tracks])
-                end += size * tracks * self._like[0].element_size()
+                end += size * tracks * like[0].element_size()
         for row, same in enumerate(ends.same):  # what is the same at first lies in one place
             self._table[4 * row] = self._table[4 * same]
         self._table.extend(number for _, *strides in prior for number in (0, *strides))
-        self._states = self._table[: 4 * count : 4], self._table[4 * reads : 4 * (reads + count) : 4]
-        self._table.extend([0, 1, 0, ready.tracks] * len(ends.settled))
-        self._room = end
+        self._table.extend([0, 1, 0, ready.tracks] * (len(ends.settled) + len(ends.each)))
+        if ready.steps == 1:  # the end of what comes late takes the place of what the only step says of none before it
+            for k in late:
+                like[k], self._table[4 * (reads + count + k) + 2] = like[k].narrow(rank, 0, 1), 0
+        self._late = late if ready.steps > 1 else []
+        each = torch.empty(like[0].shape[:rank], dtype=torch.int64, device="cpu")
+        self._new, self._room = maker([*like, *[each] * len(ends.each)]), end
+        self._addresses = Struct(f"{2 + reads - count + len(like) + len(ends.each)}q").pack
 
     def __call__(self, tensors: Sequence[Tensor]) -> tuple[list[Tensor], bool]:
-        """The tensors of what is made, new, with the batch in front; and whether what ends each track is finite.
+        """What is written, new, with the batch in front; and whether what ends each track is finite.
+
+        Of that the tensors of what is made are at ``places``, and numbers that are the same for all tracks at the end.
 
         Args:
             tensors: the prior's, and what the steps read besides the state.
         """
-        ready, written = self._ready, list(map(torch.empty_like, self._like))
-        (before, after), place = self._states, Tensor.data_ptr
-        table = self._table[:]  # each thread its own
-        filled = array("q", [*before, *map(place, tensors[2:]), *after, *map(place, written), *map(place, tensors[:2])])
-        table[: 4 * len(filled) : 4] = filled
-        count, (address, _) = threads(ready.tracks), table.buffer_info()
-        sound = self._function(self._run, ready.tracks, ready.steps, count, address, _room(self._room), self._begun)
+        ready, written = self._ready, self._new()
+        addresses = self._addresses(*map(Tensor.data_ptr, (*tensors, *written)))
+        count, (ports, _) = threads(ready.tracks), self._table.buffer_info()
+        sound = self._function(
+            self._run, ready.tracks, ready.steps, count, ports, addresses, _room(self._room), self._begun
+        )
         for k in self._late:
             written[k] = written[k].narrow(self._rank, 1, ready.steps)
-        return [written[k] for k in self._places], bool(sound)
+        return written, bool(sound)
 
 
 def load(ends: Ends) -> Any:

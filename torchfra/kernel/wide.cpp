@@ -82,7 +82,7 @@ INLINE V load(const Entries<Scalar>& x, int64_t entry) {
   return v;
 }
 // Without a call, also of the last tracks, which may be few: values of a step stay in registers.
-INLINE void put(const Entries<Scalar>& x, int64_t entry, const V& v) {
+INLINE void write(const Entries<Scalar>& x, int64_t entry, const V& v) {
 #ifdef PAST_CACHES  // a store that does not read the line first
   if (x.past) {
     PAST_CACHES(x[entry], v);
@@ -97,6 +97,8 @@ INLINE void put(const Entries<Scalar>& x, int64_t entry, const V& v) {
     for (int64_t i = 0; i < x.lanes; i++) x[entry][i] = v[i];
 #endif
 }
+// The same where it is done once: a call.
+NOINLINE void put(const Entries<Scalar>& x, int64_t entry, const V& v) { write(x, entry, v); }
 INLINE void mark(const Entries<bool>& x, int64_t entry, const M& v) {
   bool* to = x[entry];
   for (int64_t i = 0; i < x.lanes; i++) to[i] = v[i] != 0;

@@ -16,7 +16,7 @@ from torchfra.kernel.entries import Entries
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.step import Step
 from torchfra.linalg.triangular import tria
-from torchfra.types import Estimate, Gaussian
+from torchfra.types import Cause, Estimate, Gaussian
 
 
 def begin(f: Any, book: Expressions, targets: Sequence[int] = ()) -> Any:
@@ -41,7 +41,7 @@ def ends(step: Step) -> Ends:
         return Estimate(mean, root, kept.nis, kept.log_likelihood, info)
 
     f: Any = step.module
-    return Ends(step, start, finish, f.motion.size)
+    return Ends(step, start, finish, f.motion.size, (-1, int(Cause.NONE)))
 
 
 @dataclass(frozen=True)

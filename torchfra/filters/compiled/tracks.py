@@ -15,7 +15,7 @@ from torchfra.kernel.program import Ready
 from torchfra.kernel.whole import Whole
 from torchfra.linalg.triangular import tria
 from torchfra.tree import flattener, unflattener
-from torchfra.types import Cause, Estimate, Failure, Gaussian
+from torchfra.types import Estimate, Failure, Gaussian
 
 _FORMS = 16
 """How many forms are remembered."""
@@ -43,7 +43,8 @@ class ReadyTracks:
         """The state after the last step, and what is kept of each."""
         mean, root = tensors[:2]
         state = begin(Gaussian(mean.expand(self._shape), tria(root).expand((*self._shape, root.shape[-1]))))
-        made: tuple[Any, Any] = self._made(self._run((*self._leaves(state), *tensors[2:])))  # type: ignore[misc]
+        leaves: Any = self._leaves(state)
+        made: tuple[Any, Any] = self._made(self._run((*map(Tensor.contiguous, leaves), *tensors[2:])))
         return made
 
 
@@ -52,20 +53,19 @@ class WholeTracks:
 
     Args:
         whole: the kernel.
-        batch: of the tracks.
         tensors: as of ``ReadyTracks``.
     """
 
-    def __init__(self, whole: Whole, batch: torch.Size, tensors: Sequence[Tensor]) -> None:
-        self._whole, self._batch = whole, batch
-        self._made = unflattener(whole.made._replace(failure=Failure(*tensors[:2])))
+    def __init__(self, whole: Whole, tensors: Sequence[Tensor]) -> None:
+        self._whole = whole
+        tree = whole.made._replace(failure=Failure(*tensors[:2]))
+        self._made = unflattener(tree, [*whole.places, -2, -1])
         self.fit = guard(tensors)
 
     def __call__(self, begin: Callable[[Gaussian], Any], tensors: Sequence[Tensor]) -> Estimate:
         """What ``forward`` returns, but for the causes of failures: the failure is None where there may be any."""
         written, sound = self._whole(tensors)
-        each = (torch.full(self._batch, value) for value in (-1, int(Cause.NONE)))
-        made: Estimate = self._made([*written, *each])
+        made: Estimate = self._made(written)
         return made if sound else made._replace(failure=None)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Hashable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -13,6 +12,7 @@ from torch.autograd import forward_ad
 
 from torchfra.filters.compiled import traced
 from torchfra.filters.compiled.back import Given, retreat
+from torchfra.filters.compiled.seen import Seen
 from torchfra.filters.compiled.step import Data, ReadyStep, ReadySteps, may_be_ready, number
 from torchfra.filters.compiled.tracks import AllReadyTracks, ReadyTracks, WholeTracks
 from torchfra.gaussian.inputs import Measurements
@@ -71,24 +71,22 @@ class Version:
         self.frozen = frozen(f)
         self.scans = bool(getattr(f, "scans", False))
         self.values: list[_Value] = []
-        self._parts: list[dict[str, Any]] = []
-        self._watched: list[tuple[dict[str, Any], str, Any]] = []
+        seen = Seen()
         for path, module in f.named_modules():
             numbers = getattr(module, "kernel_numbers", ())
             parts = (module.__dict__, module._modules, module._parameters, module._buffers)
             if not any(parts[1:]) and module.__dict__.keys() <= _EMPTY:
                 continue  # a side that does nothing has nothing that could change
-            self._parts += [part for part in parts if not isinstance(module, Hyper)]
+            if not isinstance(module, Hyper):
+                seen.sizes += parts
             for part in parts:
                 for key, x in part.items():
                     event = 0 if key in numbers else _event(module, part, x, self.scans)
                     if event is not None:
                         self.values.append(_Value(f"{path}.{key}".lstrip("."), module, key, event))
                     elif part is not module.__dict__ or key not in _PLUMBING:
-                        self._watched.append((part, key, x))
-        self._owners, self._keys, self._seen = zip(*self._watched, strict=True)
-        self._tensors = [x for x in self._seen if isinstance(x, Tensor)]
-        self._sizes, self._versions = self._sizes_now(), self._versions_now()
+                        seen.items.append((part, key, x))
+        self._unchanged = seen.check()
         self._locate()
 
     @property
@@ -99,17 +97,10 @@ class Version:
 
     def holds(self) -> bool:
         """Whether nothing has changed since."""
-        return (
-            all(map(operator.is_, map(dict.get, self._owners, self._keys), self._seen))
-            and self._sizes_now() == self._sizes
-            and self._versions_now() == self._versions
-        )
-
-    def _sizes_now(self) -> list[int]:
-        return list(map(len, self._parts))
-
-    def _versions_now(self) -> list[int]:
-        return [x._version for x in self._tensors]
+        try:
+            return self._unchanged()
+        except KeyError:  # something is gone
+            return False
 
     def _locate(self) -> None:
         """Finds the values where they are now."""
@@ -175,7 +166,7 @@ class Version:
         """Makes later tracks like these ready, likewise."""
         steps, values = data[0].shape[-2], self.read()
         given = [x for x in data if x is not None]
-        tensors, leaves = [*prior, *given, *values], flatten(state)
+        tensors, leaves = [*prior, *given, *values], [x.contiguous() for x in flatten(state)]
         full, dtype = self.full(plan, [*leaves, *given, *values]), plan.dtypes[0]
         if (
             self._changes(plan, tensors)
@@ -188,7 +179,7 @@ class Version:
             return
         whole = None if past else plan.kernels.whole(run, plan.batch, prior, traced.ends)
         if whole is not None:
-            self.tracks.add(form, WholeTracks(whole, plan.batch, tensors))
+            self.tracks.add(form, WholeTracks(whole, tensors))
         else:
             made = plan.kernels.step.state, plan.kernels.step.record
             self.tracks.add(form, ReadyTracks(run, plan.batch, tensors, state, made))
