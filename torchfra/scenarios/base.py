@@ -76,7 +76,7 @@ class Scenario:
     prior: Gaussian
     dt: float
     steps: int
-    block: Callable[[np.random.Generator, Tensor], Tracks]
+    block: Callable[[np.random.Generator, Tensor], Tracks] = field(repr=False)
     settings: dict[str, object]
     bank: Bank | None = None
     extra_quantities: Mapping[str, slice] = field(default_factory=dict)
@@ -85,7 +85,7 @@ class Scenario:
     conversion: Callable[[Estimate], Estimate] | None = None
     limit: float | None = None
     recordings: tuple[str, ...] = ()
-    law: Law | None = None
+    law: Law | None = field(default=None, repr=False)
 
     def cartesian(self, estimate: Estimate) -> Estimate:
         """The estimate in the truth's coordinates; unchanged where filters estimate in these anyway."""
