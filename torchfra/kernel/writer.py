@@ -73,7 +73,7 @@ class Writer:
 
     def __init__(self, step: Step, narrow: bool, length: int | None = None) -> None:
         self._step, self._book = step, step.book
-        live = [i for i in _lazily(self._book, step.live) if i not in self._book.values and i not in step.carried]
+        live = [i for i in step.live if i not in self._book.values and i not in step.carried]
         self._before = [
             Piece(part, None) for part in cut(self._book, [i for i in live if i not in step.varying], length)
         ]
@@ -204,19 +204,6 @@ class Writer:
             for i, access in self._step.end
         ]
         return function("end(V* s, const Port* out, const Block& at)", [*opened, *writes])
-
-
-def _lazily(book: Expressions, live: Sequence[int]) -> Iterable[int]:
-    """Expressions with each input just before its first use."""
-    waiting = {i for i in live if book.nodes[i][0] == "input"}
-    for number in live:
-        if number not in waiting:
-            for i in book.nodes[number][1]:
-                if i in waiting:
-                    waiting.remove(i)
-                    yield i
-            yield number
-    yield from sorted(waiting)
 
 
 def _always(names: Iterable[str]) -> list[str]:
