@@ -119,18 +119,15 @@ def regions(
 def _ordered(live: Sequence[int], before: Mapping[int, Sequence[int]], ends: Sequence[int]) -> list[int]:
     """Expressions behind all that must come before them, and soon after: few values wait at any time.
 
-    From the last end to the first, each behind the longest chain that leads to it.  (In the order in which a step is
-    traced, all hypotheses of a filter would go through each operation together.)
+    From the last end to the first, and what was written down first first.  (In the order in which a step is traced, all
+    hypotheses of a filter would go through each operation together, and leave the caches.)
     """
-    lengths: dict[int, int] = {}
-    for number in live:
-        lengths[number] = 1 + max((lengths.get(i, 0) for i in before[number]), default=0)
     done: dict[int, None] = {}
     for number in [*reversed(ends), *live]:
         todo = [number] if number in before else []
         while todo:
-            missing = [i for i in before[todo[-1]] if i not in done]
-            todo += sorted(missing, key=lengths.__getitem__)
+            missing = {i for i in before[todo[-1]] if i not in done}
+            todo += sorted(missing, reverse=True)
             if not missing:
                 done[todo.pop()] = None
     return list(done)
