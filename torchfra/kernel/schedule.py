@@ -119,8 +119,9 @@ def regions(
 def _ordered(live: Sequence[int], before: Mapping[int, Sequence[int]], ends: Sequence[int]) -> list[int]:
     """Expressions behind all that must come before them, and soon after: few values wait at any time.
 
-    From the last end to the first, and what was written down first first.  (In the order in which a step is traced, all
-    hypotheses of a filter would go through each operation together, and leave the caches.)
+    From the last end to the first; of several arguments the one that was written down earliest comes first.  (In the
+    order in which a step is traced all hypotheses of a filter go through each operation together: too many values to
+    stay in the caches.)
     """
     done: dict[int, None] = {}
     for number in [*reversed(ends), *live]:

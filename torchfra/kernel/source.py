@@ -84,7 +84,7 @@ class Scan:
             narrow: whether for one track, in plain C++ that needs no headers of torch; or for many, in vectors.
         """
         return "".join(
-            (*self._parts(Writer(self.step(), narrow), narrow, apart=True), file("run.cpp").replace("MOST", str(PAST)))
+            (*self._parts(Writer(self.step(), narrow), narrow, apart=True), file("run.cpp").replace("PAST", str(PAST)))
         )
 
     def cuda(self) -> str:
