@@ -10,7 +10,7 @@ extern "C" void run(int64_t tracks, int64_t steps, int threads, const Port* in, 
   if (tracks == 0) return;
   const int64_t packs = (tracks + W - 1) / W, share = threads * step::PACKS;
   const int64_t blocks = (packs + share - 1) / share * threads;  // of PACKS at most, as many for each thread
-  const bool past = tracks * steps * step::WRITTEN * int64_t{sizeof(Scalar)} >= PAST;  // of what no cache keeps
+  const bool past = tracks * steps * step::WRITTEN * int64_t{sizeof(Scalar)} >= MANY_BYTES;  // of what no cache keeps
   const auto part = [&](int64_t thread) {
     for (int64_t k = blocks / threads * thread; k < blocks / threads * (thread + 1); k++) {
       const int64_t first = packs * k / blocks * W, last = packs * (k + 1) / blocks * W;

@@ -83,9 +83,8 @@ class Scan:
         Args:
             narrow: whether for one track, in plain C++ that needs no headers of torch; or for many, in vectors.
         """
-        return "".join(
-            (*self._parts(Writer(self.step(), narrow), narrow, apart=True), file("run.cpp").replace("PAST", str(PAST)))
-        )
+        run = file("run.cpp").replace("MANY_BYTES", str(PAST))
+        return "".join((*self._parts(Writer(self.step(), narrow), narrow, apart=True), run))
 
     def cuda(self) -> str:
         """The same for a GPU: one thread for each track, whose tensors come as an argument by value."""
