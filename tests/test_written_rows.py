@@ -46,3 +46,15 @@ def test_all_that_a_call_writes_past_the_caches_lies_on_lines_of_them_be_a_tenso
         estimate = f(data.z, data.prior, u=data.u)
     assert sum(x.numel() * x.itemsize for x in estimate[:4]) > PAST
     assert all(x.stride(1) * 8 % 64 == 0 for x in estimate[:4])
+
+
+def test_what_has_one_entry_a_step_lies_on_rows_of_its_own_too():
+    x = rows_of_tracks((100, 1), torch.Size([100]), torch.float64, torch.device("cpu"), past=True)
+    assert x.stride() == (104, 104, 1)
+    scenario = scenarios.bearings_outliers()
+    data = scenario.simulate(100, 0)
+    f = presets.gpb(scenario.motion, scenario.sensor)
+    with torch.no_grad():
+        interpreted, compiled = (g(data.z, data.prior, u=data.u) for g in (f, f.compile()))
+    assert interpreted.info.outlier.shape == (100, 100, 1)
+    torch.testing.assert_close(compiled.info.outlier, interpreted.info.outlier)

@@ -33,8 +33,9 @@ def rows_of_tracks(
     if not past or width == tracks or tracks < 8 * lanes:
         return in_large_pages(torch.empty((*shape, *batch), dtype=dtype, device=device))
     padded = in_large_pages(torch.empty((*shape, width), dtype=dtype, device=device))
-    rows: Tensor = padded[..., :tracks].unflatten(-1, batch)
-    return rows
+    across = torch.empty(batch, device="meta").stride()
+    # Not by views, which make up strides of dimensions of size 1: kernels go by them.
+    return padded.as_strided((*shape, *batch), (*padded.stride()[:-1], *across))
 
 
 def in_large_pages(x: Tensor) -> Tensor:
