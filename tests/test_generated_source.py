@@ -45,6 +45,7 @@ def test_inputs_state_and_outputs_have_the_names_of_their_fields(source):
         assert re.search(rf"const V {name} = ", step), name
     declared = re.findall(r"const [VM] (\w+) = [^;]*;", step)
     assert len(declared) > 100
+    assert not re.search(r"_r\d+\(", step)  # no routines: it is not large
 
 
 def test_comments_name_lines_of_functions_that_exist_and_none_of_the_tracing(source):

@@ -15,6 +15,7 @@ from torchfra.kernel import schedule
 from torchfra.kernel.expressions import ZERO, Expressions
 from torchfra.kernel.frame import frame, needs
 from torchfra.kernel.program import Program
+from torchfra.kernel.routines import Routine
 from torchfra.kernel.schedule import Piece, cut, pieces
 from torchfra.kernel.source import Port, Scan
 
@@ -24,6 +25,17 @@ OPERATORS = {
     "not": operator.not_, "select": lambda mask, yes, no: yes if mask else no, "norm": math.hypot,
 }  # fmt: skip
 NUMBERS, TESTS, LOGIC = ("add", "sub", "mul", "neg", "abs", "norm"), ("lt", "le"), ("and", "or", "not")
+
+
+def a_routine():
+    """From two numbers to their sum and the product of it with the first."""
+    book = Expressions()
+    inputs = [book.input(), book.input()]
+    total = book.apply("add", *inputs)
+    return Routine("both_r0", book, inputs, [total, book.apply("mul", total, inputs[0])], [total, total + 1], 2)
+
+
+ROUTINE = a_routine()
 
 
 @pytest.fixture
@@ -44,12 +56,14 @@ def random_step(seed, length=120):
     carried, read = [book.input() for _ in range(3)], [book.input() for _ in range(4)]
     numbers, truths = [*carried, *read, book.constant(0.5)], []
     for _ in range(length):
-        kind = draw.choice(["number", "number", "number", "test", "logic", "select", "select"])
+        kind = draw.choice(["number", "number", "number", "test", "logic", "select", "select", "call"])
         if kind == "number" or not truths:
             op = draw.choice(NUMBERS)
             made = book.apply(op, *draw.choices(numbers, k=1 if op in ("neg", "abs") else 2))
             numbers.append(made)
             truths += [] if truths else [book.apply("lt", *draw.choices(read, k=1), made)]
+        elif kind == "call":
+            numbers += book.call(ROUTINE, draw.choices(numbers, k=2))
         elif kind == "select":
             numbers.append(book.apply("select", draw.choice(truths), *draw.choices(numbers[-12:], k=2)))
         else:
@@ -74,6 +88,14 @@ def evaluated(book, values, numbers):
         op, args = book.nodes[number]
         if op == "constant":
             values[number] = book.values[number]
+        elif op == "call":
+            routine = book.calls[number]
+            inner = evaluated(
+                routine.book, dict(zip(routine.inputs, (values[i] for i in args), strict=True)), routine.live
+            )
+            values[number] = [inner[i] for i in routine.outputs]
+        elif op == "result":
+            values[number] = values[args[0]][book.places[number]]
         elif op != "input":
             known = [values[i] for i in args]
             values[number] = min(known) if op == "min" else OPERATORS[op](*known)

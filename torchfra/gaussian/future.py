@@ -12,6 +12,7 @@ from torchfra.gaussian.model import Carried
 from torchfra.gaussian.rules import Difference
 from torchfra.gaussian.smoothing import invertible
 from torchfra.linalg.gram import downdate, gram_information
+from torchfra.linalg.tracing import written_once
 from torchfra.linalg.triangular import apply, hstack, tria_beside
 from torchfra.tree import event_ranks
 from torchfra.types import Gaussian
@@ -45,21 +46,29 @@ class Future(NamedTuple):
         [y^T, d]]`` then holds what is left: ``u ~ N(R^-T y, R^-T R^-1)``, and the density ``exp(-d^2 / 2) / det R``.
         ``difference`` subtracts two states.
         """
-        n = ahead.mean.shape[-1]
-        rest = ahead.spread.shape[-1] - n
-        noise = hstack(ahead.process_noise, ahead.spread[..., :rest]) if rest else ahead.process_noise
-        eye = torch.eye(n, dtype=noise.dtype, device=noise.device)
-        root = tria_beside(eye.diagonal(), self.slope @ noise)
-        if ahead.lost is not None:
-            root, _ = downdate(root, self.slope @ ahead.lost)
-        seen = torch.linalg.solve_triangular(root, hstack(self.slope, self.value.unsqueeze(-1)), upper=False)
-        slope = seen[..., :n]
-        residual = seen[..., n] - apply(slope, difference(ahead.mean, self.origin))
-        rows = hstack(slope @ ahead.spread[..., rest:], residual.unsqueeze(-1)).mT  # [A, e]^T
-        lower = tria_beside(pad(eye.diagonal(), (0, 1)), rows)
-        left = torch.linalg.solve_triangular(lower[..., :n, :n].mT, eye, upper=True)
-        fit = -0.5 * lower[..., n, n].square() - _log_det(lower[..., :n, :n]) - _log_det(root)
-        return Told(Gaussian(apply(left, lower[..., n, :n]), left), fit)
+        gap = difference(ahead.mean, self.origin)
+        lost = () if ahead.lost is None else (ahead.lost,)
+        return _told(self.slope, self.value, gap, ahead.spread, ahead.process_noise, *lost)
+
+
+@written_once(2, 1, 1, 2, 2, 2)
+def _told(slope: Tensor, value: Tensor, gap: Tensor, spread: Tensor, noise: Tensor, *lost: Tensor) -> Told:
+    """``Future.told`` of beliefs that lie ``gap`` beyond the origin."""
+    n = slope.shape[-1]
+    rest = spread.shape[-1] - n
+    noise = hstack(noise, spread[..., :rest]) if rest else noise
+    eye = torch.eye(n, dtype=noise.dtype, device=noise.device)
+    root = tria_beside(eye.diagonal(), slope @ noise)
+    if lost:
+        root, _ = downdate(root, slope @ lost[0])
+    seen = torch.linalg.solve_triangular(root, hstack(slope, value.unsqueeze(-1)), upper=False)
+    slope = seen[..., :n]
+    residual = seen[..., n] - apply(slope, gap)
+    rows = hstack(slope @ spread[..., rest:], residual.unsqueeze(-1)).mT  # [A, e]^T
+    lower = tria_beside(pad(eye.diagonal(), (0, 1)), rows)
+    left = torch.linalg.solve_triangular(lower[..., :n, :n].mT, eye, upper=True)
+    fit = -0.5 * lower[..., n, n].square() - _log_det(lower[..., :n, :n]) - _log_det(root)
+    return Told(Gaussian(apply(left, lower[..., n, :n]), left), fit)
 
 
 def _log_det(root: Tensor) -> Tensor:

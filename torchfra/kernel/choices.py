@@ -36,7 +36,7 @@ def with_choices_last(
 def _sides(book: Expressions, number: int, varying: Collection[int]) -> tuple[int, list[int], list[int]] | None:
     """The truth value on which alone an expression depends, and its arguments where that is true, and else."""
     op, args = book.nodes[number]
-    if op == "select" or book.is_bool(number):
+    if op in ("select", "call", "result") or book.is_bool(number):
         return None
     masks, yes, no = set(), [], []
     for arg in args:

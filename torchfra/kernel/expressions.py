@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any
 
 from torchfra.kernel.origin import Origins
+
+if TYPE_CHECKING:
+    from torchfra.kernel.routines import Routine
 
 ZERO = 0
 """The number of the constant 0, which is also False."""
@@ -32,22 +36,34 @@ _FOLD: dict[str, Callable[..., float]] = {
 }
 
 
+class TooManyError(Exception):
+    """More expressions than were wanted."""
+
+
 class Expressions:
     """Expressions by number, each once: ``nodes[i]`` is an operation and the numbers of what it acts on.
 
     ``names`` has what some are called, ``origin[i]`` says where each was first written: what ``here`` was then.
+    A ``"call"`` is one of ``calls[i]``; each of its results is a ``"result"``, the one at ``places[i]``.
 
     Operations on constants are folded, and so are additions of 0 and products with 0 and 1.  (So 0 times NaN is 0
     here.)
+
+    Args:
+        most: more of them raise ``TooManyError``; None for any number.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, most: int | None = None) -> None:
+        self._most = most
         self.nodes: list[tuple[str, tuple[int, ...]]] = []
         self.values: dict[int, float] = {}
         self.names: dict[int, str] = {}
         self.origin: list[str] = []
         self.here = ""
         self.origins = Origins()
+        self.calls: dict[int, Routine] = {}
+        self.places: dict[int, int] = {}
+        self.routines: dict[Hashable, Any] = {}
         self._known: dict[tuple[object, ...], int] = {}
         self.constant(0.0)
 
@@ -68,7 +84,31 @@ class Expressions:
         self._append("input", ())
         return len(self.nodes) - 1
 
+    def call(self, routine: Routine, args: Sequence[int]) -> list[int]:
+        """What a routine gives for these arguments."""
+        call = self._new("call", tuple(args), routine.name)
+        self.calls[call] = routine
+        return [self._result(routine, call, k) for k in range(len(routine.outputs))]
+
+    def _result(self, routine: Routine, call: int, place: int) -> int:
+        output = routine.outputs[place]
+        if output in routine.book.values:
+            return self.constant(routine.book.values[output])
+        if output in routine.inputs:
+            return self.nodes[call][1][routine.inputs.index(output)]
+        number = self._new("result", (call,), place)
+        self.places[number] = place
+        return number
+
+    def nested(self) -> Expressions:
+        """Those of a routine, which may call the same routines."""
+        new = Expressions()
+        new.routines = self.routines
+        return new
+
     def _append(self, op: str, args: tuple[int, ...]) -> None:
+        if len(self.nodes) == self._most:
+            raise TooManyError
         self.nodes.append((op, args))
         self.origin.append(self.here)
 
@@ -91,6 +131,17 @@ class Expressions:
         if op in ("add", "mul", "and", "or", "eq", "max", "min"):
             args = tuple(sorted(args))
         return self._new(op, args)
+
+    def needed(self, ends: Iterable[int]) -> list[int]:
+        """The expressions that these need, themselves included, in an order in which they can be computed."""
+        found: set[int] = set()
+        todo = [*ends]
+        while todo:
+            number = todo.pop()
+            if number not in found:
+                found.add(number)
+                todo += self.nodes[number][1]
+        return sorted(found)
 
     def copied(self) -> Expressions:
         """A copy that can grow and change by itself."""

@@ -10,7 +10,7 @@ from torchfra.kernel.expressions import Expressions
 
 COSTS = {"constant": 0, "input": 0, "div": 8, "sqrt": 12, "norm": 20, "atan2": 40, "hypot": 20, "exp": 20, "log": 20,
          "log1p": 25, "expm1": 25, "sin": 30, "cos": 30, "tan": 40, "asin": 30, "acos": 30, "atan": 30, "sinh": 30,
-         "cosh": 30, "tanh": 30, "erf": 40, "pow": 60}  # fmt: skip
+         "cosh": 30, "tanh": 30, "erf": 40, "pow": 60, "result": 0}  # fmt: skip
 """Of operations in those of a multiplication, roughly; 1 for what is not here."""
 _WORTH, _SHARE = 300, 0.02
 """What a region costs at least, in multiplications and of the whole step: a smaller one is computed always."""
@@ -31,7 +31,7 @@ class Piece(NamedTuple):
 
 def cost(book: Expressions, numbers: Iterable[int]) -> int:
     """Of expressions, in multiplications."""
-    return sum(COSTS.get(book.nodes[i][0], 1) for i in numbers)
+    return sum(book.calls[i].cost if i in book.calls else COSTS.get(book.nodes[i][0], 1) for i in numbers)
 
 
 def pieces(book: Expressions, live: Sequence[int], ends: Sequence[int], length: int | None = None) -> list[Piece]:
@@ -44,12 +44,19 @@ def pieces(book: Expressions, live: Sequence[int], ends: Sequence[int], length: 
         length: expressions of a piece, about; None for what suits a CPU.
     """
     guards = regions(book, live, conditions(book, live, ends))
-    before = {i: [a for a in (*book.nodes[i][1], *(guards[i] or ())[:1]) if a in guards] for i in live}
-    groups = _groups(_ordered(live, before, ends), before, guards, {i for i in live if book.nodes[i][0] == "input"})
+    call = {i: book.nodes[i][1][0] if i in book.places else i for i in live}  # results come with their call
+    results = defaultdict(list)
+    for i in live:
+        results[call[i]].append(i)
+    before = {
+        i: [call[a] for a in (*book.nodes[i][1], *(guards[i] or ())[:1]) if a in guards] for i in live if call[i] == i
+    }
+    order = ordered([*before], before, [call.get(i, i) for i in ends])
+    groups = _groups(order, before, guards, {i for i in before if book.nodes[i][0] == "input"})
     return [
         Piece(part, guard)
         for (_, guard), group in sorted(groups.items(), key=lambda item: item[0][0])
-        for part in cut(book, group, length)
+        for part in cut(book, [i for number in group for i in results[number]], length)
     ]
 
 
@@ -116,7 +123,7 @@ def regions(
     return guards
 
 
-def _ordered(live: Sequence[int], before: Mapping[int, Sequence[int]], ends: Sequence[int]) -> list[int]:
+def ordered(live: Sequence[int], before: Mapping[int, Sequence[int]], ends: Sequence[int]) -> list[int]:
     """Expressions behind all that must come before them, and soon after: few values wait at any time.
 
     From the last end to the first; of several arguments the one that was written down earliest comes first.  (In the
@@ -170,6 +177,7 @@ def cut(book: Expressions, numbers: Sequence[int], length: int | None = None) ->
         across.append(alive)
     cuts = [0]
     while len(numbers) - cuts[-1] > length * 3 // 2:
-        window = range(cuts[-1] + length // 2, cuts[-1] + length)
-        cuts.append(min(window, key=lambda k: across[k]) + 1)
+        window = range(cuts[-1] + length // 2, min(cuts[-1] + length, len(numbers) - 1))
+        between = [k for k in window if numbers[k + 1] not in book.places]  # a call and its results are not parted
+        cuts.append(min(between, key=lambda k: across[k]) + 1)
     return [list(numbers[a:b]) for a, b in zip(cuts, [*cuts[1:], len(numbers)], strict=True) if a < b]

@@ -68,14 +68,7 @@ class Scan:
 
     def live(self) -> list[int]:
         """The expressions that are needed, in an order in which they can be computed."""
-        needed: set[int] = set()
-        todo = [*self._carried().values(), *(i for port in self.writes for i in port.ids)]
-        while todo:
-            number = todo.pop()
-            if number not in needed:
-                needed.add(number)
-                todo += self.book.nodes[number][1]
-        return sorted(needed)
+        return self.book.needed([*self._carried().values(), *(i for port in self.writes for i in port.ids)])
 
     def source(self, narrow: bool = False) -> str:
         """The translation unit, whose function is ``run``.

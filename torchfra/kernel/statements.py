@@ -32,6 +32,19 @@ def as_truth(book: Expressions, number: int) -> str:
     return called(book, number)
 
 
+def statement(book: Expressions, number: int) -> list[str]:
+    """The lines that compute an expression which is no constant and no input."""
+    name, (op, args) = called(book, number), book.nodes[number]
+    if op == "call":
+        routine, values = book.calls[number], ", ".join(as_number(book, i) for i in args)
+        return [
+            f"const V a{name}[] = {{{values}}};",
+            f"V {name}[{len(routine.outputs)}];",
+            f"{routine.name}(a{name}, {name});",
+        ]
+    return [declared(book, number, computed(book, number))]
+
+
 def declared(book: Expressions, number: int, text: str) -> str:
     """The line that gives an expression its value."""
     return f"const {'M' if book.is_bool(number) else 'V'} {called(book, number)} = {text};"
@@ -48,6 +61,8 @@ def computed(book: Expressions, number: int) -> str:
         yes, no = (kind(book, i) for i in args[1:])
         return f"{as_truth(book, args[0])} ? {yes} : {no}"
     numbers = [as_number(book, i) for i in args]
+    if op == "result":
+        return f"{numbers[0]}[{book.places[number]}]"
     if op == "neg":
         return f"-{numbers[0]}"
     sign = _OPERATORS.get(op)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from contextlib import suppress
+from functools import partial
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -11,14 +13,21 @@ from torch import Tensor, nn
 import torchfra.kernel.operations  # noqa: F401  fills the table of operations that Entries look up
 from torchfra.kernel.copies import frozen, put_in_place
 from torchfra.kernel.entries import Entries, as_entries, entry_ids
-from torchfra.kernel.expressions import ZERO, Expressions
+from torchfra.kernel.expressions import ZERO, Expressions, TooManyError
 from torchfra.kernel.names import give
 from torchfra.kernel.refusals import gradient_refusals_of, refusals_of
+from torchfra.kernel.routines import called_for_each
 from torchfra.kernel.source import Port, Scan
 from torchfra.kernel.tangents import tangent
 from torchfra.linalg.tracing import elementary
 from torchfra.tree import flatten, late, paths, unflatten
 
+_MOST = 110_000
+"""Expressions up to which a step calls no routines, which compile in half the time and take 1.2 times as long."""
+
+T = TypeVar("T")
+Caller = Callable[..., Any] | None
+"""What carries out what is ``written_once``; None for no such thing."""
 Advance = Callable[[Any, Any, dict[str, Any]], tuple[Any, Any]]
 """From a module, its state and its inputs by name to the next state and the record of the step."""
 
@@ -81,6 +90,7 @@ class Step:
     ) -> None:
         self.module, self._advance, self.inputs = module, advance, inputs
         self.dtype, self.repeated, self.last_first = dtype, repeated, last_first
+        self._calls = False  # it is not too large without
         with refusals_of(type(module).__name__), elementary(), torch.no_grad():
             book = Expressions()
             self.state = begin(self.copy_with(self.unknown(book)), book)
@@ -104,14 +114,23 @@ class Step:
     def _always_zero(self, zero: list[Tensor]) -> tuple[list[Tensor], Trace]:
         """The entries of the state that are 0 before the first step and stay 0, and a trace that knows it."""
         while True:
-            trace = self._trace(zero)
+            trace = self._short(partial(self._trace, zero))
             still = [z & (after.ids == ZERO) for z, after in zip(zero, trace.after, strict=True)]
             if all(map(torch.equal, still, zero)):
                 return zero, trace
             zero = still
 
-    def _trace(self, zero: Sequence[Tensor], differentiable: bool = False) -> Trace:
-        book = Expressions()
+    def _short(self, make: Callable[[Expressions, Caller], T]) -> T:
+        """What is made of a new book, without routines; where it has too many expressions for that, with them."""
+        if not self._calls:
+            with suppress(TooManyError):
+                return make(Expressions(_MOST), None)
+            self._calls = True
+        return make(Expressions(), called_for_each)
+
+    def _trace(
+        self, zero: Sequence[Tensor], book: Expressions, caller: Caller = None, differentiable: bool = False
+    ) -> Trace:
         before, inputs = carried(book, zero, self.dtype), self.unknown(book)
         if differentiable:
             for x in (*before, *inputs.values()):
@@ -119,7 +138,7 @@ class Step:
         module = self.copy_with(inputs)
         data = {name: inputs[name] for name, kind in self.inputs.items() if not kind.value}
         name = type(module).__name__
-        with refusals_of(name), elementary(), torch.set_grad_enabled(differentiable):
+        with refusals_of(name), elementary(caller), torch.set_grad_enabled(differentiable):
             state, record = self._advance(module, unflatten(self.state, iter(before)), data)
         after, kept = (tuple(as_entries(book, x) for x in flatten(tree)) for tree in (state, record))
         for kind, leaves in (("", before), ("next.", after)):
@@ -132,10 +151,14 @@ class Step:
 
     def forwards(self, remembers: bool = False) -> Scan:
         """Filters: reads the inputs, writes the record of each step; with ``remembers`` the state before it as well."""
-        ports = _ports(self._plain.kept, timed=self.repeated)
-        for port, is_late in zip(ports, late(self._plain.record), strict=True):
-            port.late = is_late and self.repeated
+        ports = self._kept_ports(self._plain)
         return self._scan(self._plain, ports + (_nonzero_ports(self._plain.before) if remembers else []))
+
+    def _kept_ports(self, trace: Trace) -> list[Port]:
+        ports = _ports(trace.kept, timed=self.repeated)
+        for port, is_late in zip(ports, late(trace.record), strict=True):
+            port.late = is_late and self.repeated
+        return ports
 
     def trajectory(self) -> Scan:
         """Filters again: writes the state before each step."""
@@ -143,7 +166,10 @@ class Step:
 
     def tangent(self, along: Sequence[str]) -> Scan:
         """Filters, and carries derivatives along a direction of the state and of these inputs: see ``tangents``."""
-        return tangent(self.forwards(), [k for k, name in enumerate(self.inputs) if name in along])
+        whole = self._trace(self.zero, Expressions()) if self._calls else self._plain
+        return tangent(
+            self._scan(whole, self._kept_ports(whole)), [k for k, name in enumerate(self.inputs) if name in along]
+        )
 
     def _scan(self, trace: Trace, writes: list[Port]) -> Scan:
         before, after = _ports(trace.before), _ports(trace.after)
@@ -160,17 +186,19 @@ class Step:
         gradients of the state and of the ``needed`` inputs without time, and writes those of the inputs with time.
         """
         of = f"{type(self.module).__name__}, gradient of {', '.join(['the state', *needed])}"
-        with gradient_refusals_of(of, lambda: self._adjoint(graded, needed)):
-            return self._adjoint(graded, needed)
+        adjoint = partial(self._short, partial(self._adjoint, graded, needed))
+        with gradient_refusals_of(of, adjoint):
+            return adjoint()
 
-    def _adjoint(self, graded: Sequence[bool], needed: Sequence[str]) -> Scan:
-        trace = self._trace(self.zero, differentiable=True)
-        book, states = trace.book, len(trace.before)
+    def _adjoint(self, graded: Sequence[bool], needed: Sequence[str], book: Expressions, caller: Caller) -> Scan:
+        trace = self._trace(self.zero, book, caller, differentiable=True)
+        states = len(trace.before)
         after = carried(book, self.zero, self.dtype)
         kept = [x for x, wanted in zip(trace.kept, graded, strict=True) if wanted]
         grads = [Entries.inputs(book, x.shape, self.dtype) for x in kept]
         sources = [*trace.before, *(trace.inputs[name] for name in needed)]
-        pulled = _pullback(book, [*trace.after, *kept], [*after, *grads], sources)
+        with elementary(caller):
+            pulled = _pullback(book, [*trace.after, *kept], [*after, *grads], sources)
         stays = [g for g, name in zip(pulled[states:], needed, strict=True) if not self.inputs[name].timed]
         timed = [g for g, name in zip(pulled[states:], needed, strict=True) if self.inputs[name].timed]
         sums = [Entries.inputs(book, g.shape, self.dtype) for g in stays]
@@ -200,8 +228,7 @@ def _pullback(
     """Gradients of the sources, from those of the outputs."""
     follows = [(x, g) for x, g in zip(outputs, gradients, strict=True) if x.requires_grad]
     ends, pulls = zip(*follows, strict=True)
-    with elementary():
-        pulled = torch.autograd.grad(ends, sources, pulls, allow_unused=True)
+    pulled = torch.autograd.grad(ends, sources, pulls, allow_unused=True)
     return [as_entries(book, torch.zeros(x.shape) if g is None else g) for x, g in zip(sources, pulled, strict=True)]
 
 

@@ -10,8 +10,9 @@ from typing import NamedTuple
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.frame import crossing, frame
 from torchfra.kernel.parts import apart, together
+from torchfra.kernel.routines import texts
 from torchfra.kernel.schedule import Piece, cut, guarded_share, pieces
-from torchfra.kernel.statements import as_number, as_truth, called, computed, declared, function, indented
+from torchfra.kernel.statements import as_number, as_truth, called, declared, function, indented, statement
 
 _PACKS, _BYTES = 16, 1 << 18
 """Packs of a block at most, and bytes of their values: a part of the second cache."""
@@ -89,7 +90,7 @@ class Writer:
     def texts(self, split: bool = False) -> dict[str, str]:
         """What takes the place of each word of the template; ``split``: functions of a large step are in parts."""
         functions = [self._begin()]
-        long: dict[str, list[str]] = {}
+        long = texts(self._book, self._step.live)
         before, calls = ["begin(s[p], in, at[p]);"], []
         for k, piece in enumerate(self._before):
             head = f"before{k}(V* s, const Port* in, const Block& at)"
@@ -134,7 +135,7 @@ class Writer:
                 if origin not in ("", told):
                     body.append(f"// {origin}")
                     told = origin
-                body.append(declared(self._book, number, computed(self._book, number)))
+                body += statement(self._book, number)
             else:
                 opened[access.name] = access.opened
                 body.append(declared(self._book, number, f"{access.how}({access.name}, {access.entry})"))

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from torchfra.linalg.safe import safe_divide
-from torchfra.linalg.tracing import is_elementary
+from torchfra.linalg.tracing import is_elementary, written_once
 from torchfra.linalg.triangular import tria
 
 
@@ -40,6 +40,7 @@ def gram_sqrt(h: Tensor) -> Tensor:
     return _of_gram(h, u, power, sigma, power > 0, slope)
 
 
+@written_once(2)
 def gram_information(h: Tensor) -> tuple[Tensor, Tensor]:
     """What makes of ``N(0, I)`` the belief ``N(w, H H^T)``: a measurement ``root x + N(0, I)`` of value ``weight w``.
 
@@ -124,16 +125,23 @@ def _left_singular(h: Tensor) -> tuple[Tensor, Tensor]:
         return u, pad(sigma.square(), (0, max(m - sigma.shape[-1], 0)))[..., :m]
     # One-sided Jacobi: pairs of rows are rotated until all are orthogonal; the product of the rotations is u^T.
     rotations = torch.eye(m, dtype=h.dtype, device=h.device).expand((*h.shape[:-1], m))
-    rows = list(torch.cat([h, rotations], -1).unbind(-2))
-    d = h.shape[-1]
     for _ in range(2 if m == 2 else min(m + 2, 8)):  # one more than the worst of 300,000 matrices of 3 to 5 rows needs
-        for p, q in combinations(range(m), 2):
-            a, b = rows[p], rows[q]
-            gap = b[..., :d].square().sum(-1, keepdim=True) - a[..., :d].square().sum(-1, keepdim=True)
-            product = 2 * (a[..., :d] * b[..., :d]).sum(-1, keepdim=True)
-            tangent = safe_divide(product, gap.abs() + torch.hypot(gap, product))
-            tangent = torch.where(gap < 0, -tangent, tangent)
-            cosine = (1 + tangent.square()).rsqrt()
-            rows[p], rows[q] = cosine * (a - tangent * b), cosine * (b + tangent * a)
+        h, rotations = _rotated(h, rotations)
+    return rotations.mT, h.square().sum(-1)
+
+
+@written_once(2, 2)
+def _rotated(h: Tensor, rotations: Tensor) -> tuple[Tensor, Tensor]:
+    """The rows of ``h (..., m, d)`` after a rotation of each pair that makes it orthogonal; ``rotations`` go along."""
+    d = h.shape[-1]
+    rows = list(torch.cat([h, rotations], -1).unbind(-2))
+    for p, q in combinations(range(len(rows)), 2):
+        a, b = rows[p], rows[q]
+        gap = b[..., :d].square().sum(-1, keepdim=True) - a[..., :d].square().sum(-1, keepdim=True)
+        product = 2 * (a[..., :d] * b[..., :d]).sum(-1, keepdim=True)
+        tangent = safe_divide(product, gap.abs() + torch.hypot(gap, product))
+        tangent = torch.where(gap < 0, -tangent, tangent)
+        cosine = (1 + tangent.square()).rsqrt()
+        rows[p], rows[q] = cosine * (a - tangent * b), cosine * (b + tangent * a)
     rotated = torch.stack(rows, -2)
-    return rotated[..., d:].mT, rotated[..., :d].square().sum(-1)
+    return rotated[..., :d], rotated[..., d:]

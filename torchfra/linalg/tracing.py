@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import wraps
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -20,16 +22,41 @@ def is_traced(*tensors: Tensor) -> bool:
 
 
 _elementary: ContextVar[bool] = ContextVar("elementary", default=False)
+_caller: ContextVar[Callable[..., Any] | None] = ContextVar("caller", default=None)
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 @contextmanager
-def elementary() -> Iterator[None]:
-    """Inside this context, decompositions run as loops of elementary arithmetic, which ``torchfra.kernel`` records."""
-    token = _elementary.set(True)
+def elementary(caller: Callable[..., Any] | None = None) -> Iterator[None]:
+    """Inside this context, decompositions run as loops of elementary arithmetic, which ``torchfra.kernel`` records.
+
+    Args:
+        caller: carries out what is ``written_once``, from the function, its ranks and its tensors.
+    """
+    tokens = _elementary.set(True), _caller.set(caller)
     try:
         yield
     finally:
-        _elementary.reset(token)
+        _elementary.reset(tokens[0])
+        _caller.reset(tokens[1])
+
+
+def written_once(*ranks: int) -> Callable[[F], F]:
+    """Decorates a function of tensors that does the same for each batch: a large kernel holds its code only once.
+
+    Args:
+        ranks: how many dimensions the event has in each of its arguments, the last of which may be left out.
+    """
+
+    def decorate(function: F) -> F:
+        @wraps(function)
+        def call(*tensors: Tensor) -> Any:
+            caller = None if torch.compiler.is_compiling() else _caller.get()
+            return function(*tensors) if caller is None else caller(function, ranks[: len(tensors)], tensors)
+
+        return call  # type: ignore[return-value]
+
+    return decorate
 
 
 def is_elementary() -> bool:

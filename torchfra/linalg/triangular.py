@@ -13,7 +13,7 @@ from torch.nn.functional import pad
 
 from torchfra.linalg.batches import common_batch
 from torchfra.linalg.safe import safe_divide
-from torchfra.linalg.tracing import is_elementary, is_traced
+from torchfra.linalg.tracing import is_elementary, is_traced, written_once
 
 
 def tria(a: Tensor, *, padded: bool = False) -> Tensor:
@@ -95,6 +95,7 @@ _SMALL = 16
 """Number of rows up to which a loop over rows, which a compiler can fuse, is faster than a call of LAPACK."""
 
 
+@written_once(2)
 def _orthogonalise(a: Tensor) -> Tensor:
     """Modified Gram-Schmidt: in exact arithmetic the same root as that of Householder reflections."""
     columns, rest = [], a[..., a.shape[-2] :]

@@ -57,11 +57,6 @@ class WayBack(GaussianFilter[GPBState]):
     keeps_past = True
     regimes: Regimes
 
-    @property
-    def kernels_back(self) -> bool:  # type: ignore[override]  # of this bank, not of the class
-        """Whether the way back can run as a kernel: that of one motion."""
-        return self.regimes.motions == 1
-
     def check_smooths_several(self) -> None:
         """Raises a ``NotImplementedError``: there is no smoother over several sensors."""
         raise NotImplementedError(

@@ -1,0 +1,96 @@
+"""A step that is large has the code of what it does for each hypothesis once, and says the same."""
+
+import copy
+import re
+
+import pytest
+import torch
+from test_compile import close
+from torch.autograd import forward_ad
+
+from torchfra import Gaussian, presets
+from torchfra.kernel import step
+from torchfra.kernel.entries import Entries, entry_ids
+from torchfra.kernel.expressions import Expressions
+from torchfra.kernel.routines import called_for_each
+from torchfra.kernel.source import Scan
+from torchfra.linalg.tracing import elementary
+from torchfra.linalg.triangular import _orthogonalise
+from torchfra.motion import Bank, ConstantVelocity
+from torchfra.sensors import Position
+
+PRIOR = Gaussian(torch.zeros(2).double(), torch.tensor([[5.0, 0.0], [1.0, 2.0]]).double())
+
+
+@pytest.fixture
+def written(monkeypatch):
+    """Every step is large; the sources of kernels."""
+    sources, source = [], Scan.source
+
+    def kept(self, narrow=False):
+        sources.append(source(self, narrow))
+        return sources[-1]
+
+    monkeypatch.setattr(step, "_MOST", 10)
+    monkeypatch.setattr(Scan, "source", kept)
+    return sources
+
+
+def gpb():
+    """Of two motions on a line."""
+    return presets.gpb(Bank([ConstantVelocity(1.0, dims=1), ConstantVelocity(30.0, dims=1)]), Position(5.0, dims=1))
+
+
+def measured(tracks, steps=6):
+    draw = torch.Generator().manual_seed(3)
+    z = 10 * torch.randn(tracks, steps, 1, generator=draw).double().cumsum(-2)
+    z[0, 2] = torch.nan
+    return z
+
+
+def test_estimates_smoothed_ones_and_their_gradients_are_the_same(written):
+    said = []
+    for f in (gpb(), gpb().compile()):
+        z = measured(tracks=100).requires_grad_()
+        smoothed = f.smooth(z, PRIOR)
+        (smoothed.mean.sum() + smoothed.scale_tril.square().sum()).backward()
+        said.append((smoothed, z.grad))
+    close(*(x[0] for x in said))
+    close(*(x[1] for x in said), tolerance=1e-9)
+    assert len(written) == 4
+    for source in written:
+        defined = re.findall(r"^\w+ void (\w+_r\d+)\(.*\{$", source, re.MULTILINE)
+        calls = [len(re.findall(rf"\b{name}\(av", source)) for name in defined]
+        assert len(set(defined)) == len(defined) > 0
+        assert min(calls) >= 1
+        assert sum(calls) >= 2 * len(calls)
+
+
+def test_one_track_alone_is_the_same(written):
+    with torch.no_grad():
+        close(*(f.smooth(measured(tracks=1), PRIOR) for f in (gpb(), gpb().compile())))
+
+
+def test_derivatives_forwards_are_the_same(written):
+    f, z = gpb(), measured(9)
+    with torch.no_grad(), forward_ad.dual_level():
+        rates = [
+            forward_ad.unpack_dual(g(forward_ad.make_dual(z, torch.ones_like(z)), PRIOR).mean).tangent
+            for g in (f, copy.deepcopy(f).compile())
+        ]
+    close(*rates)
+
+
+def test_what_is_zero_for_all_is_not_computed_and_what_is_not_has_a_routine_of_its_own():
+    book = Expressions()
+    full = Entries.inputs(book, (3, 4, 8), torch.float64)
+    lower = torch.where(torch.ones(4, 8).tril(4) > 0, full.ids, 0)
+    matrices = Entries(book, torch.cat([full.ids, lower]), torch.float64)
+    with elementary(called_for_each):
+        roots, again = _orthogonalise(matrices), _orthogonalise(matrices)
+    routines = [made[0] for made in book.routines.values()]
+    assert [len(routine.inputs) for routine in routines] == [4 * 8, 4 * 8 - 6]
+    assert routines[0].cost > routines[1].cost
+    assert len(book.calls) == 6
+    assert entry_ids(roots[0]) != entry_ids(roots[1])
+    assert entry_ids(again) == entry_ids(roots)

@@ -1,0 +1,177 @@
+"""Functions of a large step that do the same for many hypotheses: their code is written once, and called for each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra import tree
+from torchfra.kernel.divisions import with_quotients
+from torchfra.kernel.entries import Entries, as_entries, entry_ids
+from torchfra.kernel.expressions import Expressions
+from torchfra.kernel.schedule import cost, ordered
+from torchfra.kernel.statements import called, statement
+from torchfra.linalg.batches import common_batch
+
+_SHORT, _LONG = 60, 8000
+"""Expressions of a routine at least, and at most: a call of a short one saves little, long ones compile slowly."""
+
+Function = Callable[..., Any]
+"""From tensors to a tensor, or a tuple of them."""
+
+
+class Routine(NamedTuple):
+    """Expressions that are written once, and called with other arguments each time."""
+
+    name: str
+    book: Expressions
+    inputs: list[int]
+    outputs: list[int]
+    live: list[int]
+    """What is computed, in this order."""
+    cost: int
+    """In multiplications, roughly."""
+
+
+def called_for_each(function: Function, ranks: Sequence[int], tensors: Sequence[Tensor]) -> Any:
+    """``function(*tensors)`` of one track, by calls of routines: one for each entry of the batch.
+
+    Entries share a routine if the same of their numbers are constants, and the same are equal: zeros cost nothing there
+    either.  Arguments and results of a call go through memory, so that calls are for steps that are too large without.
+
+    Args:
+        function: does the same for each entry.
+        ranks: of the tensors' events; what is in front of them is the batch.
+        tensors: any.
+    """
+    book = next((x.book for x in tensors if isinstance(x, Entries)), None)
+    if book is None or any(x.dtype == torch.bool for x in tensors):
+        return function(*tensors)
+    if torch.is_grad_enabled() and any(x.requires_grad for x in tensors):
+        form: list[Any] = []
+        leaves = _Differentiable.apply(function, ranks, form, *tensors)  # type: ignore[no-untyped-call]  # untyped in torch
+        return tree.unflatten(form[0], iter(leaves))
+    args = [as_entries(book, x) for x in tensors]
+    batch = _batch(ranks, args)
+    events = tuple(x.shape[x.dim() - rank :] for x, rank in zip(args, ranks, strict=True))
+    rows = [x.ids.expand(batch + event).reshape(batch.numel(), -1) for x, event in zip(args, events, strict=True)]
+    every = torch.cat(rows, -1).tolist()
+    made = [_routine(book, function, events, args[0].dtype, _form(book, numbers)) for numbers in every]
+    if None in made:
+        return function(*tensors)
+    found = [book.call(one[0], _unknown(book, numbers)) for one, numbers in zip(made, every, strict=True) if one]
+    results = made[0][1] if made[0] else None
+    outputs = tree.flatten(results)
+    parts = torch.tensor(found, dtype=torch.int64).split([x.numel() for x in outputs], -1)
+    pairs = zip(outputs, parts, strict=True)
+    return tree.unflatten(results, (Entries(book, ids.reshape(batch + x.shape), x.dtype) for x, ids in pairs))
+
+
+class _Differentiable(torch.autograd.Function):
+    """The same, whose gradient is a call of a routine too."""
+
+    @staticmethod
+    def forward(ctx: Any, function: Function, ranks: Sequence[int], form: list[Any], *tensors: Tensor) -> Any:
+        form.append(called_for_each(function, ranks, tensors))
+        ctx.save_for_backward(*tensors)
+        ctx.function, ctx.ranks = function, ranks
+        return tuple(tree.flatten(form[0]))
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> Any:
+        tensors, wanted = ctx.saved_tensors, ctx.needs_input_grad[3:]
+        before = len(_batch(ctx.ranks, tensors))
+        ranks = (*ctx.ranks, *(x.dim() - before for x in grads))
+        pulled = iter(called_for_each(_pullback(ctx.function, wanted), ranks, (*tensors, *grads)))
+        sums = (next(pulled).sum_to_size(x.shape) if wants else None for x, wants in zip(tensors, wanted, strict=True))
+        return None, None, None, *sums
+
+
+@lru_cache(maxsize=64)
+def _pullback(function: Function, wanted: tuple[bool, ...]) -> Function:
+    """From the tensors of a function and the gradients of its results to those of the tensors that are wanted."""
+
+    def back(*tensors: Tensor) -> tuple[Tensor, ...]:
+        inputs = [x.detach().requires_grad_(wants) for x, wants in zip(tensors, wanted, strict=False)]
+        with torch.enable_grad():
+            results = tree.flatten(function(*inputs))
+        follows = [(x, g) for x, g in zip(results, tensors[len(wanted) :], strict=True) if x.requires_grad]
+        sources = [x for x in inputs if x.requires_grad]
+        grads = torch.autograd.grad(*([x for x, _ in follows], sources, [g for _, g in follows]), allow_unused=True)
+        return tuple(torch.zeros_like(x) if g is None else g for x, g in zip(sources, grads, strict=True))
+
+    back.__name__ = f"gradient_of_{_name(function)}"
+    return back
+
+
+def _name(function: Function) -> str:
+    return function.__name__.strip("_")
+
+
+def _batch(ranks: Sequence[int], tensors: Sequence[Tensor]) -> torch.Size:
+    return common_batch(x.shape[: x.dim() - rank] for x, rank in zip(tensors, ranks, strict=True))
+
+
+def _unknown(book: Expressions, numbers: Iterable[int]) -> list[int]:
+    """Those of them that are no constants, each once."""
+    return list(dict.fromkeys(i for i in numbers if i not in book.values))
+
+
+def _form(book: Expressions, numbers: Sequence[int]) -> tuple[int | str, ...]:
+    """Which of the numbers are which constants, and which of the others are the same."""
+    places = {number: place for place, number in enumerate(_unknown(book, numbers))}
+    return tuple(places[i] if i in places else repr(book.values[i]) for i in numbers)
+
+
+def _routine(
+    book: Expressions,
+    function: Function,
+    events: tuple[torch.Size, ...],
+    dtype: torch.dtype,
+    form: tuple[int | str, ...],
+) -> tuple[Routine, Any] | None:
+    """The routine for such arguments, and results in the form of its own; None if it is too short or too long."""
+    key = function, events, dtype, form
+    if key not in book.routines:
+        book.routines[key] = None  # until it is there it calls no other of its kind
+        inner = book.nested()
+        inputs = [inner.input() for _ in range(1 + max((x for x in form if isinstance(x, int)), default=-1))]
+        numbers = torch.tensor([inputs[x] if isinstance(x, int) else inner.constant(float(x)) for x in form])
+        parts = zip(numbers.split([event.numel() for event in events]), events, strict=True)
+        results = function(*(Entries(inner, part.reshape(event), dtype) for part, event in parts))
+        leaves = tree.flatten(results)
+        outputs = [i for x in leaves for i in entry_ids(as_entries(inner, x))]
+        live = inner.needed(outputs)
+        if _SHORT <= len(live) <= _LONG and not any(x.dtype == torch.bool for x in leaves):
+            inner, live = with_quotients(inner, live, set(live), outputs)
+            before = {i: [a for a in inner.nodes[i][1] if a not in inner.values] for i in live if i not in inner.values}
+            live = [i for i in ordered([*before], before, outputs) if inner.nodes[i][0] != "input"]
+            name = f"{_name(function)}_r{len(book.routines)}"
+            book.routines[key] = Routine(name, inner, inputs, outputs, live, cost(inner, live)), results
+    made: tuple[Routine, Any] | None = book.routines[key]
+    return made
+
+
+def texts(book: Expressions, live: Iterable[int]) -> dict[str, list[str]]:
+    """By name and arguments, the lines of all routines that these expressions call; each before those that call it."""
+    found: dict[str, list[str]] = {}
+    for routine in {book.calls[i].name: book.calls[i] for i in live if i in book.calls}.values():
+        found |= texts(routine.book, routine.live)
+        found[f"{routine.name}(const V* a, V* r)"] = _lines(routine)
+    return found
+
+
+def _lines(routine: Routine) -> list[str]:
+    book, computed = routine.book, set(routine.live)
+    lines = [f"const V {called(book, i)} = a[{k}];" for k, i in enumerate(routine.inputs)]
+    told = ""
+    for number in routine.live:
+        if book.origin[number] not in ("", told):
+            told = book.origin[number]
+            lines.append(f"// {told}")
+        lines += statement(book, number)
+    return lines + [f"r[{k}] = {called(book, i)};" for k, i in enumerate(routine.outputs) if i in computed]
