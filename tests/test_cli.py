@@ -78,7 +78,7 @@ def test_commands_compile_when_it_is_worthwhile_and_say_so(noisy_track, tmp_path
     assert cli.main([*track_it, "--filter", "fra", "--compile"]) == 0
     assert cli.main([*track_it, "--filter", "imm_srckf"]) == 0
     assert cli.main(track_it) == 0
-    assert calls == [(None, False), (False, True), (None, False), (True, True), (None, False), (None, False)]
+    assert calls == [(None, False), (False, True), (None, False), (True, True), (None, True), (None, True)]
 
 
 @pytest.mark.usefixtures("short_tracks")

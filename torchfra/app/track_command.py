@@ -16,7 +16,7 @@ from torchfra.app.outputs import page
 from torchfra.app.outputs import plan as plans
 from torchfra.app.progress import progress_bar
 from torchfra.app.reading_options import add_reading_options, reading_of
-from torchfra.catalogue import FILTERS, track_filters
+from torchfra.catalogue import track_filters
 from torchfra.cleaning import DEFAULT, Cleaned, check_settings, clean_tracks
 from torchfra.readers import Recording
 from torchfra.tables import printable
@@ -43,7 +43,7 @@ A row of the table is a fix: its row in the input (from 0), its time as the inpu
 position in the input's own coordinates, speed, course, climb, standard deviations along and across the course,
 probabilities of an outlier and of a manoeuvre, a flag, and the covariance."""
 
-WORTHWHILE, WORTHWHILE_OF_BANKS = 5_000, 50_000
+WORTHWHILE = 5_000
 """Steps of the longest tracks that take an interpreted filter about as long as compiling it."""
 
 
@@ -68,9 +68,7 @@ def add_to(commands: Any) -> None:
     add("--html", type=Path, metavar="FILE", help="write a page with pictures to look around in; needs plotly")
     _add_cleaning(command.add_argument_group("cleaning").add_argument)
     add_reading_options(command.add_argument_group("reading").add_argument)
-    add_compile_option(
-        command, f"for {WORTHWHILE:,} steps or more, of filters with several models {WORTHWHILE_OF_BANKS:,}"
-    )
+    add_compile_option(command, f"for {WORTHWHILE:,} steps or more")
     add_bound_option(add)
     add_json_option(command)
     add_quiet_option(command)
@@ -127,9 +125,7 @@ def _cleaned(
 ) -> dict[Recording, Cleaned]:
     """The targets that could be cleaned."""
     tell, fallback = reporters(options.compile, options.quiet)
-    entry = FILTERS[options.filter]
-    least = WORTHWHILE_OF_BANKS if entry.bank or entry.either else WORTHWHILE
-    compile = choose(options.compile, max(len(recording.time) for recording in recordings) >= least, tell)
+    compile = choose(options.compile, max(len(recording.time) for recording in recordings) >= WORTHWHILE, tell)
     results = clean_tracks(
         recordings, filter=options.filter, bank=options.bank, sigma=options.sigma, q=options.q,
         smooth=not options.no_smooth, dt=options.dt, compile=compile, fallback=fallback,
