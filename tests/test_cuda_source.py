@@ -16,7 +16,7 @@ import pytest
 import torch
 
 from torchfra import presets, scenarios
-from torchfra.kernel import build, cuda
+from torchfra.kernel import build, cuda, step
 from torchfra.kernel.compilers import CompileError
 from torchfra.kernel.source import Scan
 from torchfra.types import Gaussian
@@ -138,6 +138,12 @@ def test_a_loop_over_threads_gives_what_the_filter_gives(name, dtype, monkeypatc
 ])  # fmt: skip
 def test_filters_of_several_branches_too(name, options, dtype, monkeypatch):
     compare(name, dtype, monkeypatch, **options)
+
+
+def test_a_step_that_calls_routines_too(monkeypatch):
+    monkeypatch.setattr(step, "_MOST", 10)
+    compare("imm_srckf", torch.float64, monkeypatch)
+    assert any("orthogonalise_r1(av" in source for source in source_of("imm_srckf", monkeypatch))
 
 
 # ---------------------------------------------------------------- machine code for GPUs
