@@ -14,6 +14,7 @@ from test_compile import both, close
 
 from torchfra import learnable, presets
 from torchfra.association import Clutter, Euclidean, associate
+from torchfra.filters import smoothing
 from torchfra.linalg.tracing import elementary
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
@@ -76,10 +77,24 @@ def test_results_and_gradients_are_those_of_the_eager_filter():
 
 
 @pytest.mark.slow
-def test_smoothed_results_are_those_of_the_eager_filter():
+@pytest.mark.parametrize("lag", [None, 2])
+def test_smoothed_results_and_gradients_are_those_of_the_eager_filter(lag, monkeypatch):
+    """Also of scenes each with its own time steps and targets with values of their own; no loop of Python runs."""
     z, prior = scans()
-    f = plane(lost=0.2)
-    close(f.smooth(z, prior)[:4], copy.deepcopy(f).compile().smooth(z, prior)[:4])
+    dt = torch.linspace(0.8, 1.2, 15).double().reshape(3, 5)
+    motion = ConstantVelocity(torch.tensor([0.5, 2.0]).double())
+    f = learnable(presets.jpda(motion, Position(2.0), clutter=Clutter(1e4, rate=2.0), lost=0.2), ("q",))
+    fast = copy.deepcopy(f).compile()
+    said = [f.smooth(z, prior, dt=dt, lag=lag)]
+    monkeypatch.setattr(smoothing, "sweep", None)
+    said.append(fast.smooth(z, prior, dt=dt, lag=lag))
+    close(*(x[:4] for x in said))
+    close(
+        *(
+            torch.autograd.grad(x.mean.sum() + x.scale_tril.sum(), list(g.parameters()))
+            for x, g in zip(said, (f, fast), strict=True)
+        )
+    )
 
 
 def test_elements_may_be_missing_and_a_target_that_fails_leaves_the_others_alone(crossing):

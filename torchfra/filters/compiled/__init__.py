@@ -105,8 +105,12 @@ class Compiled:
 
     def back(self, f: Any, past: Any, measurements: Measurements, rank: int, lag: int | None = None) -> Any:
         """What the way back says of every step, time behind ``rank`` batch dimensions: see ``Smoother``."""
+        measurements = f.each_alone(measurements)
+        return self._back(f, past, measurements, rank, lag)
+
+    def _back(self, f: Any, past: Any, measurements: Measurements, rank: int, lag: int | None = None) -> Any:
         if lag is not None and lag < flatten(past)[0].shape[rank] - 1:
-            parts = [self.back(f, *part, rank + 1) for part in windows(f, past, measurements, rank, lag)]
+            parts = [self._back(f, *part, rank + 1) for part in windows(f, past, measurements, rank, lag)]
             return of_windows(parts, rank, lag)
         back, now = given(f, past, measurements, rank), self._now(f)
         data, timed = list(back.data.values()), list(back.timed.values())

@@ -32,6 +32,9 @@ class _Value(NamedTuple):
     module: nn.Module
     key: str
     event: int
+    """Dimensions without a batch."""
+    alone: int
+    """The same on the way back of scans, on which each target is a track of its own."""
 
     @property
     def part(self) -> dict[str, Any]:
@@ -81,9 +84,9 @@ class Version:
                 seen.sizes += parts
             for part in parts:
                 for key, x in part.items():
-                    event = 0 if key in numbers else _event(module, part, x, self.scans)
-                    if event is not None:
-                        self.values.append(_Value(f"{path}.{key}".lstrip("."), module, key, event))
+                    event, alone = (0 if key in numbers else _event(module, part, x, s) for s in (self.scans, False))
+                    if event is not None and alone is not None:
+                        self.values.append(_Value(f"{path}.{key}".lstrip("."), module, key, event, alone))
                     elif part is not module.__dict__ or key not in _PLUMBING:
                         seen.items.append((part, key, x))
         self._unchanged = seen.check()
@@ -127,7 +130,8 @@ class Version:
         first, events = flatten(state)[0], self._events if back is None else back.events
         dtype, targets = first.dtype, () if back else tuple(state.belief.mean.shape[-1 - self.scans : -1])
         alone = back.batch if back else state.belief.mean.shape[: -1 - self.scans]
-        values = [(value, x, x.dim() - value.event) for value, x in zip(self.values, self.read(), strict=True)]
+        pairs = zip(self.values, self.read(), strict=True)
+        values = [(value, x, x.dim() - (value.alone if back else value.event)) for value, x in pairs]
         batch = torch.broadcast_shapes(alone, *(x.shape[:rank] for _, x, rank in values))
         inputs, shapes = {}, []
         for (name, event), x, varies in zip(events.items(), data, timed, strict=True):

@@ -37,7 +37,7 @@ class ScanFilter(Filter[S]):
     """
 
     scans = True
-    keeps_past = True
+    keeps_past = kernels_back = True
     one_sensor = "gate and clutter are of the elements of one sensor"
     inner: Any
 
@@ -89,6 +89,12 @@ class ScanFilter(Filter[S]):
         """The combined innovation and its root."""
         assert record.residual is not None
         return record.residual, record.root
+
+    def each_alone(self, measurements: Measurements) -> Measurements:
+        """Measurements whose time steps and ``u`` have a dimension for targets where they have some for scenes."""
+        dt, u = measurements.dt, measurements.u
+        dt = dt.unsqueeze(-2) if isinstance(dt, Tensor) and dt.dim() > 1 else dt
+        return measurements._replace(dt=dt, u=u.unsqueeze(-3) if u is not None and u.dim() > 2 else u)
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: Tensor) -> ScanPast:
         """What the way back needs: of each target its beliefs, in which associations stay as they were."""
