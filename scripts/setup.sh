@@ -11,10 +11,10 @@ if [ ! -x .venv/bin/python ]; then
 fi
 if ! cat pyproject.toml constraints.txt | cmp -s - "$stamp"; then
   echo "installing torchfra[$extras] into .venv"
-  .venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt "torch==$(sed -n 's/^torch==//p' constraints.txt)"
-  .venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[$extras]"
+  .venv/bin/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt "torch==$(sed -n 's/^torch==//p' constraints.txt)"
+  .venv/bin/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e ".[$extras]"
   # Recorded tracks.  Only its files are read: its own dependencies are not needed.
-  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps traffic==2.13
+  .venv/bin/python -m pip install --quiet --no-compile --disable-pip-version-check --no-deps traffic==2.13
   cat pyproject.toml constraints.txt > "$stamp"
 fi
 export PATH="$PWD/.venv/bin:$PATH"

@@ -24,7 +24,11 @@ using int64_t = long long;
 #define NOINLINE static __attribute__((noinline))
 #define EXPECT(x) __builtin_expect(x, 1)
 #define SHARED __attribute__((noinline, visibility("hidden")))
+#ifdef __OPTIMIZE__
 #define INLINE inline __attribute__((always_inline))
+#else  // what is not to be fast is to be compiled fast: calls are less to compile
+#define INLINE inline
+#endif
 #define TABLE constexpr short
 #endif
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from torchfra.app.outputs.colours import BLACK, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
 from torchfra.app.outputs.view import MOST_STD, SURE, Band, View, beyond, view
 from torchfra.app.plotting.labels import SIZE, Array, beside, in_free_places, show
-from torchfra.app.plotting.style import TITLE, any_letters, finish, without_box, words
+from torchfra.app.plotting.style import TITLE, finish, lay_out, without_box, words
 from torchfra.cleaning import Cleaned
 
 _MANY = 50
@@ -43,8 +43,7 @@ def cleaned(of: Cleaned) -> Figure:
     figure.suptitle(words(shown.title, TITLE))
     seen = show(panels["map"], *shown.window)  # about: the layout needs the numbers at its axes, and room above the map
     panels["map"].set_title(" " if beyond(shown, *seen)[2] else "", fontsize=SIZE, loc="left")
-    with any_letters():
-        figure.draw_without_rendering()  # labels are put where there is room, which the layout decides
+    lay_out(figure)  # labels are put where there is room, which the layout decides
     figure.set_layout_engine("none")
     _label_map(panels["map"], shown)
     return figure

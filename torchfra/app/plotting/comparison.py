@@ -13,7 +13,7 @@ from torchfra.app.evaluate import Flight
 from torchfra.app.outputs.colours import APART, GREY
 from torchfra.app.plotting.labels import SIZE, Array, at_ends
 from torchfra.app.plotting.maps import draw_map, label_map
-from torchfra.app.plotting.style import TITLE, any_letters, finish, plain_ticks, without_box, words
+from torchfra.app.plotting.style import TITLE, finish, lay_out, plain_ticks, without_box, words
 
 _ROW = 0.27
 """Height of a filter's row, inches."""
@@ -49,10 +49,9 @@ def comparison(
     _draw_runs(panels["runs"], results, limit, colours)
     ends = _draw_time(panels["time"], results, dt, limit, colours)
     figure.suptitle(words(title, TITLE))
-    with any_letters():
-        figure.draw_without_rendering()  # labels are put where there is room, which the layout decides
-        at_ends(panels["time"], ends, colours)
-        figure.draw_without_rendering()
+    lay_out(figure)  # labels are put where there is room, which the layout decides
+    at_ends(panels["time"], ends, colours)
+    lay_out(figure)
     if flight is not None:
         label_map(panels["map"], flight, colours)
     return figure

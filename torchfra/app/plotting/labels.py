@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from torchfra.app.plotting.style import any_letters, words
+from torchfra.app.plotting.style import lay_out, words
 
 Array = NDArray[np.float64]
 
@@ -90,12 +90,11 @@ def name_lines(figure: Figure, lines: Mapping[Axes, Mapping[str, Line2D]]) -> No
         figure: finished but for these.
         lines: of each of its axes, by name.
     """
-    with any_letters():
-        figure.draw_without_rendering()  # labels are put where there is room, which the layout decides
-        for axes, named in lines.items():
-            ends = {name: _end(line) for name, line in named.items()}
-            at_ends(axes, ends, {name: str(line.get_color()) for name, line in named.items()})
-        figure.draw_without_rendering()
+    lay_out(figure)  # labels are put where there is room, which the layout decides
+    for axes, named in lines.items():
+        ends = {name: _end(line) for name, line in named.items()}
+        at_ends(axes, ends, {name: str(line.get_color()) for name, line in named.items()})
+    lay_out(figure)
 
 
 def beside(axes: Axes, colours: Mapping[str, str]) -> None:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from torchfra.app.outputs.colours import APART, BLUE, DARK, GREY, RED
 from torchfra.app.outputs.summary import summary
 from torchfra.app.plotting.labels import SIZE, Array, in_free_places, show
-from torchfra.app.plotting.style import any_letters, finish, plain_ticks, without_box, words
+from torchfra.app.plotting.style import finish, lay_out, plain_ticks, without_box, words
 from torchfra.cleaning import Cleaned
 from torchfra.readers.repairs import plural
 
@@ -38,8 +38,7 @@ def overview(results: Sequence[Cleaned]) -> Figure:
     margin = 0.04 * max(float(np.ptp(every, axis=0).max()), 1e-3)
     window = every.min(0) - margin, every.max(0) + margin
     show(panels["map"], *window)  # about: the layout needs the numbers at its axes
-    with any_letters():
-        figure.draw_without_rendering()
+    lay_out(figure)
     figure.set_layout_engine("none")
     show(panels["map"], *window)
     in_free_places(panels["map"], {name: paths[name] for name in colours if name in paths}, colours)

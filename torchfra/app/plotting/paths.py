@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchfra.app.outputs.colours import APART, BLACK, DARK, GREY
 from torchfra.app.plotting.labels import SIZE, in_free_places
-from torchfra.app.plotting.style import TITLE, any_letters, finish, line_styles, words
+from torchfra.app.plotting.style import TITLE, finish, lay_out, line_styles, words
 
 _WIDE = {"color": BLACK, "linewidth": 4, "alpha": 0.25, "solid_capstyle": "round"}
 """How a true path looks, on which estimates are seen."""
@@ -38,8 +38,7 @@ def tracks(truth: Tensor, estimates: dict[str, Tensor], title: str, stations: Te
         shown["stations"] = paths.reshape(-1, 2)
     axes.set(xlabel="x, km", ylabel="y, km", title=words(title, TITLE), aspect="equal", adjustable="datalim")
     finish(axes)
-    with any_letters():
-        figure.draw_without_rendering()  # labels are put where there is room, which the layout decides
+    lay_out(figure)  # labels are put where there is room, which the layout decides
     colours = {"truth": DARK, "stations": DARK} | {name: style["color"] for name, style in styles.items()}
     in_free_places(axes, {name: path[np.isfinite(path).all(1)] for name, path in shown.items()}, colours)
     return figure

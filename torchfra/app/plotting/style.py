@@ -43,6 +43,14 @@ def save(figure: Figure, path: str | Path) -> Path:
     return write(path, lambda file: file.write(picture.getvalue()))
 
 
+def lay_out(figure: Figure) -> None:
+    """Gives axes the places that they will have: for labels that go where there is room."""
+    engine = figure.get_layout_engine()
+    assert engine is not None
+    with any_letters():
+        engine.execute(figure)
+
+
 @contextmanager
 def any_letters() -> Iterator[None]:
     """Letters of a name that the font does not have become boxes, without warnings."""
