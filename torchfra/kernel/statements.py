@@ -48,8 +48,8 @@ def computed(book: Expressions, number: int) -> str:
         yes, no = (kind(book, i) for i in args[1:])
         return f"{as_truth(book, args[0])} ? {yes} : {no}"
     numbers = [as_number(book, i) for i in args]
-    if op == "neg":
-        return f"-{numbers[0]}"
+    if op in ("neg", "same"):
+        return numbers[0] if op == "same" else f"-{numbers[0]}"
     sign = _OPERATORS.get(op)
     return f"{numbers[0]} {sign} {numbers[1]}" if sign else f"{op}_({', '.join(numbers)})"
 

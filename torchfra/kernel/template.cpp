@@ -105,19 +105,21 @@ template <class... A> INLINE V norm_(const A&... a) {
 namespace {
 namespace NAME {
 constexpr int PLACES = SIZE;  // of values that go from piece to piece, side by side for each pack of tracks
+constexpr int LEFT = UNREAD;  // of values that are carried but that no step reads: all packs share their places, but in the last step
 constexpr int64_t PACKS = MANY;  // at most, in a block of tracks
 constexpr int64_t WRITTEN = NUMBERS;  // at each step, of a track
 // PIECES
 static INLINE void block(const Port* in, const Port* out, int64_t steps, const Block& tracks) {
-  V s[PACKS][PLACES];
+  V s[PACKS][PLACES], left[PACKS][LEFT];
   Block at[PACKS];
   const int64_t packs = (tracks.lanes + W - 1) / W;
   for (int64_t p = 0; p < packs; p++) {
-    const int64_t left = tracks.lanes - p * W;
-    at[p] = Block{tracks.first + p * W, left < W ? left : W, 0, tracks.past && left >= W};
+    const int64_t rest = tracks.lanes - p * W;
+    at[p] = Block{tracks.first + p * W, rest < W ? rest : W, 0, tracks.past && rest >= W};
     // FIXED
   }
   for (int64_t k = 0; k < steps; k++) {
+    const bool last = k + 1 == steps;
     for (int64_t p = 0; p < packs; p++) at[p].step = TIME;
     // STEP
   }

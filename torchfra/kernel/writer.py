@@ -9,12 +9,15 @@ from typing import NamedTuple
 
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.frame import crossing, frame
+from torchfra.kernel.merges import with_merged
 from torchfra.kernel.parts import apart, together
-from torchfra.kernel.schedule import Piece, cut, guarded_share, pieces
+from torchfra.kernel.schedule import Condition, Piece, cut, guarded_share, pieces
 from torchfra.kernel.statements import as_number, as_truth, called, computed, declared, function, indented
 
 _PACKS, _BYTES = 16, 1 << 18
 """Packs of a block at most, and bytes of their values: a part of the second cache."""
+_ALWAYS = "V* s, V* left, const Port* in, const Port* out, const Block& at"
+"""What a function takes that is called for all tracks."""
 
 
 class Access(NamedTuple):
@@ -78,43 +81,58 @@ class Writer:
             Piece(part, None) for part in cut(self._book, [i for i in live if i not in step.varying], length)
         ]
         ends = [*step.carried.values(), *(i for i, _ in step.stores)]
-        self._steps = pieces(self._book, [i for i in live if i in step.varying], ends, length)
-        self._frame = frame(self._book, self._before, self._steps, step.carried, ends)
+        steps = pieces(self._book, [i for i in live if i in step.varying], ends, length)
+        self._book, self._steps, self._merged = with_merged(self._book, steps)
+        self._frame = frame(self._book, self._before, self._steps, step.carried, ends, self._merged)
         self.guarded = guarded_share(self._book, self._steps)
         self._packs = max(1, min(_PACKS, _BYTES // (64 * self._frame.size))) if self.guarded and not narrow else 1
-        self._stores: dict[int, list[Access]] = defaultdict(list)
-        for number, access in step.stores:
-            self._stores[number].append(access)
+        self._behind = self._writes()
 
     def texts(self, split: bool = False) -> dict[str, str]:
         """What takes the place of each word of the template; ``split``: functions of a large step are in parts."""
         functions = [self._begin()]
         long: dict[str, list[str]] = {}
-        before, calls = ["begin(s[p], in, at[p]);"], []
+        before, calls = ["begin(s[p], left[p], in, at[p]);"], []
         for k, piece in enumerate(self._before):
             head = f"before{k}(V* s, const Port* in, const Block& at)"
             long[head] = self._body(piece)
             before.append(f"before{k}(s[p], in, at[p]);")
         stored: set[int] = set()
-        start = 0
+        start, first = 0, list[str]()
         for guard, group in groupby(self._steps, key=lambda piece: piece.guard):
             parts = list(group)
-            inside = "V* s" if guard else "V* s, const Port* in, const Port* out, const Block& at"
+            inside = "V* s" if guard else _ALWAYS
             long |= {f"piece{k}({inside})": self._body(piece, stored) for k, piece in enumerate(parts, start)}
             names = [f"piece{k}" for k in range(start, start + len(parts))]
-            calls += self._region(guard, parts, names, functions) if guard else _always(names)
-            start += len(parts)
+            calls += self._region(guard, parts, names, functions, first) if guard else []
+            start, first = start + len(parts), [] if guard else names
         functions += [self._turn(stored), self._end()]
-        calls += _always(["turn"])
+        calls += ["for (int64_t p = 0; p < packs; p++) {", *_always([*first, "turn"]), "}"]
         return {
             "SIZE": str(self._frame.size),
+            "UNREAD": str(max(1, len(set(self._frame.left.values())))),
             "MANY": str(self._packs),
             "NUMBERS": str(len(self._step.stores)),
             "// PIECES\n": "".join(((apart if split else together)(long), *functions)),
             "    // FIXED\n": indented(before, 4),
             "    // STEP\n": indented(calls, 4),
-            "    // END\n": indented(["end(s[p], out, at[p]);"], 4),
+            "    // END\n": indented(["end(s[p], left[p], out, at[p]);"], 4),
         }
+
+    def _writes(self) -> dict[int, list[tuple[int, Access]]]:
+        """By the expression behind which it is done: what is written, and where.
+
+        Constants are spread over the longest piece, so that memory is busy while something is computed.
+        """
+        behind: dict[int, list[tuple[int, Access]]] = defaultdict(list)
+        constants = [(i, access) for i, access in self._step.stores if i in self._book.values]
+        longest = max((piece.numbers for piece in self._steps if piece.guard is None), key=len, default=[])
+        for k, store in enumerate(constants if longest else []):
+            behind[longest[len(longest) * k // len(constants)]].append(store)
+        for number, access in self._step.stores:
+            if number not in self._book.values and number not in self._merged.values():
+                behind[number].append((number, access))
+        return behind
 
     def _body(self, piece: Piece, stored: set[int] | None = None) -> list[str]:
         """The lines of a piece's function; ``stored``, if given, grows by what it writes."""
@@ -138,12 +156,13 @@ class Writer:
             else:
                 opened[access.name] = access.opened
                 body.append(declared(self._book, number, f"{access.how}({access.name}, {access.entry})"))
-            if number in self._frame.places:
+            if number in self._frame.places or number in self._frame.left:
                 (late if number in self._frame.late else body).append(self._put_aside(number))
-            if stored is not None and number in self._stores:
-                opened.update((access.name, access.opened) for access in self._stores[number])
-                body += [self._written(number, access) for access in self._stores[number]]
-                stored.add(number)
+            for other, access in self._behind[number] if stored is not None else ():
+                opened[access.name] = access.opened
+                body.append(self._written(other, access))
+        if stored is not None:
+            stored.update(other for number in piece.numbers for other, _ in self._behind[number])
         return [*opened.values(), *body, *late]
 
     def _taken(self, number: int) -> str:
@@ -153,36 +172,37 @@ class Writer:
 
     def _put_aside(self, number: int) -> str:
         name = called(self._book, number)
-        return f"s[{self._frame.places[number]}] = {f'kept({name})' if self._book.is_bool(number) else name};"
+        return f"{self._place(number)} = {f'kept({name})' if self._book.is_bool(number) else name};"
+
+    def _place(self, number: int) -> str:
+        places, left = self._frame.places, self._frame.left
+        return f"s[{places[number]}]" if number in places else f"left[{left[number]}]"
 
     def _written(self, number: int, access: Access) -> str:
         value = (as_truth if access.how == "mark" else as_number)(self._book, number)
         return f"{access.how}({access.name}, {access.entry}, {value});"
 
     def _region(
-        self, guard: tuple[int, bool], parts: Sequence[Piece], names: Sequence[str], functions: list[str]
+        self, guard: Condition, parts: Sequence[Piece], names: Sequence[str], functions: list[str], first: Sequence[str]
     ) -> list[str]:
-        """The line that calls pieces for the tracks that need them; adds what it takes to the functions."""
+        """What calls pieces for the tracks that need them, and before them others for all; adds to the functions."""
         mask, value = guard
         name = names[0].replace("piece", "region")
         functions.append(function(f"{name}(V* s)", [f"{piece}(s);" for piece in names]))
-        kinds = zip(("taken", "given"), crossing(self._book, parts, self._steps), strict=True)
+        kinds = zip(("taken", "given"), crossing(self._book, parts, self._steps, self._merged), strict=True)
         values = []
         for kind, numbers in kinds:
             places = ", ".join(str(self._frame.places[i]) for i in numbers)
             functions.append(f"TABLE {name}_{kind}[] = {{{places or 0}}};\n")
             values.append(f"Values{{{name}_{kind}, {len(numbers)}}}")
         text = f"{self._frame.places[mask]}, {'true' if value else 'false'}, {name}, {', '.join(values)}"
-        return [f"guarded(s, packs, {text});"]
+        return [f"guarded(s, packs, {text}, [&](int64_t p) {{", *_always(first), "});"]
 
     def _begin(self) -> str:
         """The function that reads what is carried."""
         opened = dict.fromkeys(access.opened for access in self._step.first.values())
-        reads = [
-            f"s[{self._frame.places[i]}] = get({access.name}, {access.entry});"
-            for i, access in self._step.first.items()
-        ]
-        return function("begin(V* s, const Port* in, const Block& at)", [*opened, *reads])
+        reads = [f"{self._place(i)} = get({access.name}, {access.entry});" for i, access in self._step.first.items()]
+        return function("begin(V* s, V* left, const Port* in, const Block& at)", [*opened, *reads])
 
     def _turn(self, stored: set[int]) -> str:
         """The function that ends a step: it writes what no piece has computed, and moves what is carried on."""
@@ -192,20 +212,17 @@ class Writer:
         taken = [self._taken(i) for i in numbers if i not in self._book.values]
         writes = [self._written(i, access) for i, access in stores]
         moves = [f"s[{place}] = {as_number(self._book, i)};" for i, place in self._frame.moves]
-        head = "turn(V* s, const Port* in, const Port* out, const Block& at)"
-        return function(head, [*opened, *taken, *writes, *moves])
+        return function(f"turn({_ALWAYS})", [*opened, *taken, *writes, *moves])
 
     def _end(self) -> str:
         """The function that writes what the last step has carried."""
         opened = dict.fromkeys(access.opened for _, access in self._step.end)
-        places = self._frame.places
         writes = [
-            f"put({access.name}, {access.entry}, {f's[{places[i]}]' if i in self._step.carried else 'all(0)'});"
+            f"put({access.name}, {access.entry}, {self._place(i) if i in self._step.carried else 'all(0)'});"
             for i, access in self._step.end
         ]
-        return function("end(V* s, const Port* out, const Block& at)", [*opened, *writes])
+        return function("end(V* s, V* left, const Port* out, const Block& at)", [*opened, *writes])
 
 
 def _always(names: Iterable[str]) -> list[str]:
-    calls = [f"  {name}(s[p], in, out, at[p]);" for name in names]
-    return ["for (int64_t p = 0; p < packs; p++) {", *calls, "}"]
+    return [f"  {name}(s[p], left[last ? p : 0], in, out, at[p]);" for name in names]
