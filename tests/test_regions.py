@@ -129,6 +129,22 @@ def test_what_one_side_of_a_choice_uses_is_guarded_and_what_both_use_is_not(smal
     assert {guards[i] for i in (x, y, mask, shared, chosen)} == {None}
 
 
+def test_a_choice_is_the_other_value_until_a_region_puts_its_result_there(small):
+    book = Expressions()
+    x, y = book.input(), book.input()
+    mask, other = book.apply("lt", x, y), book.apply("mul", x, y)
+    yes = book.apply("mul", x, x)
+    chosen = book.apply("select", mask, yes, other)
+    after = book.apply("sub", chosen, other)
+    new, parts, merged = with_merged(book, pieces(book, [x, y, mask, other, yes, chosen, after], [after]))
+    assert merged == {yes: chosen}
+    assert new.nodes[chosen] == ("same", (other,))
+    made = {i: k for k, part in enumerate(parts) for i in part.numbers}
+    assert made[other] == made[chosen] < made[yes] < made[after]
+    layout = frame(new, [], parts, {}, [after], merged)
+    assert layout.places[yes] == layout.places[chosen]
+
+
 def test_cutting_keeps_every_expression_and_no_piece_is_long():
     book, *_ = random_step(1, 9000)
     numbers = list(range(len(book.nodes)))

@@ -34,16 +34,16 @@ constexpr bool DOUBLE = sizeof(Scalar) == 8;
 
 // A tensor: where it is, and how far it is to the next track, the next step, the next entry.
 struct Port { char* data; int64_t track, time, entry; };
-// A block of tracks at a step; those beyond the last are the last once more.  ``past``: what is written is too much for caches.
-struct Block { int64_t first, lanes, step; bool past = false; };
+// A block of tracks at a step, which has one ``before`` it; those beyond the last are the last once more.  ``past``: what is written is too much for caches.
+struct Block { int64_t first, lanes, step; bool past = false; int64_t before = 0; };
 
 // The entries of a tensor at a step, from the first track of a block on.
 template <class T> struct Entries {
   T* first;
   int64_t track, entry, lanes;
   bool past;
-  INLINE Entries(const Port& p, const Block& at)
-      : first(reinterpret_cast<T*>(p.data) + at.first * p.track + at.step * p.time), track(p.track), entry(p.entry), lanes(at.lanes),
+  INLINE Entries(const Port& p, const Block& at, int64_t step)
+      : first(reinterpret_cast<T*>(p.data) + at.first * p.track + step * p.time), track(p.track), entry(p.entry), lanes(at.lanes),
         past(at.past && (reinterpret_cast<int64_t>(first) | entry * int64_t(sizeof(T))) % 64 == 0) {}
   INLINE T* operator[](int64_t number) const { return first + number * entry; }
 };
@@ -120,11 +120,10 @@ static INLINE void block(const Port* in, const Port* out, int64_t steps, const B
   }
   for (int64_t k = 0; k < steps; k++) {
     const bool last = k + 1 == steps;
-    for (int64_t p = 0; p < packs; p++) at[p].step = TIME;
+    for (int64_t p = 0; p < packs; p++) at[p].before = k > 0 ? at[p].step : TIME, at[p].step = TIME;
     // STEP
   }
   for (int64_t p = 0; p < packs; p++) {
-    at[p].step = 0;
     // END
   }
 }

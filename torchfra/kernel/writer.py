@@ -5,64 +5,18 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from itertools import groupby
-from typing import NamedTuple
 
-from torchfra.kernel.expressions import Expressions
+from torchfra.kernel.access import Access, Step
 from torchfra.kernel.frame import crossing, frame
 from torchfra.kernel.merges import with_merged
 from torchfra.kernel.parts import apart, together
 from torchfra.kernel.schedule import Condition, Piece, cut, guarded_share, pieces
 from torchfra.kernel.statements import as_number, as_truth, called, computed, declared, function, indented
 
-_PACKS, _BYTES = 16, 1 << 18
+_PACKS, _BYTES = 32, 3 << 17
 """Packs of a block at most, and bytes of their values: a part of the second cache."""
 _ALWAYS = "V* s, V* left, const Port* in, const Port* out, const Block& at"
 """What a function takes that is called for all tracks."""
-
-
-class Access(NamedTuple):
-    """An entry of a tensor that is read or written."""
-
-    port: str
-    type: str
-    """Of its entries."""
-    how: str
-    """The function that does it."""
-    entry: int
-
-    @property
-    def name(self) -> str:
-        """Of the tensor, in a function."""
-        return self.port.replace("[", "").replace("]", "")
-
-    @property
-    def opened(self) -> str:
-        """The line that declares the tensor."""
-        return f"const Entries<{self.type}> {self.name}({self.port}, at);"
-
-
-class Step(NamedTuple):
-    """What is computed, read and written.
-
-    Args:
-        book: the expressions.
-        live: those that are needed, arguments first.
-        varying: those of them that change from step to step.
-        carried: what goes from step to step, with what takes its place after a step.
-        first: how the carried is read before the first step.
-        loads: how inputs are read.
-        stores: what is written at each step.
-        end: what is carried out of the last step; 0 where nothing is carried.
-    """
-
-    book: Expressions
-    live: list[int]
-    varying: set[int]
-    carried: dict[int, int]
-    first: dict[int, Access]
-    loads: dict[int, Access]
-    stores: list[tuple[int, Access]]
-    end: list[tuple[int, Access]]
 
 
 class Writer:
@@ -86,6 +40,10 @@ class Writer:
         self._frame = frame(self._book, self._before, self._steps, step.carried, ends, self._merged)
         self.guarded = guarded_share(self._book, self._steps)
         self._packs = max(1, min(_PACKS, _BYTES // (64 * self._frame.size))) if self.guarded and not narrow else 1
+        always = (piece for piece in self._steps if piece.guard is None)
+        self._longest = max(always, key=lambda piece: len(piece.numbers), default=None)
+        self._next = {} if narrow else self._written_next()
+        self._frame.late.update(self._next)
         self._behind = self._writes()
 
     def texts(self, split: bool = False) -> dict[str, str]:
@@ -97,7 +55,7 @@ class Writer:
             head = f"before{k}(V* s, const Port* in, const Block& at)"
             long[head] = self._body(piece)
             before.append(f"before{k}(s[p], in, at[p]);")
-        stored: set[int] = set()
+        stored: set[int] = {*self._next}
         start, first = 0, list[str]()
         for guard, group in groupby(self._steps, key=lambda piece: piece.guard):
             parts = list(group)
@@ -106,8 +64,9 @@ class Writer:
             names = [f"piece{k}" for k in range(start, start + len(parts))]
             calls += self._region(guard, parts, names, functions, first) if guard else []
             start, first = start + len(parts), [] if guard else names
-        functions += [self._turn(stored), self._end()]
+        functions += [self._turn(stored), self._last(), self._end()]
         calls += ["for (int64_t p = 0; p < packs; p++) {", *_always([*first, "turn"]), "}"]
+        end = ["if (steps > 0) last(s[p], out, at[p]);", "at[p].step = 0;", "end(s[p], left[p], out, at[p]);"]
         return {
             "SIZE": str(self._frame.size),
             "UNREAD": str(max(1, len(set(self._frame.left.values())))),
@@ -116,22 +75,33 @@ class Writer:
             "// PIECES\n": "".join(((apart if split else together)(long), *functions)),
             "    // FIXED\n": indented(before, 4),
             "    // STEP\n": indented(calls, 4),
-            "    // END\n": indented(["end(s[p], left[p], out, at[p]);"], 4),
+            "    // END\n": indented(end, 4),
         }
+
+    def _written_next(self) -> dict[int, int]:
+        """Of choices that regions complete and that are carried on: what they are in the next step, which writes."""
+        places, steps = self._frame.places, self._steps[self._steps.index(self._longest) :] if self._longest else []
+        waiting = {i for piece in steps for i in piece.numbers} & {*self._merged.values()}
+        carried = self._step.carried.items()
+        return {new: old for old, new in carried if new in waiting and places[old] == places[new]}
 
     def _writes(self) -> dict[int, list[tuple[int, Access]]]:
         """By the expression behind which it is done: what is written, and where.
 
-        Constants are spread over the longest piece, so that memory is busy while something is computed.
+        What waits for nothing is spread over the longest piece, so that memory is busy while something is computed.
         """
         behind: dict[int, list[tuple[int, Access]]] = defaultdict(list)
-        constants = [(i, access) for i, access in self._step.stores if i in self._book.values]
-        longest = max((piece.numbers for piece in self._steps if piece.guard is None), key=len, default=[])
-        for k, store in enumerate(constants if longest else []):
-            behind[longest[len(longest) * k // len(constants)]].append(store)
+        spread: list[tuple[int, Access]] = []
         for number, access in self._step.stores:
-            if number not in self._book.values and number not in self._merged.values():
+            if number in self._next:
+                spread.append((self._next[number], access._replace(step="before")))
+            elif number in self._book.values and self._longest:
+                spread.append((number, access))
+            elif number not in self._merged.values():
                 behind[number].append((number, access))
+        numbers = self._longest.numbers if self._longest else []
+        for k, store in enumerate(spread):
+            behind[numbers[len(numbers) * k // len(spread)]].append(store)
         return behind
 
     def _body(self, piece: Piece, stored: set[int] | None = None) -> list[str]:
@@ -160,6 +130,9 @@ class Writer:
                 (late if number in self._frame.late else body).append(self._put_aside(number))
             for other, access in self._behind[number] if stored is not None else ():
                 opened[access.name] = access.opened
+                if other not in known and other not in self._book.values:
+                    body.append(self._taken(other))
+                    known.add(other)
                 body.append(self._written(other, access))
         if stored is not None:
             stored.update(other for number in piece.numbers for other, _ in self._behind[number])
@@ -213,6 +186,14 @@ class Writer:
         writes = [self._written(i, access) for i, access in stores]
         moves = [f"s[{place}] = {as_number(self._book, i)};" for i, place in self._frame.moves]
         return function(f"turn({_ALWAYS})", [*opened, *taken, *writes, *moves])
+
+    def _last(self) -> str:
+        """The function that writes of the last step what the next one would write."""
+        stores = [(i, access) for i, access in self._step.stores if i in self._next]
+        opened = dict.fromkeys(access.opened for _, access in stores)
+        taken = [self._taken(i) for i in dict.fromkeys(i for i, _ in stores)]
+        writes = [self._written(i, access) for i, access in stores]
+        return function("last(V* s, const Port* out, const Block& at)", [*opened, *taken, *writes])
 
     def _end(self) -> str:
         """The function that writes what the last step has carried."""
