@@ -14,6 +14,7 @@ from test_compile import both, close
 from torchfra.kernel import schedule
 from torchfra.kernel.expressions import ZERO, Expressions
 from torchfra.kernel.frame import frame, needs
+from torchfra.kernel.merges import with_merged
 from torchfra.kernel.program import Program
 from torchfra.kernel.routines import Routine
 from torchfra.kernel.schedule import Piece, cut, pieces
@@ -22,7 +23,7 @@ from torchfra.kernel.source import Port, Scan
 OPERATORS = {
     "add": operator.add, "sub": operator.sub, "mul": operator.mul, "neg": operator.neg, "abs": abs, "max": max,
     "lt": operator.lt, "le": operator.le, "and": lambda a, b: bool(a and b), "or": lambda a, b: bool(a or b),
-    "not": operator.not_, "select": lambda mask, yes, no: yes if mask else no, "norm": math.hypot,
+    "not": operator.not_, "select": lambda mask, yes, no: yes if mask else no, "norm": math.hypot, "same": lambda x: x,
 }  # fmt: skip
 NUMBERS, TESTS, LOGIC = ("add", "sub", "mul", "neg", "abs", "norm"), ("lt", "le"), ("and", "or", "not")
 
@@ -115,27 +116,27 @@ def test_pieces_and_places_lose_nothing_that_a_track_needs(seed, inputs):
         make_small(patch.setattr)
         ends = [*after, *written]
         parts = pieces(book, stepped, ends)
-    layout = frame(book, [], parts, next_one, ends)
-    memory = [math.nan] * layout.size
-    for i, value in zip(carried, inputs, strict=False):
-        memory[layout.places[i]] = value
+        book, parts, merged = with_merged(book, parts)
+    layout = frame(book, [], parts, next_one, ends, merged)
+    at = {i: ("left", place) for i, place in layout.left.items()} | {i: ("s", k) for i, k in layout.places.items()}
+    assert max(layout.places.values()) < layout.size
+    memory = {at[i]: value for i, value in zip(carried, inputs, strict=False)}
     found = {}
     for part in parts:
-        values = {i: memory[layout.places[i]] for i in needs(book, part)} | book.values
+        values = {i: memory.get(("s", layout.places[i]), math.nan) for i in needs(book, part)} | book.values
         if part.guard is not None and bool(values[part.guard[0]]) != part.guard[1]:
-            continue
+            continue  # what lies in the places of its results stays
         values |= {i: expected[i] for i in part.numbers if i in read}
         evaluated(book, values, part.numbers)
         for late in (False, True):
-            for i in (i for i in part.numbers if i in layout.places and (i in layout.late) == late):
-                memory[layout.places[i]] = values[i]
+            memory |= {at[i]: values[i] for i in part.numbers if i in at and (i in layout.late) == late}
         found |= {i: values[i] for i in part.numbers if i in written}
-    sources = {i: memory[layout.places[i]] for i, _ in layout.moves if i in layout.places} | book.values
-    for i, place in layout.moves:
-        memory[place] = sources[i]
+    sources = {i: memory[at[i]] for i, _ in layout.moves if i in at} | book.values
+    found |= {i: memory[at[i]] for i in written if i in merged.values()}
+    memory |= {("s", place): sources[i] for i, place in layout.moves}
     assert all(found[i] == expected[i] for i in written if i in found)
     for old, new in next_one.items():
-        assert memory[layout.places[old]] == expected[new]
+        assert memory[at[old]] == expected[new]
 
 
 def test_what_one_side_of_a_choice_uses_is_guarded_and_what_both_use_is_not(small):
@@ -148,6 +149,22 @@ def test_what_one_side_of_a_choice_uses_is_guarded_and_what_both_use_is_not(smal
               for i in part.numbers}  # fmt: skip
     assert guards[yes] == guards[yes + 1] == (mask, True)
     assert {guards[i] for i in (x, y, mask, shared, chosen)} == {None}
+
+
+def test_a_choice_is_the_other_value_until_a_region_puts_its_result_there(small):
+    book = Expressions()
+    x, y = book.input(), book.input()
+    mask, other = book.apply("lt", x, y), book.apply("mul", x, y)
+    yes = book.apply("mul", x, x)
+    chosen = book.apply("select", mask, yes, other)
+    after = book.apply("sub", chosen, other)
+    new, parts, merged = with_merged(book, pieces(book, [x, y, mask, other, yes, chosen, after], [after]))
+    assert merged == {yes: chosen}
+    assert new.nodes[chosen] == ("same", (other,))
+    made = {i: k for k, part in enumerate(parts) for i in part.numbers}
+    assert made[other] == made[chosen] < made[yes] < made[after]
+    layout = frame(new, [], parts, {}, [after], merged)
+    assert layout.places[yes] == layout.places[chosen]
 
 
 def test_cutting_keeps_every_expression_and_no_piece_is_long():

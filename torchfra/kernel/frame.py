@@ -19,10 +19,17 @@ class Frame(NamedTuple):
     """Expressions to be copied at the end of a step, all at once, and where to."""
     late: set[int]
     """Expressions that are stored at the end of their piece: until then their place holds what was carried."""
+    left: dict[int, int]
+    """Of what is carried but no step reads, and of what it becomes: places apart, numbered from 0."""
 
 
 def frame(
-    book: Expressions, before: Sequence[Piece], steps: Sequence[Piece], carried: Mapping[int, int], ends: Iterable[int]
+    book: Expressions,
+    before: Sequence[Piece],
+    steps: Sequence[Piece],
+    carried: Mapping[int, int],
+    ends: Iterable[int],
+    merged: Mapping[int, int],
 ) -> Frame:
     """Places for all values that are needed beyond their piece.
 
@@ -32,11 +39,16 @@ def frame(
         steps: the pieces of a step.
         carried: what goes from step to step, with what takes its place after the step.
         ends: what is written.
+        merged: results of regions, and the choices in whose places they are put.
     """
     made = {number: k for k, piece in enumerate(steps) for number in piece.numbers}
     last = {number: k for k, piece in enumerate(steps) for number in needs(book, piece)}
-    last.update(dict.fromkeys(carried.values(), len(steps)))
-    last.update(dict.fromkeys((i for i in ends if i not in made), len(steps)))
+    behind = {i for i in ends if i not in made or i in merged.values()}
+    read = last.keys() | behind | {*merged.values()}
+    unread = {old: new for old, new in carried.items() if new in made and not read & {old, new}}
+    carried = {old: new for old, new in carried.items() if old not in unread}
+    last.update(dict.fromkeys([*carried.values(), *behind], len(steps)))
+    last = {number: k for number, k in last.items() if number not in merged}
     fixed = {number for piece in before for number in piece.numbers}
     wanted = last.keys() | {number for piece in before for number in needs(book, piece)}
     places = {number: place for place, number in enumerate([*carried, *sorted(fixed & wanted)])}
@@ -54,7 +66,9 @@ def frame(
                 places[number] = free.pop()
         free += sorted(places[number] for number in ending.get(k, ()) if number in places)
     moves = [(new, places[old]) for old, new in carried.items() if places.get(new) != places[old]]
-    return Frame(max(size, 1), places, moves, late)
+    places |= {i: places[choice] for i, choice in merged.items()}
+    left = {i: place for place, pair in enumerate(unread.items()) for i in pair}
+    return Frame(max(size, 1), places, moves, late, left)
 
 
 def needs(book: Expressions, piece: Piece) -> list[int]:
@@ -78,10 +92,12 @@ def _renewed(
     return late
 
 
-def crossing(book: Expressions, parts: Sequence[Piece], all_pieces: Iterable[Piece]) -> tuple[list[int], list[int]]:
+def crossing(
+    book: Expressions, parts: Sequence[Piece], all_pieces: Iterable[Piece], merged: Iterable[int]
+) -> tuple[list[int], list[int]]:
     """What a region of some pieces takes from the others, and what it gives to them."""
     own = {number for piece in parts for number in piece.numbers}
     others = [piece for piece in all_pieces if piece not in parts]
     taken = [i for piece in parts for i in needs(book, Piece(piece.numbers, None)) if i not in own]
     given = [i for piece in others for i in needs(book, piece) if i in own]
-    return list(dict.fromkeys(taken)), list(dict.fromkeys(given))
+    return list(dict.fromkeys(taken)), list(dict.fromkeys([*given, *(i for i in merged if i in own)]))

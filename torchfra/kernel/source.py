@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import torch
 
+from torchfra.kernel.access import Access, Step
 from torchfra.kernel.choices import with_choices_last
 from torchfra.kernel.divisions import with_quotients
 from torchfra.kernel.expressions import ZERO, Expressions
 from torchfra.kernel.pages import PAST
 from torchfra.kernel.parts import are_in, opened
 from torchfra.kernel.statements import file, template
-from torchfra.kernel.writer import Access, Step, Writer
+from torchfra.kernel.writer import Writer
 
 SCALARS = {torch.float64: "double", torch.float32: "float"}
 """The dtypes that kernels compute in, and what C++ calls them."""

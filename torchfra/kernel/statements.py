@@ -63,8 +63,8 @@ def computed(book: Expressions, number: int) -> str:
     numbers = [as_number(book, i) for i in args]
     if op == "result":
         return f"{numbers[0]}[{book.places[number]}]"
-    if op == "neg":
-        return f"-{numbers[0]}"
+    if op in ("neg", "same"):
+        return numbers[0] if op == "same" else f"-{numbers[0]}"
     sign = _OPERATORS.get(op)
     return f"{numbers[0]} {sign} {numbers[1]}" if sign else f"{op}_({', '.join(numbers)})"
 

@@ -38,16 +38,16 @@ constexpr bool DOUBLE = sizeof(Scalar) == 8;
 
 // A tensor: where it is, and how far it is to the next track, the next step, the next entry.
 struct Port { char* data; int64_t track, time, entry; };
-// A block of tracks at a step; those beyond the last are the last once more.  ``past``: what is written is too much for caches.
-struct Block { int64_t first, lanes, step; bool past = false; };
+// A block of tracks at a step, which has one ``before`` it; those beyond the last are the last once more.  ``past``: what is written is too much for caches.
+struct Block { int64_t first, lanes, step; bool past = false; int64_t before = 0; };
 
 // The entries of a tensor at a step, from the first track of a block on.
 template <class T> struct Entries {
   T* first;
   int64_t track, entry, lanes;
   bool past;
-  INLINE Entries(const Port& p, const Block& at)
-      : first(reinterpret_cast<T*>(p.data) + at.first * p.track + at.step * p.time), track(p.track), entry(p.entry), lanes(at.lanes),
+  INLINE Entries(const Port& p, const Block& at, int64_t step)
+      : first(reinterpret_cast<T*>(p.data) + at.first * p.track + step * p.time), track(p.track), entry(p.entry), lanes(at.lanes),
         past(at.past && (reinterpret_cast<int64_t>(first) | entry * int64_t(sizeof(T))) % 64 == 0) {}
   INLINE T* operator[](int64_t number) const { return first + number * entry; }
 };
@@ -109,24 +109,25 @@ template <class... A> INLINE V norm_(const A&... a) {
 namespace {
 namespace NAME {
 constexpr int PLACES = SIZE;  // of values that go from piece to piece, side by side for each pack of tracks
+constexpr int LEFT = UNREAD;  // of values that are carried but that no step reads: all packs share their places, but in the last step
 constexpr int64_t PACKS = MANY;  // at most, in a block of tracks
 constexpr int64_t WRITTEN = NUMBERS;  // at each step, of a track
 // PIECES
 static INLINE void block(const Port* in, const Port* out, int64_t steps, const Block& tracks) {
-  V s[PACKS][PLACES];
+  V s[PACKS][PLACES], left[PACKS][LEFT];
   Block at[PACKS];
   const int64_t packs = (tracks.lanes + W - 1) / W;
   for (int64_t p = 0; p < packs; p++) {
-    const int64_t left = tracks.lanes - p * W;
-    at[p] = Block{tracks.first + p * W, left < W ? left : W, 0, tracks.past && left >= W};
+    const int64_t rest = tracks.lanes - p * W;
+    at[p] = Block{tracks.first + p * W, rest < W ? rest : W, 0, tracks.past && rest >= W};
     // FIXED
   }
   for (int64_t k = 0; k < steps; k++) {
-    for (int64_t p = 0; p < packs; p++) at[p].step = TIME;
+    const bool last = k + 1 == steps;
+    for (int64_t p = 0; p < packs; p++) at[p].before = k > 0 ? at[p].step : TIME, at[p].step = TIME;
     // STEP
   }
   for (int64_t p = 0; p < packs; p++) {
-    at[p].step = 0;
     // END
   }
 }

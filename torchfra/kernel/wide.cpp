@@ -116,9 +116,10 @@ INLINE bool within(const V& a, Scalar least, Scalar most) {
 
 struct Lane { V* s; int number; };
 // A region for the tracks where a truth value is ``value``: on the spot where they are most of a pack, else together with
-// those of other packs.
-template <int64_t PLACES> void guarded(
-    V (*s)[PLACES], int64_t packs, int place, bool value, void (*region)(V*), const Values& taken, const Values& given) {
+// those of other packs.  Each pack is taken right behind what comes ``first``, while its values are in the first cache.
+template <int64_t PLACES, class First> void guarded(
+    V (*s)[PLACES], int64_t packs, int place, bool value, void (*region)(V*), const Values& taken, const Values& given,
+    const First& first) {
   V together[PLACES];
   Lane from[W];
   int count = 0;
@@ -131,10 +132,14 @@ template <int64_t PLACES> void guarded(
     count = 0;
   };
   for (int64_t p = 0; p < packs; p++) {
-    const M mask = truth(s[p][place]);
-    int which = lanes(value ? mask : ~mask);
+    first(p);
+    const M mask = value ? truth(s[p][place]) : ~truth(s[p][place]);
+    int which = lanes(mask);
     if (which && (packs == 1 || 2 * __builtin_popcount(which) > W)) {
+      V before[PLACES];
+      for (int i = 0; i < given.count; i++) before[i] = s[p][given.places[i]];
       region(s[p]);
+      for (int i = 0; i < given.count; i++) s[p][given.places[i]] = mask ? s[p][given.places[i]] : before[i];
       continue;
     }
     for (; which; which &= which - 1) {

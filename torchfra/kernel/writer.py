@@ -5,62 +5,19 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from itertools import groupby
-from typing import NamedTuple
 
-from torchfra.kernel.expressions import Expressions
+from torchfra.kernel.access import Access, Step
 from torchfra.kernel.frame import crossing, frame
+from torchfra.kernel.merges import with_merged
 from torchfra.kernel.parts import apart, together
 from torchfra.kernel.routines import texts
-from torchfra.kernel.schedule import Piece, cut, guarded_share, pieces
+from torchfra.kernel.schedule import Condition, Piece, cut, guarded_share, pieces
 from torchfra.kernel.statements import as_number, as_truth, called, declared, function, indented, statement
 
-_PACKS, _BYTES = 16, 1 << 18
+_PACKS, _BYTES = 32, 3 << 17
 """Packs of a block at most, and bytes of their values: a part of the second cache."""
-
-
-class Access(NamedTuple):
-    """An entry of a tensor that is read or written."""
-
-    port: str
-    type: str
-    """Of its entries."""
-    how: str
-    """The function that does it."""
-    entry: int
-
-    @property
-    def name(self) -> str:
-        """Of the tensor, in a function."""
-        return self.port.replace("[", "").replace("]", "")
-
-    @property
-    def opened(self) -> str:
-        """The line that declares the tensor."""
-        return f"const Entries<{self.type}> {self.name}({self.port}, at);"
-
-
-class Step(NamedTuple):
-    """What is computed, read and written.
-
-    Args:
-        book: the expressions.
-        live: those that are needed, arguments first.
-        varying: those of them that change from step to step.
-        carried: what goes from step to step, with what takes its place after a step.
-        first: how the carried is read before the first step.
-        loads: how inputs are read.
-        stores: what is written at each step.
-        end: what is carried out of the last step; 0 where nothing is carried.
-    """
-
-    book: Expressions
-    live: list[int]
-    varying: set[int]
-    carried: dict[int, int]
-    first: dict[int, Access]
-    loads: dict[int, Access]
-    stores: list[tuple[int, Access]]
-    end: list[tuple[int, Access]]
+_ALWAYS = "V* s, V* left, const Port* in, const Port* out, const Block& at"
+"""What a function takes that is called for all tracks."""
 
 
 class Writer:
@@ -79,43 +36,74 @@ class Writer:
             Piece(part, None) for part in cut(self._book, [i for i in live if i not in step.varying], length)
         ]
         ends = [*step.carried.values(), *(i for i, _ in step.stores)]
-        self._steps = pieces(self._book, [i for i in live if i in step.varying], ends, length)
-        self._frame = frame(self._book, self._before, self._steps, step.carried, ends)
+        steps = pieces(self._book, [i for i in live if i in step.varying], ends, length)
+        self._book, self._steps, self._merged = with_merged(self._book, steps)
+        self._frame = frame(self._book, self._before, self._steps, step.carried, ends, self._merged)
         self.guarded = guarded_share(self._book, self._steps)
         self._packs = max(1, min(_PACKS, _BYTES // (64 * self._frame.size))) if self.guarded and not narrow else 1
-        self._stores: dict[int, list[Access]] = defaultdict(list)
-        for number, access in step.stores:
-            self._stores[number].append(access)
+        always = (piece for piece in self._steps if piece.guard is None)
+        self._longest = max(always, key=lambda piece: len(piece.numbers), default=None)
+        self._next = {} if narrow else self._written_next()
+        self._frame.late.update(self._next)
+        self._behind = self._writes()
 
     def texts(self, split: bool = False) -> dict[str, str]:
         """What takes the place of each word of the template; ``split``: functions of a large step are in parts."""
         functions = [self._begin()]
         long = texts(self._book, self._step.live)
-        before, calls = ["begin(s[p], in, at[p]);"], []
+        before, calls = ["begin(s[p], left[p], in, at[p]);"], []
         for k, piece in enumerate(self._before):
             head = f"before{k}(V* s, const Port* in, const Block& at)"
             long[head] = self._body(piece)
             before.append(f"before{k}(s[p], in, at[p]);")
-        stored: set[int] = set()
-        start = 0
+        stored: set[int] = {*self._next}
+        start, first = 0, list[str]()
         for guard, group in groupby(self._steps, key=lambda piece: piece.guard):
             parts = list(group)
-            inside = "V* s" if guard else "V* s, const Port* in, const Port* out, const Block& at"
+            inside = "V* s" if guard else _ALWAYS
             long |= {f"piece{k}({inside})": self._body(piece, stored) for k, piece in enumerate(parts, start)}
             names = [f"piece{k}" for k in range(start, start + len(parts))]
-            calls += self._region(guard, parts, names, functions) if guard else _always(names)
-            start += len(parts)
-        functions += [self._turn(stored), self._end()]
-        calls += _always(["turn"])
+            calls += self._region(guard, parts, names, functions, first) if guard else []
+            start, first = start + len(parts), [] if guard else names
+        functions += [self._turn(stored), self._last(), self._end()]
+        calls += ["for (int64_t p = 0; p < packs; p++) {", *_always([*first, "turn"]), "}"]
+        end = ["if (steps > 0) last(s[p], out, at[p]);", "at[p].step = 0;", "end(s[p], left[p], out, at[p]);"]
         return {
             "SIZE": str(self._frame.size),
+            "UNREAD": str(max(1, len(set(self._frame.left.values())))),
             "MANY": str(self._packs),
             "NUMBERS": str(len(self._step.stores)),
             "// PIECES\n": "".join(((apart if split else together)(long), *functions)),
             "    // FIXED\n": indented(before, 4),
             "    // STEP\n": indented(calls, 4),
-            "    // END\n": indented(["end(s[p], out, at[p]);"], 4),
+            "    // END\n": indented(end, 4),
         }
+
+    def _written_next(self) -> dict[int, int]:
+        """Of choices that regions complete and that are carried on: what they are in the next step, which writes."""
+        places, steps = self._frame.places, self._steps[self._steps.index(self._longest) :] if self._longest else []
+        waiting = {i for piece in steps for i in piece.numbers} & {*self._merged.values()}
+        carried = self._step.carried.items()
+        return {new: old for old, new in carried if new in waiting and places[old] == places[new]}
+
+    def _writes(self) -> dict[int, list[tuple[int, Access]]]:
+        """By the expression behind which it is done: what is written, and where.
+
+        What waits for nothing is spread over the longest piece, so that memory is busy while something is computed.
+        """
+        behind: dict[int, list[tuple[int, Access]]] = defaultdict(list)
+        spread: list[tuple[int, Access]] = []
+        for number, access in self._step.stores:
+            if number in self._next:
+                spread.append((self._next[number], access._replace(step="before")))
+            elif number in self._book.values and self._longest:
+                spread.append((number, access))
+            elif number not in self._merged.values():
+                behind[number].append((number, access))
+        numbers = self._longest.numbers if self._longest else []
+        for k, store in enumerate(spread):
+            behind[numbers[len(numbers) * k // len(spread)]].append(store)
+        return behind
 
     def _body(self, piece: Piece, stored: set[int] | None = None) -> list[str]:
         """The lines of a piece's function; ``stored``, if given, grows by what it writes."""
@@ -139,12 +127,16 @@ class Writer:
             else:
                 opened[access.name] = access.opened
                 body.append(declared(self._book, number, f"{access.how}({access.name}, {access.entry})"))
-            if number in self._frame.places:
+            if number in self._frame.places or number in self._frame.left:
                 (late if number in self._frame.late else body).append(self._put_aside(number))
-            if stored is not None and number in self._stores:
-                opened.update((access.name, access.opened) for access in self._stores[number])
-                body += [self._written(number, access) for access in self._stores[number]]
-                stored.add(number)
+            for other, access in self._behind[number] if stored is not None else ():
+                opened[access.name] = access.opened
+                if other not in known and other not in self._book.values:
+                    body.append(self._taken(other))
+                    known.add(other)
+                body.append(self._written(other, access))
+        if stored is not None:
+            stored.update(other for number in piece.numbers for other, _ in self._behind[number])
         return [*opened.values(), *body, *late]
 
     def _taken(self, number: int) -> str:
@@ -154,36 +146,37 @@ class Writer:
 
     def _put_aside(self, number: int) -> str:
         name = called(self._book, number)
-        return f"s[{self._frame.places[number]}] = {f'kept({name})' if self._book.is_bool(number) else name};"
+        return f"{self._place(number)} = {f'kept({name})' if self._book.is_bool(number) else name};"
+
+    def _place(self, number: int) -> str:
+        places, left = self._frame.places, self._frame.left
+        return f"s[{places[number]}]" if number in places else f"left[{left[number]}]"
 
     def _written(self, number: int, access: Access) -> str:
         value = (as_truth if access.how == "mark" else as_number)(self._book, number)
         return f"{access.how}({access.name}, {access.entry}, {value});"
 
     def _region(
-        self, guard: tuple[int, bool], parts: Sequence[Piece], names: Sequence[str], functions: list[str]
+        self, guard: Condition, parts: Sequence[Piece], names: Sequence[str], functions: list[str], first: Sequence[str]
     ) -> list[str]:
-        """The line that calls pieces for the tracks that need them; adds what it takes to the functions."""
+        """What calls pieces for the tracks that need them, and before them others for all; adds to the functions."""
         mask, value = guard
         name = names[0].replace("piece", "region")
         functions.append(function(f"{name}(V* s)", [f"{piece}(s);" for piece in names]))
-        kinds = zip(("taken", "given"), crossing(self._book, parts, self._steps), strict=True)
+        kinds = zip(("taken", "given"), crossing(self._book, parts, self._steps, self._merged), strict=True)
         values = []
         for kind, numbers in kinds:
             places = ", ".join(str(self._frame.places[i]) for i in numbers)
             functions.append(f"TABLE {name}_{kind}[] = {{{places or 0}}};\n")
             values.append(f"Values{{{name}_{kind}, {len(numbers)}}}")
         text = f"{self._frame.places[mask]}, {'true' if value else 'false'}, {name}, {', '.join(values)}"
-        return [f"guarded(s, packs, {text});"]
+        return [f"guarded(s, packs, {text}, [&](int64_t p) {{", *_always(first), "});"]
 
     def _begin(self) -> str:
         """The function that reads what is carried."""
         opened = dict.fromkeys(access.opened for access in self._step.first.values())
-        reads = [
-            f"s[{self._frame.places[i]}] = get({access.name}, {access.entry});"
-            for i, access in self._step.first.items()
-        ]
-        return function("begin(V* s, const Port* in, const Block& at)", [*opened, *reads])
+        reads = [f"{self._place(i)} = get({access.name}, {access.entry});" for i, access in self._step.first.items()]
+        return function("begin(V* s, V* left, const Port* in, const Block& at)", [*opened, *reads])
 
     def _turn(self, stored: set[int]) -> str:
         """The function that ends a step: it writes what no piece has computed, and moves what is carried on."""
@@ -193,20 +186,25 @@ class Writer:
         taken = [self._taken(i) for i in numbers if i not in self._book.values]
         writes = [self._written(i, access) for i, access in stores]
         moves = [f"s[{place}] = {as_number(self._book, i)};" for i, place in self._frame.moves]
-        head = "turn(V* s, const Port* in, const Port* out, const Block& at)"
-        return function(head, [*opened, *taken, *writes, *moves])
+        return function(f"turn({_ALWAYS})", [*opened, *taken, *writes, *moves])
+
+    def _last(self) -> str:
+        """The function that writes of the last step what the next one would write."""
+        stores = [(i, access) for i, access in self._step.stores if i in self._next]
+        opened = dict.fromkeys(access.opened for _, access in stores)
+        taken = [self._taken(i) for i in dict.fromkeys(i for i, _ in stores)]
+        writes = [self._written(i, access) for i, access in stores]
+        return function("last(V* s, const Port* out, const Block& at)", [*opened, *taken, *writes])
 
     def _end(self) -> str:
         """The function that writes what the last step has carried."""
         opened = dict.fromkeys(access.opened for _, access in self._step.end)
-        places = self._frame.places
         writes = [
-            f"put({access.name}, {access.entry}, {f's[{places[i]}]' if i in self._step.carried else 'all(0)'});"
+            f"put({access.name}, {access.entry}, {self._place(i) if i in self._step.carried else 'all(0)'});"
             for i, access in self._step.end
         ]
-        return function("end(V* s, const Port* out, const Block& at)", [*opened, *writes])
+        return function("end(V* s, V* left, const Port* out, const Block& at)", [*opened, *writes])
 
 
 def _always(names: Iterable[str]) -> list[str]:
-    calls = [f"  {name}(s[p], in, out, at[p]);" for name in names]
-    return ["for (int64_t p = 0; p < packs; p++) {", *calls, "}"]
+    return [f"  {name}(s[p], left[last ? p : 0], in, out, at[p]);" for name in names]
