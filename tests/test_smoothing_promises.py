@@ -49,6 +49,15 @@ def test_what_the_filter_said_is_handed_on_and_can_be_handed_in(make, tracks, na
 
 
 @pytest.mark.parametrize("lag", LAGS)
+def test_compiled_tracks_may_have_values_of_their_own(lag):
+    """Of as many tracks as there are windows of a lag, so that one might be taken for the other."""
+    f = presets.srckf(ConstantVelocity(torch.tensor([0.5, 1.0, 2.0]).double()), Position(2.0))
+    z = torch.randn(3, 6, 2, generator=torch.Generator().manual_seed(1)).double()
+    prior = Gaussian(torch.zeros(4).double(), torch.eye(4).double())
+    close(f.smooth(z, prior, lag=lag)[:4], f.compile().smooth(z, prior, lag=lag)[:4], tol=1e-10)
+
+
+@pytest.mark.parametrize("lag", LAGS)
 def test_time_steps_may_differ_by_step_and_by_track(tracks, lag):
     f, dt = presets.srckf(MOTION, SENSOR), 0.5 + torch.rand(3, 6).double()
     z = 3 * torch.randn(3, 6, 2).double()

@@ -24,7 +24,6 @@ from torchfra.tree import flatten, late, paths, unflatten
 
 _MOST = 110_000
 """Expressions up to which a step calls no routines, which compile in half the time and take 1.2 times as long."""
-
 T = TypeVar("T")
 Caller = Callable[..., Any] | None
 """What carries out what is ``written_once``; None for no such thing."""
@@ -89,8 +88,7 @@ class Step:
         last_first: bool = False,
     ) -> None:
         self.module, self._advance, self.inputs = module, advance, inputs
-        self.dtype, self.repeated, self.last_first = dtype, repeated, last_first
-        self._calls = False  # it is not too large without
+        self.dtype, self.repeated, self.last_first, self._calls = dtype, repeated, last_first, False
         with refusals_of(type(module).__name__), elementary(), torch.no_grad():
             book = Expressions()
             self.state = begin(self.copy_with(self.unknown(book)), book)

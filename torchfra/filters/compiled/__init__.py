@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.autograd import forward_ad
 
 from torchfra.filters.compiled import traced
-from torchfra.filters.compiled.back import given, of_windows, windows
+from torchfra.filters.compiled.back import Given, given, of_windows, windows
 from torchfra.filters.compiled.step import Data, check_changing, is_ordinary, number
 from torchfra.filters.compiled.tracks import form_of, may_be_ready, seconds_of
 from torchfra.filters.compiled.version import Plan, Version
@@ -106,17 +106,18 @@ class Compiled:
     def back(self, f: Any, past: Any, measurements: Measurements, rank: int, lag: int | None = None) -> Any:
         """What the way back says of every step, time behind ``rank`` batch dimensions: see ``Smoother``."""
         measurements = f.each_alone(measurements)
-        return self._back(f, past, measurements, rank, lag)
+        if lag is None or lag >= flatten(past)[0].shape[rank] - 1:
+            return self._back(f, given(f, past, measurements, rank))
+        every = windows(f, past, measurements, rank, lag)
+        parts = [self._back(f, given(f, *part, rank + 1)._replace(windows=True)) for part in every]
+        return of_windows(parts, rank, lag)
 
-    def _back(self, f: Any, past: Any, measurements: Measurements, rank: int, lag: int | None = None) -> Any:
-        if lag is not None and lag < flatten(past)[0].shape[rank] - 1:
-            parts = [self._back(f, *part, rank + 1) for part in windows(f, past, measurements, rank, lag)]
-            return of_windows(parts, rank, lag)
-        back, now = given(f, past, measurements, rank), self._now(f)
+    def _back(self, f: Any, back: Given) -> Any:
+        now = self._now(f)
         data, timed = list(back.data.values()), list(back.timed.values())
         with BUILDING:
             plan = now.plan(back.advance, back.state, data, timed, back)
-        return now.run(plan, back.steps, back.state, data)[1]
+        return now.run(plan, back.steps, back.state, data, back=back)[1]
 
     def once(
         self, f: Any, function: Callable[[Any, Any, Frame], Any], state: Any, measurements: Measurements

@@ -130,7 +130,7 @@ class Version:
         first, events = flatten(state)[0], self._events if back is None else back.events
         dtype, targets = first.dtype, () if back else tuple(state.belief.mean.shape[-1 - self.scans : -1])
         alone = back.batch if back else state.belief.mean.shape[: -1 - self.scans]
-        pairs = zip(self.values, self.read(), strict=True)
+        pairs = zip(self.values, self._read_for(back), strict=True)
         values = [(value, x, x.dim() - (value.alone if back else value.event)) for value, x in pairs]
         batch = torch.broadcast_shapes(alone, *(x.shape[:rank] for _, x, rank in values))
         inputs, shapes = {}, []
@@ -153,6 +153,13 @@ class Version:
         shapes = [batch + zero.shape for zero in kernels.step.zero] + shapes
         dtypes = [dtype] * len(kernels.step.zero) + [torch.float64 if x.double else dtype for x in inputs.values()]
         return Plan(kernels, batch, shapes, dtypes, counts, first.device)
+
+    def _read_for(self, back: Given | None) -> list[Tensor]:
+        """The values as they are at the moment; where there are windows, those with a batch have a dimension for them."""
+        if back is None or not back.windows:
+            return self.read()
+        pairs = ((x, x.dim() - value.alone) for value, x in zip(self.values, self.read(), strict=True))
+        return [x.unsqueeze(rank) if rank else x for x, rank in pairs]
 
     def get_ready(self, plan: Plan, state: Any, data: Data, whole: bool) -> None:
         """Makes later steps like this one ready, if they need no gradient and all is read where it lies."""
@@ -206,11 +213,12 @@ class Version:
         ]
 
     def run(
-        self, plan: Plan, steps: int, state: Any, data: Sequence[Tensor | None], *options: int | None
-    ) -> tuple[Any, Any]:
+        self, plan: Plan, steps: int, state: Any, data: Sequence[Tensor | None], *options: int | None,
+        back: Given | None = None,
+    ) -> tuple[Any, Any]:  # fmt: skip
         """Does it."""
         count = len(plan.kernels.step.zero)
-        full = self.full(plan, [*flatten(state), *(x for x in data if x is not None), *self.read()])
+        full = self.full(plan, [*flatten(state), *(x for x in data if x is not None), *self._read_for(back)])
         state, record = plan.kernels.run(plan.batch, steps, full[:count], full[count:], *options)
         return state, map_tensors(_whole, record, plan.kernels.step.record) if plan.counts else record
 
