@@ -155,7 +155,7 @@ class Version:
         return Plan(kernels, batch, shapes, dtypes, counts, first.device)
 
     def _read_for(self, back: Given | None) -> list[Tensor]:
-        """The values as they are at the moment; where there are windows, those with a batch have a dimension for them."""
+        """The values as they are now; of windows, those that have a batch have a dimension more."""
         if back is None or not back.windows:
             return self.read()
         pairs = ((x, x.dim() - value.alone) for value, x in zip(self.values, self.read(), strict=True))
