@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 from test_compile import both, close
 
 from torchfra.kernel import schedule
-from torchfra.kernel.expressions import ZERO, Expressions
+from torchfra.kernel.expressions import ZERO, Expressions, Routine
 from torchfra.kernel.frame import frame, needs
 from torchfra.kernel.merges import with_merged
 from torchfra.kernel.program import Program
-from torchfra.kernel.routines import Routine
 from torchfra.kernel.schedule import Piece, cut, pieces
 from torchfra.kernel.source import Port, Scan
 

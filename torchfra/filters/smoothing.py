@@ -144,10 +144,6 @@ class Smoother(nn.Module):
     def check_smooths_several(self) -> None:
         """Raises a ``NotImplementedError`` that says why, of a filter that cannot be smoothed over several sensors."""
 
-    def each_alone(self, measurements: Measurements) -> Measurements:
-        """Measurements whose time steps and ``u`` have all batch dimensions of the past."""
-        return measurements
-
     def past(self, belief: Gaussian, info: Any, state: Any, steps: Any) -> Any:
         """What the way back needs: a tree of ``(..., T, ...)`` tensors.
 

@@ -5,12 +5,9 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 from torchfra.kernel.origin import Origins
-
-if TYPE_CHECKING:
-    from torchfra.kernel.routines import Routine
 
 ZERO = 0
 """The number of the constant 0, which is also False."""
@@ -19,25 +16,28 @@ _LONG = 64
 """Arguments at most of one operation in C++: some compilers take no more than 256."""
 _BOOL = {"lt", "le", "eq", "and", "or", "not"}
 _FOLD: dict[str, Callable[..., float]] = {
-    "add": lambda a, b: a + b,
-    "sub": lambda a, b: a - b,
-    "mul": lambda a, b: a * b,
-    "neg": lambda a: -a,
-    "abs": abs,
-    "norm": math.hypot,
-    "max": max,
-    "min": min,
-    "lt": lambda a, b: float(a < b),
-    "le": lambda a, b: float(a <= b),
-    "eq": lambda a, b: float(a == b),
-    "and": lambda a, b: float(bool(a and b)),
-    "or": lambda a, b: float(bool(a or b)),
-    "not": lambda a: float(not a),
-}
+    "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": lambda a, b: a * b, "neg": lambda a: -a,
+    "abs": abs, "norm": math.hypot, "max": max, "min": min,
+    "lt": lambda a, b: float(a < b), "le": lambda a, b: float(a <= b), "eq": lambda a, b: float(a == b),
+    "and": lambda a, b: float(bool(a and b)), "or": lambda a, b: float(bool(a or b)), "not": lambda a: float(not a),
+}  # fmt: skip
 
 
 class TooManyError(Exception):
     """More expressions than were wanted."""
+
+
+class Routine(NamedTuple):
+    """Expressions that are written once, and called with other arguments each time."""
+
+    name: str
+    book: Expressions
+    inputs: list[int]
+    outputs: list[int]
+    live: list[int]
+    """What is computed, in this order."""
+    cost: int
+    """In multiplications, roughly."""
 
 
 class Expressions:

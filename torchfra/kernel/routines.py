@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,7 +12,7 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.kernel.divisions import with_quotients
 from torchfra.kernel.entries import Entries, as_entries, entry_ids
-from torchfra.kernel.expressions import Expressions
+from torchfra.kernel.expressions import Expressions, Routine
 from torchfra.kernel.schedule import cost, ordered
 from torchfra.kernel.statements import called, statement
 from torchfra.linalg.batches import common_batch
@@ -22,19 +22,6 @@ _SHORT, _LONG = 60, 8000
 
 Function = Callable[..., Any]
 """From tensors to a tensor, or a tuple of them."""
-
-
-class Routine(NamedTuple):
-    """Expressions that are written once, and called with other arguments each time."""
-
-    name: str
-    book: Expressions
-    inputs: list[int]
-    outputs: list[int]
-    live: list[int]
-    """What is computed, in this order."""
-    cost: int
-    """In multiplications, roughly."""
 
 
 def called_for_each(function: Function, ranks: Sequence[int], tensors: Sequence[Tensor]) -> Any:

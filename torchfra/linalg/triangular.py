@@ -87,8 +87,7 @@ def _triangularise(a: Tensor) -> Tensor:
         return _orthogonalise(a)
     if not is_traced(a):
         return _reflect(a)
-    upper: Tensor = torch.linalg.qr(a.mT, mode="r").R
-    return -upper.mT
+    return -torch.linalg.qr(a.mT, mode="r").R.mT  # type: ignore[no-any-return]  # untyped in torch
 
 
 _SMALL = 16

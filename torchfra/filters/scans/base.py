@@ -91,7 +91,7 @@ class ScanFilter(Filter[S]):
         return record.residual, record.root
 
     def each_alone(self, measurements: Measurements) -> Measurements:
-        """Measurements whose time steps and ``u`` have a dimension for targets where they have some for scenes."""
+        """Measurements for the way back of targets: time steps and ``u`` of scenes have a dimension for targets."""
         dt, u = measurements.dt, measurements.u
         dt = dt.unsqueeze(-2) if isinstance(dt, Tensor) and dt.dim() > 1 else dt
         return measurements._replace(dt=dt, u=u.unsqueeze(-3) if u is not None and u.dim() > 2 else u)
