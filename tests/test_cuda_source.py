@@ -143,7 +143,7 @@ def test_filters_of_several_branches_too(name, options, dtype, monkeypatch):
 def test_a_step_that_calls_routines_too(monkeypatch):
     monkeypatch.setattr(step, "_MOST", 10)
     compare("imm_srckf", torch.float64, monkeypatch)
-    assert any("orthogonalise_r1(av" in source for source in source_of("imm_srckf", monkeypatch))
+    assert any("orthogonalise_r1(a, v" in source for source in source_of("imm_srckf", monkeypatch))
 
 
 # ---------------------------------------------------------------- machine code for GPUs

@@ -11,8 +11,9 @@ from torch.autograd import forward_ad
 from torchfra import Gaussian, presets
 from torchfra.kernel import step
 from torchfra.kernel.entries import Entries, entry_ids
-from torchfra.kernel.expressions import Expressions
+from torchfra.kernel.expressions import Expressions, Routine
 from torchfra.kernel.routines import called_for_each
+from torchfra.kernel.schedule import cut
 from torchfra.kernel.source import Scan
 from torchfra.linalg.tracing import elementary
 from torchfra.linalg.triangular import _orthogonalise
@@ -60,7 +61,7 @@ def test_estimates_smoothed_ones_and_their_gradients_are_the_same(written):
     assert len(written) == 4
     for source in written:
         defined = re.findall(r"^\w+ void (\w+_r\d+)\(.*\{$", source, re.MULTILINE)
-        calls = [len(re.findall(rf"\b{name}\(av", source)) for name in defined]
+        calls = [len(re.findall(rf"\b{name}\(a, v", source)) for name in defined]
         assert len(set(defined)) == len(defined) > 0
         assert min(calls) >= 1
         assert sum(calls) >= 2 * len(calls)
@@ -94,3 +95,36 @@ def test_what_is_zero_for_all_is_not_computed_and_what_is_not_has_a_routine_of_i
     assert len(book.calls) == 6
     assert entry_ids(roots[0]) != entry_ids(roots[1])
     assert entry_ids(again) == entry_ids(roots)
+
+
+def test_a_step_at_the_limit_can_still_be_simplified_and_differentiated(monkeypatch):
+    def advance(module, state, data):
+        (x,) = state
+        return (torch.exp(torch.where(x > 0, data["a"], 0.5 * data["a"])),), x
+
+    def made():
+        inputs = {"a": step.Input(torch.Size([2]), False, False)}
+        return step.Step(torch.nn.Module(), lambda *_: (torch.ones(2).double(),), advance, inputs, torch.float64)
+
+    known = made()._plain.book
+    monkeypatch.setattr(step, "_MOST", len(known.nodes))
+    at_the_limit = made()
+    assert len(at_the_limit._plain.book.nodes) == len(known.nodes)
+    assert not at_the_limit._large
+    assert at_the_limit.forwards().source() == at_the_limit.forwards().source()
+    assert len(at_the_limit.tangent(["a"]).book.nodes) > len(known.nodes)
+
+
+def test_a_call_with_thousands_of_results_stays_in_one_piece():
+    book = Expressions()
+    inner = book.nested()
+    x = inner.input()
+    outputs = [inner.apply("add", x, inner.constant(k)) for k in range(1, 3001)]
+    results = book.call(Routine("many_r0", inner, [x], outputs, outputs, 3000), [book.input()])
+    total = book.sum(results)
+    numbers = book.needed([total])
+    parts = cut(book, numbers)
+    assert [i for part in parts for i in part] == numbers
+    first = next(part for part in parts if results[0] in part)
+    assert {book.nodes[results[0]][1][0], *results} <= {*first}
+    assert len(parts) > 1

@@ -17,7 +17,7 @@ class Access(NamedTuple):
     """The function that does it."""
     entry: int
     step: str = "step"
-    """Of a block."""
+    """Field of ``Block``: ``step``, or ``before`` for the step before."""
 
     @property
     def name(self) -> str:

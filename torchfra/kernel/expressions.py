@@ -24,7 +24,7 @@ _FOLD: dict[str, Callable[..., float]] = {
 
 
 class TooManyError(Exception):
-    """More expressions than were wanted."""
+    """More expressions than the limit of the book."""
 
 
 class Routine(NamedTuple):
@@ -101,7 +101,7 @@ class Expressions:
         return number
 
     def nested(self) -> Expressions:
-        """Those of a routine, which may call the same routines."""
+        """An empty book for the body of a routine; it shares this one's routines."""
         new = Expressions()
         new.routines = self.routines
         return new
@@ -144,8 +144,9 @@ class Expressions:
         return sorted(found)
 
     def copied(self) -> Expressions:
-        """A copy that can grow and change by itself."""
+        """A copy that can grow and change by itself, beyond any limit."""
         new = copy.copy(self)
+        new._most = None
         new.nodes, new.origin, new.values, new._known = [*self.nodes], [*self.origin], {**self.values}, {**self._known}
         return new
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ class Frame(NamedTuple):
     late: set[int]
     """Expressions that are stored at the end of their piece: until then their place holds what was carried."""
     left: dict[int, int]
-    """Of what is carried but no step reads, and of what it becomes: places apart, numbered from 0."""
+    """Places apart, numbered from 0, of carried values that no step reads: old and new share one."""
 
 
 def frame(
@@ -45,7 +46,8 @@ def frame(
     last = {number: k for k, piece in enumerate(steps) for number in needs(book, piece)}
     behind = {i for i in ends if i not in made or i in merged.values()}
     read = last.keys() | behind | {*merged.values()}
-    unread = {old: new for old, new in carried.items() if new in made and not read & {old, new}}
+    alone = Counter(carried.values())
+    unread = {old: new for old, new in carried.items() if new in made and alone[new] == 1 and not read & {old, new}}
     carried = {old: new for old, new in carried.items() if old not in unread}
     last.update(dict.fromkeys([*carried.values(), *behind], len(steps)))
     last = {number: k for number, k in last.items() if number not in merged}

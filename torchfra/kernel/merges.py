@@ -1,4 +1,4 @@
-"""Choices that nothing computes: a region puts its results where the other values lie already."""
+"""Choices without an instruction: a region overwrites the other value with its result."""
 
 from __future__ import annotations
 
@@ -28,10 +28,11 @@ def with_merged(book: Expressions, steps: Sequence[Piece]) -> tuple[Expressions,
     guards = {number: groups[k][0].guard for number, k in made.items()}
     new, merged, behind = book.copied(), dict[int, int](), defaultdict[int, list[int]](list)
     for number in made:
-        op, (mask, *sides) = book.nodes[number][0], book.nodes[number][1] or (0,)
+        op, args = book.nodes[number]
         if op != "select" or guards[number] is not None or book.is_bool(number):
             continue
-        for value, (result, other) in ((True, sides), (False, sides[::-1])):
+        mask, yes, no = args
+        for value, result, other in ((True, yes, no), (False, no, yes)):
             alone = guards.get(result) == (mask, value) and users[result] == {number}
             if alone and guards.get(other, 0) is None and made[other] < made[result] and other not in merged.values():
                 new.nodes[number] = "same", (other,)

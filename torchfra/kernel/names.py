@@ -36,7 +36,7 @@ def give(book: Expressions, path: str, numbers: Sequence[int], single: bool) -> 
         single: whether it has no dimensions.
     """
     name = path.replace(".", "_")
-    if not re.fullmatch(r"[a-z]([a-z0-9]|_(?!_))*(?<!_)", name) or re.fullmatch(r"(a?v|in|out|\w+_r)\d+", name):
+    if not re.fullmatch(r"[a-z]([a-z0-9]|_(?!_))*(?<!_)", name) or re.fullmatch(r"(v|in|out|late|\w+_r)\d+", name):
         return
     taken = _words() | set(book.names.values())
     for entry, number in enumerate(numbers):

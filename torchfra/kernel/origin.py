@@ -11,9 +11,11 @@ from typing import Any
 
 import torch
 
+from torchfra.linalg import tracing
+
 _PACKAGE = Path(__file__).parents[1]
-_BELOW = tuple(f"{Path(module).parent}{os.sep}" for module in (__file__, torch.__file__))
-"""Folders that say nothing of a step."""
+_BELOW = (*(f"{Path(module).parent}{os.sep}" for module in (__file__, torch.__file__)), tracing.__file__)
+"""Folders and a file that say nothing of a step."""
 _STEP = str(Path(__file__).with_name("step.py"))
 _DIFFERENTIATED = "kernel/step.py:"
 """What runs when no line of the filter does."""

@@ -27,11 +27,11 @@ Function = Callable[..., Any]
 def called_for_each(function: Function, ranks: Sequence[int], tensors: Sequence[Tensor]) -> Any:
     """``function(*tensors)`` of one track, by calls of routines: one for each entry of the batch.
 
-    Entries share a routine if the same of their numbers are constants, and the same are equal: zeros cost nothing there
-    either.  Arguments and results of a call go through memory, so that calls are for steps that are too large without.
+    Entries of the batch use the same routine if the same arguments are the same constants, and the same arguments are
+    equal.  So zeros are left out inside routines too.  Arguments and results of a call go through memory.
 
     Args:
-        function: does the same for each entry.
+        function: does the same for each entry; every result has the whole batch.
         ranks: of the tensors' events; what is in front of them is the batch.
         tensors: any.
     """
@@ -44,14 +44,20 @@ def called_for_each(function: Function, ranks: Sequence[int], tensors: Sequence[
         return tree.unflatten(form[0], iter(leaves))
     args = [as_entries(book, x) for x in tensors]
     batch = _batch(ranks, args)
+    if not batch.numel():
+        return function(*tensors)
     events = tuple(x.shape[x.dim() - rank :] for x, rank in zip(args, ranks, strict=True))
     rows = [x.ids.expand(batch + event).reshape(batch.numel(), -1) for x, event in zip(args, events, strict=True)]
     every = torch.cat(rows, -1).tolist()
-    made = [_routine(book, function, events, args[0].dtype, _form(book, numbers)) for numbers in every]
-    if None in made:
-        return function(*tensors)
-    found = [book.call(one[0], _unknown(book, numbers)) for one, numbers in zip(made, every, strict=True) if one]
-    results = made[0][1] if made[0] else None
+    made = []
+    for numbers in every:
+        routine = _routine(book, function, events, args[0].dtype, _form(book, numbers))
+        if routine is None:
+            return function(*tensors)
+        made.append(routine)
+    book.here = book.origins.here()
+    found = [book.call(routine, _unknown(book, numbers)) for (routine, _), numbers in zip(made, every, strict=True)]
+    results = made[0][1]
     outputs = tree.flatten(results)
     parts = torch.tensor(found, dtype=torch.int64).split([x.numel() for x in outputs], -1)
     pairs = zip(outputs, parts, strict=True)
@@ -124,7 +130,8 @@ def _routine(
     """The routine for such arguments, and results in the form of its own; None if it is too short or too long."""
     key = function, events, dtype, form
     if key not in book.routines:
-        book.routines[key] = None  # until it is there it calls no other of its kind
+        book.routines[key] = None  # no recursion: the same form inside it is written out
+        name = f"{_name(function)}_r{len(book.routines)}"
         inner = book.nested()
         inputs = [inner.input() for _ in range(1 + max((x for x in form if isinstance(x, int)), default=-1))]
         numbers = torch.tensor([inputs[x] if isinstance(x, int) else inner.constant(float(x)) for x in form])
@@ -137,7 +144,6 @@ def _routine(
             inner, live = with_quotients(inner, live, set(live), outputs)
             before = {i: [a for a in inner.nodes[i][1] if a not in inner.values] for i in live if i not in inner.values}
             live = [i for i in ordered([*before], before, outputs) if inner.nodes[i][0] != "input"]
-            name = f"{_name(function)}_r{len(book.routines)}"
             book.routines[key] = Routine(name, inner, inputs, outputs, live, cost(inner, live)), results
     made: tuple[Routine, Any] | None = book.routines[key]
     return made

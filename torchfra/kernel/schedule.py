@@ -177,7 +177,10 @@ def cut(book: Expressions, numbers: Sequence[int], length: int | None = None) ->
         across.append(alive)
     cuts = [0]
     while len(numbers) - cuts[-1] > length * 3 // 2:
-        window = range(cuts[-1] + length // 2, min(cuts[-1] + length, len(numbers) - 1))
-        between = [k for k in window if numbers[k + 1] not in book.places]  # a call and its results are not parted
-        cuts.append(min(between, key=lambda k: across[k]) + 1)
+        # A call and its results are not parted, be the piece ever so long.
+        whole = [k for k in range(cuts[-1] + length // 2, len(numbers) - 1) if numbers[k + 1] not in book.places]
+        window = [k for k in whole if k < cuts[-1] + length] or whole[:1]
+        if not window:
+            break
+        cuts.append(min(window, key=lambda k: across[k]) + 1)
     return [list(numbers[a:b]) for a, b in zip(cuts, [*cuts[1:], len(numbers)], strict=True) if a < b]

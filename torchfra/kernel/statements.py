@@ -37,11 +37,8 @@ def statement(book: Expressions, number: int) -> list[str]:
     name, (op, args) = called(book, number), book.nodes[number]
     if op == "call":
         routine, values = book.calls[number], ", ".join(as_number(book, i) for i in args)
-        return [
-            f"const V a{name}[] = {{{values}}};",
-            f"V {name}[{len(routine.outputs)}];",
-            f"{routine.name}(a{name}, {name});",
-        ]
+        call = f"{{ const V a[] = {{{values}}}; {routine.name}(a, {name}); }}"  # compilers keep its arguments that long
+        return [f"V {name}[{len(routine.outputs)}];", call]
     return [declared(book, number, computed(book, number))]
 
 

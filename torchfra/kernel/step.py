@@ -23,10 +23,10 @@ from torchfra.linalg.tracing import elementary
 from torchfra.tree import flatten, late, paths, unflatten
 
 _MOST = 110_000
-"""Expressions up to which a step calls no routines, which compile in half the time and take 1.2 times as long."""
+"""A step of more expressions calls routines: it compiles in half the time and runs 1.2 times as long."""
 T = TypeVar("T")
 Caller = Callable[..., Any] | None
-"""What carries out what is ``written_once``; None for no such thing."""
+"""How functions marked ``written_once`` are run; None: like any other."""
 Advance = Callable[[Any, Any, dict[str, Any]], tuple[Any, Any]]
 """From a module, its state and its inputs by name to the next state and the record of the step."""
 
@@ -88,7 +88,7 @@ class Step:
         last_first: bool = False,
     ) -> None:
         self.module, self._advance, self.inputs = module, advance, inputs
-        self.dtype, self.repeated, self.last_first, self._calls = dtype, repeated, last_first, False
+        self.dtype, self.repeated, self.last_first, self._large = dtype, repeated, last_first, False
         with refusals_of(type(module).__name__), elementary(), torch.no_grad():
             book = Expressions()
             self.state = begin(self.copy_with(self.unknown(book)), book)
@@ -112,18 +112,18 @@ class Step:
     def _always_zero(self, zero: list[Tensor]) -> tuple[list[Tensor], Trace]:
         """The entries of the state that are 0 before the first step and stay 0, and a trace that knows it."""
         while True:
-            trace = self._short(partial(self._trace, zero))
+            trace = self._traced(partial(self._trace, zero))
+            self._large = bool(trace.book.calls)
             still = [z & (after.ids == ZERO) for z, after in zip(zero, trace.after, strict=True)]
             if all(map(torch.equal, still, zero)):
                 return zero, trace
             zero = still
 
-    def _short(self, make: Callable[[Expressions, Caller], T]) -> T:
-        """What is made of a new book, without routines; where it has too many expressions for that, with them."""
-        if not self._calls:
+    def _traced(self, make: Callable[[Expressions, Caller], T]) -> T:
+        """``make`` with a new book: without routines if at most ``_MOST`` expressions result, else with them."""
+        if not self._large:
             with suppress(TooManyError):
                 return make(Expressions(_MOST), None)
-            self._calls = True
         return make(Expressions(), called_for_each)
 
     def _trace(
@@ -164,7 +164,7 @@ class Step:
 
     def tangent(self, along: Sequence[str]) -> Scan:
         """Filters, and carries derivatives along a direction of the state and of these inputs: see ``tangents``."""
-        whole = self._trace(self.zero, Expressions()) if self._calls else self._plain
+        whole = self._trace(self.zero, Expressions()) if self._large else self._plain
         return tangent(
             self._scan(whole, self._kept_ports(whole)), [k for k, name in enumerate(self.inputs) if name in along]
         )
@@ -184,7 +184,7 @@ class Step:
         gradients of the state and of the ``needed`` inputs without time, and writes those of the inputs with time.
         """
         of = f"{type(self.module).__name__}, gradient of {', '.join(['the state', *needed])}"
-        adjoint = partial(self._short, partial(self._adjoint, graded, needed))
+        adjoint = partial(self._traced, partial(self._adjoint, graded, needed))
         with gradient_refusals_of(of, adjoint):
             return adjoint()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -25,7 +24,7 @@ def tangent(scan: Scan, moving: Sequence[int]) -> Scan:
     Raises:
         NotImplementedError: an operation has no rule.
     """
-    book = copy.deepcopy(scan.book)
+    book = scan.book.copied()
     reads = [scan.reads[k] for k in moving]
     ways = [
         replace(port, ids=[ZERO if i == ZERO else book.input() for i in port.ids]) for port in (*scan.carry, *reads)

@@ -109,7 +109,7 @@ template <class... A> INLINE V norm_(const A&... a) {
 namespace {
 namespace NAME {
 constexpr int PLACES = SIZE;  // of values that go from piece to piece, side by side for each pack of tracks
-constexpr int LEFT = UNREAD;  // of values that are carried but that no step reads: all packs share their places, but in the last step
+constexpr int LEFT = UNREAD;  // of values that are carried but that no step reads: before the last step all packs write to one place
 constexpr int64_t PACKS = MANY;  // at most, in a block of tracks
 constexpr int64_t WRITTEN = NUMBERS;  // at each step, of a track
 // PIECES

@@ -40,7 +40,9 @@ class Writer:
         self._book, self._steps, self._merged = with_merged(self._book, steps)
         self._frame = frame(self._book, self._before, self._steps, step.carried, ends, self._merged)
         self.guarded = guarded_share(self._book, self._steps)
-        self._packs = max(1, min(_PACKS, _BYTES // (64 * self._frame.size))) if self.guarded and not narrow else 1
+        self._unread = max(1, len({*self._frame.left.values()}))
+        size = 64 * (self._frame.size + self._unread)
+        self._packs = max(1, min(_PACKS, _BYTES // size)) if self.guarded and not narrow else 1
         always = (piece for piece in self._steps if piece.guard is None)
         self._longest = max(always, key=lambda piece: len(piece.numbers), default=None)
         self._next = {} if narrow else self._written_next()
@@ -70,7 +72,7 @@ class Writer:
         end = ["if (steps > 0) last(s[p], out, at[p]);", "at[p].step = 0;", "end(s[p], left[p], out, at[p]);"]
         return {
             "SIZE": str(self._frame.size),
-            "UNREAD": str(max(1, len(set(self._frame.left.values())))),
+            "UNREAD": str(self._unread),
             "MANY": str(self._packs),
             "NUMBERS": str(len(self._step.stores)),
             "// PIECES\n": "".join(((apart if split else together)(long), *functions)),
@@ -80,7 +82,10 @@ class Writer:
         }
 
     def _written_next(self) -> dict[int, int]:
-        """Of choices that regions complete and that are carried on: what they are in the next step, which writes."""
+        """State that a region completes at the end of a step: by its number, that of the old state of the next step.
+
+        The next step writes it.
+        """
         places, steps = self._frame.places, self._steps[self._steps.index(self._longest) :] if self._longest else []
         waiting = {i for piece in steps for i in piece.numbers} & {*self._merged.values()}
         carried = self._step.carried.items()
@@ -89,7 +94,7 @@ class Writer:
     def _writes(self) -> dict[int, list[tuple[int, Access]]]:
         """By the expression behind which it is done: what is written, and where.
 
-        What waits for nothing is spread over the longest piece, so that memory is busy while something is computed.
+        Constants, and state of the step before, are spread over the longest piece, so that memory is never idle.
         """
         behind: dict[int, list[tuple[int, Access]]] = defaultdict(list)
         spread: list[tuple[int, Access]] = []

@@ -31,7 +31,7 @@ def elementary(caller: Callable[..., Any] | None = None) -> Iterator[None]:
     """Inside this context, decompositions run as loops of elementary arithmetic, which ``torchfra.kernel`` records.
 
     Args:
-        caller: carries out what is ``written_once``, from the function, its ranks and its tensors.
+        caller: runs functions marked ``written_once``; called with the function, its ranks and its tensors.
     """
     tokens = _elementary.set(True), _caller.set(caller)
     try:
@@ -42,7 +42,9 @@ def elementary(caller: Callable[..., Any] | None = None) -> Iterator[None]:
 
 
 def written_once(*ranks: int) -> Callable[[F], F]:
-    """Decorates a function of tensors that does the same for each batch: a large kernel holds its code only once.
+    """Decorates a function of tensors that does the same for each entry of the batch: a large kernel has its code once.
+
+    Every result has the whole batch.
 
     Args:
         ranks: how many dimensions the event has in each of its arguments, the last of which may be left out.

@@ -105,7 +105,7 @@ class Compiled:
 
     def back(self, f: Any, past: Any, measurements: Measurements, rank: int, lag: int | None = None) -> Any:
         """What the way back says of every step, time behind ``rank`` batch dimensions: see ``Smoother``."""
-        measurements = f.each_alone(measurements) if f.scans else measurements
+        measurements = f.for_each_target(measurements) if f.scans else measurements
         if lag is None or lag >= flatten(past)[0].shape[rank] - 1:
             return self._back(f, given(f, past, measurements, rank))
         every = windows(f, past, measurements, rank, lag)

@@ -34,7 +34,7 @@ class Given(NamedTuple):
     like: Any
     """A past and what is needed of the step ahead, whose leaves come first in the data."""
     windows: bool = False
-    """Whether the last dimension of the batch is of windows, which values of the filter know nothing of."""
+    """Whether the last dimension of the batch counts windows; the filter's own values do not have it."""
 
     def begin(self, f: Any, book: Expressions) -> Any:
         """The state of one track, in which all is unknown but the zeros of lower roots."""

@@ -32,9 +32,9 @@ class _Value(NamedTuple):
     module: nn.Module
     key: str
     event: int
-    """Dimensions without a batch."""
+    """Dimensions behind the batch."""
     alone: int
-    """The same on the way back of scans, on which each target is a track of its own."""
+    """The same where each target is a track, as on the way back of scans."""
 
     @property
     def part(self) -> dict[str, Any]:
@@ -155,7 +155,7 @@ class Version:
         return Plan(kernels, batch, shapes, dtypes, counts, first.device)
 
     def _read_for(self, back: Given | None) -> list[Tensor]:
-        """The values as they are now; of windows, those that have a batch have a dimension more."""
+        """The values as they are now; with windows, a batch of values gets a dimension of size 1 for them."""
         if back is None or not back.windows:
             return self.read()
         pairs = ((x, x.dim() - value.alone) for value, x in zip(self.values, self.read(), strict=True))

@@ -90,7 +90,7 @@ class ScanFilter(Filter[S]):
         assert record.residual is not None
         return record.residual, record.root
 
-    def each_alone(self, measurements: Measurements) -> Measurements:
+    def for_each_target(self, measurements: Measurements) -> Measurements:
         """Measurements for the way back of targets: time steps and ``u`` of scenes have a dimension for targets."""
         dt, u = measurements.dt, measurements.u
         dt = dt.unsqueeze(-2) if isinstance(dt, Tensor) and dt.dim() > 1 else dt
