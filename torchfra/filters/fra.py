@@ -149,8 +149,8 @@ class FRA(Soft, GaussianFilter[FRAState]):
             scores = self.score(*state.branches, frame)
             kept = best(scores)
             return self.shared(scores, state.excess, state.branches), Kept(*(state.abnormal & x for x in kept))
-        none = torch.zeros_like(state.abnormal)
-        kept = self.where_abnormal(state.abnormal, self.decide, (*state.branches, frame), Kept(none, none))
+        no = torch.zeros_like(state.abnormal)
+        kept = self.where_abnormal(state.abnormal, self.decide, (*state.branches, frame), Kept(no, no))
         return chosen(kept, state.branches), kept
 
     def decide(self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, frame: Frame) -> Kept:

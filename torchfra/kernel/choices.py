@@ -29,7 +29,7 @@ def with_choices_last(
             new.nodes[number] = "select", (mask, *chosen)
             order.update(dict.fromkeys(i for side in chosen for i in _needed(new, [side], order)))
         order.setdefault(number)
-    needed = set(_needed(new, ends, {}))
+    needed = set(new.needed(ends))
     return new, [number for number in order if number in needed]
 
 

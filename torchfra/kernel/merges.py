@@ -26,7 +26,7 @@ def with_merged(book: Expressions, steps: Sequence[Piece]) -> tuple[Expressions,
         for arg in book.nodes[number][1]:
             users[arg] |= {number} if made.get(arg) != k else set()
     guards = {number: groups[k][0].guard for number, k in made.items()}
-    new, merged, behind = book.copied(), dict[int, int](), defaultdict[int, list[int]](list)
+    new, merged, gone, behind = book.copied(), dict[int, int](), set[int](), defaultdict[int, list[int]](list)
     for number in made:
         op, args = book.nodes[number]
         if op != "select" or guards[number] is not None or book.is_bool(number):
@@ -34,11 +34,11 @@ def with_merged(book: Expressions, steps: Sequence[Piece]) -> tuple[Expressions,
         mask, yes, no = args
         for value, result, other in ((True, yes, no), (False, no, yes)):
             alone = guards.get(result) == (mask, value) and users[result] == {number}
-            if alone and guards.get(other, 0) is None and made[other] < made[result] and other not in merged.values():
+            if alone and guards.get(other, 0) is None and made[other] < made[result] and other not in gone:
                 new.nodes[number] = "same", (other,)
                 merged[result] = number
+                gone.add(number)
                 behind[other].append(number)
-    gone = set(merged.values())
     parts = [
         Piece([i for number in piece.numbers if number not in gone for i in (number, *behind[number])], piece.guard)
         for piece in steps

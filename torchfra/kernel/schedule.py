@@ -175,12 +175,14 @@ def cut(book: Expressions, numbers: Sequence[int], length: int | None = None) ->
     for change in ends:
         alive += change
         across.append(alive)
-    cuts = [0]
+
+    def whole(k: int) -> bool:
+        """Whether no call is parted from its results behind this one."""
+        return numbers[k + 1] not in book.places
+
+    cuts, end = [0], len(numbers) - 1
     while len(numbers) - cuts[-1] > length * 3 // 2:
-        # A call and its results are not parted, be the piece ever so long.
-        whole = [k for k in range(cuts[-1] + length // 2, len(numbers) - 1) if numbers[k + 1] not in book.places]
-        window = [k for k in whole if k < cuts[-1] + length] or whole[:1]
-        if not window:
-            break
+        start, stop = cuts[-1] + length // 2, cuts[-1] + length
+        window = list(filter(whole, range(start, stop))) or [next(filter(whole, range(stop, end)), end)]
         cuts.append(min(window, key=lambda k: across[k]) + 1)
     return [list(numbers[a:b]) for a, b in zip(cuts, [*cuts[1:], len(numbers)], strict=True) if a < b]

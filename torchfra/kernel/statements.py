@@ -37,7 +37,7 @@ def statement(book: Expressions, number: int) -> list[str]:
     name, (op, args) = called(book, number), book.nodes[number]
     if op == "call":
         routine, values = book.calls[number], ", ".join(as_number(book, i) for i in args)
-        call = f"{{ const V a[] = {{{values}}}; {routine.name}(a, {name}); }}"  # compilers keep its arguments that long
+        call = f"{{ const V a[] = {{{values}}}; {routine.name}(a, {name}); }}"  # calls share the stack for them
         return [f"V {name}[{len(routine.outputs)}];", call]
     return [declared(book, number, computed(book, number))]
 

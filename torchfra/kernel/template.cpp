@@ -38,7 +38,8 @@ constexpr bool DOUBLE = sizeof(Scalar) == 8;
 
 // A tensor: where it is, and how far it is to the next track, the next step, the next entry.
 struct Port { char* data; int64_t track, time, entry; };
-// A block of tracks at a step, which has one ``before`` it; those beyond the last are the last once more.  ``past``: what is written is too much for caches.
+// A block of tracks at a step, and the step ``before`` it; those beyond the last are the last once more.  ``past``: what is written
+// is too much for caches.
 struct Block { int64_t first, lanes, step; bool past = false; int64_t before = 0; };
 
 // The entries of a tensor at a step, from the first track of a block on.
@@ -124,7 +125,10 @@ static INLINE void block(const Port* in, const Port* out, int64_t steps, const B
   }
   for (int64_t k = 0; k < steps; k++) {
     const bool last = k + 1 == steps;
-    for (int64_t p = 0; p < packs; p++) at[p].before = k > 0 ? at[p].step : TIME, at[p].step = TIME;
+    for (int64_t p = 0; p < packs; p++) {
+      at[p].before = k > 0 ? at[p].step : TIME;
+      at[p].step = TIME;
+    }
     // STEP
   }
   for (int64_t p = 0; p < packs; p++) {

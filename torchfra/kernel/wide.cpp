@@ -116,8 +116,7 @@ INLINE bool within(const V& a, Scalar least, Scalar most) {
 
 struct Lane { V* s; int number; };
 // A region for the tracks where a truth value is ``value``: on the spot where they are most of a pack, else together with
-// those of other packs.  ``first(p)`` computes what all tracks of pack p need; the
-// region follows while that is in the first cache.
+// those of other packs.  ``first(p)`` computes what all tracks of pack p need; the region follows while that is in the first cache.
 template <int64_t PLACES, class First> void guarded(
     V (*s)[PLACES], int64_t packs, int place, bool value, void (*region)(V*), const Values& taken, const Values& given,
     const First& first) {
