@@ -207,6 +207,40 @@ def test_a_filter_whose_finish_does_more_than_to_end_what_is_late_is_ready_all_t
     assert len(prepared) == 1
 
 
+@pytest.fixture
+def two_threads():
+    """Both kernels and their ends on two threads."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+def test_many_tracks_are_ready_once_they_have_come_often(make, tracks, prepared, two_threads):
+    f, given = make("fra"), alone(tracks, 12)
+    noise = 0.01 * torch.randn(401, 12, 2, dtype=torch.float64)  # no multiple of the lanes of a register
+    given["z"] = tracks.z[0] + noise
+    fast = copy.deepcopy(f).compile()
+    first = fast(**given)
+    close(f(**given), first)
+    for _ in range(15):
+        close(first, fast(**given), 0)
+    assert len(prepared) == 8
+    wild = given["z"].clone()
+    wild[200, 7] = torch.inf
+    failure = fast(**given | {"z": wild}).failure
+    assert len(prepared) == 8
+    assert failure.step.tolist() == [7 if k == 200 else -1 for k in range(401)]
+    assert failure.cause[200] == Cause.MEASUREMENT
+
+
+def test_a_form_that_is_remembered_holds_no_memory_of_results(make, tracks):
+    fast, given = make("srckf").compile(), alone(tracks)
+    fast(**given)
+    (known,) = fast._kernels._versions[0].tracks._known.values()
+    assert all(x.is_meta for x in known[0]._whole._ready.like)
+
+
 def tree_moved(belief):
     """A belief elsewhere."""
     return belief._replace(mean=belief.mean + 1)

@@ -1,3 +1,5 @@
+// THREADS
+#include <atomic>
 #ifdef _WIN32
 __declspec(dllexport)
 #endif
@@ -22,29 +24,42 @@ extern "C" int whole(
   }
   for (int i = 0; last + i < PORTS; i++)
     for (int64_t track = 0; track < tracks; track++) reinterpret_cast<int64_t*>(ports[last + i].data)[track] = each[i];
-  const auto over = [&](int64_t count, int64_t size, auto block) {
-    for (int64_t first = 0; first < count; first += size) block(Block{first, count - first < size ? count - first : size, 0});
+  // What a thread does with its share of the tracks, in blocks of so many.
+  const auto over = [&](int64_t count, int64_t size, int64_t thread, auto block) {
+    const int64_t packs = (count + W - 1) / W, end = packs * (thread + 1) / threads * W, last = end < count ? end : count;
+    for (int64_t first = packs * thread / threads * W; first < last; first += size)
+      block(Block{first, last - first < size ? last - first : size, 0});
   };
-  over(begun, W * begin::PACKS, [&](const Block& at) { begin::block(ports, ports, 1, at); });
+  on_threads(threads, [&](int64_t thread) {
+    over(begun, W * begin::PACKS, thread, [&](const Block& at) { begin::block(ports, ports, 1, at); });
+  });
   run(tracks, steps, threads, ports, ports + AFTER);
-  over(tracks, W * finish::PACKS, [&](const Block& at) { finish::block(ports, ports, 1, at); });
   // Not finite at a step is not finite in the next one's score: all scores, which come first, and the last belief say it all.
-  V sum = all(0);
-  Scalar rest = 0;
-  for (int k = 0; k < static_cast<int>(sizeof looks / sizeof *looks); k++) {
-    const Port& p = ports[looks[k] / 2];
-    const int64_t first = (k == 0 ? 0 : steps - 1) + looks[k] % 2, count = (k == 0 ? steps : 1) * entries[k] * tracks;
-    const Scalar* x = reinterpret_cast<const Scalar*>(p.data) + first * p.time;
-    int64_t i = 0;
-    for (; i + W <= count; i += W) {
-      V v;
-      __builtin_memcpy(&v, x + i, sizeof v);
-      sum += v;
-    }
-    for (; i < count; i++) rest += x[i];
-  }
-  Scalar lanes[W];
-  __builtin_memcpy(lanes, &sum, sizeof lanes);
-  for (Scalar x : lanes) rest += x;
-  return rest - rest == 0;
+  std::atomic<bool> sound{true};
+  on_threads(threads, [&](int64_t thread) {
+    V sum = all(0);
+    Scalar rest = 0;
+    over(tracks, W * finish::PACKS, thread, [&](const Block& at) {
+      finish::block(ports, ports, 1, at);
+      for (int k = 0; k < static_cast<int>(sizeof looks / sizeof *looks); k++) {
+        const Port& p = ports[looks[k] / 2];
+        for (int64_t step = k == 0 ? 0 : steps - 1; step < steps; step++)
+          for (int64_t entry = 0; entry < entries[k]; entry++) {
+            const Scalar* x = reinterpret_cast<const Scalar*>(p.data) + (step + looks[k] % 2) * p.time + entry * p.entry + at.first;
+            int64_t i = 0;
+            for (; i + W <= at.lanes; i += W) {
+              V v;
+              __builtin_memcpy(&v, x + i, sizeof v);
+              sum += v;
+            }
+            for (; i < at.lanes; i++) rest += x[i];
+          }
+      }
+    });
+    Scalar lanes[W];
+    __builtin_memcpy(lanes, &sum, sizeof lanes);
+    for (Scalar x : lanes) rest += x;
+    if (rest - rest != 0) sound = false;
+  });
+  return sound;
 }

@@ -13,7 +13,7 @@ from torchfra.kernel.entries import Entries, as_entries, entry_ids
 from torchfra.kernel.expressions import Expressions
 from torchfra.kernel.refusals import refusals_of
 from torchfra.kernel.source import Port, Scan
-from torchfra.kernel.statements import file
+from torchfra.kernel.statements import threaded
 from torchfra.kernel.step import Step, carried
 from torchfra.linalg.tracing import elementary
 from torchfra.tree import flatten, map_tensors, unflatten
@@ -113,7 +113,7 @@ class Ends:
             "LAST": [len(reads)],
             "PORTS": [end + len(self.each)],
         }
-        text = file("ends.cpp")
+        text = threaded("ends.cpp")
         for word, numbers in words.items():
             text = text.replace(word, ", ".join(map(str, numbers)))
         return f"{head}{started}{finished}{text}"

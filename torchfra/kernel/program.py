@@ -60,15 +60,15 @@ class Program:
         """
         tracks = batch.numel()
         ports = [strided(x, port, len(batch), tracks) for x, port in zip(tensors, self._reads, strict=True)]
-        written = self._outputs(batch, steps)
+        written = self._outputs(batch, steps, self._device)
         table = array("q", [number for x, *strides in ports for number in (x.data_ptr(), *strides)])
         table.extend(number for x, *strides in self._packed(written, len(batch)) for number in (x.data_ptr(), *strides))
         address = table.buffer_info()[0]
         self._run(tracks, steps, threads(tracks), address, address + 32 * len(tensors))
         return written
 
-    def _outputs(self, batch: torch.Size, steps: int) -> list[Tensor]:
-        """What it will write, with tracks innermost."""
+    def _outputs(self, batch: torch.Size, steps: int, device: torch.device) -> list[Tensor]:
+        """What it will write, with tracks innermost; on ``"meta"`` its form alone."""
         written = sum(len(port.ids) for port in self._timed)
         past = batch.numel() * steps * written * self._dtype.itemsize >= PAST
         return [
@@ -76,7 +76,7 @@ class Program:
                 ((steps + port.late,) if port.timed else ()) + tuple(port.shape),
                 batch,
                 torch.bool if port.truth else self._dtype,
-                self._device,
+                device,
                 past,
             )
             for port in self._writes
@@ -92,17 +92,23 @@ class Program:
         ports = [strided(x, port, len(batch), tracks) for x, port in zip(tensors, self._reads, strict=True)]
         if any(x.data_ptr() != y.data_ptr() or x.is_neg() for (x, *_), y in zip(ports, tensors, strict=True)):
             return None
-        written = [x.new_empty(x.shape) for x in self._outputs(batch, steps)]  # no room between rows, as in later ones
+        written = self._outputs(batch, steps, torch.device("meta"))
         table = array("q", [n for _, *strides in [*ports, *self._packed(written, len(batch))] for n in (0, *strides)])
-        return Ready(self._run, tracks, steps, table, [batch_first(x, len(batch)) for x in written])
+        like = [batch_first(x, len(batch)) for x in written]
+        return Ready(self._run, tracks, steps, table, like, self._device)
 
 
 class Ready:
-    """A program for tensors of one form, of which nothing but addresses differs from call to call."""
+    """A program for tensors of one form, of which nothing but addresses differs from call to call.
 
-    def __init__(self, run: Any, tracks: int, steps: int, table: array[int], like: list[Tensor]) -> None:
+    ``like`` are what it writes, without memory.
+    """
+
+    def __init__(
+        self, run: Any, tracks: int, steps: int, table: array[int], like: list[Tensor], device: torch.device
+    ) -> None:
         self.run, self.tracks, self.steps, self.table, self.like = run, tracks, steps, table, like
-        self._new = maker(like)
+        self.device, self._new = device, maker(like, device)
         self._outputs = 32 * (len(table) // 4 - len(like))
 
     def __call__(self, tensors: Sequence[Tensor]) -> list[Tensor]:

@@ -1,8 +1,5 @@
 #if !defined(PARTS) || PARTS & 1
-#ifndef _OPENMP
-#include <thread>
-#include <vector>
-#endif
+// THREADS
 #ifdef _WIN32
 __declspec(dllexport)
 #endif
@@ -11,7 +8,7 @@ extern "C" void run(int64_t tracks, int64_t steps, int threads, const Port* in, 
   const int64_t packs = (tracks + W - 1) / W, share = threads * step::PACKS;
   const int64_t blocks = (packs + share - 1) / share * threads;  // of PACKS at most, as many for each thread
   const bool past = tracks * steps * step::WRITTEN * int64_t{sizeof(Scalar)} >= MANY_BYTES;  // of what no cache keeps
-  const auto part = [&](int64_t thread) {
+  on_threads(threads, [&](int64_t thread) {
     for (int64_t k = blocks / threads * thread; k < blocks / threads * (thread + 1); k++) {
       const int64_t first = packs * k / blocks * W, last = packs * (k + 1) / blocks * W;
       if (first < last) step::block(in, out, steps, Block{first, (last < tracks ? last : tracks) - first, 0, past});
@@ -19,15 +16,6 @@ extern "C" void run(int64_t tracks, int64_t steps, int threads, const Port* in, 
 #ifdef PAST_CACHES
     _mm_sfence();  // all is there before the threads meet
 #endif
-  };
-#ifdef _OPENMP
-#pragma omp parallel for num_threads(threads) schedule(static)
-  for (int thread = 0; thread < threads; thread++) part(thread);
-#else
-  std::vector<std::thread> others;
-  for (int thread = 1; thread < threads; thread++) others.emplace_back(part, thread);
-  part(0);
-  for (std::thread& other : others) other.join();
-#endif
+  });
 }
 #endif

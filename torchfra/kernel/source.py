@@ -13,7 +13,7 @@ from torchfra.kernel.divisions import with_quotients
 from torchfra.kernel.expressions import ZERO, Expressions
 from torchfra.kernel.pages import PAST
 from torchfra.kernel.parts import are_in, opened
-from torchfra.kernel.statements import file, template
+from torchfra.kernel.statements import file, template, threaded
 from torchfra.kernel.writer import Writer
 
 SCALARS = {torch.float64: "double", torch.float32: "float"}
@@ -77,7 +77,7 @@ class Scan:
         Args:
             narrow: whether for one track, in plain C++ that needs no headers of torch; or for many, in vectors.
         """
-        run = file("run.cpp").replace("MANY_BYTES", str(PAST))
+        run = threaded("run.cpp").replace("MANY_BYTES", str(PAST))
         return "".join((*self._parts(Writer(self.step(), narrow), narrow, apart=True), run))
 
     def cuda(self) -> str:

@@ -93,6 +93,11 @@ def template(narrow: bool) -> tuple[str, str]:
     return head, mark + block
 
 
+def threaded(name: str) -> str:
+    """A file of this folder, with ``threads.cpp`` in it."""
+    return file(name).replace("// THREADS\n", file("threads.cpp"))
+
+
 @lru_cache
 def file(name: str) -> str:
     """A file of this folder."""

@@ -48,13 +48,15 @@ class Whole:
         for row, same in enumerate(ends.same):  # what is the same at first lies in one place
             self._table[4 * row] = self._table[4 * same]
         self._table.extend(number for _, *strides in prior for number in (0, *strides))
-        self._table.extend([0, 1, 0, ready.tracks] * (len(ends.settled) + len(ends.each)))
+        for port in ends.settled:
+            self._table.extend([0, 1, 0, ready.table[4 * port + 3]])
+        self._table.extend([0, 1, 0, ready.tracks] * len(ends.each))
         if ready.steps == 1:  # the end of what comes late takes the place of what the only step says of none before it
             for k in late:
                 like[k], self._table[4 * (reads + count + k) + 2] = like[k].narrow(rank, 0, 1), 0
         self._late = late if ready.steps > 1 else []
-        each = torch.empty(like[0].shape[:rank], dtype=torch.int64, device="cpu")
-        self._new, self._room = maker([*like, *[each] * len(ends.each)]), end
+        each = torch.empty(like[0].shape[:rank], dtype=torch.int64, device="meta")
+        self._new, self._room = maker([*like, *[each] * len(ends.each)], ready.device), end
         self._addresses = Struct(f"{2 + reads - count + len(like) + len(ends.each)}q").pack
 
     def __call__(self, tensors: Sequence[Tensor]) -> tuple[list[Tensor], bool]:
@@ -65,11 +67,11 @@ class Whole:
         Args:
             tensors: the prior's, and what the steps read besides the state.
         """
-        ready, written = self._ready, self._new()
+        ready, written, room = self._ready, self._new(), _room(self._room)
         addresses = self._addresses(*map(Tensor.data_ptr, (*tensors, *written)))
         count, (ports, _) = threads(ready.tracks), self._table.buffer_info()
         sound = self._function(
-            self._run, ready.tracks, ready.steps, count, ports, addresses, _room(self._room), self._begun
+            self._run, ready.tracks, ready.steps, count, ports, addresses, room.data_ptr(), self._begun
         )
         for k in self._late:
             written[k] = written[k].narrow(self._rank, 1, ready.steps)
@@ -87,15 +89,18 @@ def load(ends: Ends) -> Any:
 
 _ROOMS = threading.local()
 """Where states lie between the kernels of a call; each thread has its own, as large as it has needed."""
+_HELD = 1 << 20
+"""Bytes at most that are held from call to call."""
 
 
-def _room(size: int) -> int:
-    """The address of so many bytes."""
+def _room(size: int) -> Tensor:
+    """So many bytes."""
+    if size > _HELD:
+        return torch.empty(size, dtype=torch.uint8, device="cpu")
     if size > getattr(_ROOMS, "size", -1):
         _ROOMS.memory, _ROOMS.size = torch.empty(size, dtype=torch.uint8, device="cpu"), size
-        _ROOMS.address = _ROOMS.memory.data_ptr()
-    address: int = _ROOMS.address
-    return address
+    room: Tensor = _ROOMS.memory
+    return room
 
 
 def whole(ready: Ready, ends: Ends, function: Any, batch: torch.Size, prior: Sequence[Tensor]) -> Whole | None:

@@ -13,7 +13,7 @@ from torch.autograd import forward_ad
 from torchfra.filters.compiled import traced
 from torchfra.filters.compiled.back import Given, given, of_windows, windows
 from torchfra.filters.compiled.step import Data, check_changing, is_ordinary, number
-from torchfra.filters.compiled.tracks import form_of, may_be_ready, seconds_of
+from torchfra.filters.compiled.tracks import form_of, seconds_of
 from torchfra.filters.compiled.version import Plan, Version
 from torchfra.gaussian.arguments import check_seconds
 from torchfra.gaussian.inputs import Frame, Measurements
@@ -77,11 +77,12 @@ class Compiled:
         return now.tracks(f, form_of(measurements, past), prior, measurements, now.read)
 
     def get_ready(self, f: Any, state: Any, measurements: Measurements, prior: Gaussian, past: bool) -> None:
-        """Makes later calls of ``forward`` like this one ready, if they are short; ``state`` is that of the prior."""
-        z = measurements.z
-        if f.home is f and not f.scans and may_be_ready(z.shape[:-2].numel(), z.shape[-2]):
+        """Makes later calls of ``forward`` like this one ready, if that is worth it; ``state`` is that of the prior."""
+        form, z = form_of(measurements, past), measurements.z
+        shapes = z.dtype, z.shape, *(x.shape for x in prior)
+        if f.home is f and not f.scans and self._now(f).tracks.due((form, shapes), z.shape[:-1].numel()):
             now, plan, data = self._plan(f, state, measurements, past)
-            now.get_tracks_ready(form_of(measurements, past), plan, prior, state, data, past)
+            now.get_tracks_ready(form, plan, prior, state, data, past)
 
     def forward(
         self, f: Any, state: Any, measurements: Measurements, checkpoint: int | None, truncate: int | None, past: bool

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
@@ -19,8 +20,12 @@ from torchfra.types import Estimate, Failure, Gaussian
 
 _FORMS = 16
 """How many forms are remembered."""
-_STEPS = 4096
-"""At most, of all tracks of a form that is remembered: with more of them what a call costs besides is little."""
+_SHORT = 4096
+"""Steps of all tracks up to which a form gets ready at its first call: such calls are little but overhead."""
+_OFTEN = 8
+"""At which call a longer form gets ready: to compile its ends takes half a second."""
+_COUNTED = 256
+"""How many longer forms are counted."""
 
 
 class ReadyTracks:
@@ -74,6 +79,16 @@ class AllReadyTracks:
 
     def __init__(self) -> None:
         self._known: dict[Hashable, list[ReadyTracks | WholeTracks]] = {}
+        self._calls: Counter[Hashable] = Counter()
+
+    def due(self, form: Hashable, steps: int) -> bool:
+        """Whether to get a form ready, of so many steps of all tracks, that has been called once more."""
+        if steps <= _SHORT:
+            return True
+        if len(self._calls) >= _COUNTED:
+            self._calls.clear()
+        self._calls[form] += 1
+        return self._calls[form] == _OFTEN
 
     def __call__(
         self, f: Any, form: Hashable, prior: Gaussian, measurements: Measurements, values: Callable[[], Any]
@@ -106,7 +121,7 @@ class AllReadyTracks:
     def add(self, form: Hashable, tracks: ReadyTracks | WholeTracks) -> None:
         """Remembers tracks; all others are forgotten when there are too many."""
         if sum(map(len, self._known.values())) >= _FORMS:
-            self._known = {}
+            self._known, self._calls = {}, Counter()
         self._known[form] = [tracks, *self._known.get(form, ())]
 
 
@@ -121,8 +136,3 @@ def form_of(measurements: Measurements, past: bool) -> Hashable:
     _, dt, u, std, noise = measurements
     given = u is None, std is None, noise is None, isinstance(dt, Tensor), measurements.varying_dt
     return given, past, torch.is_grad_enabled()
-
-
-def may_be_ready(tracks: int, steps: int) -> bool:
-    """Whether so many tracks of so many steps are worth being remembered."""
-    return tracks * steps <= _STEPS
