@@ -9,6 +9,8 @@ from typing import Any
 
 PASS = 0.02
 """Seconds that a pass lasts at least."""
+WARM = 1.0
+"""Seconds of calls before the first pass."""
 
 
 def once(call: Callable[[], Any]) -> float:
@@ -18,9 +20,17 @@ def once(call: Callable[[], Any]) -> float:
     return time.perf_counter() - start
 
 
-def one_pass(call: Callable[[], Any]) -> float:
+def first_call(call: Callable[[], Any]) -> float:
+    """Seconds of the first call; up to ten more follow, after which all that gets ready or warm in a few calls is."""
+    first, seconds = once(call), [once(call)]
+    while sum(seconds) < WARM and len(seconds) < 10:
+        seconds.append(once(call))
+    return first
+
+
+def one_pass(call: Callable[[], Any], at_least: float = PASS) -> float:
     """Seconds that a call takes: the median of as many as fit into a pass, and of one if it is longer."""
     seconds: list[float] = []
-    while sum(seconds) < PASS:
+    while sum(seconds) < at_least:
         seconds.append(once(call))
     return statistics.median(seconds)

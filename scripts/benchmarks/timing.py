@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-from benchmarks.clock import once, one_pass
+from benchmarks.clock import first_call, one_pass
 from torchfra.app.progress import progress_bar
 from torchfra.tables import text_table
 
@@ -48,10 +48,8 @@ class Here:
             torch.cuda.synchronize()
 
     def first_call(self) -> float:
-        """Seconds of the first call; a second one follows, after which memory and caches are warm."""
-        seconds = once(self)
-        self()
-        return seconds
+        """Seconds of the first call, after which a few more make all warm."""
+        return first_call(self)
 
     def one_pass(self) -> float:
         """Seconds per call, in one pass."""
