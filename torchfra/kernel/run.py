@@ -146,13 +146,14 @@ class _Run(torch.autograd.Function):
             begun += done[len(done) - count :] if remembers else state
             done = done[: len(done) - count] if remembers else done
             state = tuple(batch_first(x, rank) for x in done[:count])
-            kept.append([_without_room(x, last - first) for x in done[count:]] if step.repeated else done[count:])
+            joined = step.repeated and len(starts) > 2
+            kept.append([_without_room(x, last - first) for x in done[count:]] if joined else done[count:])
         ctx.save_for_backward(*inputs, *begun)
         ctx.kernels, ctx.batch, ctx.starts, ctx.truncate, ctx.remembers = kernels, batch, starts, truncate, remembers
         ctx.set_materialize_grads(False)
-        joined = _joined(kept)
-        ctx.mark_non_differentiable(*(x for x in joined if not x.is_floating_point()))
-        return (*done[:count], *joined)
+        records = _joined(kept)
+        ctx.mark_non_differentiable(*(x for x in records if not x.is_floating_point()))
+        return (*done[:count], *records)
 
     @staticmethod
     @once_differentiable
@@ -189,8 +190,8 @@ class _Run(torch.autograd.Function):
 
 
 def _without_room(x: Tensor, steps: int) -> Tensor:
-    """So many steps; what comes late has room behind them, and a view of it could not be written to."""
-    return x if len(x) == steps else x[:steps].clone()
+    """So many steps; what comes late has room behind them."""
+    return x[:steps]
 
 
 def _part(step: Step, inputs: Sequence[Tensor], first: int, last: int, rank: int) -> list[Tensor]:
