@@ -14,6 +14,9 @@ class Frame(NamedTuple):
     """Places for values, numbered from 0."""
 
     size: int
+    own: int
+    """The first of them are each pack's own.  Others are shared by all packs: no pack needs their values while the next
+    one is computed."""
     places: dict[int, int]
     """Of each expression that has one."""
     moves: list[tuple[int, int]]
@@ -31,6 +34,7 @@ def frame(
     carried: Mapping[int, int],
     ends: Iterable[int],
     merged: Mapping[int, int],
+    shared: bool = True,
 ) -> Frame:
     """Places for all values that are needed beyond their piece.
 
@@ -41,6 +45,7 @@ def frame(
         carried: what goes from step to step, with what takes its place after the step.
         ends: what is written.
         merged: results of regions, and the choices in whose places they are put.
+        shared: whether packs may have places together.
     """
     made = {number: k for k, piece in enumerate(steps) for number in piece.numbers}
     last = {number: k for k, piece in enumerate(steps) for number in needs(book, piece)}
@@ -56,21 +61,13 @@ def frame(
     places = {number: place for place, number in enumerate([*carried, *sorted(fixed & wanted)])}
     size = len(places)
     late = _renewed(places, made, last, carried)
-    ending: dict[int, list[int]] = {}
-    for number in made.keys() & last.keys() - places.keys():
-        ending.setdefault(last[number], []).append(number)
-    free: list[int] = []
-    for k, piece in enumerate(steps):
-        for number in piece.numbers:
-            if number not in places and last.get(number, k) > k:
-                if not free:
-                    free, size = [size], size + 1
-                places[number] = free.pop()
-        free += sorted(places[number] for number in ending.get(k, ()) if number in places)
+    passing = _passing(book, steps, made, last) if shared else set()
+    own = max(_placed(places, size, steps, {i: k for i, k in last.items() if i not in passing}), 1)
+    size = _placed(places, own, steps, {i: last[i] for i in passing - places.keys()})
     moves = [(new, places[old]) for old, new in carried.items() if places.get(new) != places[old]]
     places |= {i: places[choice] for i, choice in merged.items()}
     left = {i: place for place, pair in enumerate(unread.items()) for i in pair}
-    return Frame(max(size, 1), places, moves, late, left)
+    return Frame(size, own, places, moves, late, left)
 
 
 def needs(book: Expressions, piece: Piece) -> list[int]:
@@ -92,6 +89,36 @@ def _renewed(
             if last.get(old) == made[new]:
                 late.add(new)
     return late
+
+
+def _passing(book: Expressions, steps: Sequence[Piece], made: Mapping[int, int], last: Mapping[int, int]) -> set[int]:
+    """Values that none needs but their own group of pieces and, if that is for all tracks, the region behind it."""
+    stages, stage = list[int](), 0
+    for k, piece in enumerate(steps):
+        before = steps[max(k - 1, 0)].guard
+        stage += piece.guard != before and before is not None
+        stages.append(stage)
+    passing = {i for i in made.keys() & last.keys() if last[i] < len(steps)}
+    for k, piece in enumerate(steps):
+        passing -= {i for i in needs(book, piece) if i in made and stages[made[i]] != stages[k]}
+        passing -= {piece.guard[0]} if piece.guard else set()
+    return passing
+
+
+def _placed(places: dict[int, int], size: int, steps: Sequence[Piece], last: Mapping[int, int]) -> int:
+    """Gives places from number ``size`` on to values by the pieces that need them ``last``; how many there are then."""
+    ending: dict[int, list[int]] = {}
+    for number in last.keys() - places.keys():
+        ending.setdefault(last[number], []).append(number)
+    free: list[int] = []
+    for k, piece in enumerate(steps):
+        for number in piece.numbers:
+            if number not in places and last.get(number, k) > k:
+                if not free:
+                    free, size = [size], size + 1
+                places[number] = free.pop()
+        free += sorted(places[number] for number in ending.get(k, ()) if number in places)
+    return size
 
 
 def crossing(

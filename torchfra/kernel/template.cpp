@@ -110,12 +110,13 @@ template <class... A> INLINE V norm_(const A&... a) {
 namespace {
 namespace NAME {
 constexpr int PLACES = SIZE;  // of values that go from piece to piece, side by side for each pack of tracks
+constexpr int ASIDE = PASSING;  // of those that no pack needs while the next one is computed: all have one place
 constexpr int LEFT = UNREAD;  // of values that are carried but that no step reads: before the last step all packs write to one place
 constexpr int64_t PACKS = MANY;  // at most, in a block of tracks
 constexpr int64_t WRITTEN = NUMBERS;  // at each step, of a track
 // PIECES
 static INLINE void block(const Port* in, const Port* out, int64_t steps, const Block& tracks) {
-  V s[PACKS][PLACES], left[PACKS][LEFT];
+  V s[PACKS][PLACES], aside[ASIDE], left[PACKS][LEFT];
   Block at[PACKS];
   const int64_t packs = (tracks.lanes + W - 1) / W;
   for (int64_t p = 0; p < packs; p++) {

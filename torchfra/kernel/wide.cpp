@@ -13,9 +13,19 @@
 #define OUTSIDE_float(a, least, most) (_mm512_cmp_ps_mask(a, least, _CMP_LT_OQ) | _mm512_cmp_ps_mask(a, most, _CMP_GT_OQ))
 #define SCALED_double(a, exponent) _mm512_scalef_pd(a, exponent)
 #define SCALED_float(a, exponent) _mm512_scalef_ps(a, exponent)
-#define FIRST_double(to, v, count) _mm512_mask_storeu_pd(to, (1u << (count)) - 1, v)
-#define FIRST_float(to, v, count) _mm512_mask_storeu_ps(to, (1u << (count)) - 1, v)
-#define PAST_CACHES(to, v) _mm512_stream_si512(reinterpret_cast<__m512i*>(to), (__m512i)v)
+#define EVERY_double(from, index) _mm512_i64gather_pd((__m512i)(index), from, 8)
+#define MOVED_double(v, from) _mm512_permutexvar_pd((__m512i)(from), v)
+#define MOVED_float(v, from) _mm512_permutexvar_ps((__m512i)(from), v)
+#define PACKED_double(bits, numbers, rest) _mm512_mask_compress_epi64((__m512i)(rest), bits, (__m512i)(numbers))
+#define PACKED_float(bits, numbers, rest) _mm512_mask_compress_epi32((__m512i)(rest), bits, (__m512i)(numbers))
+#define SPREAD_double(bits, numbers) _mm512_maskz_expand_epi64(bits, (__m512i)(numbers))
+#define SPREAD_float(bits, numbers) _mm512_maskz_expand_epi32(bits, (__m512i)(numbers))
+// One of two stores: the compiler does not see the branch, behind which it would keep fewer values in registers.
+#define ONE_OF(first) "cmpb $0, %2\n\tje 1f\n\tvmovntdq %1, %0\n\tjmp 2f\n1:\t" first " %1, %0%{%3%}\n2:"
+#define STORE_double ONE_OF("vmovupd")
+#define STORE_float ONE_OF("vmovups")
+#define PAST_CACHES(to, v, past, count) \
+  asm(STORE_SCALAR : "+m"(*reinterpret_cast<V*>(to)) : "v"(v), "qm"(past), "Yk"((unsigned short)((1u << (count)) - 1)) : "cc")
 #elif defined(__AVX2__) && defined(__FMA__)
 #include <immintrin.h>
 #define BYTES 32
@@ -68,9 +78,21 @@ static INLINE int lanes(const M& m) {
 #endif
 namespace {
 INLINE V all(Scalar a) { return V{} + a; }
+// The number of each lane.
+INLINE M numbers() {
+  M m;
+  for (int i = 0; i < W; i++) m[i] = i;
+  return m;
+}
 template <class T> NOINLINE V get(const Entries<T>& x, int64_t entry) {
   const T* from = x[entry];
   if (x.track == 0) return all(*from);
+#ifdef EVERY_double
+  if constexpr (DOUBLE && sizeof(T) == sizeof(Scalar)) {
+    const M lane = numbers(), last = M{} + (x.lanes - 1);
+    return (V)EVERY_double(from, (lane < last ? lane : last) * x.track);
+  }
+#endif
   V v;
   for (int64_t i = 0; i < W; i++) v[i] = from[(i < x.lanes ? i : x.lanes - 1) * x.track];
   return v;
@@ -81,17 +103,18 @@ INLINE V load(const Entries<Scalar>& x, int64_t entry) {
   __builtin_memcpy(&v, x[entry], sizeof v);
   return v;
 }
-// Without a call, also of the last tracks, which may be few: values of a step stay in registers.
+// Without a call, also of the last tracks, which may be few: values of a step stay in registers.  What is written past the caches
+// is no line that must be read first.
 INLINE void write(const Entries<Scalar>& x, int64_t entry, const V& v) {
-#ifdef PAST_CACHES  // a store that does not read the line first
+#ifdef STORE_double
+  PAST_CACHES(x[entry], v, x.past, x.lanes);
+#else
+#ifdef PAST_CACHES
   if (x.past) {
     PAST_CACHES(x[entry], v);
     return;
   }
 #endif
-#ifdef FIRST_double
-  FIRST_SCALAR(x[entry], v, x.lanes);
-#else
   if (EXPECT(x.lanes >= W)) __builtin_memcpy(x[entry], &v, sizeof v);
   else
     for (int64_t i = 0; i < x.lanes; i++) x[entry][i] = v[i];
@@ -114,38 +137,71 @@ INLINE bool within(const V& a, Scalar least, Scalar most) {
 #endif
 }
 
-struct Lane { V* s; int number; };
-// A region for the tracks where a truth value is ``value``: on the spot where they are most of a pack, else together with
-// those of other packs.  ``first(p)`` computes what all tracks of pack p need; the region follows while that is in the first cache.
-template <int64_t PLACES, class First> void guarded(
-    V (*s)[PLACES], int64_t packs, int place, bool value, void (*region)(V*), const Values& taken, const Values& given,
-    const First& first) {
-  V together[PLACES];
-  Lane from[W];
-  int count = 0;
+// In each lane what is in that lane whose number is in ``from``.
+INLINE V moved(const V& v, const M& from) {
+#ifdef MOVED_double
+  return MOVED_SCALAR(v, from);
+#else
+  V r;
+  for (int i = 0; i < W; i++) r[i] = v[from[i] & (W - 1)];
+  return r;
+#endif
+}
+// The numbers of the lanes in ``which``, side by side; then that of the first one.
+INLINE M packed(int which) {
+  M r = M{} + __builtin_ctz(which);
+#ifdef PACKED_double
+  r = (M)PACKED_SCALAR(which, numbers(), r);
+#else
+  for (int i = 0; which; which &= which - 1) r[i++] = __builtin_ctz(which);
+#endif
+  return r;
+}
+// In each lane in ``which`` how many of them come before it.
+INLINE M ranks(int which) {
+#ifdef SPREAD_double
+  return (M)SPREAD_SCALAR(which, numbers());
+#else
+  M r{};
+  for (int i = 0; which; which &= which - 1) r[__builtin_ctz(which)] = i++;
+  return r;
+#endif
+}
+struct Lanes { V* s; M which, places; };
+// A region for the tracks where a truth value is ``value``, together with those of other packs.  ``first(p)`` computes what all
+// tracks of pack p need; what the region takes of it is gathered while that is in the first cache.
+template <int64_t PLACES, int64_t ASIDE, class First> void guarded(
+    V (*s)[PLACES], V (&aside)[ASIDE], int64_t packs, int place, bool value, void (*region)(V*), const Values& taken,
+    const Values& passed, const Values& given, const First& first) {
+  V together[PLACES + ASIDE];
+  Lanes from[W];
+  int count = 0, sources = 0;
   const auto flush = [&] {
-    for (int j = count; j < W; j++)
-      for (int i = 0; i < taken.count; i++) together[taken.places[i]][j] = together[taken.places[i]][0];
     region(together);
-    for (int j = 0; j < count; j++)
-      for (int i = 0; i < given.count; i++) from[j].s[given.places[i]][from[j].number] = together[given.places[i]][j];
-    count = 0;
+    for (const Lanes* x = from; x < from + sources; x++)
+      for (int i = 0; i < given.count; i++) {
+        V& to = x->s[given.places[i]];
+        to = x->which ? moved(together[given.places[i]], x->places) : to;
+      }
+    count = sources = 0;
   };
   for (int64_t p = 0; p < packs; p++) {
     first(p);
-    const M mask = value ? truth(s[p][place]) : ~truth(s[p][place]);
-    int which = lanes(mask);
-    if (which && (packs == 1 || 2 * __builtin_popcount(which) > W)) {
-      V before[PLACES];
-      for (int i = 0; i < given.count; i++) before[i] = s[p][given.places[i]];
-      region(s[p]);
-      for (int i = 0; i < given.count; i++) s[p][given.places[i]] = mask ? s[p][given.places[i]] : before[i];
-      continue;
-    }
-    for (; which; which &= which - 1) {
-      const int lane = __builtin_ctz(which);
-      for (int i = 0; i < taken.count; i++) together[taken.places[i]][count] = s[p][taken.places[i]][lane];
-      from[count++] = Lane{s[p], lane};
+    M waiting = value ? truth(s[p][place]) : ~truth(s[p][place]);
+    while (const int which = lanes(waiting)) {
+      const M rank = ranks(which), now = waiting & (rank < int{W} - count), free = numbers() >= count;
+      const M places = (M)moved((V)packed(which), numbers() - count);
+      const auto gather = [&](const Values& wanted, const V* values, V* to) {
+        for (int i = 0; i < wanted.count; i++) {
+          const int k = wanted.places[i];
+          to[k] = free ? moved(values[k], places) : to[k];
+        }
+      };
+      gather(taken, s[p], together);
+      gather(passed, aside, together + PLACES);
+      from[sources++] = Lanes{s[p], now, rank + count};
+      count += __builtin_popcount(lanes(now));
+      waiting &= ~now;
       if (count == W) flush();
     }
   }

@@ -16,7 +16,7 @@ from torchfra.kernel.statements import as_number, as_truth, called, declared, fu
 
 _PACKS, _BYTES = 32, 3 << 17
 """Packs of a block at most, and bytes of their values: a part of the second cache."""
-_ALWAYS = "V* s, V* left, const Port* in, const Port* out, const Block& at"
+_ALWAYS = "V* s, V* aside, V* left, const Port* in, const Port* out, const Block& at"
 """What a function takes that is called for all tracks."""
 
 
@@ -38,11 +38,12 @@ class Writer:
         ends = [*step.carried.values(), *(i for i, _ in step.stores)]
         steps = pieces(self._book, [i for i in live if i in step.varying], ends, length)
         self._book, self._steps, self._merged = with_merged(self._book, steps)
-        self._frame = frame(self._book, self._before, self._steps, step.carried, ends, self._merged)
         self.guarded = guarded_share(self._book, self._steps)
+        many = bool(self.guarded) and not narrow
+        self._frame = frame(self._book, self._before, self._steps, step.carried, ends, self._merged, many)
         self._unread = max(1, len({*self._frame.left.values()}))
-        size = 64 * (self._frame.size + self._unread)
-        self._packs = max(1, min(_PACKS, _BYTES // size)) if self.guarded and not narrow else 1
+        size = 64 * (self._frame.own + self._unread)
+        self._packs = max(1, min(_PACKS, _BYTES // size)) if many else 1
         always = (piece for piece in self._steps if piece.guard is None)
         self._longest = max(always, key=lambda piece: len(piece.numbers), default=None)
         self._next = {} if narrow else self._written_next()
@@ -71,7 +72,8 @@ class Writer:
         calls += ["for (int64_t p = 0; p < packs; p++) {", *_always([*first, "turn"]), "}"]
         end = ["if (steps > 0) last(s[p], out, at[p]);", "at[p].step = 0;", "end(s[p], left[p], out, at[p]);"]
         return {
-            "SIZE": str(self._frame.size),
+            "SIZE": str(self._frame.own),
+            "PASSING": str(max(1, self._frame.size - self._frame.own)),
             "UNREAD": str(self._unread),
             "MANY": str(self._packs),
             "NUMBERS": str(len(self._step.stores)),
@@ -121,7 +123,7 @@ class Writer:
             access = self._step.loads.get(number)
             for arg in self._book.nodes[number][1]:
                 if arg not in known and arg not in self._book.values:
-                    body.append(self._taken(arg))
+                    body.append(self._taken(arg, piece))
                     known.add(arg)
             if access is None:
                 origin = self._book.origin[number]
@@ -133,29 +135,32 @@ class Writer:
                 opened[access.name] = access.opened
                 body.append(declared(self._book, number, f"{access.how}({access.name}, {access.entry})"))
             if number in self._frame.places or number in self._frame.left:
-                (late if number in self._frame.late else body).append(self._put_aside(number))
+                (late if number in self._frame.late else body).append(self._put_aside(number, piece))
             for other, access in self._behind[number] if stored is not None else ():
                 opened[access.name] = access.opened
                 if other not in known and other not in self._book.values:
-                    body.append(self._taken(other))
+                    body.append(self._taken(other, piece))
                     known.add(other)
                 body.append(self._written(other, access))
         if stored is not None:
             stored.update(other for number in piece.numbers for other, _ in self._behind[number])
         return [*opened.values(), *body, *late]
 
-    def _taken(self, number: int) -> str:
+    def _taken(self, number: int, piece: Piece | None = None) -> str:
         """The line that takes a value from its place."""
-        place = f"s[{self._frame.places[number]}]"
+        place = self._place(number, piece)
         return declared(self._book, number, f"truth({place})" if self._book.is_bool(number) else place)
 
-    def _put_aside(self, number: int) -> str:
+    def _put_aside(self, number: int, piece: Piece) -> str:
         name = called(self._book, number)
-        return f"{self._place(number)} = {f'kept({name})' if self._book.is_bool(number) else name};"
+        return f"{self._place(number, piece)} = {f'kept({name})' if self._book.is_bool(number) else name};"
 
-    def _place(self, number: int) -> str:
-        places, left = self._frame.places, self._frame.left
-        return f"s[{places[number]}]" if number in places else f"left[{left[number]}]"
+    def _place(self, number: int, piece: Piece | None = None) -> str:
+        """Where a value is; regions have all places side by side."""
+        place, own = self._frame.places.get(number), self._frame.own
+        if place is None:
+            return f"left[{self._frame.left[number]}]"
+        return f"s[{place}]" if place < own or (piece and piece.guard) else f"aside[{place - own}]"
 
     def _written(self, number: int, access: Access) -> str:
         value = (as_truth if access.how == "mark" else as_number)(self._book, number)
@@ -168,14 +173,15 @@ class Writer:
         mask, value = guard
         name = names[0].replace("piece", "region")
         functions.append(function(f"{name}(V* s)", [f"{piece}(s);" for piece in names]))
-        kinds = zip(("taken", "given"), crossing(self._book, parts, self._steps, self._merged), strict=True)
+        numbers, own = crossing(self._book, parts, self._steps, self._merged), self._frame.own
+        taken, given = ([self._frame.places[i] for i in group] for group in numbers)
+        kinds = {"taken": [k for k in taken if k < own], "passed": [k - own for k in taken if k >= own], "given": given}
         values = []
-        for kind, numbers in kinds:
-            places = ", ".join(str(self._frame.places[i]) for i in numbers)
-            functions.append(f"TABLE {name}_{kind}[] = {{{places or 0}}};\n")
-            values.append(f"Values{{{name}_{kind}, {len(numbers)}}}")
+        for kind, places in kinds.items():
+            functions.append(f"TABLE {name}_{kind}[] = {{{', '.join(map(str, places or [0]))}}};\n")
+            values.append(f"Values{{{name}_{kind}, {len(places)}}}")
         text = f"{self._frame.places[mask]}, {'true' if value else 'false'}, {name}, {', '.join(values)}"
-        return [f"guarded(s, packs, {text}, [&](int64_t p) {{", *_always(first), "});"]
+        return [f"guarded(s, aside, packs, {text}, [&](int64_t p) {{", *_always(first), "});"]
 
     def _begin(self) -> str:
         """The function that reads what is carried."""
@@ -212,4 +218,4 @@ class Writer:
 
 
 def _always(names: Iterable[str]) -> list[str]:
-    return [f"  {name}(s[p], left[last ? p : 0], in, out, at[p]);" for name in names]
+    return [f"  {name}(s[p], aside, left[last ? p : 0], in, out, at[p]);" for name in names]
