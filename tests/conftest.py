@@ -34,6 +34,7 @@ def pytest_collection_modifyitems(items):
 def pytest_collection_finish():
     """From here on garbage is collected, without looking through modules and tests each time."""
     gc.freeze()
+    gc.set_threshold(50_000)  # writing a kernel makes many objects, of which few are garbage
     gc.enable()
 
 

@@ -8,7 +8,7 @@ import torch
 
 from torchfra.scenarios import Scenario
 
-STEPS = 25
+STEPS = 20
 """The most that a simulated track has."""
 
 

@@ -5,7 +5,6 @@ import copy
 import pytest
 import torch
 from conftest import STEPS
-from one_graph import needs_one_graph
 from test_compile import close
 
 from torchfra import metrics, presets, scenarios
@@ -188,15 +187,6 @@ def test_a_batch_of_odds_and_an_ensemble_under_vmap_are_a_loop_over_them(make, t
         alone = estimate(make("fra", **THREE | {"plain": plain.item()}, **how), tracks).mean
         torch.testing.assert_close(batch.mean[i], alone, rtol=1e-9, atol=1e-6)
         torch.testing.assert_close(mapped[i], alone, rtol=1e-9, atol=1e-6)
-
-
-@needs_one_graph
-def test_torch_compile_sees_one_graph(make, tracks):
-    f = make("fra", **THREE)
-    torch._dynamo.reset()
-    graph = torch.compile(lambda z: f(z, tracks.prior, u=tracks.u[:2]).mean, backend="eager", fullgraph=True)
-    z = tracks.z[:, :2]
-    torch.testing.assert_close(graph(z), f(z, tracks.prior, u=tracks.u[:2]).mean, rtol=1e-9, atol=1e-9)
 
 
 def test_learned_odds_load_and_those_of_two_branches_stay_as_they_were(make, tracks):

@@ -132,9 +132,10 @@ def test_a_loop_over_threads_gives_what_the_filter_gives(name, dtype, monkeypatc
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-@pytest.mark.parametrize(("name", "options"), [
-    ("fra", {"learn": "all", "temperature": 1.0}), ("gpb", {}), ("imm_srckf", {}), ("gpb", {"learn": ("levels",)}),
+@pytest.mark.parametrize(("name", "options", "dtype"), [
+    ("fra", {"learn": "all", "temperature": 1.0}, torch.float64),
+    ("fra", {"learn": "all", "temperature": 1.0}, torch.float32),
+    ("gpb", {"learn": ("levels",)}, torch.float64), ("imm_srckf", {}, torch.float64),
 ])  # fmt: skip
 def test_filters_of_several_branches_too(name, options, dtype, monkeypatch):
     compare(name, dtype, monkeypatch, **options)

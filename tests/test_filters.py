@@ -3,7 +3,6 @@
 import pytest
 import torch
 from conftest import PRESETS, STEPS
-from one_graph import needs_one_graph
 
 from torchfra import presets
 from torchfra.motion import ConstantAcceleration
@@ -63,17 +62,6 @@ def test_no_initial_uncertainty_has_finite_gradients(name, make, tracks):
     assert not e.failed.any()
     e.mean.square().mean().backward()
     assert all(p.grad.isfinite().all() for p in f.parameters())
-
-
-@needs_one_graph
-@pytest.mark.slow
-def test_it_compiles_whole(name, make, tracks):
-    f = make(name)
-    torch._dynamo.reset()
-    compiled = torch.compile(f, fullgraph=True, backend="eager")
-    z, u = tracks.z[:, :2].clone(), tracks.u[:2]
-    z[0, 0] += 0.4  # of which the second step decides
-    same(compiled(z, tracks.prior, u=u).mean, f(z, tracks.prior, u=u).mean)
 
 
 def test_it_maps_over_hyperparameters_and_takes_a_batch_of_them(name, make, tracks):

@@ -34,6 +34,11 @@ VALUES = {
     "shares": (0.6, 0.3, 0.1), "poor": 0.3, "start": 50.0, "stay": (0.9, 0.8, 0.7, 0.1), "jumps": (200.0,),
     "renew": (0.5, 0.3, 0.15, 0.05),
 }  # fmt: skip
+FEWER = {
+    "levels": (0.1, 10.0), "jumps": (), "stay": (0.95, 0.8, 0.5), "renew": (0.5, 0.4, 0.1),
+    "sizes": (100.0,), "shares": (1.0,), "grows": False,
+}  # fmt: skip
+"""Regimes and outliers, for the compiler's time."""
 TINY = 1e-13
 ALMOST_NONE = {
     "qualities": ((1 - TINY, TINY), (1 - TINY, TINY)), "sizes": (10.0,), "shares": (1.0,), "poor": TINY, "start": 10.0,

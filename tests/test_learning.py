@@ -196,7 +196,7 @@ def test_a_temperature_below_zero_is_refused(scenario):
 # ---------------------------------------------------------------- gradients over whole tracks
 
 
-def benign(steps=100):
+def benign(steps=30):
     """No outliers, a start near the truth: no step sits on an edge."""
     scenario = scenarios.bearings_outliers("none", initial="truth")
     tracks = scenario.simulate(3, 4)
@@ -208,7 +208,7 @@ def benign(steps=100):
     ("fra", {"temperature": 1.0, "plain": 0.5, "provisional": "likeliest", "final": "likeliest"}),
     ("fra", {"temperature": 1.0, "per_element": True, "states": (slice(0, 2), slice(2, 4)), "share": (1.0, 0.5)}),
 ], ids=str)  # fmt: skip
-def test_gradients_through_a_hundred_steps_are_those_of_finite_differences(name, options, make):
+def test_gradients_through_thirty_steps_are_those_of_finite_differences(name, options, make):
     tracks = benign()
     f = make(name, learn="all", **options)
     values = {path: p.detach() for path, p in f.named_parameters()}
@@ -238,12 +238,13 @@ def test_gradients_through_a_hundred_steps_are_those_of_finite_differences(name,
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "options"), [
-    ("rsrckf", {}), ("mr_ckf", {}), ("fra_srckf", {}), ("fra", {}), ("fra", {"temperature": 1.0}),
+    ("mr_ckf", {}), ("fra", {}), ("fra", {"temperature": 1.0}),
 ])  # fmt: skip
 def test_a_thousand_tracks_of_outliers_have_gradients_without_a_nan(name, options, make):
     scenario = scenarios.bearings_outliers("std", truth_noise=0.01)
     for first in range(0, 1000, 500):
         tracks = scenario.simulate(500, 77, first=first)
+        tracks = tracks._replace(z=tracks.z[:, :50], u=tracks.u[:50], truth=tracks.truth[:, :50])
         f = make(name, learn="all", **options)
         names, shared = zip(*f.named_parameters(), strict=True)
         own = [p.detach().expand(500).clone().requires_grad_() for p in shared]  # each track its own gradient

@@ -9,6 +9,7 @@ import warnings
 
 import pytest
 import torch
+import torch._dynamo  # noqa: F401  or each process imports it
 from torch.distributed.launcher.api import LaunchConfig, elastic_launch
 
 
