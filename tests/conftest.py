@@ -92,6 +92,14 @@ def short_tracks():
         yield
 
 
+@pytest.fixture
+def rough_figures(monkeypatch):
+    """Figures are written without a search for the places of their axes, which takes most of the time."""
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda engine, figure: {})
+
+
 @pytest.fixture(scope="session", autouse=True)
 def kernels(tmp_path_factory):
     """Kernels of this session alone, compiled in a hurry: not optimised, and without what takes most of the time."""

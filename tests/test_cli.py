@@ -16,6 +16,8 @@ from torchfra.app.evaluate import evaluate
 from torchfra.catalogue import make_scenario
 from torchfra.kernel import build
 
+pytestmark = pytest.mark.usefixtures("rough_figures")
+
 
 @pytest.fixture
 def noisy_track(tmp_path):

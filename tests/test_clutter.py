@@ -12,6 +12,8 @@ from torchfra.app.evaluate import evaluate, table
 from torchfra.catalogue import filters_for, learned_filter, scan_filters, scenario_filters
 from torchfra.coordinates import from_cartesian
 
+pytestmark = pytest.mark.usefixtures("rough_figures")
+
 
 def test_tracks_are_straight_or_turn_and_cross():
     straight = scenarios.clutter_straight().simulate(1, 0).truth[0]

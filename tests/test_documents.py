@@ -23,7 +23,7 @@ from torchfra.app import cli
 from torchfra.catalogue import make_scenario, scenario_filters
 from train import tune, values
 
-pytestmark = pytest.mark.usefixtures("short_tracks")  # on which code and commands run as well
+pytestmark = pytest.mark.usefixtures("short_tracks", "rough_figures")  # with which code and commands run as well
 
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = [

@@ -12,6 +12,8 @@ from two_processes import run_in_two
 
 from torchfra import presets
 
+pytestmark = pytest.mark.usefixtures("rough_figures")
+
 FOLDER = Path(__file__).parent.parent / "scripts" / "examples"
 EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py"))}
 

@@ -77,10 +77,13 @@ def test_held_out_tracks_gain_and_say_by_how_much(fitted):
     assert row.before.low < row.before.value < row.before.high
 
 
-def test_the_same_seed_finds_the_same_values_to_the_bit(data, fitted):
-    again = torchfra.fit(start(), {k: data[k] for k in ("z", "prior")}, learn=("q", "std"), seed=3, quiet=True,
-                         compile=False, batch=16, iterations=20, lr=0.3, restarts=2)  # fmt: skip
-    assert again.learned == fitted.learned
+def test_the_same_seed_finds_the_same_values_to_the_bit(data):
+    one, again = (
+        torchfra.fit(start(), {"z": data["z"][:20, :8], "prior": PRIOR}, learn=("q", "std"), seed=3, quiet=True,
+                     compile=False, batch=8, iterations=4, lr=0.3, restarts=2)
+        for _ in range(2)
+    )  # fmt: skip
+    assert again.learned == one.learned
 
 
 def test_all_starts_come_to_the_same_loss(fitted):
@@ -111,7 +114,7 @@ def test_a_filter_that_cannot_be_compiled_runs_interpreted_and_says_so(data, mon
 
 def test_float32_stays_float32_and_comes_to_the_same(data):
     double, single = (
-        torchfra.fit(start(), {"z": data["z"].to(dtype), "prior": PRIOR}, learn=("q", "std"), **QUICK)
+        torchfra.fit(start(), {"z": data["z"][:, :10].to(dtype), "prior": PRIOR}, learn=("q", "std"), **QUICK)
         for dtype in (torch.float64, torch.float32)
     )
     assert single.dtype == "float32"
@@ -174,6 +177,7 @@ def test_the_same_tracks_in_any_form_are_the_same_batch(form):
     assert torch.equal(batch.dt, plain.dt)
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_a_scenario_is_simulated_and_judged_in_the_coordinates_of_its_truth():
     scenario = scenarios.bearings_outliers("none", initial="truth")
     found = torchfra.fit(presets.srckf(scenario.motion, scenario.sensor), scenario, learn=("std",), runs=12, **QUICK)

@@ -147,13 +147,6 @@ def same(estimate, r, tolerance=1e-9):
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_two_levels_and_a_jump_of_one_motion(sensor):
-    case, motion, (options, r) = sensor(), ConstantAcceleration(0.05), regimes(*TWO)
-    f = presets.gpb(motion, case.sensor, **options)
-    same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0)], r))
-
-
-@pytest.mark.parametrize("sensor", SENSORS)
 def test_three_levels_and_two_jumps(sensor):
     case, motion = sensor(), ConstantAcceleration(0.05)
     stay, renew = (0.9, 0.5, 0.6, 0.9, 0.2, 0.1), (0.4, 0.2, 0.1, 0.1, 0.15, 0.05)
@@ -243,7 +236,7 @@ def test_a_bank_of_three_motions_the_first_at_two_levels(sensor):
     same(f(tensor(case.z), PRIOR), expected(case, [carried(m, 1.0) for m in motions], r))
 
 
-@pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.parametrize("sensor", [position, bearings])
 def test_a_bank_with_one_level_two_jumps_and_time_steps_of_their_own(sensor):
     case, motions = sensor(), bank()
     options, r = regimes((0.8, 0.6, 0.1, 0.05), (0.3, 0.4, 0.2, 0.1), (2.0,), (30.0, 2000.0), 3)

@@ -22,6 +22,8 @@ from torchfra.app import atomic_write, cli
 from torchfra.app.atomic_write import check, write, write_json, write_text
 from train import tune
 
+pytestmark = pytest.mark.usefixtures("rough_figures")
+
 COMPARE = ["compare", "--scenario", "bearings-outliers", "--filters", "srckf", "--runs", "2", "--no-compile"]
 
 

@@ -16,7 +16,7 @@ from torchfra.readers.bounded import LONGEST_ROW
 
 def packed(path, head, unit, count):
     """A gzip file of a unit that comes again and again, made without holding it."""
-    packer = zlib.compressobj(9, zlib.DEFLATED, 31)
+    packer = zlib.compressobj(1, zlib.DEFLATED, 31)
     with path.open("wb") as file:
         file.write(packer.compress(head))
         for _ in range(count):

@@ -17,6 +17,8 @@ from torchfra.app import plotting
 from torchfra.app.evaluate import evaluate
 from torchfra.catalogue import filters_for, learned_filter, make_scenario
 
+pytestmark = pytest.mark.usefixtures("rough_figures")
+
 RUNS, STEPS = 7, 5
 FEW = ["--cells", "2-std", "--runs", "3", "--no-compile"]
 

@@ -22,6 +22,8 @@ from train.runs import RUNS, configured
 from train.search import search
 from train.training import Training
 
+pytestmark = pytest.mark.usefixtures("rough_figures")
+
 SMALL = (
     "batch=8",
     "iterations=6",

@@ -15,6 +15,8 @@ from train.regimes import regimes
 from train.regret import Regrets
 from train.runs import configured
 
+pytestmark = pytest.mark.usefixtures("rough_figures")
+
 TASKS = [
     {"scenario": "bearings-outliers", "options": {"outliers": "std", "initial": "truth"}, "models": "motion"},
     {"scenario": "bearings-manoeuvre", "options": {"outliers": "bursts"}, "models": "bank"},

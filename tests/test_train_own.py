@@ -8,6 +8,8 @@ from train import tune
 from train.config import Task
 from train.runs import configured
 
+pytestmark = pytest.mark.usefixtures("rough_figures")
+
 SIMULATOR = '''
 import torch
 import torchfra
