@@ -64,7 +64,7 @@ def test_each_is_passed_or_not_to_be_had_which_is_no_failure(tmp_path):
         "Python 3.98, torch 2.0.1: not to be had: the registry does not give it (no solution, because"
     )
     assert re.fullmatch(r"Python 3\.98, torch 2\.99\.1\+cpu: passed, \d+ s", last)
-    assert "tests/test_oracles.py" in done.stdout
+    assert "tests/test_states.py" in done.stdout
 
 
 def test_tests_that_fail_are_a_failure(tmp_path):
