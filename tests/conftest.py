@@ -123,6 +123,7 @@ HEADERS = """#include <math.h>
 def hurried(folder):
     """Options of g++ that save most of its time, as far as what they name can be made; the first worker makes it."""
     done, header, library = (folder / name for name in ("done", "headers.h", "libtorch_cpu.so"))
+    gold = ["-fuse-ld=gold"] if compilers.find().family == "gcc" and shutil.which("ld.gold") else []
     try:
         folder.mkdir(mode=0o700)
     except FileExistsError:
@@ -135,7 +136,7 @@ def hurried(folder):
         compiler = compilers.find()
         for kind, text, made, named in (
             ("c++-header", header, f"{header}.gch", ["-c"]),
-            ("c++", os.devnull, library, [f"-Wl,-soname,{library.name}"]),
+            ("c++", os.devnull, library, [f"-Wl,-soname,{library.name}", *gold]),
         ):
             command = [*compiler.command, *compiler.flags(), "-O0", *named, "-x", kind, str(text), "-o", str(made)]
             with contextlib.suppress(OSError):
@@ -143,7 +144,6 @@ def hurried(folder):
         done.touch()
     if Path(f"{header}.gch").exists():
         yield f"-include {header}"  # parsed once
-    if library.exists():
-        yield f"-L{folder} -Wl,--no-as-needed"  # empty, for torch's of that name, whose symbols take long to read
-    if compilers.find().family == "gcc" and shutil.which("ld.gold"):
-        yield "-fuse-ld=gold"
+    if library.exists():  # so the quick linker works as well, if there is one
+        # Empty, for torch's of that name, whose symbols take long to read.
+        yield " ".join((f"-L{folder} -Wl,--no-as-needed", *gold))
