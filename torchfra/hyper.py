@@ -12,6 +12,7 @@ from torch.distributions import constraints, transform_to
 
 from torchfra.tables import text_table
 
+_HALF_OPEN = type(constraints.half_open_interval(0.0, 1.0))
 Value = float | Tensor
 Values = Value | Sequence[float] | Sequence[Sequence[float]]
 M = TypeVar("M", bound=nn.Module)
@@ -153,7 +154,7 @@ def _allowed(constraint: constraints.Constraint) -> str:
     if low is None:
         return "a number" if isinstance(constraint, type(constraints.real)) else f"a value in {constraint}"
     if high is not None:
-        return f"a value in [{low:g}, {high:g}]"
+        return f"a value in [{low:g}, {high:g}{')' if isinstance(constraint, _HALF_OPEN) else ']'}"
     strict = isinstance(constraint, type(constraints.greater_than(0.0)))
     return f"a value above {low:g}" if strict else f"a value of {low:g} or more"
 

@@ -12,7 +12,7 @@ from torch.distributions import constraints
 from torchfra import tree
 from torchfra.filters.base import Filter, Mix, S
 from torchfra.filters.hindsight import Models, ModelsPast, ModelsStep, remembered, retreat, together
-from torchfra.filters.interaction import cycle, for_each_model, held, interaction
+from torchfra.filters.interaction import cycle, even_interaction, for_each_model, held, interaction
 from torchfra.filters.records import Record
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import TrackFilter
@@ -86,14 +86,13 @@ class Around(TrackFilter[S]):
         """A state whose models remember what those of the one ``before`` do."""
         return state._replace(inner=self.inner.remembering(state.inner, before.inner))
 
-    def lead(self, state: Any, frame: Frame) -> tuple[Tensor, Frame]:
-        """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
+    def lead(self, state: Any, frame: Frame) -> tuple[Tensor, Mix, Frame]:
+        """Logs ``(..., K)`` of the models' probabilities in a step, what mixes them for it, and its frame for each."""
         raise TypeError(f"{type(self).__name__} needs a lead to predict")
 
     def foresee(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
         """A hypothesis ``(K, ..., n)`` of the state after a step for each model, and logs of their weights."""
-        matrix, frame = self.lead(state, frame)
-        log_weights, interact = interaction(state.log_weights, matrix, self.motion)
+        log_weights, interact, frame = self.lead(state, frame)
         belief = self.inner.predicted(interact(state.inner.belief), frame).belief  # type: ignore[operator]
         return models_first(belief), log_weights.movedim(-1, 0)
 
@@ -148,6 +147,9 @@ class IMM(Around[IMMState]):
         inner: a filter around a ``Bank`` of K motions, of which a copy runs here; all K run in one batched call.
         transition: ``(K, K)``, ``transition[i, j] = P(now j | was i)``, rows that sum to one; it learns as
             ``transition``, row by row on the simplex.
+        stay: instead, of two models or more: the self-transition probability of every model, from ``1 / K`` to below 1;
+            the others share the rest evenly.  It learns as ``stay``, one number, and takes less time, the less the more
+            models there are.
         initial: ``(K,)`` probabilities before the first step; all the same if None.
 
     The models are the last dimension of the inner filter's batch; its hyperparameters are those of a track, or of all.
@@ -159,23 +161,35 @@ class IMM(Around[IMMState]):
     ``log_likelihood`` is that of their mixture.
 
     Raises:
-        ValueError: no bank, a matrix that is no transition, or a model that can never be reached.
+        ValueError: no bank, ``transition`` and ``stay`` both or neither, a matrix that is no transition, a model that
+            can never be reached, or a ``stay`` out of its range.
 
     Source: Blom & Bar-Shalom (1988); Du & Zhang (2020), eqs. (5)-(11).  Differs: no probability has a floor.
     """
 
-    def __init__(self, inner: Filter, *, transition: Value, initial: Value | None = None) -> None:
+    transition: Hyper | None
+    """None if the filter was made with ``stay``."""
+    stay: Hyper | None
+    """None if the filter was made with ``transition``."""
+
+    def __init__(
+        self,
+        inner: Filter,
+        *,
+        transition: Value | None = None,
+        stay: Value | None = None,
+        initial: Value | None = None,
+    ) -> None:
         super().__init__(inner)
         count = len(self.motion)
-        transition = torch.as_tensor(transition, dtype=torch.float64)
+        if (transition is None) == (stay is None):
+            received = "neither" if stay is None else "both"
+            raise ValueError(f"transition, stay: expected one of the two, received {received}")
         initial = torch.full((count,), 1 / count, dtype=torch.float64) if initial is None else torch.as_tensor(initial)
-        if transition.shape[-2:] != (count, count) or not bool((transition.sum(-2) > 0).all()):
-            raise ValueError(
-                f"transition: expected ({count}, {count}) that reaches every model, received {transition.tolist()}"
-            )
         if initial.shape[-1:] != (count,):
             raise ValueError(f"initial: expected ({count},), received {tuple(initial.shape)}")
-        self.transition = Hyper(transition, constraints.simplex, event_dim=2, name="transition")
+        self.transition = None if transition is None else _transition(count, transition)
+        self.stay = None if stay is None else _stay(count, stay)
         self.initial = Hyper(initial.double(), constraints.simplex, event_dim=1, name="initial")
 
     def begin(self, belief: Gaussian) -> IMMState:
@@ -186,15 +200,43 @@ class IMM(Around[IMMState]):
 
     def advance(self, state: IMMState, frame: Frame, mix: Mix | None = None) -> tuple[IMMState, Record]:
         """One step; ``mix`` is not looked at, as this filter mixes itself."""
-        matrix, frame = self.lead(state, frame)
-        inner, log_weights, record = cycle(self.inner, state.inner, state.log_weights, matrix, frame)
+        inner, log_weights, record = cycle(self.inner, state.inner, *self.lead(state, frame))
         record = record._replace(info=IMMInfo(log_weights.exp()))
         return IMMState(record.belief, inner, log_weights), record
 
-    def lead(self, state: Any, frame: Frame) -> tuple[Tensor, Frame]:
-        """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
-        return held(self.transition(state.log_weights).log(), frame.dt), for_each_model(frame)
+    def lead(self, state: Any, frame: Frame) -> tuple[Tensor, Mix, Frame]:
+        """Logs ``(..., K)`` of the models' probabilities in a step, what mixes them for it, and its frame for each."""
+        before, motion = state.log_weights, self.motion
+        if self.stay is None:
+            interacting = interaction(before, held(self.matrix(before).log(), frame.dt), motion)
+        else:
+            interacting = even_interaction(state, self.stay(), frame.dt, motion)
+        return *interacting, for_each_model(frame)
+
+    def matrix(self, like: Tensor | None = None) -> Tensor:
+        """The transition ``(..., K, K)``, ``[was, now]``, with the dtype and on the device of ``like`` if not None."""
+        if self.transition is not None:
+            return self.transition(like)  # type: ignore[no-any-return]
+        assert self.stay is not None
+        stay, count = self.stay()[..., None, None], len(self.motion)
+        same = torch.eye(count, dtype=torch.bool, device=stay.device)
+        matrix = torch.where(same, stay, (1 - stay) / (count - 1))
+        return matrix if like is None else matrix.to(like)
 
     def matrix_back(self, turn: Turn, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
-        return held(self.transition(like).log(), turn.frame.dt), for_each_model(turn.frame)
+        return held(self.matrix(like).log(), turn.frame.dt), for_each_model(turn.frame)
+
+
+def _transition(count: int, value: Value) -> Hyper:
+    value = torch.as_tensor(value, dtype=torch.float64)
+    if value.shape[-2:] != (count, count) or not bool((value.sum(-2) > 0).all()):
+        expected = f"({count}, {count}) that reaches every model"
+        raise ValueError(f"transition: expected {expected}, received {value.tolist()}")
+    return Hyper(value, constraints.simplex, event_dim=2, name="transition")
+
+
+def _stay(count: int, value: Value) -> Hyper:
+    if count < 2:
+        raise ValueError(f"stay: expected None for a single model, received {value}")
+    return Hyper(value, constraints.half_open_interval(1 / count, 1.0), name="stay")

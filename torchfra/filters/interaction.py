@@ -12,8 +12,9 @@ from torchfra.filters.base import Filter, Mix
 from torchfra.filters.hindsight import ModelsStep
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, shared, without_failed
+from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, shared, wide, without_failed
 from torchfra.gaussian.update import density
+from torchfra.linalg.safe import safe_log
 from torchfra.linalg.triangular import whiten
 from torchfra.motion.base import Motion
 from torchfra.types import Gaussian
@@ -22,21 +23,20 @@ PER_MODEL = ("transition", "shift", "process_noise", "adaptation")
 """Of a frame, what a ``Bank`` gives for each model."""
 
 
-def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame: Frame) -> tuple[Any, Tensor, Record]:
-    """Interaction, filtering, probabilities and fusion: eqs. (5)-(11).
+def cycle(inner: Filter, state: Any, predicted: Tensor, interact: Mix, frame: Frame) -> tuple[Any, Tensor, Record]:
+    """Filtering, probabilities and fusion, eqs. (9)-(11), of models that interact.
 
     Args:
         inner: the filter of all models.
         state: of that filter; its batch ends in the models.
-        log_weights: ``(..., K)`` before.
-        matrix: ``(..., K, K)`` logs of the transition, ``[was, now]``.
+        predicted: ``(..., K)`` logs of the models' probabilities before the measurement.
+        interact: what mixes their beliefs for the step.
         frame: for each model.
 
     Returns:
         The filter's state, the log weights after, and what all models together keep of the step.
     """
     motion = inner.motion
-    predicted, interact = interaction(log_weights, matrix, motion)
     state, record = inner.advance(state, frame, interact)
     assert record.residual is not None
     log_density = without_failed(density(record.root, record.normalised))
@@ -53,13 +53,50 @@ def cycle(inner: Filter, state: Any, log_weights: Tensor, matrix: Tensor, frame:
 
 
 def interaction(log_weights: Tensor, matrix: Tensor, motion: Motion) -> tuple[Tensor, Mix]:
-    """Logs ``(..., K)`` of the models' probabilities after a transition, and what mixes their beliefs for it."""
+    """Logs ``(..., K)`` of the models' probabilities after a transition, and what mixes their beliefs for it.
+
+    Args:
+        log_weights: ``(..., K)`` before.
+        matrix: ``(..., K, K)`` logs of the transition, ``[was, now]``.
+        motion: of the models.
+    """
     joint = (matrix + log_weights.unsqueeze(-1)).movedim(-2, 0)  # [was, ..., now]
     roots, predicted = shared(joint)  # eqs. (6), by square roots, and (5): (..., K) before the measurement
 
     def interact(belief: Gaussian) -> Gaussian:
         """Eqs. (7), (8)."""
         return matched(repeated(models_first(belief), joint.shape[-1]), roots, motion.angles)
+
+    return predicted, interact
+
+
+def even_interaction(state: Any, stay: Tensor, dt: Tensor, motion: Motion) -> tuple[Tensor, Mix]:
+    """``interaction`` over ``dt (...)`` of models that all stay alike and give way to every other alike.
+
+    That is: a model goes on, or the next is drawn from all alike, whichever it was.  So every model starts from two
+    beliefs: its own, and what all know together.  The moments are those of a mixture of all, which would cost K times
+    as much for each of K.  Angles count from the likelier belief of the two.
+
+    Args:
+        state: an ``IMMState``.
+        stay: ``(...)`` self-transition probability of every model, from ``1 / K`` to below 1.
+        dt: over none, no model gives way.
+        motion: of the models.
+    """
+    before, count, still = state.log_weights, len(motion), dt == 0  # type: ignore[arg-type]  # a Bank
+    goes_on = (count * stay - 1) / (count - 1)
+    own = torch.where(still, 0.0, safe_log(goes_on).to(before)).unsqueeze(-1) + before
+    drawn = torch.where(still, -torch.inf, ((1 - goes_on) / count).log().to(before)).unsqueeze(-1)
+    roots, predicted = shared(torch.stack(torch.broadcast_tensors(own, drawn)))
+
+    def interact(belief: Gaussian) -> Gaussian:
+        """Eqs. (7), (8)."""
+        known = state.belief
+        if belief is not state.inner.belief:  # the filter has settled what it knew after the step
+            known = matched(models_first(belief), shared(before.movedim(-1, 0))[0], motion.angles)
+        pairs = zip(belief, repeated(known, count), strict=True)
+        two = Gaussian(*(torch.stack(torch.broadcast_tensors(*pair)) for pair in pairs))
+        return (wide if motion.linear else matched)(two, roots, motion.angles)
 
     return predicted, interact
 

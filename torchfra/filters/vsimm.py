@@ -13,7 +13,7 @@ from torch.distributions import constraints
 from torchfra import tree
 from torchfra.filters.base import Filter, Mix
 from torchfra.filters.imm import Around
-from torchfra.filters.interaction import PER_MODEL, cycle, for_each_model, held
+from torchfra.filters.interaction import PER_MODEL, cycle, for_each_model, held, interaction
 from torchfra.filters.records import Record
 from torchfra.filters.smoothing import Turn
 from torchfra.gaussian.inputs import Frame
@@ -111,7 +111,8 @@ class VSIMM(Around[VSIMMState]):
     def advance(self, state: VSIMMState, frame: Frame, mix: Mix | None = None) -> tuple[VSIMMState, Record]:
         """One step; ``mix`` is not looked at, as this filter mixes itself."""
         active, matrix, frame = self.chosen(state, frame)
-        inner, log_weights, record = cycle(self.inner, state.inner, state.log_weights, matrix, frame)
+        interacting = interaction(state.log_weights, matrix, self.motion)
+        inner, log_weights, record = cycle(self.inner, state.inner, *interacting, frame)
         weights = (log_weights.exp().unsqueeze(-2) @ active).squeeze(-2)
         info = VSIMMInfo(weights, active.sum(-2) > 0)
         record = record._replace(info=info, past=record.past._replace(active=active))
@@ -126,9 +127,10 @@ class VSIMM(Around[VSIMMState]):
         matrix = held(self.matrix(state.active, active, goes_on).log(), frame.dt)
         return active, matrix, _of_active(for_each_model(frame), active)
 
-    def lead(self, state: Any, frame: Frame) -> tuple[Tensor, Frame]:
-        """Logs ``(..., A, A)`` of the transition of a step, ``[was, now]``, and its frame for each active model."""
-        return self.chosen(state, frame)[1:]
+    def lead(self, state: Any, frame: Frame) -> tuple[Tensor, Mix, Frame]:
+        """Logs ``(..., A)`` of the active models' probabilities in a step, what mixes them for it, and its frame."""
+        _, matrix, frame = self.chosen(state, frame)
+        return *interaction(state.log_weights, matrix, self.motion), frame
 
     def matrix_back(self, turn: Turn, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., A, A)`` of the transition of a step, ``[was, now]``, and its frame for each active model."""

@@ -40,6 +40,19 @@ def moment_match(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] =
 
 def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = ()) -> Gaussian:
     """``moment_match`` with square roots ``(K, ...)`` of weights: 0 for a belief that does not count."""
+    middle, columns = _moments(beliefs, roots, angles)
+    zeros = torch.zeros_like(middle).unsqueeze(-1).expand(*middle.shape, middle.shape[-1])
+    return Gaussian(middle, tria(torch.cat([zeros, *columns], -1), padded=True))
+
+
+def wide(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = ()) -> Gaussian:
+    """``matched`` with a root ``(..., n, p)`` that is not triangular, which is all that a linear motion asks for."""
+    middle, columns = _moments(beliefs, roots, angles)
+    return Gaussian(middle, torch.cat(columns, -1))
+
+
+def _moments(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> tuple[Tensor, list[Tensor]]:
+    """The mean ``(..., n)`` of a mixture, and what side by side is a root of its covariance."""
     counts = roots != 0  # NaN does count: it must show in the result
     mean = torch.where(counts.unsqueeze(-1), beliefs.mean, 0.0)
     if angles:
@@ -52,8 +65,7 @@ def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = ()) -> Gau
         middle = (roots.square().unsqueeze(-1) * mean).sum(0)
         apart = (roots.unsqueeze(-1) * (mean - middle)).unsqueeze(-1)
     spread = roots[..., None, None] * torch.where(counts[..., None, None], beliefs.scale_tril, 0.0)
-    zeros = torch.zeros_like(middle).unsqueeze(-1).expand(*middle.shape, middle.shape[-1])
-    return Gaussian(middle, tria(torch.cat([zeros, *spread.unbind(), *apart.unbind()], -1), padded=True))
+    return middle, [*spread.unbind(), *apart.unbind()]
 
 
 def shared(log_weights: Tensor) -> tuple[Tensor, Tensor]:

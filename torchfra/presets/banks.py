@@ -37,10 +37,11 @@ def imm(
         models: motions of one state, or a ``Bank`` of them.
         sensor: what is measured.
         inner: the filter of each model, ``(motion, sensor) -> Filter``: a preset, or a ``functools.partial`` of one.
-        stay: self-transition probability of every model; the others share the rest evenly.
+        stay: self-transition probability of every model; the others share the rest evenly.  It learns as one number.
         transition: ``(K, K)`` probabilities instead of ``stay``, ``[i, j] = P(now j | was i)``: ``filters.IMM``.
         initial: ``(K,)`` probabilities of the models before the first step; all the same if None.
-        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.  With ``"transition"`` among them
+            the filter has whole rows, which ``stay`` starts; they take more time.
 
     Raises:
         ValueError: a single motion, or ``stay`` that is no probability between 0 and 1.
@@ -49,6 +50,8 @@ def imm(
     """
     bank = _bank(models)
     matrix = _transition(len(bank), stay, transition)
+    if transition is None and len(bank) > 1 and stay >= 1 / len(bank) and "transition" not in learn:
+        return with_learning(IMM(inner(bank, sensor), stay=stay, initial=initial), learn)  # takes less time
     return with_learning(IMM(inner(bank, sensor), transition=matrix, initial=initial), learn)
 
 
