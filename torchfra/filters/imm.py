@@ -223,6 +223,11 @@ class IMM(Around[IMMState]):
         matrix = torch.where(same, stay, (1 - stay) / (count - 1))
         return matrix if like is None else matrix.to(like)
 
+    def have_rows(self) -> None:
+        """Makes a ``transition`` of ``stay``, in place, whose rows can learn."""
+        if self.stay is not None:
+            self.transition, self.stay = _transition(len(self.motion), self.matrix().detach()), None
+
     def matrix_back(self, turn: Turn, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
         return held(self.matrix(like).log(), turn.frame.dt), for_each_model(turn.frame)

@@ -50,7 +50,7 @@ def imm(
     """
     bank = _bank(models)
     matrix = _transition(len(bank), stay, transition)
-    if transition is None and len(bank) > 1 and stay >= 1 / len(bank) and "transition" not in learn:
+    if transition is None and len(bank) > 1 and stay >= 1 / len(bank):
         return with_learning(IMM(inner(bank, sensor), stay=stay, initial=initial), learn)  # takes less time
     return with_learning(IMM(inner(bank, sensor), transition=matrix, initial=initial), learn)
 

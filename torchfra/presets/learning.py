@@ -7,7 +7,7 @@ from collections.abc import Collection
 from typing import TypeVar
 
 from torchfra.filters.base import Filter
-from torchfra.filters.imm import Around
+from torchfra.filters.imm import IMM, Around
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.hyper import learnable, named
 
@@ -16,6 +16,8 @@ F = TypeVar("F", bound=Filter)
 
 def with_learning(f: F, names: Collection[str]) -> F:
     """The filter with these hyperparameters learnable; a motion or sensor that has some of them is copied first.
+
+    Interacting models get whole rows if their ``transition`` is to learn.
 
     Args:
         f: it is changed and returned.
@@ -26,6 +28,8 @@ def with_learning(f: F, names: Collection[str]) -> F:
     """
     inner: Filter = f
     while isinstance(inner, Around | JPDA):
+        if isinstance(inner, IMM) and "transition" in names:
+            inner.have_rows()
         inner = inner.inner
     chosen = {id(hyper) for hyper in named(f, names).values() if not hyper.raw.requires_grad}
     for part in ("motion", "sensor"):
