@@ -571,3 +571,11 @@ def test_with_arguments_it_is_the_compile_of_torch(make, monkeypatch):
     assert calls == [(f, (), {"backend": "inductor", "dynamic": True})]
     assert f.compile() is f
     assert len(calls) == 1
+
+
+def test_values_given_in_single_precision_mean_the_same_compiled():
+    z = torch.randn(5, 20, 2, dtype=torch.float64)
+    prior = Gaussian(torch.zeros(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64))
+    q, std, threshold = torch.tensor([0.37, 1.3, 1.2])
+    f = presets.rsrckf(ConstantVelocity(q), Position(std), threshold=threshold)
+    close(f(z, prior), copy.deepcopy(f).compile()(z, prior), 1e-12)

@@ -34,7 +34,8 @@ class Hyper(nn.Module):
 
     Args:
         value: a number, or a tensor whose shape broadcasts with the batch of tracks: thresholds of shape ``(100, 1)``
-            with 1000 tracks make a batch of ``(100, 1000)``.
+            with 1000 tracks make a batch of ``(100, 1000)``.  It is held in double precision, unless ``float()`` of the
+            module says otherwise.
         constraint: allowed values, from ``torch.distributions.constraints``.
         learn: whether the value is a parameter that gradient descent may change.
         event_dim: number of last dimensions of ``value`` that are not batch dimensions, as in ``torch.distributions``:
@@ -90,8 +91,7 @@ class Hyper(nn.Module):
             self.raw.copy_(raw)
 
     def _unconstrained(self, value: Value, name: str) -> Tensor:
-        if not isinstance(value, Tensor) or not value.is_floating_point():
-            value = torch.as_tensor(value, dtype=torch.float64)
+        value = torch.as_tensor(value, dtype=torch.float64)
         if 0 in value.shape[: value.dim() - self.event_dim]:
             raise ValueError(f"{name}: expected one value or more, received none, {tuple(value.shape)}")
         if not bool(self.constraint.check(value).all()):
