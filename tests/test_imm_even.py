@@ -9,11 +9,14 @@ from hypothesis import strategies as st
 from test_imm import DT, PRIOR, SENSOR, STEPS, Curved, bank, measured, same
 from test_mixed_angles import Compass, Heading
 
+import torchfra
 from torchfra import presets
 from torchfra.angles import wrap
+from torchfra.association import Clutter
 from torchfra.filters import IMM
 from torchfra.hyper import summary
 from torchfra.motion import Bank, ConstantVelocity
+from torchfra.sensors import Position
 from torchfra.types import Gaussian
 
 
@@ -192,3 +195,39 @@ def test_what_does_not_fit_is_named():
             IMM(inner, stay=stay)
     with pytest.raises(ValueError, match="stay: expected None for a single model"):
         IMM(presets.srckf(Bank([ConstantVelocity(1.0)]), SENSOR), stay=0.9)
+
+
+# ---------------------------------------------------------------- rows where they are named
+
+
+@pytest.mark.parametrize("named", [["transition"], "transition"])
+def test_a_finished_filter_has_rows_once_they_are_to_learn(named):
+    f = presets.imm_srckf([ConstantVelocity(0.1), ConstantVelocity(2.0)], Position(1.0))
+    before = f.matrix()
+    torchfra.learnable(f, named)
+    assert f.stay is None
+    assert f.transition.raw.requires_grad
+    torch.testing.assert_close(f.matrix(), before)
+
+
+def test_learned_rows_load_into_a_filter_that_has_none():
+    motions = [ConstantVelocity(0.1), ConstantVelocity(2.0)]
+    learned = presets.imm_srckf(motions, Position(1.0), transition=torch.tensor([[0.8, 0.2], [0.4, 0.6]]))
+    fixed = presets.imm_srckf(motions, Position(1.0))
+    fixed.load_state_dict(learned.state_dict())
+    torch.testing.assert_close(fixed.matrix(), learned.matrix())
+    assert fixed.stay is None
+
+
+def test_rows_of_each_target_stay_those_of_each_target():
+    motions, stay = Bank([ConstantVelocity(0.1), ConstantVelocity(2.0)]), torch.tensor([0.8, 0.9])
+
+    def made():
+        return presets.jpda(motions, Position(1.0), inner=lambda *models: IMM(presets.srckf(*models), stay=stay),
+                            clutter=Clutter(400.0))  # fmt: skip
+
+    z = torch.randn(6, 3, 2, dtype=torch.float64)
+    prior = Gaussian(torch.zeros(2, 4, dtype=torch.float64), torch.eye(4, dtype=torch.float64).expand(2, 4, 4))
+    rows = torchfra.learnable(made(), ["inner.transition"])
+    assert rows.inner.transition.raw.requires_grad
+    same(made()(z, prior).mean, rows(z, prior).mean.detach(), 1e-10)

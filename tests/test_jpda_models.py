@@ -279,6 +279,22 @@ def test_a_lost_track_of_several_models_searches_and_finds():
     assert error[1e-3][20:].max() < 5
 
 
+@pytest.mark.parametrize("lost", [0.0, 0.2])
+def test_models_that_mix_alike_search_as_those_mixed_by_rows(lost):
+    """A target that is seldom seen: the beliefs of its models are widened, and what they know together follows."""
+    matrix = presets.imm_srckf(PAIR, Position(STD)).matrix()
+    z, prior = crowd(), priors(4, (0.0, 0.0), (0.0, 200.0))
+    found = []
+    for options in ({}, {"transition": matrix}):
+        f = presets.jpda(
+            PAIR, Position(STD), inner=partial(presets.imm_srckf, **options), lost=lost, gate=ChiSquare(0.99),
+            clutter=Clutter(VOLUME, rate=1.0), detection=0.9,
+        )  # fmt: skip
+        found.append(f(z, prior))
+    torch.testing.assert_close(found[0].mean, found[1].mean, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(found[0].scale_tril, found[1].scale_tril, rtol=1e-9, atol=1e-9)
+
+
 def test_what_cannot_be_followed_is_named_with_its_reason():
     build = partial(presets.jpda, sensor=Position(STD), clutter=Clutter(VOLUME))
     for inner, motion, said in (

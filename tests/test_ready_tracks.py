@@ -3,6 +3,7 @@
 import copy
 import importlib
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 
 import pytest
 import torch
@@ -77,8 +78,8 @@ def test_one_step_says_what_the_first_of_many_says(make, tracks, steps):
 def test_tensors_are_made_where_torch_has_no_short_way_too(make, tracks, monkeypatch):
     given = alone(tracks)
     expected = make("fra")(**given)
-    guards = importlib.import_module("torch._C._dynamo.guards")
-    monkeypatch.delattr(guards, "_empty_strided_cpu")
+    with suppress(ImportError):  # an older torch has no short way at all
+        monkeypatch.delattr(importlib.import_module("torch._C._dynamo.guards"), "_empty_strided_cpu", raising=False)
     fast = make("fra").compile()
     for _ in range(2):
         close(expected, fast(**given))

@@ -107,12 +107,12 @@ def test_reproduce_writes_the_errors_of_the_reentry(tmp_path):
     assert {p.name for p in tmp_path.glob("*.png")} == names
 
 
-@pytest.mark.usefixtures("short_tracks")
 def test_reproduce_writes_errors_by_target_and_association_probabilities(tmp_path, capsys):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path)]
     names = ["--filters", "ukf_jpda_paper,iaukf_jpda_paper,iaukf_jpda_safe"]
-    options = ["--runs", "4", "--noise-scale", "4", "--clutter", "4"]
-    assert reproduce.main(["clutter-crossing", *options, *names, *out]) == 0
+    assert (
+        reproduce.main(["clutter-crossing", "--runs", "4", "--noise-scale", "4", "--clutter", "4", *names, *out]) == 0
+    )
     result = json.loads((tmp_path / "r.json").read_text())
     assert result["settings"]["noise_scale"] == 4
     wanted = {
@@ -121,8 +121,8 @@ def test_reproduce_writes_errors_by_target_and_association_probabilities(tmp_pat
     assert result["scans"].keys() == result["associations"].keys() == wanted
     of = result["scans"]["iaukf_jpda_safe 100 m"]
     assert len(of["rmse_range"]) == 2
-    assert len(of["rmse_azimuth"][0]) == len(of["ospa"]) == STEPS
-    assert of["filtered_range"] < of["raw_range"] == pytest.approx(5.0, rel=0.15)  # before the noise grows
+    assert len(of["rmse_azimuth"][0]) == len(of["ospa"]) == 100
+    assert of["filtered_range"] < of["raw_range"] == pytest.approx(19.0, rel=0.15)
     assert of["lost"] == 0
     for rows in result["associations"]["iaukf_jpda_safe 100 m"].values():
         assert [sum(row) for row in rows] == pytest.approx([1.0, 1.0])

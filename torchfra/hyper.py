@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -210,6 +210,19 @@ def named(module: nn.Module, names: Collection[str]) -> dict[str, Hyper]:
     return selected
 
 
+def provide(module: nn.Module, names: Collection[str]) -> None:
+    """Makes what parts of a module only have where it is named, such as the rows of interacting models.
+
+    Args:
+        module: it is changed in place.
+        names: as in ``named``.
+    """
+    last = {name.rpartition(".")[2] for name in ((names,) if isinstance(names, str) else names)}
+    parts: list[Any] = [part for part in module.modules() if hasattr(part, "provide")]
+    for part in parts:
+        part.provide(last)
+
+
 def learnable(module: M, names: Collection[str]) -> M:
     """Makes hyperparameters of a module parameters, which an optimiser finds in ``module.parameters()``.
 
@@ -228,6 +241,7 @@ def learnable(module: M, names: Collection[str]) -> M:
         >>> [name for name, _ in torchfra.learnable(srckf, ('threshold',)).named_parameters()]
         ['robust.threshold.raw']
     """
+    provide(module, names)
     for path, hyper in named(module, names).items():
         hyper.learn(path)
     return module

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import torch
@@ -226,7 +227,19 @@ class IMM(Around[IMMState]):
     def have_rows(self) -> None:
         """Makes a ``transition`` of ``stay``, in place, whose rows can learn."""
         if self.stay is not None:
-            self.transition, self.stay = _transition(len(self.motion), self.matrix().detach()), None
+            shared, self.stay.shared_dims = self.stay.shared_dims, 0
+            self.transition = _transition(len(self.motion), self.matrix().detach())
+            self.transition.shared_dims, self.stay = shared, None
+
+    def provide(self, names: Collection[str]) -> None:
+        """Has rows if their name is among these."""
+        if "transition" in names:
+            self.have_rows()
+
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
+        if f"{prefix}transition.raw" in state_dict:
+            self.have_rows()
+        super()._load_from_state_dict(state_dict, prefix, *args)
 
     def matrix_back(self, turn: Turn, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""

@@ -93,12 +93,17 @@ def even_interaction(state: Any, stay: Tensor, dt: Tensor, motion: Motion) -> tu
         """Eqs. (7), (8)."""
         known = state.belief
         if belief is not state.inner.belief:  # the filter has settled what it knew after the step
-            known = matched(models_first(belief), shared(before.movedim(-1, 0))[0], motion.angles)
+            known = pooled(belief, before, motion)
         pairs = zip(belief, repeated(known, count), strict=True)
         two = Gaussian(*(torch.stack(torch.broadcast_tensors(*pair)) for pair in pairs))
         return (wide if motion.linear else matched)(two, roots, motion.angles)
 
     return predicted, interact
+
+
+def pooled(belief: Gaussian, log_weights: Tensor, motion: Motion) -> Gaussian:
+    """What models ``(..., K)`` with these beliefs know together."""
+    return matched(models_first(belief), shared(log_weights.movedim(-1, 0))[0], motion.angles)
 
 
 def held(matrix: Tensor, dt: Tensor) -> Tensor:
@@ -110,5 +115,5 @@ def held(matrix: Tensor, dt: Tensor) -> Tensor:
 
 def for_each_model(frame: Frame) -> Frame:
     """The same for every model: a batch that ends in the models, which matrices of a ``Bank`` have already."""
-    wide: Frame = tree.insert_batch_dimension(frame, only=[name for name in Frame._fields if name not in PER_MODEL])
-    return wide
+    each: Frame = tree.insert_batch_dimension(frame, only=[name for name in Frame._fields if name not in PER_MODEL])
+    return each

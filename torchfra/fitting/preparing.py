@@ -13,7 +13,7 @@ from torchfra.filters import Filter
 from torchfra.fitting.data import Batch, Source
 from torchfra.fitting.objective import NEEDS_TRUTH, Objective, Own
 from torchfra.fitting.vector import Vector
-from torchfra.hyper import named
+from torchfra.hyper import named, provide
 from torchfra.kernel.build import CompileError
 from torchfra.scenarios.base import Scenario
 
@@ -34,6 +34,7 @@ def copied(f: F, learn: Collection[str] | None) -> F:
     if learn is not None:
         for parameter in f.parameters():
             parameter.requires_grad_(False)
+        provide(f, learn)
         for path, hyper in named(f, learn).items():
             hyper.learn(path)
             hyper.raw.requires_grad_()

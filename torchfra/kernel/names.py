@@ -21,7 +21,7 @@ KEYWORDS = {
 }  # fmt: skip
 """Of C++; some are Python's too."""
 _MACROS = {"assert", "errno", "linux", "major", "minor", "unix"}
-_FILES = ("template.cpp", "wide.cpp", "narrow.cpp", "run.cpp", "ends.cpp", "cuda.cpp")
+_FILES = ("template.cpp", "wide.cpp", "narrow.cpp", "run.cpp", "threads.cpp", "ends.cpp", "cuda.cpp")
 
 
 def give(book: Expressions, path: str, numbers: Sequence[int], single: bool) -> None:

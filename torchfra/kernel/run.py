@@ -146,8 +146,10 @@ class _Run(torch.autograd.Function):
             begun += done[len(done) - count :] if remembers else state
             done = done[: len(done) - count] if remembers else done
             state = tuple(batch_first(x, rank) for x in done[:count])
-            joined = step.repeated and len(starts) > 2
-            kept.append([_without_room(x, last - first) for x in done[count:]] if joined else done[count:])
+            done, said = done[:count], done[count:]
+            # Room behind the last step, for what comes late, stays of one stretch: ``tree.one_earlier`` writes there.
+            several = step.repeated and len(starts) > 2
+            kept.append([x[: last - first] for x in said] if several else said)
         ctx.save_for_backward(*inputs, *begun)
         ctx.kernels, ctx.batch, ctx.starts, ctx.truncate, ctx.remembers = kernels, batch, starts, truncate, remembers
         ctx.set_materialize_grads(False)
@@ -187,11 +189,6 @@ class _Run(torch.autograd.Function):
         gradients = dict(zip([n for n in needed if step.inputs[n].timed], joined, strict=True))
         gradients |= zip(stay, sums, strict=True)
         return (*[None] * 5, *state, *(gradients.get(n) for n in names))
-
-
-def _without_room(x: Tensor, steps: int) -> Tensor:
-    """So many steps; what comes late has room behind them."""
-    return x[:steps]
 
 
 def _part(step: Step, inputs: Sequence[Tensor], first: int, last: int, rank: int) -> list[Tensor]:

@@ -103,8 +103,8 @@ INLINE V load(const Entries<Scalar>& x, int64_t entry) {
   __builtin_memcpy(&v, x[entry], sizeof v);
   return v;
 }
-// Without a call, also of the last tracks, which may be few: values of a step stay in registers.  What is written past the caches
-// is no line that must be read first.
+// Without a call, also of the last tracks, which may be few: values of a step stay in registers.  A store past
+// the caches does not read the line first.
 INLINE void write(const Entries<Scalar>& x, int64_t entry, const V& v) {
 #ifdef STORE_double
   PAST_CACHES(x[entry], v, x.past, x.lanes);

@@ -13,8 +13,8 @@ filter they are, or ``"all"``.  ``torchfra.hyper.summary(f)`` prints the names t
 - of the feedback decision: ``gate``, ``preference``, ``plain``;
 - of ``gpb``: ``levels``, ``jumps``, ``stay``, ``renew``, ``chain`` (of the qualities), ``sizes``, ``shares``, ``poor``,
   ``start``;
-- of interacting models: ``stay`` (one for all models) or, where it is named or given, ``transition`` (whole rows);
-  ``initial``; of a changing set ``transition``, ``unlikely``, ``principal``;
+- of interacting models: ``stay``, one number, or ``transition``, whole rows, if it is given or named; ``initial``;
+- of those that change their set: ``transition``, ``unlikely``, ``principal``;
 - of association: ``detection``, ``gate.size``, ``probability``, ``volume``, ``rate``;
 - of motions and sensors: ``q``, ``std``, ``rate``, ``alpha``, ``limit``.
 

@@ -49,10 +49,9 @@ def imm(
     Source: Blom & Bar-Shalom (1988); Du & Zhang (2020) for the square-root cubature form.
     """
     bank = _bank(models)
-    matrix = _transition(len(bank), stay, transition)
-    if transition is None and len(bank) > 1 and stay >= 1 / len(bank):
-        return with_learning(IMM(inner(bank, sensor), stay=stay, initial=initial), learn)  # takes less time
-    return with_learning(IMM(inner(bank, sensor), transition=matrix, initial=initial), learn)
+    alike = transition is None and len(bank) > 1 and 1 / len(bank) <= stay < 1
+    chances = {"stay": stay} if alike else {"transition": _transition(len(bank), stay, transition)}
+    return with_learning(IMM(inner(bank, sensor), **chances, initial=initial), learn)
 
 
 def imm_srckf(

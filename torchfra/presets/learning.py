@@ -7,17 +7,15 @@ from collections.abc import Collection
 from typing import TypeVar
 
 from torchfra.filters.base import Filter
-from torchfra.filters.imm import IMM, Around
+from torchfra.filters.imm import Around
 from torchfra.filters.scans.jpda import JPDA
-from torchfra.hyper import learnable, named
+from torchfra.hyper import learnable, named, provide
 
 F = TypeVar("F", bound=Filter)
 
 
 def with_learning(f: F, names: Collection[str]) -> F:
     """The filter with these hyperparameters learnable; a motion or sensor that has some of them is copied first.
-
-    Interacting models get whole rows if their ``transition`` is to learn.
 
     Args:
         f: it is changed and returned.
@@ -26,10 +24,9 @@ def with_learning(f: F, names: Collection[str]) -> F:
     Raises:
         ValueError: a name that the filter does not have, or a value on the edge of its range.
     """
+    provide(f, names)
     inner: Filter = f
     while isinstance(inner, Around | JPDA):
-        if isinstance(inner, IMM) and "transition" in names:
-            inner.have_rows()
         inner = inner.inner
     chosen = {id(hyper) for hyper in named(f, names).values() if not hyper.raw.requires_grad}
     for part in ("motion", "sensor"):

@@ -19,8 +19,6 @@ Data = tuple[Tensor, Tensor, Tensor | None, Tensor | None, Tensor | None]
 """``z``, ``dt``, ``u``, ``std``, ``noise`` of a step."""
 _FORMS = 64
 """How many forms are remembered."""
-_TRACKS = 1024
-"""At most, of a form that is remembered: the memory of a step's results is held for each."""
 _RANGES = {dtype: (torch.finfo(dtype).tiny, torch.finfo(dtype).max) for dtype in PRECISIONS}
 """From the least normal number on to the largest, in each precision."""
 
@@ -107,11 +105,6 @@ class ReadySteps:
             self._known = {}
         kind = _kind(state, data)
         self._known[kind] = [step, *self._known.get(kind, ())]
-
-
-def may_be_ready(tracks: int) -> bool:
-    """Whether a step of so many tracks is worth being remembered."""
-    return tracks <= _TRACKS
 
 
 def _kind(state: Any, data: Data) -> Hashable:

@@ -88,7 +88,7 @@ class AllReadyTracks:
         if len(self._calls) >= _COUNTED:
             self._calls.clear()
         self._calls[form] += 1
-        return self._calls[form] == _OFTEN
+        return self._calls[form] % _OFTEN == 0  # not just once: memory may lie otherwise, or a gradient be wanted
 
     def __call__(
         self, f: Any, form: Hashable, prior: Gaussian, measurements: Measurements, values: Callable[[], Any]

@@ -13,7 +13,7 @@ from torch.autograd import forward_ad
 from torchfra.filters.compiled import traced
 from torchfra.filters.compiled.back import Given, retreat
 from torchfra.filters.compiled.seen import Seen
-from torchfra.filters.compiled.step import Data, ReadyStep, ReadySteps, may_be_ready, number
+from torchfra.filters.compiled.step import Data, ReadyStep, ReadySteps, number
 from torchfra.filters.compiled.tracks import AllReadyTracks, ReadyTracks, WholeTracks
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import Hyper
@@ -164,7 +164,7 @@ class Version:
     def get_ready(self, plan: Plan, state: Any, data: Data, whole: bool) -> None:
         """Makes later steps like this one ready, if they need no gradient and all is read where it lies."""
         tensors = [*flatten(state), *(x for x in data if x is not None), *self.read()]
-        if self._changes(plan, tensors) or not may_be_ready(plan.batch.numel()):
+        if self._changes(plan, tensors):
             return
         full, step = self.full(plan, tensors), plan.kernels.step
         if any(x.data_ptr() != y.data_ptr() for x, y in zip(full, tensors, strict=True)):

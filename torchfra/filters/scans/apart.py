@@ -10,7 +10,8 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.association.clusters import Association
 from torchfra.filters.base import Filter
-from torchfra.filters.imm import Around
+from torchfra.filters.imm import Around, IMMState
+from torchfra.filters.interaction import pooled
 from torchfra.filters.records import Record
 from torchfra.filters.scans.hypotheses import chosen, gated_first
 from torchfra.filters.scans.merging import averaged, merged, on_beliefs
@@ -66,8 +67,8 @@ def together(inner: Filter, none: tuple[Any, Any], each: Pairs, association: Ass
     return merged(inner, state, log_weights), averaged(info, log_weights, inner.motion.angles)
 
 
-def widened(state: Any, times: Tensor) -> Any:
-    """A state whose beliefs have roots ``times (...)`` as large."""
+def widened(inner: Filter, state: Any, times: Tensor) -> Any:
+    """A state of the filter whose beliefs have roots ``times (...)`` as large; what models know together follows."""
 
     def wider(x: Any) -> Any:
         if not isinstance(x, Gaussian):
@@ -75,7 +76,10 @@ def widened(state: Any, times: Tensor) -> Any:
         factor = times.reshape(times.shape + (1,) * (x.scale_tril.dim() - times.dim()))
         return Gaussian(x.mean, factor * x.scale_tril)
 
-    return on_beliefs(wider, state)
+    state = on_beliefs(wider, state)
+    if isinstance(state, IMMState):
+        state = state._replace(belief=pooled(state.inner.belief, state.log_weights, inner.motion))
+    return state
 
 
 def _with_rows(state: Any, rank: int, count: int) -> Any:

@@ -174,7 +174,7 @@ class JPDA(Soft, ScanFilter[JPDAState]):
         self, state: Any, times: Tensor | None, miss: Tensor, frame: Frame
     ) -> tuple[Any, Scan, Association, JPDAInfo]:
         """A scan of several models or regimes: a state for every measurement, merged; arguments as above."""
-        f, state = self.inner, state if times is None else widened(state, times)
+        f, state = self.inner, state if times is None else widened(self.inner, state, times)
         none, record = missed(f, state, frame, self.sensor)
         scan = self.look(core(f), record.belief, None, frame)
         inside = self.inside(scan)

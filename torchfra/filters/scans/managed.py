@@ -62,7 +62,7 @@ def outlook(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, Gaussia
         belief = (prediction if times is None else wider(prediction, times)).belief
         learned = f.inner.noise.scale(noise)
     else:
-        belief = missed(f.inner, inner if times is None else widened(inner, times), frame, f.sensor)[1].belief
+        belief = missed(f.inner, inner if times is None else widened(f.inner, inner, times), frame, f.sensor)[1].belief
     return state, tree.remove_batch_dimension(_measurement(f.sensor, belief, frame, learned))
 
 
