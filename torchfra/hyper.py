@@ -211,12 +211,7 @@ def named(module: nn.Module, names: Collection[str]) -> dict[str, Hyper]:
 
 
 def provide(module: nn.Module, names: Collection[str]) -> None:
-    """Makes what parts of a module only have where it is named, such as the rows of interacting models.
-
-    Args:
-        module: it is changed in place.
-        names: as in ``named``.
-    """
+    """Makes, in place, what a module only has where it is ``named``, such as the rows of interacting models."""
     last = {name.rpartition(".")[2] for name in ((names,) if isinstance(names, str) else names)}
     parts: list[Any] = [part for part in module.modules() if hasattr(part, "provide")]
     for part in parts:

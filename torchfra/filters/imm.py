@@ -13,7 +13,15 @@ from torch.distributions import constraints
 from torchfra import tree
 from torchfra.filters.base import Filter, Mix, S
 from torchfra.filters.hindsight import Models, ModelsPast, ModelsStep, remembered, retreat, together
-from torchfra.filters.interaction import cycle, even_interaction, for_each_model, held, interaction
+from torchfra.filters.interaction import (
+    as_stay,
+    as_transition,
+    cycle,
+    even_interaction,
+    for_each_model,
+    held,
+    interaction,
+)
 from torchfra.filters.records import Record
 from torchfra.filters.smoothing import Told, Turn
 from torchfra.filters.tracks import TrackFilter
@@ -174,13 +182,9 @@ class IMM(Around[IMMState]):
     """None if the filter was made with ``transition``."""
 
     def __init__(
-        self,
-        inner: Filter,
-        *,
-        transition: Value | None = None,
-        stay: Value | None = None,
+        self, inner: Filter, *, transition: Value | None = None, stay: Value | None = None,
         initial: Value | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(inner)
         count = len(self.motion)
         if (transition is None) == (stay is None):
@@ -189,8 +193,8 @@ class IMM(Around[IMMState]):
         initial = torch.full((count,), 1 / count, dtype=torch.float64) if initial is None else torch.as_tensor(initial)
         if initial.shape[-1:] != (count,):
             raise ValueError(f"initial: expected ({count},), received {tuple(initial.shape)}")
-        self.transition = None if transition is None else _transition(count, transition)
-        self.stay = None if stay is None else _stay(count, stay)
+        self.transition = None if transition is None else as_transition(count, transition)
+        self.stay = None if stay is None else as_stay(count, stay)
         self.initial = Hyper(initial.double(), constraints.simplex, event_dim=1, name="initial")
 
     def begin(self, belief: Gaussian) -> IMMState:
@@ -228,7 +232,7 @@ class IMM(Around[IMMState]):
         """Makes a ``transition`` of ``stay``, in place, whose rows can learn."""
         if self.stay is not None:
             shared, self.stay.shared_dims = self.stay.shared_dims, 0
-            self.transition = _transition(len(self.motion), self.matrix().detach())
+            self.transition = as_transition(len(self.motion), self.matrix().detach())
             self.transition.shared_dims, self.stay = shared, None
 
     def provide(self, names: Collection[str]) -> None:
@@ -244,17 +248,3 @@ class IMM(Around[IMMState]):
     def matrix_back(self, turn: Turn, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
         return held(self.matrix(like).log(), turn.frame.dt), for_each_model(turn.frame)
-
-
-def _transition(count: int, value: Value) -> Hyper:
-    value = torch.as_tensor(value, dtype=torch.float64)
-    if value.shape[-2:] != (count, count) or not bool((value.sum(-2) > 0).all()):
-        expected = f"({count}, {count}) that reaches every model"
-        raise ValueError(f"transition: expected {expected}, received {value.tolist()}")
-    return Hyper(value, constraints.simplex, event_dim=2, name="transition")
-
-
-def _stay(count: int, value: Value) -> Hyper:
-    if count < 2:
-        raise ValueError(f"stay: expected None for a single model, received {value}")
-    return Hyper(value, constraints.half_open_interval(1 / count, 1.0), name="stay")

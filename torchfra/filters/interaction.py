@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.base import Filter, Mix
@@ -14,6 +15,7 @@ from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, shared, wide, without_failed
 from torchfra.gaussian.update import density
+from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_log
 from torchfra.linalg.triangular import whiten
 from torchfra.motion.base import Motion
@@ -117,3 +119,27 @@ def for_each_model(frame: Frame) -> Frame:
     """The same for every model: a batch that ends in the models, which matrices of a ``Bank`` have already."""
     each: Frame = tree.insert_batch_dimension(frame, only=[name for name in Frame._fields if name not in PER_MODEL])
     return each
+
+
+def as_transition(count: int, value: Value) -> Hyper:
+    """Rows of probabilities between so many models.
+
+    Raises:
+        ValueError: no such matrix, or one that does not reach every model.
+    """
+    value = torch.as_tensor(value, dtype=torch.float64)
+    if value.shape[-2:] != (count, count) or not bool((value.sum(-2) > 0).all()):
+        expected = f"({count}, {count}) that reaches every model"
+        raise ValueError(f"transition: expected {expected}, received {value.tolist()}")
+    return Hyper(value, constraints.simplex, event_dim=2, name="transition")
+
+
+def as_stay(count: int, value: Value) -> Hyper:
+    """The self-transition probability of so many models.
+
+    Raises:
+        ValueError: a single model, or a value out of its range.
+    """
+    if count < 2:
+        raise ValueError(f"stay: expected None for a single model, received {value}")
+    return Hyper(value, constraints.half_open_interval(1 / count, 1.0), name="stay")
