@@ -10,7 +10,7 @@ from typing import Any
 PASS = 0.02
 """Seconds that a pass lasts at least."""
 WARM = 1.0
-"""Seconds of calls before the first pass."""
+"""Seconds after which no more calls are made before the first pass."""
 
 
 def once(call: Callable[[], Any]) -> float:

@@ -23,7 +23,7 @@ _FORMS = 16
 _SHORT = 4096
 """Steps of all tracks up to which a form gets ready at its first call: such calls are little but overhead."""
 _OFTEN = 8
-"""At which call a longer form gets ready: to compile its ends takes half a second."""
+"""Every so many calls a longer form is made ready, unless it is: to compile its ends takes half a second."""
 _COUNTED = 256
 """How many longer forms are counted."""
 
