@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,6 +18,20 @@ from torchfra.kernel.statements import threaded
 from torchfra.kernel.step import Step, carried
 from torchfra.linalg.tracing import elementary
 from torchfra.tree import flatten, map_tensors, unflatten
+
+
+class Both(NamedTuple):
+    """Both ends of a track, on entries of one book."""
+
+    book: Expressions
+    inputs: dict[str, Entries]
+    prior: list[Entries]
+    begun: list[Entries]
+    after: tuple[Entries, ...]
+    steps: Any
+    """The records of two steps."""
+    made: Any
+    """What becomes of them."""
 
 
 class Ends:
@@ -37,27 +52,47 @@ class Ends:
         self, step: Step, begin: Callable[..., Any], finish: Callable[[Any, Any, Any], Any], size: int,
         each: Sequence[int] = (),
     ) -> None:  # fmt: skip
-        self._step, self._book, self.each = step, Expressions(), each
-        inputs = step.unknown(self._book)
-        module = step.copy_with(inputs)
-        prior = [Entries.inputs(self._book, shape, step.dtype) for shape in ((size,), (size, size))]
-        after = carried(self._book, step.zero, step.dtype)
-        steps = map_tensors(self._two_steps, step.record)
-        with refusals_of(type(module).__name__), elementary(), torch.no_grad():
-            begun = [entry_ids(as_entries(self._book, x)) for x in flatten(begin(module, *prior))]
-            self.made = finish(module, unflatten(step.state, iter(after)), steps)
-        self.values = [k for k, kind in enumerate(step.inputs.values(), len(begun)) if kind.value]
+        self.step, self._ways, self._size, self.each = step, (begin, finish), size, each
+        at = self.traced()
+        begun, self.made = [entry_ids(x) for x in at.begun], at.made
+        self._book, self.values = at.book, [k for k, kind in enumerate(step.inputs.values(), len(begun)) if kind.value]
         self.sizes, self.same = list(map(len, begun)), list(map(begun.index, begun))
         self._begun = [ids if k == same else [] for k, (ids, same) in enumerate(zip(begun, self.same, strict=True))]
-        self._matched([entry_ids(as_entries(self._book, x)) for x in flatten(steps)], 2 * len(self.sizes) + len(inputs))
-        values = [entry_ids(x) if step.inputs[name].value else [] for name, x in inputs.items()]
+        steps = [entry_ids(as_entries(at.book, x)) for x in flatten(at.steps)]
+        self._matched(steps, 2 * len(self.sizes) + len(at.inputs))
+        values = [entry_ids(x) if step.inputs[name].value else [] for name, x in at.inputs.items()]
         nothing: list[list[int]] = [[]]
-        states = [entry_ids(x) for x in after]
-        self._reads = [*nothing * len(states), *values, *states, *nothing * len(flatten(steps)), *map(entry_ids, prior)]
+        states = [entry_ids(x) for x in at.after]
+        self._reads = [*nothing * len(states), *values, *states, *nothing * len(steps)]
+        self._prior = list(map(entry_ids, at.prior))
 
-    def _two_steps(self, like: Tensor) -> Tensor:
+    def traced(self, *differentiable: str) -> Both:
+        """Both ends on entries of a new book, which have derivatives in what is named.
+
+        That is inputs, ``"mean"`` and ``"root"`` of the prior, and ``"after"``, the state after the last step.
+        """
+        book, step = Expressions(), self.step
+        inputs, (begin, finish) = step.unknown(book), self._ways
+        prior = [Entries.inputs(book, (self._size,) * event, step.dtype) for event in (1, 2)]
+        after = carried(book, step.zero, step.dtype)
+        for name, tensors in [
+            *((n, [x]) for n, x in inputs.items()),
+            ("mean", prior[:1]),
+            ("root", prior[1:]),
+            ("after", after),
+        ]:
+            for x in tensors if name in differentiable else ():
+                x.requires_grad_()
+        module = step.copy_with(inputs)
+        steps = map_tensors(partial(self._two_steps, book), step.record)
+        with refusals_of(type(module).__name__), elementary(), torch.set_grad_enabled(bool(differentiable)):
+            begun = [as_entries(book, x) for x in flatten(begin(module, *prior))]
+            made = finish(module, unflatten(step.state, iter(after)), steps)
+        return Both(book, inputs, prior, begun, after, steps, made)
+
+    def _two_steps(self, book: Expressions, like: Tensor) -> Tensor:
         """Unknown, of two steps."""
-        unknown = Entries.inputs(self._book, (2, *like.shape), self._step.dtype)
+        unknown = Entries.inputs(book, (2, *like.shape), self.step.dtype)
         return unknown < 0 if like.dtype == torch.bool else unknown
 
     def _matched(self, steps: Sequence[list[int]], first: int) -> None:
@@ -82,16 +117,21 @@ class Ends:
                 self.settled[first + place] = then, x.dtype == torch.bool
             self.places.append(place)
 
-    def source(self, narrow: bool, looks: Sequence[int] = (3, 0, 1)) -> str:
+    def source(self, narrow: bool, remembered: int = 0, looks: Sequence[int] = (3, 0, 1)) -> str:
         """The translation unit, whose function is ``whole``.
 
         Args:
             narrow: as of ``Scan.source``.
+            remembered: how many more tensors the steps write behind their records.
             looks: numbers of the tensors that say whether all is finite: the scores of all steps, others of the last.
         """
-        step, states = self._step, len(self.sizes)
+        step, states = self.step, len(self.sizes)
+        nothing: list[list[int]] = [[]]
         double = [*[False] * states, *(x.double for x in step.inputs.values())]
-        reads = [_port(ids, double=any(double[k : k + 1])) for k, ids in enumerate(self._reads)]
+        reads = [
+            _port(ids, double=any(double[k : k + 1]))
+            for k, ids in enumerate([*self._reads, *nothing * remembered, *self._prior])
+        ]
         after = states + len(step.inputs)
         first = after + states
         last = [_port(ids, truth=truth) for ids, truth in self.settled.values()]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import torch
@@ -113,9 +113,13 @@ class Ready:
 
     def __call__(self, tensors: Sequence[Tensor]) -> list[Tensor]:
         """What it writes, new, with the batch in front."""
+        return self.at(map(Tensor.data_ptr, tensors))
+
+    def at(self, addresses: Iterable[int]) -> list[Tensor]:
+        """The same of what lies there."""
         written = self._new()
         table = self.table[:]  # each thread its own
-        table[::4] = array("q", map(Tensor.data_ptr, (*tensors, *written)))
+        table[::4] = array("q", [*addresses, *map(Tensor.data_ptr, written)])
         address = table.buffer_info()[0]
         self.run(self.tracks, self.steps, threads(self.tracks), address, address + self._outputs)
         return written

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -14,11 +15,15 @@ from torch.autograd import forward_ad
 from torch.autograd.function import once_differentiable
 
 from torchfra.kernel.ends import Ends
+from torchfra.kernel.ends_back import after_back, begin_back
+from torchfra.kernel.learning import Learning
 from torchfra.kernel.program import BUILDING, Program, Ready, batch_first
+from torchfra.kernel.source import Scan
 from torchfra.kernel.step import Step
-from torchfra.kernel.whole import Whole, load, whole
+from torchfra.kernel.whole import Whole, at_both_ends, load
 from torchfra.tree import flatten, unflatten
 
+_CPU = torch.device("cpu")
 _REMEMBERED = 1 << 26
 """Bytes of states at most that wait for the way back where no checkpoints are asked for; more are computed anew."""
 
@@ -32,8 +37,10 @@ class Kernels:
 
     def __init__(self, step: Step) -> None:
         self.step = step
-        self._programs: dict[tuple[Any, ...], Program] = {}
-        self._ends: tuple[Ends, Any] | None = None
+        self._programs: dict[Hashable, Program | None] = {}
+        self._ends: Ends | None = None
+        self._refused = False
+        self._wholes: dict[bool, Any] = {}
         self._making = threading.Lock()
 
     def forwards(self, batch: torch.Size, device: torch.device, remembers: bool = False) -> Program:
@@ -45,36 +52,59 @@ class Kernels:
 
     def program(self, kind: str, device: torch.device, *how: Any, narrow: bool = False) -> Program:
         """``"forwards"``, ``"trajectory"``, ``"tangent"`` or ``"backwards"`` of the step, see there."""
-        key = (kind, device, narrow, *how)
-        if key not in self._programs:
+        program = self._compiled((kind, device, narrow, *how), partial(getattr(self.step, kind), *how), narrow, device)
+        assert program is not None
+        return program
+
+    def _compiled(
+        self, name: Hashable, make: Callable[[], Scan | None], narrow: bool = False, device: torch.device = _CPU
+    ) -> Program | None:
+        """What ``make`` gives, compiled once for each name; None if it gives nothing."""
+        if name not in self._programs:
             with self._making:
-                if key not in self._programs:
+                if name not in self._programs:
                     with BUILDING, torch.inference_mode(False):
-                        scan = getattr(self.step, kind)(*how)
-                    self._programs[key] = Program(scan, narrow, device)
-        return self._programs[key]
+                        scan = make()
+                    self._programs[name] = None if scan is None else Program(scan, narrow, device)
+        return self._programs[name]
 
     def whole(
-        self, ready: Ready, batch: torch.Size, prior: Sequence[Tensor], ends: Callable[[Step], Ends]
-    ) -> Whole | None:
+        self, ready: Ready, batch: torch.Size, given: Sequence[Tensor], full: Sequence[Tensor],
+        ends: Callable[[Step], Ends],
+    ) -> Whole | Learning | None:  # fmt: skip
         """The steps, and all before and after them, in one call; None where that cannot be.
 
         Args:
-            ready: the steps.
+            ready: the steps, which write the state before each where something ``given`` needs a gradient.
             batch: of the tracks.
-            prior: mean and root.
+            given: mean and root of a prior, and what the steps read besides the state.
+            full: the same of the steps, with the batch.
             ends: what comes before and after the steps, always the same.
         """
-        if not hasattr(ready.run, "argtypes"):
-            return None  # no function of C but one that starts a GPU
+        if self._refused or not hasattr(ready.run, "argtypes"):
+            return None  # in the latter case it is no function of C but one that starts a GPU
+        learns = has_gradient(given)
         try:
-            if self._ends is None:
-                with BUILDING, torch.inference_mode(False):
-                    made = ends(self.step)
-                self._ends = made, load(made)
+            with BUILDING, torch.inference_mode(False):
+                made = self._ends = self._ends or ends(self.step)
+            if learns not in self._wholes:
+                self._wholes[learns] = load(made, len(self.step.zero) if learns else 0)
         except NotImplementedError:
+            self._refused = True
             return None
-        return whole(ready, *self._ends, batch, prior)
+        whole = at_both_ends(ready, made, self._wholes[learns], batch, given[:2], learns)
+        return Learning(whole, ready, made, self._way_back, batch, given, full) if whole and learns else whole
+
+    def _way_back(self, kind: str, *how: Any) -> Program | None:
+        """A part of the way back of whole tracks on the CPU: see ``Learning``."""
+        around: dict[str, Callable[..., Scan | None]] = {"after": after_back, "begin": begin_back}
+        make = partial(around[kind], self._ends) if kind in around else getattr(self.step, kind)
+        return self._compiled((kind, _CPU, False, *how), partial(make, *how))
+
+    def remembers(self, batch: torch.Size, steps: int) -> bool:
+        """Whether the states before so many steps are few enough to be kept for the way back."""
+        size = sum(int((~zero).sum()) for zero in self.step.zero) * self.step.dtype.itemsize
+        return size * steps * batch.numel() <= _REMEMBERED
 
     def run(
         self,
@@ -98,9 +128,8 @@ class Kernels:
         """
         if forward_ad._current_level >= 0:
             done = self._with_tangents(batch, steps, [forward_ad.unpack_dual(x) for x in (*state, *inputs)])
-        elif torch.is_grad_enabled() and any(x.requires_grad for x in (*state, *inputs)):
-            size = sum(int((~zero).sum()) for zero in self.step.zero) * state[0].element_size()
-            remembers = checkpoint is None and size * steps * batch.numel() <= _REMEMBERED
+        elif has_gradient((*state, *inputs)):
+            remembers = checkpoint is None and self.remembers(batch, steps)
             whole = remembers or self.step.last_first
             length = steps if whole else checkpoint or math.isqrt((truncate or steps) - 1) + 1
             starts = (*sorted({*range(0, steps, length), *range(0, steps, truncate or steps)}), steps)
@@ -121,6 +150,11 @@ class Kernels:
         kept = 2 * count + len(flatten(self.step.record))
         plain, rates = done[:count] + done[2 * count : kept], iter(done[count : 2 * count] + done[kept:])
         return [forward_ad.make_dual(x, next(rates)) if x.is_floating_point() else x for x in plain]
+
+
+def has_gradient(tensors: Iterable[Tensor]) -> bool:
+    """Whether what is made of these has one."""
+    return torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
 
 
 class _Run(torch.autograd.Function):

@@ -196,7 +196,7 @@ class Step:
         grads = [Entries.inputs(book, x.shape, self.dtype) for x in kept]
         sources = [*trace.before, *(trace.inputs[name] for name in needed)]
         with elementary(caller):
-            pulled = _pullback(book, [*trace.after, *kept], [*after, *grads], sources)
+            pulled = pullback(book, [*trace.after, *kept], [*after, *grads], sources)
         stays = [g for g, name in zip(pulled[states:], needed, strict=True) if not self.inputs[name].timed]
         timed = [g for g, name in zip(pulled[states:], needed, strict=True) if self.inputs[name].timed]
         sums = [Entries.inputs(book, g.shape, self.dtype) for g in stays]
@@ -220,7 +220,7 @@ def carried(book: Expressions, zero: Sequence[Tensor], dtype: torch.dtype) -> tu
     return tuple(Entries(book, torch.where(z, ZERO, ids), dtype) for z, ids in zip(zero, new, strict=True))
 
 
-def _pullback(
+def pullback(
     book: Expressions, outputs: Sequence[Entries], gradients: Sequence[Entries], sources: Sequence[Entries]
 ) -> list[Entries]:
     """Gradients of the sources, from those of the outputs."""

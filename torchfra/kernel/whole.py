@@ -28,12 +28,18 @@ class Whole:
         function: of these, as compiled by ``load``.
         prior: mean and root, of all tracks or of one that stands for all.
         rank: batch dimensions of what is written.
+        remembers: whether ``states``, the first and the last, are kept for a way back.
     """
 
     made: Any
     """The tree that is made."""
+    after: list[int]
+    """Where leaves of the state after the last step begin, in bytes of the memory of states."""
 
-    def __init__(self, ready: Ready, ends: Ends, function: Any, prior: Sequence[Strided], rank: int) -> None:
+    def __init__(
+        self, ready: Ready, ends: Ends, function: Any, prior: Sequence[Strided], rank: int,
+        remembers: bool = False,
+    ) -> None:  # fmt: skip
         self._ready, self._function, self._rank, self.made, self.places = ready, function, rank, ends.made, ends.places
         self._run = ctypes.cast(ready.run, ctypes.c_void_p).value
         count, reads = len(ends.sizes), len(ready.table) // 4 - len(ready.like)
@@ -47,6 +53,7 @@ class Whole:
                 end += size * tracks * like[0].element_size()
         for row, same in enumerate(ends.same):  # what is the same at first lies in one place
             self._table[4 * row] = self._table[4 * same]
+        self.after = list(self._table[4 * reads : 4 * (reads + count) : 4])
         self._table.extend(number for _, *strides in prior for number in (0, *strides))
         for port in ends.settled:
             self._table.extend([0, 1, 0, ready.table[4 * port + 3]])
@@ -56,7 +63,7 @@ class Whole:
                 like[k], self._table[4 * (reads + count + k) + 2] = like[k].narrow(rank, 0, 1), 0
         self._late = late if ready.steps > 1 else []
         each = torch.empty(like[0].shape[:rank], dtype=torch.int64, device="meta")
-        self._new, self._room = maker([*like, *[each] * len(ends.each)], ready.device), end
+        self._new, self._room, self._remembers = maker([*like, *[each] * len(ends.each)], ready.device), end, remembers
         self._addresses = Struct(f"{2 + reads - count + len(like) + len(ends.each)}q").pack
 
     def __call__(self, tensors: Sequence[Tensor]) -> tuple[list[Tensor], bool]:
@@ -67,7 +74,11 @@ class Whole:
         Args:
             tensors: the prior's, and what the steps read besides the state.
         """
-        ready, written, room = self._ready, self._new(), _room(self._room)
+        return self.run(tensors)[:2]
+
+    def run(self, tensors: Sequence[Tensor]) -> tuple[list[Tensor], bool, Tensor]:
+        """The same with the memory where the first and the last state lie."""
+        ready, written, room = self._ready, self._new(), _room(self._room, self._remembers)
         addresses = self._addresses(*map(Tensor.data_ptr, (*tensors, *written)))
         count, (ports, _) = threads(ready.tracks), self._table.buffer_info()
         sound = self._function(
@@ -75,16 +86,16 @@ class Whole:
         )
         for k in self._late:
             written[k] = written[k].narrow(self._rank, 1, ready.steps)
-        return written, bool(sound)
+        return written, bool(sound), room
 
 
-def load(ends: Ends) -> Any:
-    """The function of both ends, compiled.
+def load(ends: Ends, remembered: int = 0) -> Any:
+    """The function of both ends, compiled, for steps that write so many more tensors than their records.
 
     Raises:
         CompileError: see ``build.load``.
     """
-    return build.load_whole(ends.source(not build.wide()))
+    return build.load_whole(ends.source(not build.wide(), remembered))
 
 
 _ROOMS = threading.local()
@@ -93,9 +104,9 @@ _HELD = 1 << 20
 """Bytes at most that are held from call to call."""
 
 
-def _room(size: int) -> Tensor:
+def _room(size: int, new: bool) -> Tensor:
     """So many bytes."""
-    if size > _HELD:
+    if size > _HELD or new:
         return torch.empty(size, dtype=torch.uint8, device="cpu")
     if size > getattr(_ROOMS, "size", -1):
         _ROOMS.memory, _ROOMS.size = torch.empty(size, dtype=torch.uint8, device="cpu"), size
@@ -103,7 +114,9 @@ def _room(size: int) -> Tensor:
     return room
 
 
-def whole(ready: Ready, ends: Ends, function: Any, batch: torch.Size, prior: Sequence[Tensor]) -> Whole | None:
+def at_both_ends(
+    ready: Ready, ends: Ends, function: Any, batch: torch.Size, prior: Sequence[Tensor], remembers: bool
+) -> Whole | None:
     """Whole tracks of this batch from priors that lie in memory like this; None if one must be copied."""
     shared = torch.broadcast_shapes(prior[0].shape[:-1], prior[1].shape[:-2])
     shared = shared if shared.numel() == 1 else batch
@@ -112,4 +125,4 @@ def whole(ready: Ready, ends: Ends, function: Any, batch: torch.Size, prior: Seq
     places = [strided(x, port, len(shared), shared.numel()) for x, port in zip(full, ports, strict=True)]
     if any(x.data_ptr() != y.data_ptr() for (x, *_), y in zip(places, prior, strict=True)):
         return None
-    return Whole(ready, ends, function, places, len(batch))
+    return Whole(ready, ends, function, places, len(batch), remembers)

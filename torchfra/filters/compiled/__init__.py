@@ -18,6 +18,7 @@ from torchfra.filters.compiled.version import Plan, Version
 from torchfra.gaussian.arguments import check_seconds
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.kernel.program import BUILDING
+from torchfra.kernel.run import has_gradient
 from torchfra.kernel.source import SCALARS
 from torchfra.linalg.tracing import is_traced
 from torchfra.tree import flatten, map_tensors
@@ -65,8 +66,10 @@ class Compiled:
             and (forward_ad._current_level < 0 or not torch.is_grad_enabled())
         )
 
-    def ready(self, f: Any, measurements: Measurements, prior: Gaussian, past: bool) -> Any:
+    def ready(self, f: Any, measurements: Measurements, prior: Gaussian, past: bool, plain: bool) -> Any:
         """The estimate, or what ``forward`` gives for the state of a prior; None unless a call of this form is known.
+
+        ``plain``: the way back is not told where to begin or to end.
 
         Raises:
             ValueError: the time steps or the noise have a bad value.
@@ -74,15 +77,18 @@ class Compiled:
         if not self._versions or not isinstance(prior, Gaussian) or forward_ad._current_level >= 0:
             return None
         now = self._now(f)
-        return now.tracks(f, form_of(measurements, past), prior, measurements, now.read)
+        return now.tracks(f, form_of(measurements, past, plain), prior, measurements, now.read)
 
-    def get_ready(self, f: Any, state: Any, measurements: Measurements, prior: Gaussian, past: bool) -> None:
+    def get_ready(
+        self, f: Any, state: Any, measurements: Measurements, prior: Gaussian, past: bool, plain: bool
+    ) -> None:
         """Makes later calls of ``forward`` like this one ready, if that is worth it; ``state`` is that of the prior."""
-        form, z = form_of(measurements, past), measurements.z
+        form, z, now = form_of(measurements, past, plain), measurements.z, self._now(f)
+        given = [z, *prior, *(x for x in measurements[1:] if isinstance(x, Tensor)), *now.read()]
         shapes = z.dtype, z.shape, *(x.shape for x in prior)
-        if f.home is f and not f.scans and self._now(f).tracks.due((form, shapes), z.shape[:-1].numel()):
+        if f.home is f and not f.scans and now.tracks.due((form, shapes), z.shape[:-1].numel(), has_gradient(given)):
             now, plan, data = self._plan(f, state, measurements, past)
-            now.get_tracks_ready(form, plan, prior, state, data, past)
+            now.get_tracks_ready(form, plan, prior, state, data, past, plain)
 
     def forward(
         self, f: Any, state: Any, measurements: Measurements, checkpoint: int | None, truncate: int | None, past: bool

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -12,6 +11,7 @@ from torch import Tensor
 
 from torchfra.gaussian.arguments import PRECISIONS, check_values
 from torchfra.gaussian.inputs import Measurements, Time
+from torchfra.kernel.guards import guard
 from torchfra.kernel.program import Ready
 from torchfra.tree import flattener, unflattener
 
@@ -48,24 +48,6 @@ class ReadyStep:
             return None
         tensors = (*leaves, *others)
         return tensors if self._fit(*tensors) else None
-
-
-def guard(tensors: Sequence[Tensor]) -> Callable[..., bool]:
-    """What says whether other tensors have the form of these: torch's own, in C++, or a slower one of ours."""
-    sizes, strides = [list(x.shape) for x in tensors], [list(x.stride()) for x in tensors]
-    try:
-        guards: Any = importlib.import_module("torch._C._dynamo.guards").TensorGuards
-        check: Callable[..., bool] = guards(*tensors, dynamic_dims_sizes=sizes, dynamic_dims_strides=strides).check
-    except (ImportError, AttributeError, TypeError):  # it is private: versions may differ
-        forms = [_form(x) for x in tensors]
-        return lambda *others: [_form(x) for x in others] == forms
-    return check
-
-
-def _form(x: Tensor) -> Hashable:
-    if not isinstance(x, Tensor):
-        return type(x)
-    return type(x), x.dtype, x.device, x.shape, x.stride(), x.requires_grad, x.is_neg(), x.is_conj(), x._is_zerotensor()
 
 
 class ReadySteps:

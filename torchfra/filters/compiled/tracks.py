@@ -9,9 +9,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchfra.filters.compiled.step import guard, is_ordinary, number
+from torchfra.filters.compiled.step import is_ordinary, number
 from torchfra.gaussian.arguments import check_values
 from torchfra.gaussian.inputs import Measurements
+from torchfra.kernel.guards import guard
+from torchfra.kernel.learning import Learning
 from torchfra.kernel.program import Ready
 from torchfra.kernel.whole import Whole
 from torchfra.linalg.triangular import tria
@@ -24,6 +26,8 @@ _SHORT = 4096
 """Steps of all tracks up to which a form gets ready at its first call: such calls are little but overhead."""
 _OFTEN = 8
 """Every so many calls a longer form is made ready, unless it is: to compile its ends takes half a second."""
+_LEARNING = 64
+"""The same of calls with a gradient, whose ends take two or three seconds."""
 _COUNTED = 256
 """How many longer forms are counted."""
 
@@ -61,7 +65,7 @@ class WholeTracks:
         tensors: as of ``ReadyTracks``.
     """
 
-    def __init__(self, whole: Whole, tensors: Sequence[Tensor]) -> None:
+    def __init__(self, whole: Whole | Learning, tensors: Sequence[Tensor]) -> None:
         self._whole = whole
         tree = whole.made._replace(failure=Failure(*tensors[:2]))
         self._made = unflattener(tree, [*whole.places, -2, -1])
@@ -81,14 +85,16 @@ class AllReadyTracks:
         self._known: dict[Hashable, list[ReadyTracks | WholeTracks]] = {}
         self._calls: Counter[Hashable] = Counter()
 
-    def due(self, form: Hashable, steps: int) -> bool:
-        """Whether to get a form ready, of so many steps of all tracks, that has been called once more."""
-        if steps <= _SHORT:
+    def due(self, form: Hashable, steps: int, learns: bool) -> bool:
+        """Whether to get a form ready that has been called once more: of so many steps, with a gradient or without."""
+        if steps <= _SHORT and not learns:
             return True
         if len(self._calls) >= _COUNTED:
             self._calls.clear()
         self._calls[form] += 1
-        return self._calls[form] % _OFTEN == 0  # not just once: memory may lie otherwise, or a gradient be wanted
+        return (
+            self._calls[form] % (_LEARNING if learns else _OFTEN) == 0
+        )  # not just once: memory may lie otherwise, or a gradient be wanted
 
     def __call__(
         self, f: Any, form: Hashable, prior: Gaussian, measurements: Measurements, values: Callable[[], Any]
@@ -131,8 +137,8 @@ def seconds_of(measurements: Measurements) -> Tensor:
     return dt.to(measurements.z.dtype) if isinstance(dt, Tensor) else number(dt, measurements.z.dtype)
 
 
-def form_of(measurements: Measurements, past: bool) -> Hashable:
+def form_of(measurements: Measurements, *how: bool) -> Hashable:
     """What of a call is no form of a tensor."""
     _, dt, u, std, noise = measurements
     given = u is None, std is None, noise is None, isinstance(dt, Tensor), measurements.varying_dt
-    return given, past, torch.is_grad_enabled()
+    return given, how, torch.is_grad_enabled()

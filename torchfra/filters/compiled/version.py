@@ -19,7 +19,7 @@ from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import Hyper
 from torchfra.kernel.copies import frozen
 from torchfra.kernel.program import Program
-from torchfra.kernel.run import Kernels
+from torchfra.kernel.run import Kernels, has_gradient
 from torchfra.kernel.step import Input, Step
 from torchfra.tree import flatten, map_tensors, ranks
 from torchfra.types import Gaussian
@@ -173,33 +173,33 @@ class Version:
         if ready is not None:
             self.ready[whole].add(ReadyStep(ready, state, tensors, (step.state, step.record)), state, data)
 
-    def get_tracks_ready(self, form: Hashable, plan: Plan, prior: Gaussian, state: Any, data: Data, past: bool) -> None:
-        """Makes later tracks like these ready, likewise."""
-        steps, values = data[0].shape[-2], self.read()
-        given = [x for x in data if x is not None]
-        tensors, leaves = [*prior, *given, *values], [x.contiguous() for x in flatten(state)]
-        full, dtype = self.full(plan, [*leaves, *given, *values]), plan.dtypes[0]
+    def get_tracks_ready(
+        self, form: Hashable, plan: Plan, prior: Gaussian, state: Any, data: Data, past: bool, plain: bool
+    ) -> None:
+        """Makes later tracks like these ready, likewise; with a gradient where the way back is ``plain``."""
+        steps, given = data[0].shape[-2], [*(x for x in data if x is not None), *self.read()]
+        tensors, leaves = [*prior, *given], [x.contiguous() for x in flatten(state)]
+        full, kernels, learns = self.full(plan, [*leaves, *given]), plan.kernels, has_gradient(tensors)
         if (
-            self._changes(plan, tensors)
-            or any(x.dtype != dtype or x.device != plan.device for x in prior)
-            or any(x.data_ptr() != y.data_ptr() for x, y in zip(full, [*leaves, *given, *values], strict=True))
+            self._changes(plan, tensors, learns and plain and not past and kernels.remembers(plan.batch, steps))
+            or any(x.dtype != plan.dtypes[0] or x.device != plan.device for x in prior)
+            or any(x.data_ptr() != y.data_ptr() for x, y in zip(full, [*leaves, *given], strict=True))
         ):
             return
-        run = plan.forwards.ready(plan.batch, steps, full)
+        run = kernels.forwards(plan.batch, plan.device, learns).ready(plan.batch, steps, full)
         if run is None:
             return
-        whole = None if past else plan.kernels.whole(run, plan.batch, prior, traced.ends)
+        whole = None if past else kernels.whole(run, plan.batch, tensors, full[len(leaves) :], traced.ends)
         if whole is not None:
             self.tracks.add(form, WholeTracks(whole, tensors))
-        else:
-            made = plan.kernels.step.state, plan.kernels.step.record
+        elif not learns:
+            made = kernels.step.state, kernels.step.record
             self.tracks.add(form, ReadyTracks(run, plan.batch, tensors, state, made))
 
     @staticmethod
-    def _changes(plan: Plan, tensors: Sequence[Tensor]) -> bool:
-        """Whether a call needs gradients, or cannot be told from others by its tensors alone."""
-        gradients = torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
-        gradients |= forward_ad._current_level >= 0
+    def _changes(plan: Plan, tensors: Sequence[Tensor], learns: bool = False) -> bool:
+        """Whether a call needs gradients, unless it ``learns``, or cannot be told from others by its tensors alone."""
+        gradients = (has_gradient(tensors) and not learns) or forward_ad._current_level >= 0
         twice = len({*map(id, tensors)}) < len(tensors)  # as in the first state of some filters; guards refuse that
         return gradients or twice or plan.counts
 

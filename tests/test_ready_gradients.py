@@ -1,0 +1,128 @@
+"""Tracks whose gradient is wanted again and again get ready too: gradients stay the same."""
+
+import copy
+
+import pytest
+import torch
+
+from torchfra.filters.compiled import Compiled
+from torchfra.filters.compiled import tracks as tracks_module
+from torchfra.tree import flatten
+from torchfra.types import Gaussian
+
+
+@pytest.fixture
+def prepared(monkeypatch):
+    """How often tracks had to be checked and prepared."""
+    seen = []
+    forward = Compiled.forward
+    monkeypatch.setattr(Compiled, "forward", lambda *given: seen.append(1) or forward(*given))
+    return seen
+
+
+def alone(tracks, steps=8):
+    """The first track."""
+    return {"z": tracks.z[0, :steps], "prior": Gaussian(tracks.prior.mean[0], tracks.prior.scale_tril),
+            "u": tracks.u[:steps]}  # fmt: skip
+
+
+@pytest.fixture
+def soon(monkeypatch):
+    """The second call with a gradient is ready."""
+    monkeypatch.setattr(tracks_module, "_LEARNING", 1)
+
+
+def means(e):
+    return e.mean.square().mean()
+
+
+def scores(e):
+    return -e.log_likelihood.sum()
+
+
+def everything(e):
+    return sum((x * torch.arange(x.numel()).reshape(x.shape).cos()).sum() for x in e[:4])
+
+
+def last(e):
+    return e.mean[..., -1, :].square().sum() + e.scale_tril[..., -1, :, :].sum()
+
+
+def slopes(f, loss, given, learns=("values",)):
+    """Gradients of a loss in the values, in the measurements, in the rest of what is given."""
+    f.zero_grad()
+    (z, (mean, root), u), dt = (given[name] for name in ("z", "prior", "u")), torch.ones((), dtype=torch.float64)
+    z, mean, root, u = (x.clone().requires_grad_(part in learns) for x, part in
+                        ((z, "measurements"), (mean, "rest"), (root, "rest"), (u, "rest")))  # fmt: skip
+    dt.requires_grad_("rest" in learns)
+    loss(f(z, Gaussian(mean, root), u=u, dt=dt)).backward()
+    return [x.grad for x in (z, mean, root, u, dt, *f.parameters())]
+
+
+@pytest.mark.parametrize(("name", "options", "learns", "losses"), [
+    ("srckf", {}, ["values"], [means, scores, everything, last]),
+    ("fra", {}, ["values", "measurements", "rest"], [everything]),
+    ("fra", {"temperature": 1.0}, ["values", "rest"], [last]),
+    ("gpb", {}, ["values"], [means]),
+    ("iaukf", {}, ["rest"], [everything]),
+])  # fmt: skip
+def test_gradients_of_ready_tracks_are_those_of_the_filter(name, options, learns, losses, make, tracks, prepared, soon):
+    f = make(name, learn="all", **options)
+    fast, given = copy.deepcopy(f).compile(), {"z": tracks.z[:, :8], "prior": tracks.prior, "u": tracks.u[:8]}
+    for loss in losses:
+        slow = slopes(f, loss, given, learns)
+        for _ in range(3):
+            for a, b in zip(slow, slopes(fast, loss, given, learns), strict=True):
+                a, b = (torch.zeros((), dtype=torch.float64) if x is None else x for x in (a, b))
+                scale = a.abs().max().item()
+                torch.testing.assert_close(*torch.broadcast_tensors(b, a), rtol=1e-9, atol=1e-9 * scale)
+    assert len(prepared) == 1
+
+
+def test_gradients_are_of_the_precision_of_what_they_are_for(make, tracks, soon):
+    f = make("fra", learn="all")
+    z, prior, u = tracks.z[:, :8].float(), Gaussian(*(x.float() for x in tracks.prior)), tracks.u[:8].float()
+    found = []
+    fast = f.compile()
+    for _ in range(3):
+        f.zero_grad()
+        z = z.detach().requires_grad_()
+        fast(z, prior, u=u).mean.square().mean().backward()
+        found.append([z.grad, *(x.grad for x in f.parameters())])
+    assert [x.dtype for x in found[0]] == [x.dtype for x in found[2]]
+    for a, b in zip(found[0], found[2], strict=True):
+        torch.testing.assert_close(b, a, rtol=1e-3, atol=1e-3 * a.abs().max().item())
+
+
+@pytest.mark.parametrize("options", [{"truncate": 4}, {"checkpoint": 3}])
+def test_a_way_back_of_its_own_kind_is_not_that_of_ready_tracks(options, make, tracks, prepared, soon):
+    fast, given = make("srckf", learn="all").compile(), alone(tracks)
+    plain, other = ([torch.autograd.grad(fast(**given, **more).mean.square().sum(), [*fast.parameters()])[0]
+                     for _ in range(3)] for more in ({}, options))  # fmt: skip
+    assert torch.equal(other[0], other[2])
+    assert torch.equal(plain[0], other[0]) == ("checkpoint" in options)
+    assert len(prepared) == 4
+
+
+def test_results_of_ready_tracks_that_learn_may_be_changed_and_used_twice(make, tracks, soon):
+    fast, given = make("fra", learn="all").compile(), alone(tracks)
+    found = []
+    for _ in range(3):
+        estimate = fast(**given)
+        estimate.mean.mul_(2.0)
+        loss = estimate.mean.sum()
+        found.append([torch.autograd.grad(loss, [*fast.parameters()], retain_graph=True, allow_unused=True)
+                      for _ in range(2)])  # fmt: skip
+    for a, b in zip(flatten(tuple(map(tuple, found[0]))), flatten(tuple(map(tuple, found[2]))), strict=True):
+        torch.testing.assert_close(b, a, rtol=1e-9, atol=1e-12)
+
+
+def test_a_track_that_fails_says_so_beside_a_gradient(make, tracks, soon):
+    fast, given = make("srckf", learn="all").compile(), {"z": tracks.z[:, :8], "prior": tracks.prior, "u": tracks.u[:8]}
+    given["z"] = given["z"].clone()
+    given["z"][1, 2, 0] = torch.inf
+    for _ in range(3):
+        fast.zero_grad()
+        estimate = fast(**given)
+        assert estimate.failure.step.tolist() == [-1, 2, -1, -1]
+        estimate.mean[0].sum().backward()
