@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchfra.filters.compiled import Compiled
-from torchfra.filters.compiled import step as ready_step
+from torchfra.kernel import guards
 from torchfra.tree import flatten, flattener, unflattener
 from torchfra.types import Gaussian
 
@@ -169,9 +169,9 @@ def test_fast_trees_are_the_trees():
 @pytest.mark.parametrize("private", [True, False], ids=["by torch", "by ourselves"])
 def test_tensors_of_another_form_are_told_apart_with_and_without_torchs_own_check(private, monkeypatch):
     if not private:
-        monkeypatch.setattr(ready_step.importlib, "import_module", lambda name: object())
+        monkeypatch.setattr(guards.importlib, "import_module", lambda name: object())
     x = torch.zeros(2, 3)
-    fits = ready_step.guard([x, x[0]])
+    fits = guards.guard([x, x[0]])
     assert fits(torch.ones(2, 3), torch.ones(3))
     wrong = [torch.zeros(3, 2), torch.zeros(3, 2).mT, x.double(), torch.zeros(2, 3, requires_grad=True)]
     for other in (*wrong, torch.zeros(2, 3)._neg_view(), torch.nn.Parameter(x)):
