@@ -9,7 +9,7 @@ from typing import Any
 
 PASS = 0.02
 """Seconds that a pass lasts at least."""
-WARM = 1.0
+WARM = 2.0
 """Seconds after which no more calls are made before the first pass."""
 
 
@@ -20,10 +20,10 @@ def once(call: Callable[[], Any]) -> float:
     return time.perf_counter() - start
 
 
-def first_call(call: Callable[[], Any]) -> float:
-    """Seconds of the first call; up to ten more follow, after which all that gets ready or warm in a few calls is."""
+def first_call(call: Callable[[], Any], more: int = 10) -> float:
+    """Seconds of the first call; up to so many ``more`` follow, after which all is warm and ready that gets so."""
     first, seconds = once(call), [once(call)]
-    while sum(seconds) < WARM and len(seconds) < 10:
+    while sum(seconds) < WARM and len(seconds) < more:
         seconds.append(once(call))
     return first
 

@@ -36,10 +36,11 @@ class Here:
     Args:
         call: what is timed.
         device: ``"cuda"`` waits for the GPU after each call.
+        warming: calls after the first until all is warm.
     """
 
-    def __init__(self, call: Callable[[], Any], device: str = "cpu") -> None:
-        self.call, self.device = call, device
+    def __init__(self, call: Callable[[], Any], device: str = "cpu", warming: int = 10) -> None:
+        self.call, self.device, self.warming = call, device, warming
 
     def __call__(self) -> None:
         """The call, finished."""
@@ -49,7 +50,7 @@ class Here:
 
     def first_call(self) -> float:
         """Seconds of the first call, after which a few more make all warm."""
-        return first_call(self)
+        return first_call(self, self.warming)
 
     def one_pass(self) -> float:
         """Seconds per call, in one pass."""
@@ -99,6 +100,6 @@ def _cell(value: Any, form: str) -> str:
     return "" if value is None else f"{value:{form}}"
 
 
-def calls(systems: Mapping[str, Callable[[], Any]], device: str = "cpu") -> dict[str, System]:
+def calls(systems: Mapping[str, Callable[[], Any]], device: str = "cpu", warming: int = 10) -> dict[str, System]:
     """Calls of this process as systems."""
-    return {name: Here(call, device) for name, call in systems.items()}
+    return {name: Here(call, device, warming) for name, call in systems.items()}

@@ -1,4 +1,4 @@
-"""Forward and backward through FRA."""
+"""Forward and backward through filters."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import copy
 import ctypes
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,15 +29,20 @@ def training(options: argparse.Namespace) -> list[Row]:
     batch = int((options.batch or "64").split(",")[0])
     data = scenario.simulate(batch, 0)
     rows: list[Row] = []
-    for kind, temperature in (("hard", 0.0), ("soft", 1.0)):
-        f = presets.fra(scenario.motion, scenario.sensor, learn="all", temperature=temperature)
+    learned: dict[str, Callable[..., Filter]] = {
+        "srckf": presets.srckf, "gpb": presets.gpb, "fra": presets.fra,
+        "fra, soft": partial(presets.fra, temperature=1.0),
+    }  # fmt: skip
+    for name, preset in learned.items():
+        f = preset(scenario.motion, scenario.sensor, learn="all")
         systems: dict[str, Call] = {
-            f"fra {kind}, torch.linalg.qr": with_plain_qr(backward(f, data)),
-            f"fra {kind}, eager": backward(f, data),
-            f"fra {kind}, eager, checkpoints": backward(f, data, checkpoint=10),
-            f"fra {kind}, compiled": backward(copy.deepcopy(f).compile(), data),
+            f"{name}, compiled": backward(copy.deepcopy(f).compile(), data),
+            f"{name}, eager": backward(f, data),
         }
-        of_kind = timed(calls(systems), options.passes, batch * scenario.steps, batch=batch)
+        if preset is not presets.gpb:
+            systems[f"{name}, eager, checkpoints"] = backward(f, data, checkpoint=10)
+            systems[f"{name}, torch.linalg.qr"] = with_plain_qr(backward(f, data))
+        of_kind = timed(calls(systems, warming=80), options.passes, batch * scenario.steps, batch=batch)
         for row in of_kind:
             row["peak_mib"] = peak(systems[row["system"]])
         rows += of_kind
