@@ -2,7 +2,10 @@
 # Lint, types and tests, in an environment of their own.  Arguments go to pytest.
 for argument; do
   case $argument in
-    -h | --help) echo "usage: bash scripts/test.sh [ARGUMENT ...]    arguments go to pytest"; exit ;;
+    -h | --help)
+      echo "usage: bash scripts/test.sh [ARGUMENT ...]    arguments go to pytest"
+      echo "All tests take a quarter of an hour on two cores; -m 'not slow' leaves out those of more than a second: five minutes."
+      exit ;;
   esac
 done
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh" dev

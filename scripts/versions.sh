@@ -87,7 +87,7 @@ try() {
   (
     cd "$work/tree"
     OMP_NUM_THREADS=1 timeout 600 "$work/venv/bin/python" -m pytest -p no:cacheprovider -n auto --dist worksteal \
-      -m "not slow" "${files[@]/%/.py}"
+      "${files[@]/%/.py}"
   ) || status=$?
   if [ $status = 0 ]; then why=passed; else why="failed (pytest: $status)" failed=1; fi
   said+=("Python $python, torch $torch: $why, $((SECONDS - begin)) s")

@@ -296,6 +296,7 @@ def check_flight(cleaned, raw):
     assert abs(np.median(cleaned["altitude"]) - 30000) < 50
 
 
+@pytest.mark.slow
 def test_a_flight_comes_back_cleaned(frames, flight):
     found = frames.clean_flight(Flight(flight))
     assert isinstance(found, Flight)

@@ -38,6 +38,7 @@ def test_known_gains():
     assert damped.beta.item() == pytest.approx(2 - 0.64 - 2 * (1 - 0.64) ** 0.5)
 
 
+@pytest.mark.slow
 @given(st.floats(0.01, 5), st.sampled_from([2, 3]))
 @settings(deadline=None, max_examples=15)
 def test_kalatas_gains_are_those_of_a_kalman_filter_that_has_settled(index, orders):
@@ -155,6 +156,7 @@ def test_it_decides_as_the_paper_describes(seed, options):
     np.testing.assert_allclose(e.mean[2:, 1], said["v"], rtol=1e-9, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_some_of_those_tracks_restart_and_reject():
     infos = [
         presets.alphabeta(LINE, SENSOR, **OPTIONS)(torch.from_numpy(with_outliers(s))[:, None], PRIOR).info
@@ -174,6 +176,7 @@ def test_the_vote_is_the_majority_of_three():
         assert bool(after.manoeuvre.item()) == (older + old + new >= 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("orders", "options"),
     [(2, {}), (3, {}), (3, {"detect": "polar"}), (3, {"temperature": 0.2}), (2, {"onset": "fastest"})],
@@ -202,6 +205,7 @@ def test_a_batch_is_a_loop_streaming_is_the_batch_and_kernels_agree(orders, opti
     torch.testing.assert_close(state.belief.scale_tril, batch.scale_tril[:, -1])
 
 
+@pytest.mark.slow
 def test_soft_choices_become_hard_ones_and_have_gradients():
     motion, sensor = ConstantAcceleration(1.0, 3), Position(20.0, dims=3)
     tracks = level_then_weave().simulate(3, 1)
@@ -217,6 +221,7 @@ def test_soft_choices_become_hard_ones_and_have_gradients():
     assert all((p.grad != 0).all() and p.grad.isfinite().all() for p in f.parameters())
 
 
+@pytest.mark.slow
 def test_gradients_of_the_soft_bank_are_exact():
     f = presets.alphabeta(LINE, SENSOR, temperature=0.5, learn=("alpha", "manoeuvre", "outlier", "limit"), **OPTIONS)
     z = torch.from_numpy(with_outliers(1)[24:38])[:, None]

@@ -106,6 +106,7 @@ def test_the_std_is_that_of_the_errors_at_steps_with_and_without_measurements(ma
     assert gap[-1] > 2 * gap[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", [1.0, 8.0, 30.0])
 def test_track_knows_how_sure_it_is_between_fixes(sigma):
     gaps = [1.0] * 30 + [9.0] + [1.0] * 30 + [40.0] + [1.0] * 20
@@ -156,6 +157,7 @@ def test_a_single_wild_fix_is_not_followed_into_a_gap(gap):
         assert error[-10:].max() < 150
 
 
+@pytest.mark.slow
 def test_a_restart_waits_until_a_measurement_is_confirmed():
     z = torch.cat([100 * torch.arange(20.0), 9e4 - 50 * torch.arange(20.0)]).double()
     for at in range(20, 32):

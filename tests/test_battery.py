@@ -34,6 +34,7 @@ def preset(name, scenario, crossing):
     return f, {"z": tracks.z, "prior": prior, "u": tracks.u}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_filter_keeps_what_filters_promise(name, scenario, crossing, request):
     f, tracks = preset(name, scenario, crossing)
@@ -107,6 +108,7 @@ def test_a_broken_filter_is_found_and_named(f, name):
     check_filter(SRCKF(MOTION, Position(2.0)), only=[name])
 
 
+@pytest.mark.slow
 def test_a_report_tells_what_passed_and_what_was_skipped_and_why(crossing, monkeypatch):
     monkeypatch.setenv("CXX", "no-such-compiler")
     names = ["it_maps_over_tracks", "no_tracks_are_no_error"]

@@ -150,6 +150,7 @@ def test_of_a_nonlinear_fixed_path_the_bound_is_the_linearised_filter_at_the_tru
     np.testing.assert_allclose(bound(scenario, runs=1).covariance.numpy(), expected, rtol=1e-6, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in catalogue.SCENARIOS if name not in ("growth", "ranges-outliers")])
 def test_the_bound_is_below_the_errors_of_a_filter(name):
     scenario = catalogue.make_scenario(name)

@@ -49,6 +49,7 @@ def test_a_plain_branch_that_always_wins_makes_the_plain_filter(make, poor):
     assert (e.info.plain == e.info.abnormal).all()
 
 
+@pytest.mark.slow
 def test_odds_move_the_decision_to_their_side(make, poor):
     odds = (NEVER, -2.0, 0.0, 2.0, ALWAYS)
     infos = [estimate(make("fra", plain=plain), poor).info for plain in odds]
@@ -117,6 +118,7 @@ def test_a_branch_that_lost_its_numbers_is_not_kept(make, tracks):
     assert after.settled.mean.isfinite().all()
 
 
+@pytest.mark.slow
 def test_models_that_interact_take_it_too():
     scenario = scenarios.bearings_manoeuvre("std")
     tracks = scenario.simulate(4, 1)
@@ -154,6 +156,7 @@ def test_streaming_gives_what_whole_sequences_give(make, tracks, provisional, ho
             torch.testing.assert_close(state.settled.mean, e.mean[:, k - 1], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", HOW, ids=str)
 def test_compiled_kernels_give_the_same_and_read_the_odds_when_they_run(make, poor, how):
     f = make("fra", **THREE, **how)
@@ -164,6 +167,7 @@ def test_compiled_kernels_give_the_same_and_read_the_odds_when_they_run(make, po
         close(estimate(f, poor), estimate(fast, poor))
 
 
+@pytest.mark.slow
 def test_gradients_of_all_odds_are_the_same_compiled_and_are_none_of_a_hard_decision(make, tracks):
     found = []
     for compiled in (False, True):

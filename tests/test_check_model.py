@@ -173,6 +173,7 @@ class Needy(Sensor):
         return x[..., :2] - u[..., :2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("motion", "sensor", "options"),
     [
@@ -255,6 +256,7 @@ def test_every_motion_and_sensor_that_is_wrong_is_told():
     ]
 
 
+@pytest.mark.slow
 def test_a_filter_is_compiled_where_there_is_a_compiler_and_skipped_with_a_word_where_not(monkeypatch, tmp_path):
     assert "right: in a compiled filter: " in str(check_model(STRAIGHT, RANGES, compiled=True))
     monkeypatch.setenv("CXX", str(tmp_path / "none"))

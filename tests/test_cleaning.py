@@ -39,6 +39,7 @@ def cleaned():
     return several, clean_tracks([recording for recording, _, _ in several])
 
 
+@pytest.mark.slow
 def test_the_noise_is_found_and_said(cleaned):
     for one in cleaned[1]:
         assert one.found.sigma == pytest.approx(SIGMA, rel=0.1)
@@ -82,6 +83,7 @@ def test_what_is_told_is_taken():
     assert (one.found.sigma, one.found.bank, one.found.found) == (7.0, "vehicle", frozenset())
 
 
+@pytest.mark.slow
 def test_fixes_that_state_their_own_noise_get_a_factor_on_it():
     rng = np.random.default_rng(1)
     recording, truth, _ = recorded(6, outliers=0.0)
@@ -99,6 +101,7 @@ def test_tracks_too_short_for_a_sigma_of_their_own_have_one_together():
     assert done[0].found.sigma == pytest.approx(SIGMA, rel=0.15)
 
 
+@pytest.mark.slow
 def test_the_filter_on_line_does_not_know_what_comes():
     recording, _, _ = recorded(7)
     cut = Recording("cut", recording.time[:120], recording.position[:120], None, {})
@@ -107,6 +110,7 @@ def test_the_filter_on_line_does_not_know_what_comes():
     np.testing.assert_allclose(whole.outlier[:120], part.outlier, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_long_track_in_rows_is_what_it_is_as_one(monkeypatch):
     recording, _, _ = recorded(8, steps=240)
     (one,) = clean_tracks([recording], sigma=SIGMA, q=1.0)
@@ -115,6 +119,7 @@ def test_a_long_track_in_rows_is_what_it_is_as_one(monkeypatch):
     assert (np.abs(rows.position - one.position) < one.std).all()
 
 
+@pytest.mark.slow
 def test_estimates_between_fixes_come_where_they_are_asked():
     recording, truth, _ = recorded(9, steps=80, period=4.0, outliers=0.0, irregular=True)
     (one,) = clean_tracks([recording], dt=1.0)
@@ -127,6 +132,7 @@ def test_estimates_between_fixes_come_where_they_are_asked():
     assert np.sqrt(np.square(one.position[~between] - truth).mean()) < SIGMA
 
 
+@pytest.mark.slow
 def test_a_gap_of_an_hour_is_bridged_and_unsure():
     recording, _, _ = recorded(10, outliers=0.0)
     time = recording.time + 3600.0 * (np.arange(200) >= 100)
@@ -135,6 +141,7 @@ def test_a_gap_of_an_hour_is_bridged_and_unsure():
     assert one.std[one.row < 0][5].min() > 100 * SIGMA
 
 
+@pytest.mark.slow
 def test_repeated_positions_of_a_moored_ship_are_no_outliers():
     rng = np.random.default_rng(0)
     z = np.round(np.repeat(3 * rng.standard_normal((30, 2)), 5, 0), 1)
@@ -162,6 +169,7 @@ def test_a_target_that_fails_says_so_and_stops_no_other():
     assert not other.failed.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["srckf", "fra", "vsimm_srckf", "alphabeta"])
 def test_other_filters_run_with_what_was_found(name):
     several = [recorded(seed, steps=30, d=d)[0] for seed, d in ((13, 2), (14, 3))]
@@ -202,6 +210,7 @@ def test_the_kind_of_a_target_follows_from_its_speed_unless_the_file_says(speed,
     )
 
 
+@pytest.mark.slow
 def test_heights_in_steps_are_as_uncertain_as_their_rounding_and_make_no_outliers():
     rng, time = np.random.default_rng(3), np.arange(0.0, 300.0)
     climb = np.interp(time, [0, 60, 180, 300], [900, 900, 1900, 1900])
@@ -213,6 +222,7 @@ def test_heights_in_steps_are_as_uncertain_as_their_rounding_and_make_no_outlier
     assert cleaned.std[:, 2].mean() > 0.5
 
 
+@pytest.mark.slow
 def test_steps_between_fixes_change_neither_what_is_found_nor_the_estimates_at_the_fixes():
     rng, time = np.random.default_rng(4), np.arange(0.0, 900.0, 3.0)
     position = np.stack([1.5 * time, 40 * np.sin(time / 60)], 1) + 4.0 * rng.standard_normal((300, 2))
@@ -224,6 +234,7 @@ def test_steps_between_fixes_change_neither_what_is_found_nor_the_estimates_at_t
     assert np.abs(dense.position[fix] - plain.position).mean() < 0.05 * plain.std.mean()
 
 
+@pytest.mark.slow
 def test_a_sigma_for_each_fix_is_taken_without_a_warning():
     rng, time = np.random.default_rng(5), np.arange(0.0, 200.0)
     sigma = np.where(time % 2, 2.0, 8.0)

@@ -55,6 +55,7 @@ def test_fixes_move_along_the_path_to_where_they_belong(late):
     assert error(in_place(late).position) < 0.75 * error(late.position)
 
 
+@pytest.mark.slow
 def test_cleaned_tracks_are_nearer_the_truth_say_so_and_keep_the_fixes_as_recorded(late):
     (mended,), (plain,) = clean_tracks([late]), clean_tracks([late], repair=False)
     assert error(mended.position) < 0.75 * error(plain.position)
@@ -70,6 +71,7 @@ def test_cleaned_tracks_are_nearer_the_truth_say_so_and_keep_the_fixes_as_record
     assert along > 10 * across
 
 
+@pytest.mark.slow
 def test_a_filter_on_line_takes_them_as_they_come(late):
     (online,) = clean_tracks([late], smooth=False)
     assert not any("time stamps" in line for line in online.found.said)

@@ -39,6 +39,7 @@ def test_too_few_runs_for_the_processes_are_refused(monkeypatch):
         evaluate(make_scenario("bearings-outliers"), ["ukf"], runs=3, chunk=0)
 
 
+@pytest.mark.slow
 def test_compare_runs_interacting_models(tmp_path):
     arguments = ["compare", "--scenario", "adsb-turns", "--filters", "srckf,imm_srckf,vsimm_srckf", "--runs"]
     out = ["--json", str(tmp_path / "r.json"), "--figure", str(tmp_path / "f.png"), "--quiet"]
@@ -61,6 +62,7 @@ def compare(tmp_path, *options):
     return cli.main(["compare", "--scenario", "bearings-outliers", "--filters", "srckf", *options, *out])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_commands_compile_when_it_is_worthwhile_and_say_so(noisy_track, tmp_path, capsys, monkeypatch):
     calls = []
@@ -83,6 +85,7 @@ def test_commands_compile_when_it_is_worthwhile_and_say_so(noisy_track, tmp_path
     assert calls == [(None, False), (False, True), (None, False), (True, True), (None, True), (None, True)]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_without_a_compiler_commands_run_interpreted_unless_told_to_compile(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("CXX", "/no/such/compiler")
@@ -96,6 +99,7 @@ def test_without_a_compiler_commands_run_interpreted_unless_told_to_compile(tmp_
     assert "/no/such/compiler" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_filter_without_a_kernel_runs_interpreted_beside_compiled_ones(tmp_path, capsys, monkeypatch):
     def refuse(self):
         raise build.CompileError("compile: too large")
@@ -111,6 +115,7 @@ def test_a_filter_without_a_kernel_runs_interpreted_beside_compiled_ones(tmp_pat
     assert "too large" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_compare_runs_a_scenario_through_filters(tmp_path, capsys):
     arguments = ["compare", "--scenario", "bearings-outliers", "--filters", "srckf,fra", "--runs", "20", "--seed", "3",
                  "--json", str(tmp_path / "r.json"), "--figure", str(tmp_path / "f.png")]  # fmt: skip
@@ -126,6 +131,7 @@ def test_compare_runs_a_scenario_through_filters(tmp_path, capsys):
     assert "srckf" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_compare_draws_the_filters_and_the_flight_that_it_is_told(tmp_path, monkeypatch):
     drawn = []
 
@@ -144,6 +150,7 @@ def test_compare_draws_the_filters_and_the_flight_that_it_is_told(tmp_path, monk
     assert by_itself[:2] == ["ukf", "srckf"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor", ["bearings", "radar"])
 def test_compare_runs_recorded_tracks_through_filters(noisy_track, tmp_path, sensor):
     arguments = ["compare", str(noisy_track), "--sensor", sensor, "--filters", "ukf,fra", "--steps", "60", "--quiet",
@@ -172,6 +179,7 @@ def walks(tmp_path):
     return tmp_path / "walks"
 
 
+@pytest.mark.slow
 def test_compare_runs_recorded_ranges_and_shows_the_error_on_each(walks, tmp_path, capsys):
     out = ["--json", str(tmp_path / "r.json"), "--figure", str(tmp_path / "f.png")]
     assert cli.main(["compare", "--ranges", str(walks), "--filters", "srckf,rsrckf,imm_srckf", *out]) == 0
@@ -188,6 +196,7 @@ def test_compare_runs_recorded_ranges_and_shows_the_error_on_each(walks, tmp_pat
     assert (tmp_path / "f.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_compare_takes_one_recording_in_files(walks, tmp_path):
     apart = tmp_path / "apart"
     apart.mkdir()
@@ -306,11 +315,13 @@ def test_a_file_that_cannot_be_finished_leaves_the_old_one_as_it_was(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.slow
 def test_python_m_torchfra_is_the_command():
     done = subprocess.run([sys.executable, "-m", "torchfra", "--version"], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("torchfra ")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_compare_takes_values_that_were_learned(tmp_path, capsys):
     scenario = make_scenario("bearings-outliers")

@@ -76,6 +76,7 @@ def pictures(name):
     yield lambda: plotting.probabilities({name: np.ones((3, 1))}, [name], 0.0, 1.0, name)
 
 
+@pytest.mark.slow
 def test_a_strange_name_is_harmless_in_every_picture(tmp_path):
     for i, name in enumerate(["$\\frac{$", "_hidden", "\u4e2d" * 99] * 5):
         make = list(pictures(name))[i % 5]
@@ -114,6 +115,7 @@ def test_a_title_of_a_run_is_harmless(tmp_path, capsys):
 # ---------------------------------------------------------------- one of several
 
 
+@pytest.mark.slow
 def test_one_target_that_cannot_be_filtered_does_not_stop_the_others(tmp_path, capsys):
     flights = rows("good") + rows("late", 0.1, last=2 * 10**10) + rows("other", 0.2)
     assert track_them(tmp_path, flights, "--dt", "1") == 1
@@ -176,6 +178,7 @@ def clean_badly(monkeypatch):
     return replaced
 
 
+@pytest.mark.slow
 def test_an_estimate_of_a_recording_that_is_not_finite_is_said_and_shows_in_the_exit_status(
     tmp_path, capsys, clean_badly
 ):
@@ -193,6 +196,7 @@ def test_a_recording_without_any_finite_estimate_gives_no_warning(tmp_path, caps
     assert capsys.readouterr().err == "torchfra: error: bad: NaN or infinity in 10 of 10 steps\n"
 
 
+@pytest.mark.slow
 def test_a_filter_whose_result_is_not_finite_is_said_and_shows_in_the_exit_status(tmp_path, capsys, monkeypatch):
     from torchfra.app.evaluate import runs
 
@@ -313,6 +317,7 @@ def test_ctrl_c_ends_quietly(tmp_path, monkeypatch, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_closed_pipe_ends_quietly(tmp_path):
     read, write = os.pipe()
     os.close(read)

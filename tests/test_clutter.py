@@ -70,6 +70,7 @@ def test_the_errors_of_the_prior_have_its_covariance():
     assert nees.mean().item() == pytest.approx(6.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_evaluation_counts_every_target_as_a_track_in_metres():
     s = scenarios.clutter_straight(clutter=2)
     assert filters_for(s) == scan_filters()
@@ -94,6 +95,7 @@ def test_learned_values_load_into_a_filter_for_scans(tmp_path):
     assert s.detection == 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_the_command_compares_filters_on_them(tmp_path):
     arguments = ["compare", "--scenario", "clutter-crossing", "--runs", "3", "--json", str(tmp_path / "r.json")]

@@ -29,6 +29,7 @@ def test_scans_hold_the_measurements_of_those_that_are_there():
     assert (measured - 6).sum() / there.sum() == pytest.approx(0.9, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_manager_of_targets_follows_them_all_without_a_switch():
     scenario = scenarios.clutter_many(count=4, clutter=12)
     tracks = scenario.simulate(2, 5)

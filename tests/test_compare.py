@@ -86,6 +86,7 @@ def test_the_table_comes_in_every_form_and_file(comparison, tmp_path):
         comparison.save(tmp_path / "table.html")
 
 
+@pytest.mark.slow
 def test_the_figure_is_drawn_for_print_in_vectors_and_the_same_each_time(comparison, tmp_path):
     figure = comparison.plot(tmp_path / "one.pdf", width=3.3)
     assert figure.get_figwidth() == 3.3
@@ -105,6 +106,7 @@ def test_a_figure_in_no_known_form_is_refused_before_it_is_drawn(comparison, tmp
         comparison.plot("x.docx")
 
 
+@pytest.mark.slow
 def test_tracks_without_truth_are_compared_by_how_likely_their_measurements_were():
     tracks = SCENARIO.simulate(30)
     tracks = tracks._replace(truth=torch.full_like(tracks.truth, torch.nan))
@@ -119,6 +121,7 @@ def test_tracks_without_truth_are_compared_by_how_likely_their_measurements_were
         found.plot()
 
 
+@pytest.mark.slow
 def test_several_targets_of_a_run_are_one_run_in_tests():
     found = torchfra.compare(["ukf_jpda"], torchfra.scenarios.clutter_straight(), runs=3)
     assert found.of_runs("ukf_jpda").shape == (3,)
@@ -149,6 +152,7 @@ def test_what_cannot_be_compared_is_refused():
 # ---------------------------------------------------------------- divergence
 
 
+@pytest.mark.slow
 def test_the_limit_of_divergence_is_the_scenarios_or_follows_its_scale():
     assert divergence_limit(torchfra.scenarios.bearings_outliers()) == 2000.0
     limits = {std: divergence_limit(torchfra.scenarios.adsb_turns(std=std)) for std in (3.0, 30.0)}
@@ -194,6 +198,7 @@ def command(*options):
     return cli.main(["compare", "--runs", "3", "--figure", "f.png", *options])
 
 
+@pytest.mark.slow
 def test_the_command_takes_functions_of_a_file(mine, capsys):
     assert command("--scenario", "mine.py:own", "--filters", "srckf,mine.py:mine", "--outliers", "std") == 0
     said = capsys.readouterr().out
@@ -201,6 +206,7 @@ def test_the_command_takes_functions_of_a_file(mine, capsys):
     assert "mine.py:mine" in said
 
 
+@pytest.mark.slow
 def test_the_command_takes_registered_names_and_writes_tables_and_figures_for_print(mine, capsys):
     files = ["--table", "t.tex", "--print", "p.pdf"]
     assert command("--import", "mine.py", "--scenario", f"own_{mine}", "--filters", f"mine_{mine}", *files) == 0

@@ -44,6 +44,7 @@ def both(f, *args, **kwargs):
 # ---------------------------------------------------------------- results
 
 
+@pytest.mark.slow
 def test_time_steps_and_noise_may_come_with_the_measurements(make, tracks):
     f = make("srckf")
     dt = torch.linspace(0.5, 1.5, STEPS, dtype=torch.float64)
@@ -69,6 +70,7 @@ def test_a_single_track_and_a_grid_of_tracks_and_a_batch_of_hyperparameters(make
     close(f(many.z, many.prior, u=many.u), fast(many.z, many.prior, u=many.u))
 
 
+@pytest.mark.slow
 def test_what_a_filter_begins_with_may_differ_between_tracks(make, tracks, scenario):
     poor = torch.linspace(0.1, 0.4, len(tracks.z), dtype=torch.float64)
     chances = torch.stack([poor, 1 - 2 * poor, poor], -1)
@@ -127,6 +129,7 @@ def test_sensors_of_ones_own_and_their_parameters():
 # ---------------------------------------------------------------- gradients
 
 
+@pytest.mark.slow
 def test_gradients_of_soft_decisions_are_the_same_for_data_prior_and_every_value(make, tracks):
     f = make("fra", learn="all", temperature=1.0)
     found = []
@@ -156,6 +159,7 @@ def test_every_track_has_the_gradient_it_has_alone(make, tracks):
             torch.testing.assert_close(whole[i], single, rtol=1e-9, atol=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compiled", [False, True])
 def test_checkpoints_leave_the_gradient_and_truncation_cuts_it(compiled, make, tracks):
     f = make("srckf", learn=("q",))
@@ -172,6 +176,7 @@ def test_checkpoints_leave_the_gradient_and_truncation_cuts_it(compiled, make, t
     assert gradient(truncate=5) == pytest.approx(torch.autograd.grad(cut, slow.motion.q.raw)[0].item(), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_what_is_too_much_to_remember_is_computed_anew_for_the_gradient(make, tracks, monkeypatch):
     f, data = make("fra", learn="all").compile(), {"z": tracks.z, "prior": tracks.prior, "u": tracks.u}
     slopes = []
@@ -192,6 +197,7 @@ def test_a_gradient_of_a_gradient_is_refused(make, tracks):
 # ---------------------------------------------------------------- what is made anew, and what is not
 
 
+@pytest.mark.slow
 def test_kernels_are_made_once_for_a_form_of_call(make, tracks, monkeypatch):
     made = []
     load = build.load
@@ -217,6 +223,7 @@ def test_kernels_are_made_once_for_a_form_of_call(make, tracks, monkeypatch):
     close(slow(tracks.z, tracks.prior, u=tracks.u), hard)
 
 
+@pytest.mark.slow
 def test_what_changes_in_the_filter_changes_its_kernels(make, tracks):
     f = make("rmckf").compile()
     before = f(tracks.z, tracks.prior, u=tracks.u).mean
@@ -241,6 +248,7 @@ def test_the_disk_keeps_kernels_and_a_copy_of_a_filter_compiles_by_itself(make, 
     assert f.state_dict().keys() == make("srckf").state_dict().keys()
 
 
+@pytest.mark.slow
 def test_transforms_and_torch_compile_see_the_filter_as_it_is(make, tracks):
     f = make("srckf").compile()
     plain = make("srckf")(tracks.z, tracks.prior, u=tracks.u).mean
@@ -399,6 +407,7 @@ def test_what_kernels_cannot_do_is_named_with_a_way_out(sensor, message):
         f(torch.ones(3, 2, dtype=torch.float64), prior)
 
 
+@pytest.mark.slow
 def test_a_minus_sign_that_torch_has_put_off_is_there(make, tracks):
     """The imaginary part of a conjugate is negative by a bit alone: its memory is that of the number itself."""
     f = make("srckf", learn=("q",))
@@ -447,6 +456,7 @@ def test_scales_whose_squares_leave_the_range_of_the_dtype_are_as_good_as_others
 # ---------------------------------------------------------------- what has gone wrong once
 
 
+@pytest.mark.slow
 def test_a_change_between_forward_and_backward_leaves_the_gradient(make, tracks):
     f = make("srckf", learn=("q",))
     fast = copy.deepcopy(f).compile()

@@ -64,6 +64,7 @@ def test_sums_over_sets_of_targets_and_their_gradients_are_those_of_events(diffu
         close(*results)
 
 
+@pytest.mark.slow
 def test_results_and_gradients_are_those_of_the_eager_filter():
     z, prior = scans(count=2)
     f = learnable(plane(), ("q", "std", "detection"))
@@ -98,6 +99,7 @@ def test_smoothed_results_and_gradients_are_those_of_the_eager_filter(lag, monke
     )
 
 
+@pytest.mark.slow
 def test_elements_may_be_missing_and_a_target_that_fails_leaves_the_others_alone(crossing):
     """All safeguards at once: gates in metres, estimated noise that is shared, tracks that seem lost."""
     tracks = crossing.simulate(3, 3)
@@ -113,6 +115,7 @@ def test_elements_may_be_missing_and_a_target_that_fails_leaves_the_others_alone
         close([x[good] for x in a[:4] if x is not None], [x[good] for x in b[:4] if x is not None], 1e-9)
 
 
+@pytest.mark.slow
 def test_single_scans_whole_or_not_are_those_of_the_eager_filter():
     z, prior = scans(runs=2)
     f = plane()
@@ -132,6 +135,7 @@ def test_more_targets_than_all_of_whose_events_are_summed_are_refused():
     close(*both(plane(exact=(2, 4)), z[:1, :2], Gaussian(prior.mean[:1], prior.scale_tril[:1])))
 
 
+@pytest.mark.slow
 def test_gradients_are_finite_where_the_tail_beyond_a_soft_gate_is_no_normal_number_any_more():
     """The tail of chi squared of two is below the normal numbers from 1417 on, and 0 from 1490 on."""
     far = torch.linspace(1400.0, 1500.0, 41).double()

@@ -131,6 +131,7 @@ def test_zig_makes_what_the_other_compiler_makes(name, dtype, gradients, make, t
         torch.testing.assert_close(one, other, rtol=tolerance, atol=tolerance * one.abs().max().item())
 
 
+@pytest.mark.slow
 def test_threads_of_cxx_give_what_openmp_gives(make, tracks, folder, monkeypatch):
     many = [x.repeat(20, *[1] * (x.dim() - 1)) for x in (tracks.z, tracks.prior.mean)]
     prior = tracks.prior._replace(mean=many[1])

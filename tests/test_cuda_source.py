@@ -141,6 +141,7 @@ def test_filters_of_several_branches_too(name, options, dtype, monkeypatch):
     compare(name, dtype, monkeypatch, **options)
 
 
+@pytest.mark.slow
 def test_a_step_that_calls_routines_too(monkeypatch):
     monkeypatch.setattr(step, "_MOST", 10)
     compare("imm_srckf", torch.float64, monkeypatch)
@@ -162,6 +163,7 @@ def source_of(name, monkeypatch, **options):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("nvcc") is None, reason="no nvcc")
 def test_nvcc_compiles_it(tmp_path, monkeypatch):
     for k, source in enumerate(source_of("srckf", monkeypatch, learn=("q",))):

@@ -239,6 +239,7 @@ def test_there_is_a_good_checkpoint_at_every_moment(tmp_path, monkeypatch):
     assert moments == [True] * 3
 
 
+@pytest.mark.slow
 def test_a_lone_checkpoint_of_the_one_before_is_not_overwritten_and_is_used(tmp_path, capsys):
     saved(tmp_path)
     (tmp_path / "checkpoint.pt").unlink()

@@ -108,6 +108,7 @@ def commands_of(text):
 LINES = sorted({line for path in DOCUMENTS for line in commands_of(path.read_text())})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES[1:])  # of README.md: test_scripts.py, which reads what they print
 def test_every_block_of_code_runs(name, tmp_path, monkeypatch, request):
     monkeypatch.chdir(tmp_path)
@@ -332,6 +333,7 @@ def understood(line, flights):
     return main, small(line, main, words, known), False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", LINES)
 def test_a_command_line_of_a_document_works(line, flights, tmp_path, monkeypatch):
     if line.startswith(SETUP):
@@ -353,6 +355,7 @@ def test_a_command_line_of_a_document_works(line, flights, tmp_path, monkeypatch
         assert "jax" in text.lower(), "what is not installed is not named"
 
 
+@pytest.mark.slow
 def test_the_demo_compares_recorded_tracks(tmp_path, monkeypatch):
     """What scripts/demo.sh runs, on the shortest of its files and with two filters."""
     from torchfra.readers import samples

@@ -19,6 +19,7 @@ def test_every_filter_of_a_scenario_is_traced(scenario):
         assert len(plan.kernels.step.forwards().live()) > 50, name
 
 
+@pytest.mark.slow
 def test_gpb_filters_states_of_one_component():
     scenario = SCENARIOS["growth"]()
     tracks = scenario.simulate(runs=3, seed=0)

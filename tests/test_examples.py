@@ -78,6 +78,7 @@ def test_the_network_in_front_prints_errors_of_three_filters(capsys):
     assert len(numbers(r"position RMSE +([\d.]+) m", capsys.readouterr().out)) == 3
 
 
+@pytest.mark.slow
 def test_a_model_of_the_turn_beats_constant_velocity(capsys):
     load("04_own_model").main(["--steps", "25"])
     output = capsys.readouterr().out
@@ -94,6 +95,7 @@ def test_streaming_gives_what_one_call_gives(capsys):
     assert numbers(r"from one call: ([\d.e+-]+)", output)[0] < 1e-9
 
 
+@pytest.mark.slow
 def test_the_filter_that_estimates_the_measurement_noise_tracks_crossing_targets_better(capsys):
     load("06_several_targets").main(["--runs", "6"])
     output = capsys.readouterr().out
@@ -102,6 +104,7 @@ def test_the_filter_that_estimates_the_measurement_noise_tracks_crossing_targets
     assert output.count("missed") == 2
 
 
+@pytest.mark.slow
 def test_late_measurements_of_a_camera_help_a_radar_where_they_belong(capsys):
     load("07_fusion").main(["--seconds", "15"])
     output = capsys.readouterr().out
@@ -110,6 +113,7 @@ def test_late_measurements_of_a_camera_help_a_radar_where_they_belong(capsys):
     assert "to the last bit: True" in output
 
 
+@pytest.mark.slow
 def test_a_filter_that_knows_the_delay_and_how_a_vehicle_rolls_is_the_best(capsys):
     load("08_ranges_on_a_vehicle").main(["--runs", "2", "--steps", "90"])
     output = capsys.readouterr().out
@@ -120,6 +124,7 @@ def test_a_filter_that_knows_the_delay_and_how_a_vehicle_rolls_is_the_best(capsy
     assert "Augmented and Biased: no problems" in output
 
 
+@pytest.mark.slow
 def test_ten_targets_are_followed_without_a_switch(capsys):
     load("09_ten_targets").main([])
     output = capsys.readouterr().out
@@ -153,6 +158,7 @@ def test_lightning_trains_a_filter(capsys):
     assert after < before
 
 
+@pytest.mark.slow
 def test_two_processes_learn_what_one_learns(capsys, tmp_path):
     example, small = load("12_several_processes"), ["--iterations", "2", "--tracks", "4"]
     example.main(small)

@@ -21,6 +21,7 @@ def small():
     return presets.srckf(ConstantVelocity(0.1), Position(2.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "tolerance"), [
     (["--filter", "srckf", "--inputs", "noise"], 1e-12),
     (["--filter", "fra", "--inputs", "std"], 1e-12),
@@ -47,6 +48,7 @@ def test_a_thousand_tracks_agree_to_rounding(tmp_path, capsys):
     assert float(said[1]) < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="there is no cmake")
 def test_cmake_builds_the_files_and_the_program_runs(tmp_path):
     for name, text in exported.export(small()).items():
@@ -61,6 +63,7 @@ def test_cmake_builds_the_files_and_the_program_runs(tmp_path):
     assert 0 < numbers[1] < 2
 
 
+@pytest.mark.slow
 def test_the_example_says_what_is_wrong_with_its_input_and_fast_math_is_refused(tmp_path):
     for name, text in exported.export(small(), inputs="std").items():
         (tmp_path / name).write_text(text)

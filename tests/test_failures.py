@@ -74,6 +74,7 @@ def test_gradients_of_fading_factors_are_finite_in_any_unit(unit):
     assert all(p.grad.isfinite().all() for p in f.parameters() if p.grad is not None)
 
 
+@pytest.mark.slow
 def test_a_copy_of_a_failing_filter_fails_alike():
     f = presets.fra(ConstantVelocity(1.0), Position(2.0))
     z = Z.clone()

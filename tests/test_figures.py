@@ -63,6 +63,7 @@ def overlap(boxes):
 # ---------------------------------------------------------------- one figure of three panels
 
 
+@pytest.mark.slow
 def test_a_comparison_has_a_map_all_runs_and_errors_over_time(bearings):
     scenario, results, mapped = bearings
     figure = plotting.comparison(results, list(results), scenario.dt, LIMIT, "title", mapped)
@@ -147,6 +148,7 @@ def test_where_the_position_has_one_dimension_there_is_no_map():
     assert panels(figure).keys() == {"runs", "time"}
 
 
+@pytest.mark.slow
 def test_several_targets_in_clutter_are_on_one_map():
     scenario = make_scenario("clutter-crossing")
     mapped = flight(scenario, scenario_filters(["ukf_jpda"], scenario), [torch.arange(1.0, 7.0)], 0)
@@ -204,6 +206,7 @@ def test_a_flight_is_the_run_of_that_number(bearings):
     torch.testing.assert_close(mapped.estimates["srckf"][0], estimate.mean[3, part, :2].detach())
 
 
+@pytest.mark.slow
 def test_what_is_lost_is_said_by_the_scenario():
     scenario = make_scenario("ranges-outliers", share=0.0, missing=0.0)
     filters = scenario_filters(["srckf"], scenario)
@@ -326,6 +329,7 @@ def plain_figures():
     yield plotting.learning_curve(rows, dict.fromkeys(NAMES, 1.0), "")
 
 
+@pytest.mark.slow
 def test_names_are_beside_lines_of_colours_of_their_own_and_no_legend_covers_data():
     for figure in plain_figures():
         assert not figure.legends

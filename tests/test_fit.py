@@ -54,6 +54,7 @@ def fitted(data):
 # ---------------------------------------------------------------- what is found
 
 
+@pytest.mark.slow
 def test_noise_levels_a_factor_three_off_are_found_from_measurements_alone(fitted):
     for name, known in (("motion.q", Q), ("sensor.std", STD)):
         assert abs(fitted.learned[name] - known) < 3 * fitted.errors[name] < 0.5 * known
@@ -91,6 +92,7 @@ def test_all_starts_come_to_the_same_loss(fitted):
     assert max(fitted.restarts) - min(fitted.restarts) < 0.02 * abs(min(fitted.restarts))
 
 
+@pytest.mark.slow
 def test_what_a_preset_makes_learnable_is_learned_without_naming_it(data):
     f = start(learn=("std",))
     assert set(torchfra.fit(f, {"z": data["z"], "prior": PRIOR}, **QUICK).learned) == {"sensor.std"}
@@ -112,6 +114,7 @@ def test_a_filter_that_cannot_be_compiled_runs_interpreted_and_says_so(data, mon
     assert "note: the filter runs interpreted" in str(found)
 
 
+@pytest.mark.slow
 def test_float32_stays_float32_and_comes_to_the_same(data):
     double, single = (
         torchfra.fit(start(), {"z": data["z"][:, :10].to(dtype), "prior": PRIOR}, learn=("q", "std"), **QUICK)
@@ -125,6 +128,7 @@ def test_float32_stays_float32_and_comes_to_the_same(data):
 # ---------------------------------------------------------------- losses
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", ["robust", "mse", "nll", "own"])
 def test_every_loss_is_lowered(data, loss):
     own = (
@@ -137,12 +141,14 @@ def test_every_loss_is_lowered(data, loss):
     assert (found.held_out["position RMSE"].change.value < 0) == (loss != "nll")  # std stays wrong
 
 
+@pytest.mark.slow
 def test_the_smoothed_likelihood_finds_the_measurement_noise(data):
     found = torchfra.fit(start(), {"z": data["z"][:, :15], "prior": PRIOR}, learn=("std",), loss="smoothed", **QUICK)
     assert abs(found.learned["sensor.std"] - STD) < 3 * found.errors["sensor.std"] < 0.6 * STD
     assert found.settings.errors == "sandwich"
 
 
+@pytest.mark.slow
 def test_with_a_truth_the_loss_is_robust_and_without_the_likelihood(data):
     short = {"z": data["z"][:8, :4], "prior": PRIOR}
     assert torchfra.fit(start(), short, learn=("q",), **QUICK).settings.loss == "likelihood"
@@ -201,6 +207,7 @@ def test_without_a_prior_tracks_begin_at_their_first_whole_measurement():
         batch_of(bearing, z, runs=0, seed=0)
 
 
+@pytest.mark.slow
 def test_a_start_without_a_prior_does_not_move_what_is_found():
     z = walks(4, 150, 25)[1]
     found = torchfra.fit(start(), TensorDataset(z), learn=("q", "std"), **QUICK)
@@ -218,6 +225,7 @@ def test_recordings_of_different_lengths_are_learned_from():
     assert (~whole.z.isnan().any(-1)).sum(1).tolist() == [t - 1 for t in lengths]  # the first is what each begins with
 
 
+@pytest.mark.slow
 def test_a_track_that_fails_is_left_out_and_said(data):
     z = data["z"][:12, :6].clone()
     z[3, 2] = torch.inf
@@ -273,6 +281,7 @@ def test_settings_are_checked_before_data_are_simulated():
         torchfra.fit(start(), simulator, learn=("q",), clip=-1.0)
 
 
+@pytest.mark.slow
 def test_arrays_and_a_truth_that_nobody_knows_are_data_too():
     truth, z = walks(0, 12, 6)
     one = torchfra.fit(start(), z.numpy(), learn=("q",), **QUICK)
@@ -302,6 +311,7 @@ def test_a_filter_with_a_network_is_sent_to_a_loop_of_its_own():
 # ---------------------------------------------------------------- going on after an interruption
 
 
+@pytest.mark.slow
 def test_a_fit_that_was_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     from torchfra.fitting.descent import Descent
 
@@ -329,6 +339,7 @@ def test_a_fit_that_was_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypat
     assert resumed.rows == unbroken.rows
 
 
+@pytest.mark.slow
 def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(tmp_path, capsys):
     options = {"learn": ("q",), "compile": False, "iterations": 9, "validate_every": 3, "batch": 4}
     z = {"z": walks(6, 12, 5)[1], "prior": PRIOR}
@@ -381,6 +392,7 @@ def test_a_track_that_is_lost_decides_the_mean_but_not_the_median_and_is_told_of
     assert judged(before, before).lost == 0
 
 
+@pytest.mark.slow
 def test_validation_does_not_turn_down_the_last_steps_where_the_model_holds():
     for seed in (10, 22):  # where it is two standard errors better before them
         found = torchfra.fit(start(), {"z": walks(seed, 30, 10)[1], "prior": PRIOR}, learn=("q", "std"), quiet=True,

@@ -86,6 +86,7 @@ def test_weights_count_tracks_as_often_and_groups_keep_them_apart():
     assert torch.allclose(apart.losses(raw.expand(1, 2, 2))[:, 1:], one.losses(raw))
 
 
+@pytest.mark.slow
 def test_rows_of_probabilities_have_a_standard_error_and_intervals_inside_zero_and_one():
     bank = [ConstantVelocity(0.5), CoordinatedTurn(0.3, 0.5)]
     f = presets.imm_srckf(bank, Position(STD), learn=("transition",))
@@ -131,6 +132,7 @@ def found():
     return torchfra.fit(start(), {"z": walks(7, 60, 10)[1], "prior": PRIOR}, learn=("q", "std"), **QUICK)
 
 
+@pytest.mark.slow
 def test_a_profile_rises_as_the_hessian_says_near_the_best(found):
     profile = found.profile("sensor.std", points=5, reach=1.0)
     middle, error = found.learned["sensor.std"], found.errors["sensor.std"]
@@ -149,6 +151,7 @@ def test_a_profile_of_what_is_not_there_is_refused(found):
             found.profile("sensor.std", **wrong)
 
 
+@pytest.mark.slow
 def test_the_bootstrap_agrees_with_the_hessian_where_the_model_holds(found):
     drawn = found.bootstrap(30)
     for name, error in found.errors.items():
@@ -159,6 +162,7 @@ def test_the_bootstrap_agrees_with_the_hessian_where_the_model_holds(found):
         found.bootstrap(5)
 
 
+@pytest.mark.slow
 def test_the_sandwich_is_wider_where_the_model_does_not_hold():
     truth, z = walks(8, 100, 15)
     z = truth[..., :2] + (z - truth[..., :2]) * torch.tensor([0.4, 1.5]).double()[torch.arange(100) % 2, None, None]
@@ -182,6 +186,7 @@ def coverage(sets, runs, steps, seed, compiled=False):
     return ((raw - known).abs() <= NORMAL_95 * error).double().mean((0, 1)).tolist()
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_true_values():
     for share in coverage(sets=60, runs=12, steps=10, seed=11):
         assert 0.86 <= share <= 1  # three standard deviations of 60 draws

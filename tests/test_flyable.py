@@ -146,6 +146,7 @@ def test_what_is_not_above_zero_is_refused(name, value):
 # ---------------------------------------------------------------- recorded flights
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("group", "name", "most"), [("calibration", "bornholm", 0.5), ("gliders", "danube", 0.95)])
 def test_recorded_flights_can_be_flown_and_their_speed_is_nearer_to_what_the_aircraft_said(group, name, most):
     file = next(file for file in readers.samples(group) if file.name.startswith(name))

@@ -66,6 +66,7 @@ def test_files_beside_torch_are_no_part_of_it_and_odd_names_stay_in_their_commen
     assert origin._place("/home/me/a\nb\\c é.py") == "a_b_c__.py"
 
 
+@pytest.mark.slow
 def test_another_process_writes_the_same_text(source):
     code = "import sys, test_generated_source as t; sys.stdout.write(t.exported())"
     command = [sys.executable, "-c", code]

@@ -132,6 +132,7 @@ def test_a_bank_of_one_is_the_motion_itself():
 # ---------------------------------------------------------------- what it knows
 
 
+@pytest.mark.slow
 @given(
     seed=st.integers(0, 1000), name=st.sampled_from(sorted(SENSORS)), spread=st.floats(1.0, 1e4),
     outlier=st.floats(0.001, 0.5), jump=st.floats(1e-8, 0.05),

@@ -146,6 +146,7 @@ def same(estimate, r, tolerance=1e-9):
 # ---------------------------------------------------------------- one motion
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_three_levels_and_two_jumps(sensor):
     case, motion = sensor(), ConstantAcceleration(0.05)
@@ -155,6 +156,7 @@ def test_three_levels_and_two_jumps(sensor):
     same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0)], r))
 
 
+@pytest.mark.slow
 def test_a_start_so_wide_that_points_on_all_sides_of_an_anchor_are_equally_far():
     case, motion, (options, r) = ranges(), ConstantAcceleration(0.05), regimes(*TWO)
     wide = Gaussian(tensor([*ANCHORS[0], 9, 0, 0, 0]), torch.diag(tensor([200, 200, 8, 8, 0.5, 0.5])))
@@ -164,6 +166,7 @@ def test_a_start_so_wide_that_points_on_all_sides_of_an_anchor_are_equally_far()
     assert (error[1:] < 20).all()
 
 
+@pytest.mark.slow
 def test_time_steps_of_their_own():
     case, motion, (options, r) = ranges(), ConstantAcceleration(0.05), regimes(*TWO)
     dt = np.linspace(0.4, 1.7, STEPS)
@@ -212,6 +215,7 @@ def curved(mean, P, k):
     return ahead, (moved - ahead).T @ np.diag(rule[2]) @ (moved - ahead), noise @ noise.T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor", [position, ranges])
 def test_a_motion_that_bends(sensor):
     case, (options, r) = sensor(), regimes(*TWO)
@@ -229,6 +233,7 @@ def bank():
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_a_bank_of_three_motions_the_first_at_two_levels(sensor):
     case, motions, (options, r) = sensor(), bank(), regimes(*TWO, motions=3)

@@ -51,6 +51,7 @@ def test_streaming_gives_what_whole_sequences_give(name):
             close(e.info.settled.mean[:, k - 1], state.settled.mean)
 
 
+@pytest.mark.slow
 @each
 def test_a_batch_and_vmap_are_a_loop_over_tracks_in_any_order(name):
     f, z = FILTERS[name]()
@@ -64,6 +65,7 @@ def test_a_batch_and_vmap_are_a_loop_over_tracks_in_any_order(name):
     close(e.mean[[2, 0, 1]], turned.mean, 1e-13)
 
 
+@pytest.mark.slow
 @each
 def test_time_steps_may_differ_per_step_and_per_track(name):
     f, z = FILTERS[name]()
@@ -90,6 +92,7 @@ def batches():
     return even | vectors | simplexes
 
 
+@pytest.mark.slow
 def test_every_value_may_be_one_of_each_track():
     sensor, z, given = Ranges(ANCHORS, 2.0), measured("ranges"), batches()
     every = presets.gpb(ConstantAcceleration(tensor([0.05, 0.2])), sensor, **given)(z, PRIOR)
@@ -124,6 +127,7 @@ def test_single_precision_is_close_to_double(name):
 # ---------------------------------------------------------------- gradients
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "options"), [("two ranges", {}), ("bank", FEWER)])
 def test_compiled_kernels_give_the_same_and_the_same_gradients(name, options):
     f, z = FILTERS[name](learn="all", **options)
@@ -144,6 +148,7 @@ def short(name):
     return make(sensor, learn="all"), z
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bearings", "ranges", "bank"])
 def test_gradients_of_values_measurements_and_prior_are_those_of_finite_differences(name):
     f, z = short(name)
@@ -193,6 +198,7 @@ NEVER = {
 """Probabilities of 0, and nearly so."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motions", [1, 3])
 @pytest.mark.parametrize("never", NEVER)
 def test_what_never_happens_is_as_what_hardly_ever_does(never, motions):

@@ -185,6 +185,7 @@ def check(motion, sensor, case, since):
     return e, truth, usual
 
 
+@pytest.mark.slow
 @every_motion
 @every_sensor
 def test_nothing_is_wrong(sensor, motion):
@@ -199,6 +200,7 @@ def test_a_bank_covers_99_percent_of_the_steps(sensor):
     assert (nees(e, truth) < BOUND).double().mean() > COVERED["one motion"]
 
 
+@pytest.mark.slow
 def test_a_bank_that_leaves_its_calm_more_easily_does():
     truth, stay = flight(), (0.98, 0.28, 0.9988, 0.0013)
     e = presets.gpb(aircraft(), SENSORS["bearings"], stay=stay)(measured(SENSORS["bearings"], truth), start(truth))
@@ -252,6 +254,7 @@ def test_bursts_of_four_measurements_at_ten_sigma(sensor, motion):
     assert error < 1.6 * usual
 
 
+@pytest.mark.slow
 def test_covariances_are_honest_where_targets_do_what_it_believes():
     known = {"levels": (1.0, 100.0), "stay": (0.94, 0.8, 0.5, 0.1), "renew": (5 / 9, 4 / 9 - 2e-9, 1e-9, 1e-9),
              "qualities": ((0.97, 0.03), (0.4, 0.6)), "sizes": (100.0,), "shares": (1.0,), "grows": False, "poor": 1e-6,
@@ -263,6 +266,7 @@ def test_covariances_are_honest_where_targets_do_what_it_believes():
         assert 0.9 * size < metrics.nees(e, tracks.truth, of).mean() < 1.1 * size
 
 
+@pytest.mark.slow
 def test_a_poor_start_is_none_of_a_parameter_that_acts_exponentially():
     scenario = scenarios.reentry()
     tracks = scenario.simulate(20, 3)

@@ -244,6 +244,7 @@ def test_a_filter_repairs_covariances_that_negative_weights_make_indefinite_and_
     assert f.sensor.std.raw.grad.isfinite()
 
 
+@pytest.mark.slow
 def test_the_compiled_filter_gives_the_same():
     """Of five states, for the compiler's time: as few as have negative weights."""
     z = torch.randn(3, 4, 1, generator=torch.Generator().manual_seed(0)).double()

@@ -169,6 +169,7 @@ def test_the_regression_agrees_with_its_covariance_form(first_iterate, iteration
     np.testing.assert_allclose(P, cov, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_each_track_stops_once_it_has_converged():
     scenario = growth("std")
     tracks = scenario.simulate(6, 0)
@@ -203,6 +204,7 @@ def test_a_scaled_score_may_need_a_repair_and_reports_it():
     assert f(torch.zeros(1, 1).double(), near).info.repaired.tolist() == [0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["hghckf1", "hghckf2"])
 def test_compiled_it_gives_the_same_and_the_same_gradients(preset):
     scenario = growth("std")
@@ -218,6 +220,7 @@ def test_compiled_it_gives_the_same_and_the_same_gradients(preset):
         torch.testing.assert_close(fast, slow, rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options", [{}, {"eps": 0.2}, {"cov_mode": "indicator"}, {"whitening": "symmetric"}, {"zeta_scale": True}]
 )

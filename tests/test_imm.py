@@ -172,6 +172,7 @@ def test_steps_of_time_may_differ_and_sensors_may_bend():
     same(many.mean[1], f(z[1], PRIOR, dt=dt.flip(0), u=station).mean)
 
 
+@pytest.mark.slow
 def test_compiled_it_gives_the_same_and_the_same_gradients():
     f = presets.imm(bank(), SENSOR, learn=("transition", "q", "rate", "limit", "std"))
     found = []
@@ -183,6 +184,7 @@ def test_compiled_it_gives_the_same_and_the_same_gradients():
         same(fast, slow, 1e-8)
 
 
+@pytest.mark.slow
 def test_transition_rows_learn_on_the_simplex_with_their_exact_gradient():
     f = presets.imm(bank()[:3], SENSOR, learn=("transition", "initial"))
     z, names = measured(2)[:, :6], [name for name, _ in f.named_parameters()]

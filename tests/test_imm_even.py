@@ -41,6 +41,7 @@ def times():
 # ---------------------------------------------------------------- the same as by rows
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.integers(2, 5), st.floats(0, 0.9999), st.integers(0, 9999), st.sampled_from(["srckf", "rsrckf", "fra"]))
 def test_it_is_what_whole_rows_give(count, position, seed, inner):
@@ -133,6 +134,7 @@ def test_in_single_precision_too():
 # ---------------------------------------------------------------- gradients and kernels
 
 
+@pytest.mark.slow
 def test_its_gradient_is_exact():
     f = presets.imm(bank()[:3], SENSOR, learn=("stay", "initial"))
     z, dt = measured(2)[:, 3:8], times()[3:8]
@@ -148,6 +150,7 @@ def test_its_gradient_is_exact():
     assert torch.autograd.gradcheck(score, [x.detach().clone().requires_grad_() for x in start])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inner", ["srckf", "fra"])
 def test_compiled_it_gives_the_same_and_the_same_gradients(inner):
     f = presets.imm(bank(), SENSOR, inner=getattr(presets, inner), learn=("stay", "q", "std"))

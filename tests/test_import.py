@@ -43,6 +43,7 @@ def imported():
     return [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("new:")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [0, 1], ids=["the package", "its command"])
 def test_nothing_but_torch_and_itself_is_imported(step, imported):
     assert imported[step] == []
@@ -64,6 +65,7 @@ def test_a_compiled_srckf_runs_without_the_compiler_of_torch(imported):
     assert imported[2] == []
 
 
+@pytest.mark.slow
 def test_the_package_runs_where_there_is_no_fcntl_as_on_windows():
     code = """
 import sys

@@ -12,6 +12,7 @@ from torchfra.motion import ConstantVelocity
 from torchfra.types import Gaussian
 
 
+@pytest.mark.slow
 def test_gradients_through_the_association_are_those_of_finite_differences(crossing, scans):
     """Detection, gate (soft), forgetting, confidences: innovation likelihood and estimates."""
     f = make("iaukf_jpda", crossing, gate=Euclidean(60.0), temperature=0.2, lost=0.0,

@@ -14,6 +14,7 @@ from torchfra.sensors import Position
 from torchfra.types import Gaussian
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "inner", [presets.srckf, presets.ekf, presets.ghckf, presets.rsrckf, presets.hghckf2, presets.iaukf]
 )
@@ -62,6 +63,7 @@ def test_a_missed_target_does_not_fade_whatever_else_was_measured():
     torch.testing.assert_close(one.mean, other.mean)
 
 
+@pytest.mark.slow
 def test_a_measurement_that_cannot_be_lets_all_others_count(crossing, scans):
     """An elevation beyond the vertical, a range below 0 and one of 0."""
     f, z = make("iaukf_jpda", crossing, learn=("detection", "volume")), scans.z.clone()

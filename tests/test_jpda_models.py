@@ -111,6 +111,7 @@ def test_interacting_models_of_two_targets_are_those_of_plain_loops(rate):
     assert truth["probabilities"].min() < 0.3
 
 
+@pytest.mark.slow
 def test_gpb_of_two_targets_is_that_of_plain_loops():
     z, prior, motion = crowd(), priors(4, (0.0, 0.0), (0.0, 20.0)), ConstantVelocity(0.05)
     f = presets.jpda(
@@ -150,6 +151,7 @@ def test_without_false_measurements_and_always_detected_it_is_the_filter_itself(
             torch.testing.assert_close(mine[0], theirs, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.slow
 @each
 def test_the_order_of_measurements_and_of_targets_does_not_matter(name):
     f, z, prior = around(name, lost=1e-2), crowd(), start(name)
@@ -171,6 +173,7 @@ def test_scans_without_a_measurement_in_a_gate_are_pure_predictions(name):
     torch.testing.assert_close(empty.mean, plain.mean)
 
 
+@pytest.mark.slow
 @each
 def test_streaming_is_the_whole_and_a_batch_is_its_scenes(name):
     f, z, prior = around(name, lost=1e-2), crowd(batch=(3,)), start(name)
@@ -210,6 +213,7 @@ def test_a_filter_runs_on_the_measurements_in_gates_alone(monkeypatch):
     assert [shape[:-1].numel() for shape in ran] == [1, 4]  # missed; two targets of two measurements at most
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "learn"), [
     ("imm", ("transition", "detection", "q")), ("gpb", ("stay", "detection", "probability")),
 ])  # fmt: skip
@@ -239,6 +243,7 @@ def test_values_may_differ_between_targets():
         torch.testing.assert_close(both.mean[0], alone.mean[0], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inner", [presets.imm_srckf, presets.gpb])
 def test_targets_across_the_cut_of_the_azimuth_are_those_of_any_other_direction(crossing, scans, inner):
     """The whole scene turned, so that one target flies to and fro where the azimuth jumps by a turn."""

@@ -186,6 +186,7 @@ DAMAGE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", DAMAGE)
 def test_a_library_that_is_not_as_it_was_made_is_made_anew(how, folder, hostile):
     answer()

@@ -169,6 +169,7 @@ def test_only_a_soft_decision_has_a_gradient_in_its_gate_and_preference(make, tr
         assert f.preference.raw.grad != 0
 
 
+@pytest.mark.slow
 def test_a_preference_moves_the_decision_to_its_side(make):
     tracks = scenarios.bearings_outliers("std").simulate(8, 3)
     kept = [estimate(make("fra", preference=p), tracks).info.adaptive.sum().item() for p in (-1e6, -2.0, 0.0, 2.0, 1e6)]
@@ -203,6 +204,7 @@ def benign(steps=30):
     return tracks._replace(z=tracks.z[:, :steps], u=tracks.u[:steps], truth=tracks.truth[:, :steps])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "options"), [(name, {}) for name in PRESETS] + [
     ("fra", {"temperature": 1.0}), ("fra_srckf", {"temperature": 1.0}),
     ("fra", {"temperature": 1.0, "plain": 0.5, "provisional": "likeliest", "final": "likeliest"}),
@@ -275,6 +277,7 @@ def test_truncated_back_propagation_stops_gradients_and_changes_no_estimate(make
 # ---------------------------------------------------------------- ensembles
 
 
+@pytest.mark.slow
 def test_an_ensemble_of_hyperparameters_is_one_call_of_vmap(make, tracks):
     f = make("fra", learn=("threshold", "q"), temperature=1.0)
     values = {name: p.detach() + torch.tensor([-0.5, 0.0, 0.7]).double() for name, p in f.named_parameters()}

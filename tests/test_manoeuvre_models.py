@@ -84,6 +84,7 @@ def test_the_mean_goes_on_as_at_constant_acceleration_and_the_noise_shrinks_towa
     torch.testing.assert_close(power[1, 4:], tensor(0, 0))
 
 
+@pytest.mark.slow
 def test_the_level_is_the_estimate_and_gradients_reach_every_value():
     motion = learnable(CurrentStatistical(0.3, 2.0, below=3.0), "all")
     f = presets.srckf(motion, Position(1.0))

@@ -131,6 +131,7 @@ def test_no_filter_of_several_hypotheses_depends_on_where_the_circle_is_cut(name
     assert ((first.mean[..., 0] >= 0) & (first.mean[..., 0] < 2 * HALF)).all() or "fra" in name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["imm_srckf", "gpb of one"])
 def test_a_compiled_filter_mixes_angles_alike(name):
     z, prior = headings(HALF)
@@ -140,6 +141,7 @@ def test_a_compiled_filter_mixes_angles_alike(name):
     torch.testing.assert_close(fast.mean, slow.mean, rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_bank_of_bicycles_follows_a_vehicle_round_and_round():
     truth, dt = [tensor(0, 0, 8, 3.0, 0.15)], torch.tensor(0.2, dtype=torch.float64)
     for _ in range(150):

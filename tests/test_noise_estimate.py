@@ -177,6 +177,7 @@ def test_the_likelihood_of_an_innovation_uses_the_noise_estimate_before_it(scena
     assert (f(tracks.z, tracks.prior).info.noise[:, 59] > 2).all()
 
 
+@pytest.mark.slow
 def test_gradients_reach_forgetting_confidence_and_nominal_noise(scenario, tracks):
     f = presets.iaukf(scenario.motion, scenario.sensor, learn=("forgetting", "confidence", "std"))
     z, names = tracks.z[:2, :25], [name for name, _ in f.named_parameters()]
@@ -190,6 +191,7 @@ def test_gradients_reach_forgetting_confidence_and_nominal_noise(scenario, track
     assert torch.autograd.gradcheck(loss, values, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_kernels_give_the_same(scenario, tracks):
     eager = presets.iaukf(scenario.motion, scenario.sensor)
     fast = presets.iaukf(scenario.motion, scenario.sensor).compile()

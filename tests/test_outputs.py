@@ -52,6 +52,7 @@ def test_a_pipe_is_written_to(tmp_path):
     assert json.loads(got[0]) == {"a": 1}
 
 
+@pytest.mark.slow
 def test_a_device_stays_a_device(tmp_path):
     path = device(tmp_path)
     (tmp_path / "link").symlink_to("null")
@@ -276,6 +277,7 @@ def test_no_output_replaces_an_input_or_another_output(tmp_path, capsys):
 # ---------------------------------------------------------------- the table in any case
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("main", "arguments"), [
     (cli.main, [*COMPARE, "--figure", "{out}/f.png"]),
     (reproduce.main, ["growth", "--runs", "2", "--filters", "ghckf", "--sizes", "1", "--plots", "{out}"]),

@@ -19,6 +19,7 @@ def large(monkeypatch, tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cores", [1, 2, 3])
 @pytest.mark.parametrize("narrow", [False, True], ids=["wide", "narrow"])
 def test_a_step_in_parts_says_what_the_whole_says(large, monkeypatch, cores, narrow):

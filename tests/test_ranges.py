@@ -93,6 +93,7 @@ def test_values_learned_with_some_anchors_go_to_others():
     torch.testing.assert_close(other.sensor.anchors, ANCHORS[:3] + 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["srckf", "rsrckf", "fra"])
 @pytest.mark.parametrize("moving", [False, True])
 def test_a_compiled_filter_gives_the_same_and_follows_the_target(name, moving):
@@ -195,6 +196,7 @@ def test_a_share_of_the_ranges_is_missing_and_the_others_have_the_stated_noise()
     assert off.std().item() == pytest.approx(1.0, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("anchors", ["together", "around"])
 def test_a_robust_filter_keeps_the_walker_where_the_plain_one_is_thrown_off(anchors):
     scenario = scenarios.ranges_outliers(anchors=anchors)
@@ -265,6 +267,7 @@ def test_run_i_is_recording_i_whatever_the_seed():
     torch.testing.assert_close(tracks.truth[0, 1:-1, 2:4].norm(dim=-1), torch.ones(118).double(), rtol=1e-3, atol=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("anchors", [ANCHORS, ANCHORS[:, :2]], ids=["space", "plane"])
 def test_every_filter_finds_the_path_again(anchors):
     scenario = scenarios.recorded_ranges([recording(anchors=anchors), recording("b", 60, anchors)])

@@ -47,6 +47,7 @@ BOMBS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BOMBS)
 def test_a_packed_file_that_swells_is_refused_before_it_does(tmp_path, name):
     head, unit, count, said = BOMBS[name]
@@ -122,6 +123,7 @@ def seconds(work):
     return time.process_time() - begin
 
 
+@pytest.mark.slow
 def test_many_anchors_do_not_take_the_square_of_their_number(tmp_path):
     took = []
     for count in (1_000, 16_000):
@@ -131,6 +133,7 @@ def test_many_anchors_do_not_take_the_square_of_their_number(tmp_path):
     assert took[1] < 80 * took[0]  # the square would be 256
 
 
+@pytest.mark.slow
 def test_many_names_of_columns_in_json_do_not_take_the_square_of_their_number(tmp_path):
     took = []
     for count in (1_000, 16_000):
@@ -160,6 +163,7 @@ def test_quotes_lines_and_line_ends_are_read_alike_wherever_a_piece_ends(tmp_pat
         np.testing.assert_array_equal(read(path)[0].position, [[1, 2], [2, 3], [3, 4], [4, 5], [5, 6]])
 
 
+@pytest.mark.slow
 def test_a_long_file_is_read_in_a_few_times_its_numbers(tmp_path):
     rows = 150_000
     path = tmp_path / "a.csv"

@@ -1,6 +1,7 @@
 """Tracks whose gradient is wanted again and again get ready too: gradients stay the same."""
 
 import copy
+import weakref
 
 import pytest
 import torch
@@ -59,6 +60,7 @@ def slopes(f, loss, given, learns=("values",)):
     return [x.grad for x in (z, mean, root, u, dt, *f.parameters())]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "options", "learns", "losses"), [
     ("srckf", {}, ["values"], [means, scores, everything, last]),
     ("fra", {}, ["values", "measurements", "rest"], [everything]),
@@ -79,6 +81,7 @@ def test_gradients_of_ready_tracks_are_those_of_the_filter(name, options, learns
     assert len(prepared) == 1
 
 
+@pytest.mark.slow
 def test_gradients_are_of_the_precision_of_what_they_are_for(make, tracks, soon):
     f = make("fra", learn="all")
     z, prior, u = tracks.z[:, :8].float(), Gaussian(*(x.float() for x in tracks.prior)), tracks.u[:8].float()
@@ -104,6 +107,7 @@ def test_a_way_back_of_its_own_kind_is_not_that_of_ready_tracks(options, make, t
     assert len(prepared) == 4
 
 
+@pytest.mark.slow
 def test_results_of_ready_tracks_that_learn_may_be_changed_and_used_twice(make, tracks, soon):
     fast, given = make("fra", learn="all").compile(), alone(tracks)
     found = []
@@ -126,3 +130,14 @@ def test_a_track_that_fails_says_so_beside_a_gradient(make, tracks, soon):
         estimate = fast(**given)
         assert estimate.failure.step.tolist() == [-1, 2, -1, -1]
         estimate.mean[0].sum().backward()
+
+
+def test_nothing_of_a_call_is_held(make, tracks, soon):
+    fast, given = make("fra", learn="all").compile(), alone(tracks)
+    for _ in range(3):
+        z = given["z"].clone()
+        estimate = fast(**given | {"z": z})
+        estimate.mean.sum().backward()
+    held = [weakref.ref(x) for x in (z, estimate.mean)]
+    del z, estimate
+    assert [x() for x in held] == [None, None]

@@ -35,6 +35,7 @@ def close(slow, fast, tolerance=1e-10):
         torch.testing.assert_close(b, a, rtol=tolerance, atol=tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["srckf", "fra"])
 def test_a_stream_is_prepared_once_and_says_what_the_filter_says(name, make, tracks, prepared):
     f = make(name)
@@ -58,6 +59,7 @@ def test_a_batch_of_streams_is_ready_as_well(make, tracks, prepared):
     assert len(prepared) == 2  # of what init makes, and of what a step makes
 
 
+@pytest.mark.slow
 def test_single_precision_reads_values_of_double_precision_as_they_are(make, tracks, prepared):
     f = make("srckf", learn=("q",))
     fast = copy.deepcopy(f).compile()
@@ -139,6 +141,7 @@ def test_memory_of_another_layout_and_lazy_negatives_give_the_same(ready):
         close(expected, flatten(f.step(other, negative, u=wide)), 0)
 
 
+@pytest.mark.slow
 def test_a_gradient_flows_through_a_step_that_is_ready_without_one(ready):
     f, state, given = ready
     z = given["z"].clone().requires_grad_()
@@ -147,6 +150,7 @@ def test_a_gradient_flows_through_a_step_that_is_ready_without_one(ready):
     close([torch.autograd.grad(f.step(state, z, u=given["u"])[0].belief.mean.sum(), z)[0]], [slope])
 
 
+@pytest.mark.slow
 def test_a_step_of_inference_mode_does_not_spoil_a_later_gradient(make, tracks):
     f = make("fra", temperature=0.5, learn=("threshold",)).compile()
     belief = Gaussian(tracks.prior.mean[0], tracks.prior.scale_tril)

@@ -34,6 +34,7 @@ def alone(tracks, steps=8):
             "u": tracks.u[:steps]}  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["srckf", "fra", "gpb"])
 def test_the_second_call_says_what_the_filter_says_without_being_prepared(name, make, tracks, prepared):
     f = make(name)
@@ -97,6 +98,7 @@ def test_values_are_read_and_changes_noticed_between_two_calls(ready, prepared):
     assert not torch.equal(before, after)
 
 
+@pytest.mark.slow
 def test_whatever_does_not_fit_is_refused_or_prepared(ready, prepared):
     f, given = ready
     expected = f(**given)
@@ -148,6 +150,7 @@ def test_a_gradient_flows_through_tracks_that_are_ready_without_one(ready):
     close(*[(slope,) for slope in slopes])
 
 
+@pytest.mark.slow
 def test_the_past_and_what_is_settled_late_are_those_of_the_filter(make, tracks):
     f, given = make("gpb"), alone(tracks)
     fast = copy.deepcopy(f).compile()
@@ -166,6 +169,7 @@ def test_each_form_is_remembered_by_itself(ready, tracks, prepared):
     assert not prepared
 
 
+@pytest.mark.slow
 def test_both_ends_of_a_track_are_part_of_the_kernel_where_nothing_of_the_past_is_kept(make, tracks, monkeypatch):
     for name in ("srckf", "fra", "gpb"):
         f, given = make(name).compile(), alone(tracks)
@@ -176,6 +180,7 @@ def test_both_ends_of_a_track_are_part_of_the_kernel_where_nothing_of_the_past_i
         monkeypatch.undo()
 
 
+@pytest.mark.slow
 def test_priors_of_a_batch_of_one_in_single_precision_and_from_several_threads(make, tracks):
     f = make("fra")
     fast = copy.deepcopy(f).compile()
@@ -217,6 +222,7 @@ def two_threads():
     torch.set_num_threads(before)
 
 
+@pytest.mark.slow
 def test_many_tracks_are_ready_once_they_have_come_often(make, tracks, prepared, two_threads):
     f, given = make("fra"), alone(tracks, 12)
     noise = 0.01 * torch.randn(401, 12, 2, dtype=torch.float64)  # no multiple of the lanes of a register

@@ -214,6 +214,7 @@ def test_a_filter_that_forks_is_the_same_however_many_steps_are_abnormal(make, s
         assert share == 0 if gate > 1e8 else share > (0.8 if gate < 1e-8 else 0.2)
 
 
+@pytest.mark.slow
 def test_gradients_through_a_choice_are_the_same(make, tracks):
     f = make("fra", gate=1.0, learn=("threshold",))
     gradients = []

@@ -197,6 +197,7 @@ def test_tables_have_a_line_for_each_compared_filter_and_a_summary(capsys):
         assert all(f", {kind}: median regret " in line for line in lines[3:])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_learned_values_are_compared_and_are_no_candidates_for_the_best(tmp_path, capsys):
     scenario = scenarios.bearings_manoeuvre()
@@ -232,6 +233,7 @@ def test_values_learned_with_another_sensor_fit_where_models_stay_a_cells_own(tm
     assert f.motion.q().item() == pytest.approx(bearings.motion.q().item())
 
 
+@pytest.mark.slow
 def test_recorded_ranges_are_cells_of_one_run(tmp_path):
     rng, time = np.random.default_rng(0), 0.1 * np.arange(60)
     path = np.stack([time, 0.2 * time**2], 1)
@@ -318,6 +320,7 @@ def test_learned_values_are_called_by_their_folder_and_large_numbers_are_short()
     assert [show.regret(x) for x in (0.9, 1.0, 3.5, 4e5)] == ["-10.0%", "+0.0%", "+250.0%", "+4e+07%"]
 
 
+@pytest.mark.slow
 def test_filters_tuned_to_a_cell_err_less_there_and_say_by_how_much_they_changed(tmp_path):
     scenario = scenarios.bearings_outliers("none", initial="truth")  # its targets move without any process noise
     f = {

@@ -26,6 +26,7 @@ def result(tmp_path_factory):
     return json.loads(path.read_text())["cells"]["2-std"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_each_kind_of_estimate_looks_as_far_ahead_as_it_says(result):
     scenario = make_scenario("bearings-manoeuvre", outliers="std", initial="truth")

@@ -49,6 +49,7 @@ def measured(tracks, steps=6):
     return z
 
 
+@pytest.mark.slow
 def test_estimates_smoothed_ones_and_their_gradients_are_the_same(written):
     said = []
     for f in (gpb(), gpb().compile()):
@@ -67,11 +68,13 @@ def test_estimates_smoothed_ones_and_their_gradients_are_the_same(written):
         assert sum(calls) >= 2 * len(calls)
 
 
+@pytest.mark.slow
 def test_one_track_alone_is_the_same(written):
     with torch.no_grad():
         close(*(f.smooth(measured(tracks=1), PRIOR) for f in (gpb(), gpb().compile())))
 
 
+@pytest.mark.slow
 def test_derivatives_forwards_are_the_same(written):
     f, z = gpb(), measured(9)
     with torch.no_grad(), forward_ad.dual_level():

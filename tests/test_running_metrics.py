@@ -80,6 +80,7 @@ def test_memory_is_one_number_for_each_metric_and_track_however_many_steps():
     )
 
 
+@pytest.mark.slow
 def test_chunks_leave_the_figures():
     scenario = bearings_outliers("std", initial="truth")
     at_once = evaluate(scenario, ["srckf"], runs=30)["srckf"]

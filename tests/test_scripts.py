@@ -22,6 +22,7 @@ pytestmark = pytest.mark.usefixtures("rough_figures")
 ROOT = Path(__file__).parent.parent
 
 
+@pytest.mark.slow
 def test_the_quickstart_of_the_readme_runs(capsys):
     code = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
     scope: dict[str, object] = {}
@@ -34,6 +35,7 @@ def test_the_quickstart_of_the_readme_runs(capsys):
     assert 100 < float(re.findall(r"tensor\(([\d.]+)", printed[simulated])[0]) < 170
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("experiment", ["bearings-outliers", "bearings-manoeuvre"])
 @pytest.mark.usefixtures("short_tracks")
 def test_reproduce_writes_results_and_the_papers_figures(experiment, tmp_path):
@@ -50,6 +52,7 @@ def test_reproduce_writes_results_and_the_papers_figures(experiment, tmp_path):
     assert len(list(tmp_path.glob("figure-*.png"))) == 4
 
 
+@pytest.mark.slow
 def test_reproduce_writes_what_du_and_zhang_show(tmp_path, capsys):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path)]
     assert reproduce.main(["adsb-turns", "--runs", "20", *out]) == 0
@@ -68,6 +71,7 @@ def test_reproduce_writes_what_du_and_zhang_show(tmp_path, capsys):
     assert "averages over time" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_reproduce_writes_the_decisions_of_the_alpha_beta_bank(tmp_path):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
     assert reproduce.main(["alpha-beta", "--runs", "40", *out]) == 0
@@ -80,6 +84,7 @@ def test_reproduce_writes_the_decisions_of_the_alpha_beta_bank(tmp_path):
     assert {p.name for p in tmp_path.glob("*.png")} == {f"alpha-beta-{n}.png" for n in ("mean_error", "rmse", "levels")}
 
 
+@pytest.mark.slow
 def test_reproduce_writes_mean_square_errors_over_the_contamination(tmp_path):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
     scenario = scenarios.growth()
@@ -96,6 +101,7 @@ def test_reproduce_writes_mean_square_errors_over_the_contamination(tmp_path):
     assert {p.name for p in tmp_path.glob("*.png")} == {"growth-position.png", "growth-mmse.png"}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_reproduce_writes_the_errors_of_the_reentry(tmp_path):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
@@ -107,6 +113,7 @@ def test_reproduce_writes_the_errors_of_the_reentry(tmp_path):
     assert {p.name for p in tmp_path.glob("*.png")} == names
 
 
+@pytest.mark.slow
 def test_reproduce_writes_errors_by_target_and_association_probabilities(tmp_path, capsys):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path)]
     names = ["--filters", "ukf_jpda_paper,iaukf_jpda_paper,iaukf_jpda_safe"]
@@ -133,6 +140,7 @@ def test_reproduce_writes_errors_by_target_and_association_probabilities(tmp_pat
     assert "association probabilities of the first run" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_reproduce_writes_the_errors_of_a_single_target_whose_noise_grows(tmp_path):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
     assert reproduce.main(["noise-change", "--runs", "40", *out]) == 0
@@ -182,6 +190,7 @@ def test_time_stamps_of_a_track_too_short_to_judge_are_an_error(tmp_path, capsys
     assert "files: expected a track of 105 s or longer" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_benchmark_times_eager_and_compiled_filters(tmp_path, capsys):
     arguments = ["--what", "tracks,step", "--filters", "srckf", "--batch", "1,8", "--passes", "2", "--json"]
     assert benchmark.main([*arguments, str(tmp_path / "b.json")]) == 0

@@ -129,6 +129,7 @@ def test_over_no_time_nothing_changes_but_by_what_is_measured():
             close(after.belief.covariance, state.belief.covariance)
 
 
+@pytest.mark.slow
 def test_compiled_it_is_the_same_and_so_are_its_gradients():
     z, found = measured(), []
     for compiled in (False, True):
@@ -145,6 +146,7 @@ def test_compiled_it_is_the_same_and_so_are_its_gradients():
     close(*found, 1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["fra", "gpb"])
 def test_kernels_of_another_sensor_have_the_states_of_the_filter(name):
     z, found = measured(), []

@@ -121,6 +121,7 @@ def test_a_nearly_linear_track_is_that_of_iterated_least_squares():
     np.testing.assert_allclose(np.diagonal(smoothed.covariance, axis1=1, axis2=2), std**2, rtol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", ["third", "fifth"])
 def test_a_motion_that_is_not_linear_goes_back_through_the_same_points(rule):
     scenario = scenarios.reentry()

@@ -51,6 +51,7 @@ def simulated(runs, steps, seed=0):
     return torch.from_numpy(z)
 
 
+@pytest.mark.slow
 def test_on_short_tracks_it_is_close_to_the_exact_mixture_of_all_histories():
     transition, first, each = chains()
     z = simulated(runs=40, steps=4)
@@ -94,6 +95,7 @@ def test_hypotheses_that_are_all_alike_are_one(motions):
     torch.testing.assert_close(smoothed.covariance, alone.covariance, rtol=1e-5, atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["two ranges", "bank of ranges"])
 def test_batches_vmap_lags_and_reruns_give_the_same(name):
     f, z = FILTERS[name]()
@@ -120,6 +122,7 @@ def test_the_filter_says_the_same_whether_it_will_go_back_or_not():
     torch.testing.assert_close(f.smooth(z, PRIOR).info.filtered, f(z, PRIOR), rtol=0, atol=0)
 
 
+@pytest.mark.slow
 def test_a_compiled_filter_of_one_motion_smooths_as_one_that_is_not():
     z, prior = simulated(runs=3, steps=6), Gaussian(START, ROOT)
     z[0, 2], z[1, 3, 0] = nan, nan

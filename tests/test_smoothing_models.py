@@ -59,6 +59,7 @@ def forth(f, z, prior=PRIOR, dt=1.0):
     return kept
 
 
+@pytest.mark.slow
 def test_on_short_tracks_it_is_close_to_the_exact_mixture_of_all_histories():
     motion = bank()
     truth, z = simulated(motion, runs=60, steps=6)
@@ -130,6 +131,7 @@ def test_where_nothing_is_measured_any_more_it_is_as_filtered():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag", [1, 3])
 @pytest.mark.parametrize("name", ["imm_srckf", "imm_fra", "vsimm_srckf"])
 def test_with_a_lag_each_step_is_that_of_the_track_up_to_so_many_later(name, lag):
@@ -157,6 +159,7 @@ def turning(steps=10):
     return Gaussian(mean, torch.tensor([10.0, 10, 5, 5, 1, 1]).double().diag()), z
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["imm_srckf", "imm_fra", "vsimm_srckf"])
 def test_batches_vmap_and_checkpoints_give_the_same(name):
     f, (prior, z) = getattr(presets, name)(aircraft(), Position(STD), learn=("transition",)), turning()
@@ -189,6 +192,7 @@ def test_gradients_are_exact():
     assert torch.autograd.gradcheck(smooth, inputs, eps=1e-6, rtol=1e-4, atol=1e-5, fast_mode=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag", [None, 2])
 def test_compiled_three_models_smooth_as_ones_that_are_not(lag):
     _, z = simulated(bank(), runs=3, steps=8)

@@ -145,6 +145,7 @@ def test_a_compiled_filter_smooths_as_one_that_is_not(make, tracks, options):
     close(fast.smooth(tracks.z, tracks.prior, u=tracks.u, **options), slow)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"dt": 0.5 + torch.rand(4, 1).double()}])
 def test_with_a_lag_a_compiled_filter_that_decides_late_smooths_as_one_that_is_not(make, tracks, options, monkeypatch):
     """Also where not all windows are taken at once."""
@@ -158,6 +159,7 @@ def test_with_a_lag_a_compiled_filter_that_decides_late_smooths_as_one_that_is_n
     assert slow.info.filtered.info.abnormal[:, 7].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "learn", "lag"), [("asrckf", ("weakening", "q"), None), ("fra", ("q",), None), ("fra", ("q",), 3)]
 )

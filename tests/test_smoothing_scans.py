@@ -67,6 +67,7 @@ def test_a_target_that_seemed_lost_goes_back_through_the_wider_prediction():
     np.testing.assert_allclose(smoothed.covariance[0], expected["P"], rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_batches_vmap_and_lags_give_the_same(crossing, scans):
     f = presets.iaukf_jpda(
         crossing.motion, crossing.sensor, clutter=crossing.clutter, gate=Euclidean(150.0, least=0.9999)

@@ -172,6 +172,7 @@ def test_a_bias_beside_a_target_leaves_its_motion_as_it_is_also_where_that_follo
     torch.testing.assert_close(both.mean[..., 6:], torch.zeros(3, 12, 2).double())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "motion",
     [UnknownTurn(0.1, 0.01, spectral=True), Augmented(Bicycle(2.7, 0.1, 0.01), RandomWalk(0.1, 1, kind="bias"))],

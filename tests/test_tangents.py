@@ -22,6 +22,7 @@ def along(f, name, tracks):
 SOFT = {"learn": ("q", "threshold"), "temperature": 1.0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("filter_name", "options"), [("srckf", {"learn": "all"}), ("fra", SOFT)])
 def test_derivatives_forwards_are_those_backwards(filter_name, options, make, tracks):
     f = make(filter_name, **options).compile()
@@ -35,6 +36,7 @@ def test_derivatives_forwards_are_those_backwards(filter_name, options, make, tr
         torch.testing.assert_close(rate, expected, rtol=1e-8, atol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("filter_name", "options"), [("srckf", {"learn": ("q",)}), ("fra", SOFT)])
 def test_without_kernels_they_are_the_same(filter_name, options, make, tracks):
     f = make(filter_name, **options)

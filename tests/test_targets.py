@@ -122,6 +122,7 @@ def test_a_scan_without_measurements_is_one_in_which_all_were_missed():
         assert len(targets.step(state, empty).identity) == 0
 
 
+@pytest.mark.slow
 def test_a_target_whose_noise_has_grown_is_followed_in_any_order_of_the_rows():
     """The filter has learned a noise four times the nominal; a false measurement far away comes first or last."""
     f = presets.jpda(ConstantVelocity(1e-2), Position(5.0), clutter=Clutter(1e8, rate=1.0), inner=presets.iaukf)
@@ -310,6 +311,7 @@ def test_gates_of_metres_and_soft_gates_are_gates_too():
         assert estimate.confirmed[:, -1].sum() == 4
 
 
+@pytest.mark.slow
 def test_a_compiled_filter_runs_compiled_and_leaves_the_same_targets():
     """Two that fly side by side, in a cluster, and one alone."""
     _, z = moving([(0, 0, 5, 0), (0, 9, 5, 0), (400, 0, 0, 4)], 12)

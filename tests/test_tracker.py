@@ -63,6 +63,7 @@ def close(a, b, tolerance=1e-12):
 FILTERS = {name: made(name) for name in ("srckf", "rsrckf", "asrckf", "fra", "gpb", "imm_srckf")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILTERS)
 @settings(deadline=None, max_examples=4)
 @given(seed=st.integers(0, 1000), delay=st.floats(0.0, 2.9))
@@ -280,6 +281,7 @@ def test_compiled_it_is_the_same():
     close(one.belief, other.belief, 1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["srckf", "gpb"])
 @pytest.mark.parametrize("away", [1e3, 1e5])
 def test_with_an_origin_single_precision_keeps_a_metre_at_six_million(name, away):

@@ -75,6 +75,7 @@ def unbroken(tmp_path_factory):
 # ---------------------------------------------------------------- what a run leaves
 
 
+@pytest.mark.slow
 def test_a_run_writes_its_settings_its_log_its_values_and_a_figure(unbroken):
     assert {path.name for path in unbroken.iterdir()} >= {
         "config.json", "log.csv", "state_dict.pt", "checkpoint.pt", "checkpoint-previous.pt", "learning.png",
@@ -100,6 +101,7 @@ def test_the_learned_values_load_into_a_fixed_filter(unbroken):
     assert f.motion.q().item() == pytest.approx(reported["motion.q"])
 
 
+@pytest.mark.slow
 def test_the_same_settings_learn_the_same_values(unbroken, tmp_path):
     assert train(tmp_path, "test_runs=0") == 0
     assert equal(learned(tmp_path), learned(unbroken))
@@ -121,6 +123,7 @@ def train_until_killed(out):
     return train(out)
 
 
+@pytest.mark.slow
 def test_a_run_that_is_killed_resumes_to_the_same_values(unbroken, tmp_path):
     process = forked(train_until_killed, tmp_path)
     process.join(300)
@@ -144,6 +147,7 @@ def stop_after_four(out, monkeypatch):
     monkeypatch.setattr(checkpoints, "save", save)
 
 
+@pytest.mark.slow
 def test_a_checkpoint_cut_in_half_is_refused_and_the_one_before_it_used(unbroken, tmp_path, monkeypatch, capsys):
     stop_after_four(tmp_path, monkeypatch)
     newest = tmp_path / "checkpoint.pt"
@@ -190,6 +194,7 @@ def test_a_track_that_diverges_to_nan_is_left_out_and_counted():
     torch.testing.assert_close(loss, expected_loss)
 
 
+@pytest.mark.slow
 def test_the_gradient_of_a_batch_is_that_of_its_mean_loss():
     training = prepare("fra_bearings", *SMALL, "clip=1e9")
     batch = simulate(training.scenarios, first=0, runs=4, seed=0)
@@ -210,6 +215,7 @@ def means(training, batch):
     return tune.task_means(training, batch, *tune.track_gradients(training, batch, temperature=1.0))
 
 
+@pytest.mark.slow
 def test_training_stops_when_validation_no_longer_improves(tmp_path, monkeypatch):
     scores = iter([1.0, 0.9, 0.95, 0.96, 0.5])
     monkeypatch.setattr(tune, "validate", lambda training: next(scores))
@@ -269,6 +275,7 @@ STEPPED = {"fra_bearings": [], "fra_recorded": [UNMENDED], "contaminated": []}
 """Runs of which a step is tried, and what is changed to save time; others learn below, and in test_train_gpb.py."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STEPPED)
 def test_a_named_run_takes_a_step(name, tmp_path):
     with short():
@@ -358,6 +365,7 @@ def test_two_processes_train_as_one_does(unbroken, tmp_path):
             assert (not a[key] and not b[key]) or float(a[key]) == pytest.approx(float(b[key]), rel=1e-10), key
 
 
+@pytest.mark.slow
 def test_two_processes_compare_as_one_does(tmp_path):
     arguments = ["compare", "--scenario", "bearings-outliers", "--outliers", "std", "--runs", "5", "--filters",
                  "srckf,fra", "--quiet", "--figure", str(tmp_path / "f.png"), "--json"]  # fmt: skip
@@ -391,6 +399,7 @@ def test_threshold_weakening_and_q_a_factor_three_off_are_found_again(tmp_path):
     assert torchfra.__version__ == result["versions"]["torchfra"]
 
 
+@pytest.mark.slow
 def test_without_a_compiler_it_says_how_to_train_without(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("CXX", "no-such-compiler")
     assert train(tmp_path) == 2

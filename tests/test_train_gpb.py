@@ -64,6 +64,7 @@ def test_tasks_with_the_same_models_have_one_filter():
     assert first is second is not other
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_tasks_with_other_places_of_the_sensor_have_another_filter():
     tasks = [{"scenario": "ranges-outliers", "options": {"anchors": anchors}} for anchors in ("together", "around")]
@@ -71,6 +72,7 @@ def test_tasks_with_other_places_of_the_sensor_have_another_filter():
     assert one is not other
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_only_what_is_named_learns():
     training = Regrets(settings("learn=stay,poor", "rivals=srckf"))
@@ -117,6 +119,7 @@ def test_a_loss_is_the_sixth_power_of_the_ratios_to_the_rival_within_bounds(trai
     assert training.losses_of([([0], None)])[0] == 12.0**6
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_a_rival_is_the_best_of_all_that_the_scenario_has_models_for(training):
     name, error = training.best_rival(1, held_out=False, runs=2, seed=0)
@@ -157,6 +160,7 @@ def test_a_search_goes_on_from_its_state():
 # ---------------------------------------------------------------- a run
 
 
+@pytest.mark.slow
 def test_what_was_learned_goes_into_the_preset(run):
     result, _ = run
     scenario = scenarios.bearings_manoeuvre()
@@ -182,6 +186,7 @@ def test_a_run_tells_each_tasks_best_rival_and_errors_before_and_after(run):
     assert "best rival" in text
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_a_run_that_is_interrupted_resumes_to_the_same_values(run, tmp_path, monkeypatch):
     save = checkpoints.save

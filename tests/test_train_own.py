@@ -85,6 +85,7 @@ def test_what_cannot_be_learned_on_is_said_before_any_work(simulator, tmp_path, 
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.slow
 def test_recordings_of_ones_own_are_learned_from_without_a_truth(tmp_path):
     files = []
     for number in range(5):

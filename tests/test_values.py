@@ -128,6 +128,7 @@ def test_a_record_is_a_copy():
 # ---------------------------------------------------------------- the program that writes it
 
 
+@pytest.mark.slow
 def test_the_program_computes_the_figures_of_the_file():
     record = next(r for r in RECORDS if r["preset"] == "hghckf2")
     (known,) = (r for r in record["results"] if (r["scenario"], r["options"]) == ("growth", {}))
@@ -182,6 +183,7 @@ def test_a_command_that_was_ended_goes_on_with_what_is_missing(measure):
     assert [result["runs"] for result in found["fra"]] == [300, 9]
 
 
+@pytest.mark.slow
 def test_all_is_measured_in_one_go_where_settings_are_others(measure, capsys):
     measure("--sets", "hghckf2-*", "--cells", "growth")
     measure("--sets", "hghckf2-*", "--cells", "growth", "--seed", "78", status=2)
@@ -190,6 +192,7 @@ def test_all_is_measured_in_one_go_where_settings_are_others(measure, capsys):
     assert len(asked) == sum(map(len, found.values())) == sum(len(record["results"]) for record in RECORDS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "message"), [
     (["--cells", "calm"], "cells: expected scenarios of *, received calm"),
     (["--sets", "calm"], "cells: expected scenarios of calm, received *"),

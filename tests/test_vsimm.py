@@ -115,6 +115,7 @@ def test_every_track_has_a_set_of_its_own(inner):
         same(state.belief.mean, whole.mean[i, -1])
 
 
+@pytest.mark.slow
 def test_compiled_it_gives_the_same_and_gradients_reach_transition_and_noise():
     f = presets.vsimm_srckf(adsb_models(), SENSOR, learn=("transition", "q", "std"))
     z = adsb_turns().simulate(3, 1).z[:, 190:260]  # long enough for every model to follow every other

@@ -48,6 +48,7 @@ def test_all_that_a_call_writes_past_the_caches_lies_on_lines_of_them_be_a_tenso
     assert all(x.stride(1) * 8 % 64 == 0 for x in estimate[:4])
 
 
+@pytest.mark.slow
 def test_what_has_one_entry_a_step_lies_on_rows_of_its_own_too():
     x = rows_of_tracks((100, 1), torch.Size([100]), torch.float64, torch.device("cpu"), past=True)
     assert x.stride() == (104, 104, 1)

@@ -40,8 +40,8 @@ class Learning:
     ) -> None:  # fmt: skip
         self.whole, self.steps, self.ends, self.compiler, self.batch = whole, steps, ends, compiler, batch
         self.made, self.places, self.states, inputs = whole.made, whole.places, len(ends.sizes), ends.step.inputs
-        self.prior = [x.expand(batch + x.shape[-event:]) for event, x in enumerate(given[:2], 1)]
-        self.full, self.values = full, [k for k, kind in enumerate(inputs.values()) if kind.value]
+        self.prior = [_form(x.expand(batch + x.shape[-event:])) for event, x in enumerate(given[:2], 1)]
+        self.full, self.values = list(map(_form, full)), [k for k, kind in enumerate(inputs.values()) if kind.value]
         self.names = ("mean", "root", *inputs)
         self.needed = [name for name, x in zip(self.names, given, strict=True) if x.requires_grad]
         self.like = steps.like[self.states : len(steps.like) - self.states]
@@ -155,6 +155,11 @@ class _Way:
         found = dict(zip((*self._prior, *self._stay, *self._timed), (*sums, *timed), strict=True))
         pairs = zip(of.names, saved, strict=False)
         return [found[name].sum_to_size(x.shape).to(x.dtype) if name in found else None for name, x in pairs]
+
+
+def _form(x: Tensor) -> Tensor:
+    """How a tensor lies in memory, without holding it."""
+    return torch.empty_strided(x.shape, x.stride(), dtype=x.dtype, device="meta")
 
 
 def _later(x: Tensor, time: int) -> Tensor:
