@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-from benchmarks.clock import first_call, one_pass
+from benchmarks.clock import PASS, first_call, one_pass
 from torchfra.app.progress import progress_bar
 from torchfra.tables import text_table
 
@@ -37,10 +37,11 @@ class Here:
         call: what is timed.
         device: ``"cuda"`` waits for the GPU after each call.
         warming: calls after the first until all is warm.
+        seconds: that a pass lasts at least.
     """
 
-    def __init__(self, call: Callable[[], Any], device: str = "cpu", warming: int = 10) -> None:
-        self.call, self.device, self.warming = call, device, warming
+    def __init__(self, call: Callable[[], Any], device: str = "cpu", warming: int = 10, seconds: float = PASS) -> None:
+        self.call, self.device, self.warming, self.seconds = call, device, warming, seconds
 
     def __call__(self) -> None:
         """The call, finished."""
@@ -54,7 +55,7 @@ class Here:
 
     def one_pass(self) -> float:
         """Seconds per call, in one pass."""
-        return one_pass(self)
+        return one_pass(self, self.seconds)
 
 
 def timed(systems: Mapping[str, System], passes: int, count: int, **labels: Any) -> list[Row]:
@@ -100,6 +101,6 @@ def _cell(value: Any, form: str) -> str:
     return "" if value is None else f"{value:{form}}"
 
 
-def calls(systems: Mapping[str, Callable[[], Any]], device: str = "cpu", warming: int = 10) -> dict[str, System]:
+def calls(systems: Mapping[str, Callable[[], Any]], device: str = "cpu", **options: Any) -> dict[str, System]:
     """Calls of this process as systems."""
-    return {name: Here(call, device, warming) for name, call in systems.items()}
+    return {name: Here(call, device, **options) for name, call in systems.items()}

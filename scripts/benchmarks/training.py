@@ -42,7 +42,7 @@ def training(options: argparse.Namespace) -> list[Row]:
         if preset is not presets.gpb:
             systems[f"{name}, eager, checkpoints"] = backward(f, data, checkpoint=10)
             systems[f"{name}, torch.linalg.qr"] = with_plain_qr(backward(f, data))
-        of_kind = timed(calls(systems, warming=80), options.passes, batch * scenario.steps, batch=batch)
+        of_kind = timed(calls(systems, warming=80, seconds=0.2), options.passes, batch * scenario.steps, batch=batch)
         for row in of_kind:
             row["peak_mib"] = peak(systems[row["system"]])
         rows += of_kind
