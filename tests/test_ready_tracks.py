@@ -35,7 +35,7 @@ def alone(tracks, steps=8):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["srckf", "fra", "gpb"])
+@pytest.mark.parametrize("name", ["srckf", "fra", "gpb", "hghckf1"])
 def test_the_second_call_says_what_the_filter_says_without_being_prepared(name, make, tracks, prepared):
     f = make(name)
     fast = copy.deepcopy(f).compile()

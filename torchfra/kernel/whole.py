@@ -17,6 +17,7 @@ from torchfra.kernel.ends import Ends
 from torchfra.kernel.pages import maker
 from torchfra.kernel.program import Ready, Strided, strided, threads
 from torchfra.kernel.source import Port
+from torchfra.tree import flatten
 
 
 class Whole:
@@ -62,6 +63,8 @@ class Whole:
             for k in late:
                 like[k], self._table[4 * (reads + count + k) + 2] = like[k].narrow(rank, 0, 1), 0
         self._late = late if ready.steps > 1 else []
+        records = enumerate(flatten(ends.step.record))
+        self._counts = [(k, x.dtype) for k, x in records if not (x.is_floating_point() or x.dtype == torch.bool)]
         each = torch.empty(like[0].shape[:rank], dtype=torch.int64, device="meta")
         self._new, self._room, self._remembers = maker([*like, *[each] * len(ends.each)], ready.device), end, remembers
         self._addresses = Struct(f"{2 + reads - count + len(like) + len(ends.each)}q").pack
@@ -86,6 +89,8 @@ class Whole:
         )
         for k in self._late:
             written[k] = written[k].narrow(self._rank, 1, ready.steps)
+        for k, dtype in self._counts:
+            written[k] = written[k].to(dtype)
         return written, bool(sound), room
 
 

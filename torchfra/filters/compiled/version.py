@@ -164,7 +164,7 @@ class Version:
     def get_ready(self, plan: Plan, state: Any, data: Data, whole: bool) -> None:
         """Makes later steps like this one ready, if they need no gradient and all is read where it lies."""
         tensors = [*flatten(state), *(x for x in data if x is not None), *self.read()]
-        if self._changes(plan, tensors):
+        if plan.counts or self._changes(plan, tensors):
             return
         full, step = self.full(plan, tensors), plan.kernels.step
         if any(x.data_ptr() != y.data_ptr() for x, y in zip(full, tensors, strict=True)):
@@ -192,7 +192,7 @@ class Version:
         whole = None if past else kernels.whole(run, plan.batch, tensors, full[len(leaves) :], traced.ends)
         if whole is not None:
             self.tracks.add(form, WholeTracks(whole, tensors))
-        elif not learns:
+        elif not (learns or plan.counts):
             made = kernels.step.state, kernels.step.record
             self.tracks.add(form, ReadyTracks(run, plan.batch, tensors, state, made))
 
@@ -201,7 +201,7 @@ class Version:
         """Whether a call needs gradients, unless it ``learns``, or cannot be told from others by its tensors alone."""
         gradients = (has_gradient(tensors) and not learns) or forward_ad._current_level >= 0
         twice = len({*map(id, tensors)}) < len(tensors)  # as in the first state of some filters; guards refuse that
-        return gradients or twice or plan.counts
+        return gradients or twice
 
     def full(self, plan: Plan, tensors: Sequence[Tensor]) -> list[Tensor]:
         """Leaves of the state, data and values as kernels take them: with the full batch."""
