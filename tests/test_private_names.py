@@ -27,7 +27,8 @@ PRIVATE = {
 }
 """Names without which something does not work, and what."""
 GUARDED = {
-    "torch._C._dynamo.guards": "filters/compiled/step.py has a slower check of its own, pages.py empty_like",
+    "torch._C._dynamo.guards": "kernel/guards.py has a slower check of its own, pages.py empty_strided",
+    "torch._C._autograd._top_saved_tensors_default_hooks": "kernel/guards.py: calls with a gradient do not get ready",
     "torch._C._current_autograd_node": "kernel/origin.py then names no line in comments of gradients",
     "torch.autograd._get_sequence_nr": "likewise",
     "torch._dynamo": "association/events.py only marks a function for torch.compile",

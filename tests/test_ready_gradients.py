@@ -5,11 +5,21 @@ import weakref
 
 import pytest
 import torch
+from torch.autograd.graph import saved_tensors_hooks
+from torch.utils.checkpoint import checkpoint
 
+from torchfra.filters import SRCKF
 from torchfra.filters.compiled import Compiled
 from torchfra.filters.compiled import tracks as tracks_module
+from torchfra.kernel import guards
 from torchfra.tree import flatten
 from torchfra.types import Gaussian
+
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(guards.hooked(), reason="this torch does not tell of hooks, so that nothing gets ready"),
+]
 
 
 @pytest.fixture
@@ -60,7 +70,6 @@ def slopes(f, loss, given, learns=("values",)):
     return [x.grad for x in (z, mean, root, u, dt, *f.parameters())]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "options", "learns", "losses"), [
     ("srckf", {}, ["values"], [means, scores, everything, last]),
     ("fra", {}, ["values", "measurements", "rest"], [everything]),
@@ -81,7 +90,6 @@ def test_gradients_of_ready_tracks_are_those_of_the_filter(name, options, learns
     assert len(prepared) == 1
 
 
-@pytest.mark.slow
 def test_gradients_are_of_the_precision_of_what_they_are_for(make, tracks, soon):
     f = make("fra", learn="all")
     z, prior, u = tracks.z[:, :8].float(), Gaussian(*(x.float() for x in tracks.prior)), tracks.u[:8].float()
@@ -107,7 +115,6 @@ def test_a_way_back_of_its_own_kind_is_not_that_of_ready_tracks(options, make, t
     assert len(prepared) == 4
 
 
-@pytest.mark.slow
 def test_results_of_ready_tracks_that_learn_may_be_changed_and_used_twice(make, tracks, soon):
     fast, given = make("fra", learn="all").compile(), alone(tracks)
     found = []
@@ -130,6 +137,71 @@ def test_a_track_that_fails_says_so_beside_a_gradient(make, tracks, soon):
         estimate = fast(**given)
         assert estimate.failure.step.tolist() == [-1, 2, -1, -1]
         estimate.mean[0].sum().backward()
+
+
+class Named(SRCKF):
+    """Learns a factor of the first mean, by the name of what it is of."""
+
+    def __init__(self, motion, sensor):
+        super().__init__(motion, sensor)
+        self.mean = torch.nn.Parameter(torch.tensor([0.3], dtype=torch.float64))
+
+    def begin(self, belief):
+        return super().begin(belief._replace(mean=belief.mean * (1 + self.mean)))
+
+
+def test_values_may_have_any_name(scenario, tracks, soon):
+    f = Named(scenario.motion, scenario.sensor)
+    fast, given = copy.deepcopy(f).compile(), {"z": tracks.z[:, :8], "prior": tracks.prior, "u": tracks.u[:8]}
+    slow = slopes(f, last, given, ["values", "rest"])
+    for _ in range(3):
+        for a, b in zip(slow, slopes(fast, last, given, ["values", "rest"]), strict=True):
+            assert (a is None) == (b is None)
+            assert a is None or torch.allclose(a, b, rtol=1e-9)
+
+
+def two_batches(tracks):
+    """Two by two tracks."""
+    prior = Gaussian(tracks.prior.mean.expand(4, 6).unflatten(0, (2, 2)), tracks.prior.scale_tril)
+    return {"z": tracks.z[:, :8].unflatten(0, (2, 2)), "prior": prior, "u": tracks.u[:8]}
+
+
+def test_gradients_may_lie_in_memory_in_any_way(make, tracks, soon):
+    f, given = make("fra", learn=("threshold",)), two_batches(tracks)
+    fast = copy.deepcopy(f).compile()
+    expected = f(**given).mean
+    (slow,) = torch.autograd.grad((expected.sum(-2) * expected[..., -1, :].detach()).sum(), [*f.parameters()])
+    for _ in range(3):
+        mean = fast(**given).mean
+        (slope,) = torch.autograd.grad((mean.sum(-2) * mean[..., -1, :].detach()).sum(), [*fast.parameters()])
+        torch.testing.assert_close(slope, slow, rtol=1e-9, atol=0.0)
+
+
+def test_what_is_saved_may_be_stored_elsewhere_or_computed_anew(make, tracks, prepared, soon):
+    f, given = make("fra", learn=("threshold",)).compile(), {"z": tracks.z.mT.contiguous().mT, "prior": tracks.prior}
+    slopes = []
+
+    def loss():
+        return f(**given, u=tracks.u).mean.square().sum()
+
+    for _ in range(3):
+        slopes += torch.autograd.grad(loss(), [*f.parameters()])
+        with saved_tensors_hooks(lambda x: x.contiguous().clone(memory_format=torch.contiguous_format), lambda x: x):
+            slopes += torch.autograd.grad(loss(), [*f.parameters()])
+        slopes += torch.autograd.grad(checkpoint(loss, use_reentrant=False), [*f.parameters()])
+    for slope in slopes:
+        torch.testing.assert_close(slope, slopes[0], rtol=1e-9, atol=0.0)
+
+
+def test_many_tracks_whose_rows_are_padded_learn_too(make, scenario, soon):
+    t = scenario.simulate(300, 0)
+    given = {"z": t.z[:, :40], "prior": t.prior, "u": t.u[:40]}
+    f = make("fra", learn=("threshold",))
+    (slow,) = torch.autograd.grad(f(**given).mean.square().mean(), [*f.parameters()])
+    f.compile()
+    for _ in range(3):
+        (slope,) = torch.autograd.grad(f(**given).mean.square().mean(), [*f.parameters()])
+        torch.testing.assert_close(slope, slow, rtol=1e-8, atol=0.0)
 
 
 def test_nothing_of_a_call_is_held(make, tracks, soon):

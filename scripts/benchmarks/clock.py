@@ -20,10 +20,10 @@ def once(call: Callable[[], Any]) -> float:
     return time.perf_counter() - start
 
 
-def first_call(call: Callable[[], Any], more: int = 10) -> float:
+def first_call(call: Callable[[], Any], more: int = 10, limit: float = WARM) -> float:
     """Seconds of the first call; up to so many ``more`` follow, after which all is warm and ready that gets so."""
     first, seconds = once(call), [once(call)]
-    while sum(seconds) < WARM and len(seconds) < more:
+    while sum(seconds) < limit and len(seconds) < more:
         seconds.append(once(call))
     return first
 

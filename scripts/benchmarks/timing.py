@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-from benchmarks.clock import PASS, first_call, one_pass
+from benchmarks.clock import PASS, WARM, first_call, one_pass
 from torchfra.app.progress import progress_bar
 from torchfra.tables import text_table
 
@@ -36,11 +36,17 @@ class Here:
     Args:
         call: what is timed.
         device: ``"cuda"`` waits for the GPU after each call.
-        warming: calls after the first until all is warm.
+        warming: calls after the first until all is warm, and their seconds: at most so many.
         seconds: that a pass lasts at least.
     """
 
-    def __init__(self, call: Callable[[], Any], device: str = "cpu", warming: int = 10, seconds: float = PASS) -> None:
+    def __init__(
+        self,
+        call: Callable[[], Any],
+        device: str = "cpu",
+        warming: tuple[int, float] = (10, WARM),
+        seconds: float = PASS,
+    ) -> None:
         self.call, self.device, self.warming, self.seconds = call, device, warming, seconds
 
     def __call__(self) -> None:
@@ -51,7 +57,7 @@ class Here:
 
     def first_call(self) -> float:
         """Seconds of the first call, after which a few more make all warm."""
-        return first_call(self, self.warming)
+        return first_call(self, *self.warming)
 
     def one_pass(self) -> float:
         """Seconds per call, in one pass."""
@@ -101,6 +107,6 @@ def _cell(value: Any, form: str) -> str:
     return "" if value is None else f"{value:{form}}"
 
 
-def calls(systems: Mapping[str, Callable[[], Any]], device: str = "cpu", **options: Any) -> dict[str, System]:
+def calls(systems: Mapping[str, Callable[[], Any]], device: str = "cpu") -> dict[str, System]:
     """Calls of this process as systems."""
-    return {name: Here(call, device, **options) for name, call in systems.items()}
+    return {name: Here(call, device) for name, call in systems.items()}

@@ -7,42 +7,50 @@ import copy
 import ctypes
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from benchmarks.timing import Row, calls, timed
-from torchfra import presets
-from torchfra.catalogue import make_scenario
+from benchmarks.roof import FILTERS
+from benchmarks.timing import Here, Row, timed
+from torchfra.catalogue import make_filter, make_scenario
 from torchfra.filters import Filter
 from torchfra.linalg import triangular
 from torchfra.scenarios import Tracks
 
 Call = Callable[[], None]
+_LEARNED = ("srckf", "gpb", "fra")
+_BESIDE = ("srckf", "fra")
+"""Filters that are timed with checkpoints and with torch's own gradients too; others take too long."""
 
 
 def training(options: argparse.Namespace) -> list[Row]:
-    """Gradients of all values over 64 tracks (or the first number of ``--batch``), with time and peak memory."""
+    """Gradients of all values over 64 tracks (or the first number of ``--batch``), with time and peak memory.
+
+    Of SRCKF, FRA with hard and soft decisions and GPB of one motion, or of ``--filters``.
+    """
     scenario = make_scenario(options.scenario, outliers="std", initial=options.initial)
     batch = int((options.batch or "64").split(",")[0])
     data = scenario.simulate(batch, 0)
     rows: list[Row] = []
-    learned: dict[str, Callable[..., Filter]] = {
-        "srckf": presets.srckf, "gpb": presets.gpb, "fra": presets.fra,
-        "fra, soft": partial(presets.fra, temperature=1.0),
-    }  # fmt: skip
-    for name, preset in learned.items():
-        f = preset(scenario.motion, scenario.sensor, learn="all")
+    names = _LEARNED if options.filters == FILTERS else options.filters.split(",")
+    for name in [*names, *(["fra, soft"] if "fra" in names else [])]:
+        kind, more = name.split(",")[0], {"temperature": 1.0} if "," in name else {}
+        bank = None if kind == "gpb" else scenario.bank  # of one motion here
+        f = make_filter(kind, scenario.motion, scenario.sensor, bank, learn="all", **more)
         systems: dict[str, Call] = {
             f"{name}, compiled": backward(copy.deepcopy(f).compile(), data),
             f"{name}, eager": backward(f, data),
         }
-        if preset is not presets.gpb:
+        if name.startswith(_BESIDE):
             systems[f"{name}, eager, checkpoints"] = backward(f, data, checkpoint=10)
             systems[f"{name}, torch.linalg.qr"] = with_plain_qr(backward(f, data))
-        of_kind = timed(calls(systems, warming=80, seconds=0.2), options.passes, batch * scenario.steps, batch=batch)
+        warming = {
+            name: (300, 20.0) if "compiled" in name else (3, 5.0) for name in systems
+        }  # compiled calls get ready
+        calls = {name: Here(call, warming=warming[name], seconds=0.2) for name, call in systems.items()}
+        of_kind = timed(calls, options.passes, batch * scenario.steps, batch=batch)
         for row in of_kind:
             row["peak_mib"] = peak(systems[row["system"]])
         rows += of_kind

@@ -19,6 +19,10 @@ from torchfra.kernel.step import Step, carried
 from torchfra.linalg.tracing import elementary
 from torchfra.tree import flatten, map_tensors, unflatten
 
+PRIOR = ("mean of the prior", "root of the prior")
+LAST = "state after the last step"
+"""Names that no input has, whose names are paths."""
+
 
 class Both(NamedTuple):
     """Both ends of a track, on entries of one book."""
@@ -69,7 +73,7 @@ class Ends:
     def traced(self, *differentiable: str) -> Both:
         """Both ends on entries of a new book, which have derivatives in what is named.
 
-        That is inputs, ``"mean"`` and ``"root"`` of the prior, and ``"after"``, the state after the last step.
+        That is inputs by name, those of the ``PRIOR``, and ``LAST``, the state after the last step.
         """
         book, step = Expressions(), self.step
         inputs, (begin, finish) = step.unknown(book), self._ways
@@ -77,9 +81,9 @@ class Ends:
         after = carried(book, step.zero, step.dtype)
         for name, tensors in [
             *((n, [x]) for n, x in inputs.items()),
-            ("mean", prior[:1]),
-            ("root", prior[1:]),
-            ("after", after),
+            (PRIOR[0], prior[:1]),
+            (PRIOR[1], prior[1:]),
+            (LAST, after),
         ]:
             for x in tensors if name in differentiable else ():
                 x.requires_grad_()

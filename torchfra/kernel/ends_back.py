@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from torchfra.kernel.ends import Both, Ends
+from torchfra.kernel.ends import LAST, PRIOR, Both, Ends
 from torchfra.kernel.entries import Entries, as_entries, entry_ids
 from torchfra.kernel.source import Port, Scan
 from torchfra.kernel.step import pullback
@@ -19,7 +19,7 @@ def after_back(ends: Ends, needed: Sequence[str], graded: Sequence[int]) -> Scan
     """
     if not graded:
         return None
-    at = ends.traced("after", *needed)
+    at = ends.traced(LAST, *needed)
     made = dict(zip(ends.places, flatten(at.made), strict=True))
     last = [as_entries(at.book, made[place][1]) for place in graded]
     grads = [Entries.inputs(at.book, x.shape, ends.step.dtype) for x in last]
@@ -32,7 +32,7 @@ def after_back(ends: Ends, needed: Sequence[str], graded: Sequence[int]) -> Scan
 
 
 def begin_back(ends: Ends, needed: Sequence[str], prior: Sequence[str]) -> Scan | None:
-    """From the gradients of the first state to those of ``prior`` (of ``"mean"``, ``"root"``) and of ``needed`` inputs.
+    """From the gradients of the first state to those of ``prior`` (out of ``PRIOR``) and ``needed`` inputs.
 
     Reads the values among the inputs, the prior, the gradients of the state and what is known already of those of the
     inputs, to which it adds.  None where none of them matters to the first state.
@@ -42,7 +42,7 @@ def begin_back(ends: Ends, needed: Sequence[str], prior: Sequence[str]) -> Scan 
         return None
     grads = [Entries.inputs(at.book, x.shape, ends.step.dtype) for x in at.begun]
     sums = [Entries.inputs(at.book, at.inputs[name].shape, ends.step.dtype) for name in needed]
-    chosen = [x for name, x in zip(("mean", "root"), at.prior, strict=True) if name in prior]
+    chosen = [x for name, x in zip(PRIOR, at.prior, strict=True) if name in prior]
     count, sources = len(chosen), [*chosen, *(at.inputs[name] for name in needed)]
     with elementary():
         pulled = pullback(at.book, at.begun, grads, sources)

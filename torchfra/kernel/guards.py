@@ -6,7 +6,11 @@ import importlib
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
+import torch
 from torch import Tensor
+
+_HOOKS: Any = getattr(getattr(torch._C, "_autograd", None), "_top_saved_tensors_default_hooks", None)
+"""It is private: versions may differ."""
 
 
 def guard(tensors: Sequence[Tensor]) -> Callable[..., bool]:
@@ -19,6 +23,14 @@ def guard(tensors: Sequence[Tensor]) -> Callable[..., bool]:
         forms = [_form(x) for x in tensors]
         return lambda *others: [_form(x) for x in others] == forms
     return check
+
+
+def hooked() -> bool:
+    """Whether what is saved for a way back may come back otherwise: stored elsewhere, or computed anew.
+
+    True also where torch does not tell.
+    """
+    return _HOOKS is None or _HOOKS(False) is not None
 
 
 def _form(x: Tensor) -> Hashable:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from torchfra.kernel.ends import Ends
+from torchfra.kernel.ends import PRIOR, Ends
 from torchfra.kernel.guards import guard
 from torchfra.kernel.program import Program, Ready, batch_first, strided
 from torchfra.kernel.source import Port
@@ -42,7 +42,7 @@ class Learning:
         self.made, self.places, self.states, inputs = whole.made, whole.places, len(ends.sizes), ends.step.inputs
         self.prior = [_form(x.expand(batch + x.shape[-event:])) for event, x in enumerate(given[:2], 1)]
         self.full, self.values = list(map(_form, full)), [k for k, kind in enumerate(inputs.values()) if kind.value]
-        self.names = ("mean", "root", *inputs)
+        self.names = (*PRIOR, *inputs)
         self.needed = [name for name, x in zip(self.names, given, strict=True) if x.requires_grad]
         self.like = steps.like[self.states : len(steps.like) - self.states]
         self.late = [port - 2 * self.states - len(inputs) for port in ends.settled]
@@ -164,7 +164,9 @@ def _form(x: Tensor) -> Tensor:
 
 def _later(x: Tensor, time: int) -> Tensor:
     """The same one step later, and 0 at first."""
-    moved, steps = torch.empty_like(x), x.shape[time]
+    # Kernels have to be able to read it; what is copied most quickly lies like the original.
+    inner = torch.empty((*x.shape[time:], *x.shape[:time]), dtype=x.dtype, device=x.device)
+    moved, steps = torch.empty_like(x) if x.is_contiguous() else batch_first(inner, time), x.shape[time]
     moved.select(time, 0).zero_()
     moved.narrow(time, 1, steps - 1).copy_(x.narrow(time, 0, steps - 1))
     return moved

@@ -34,8 +34,9 @@ def rows_of_tracks(
         return in_large_pages(torch.empty((*shape, *batch), dtype=dtype, device=device))
     padded = in_large_pages(torch.empty((*shape, width), dtype=dtype, device=device))
     across = torch.empty(batch, device="meta").stride()
-    # Not by views, which make up strides of dimensions of size 1: kernels go by them.
-    return padded.as_strided((*shape, *batch), (*padded.stride()[:-1], *across))
+    # Not by ``view``, which makes up strides of dimensions of size 1: kernels go by them.  And no view for autograd,
+    # which does not let one of several results be changed in place.
+    return padded.as_strided((*shape, *batch), (*padded.stride()[:-1], *across)).data
 
 
 def in_large_pages(x: Tensor) -> Tensor:

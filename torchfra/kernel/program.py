@@ -90,7 +90,7 @@ class Program:
         """All of a call but addresses, for tensors that lie in memory like these; None if some must be copied."""
         tracks = batch.numel()
         ports = [strided(x, port, len(batch), tracks) for x, port in zip(tensors, self._reads, strict=True)]
-        if any(x.data_ptr() != y.data_ptr() or x.is_neg() for (x, *_), y in zip(ports, tensors, strict=True)):
+        if any(x is not y for (x, *_), y in zip(ports, tensors, strict=True)):
             return None
         written = self._outputs(batch, steps, torch.device("meta"))
         table = array("q", [n for _, *strides in [*ports, *self._packed(written, len(batch))] for n in (0, *strides)])

@@ -196,7 +196,8 @@ class _Run(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         kernels, batch, step = ctx.kernels, ctx.batch, ctx.kernels.step
         names, count, rank = list(step.inputs), len(step.zero), len(ctx.batch)
-        inputs, begun = ctx.saved_tensors[: len(names)], ctx.saved_tensors[len(names) :]
+        saved = ctx.saved_tensors  # once: where they are computed anew they are not there twice
+        inputs, begun = saved[: len(names)], saved[len(names) :]
         device = inputs[0].device
         needed = tuple(n for n, wanted in zip(names, ctx.needs_input_grad[5 + count :], strict=True) if wanted)
         stay = [n for n in needed if not step.inputs[n].timed]

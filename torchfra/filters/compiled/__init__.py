@@ -17,6 +17,7 @@ from torchfra.filters.compiled.tracks import form_of, seconds_of
 from torchfra.filters.compiled.version import Plan, Version
 from torchfra.gaussian.arguments import check_seconds
 from torchfra.gaussian.inputs import Frame, Measurements
+from torchfra.kernel.guards import hooked
 from torchfra.kernel.program import BUILDING
 from torchfra.kernel.run import has_gradient
 from torchfra.kernel.source import SCALARS
@@ -69,20 +70,21 @@ class Compiled:
     def ready(self, f: Any, measurements: Measurements, prior: Gaussian, past: bool, plain: bool) -> Any:
         """The estimate, or what ``forward`` gives for the state of a prior; None unless a call of this form is known.
 
-        ``plain``: the way back is not told where to begin or to end.
+        ``plain``: the way back is not told where it ends, or where states are kept.
 
         Raises:
             ValueError: the time steps or the noise have a bad value.
         """
         if not self._versions or not isinstance(prior, Gaussian) or forward_ad._current_level >= 0:
             return None
-        now = self._now(f)
-        return now.tracks(f, form_of(measurements, past, plain), prior, measurements, now.read)
+        now, form = self._now(f), form_of(measurements, past, plain and not hooked())
+        return now.tracks(f, form, prior, measurements, now.read)
 
     def get_ready(
         self, f: Any, state: Any, measurements: Measurements, prior: Gaussian, past: bool, plain: bool
     ) -> None:
         """Makes later calls of ``forward`` like this one ready, if that is worth it; ``state`` is that of the prior."""
+        plain = plain and not hooked()
         form, z, now = form_of(measurements, past, plain), measurements.z, self._now(f)
         given = [z, *prior, *(x for x in measurements[1:] if isinstance(x, Tensor)), *now.read()]
         shapes = z.dtype, z.shape, *(x.shape for x in prior)

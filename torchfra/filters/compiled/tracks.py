@@ -26,8 +26,8 @@ _SHORT = 4096
 """Steps of all tracks up to which a form gets ready at its first call: such calls are little but overhead."""
 _OFTEN = 8
 """Every so many calls a longer form is made ready, unless it is: to compile its ends takes half a second."""
-_LEARNING = 64
-"""The same of calls with a gradient, whose ends take two or three seconds."""
+_LEARNING = 256
+"""The same of calls with a gradient, whose ends take one to three seconds and save one to three milliseconds each."""
 _COUNTED = 256
 """How many longer forms are counted."""
 
@@ -91,10 +91,9 @@ class AllReadyTracks:
             return True
         if len(self._calls) >= _COUNTED:
             self._calls.clear()
-        self._calls[form] += 1
-        return (
-            self._calls[form] % (_LEARNING if learns else _OFTEN) == 0
-        )  # not just once: memory may lie otherwise, or a gradient be wanted
+        self._calls[form, learns] += 1
+        # Not just once: memory may lie otherwise.
+        return self._calls[form, learns] % (_LEARNING if learns else _OFTEN) == 0
 
     def __call__(
         self, f: Any, form: Hashable, prior: Gaussian, measurements: Measurements, values: Callable[[], Any]
