@@ -15,7 +15,6 @@ from torchfra.kernel import guards
 from torchfra.tree import flatten
 from torchfra.types import Gaussian
 
-
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(guards.hooked(), reason="this torch does not tell of hooks, so that nothing gets ready"),
