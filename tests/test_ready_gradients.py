@@ -11,7 +11,7 @@ from torch.utils.checkpoint import checkpoint
 from torchfra.filters import SRCKF
 from torchfra.filters.compiled import Compiled
 from torchfra.filters.compiled import tracks as tracks_module
-from torchfra.kernel import guards
+from torchfra.kernel import guards, run
 from torchfra.tree import flatten
 from torchfra.types import Gaussian
 
@@ -201,6 +201,20 @@ def test_many_tracks_whose_rows_are_padded_learn_too(make, scenario, soon):
     for _ in range(3):
         (slope,) = torch.autograd.grad(f(**given).mean.square().mean(), [*f.parameters()])
         torch.testing.assert_close(slope, slow, rtol=1e-8, atol=0.0)
+
+
+def test_a_beginning_whose_gradient_kernels_cannot_compute_is_no_error(make, tracks, prepared, soon, monkeypatch):
+    def refuse(*arguments):
+        raise NotImplementedError("compile: kernels do not have it")
+
+    monkeypatch.setattr(run, "begin_back", refuse)
+    f, given = make("srckf", learn="all"), alone(tracks)
+    slow = slopes(f, means, given)
+    f.compile()
+    for _ in range(3):
+        for a, b in zip(slow, slopes(f, means, given), strict=True):
+            assert a is None or torch.allclose(a, b, rtol=1e-9)
+    assert len(prepared) == 3
 
 
 def test_nothing_of_a_call_is_held(make, tracks, soon):

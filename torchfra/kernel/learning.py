@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from torchfra.kernel.ends import PRIOR, Ends
+from torchfra.kernel.ends_back import after_back
 from torchfra.kernel.guards import guard
 from torchfra.kernel.program import Program, Ready, batch_first, strided
 from torchfra.kernel.source import Port
@@ -32,6 +33,9 @@ class Learning:
         batch: of the tracks.
         given: a prior, and what the steps read besides the state, as calls give them.
         full: what the steps read, with the batch.
+
+    Raises:
+        NotImplementedError: an end has a gradient that kernels cannot compute.
     """
 
     def __init__(
@@ -49,6 +53,13 @@ class Learning:
         events = [x.shape[len(batch) + 1 :] for x in self.like]
         self._ports = [Port([0] * event.numel(), event, timed=True) for event in events]
         self._ways: dict[tuple[int, ...], list[_Way]] = {}
+        needed = [name for name in self.needed if name in inputs]
+        self.needs_of_prior = tuple(name for name in self.needed if name not in inputs)
+        self.stay = tuple(name for name in needed if not inputs[name].timed)
+        self.timed = tuple(name for name in needed if inputs[name].timed)
+        # Now, not in the midst of a way back, is the time to find out what cannot be done.
+        compiler("begin", self.stay, self.needs_of_prior)
+        after_back(ends, self.stay, [k for k in self.late if self.like[k].is_floating_point()])
 
     def __call__(self, tensors: Sequence[Tensor]) -> tuple[list[Tensor], bool]:
         """As of a ``Whole``."""
@@ -101,23 +112,21 @@ class _Way:
 
     def __init__(self, of: Learning, graded: dict[int, Tensor]) -> None:
         self._of, self.fit, kinds = of, guard([*graded.values()]), of.ends.step.inputs
-        needed = tuple(name for name in of.needed if name in kinds)
-        self._prior = tuple(name for name in of.needed if name not in kinds)
-        self._stay = tuple(name for name in needed if not kinds[name].timed)
-        self._timed = tuple(name for name in needed if kinds[name].timed)
         self._late, self._time = [k for k, place in enumerate(graded) if place in of.late], len(of.batch)
-        self._count = of.states + len(self._stay)
+        self._count = of.states + len(of.stay)
         grads, values = [*graded.values()], [of.full[k] for k in of.values]
         last, late = self._unknown([(n,) for n in of.ends.sizes]), tuple([*graded][k] for k in self._late)
-        self._after = self._part("after", (self._stay, late), [*values, *last, *self._ends(grads)])
-        begun = [*(x.shape for x in of.ends.step.zero), *(kinds[name].shape for name in self._stay)]
+        self._after = self._part("after", (of.stay, late), [*values, *last, *self._ends(grads)])
+        begun = [*(x.shape for x in of.ends.step.zero), *(kinds[name].shape for name in of.stay)]
         self._zero = [torch.zeros((), dtype=of.like[0].dtype).expand(of.batch + shape) for shape in begun]
         state = self._zero if self._after is None else self._after.like
         path, has = of.steps.like[len(of.steps.like) - of.states :], tuple(k in graded for k in range(len(of.like)))
         reads = [*state, *of.full, *path, *self._pulls(grads)]
-        self._steps = self._part("backwards", (has, needed), reads, of.steps.steps)
+        self._steps = self._part(
+            "backwards", (has, tuple(name for name in of.needed if name in kinds)), reads, of.steps.steps
+        )
         self._begin = self._part(
-            "begin", (self._stay, self._prior), [*values, *of.prior, *self._steps.like[: self._count]]
+            "begin", (of.stay, of.needs_of_prior), [*values, *of.prior, *self._steps.like[: self._count]]
         )
 
     def _unknown(self, shapes: Sequence[Sequence[int]]) -> list[Tensor]:
@@ -152,7 +161,7 @@ class _Way:
         made = self._steps((*state, *inputs, *path, *self._pulls(grads)))
         state, timed = made[: self._count], made[self._count :]
         sums = state[of.states :] if self._begin is None else self._begin((*values, *prior, *state))
-        found = dict(zip((*self._prior, *self._stay, *self._timed), (*sums, *timed), strict=True))
+        found = dict(zip((*of.needs_of_prior, *of.stay, *of.timed), (*sums, *timed), strict=True))
         pairs = zip(of.names, saved, strict=False)
         return [found[name].sum_to_size(x.shape).to(x.dtype) if name in found else None for name, x in pairs]
 

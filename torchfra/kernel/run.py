@@ -39,7 +39,7 @@ class Kernels:
         self.step = step
         self._programs: dict[Hashable, Program | None] = {}
         self._ends: Ends | None = None
-        self._refused = False
+        self._refused = set[bool]()
         self._wholes: dict[bool, Any] = {}
         self._making = threading.Lock()
 
@@ -81,19 +81,19 @@ class Kernels:
             full: the same of the steps, with the batch.
             ends: what comes before and after the steps, always the same.
         """
-        if self._refused or not hasattr(ready.run, "argtypes"):
-            return None  # in the latter case it is no function of C but one that starts a GPU
         learns = has_gradient(given)
+        if learns in self._refused or not hasattr(ready.run, "argtypes"):
+            return None  # in the latter case it is no function of C but one that starts a GPU
         try:
             with BUILDING, torch.inference_mode(False):
                 made = self._ends = self._ends or ends(self.step)
             if learns not in self._wholes:
                 self._wholes[learns] = load(made, len(self.step.zero) if learns else 0)
+            whole = at_both_ends(ready, made, self._wholes[learns], batch, given[:2], learns)
+            return Learning(whole, ready, made, self._way_back, batch, given, full) if whole and learns else whole
         except NotImplementedError:
-            self._refused = True
+            self._refused.add(learns)
             return None
-        whole = at_both_ends(ready, made, self._wholes[learns], batch, given[:2], learns)
-        return Learning(whole, ready, made, self._way_back, batch, given, full) if whole and learns else whole
 
     def _way_back(self, kind: str, *how: Any) -> Program | None:
         """A part of the way back of whole tracks on the CPU: see ``Learning``."""
