@@ -10,9 +10,9 @@
 
 Prints a table for each job when it is done, in microseconds per track and step: median and quartiles of several passes,
 one pass of each system in turn, so that a machine whose speed drifts treats them alike.  A pass repeats short calls for
-20 ms (for cores 200) and takes their median, so that caches are warm.  Compile time is apart.  Filters of torchfra
-return full estimates (means, roots, scores at every step); the others the last mean only.  Each of the others runs in a
-process of its own, which sleeps while the others are timed.
+20 ms (for cores and training 200) and takes their median, so that caches are warm.  Compile time is apart.  Filters of
+torchfra return full estimates (means, roots, scores at every step); the others the last mean only.  Each of the others
+runs in a process of its own, which sleeps while the others are timed.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ import torch
 from short_tracks import short
 
 from torchfra import presets, scenarios
+from torchfra.filters.compiled import Compiled
 from torchfra.kernel import compilers
 
 gc.disable()  # while modules are imported and tests are collected, of which nothing is garbage
@@ -83,6 +84,15 @@ def make(scenario):
 def seeded():
     """Random numbers of a test are the same in every run."""
     torch.manual_seed(0)
+
+
+@pytest.fixture
+def prepared(monkeypatch):
+    """How often tracks had to be checked and prepared."""
+    seen = []
+    forward = Compiled.forward
+    monkeypatch.setattr(Compiled, "forward", lambda *given: seen.append(1) or forward(*given))
+    return seen
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from torchfra.scenarios import Scenario
+from torchfra.types import Gaussian
 
 STEPS = 20
 """The most that a simulated track has."""
@@ -45,3 +46,9 @@ def beginning_of_law(law):
         for x, steps in ((law.std, 2), (law.information, 1))
     )
     return dataclasses.replace(law, motion=motion, std=std, information=information)
+
+
+def alone(tracks, steps=8):
+    """The first track."""
+    return {"z": tracks.z[0, :steps], "prior": Gaussian(tracks.prior.mean[0], tracks.prior.scale_tril),
+            "u": tracks.u[:steps]}  # fmt: skip

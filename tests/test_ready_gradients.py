@@ -5,11 +5,11 @@ import weakref
 
 import pytest
 import torch
+from short_tracks import alone
 from torch.autograd.graph import saved_tensors_hooks
 from torch.utils.checkpoint import checkpoint
 
 from torchfra.filters import SRCKF
-from torchfra.filters.compiled import Compiled
 from torchfra.filters.compiled import tracks as tracks_module
 from torchfra.kernel import guards, run
 from torchfra.tree import flatten
@@ -19,21 +19,6 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(guards.hooked(), reason="this torch does not tell of hooks, so that nothing gets ready"),
 ]
-
-
-@pytest.fixture
-def prepared(monkeypatch):
-    """How often tracks had to be checked and prepared."""
-    seen = []
-    forward = Compiled.forward
-    monkeypatch.setattr(Compiled, "forward", lambda *given: seen.append(1) or forward(*given))
-    return seen
-
-
-def alone(tracks, steps=8):
-    """The first track."""
-    return {"z": tracks.z[0, :steps], "prior": Gaussian(tracks.prior.mean[0], tracks.prior.scale_tril),
-            "u": tracks.u[:steps]}  # fmt: skip
 
 
 @pytest.fixture

@@ -7,31 +7,16 @@ from contextlib import suppress
 
 import pytest
 import torch
+from short_tracks import alone
 
-from torchfra.filters.compiled import Compiled
 from torchfra.kernel import program
 from torchfra.tree import flatten
 from torchfra.types import Cause, Gaussian
 
 
-@pytest.fixture
-def prepared(monkeypatch):
-    """How often tracks had to be checked and prepared."""
-    seen = []
-    forward = Compiled.forward
-    monkeypatch.setattr(Compiled, "forward", lambda *given: seen.append(1) or forward(*given))
-    return seen
-
-
 def close(slow, fast, tolerance=1e-10):
     for a, b in zip(flatten(slow), flatten(fast), strict=True):
         torch.testing.assert_close(b, a, rtol=tolerance, atol=tolerance)
-
-
-def alone(tracks, steps=8):
-    """The first track."""
-    return {"z": tracks.z[0, :steps], "prior": Gaussian(tracks.prior.mean[0], tracks.prior.scale_tril),
-            "u": tracks.u[:steps]}  # fmt: skip
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from benchmarks.roof import FILTERS
-from benchmarks.timing import Here, Row, timed
+from benchmarks.timing import Here, Row, System, timed
 from torchfra.catalogue import make_filter, make_scenario
 from torchfra.filters import Filter
 from torchfra.linalg import triangular
@@ -21,6 +21,7 @@ from torchfra.scenarios import Tracks
 
 Call = Callable[[], None]
 _LEARNED = ("srckf", "gpb", "fra")
+"""Filters that are timed unless others are named."""
 _BESIDE = ("srckf", "fra")
 """Filters that are timed with checkpoints and with torch's own gradients too; others take too long."""
 
@@ -43,13 +44,13 @@ def training(options: argparse.Namespace) -> list[Row]:
             f"{name}, compiled": backward(copy.deepcopy(f).compile(), data),
             f"{name}, eager": backward(f, data),
         }
-        if name.startswith(_BESIDE):
+        if kind in _BESIDE:
             systems[f"{name}, eager, checkpoints"] = backward(f, data, checkpoint=10)
             systems[f"{name}, torch.linalg.qr"] = with_plain_qr(backward(f, data))
-        warming = {
-            name: (300, 20.0) if "compiled" in name else (3, 5.0) for name in systems
-        }  # compiled calls get ready
-        calls = {name: Here(call, warming=warming[name], seconds=0.2) for name, call in systems.items()}
+        calls: dict[str, System] = {}
+        for system, call in systems.items():
+            warming = (300, 20.0) if system.endswith("compiled") else (3, 5.0)  # compiled calls get ready
+            calls[system] = Here(call, warming=warming, seconds=0.2)
         of_kind = timed(calls, options.passes, batch * scenario.steps, batch=batch)
         for row in of_kind:
             row["peak_mib"] = peak(systems[row["system"]])

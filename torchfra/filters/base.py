@@ -196,15 +196,14 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
         """The estimate of whole tracks, and where there will be a way back the last state and what steps have kept."""
         compiled = self._kernels is not None and self._kernels.takes(measurements.z)
-        how = past, checkpoint is truncate is None
-        done = self._kernels.ready(self, measurements, prior, *how) if compiled else None
+        done = self._kernels.ready(self, measurements, prior, past, checkpoint or truncate) if compiled else None
         if done is None:
             batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
             mean, root = (x.to(measurements.z) for x in prior)
             begun = self.init(Gaussian(mean.expand((*batch, self.motion.size)), root))
             done = self._pass(begun, measurements, len(batch), checkpoint, truncate, past)
             if compiled:
-                self._kernels.get_ready(self, begun, measurements, prior, *how)
+                self._kernels.get_ready(self, begun, measurements, prior, past, checkpoint or truncate)
         if isinstance(done, Estimate):
             return diagnosed(self, done, measurements, prior), None, None
         state, kept = done
@@ -233,8 +232,9 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """The batch of all, checked, with the dimensions of the hyperparameters; messages call the prior ``name``."""
-        options: Any = {"scans": self.scans, "name": name, "instants": self.instants}
-        batch = check(measurements, prior, self.motion, self.sensor.size, **options)
+        batch = check(
+            measurements, prior, self.motion, self.sensor.size, scans=self.scans, name=name, instants=self.instants
+        )
         return torch.Size((1,) * (self._rank() - self.scans - len(batch))) + batch
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:

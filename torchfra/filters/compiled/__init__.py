@@ -67,24 +67,24 @@ class Compiled:
             and (forward_ad._current_level < 0 or not torch.is_grad_enabled())
         )
 
-    def ready(self, f: Any, measurements: Measurements, prior: Gaussian, past: bool, plain: bool) -> Any:
+    def ready(self, f: Any, measurements: Measurements, prior: Gaussian, past: bool, cut: int | None) -> Any:
         """The estimate, or what ``forward`` gives for the state of a prior; None unless a call of this form is known.
 
-        ``plain``: the way back is not told where it ends, or where states are kept.
+        ``cut``: steps after which the way back ends or is computed anew, if it is told.
 
         Raises:
             ValueError: the time steps or the noise have a bad value.
         """
         if not self._versions or not isinstance(prior, Gaussian) or forward_ad._current_level >= 0:
             return None
-        now, form = self._now(f), form_of(measurements, past, plain and not hooked())
+        now, form = self._now(f), form_of(measurements, past, cut is None and not hooked())
         return now.tracks(f, form, prior, measurements, now.read)
 
     def get_ready(
-        self, f: Any, state: Any, measurements: Measurements, prior: Gaussian, past: bool, plain: bool
+        self, f: Any, state: Any, measurements: Measurements, prior: Gaussian, past: bool, cut: int | None
     ) -> None:
         """Makes later calls of ``forward`` like this one ready, if that is worth it; ``state`` is that of the prior."""
-        plain = plain and not hooked()
+        plain = cut is None and not hooked()
         form, z, now = form_of(measurements, past, plain), measurements.z, self._now(f)
         given = [z, *prior, *(x for x in measurements[1:] if isinstance(x, Tensor)), *now.read()]
         shapes = z.dtype, z.shape, *(x.shape for x in prior)
