@@ -12,6 +12,7 @@ from torchfra.association.events import sum_over_events
 from torchfra.association.messages import belief_propagation, each_alone, sum_by_messages
 from torchfra.association.sets import check_sets, sum_over_sets
 from torchfra.association.tables import associate_by_tables
+from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.tracing import is_elementary, is_traced
 
 _TRACED_ITERATIONS = 50
@@ -56,7 +57,7 @@ def associate(
     if min(targets, count) < 1:
         raise ValueError(f"log_ratio: expected (..., N, J) with N and J of 1 or more, received {targets, count}")
     log_miss = torch.as_tensor(log_miss, dtype=log_ratio.dtype, device=log_ratio.device)
-    batch = torch.broadcast_shapes(log_ratio.shape[:-2], log_miss.shape[:-1])
+    batch = broadcast_shapes(log_ratio.shape[:-2], log_miss.shape[:-1])
     scans = _gated_scans(log_ratio, log_miss, log_membership, batch, diffuse)
     log_weights, evidence = _associate(scans, exact, iterations)
     return Association(log_weights.reshape(*batch, targets, count + 1), evidence.reshape(*batch, targets))

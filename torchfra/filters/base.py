@@ -21,6 +21,7 @@ from torchfra.filters.records import Kept, Record
 from torchfra.filters.smoothing import Smoother
 from torchfra.gaussian.arguments import check, check_belief
 from torchfra.gaussian.inputs import Frame, Measurements, Time, batch_rank
+from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
@@ -67,7 +68,7 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
             ValueError: a shape that does not fit.
         """
         n, (mean, root) = self.motion.size, check_belief(prior, size=self.motion.size)
-        batch = torch.broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * self._rank())
+        batch = broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * self._rank())
         mean = mean.resolve_neg().expand((*batch, n))  # torch makes no new tensor like one that is marked as negated
         return self.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # eq. (7)
 

@@ -16,6 +16,7 @@ from torchfra.filters.other_sensors import mixed, sharing
 from torchfra.filters.records import Kept
 from torchfra.gaussian.arguments import check
 from torchfra.gaussian.inputs import Frame, Measurements, Timed
+from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.tracing import is_traced
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
@@ -50,7 +51,7 @@ class Fused:
             expected = f"NaN beyond the {sizes[self.which[k]]} elements of sensor {self.which[k]} at step {k}"
             raise ValueError(f"z: expected {expected}, received a number in element {i}")
         batches = [self.views[k]._batch(part, prior, name) for k, _, part in self._of_each(measurements)]
-        return torch.Size(torch.broadcast_shapes(*batches))
+        return broadcast_shapes(*batches)
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], None]:
         """A frame for each step."""
@@ -130,7 +131,7 @@ def joined(parts: Sequence[Any], rank: int) -> Any:
     """
 
     def join(*xs: Tensor) -> Tensor:
-        batch = torch.broadcast_shapes(*(x.shape[:rank] for x in xs))
+        batch = broadcast_shapes(*(x.shape[:rank] for x in xs))
         event = [max(sizes) for sizes in zip(*(x.shape[rank + 1 :] for x in xs), strict=True)]
         fill = torch.nan if xs[0].is_floating_point() else 0
         filled = []

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchfra.gaussian.inputs import Measurements, Time
+from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.motion.base import Motion
@@ -54,7 +55,7 @@ def check(
             raise ValueError(f"dt: expected a number or (..., {steps}) or (..., 1), received {tuple(dt.shape)}")
         batch["dt"] = dt.shape[:-1]
     try:
-        whole = torch.Size(torch.broadcast_shapes(*batch.values()))
+        whole = broadcast_shapes(*batch.values())
     except RuntimeError:
         received = ", ".join(f"{name} {tuple(shape)}" for name, shape in batch.items())
         raise ValueError(f"batch: expected shapes that broadcast, received {received}") from None
@@ -163,7 +164,7 @@ def _singular(noise: Tensor, seen: Tensor) -> Tensor:
 def _refuse(name: str, expected: str, x: Tensor, bad: Tensor, event: int = 0) -> None:
     """Raises the error for the first bad entry of a tensor, whose entries have ``event`` dimensions."""
     place, split = tuple(bad.nonzero()[0].tolist()), x.dim() - event
-    entry = x.expand(torch.broadcast_shapes(x.shape[:split], bad.shape) + x.shape[split:])[place]
+    entry = x.expand(broadcast_shapes(x.shape[:split], bad.shape) + x.shape[split:])[place]
     raise ValueError(f"{name}: expected {expected}, received {entry.tolist()}{f' at {place}' if place else ''}")
 
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from torchfra.kernel.entries import Entries, as_entries, from_numbers, unsupported
 from torchfra.kernel.entrywise import number, truth_value
 from torchfra.kernel.expressions import ZERO, Expressions
+from torchfra.linalg.batches import broadcast_shapes
 
 aten = torch.ops.aten
 
@@ -100,7 +101,7 @@ def _solve_triangular(
     if not left:
         x = _solve_triangular(book, _transpose(a), _transpose(b), upper=not upper, unitriangular=unitriangular)
         return _transpose(x)
-    batch = torch.broadcast_shapes(a.shape[:-2], b.shape[:-2])
+    batch = broadcast_shapes(a.shape[:-2], b.shape[:-2])
     n, columns = b.shape[-2:]
     matrices = a.ids.expand((*batch, n, n)).reshape(-1, n, n).tolist()
     sides = b.ids.expand((*batch, n, columns)).reshape(-1, n, columns).tolist()

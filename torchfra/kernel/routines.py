@@ -15,7 +15,7 @@ from torchfra.kernel.entries import Entries, as_entries, entry_ids
 from torchfra.kernel.expressions import Expressions, Routine
 from torchfra.kernel.schedule import cost, ordered
 from torchfra.kernel.statements import called, statement
-from torchfra.linalg.batches import common_batch
+from torchfra.linalg.batches import broadcast_shapes
 
 _SHORT, _LONG = 60, 8000
 """Expressions of a routine at least, and at most: a call of a short one saves little, long ones compile slowly."""
@@ -106,7 +106,7 @@ def _name(function: Function) -> str:
 
 
 def _batch(ranks: Sequence[int], tensors: Sequence[Tensor]) -> torch.Size:
-    return common_batch(x.shape[: x.dim() - rank] for x, rank in zip(tensors, ranks, strict=True))
+    return broadcast_shapes(*(x.shape[: x.dim() - rank] for x, rank in zip(tensors, ranks, strict=True)))
 
 
 def _unknown(book: Expressions, numbers: Iterable[int]) -> list[int]:

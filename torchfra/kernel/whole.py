@@ -17,6 +17,7 @@ from torchfra.kernel.ends import Ends
 from torchfra.kernel.pages import maker
 from torchfra.kernel.program import Ready, Strided, strided, threads
 from torchfra.kernel.source import Port
+from torchfra.linalg.batches import broadcast_shapes
 from torchfra.tree import flatten
 
 
@@ -123,7 +124,7 @@ def at_both_ends(
     ready: Ready, ends: Ends, function: Any, batch: torch.Size, prior: Sequence[Tensor], remembers: bool
 ) -> Whole | None:
     """Whole tracks of this batch from priors that lie in memory like this; None if one must be copied."""
-    shared = torch.broadcast_shapes(prior[0].shape[:-1], prior[1].shape[:-2])
+    shared = broadcast_shapes(prior[0].shape[:-1], prior[1].shape[:-2])
     shared = shared if shared.numel() == 1 else batch
     ports = [Port([0] * x.shape[-1] ** event, x.shape[-event:]) for event, x in enumerate(prior, 1)]
     full = [x.expand(shared + port.shape) for x, port in zip(prior, ports, strict=True)]

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.nn.functional import pad
 
-from torchfra.linalg.batches import common_batch
+from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.safe import safe_divide
 from torchfra.linalg.tracing import is_elementary, is_traced, written_once
 
@@ -235,14 +235,14 @@ def whiten(root: Tensor, vector: Tensor) -> Tensor:
 def hstack(*blocks: Tensor) -> Tensor:
     """Matrices ``(..., n, p_i)`` side by side; their batch dimensions are broadcast."""
     if len({b.shape[:-2] for b in blocks}) > 1:
-        batch = common_batch(b.shape[:-2] for b in blocks)
+        batch = broadcast_shapes(*(b.shape[:-2] for b in blocks))
         blocks = tuple(b.expand(batch + b.shape[-2:]) for b in blocks)
     return torch.cat(blocks, -1)
 
 
 def block_diagonal(blocks: Sequence[Tensor]) -> Tensor:
     """Matrices ``(..., n_i, p_i)`` along the diagonal of one; their batch dimensions are broadcast."""
-    batch = common_batch(b.shape[:-2] for b in blocks)
+    batch = broadcast_shapes(*(b.shape[:-2] for b in blocks))
     wide, before, rows = sum(b.shape[-1] for b in blocks), 0, []
     for block in blocks:
         rows.append(pad(block, (before, wide - before - block.shape[-1])).expand(*batch, -1, -1))

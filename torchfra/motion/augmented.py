@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
+from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.triangular import block_diagonal
 from torchfra.motion.base import Adaptation, Motion
 
@@ -68,7 +69,7 @@ class Augmented(Motion):
         if all(part is None for part in parts):
             return None
         every = [dt.new_zeros(n) if part is None else part for n, part in zip(self._sizes, parts, strict=True)]
-        batch = torch.broadcast_shapes(*(part.shape[:-1] for part in every))
+        batch = broadcast_shapes(*(part.shape[:-1] for part in every))
         return torch.cat([part.expand(*batch, -1) for part in every], -1)
 
     def adaptation(self, dt: Tensor) -> Adaptation | None:
@@ -99,7 +100,7 @@ class Augmented(Motion):
     def _each(self, function: Callable[[Motion, Tensor], Tensor], x: Tensor) -> list[Tensor]:
         """A function of each motion and its components of states ``(..., n)``, batches broadcast."""
         every = [function(part, own) for part, own in zip(self._parts, x.split(self._sizes, -1), strict=True)]
-        batch = torch.broadcast_shapes(*(own.shape[:-1] for own in every))
+        batch = broadcast_shapes(*(own.shape[:-1] for own in every))
         return [own.expand(*batch, -1) for own in every]
 
     @property

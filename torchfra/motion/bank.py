@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 
 from torchfra import tree
 from torchfra.hyper import Value
-from torchfra.linalg.batches import common_batch
+from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.triangular import apply
 from torchfra.motion.base import Adaptation, Motion
 from torchfra.motion.correlated import CurrentStatistical
@@ -244,5 +244,5 @@ def _as_wide(roots: Sequence[Tensor]) -> list[Tensor]:
 
 def _stack(parts: Sequence[Tensor], event: int) -> Tensor:
     """One for each model, stacked in front of their last ``event`` dimensions, batches broadcast."""
-    batch = common_batch(part.shape[: part.dim() - event] for part in parts)
+    batch = broadcast_shapes(*(part.shape[: part.dim() - event] for part in parts))
     return torch.stack([part.expand(batch + part.shape[part.dim() - event :]) for part in parts], -1 - event)

@@ -10,6 +10,7 @@ from torch.distributions import constraints
 from torch.nn.functional import pad
 
 from torchfra.hyper import Hyper, Value
+from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
 from torchfra.motion.blocks import (
@@ -90,7 +91,7 @@ class CoordinatedTurn(Motion):
             0, torch.arange(2, self.dims, device=rate.device), 0.0
         )
         velocity = matrix[..., self.dims :, :]
-        batch = torch.broadcast_shapes(across.shape[:-2], velocity.shape[:-2])
+        batch = broadcast_shapes(across.shape[:-2], velocity.shape[:-2])
         return torch.cat([matrix.expand(batch + matrix.shape[-2:]), across @ velocity], -2)
 
 
@@ -140,7 +141,7 @@ class UnknownTurn(Motion):
             moved, rate = white_root(dt, self.q(dt), 2, self.dims), self.drift(dt).sqrt() * dt.sqrt()
         else:
             moved, rate = acceleration_gain(dt, self.q(dt), (2, 1), self.dims), self.drift(dt).sqrt() * dt
-        batch = torch.broadcast_shapes(moved.shape[:-2], rate.shape)
+        batch = broadcast_shapes(moved.shape[:-2], rate.shape)
         corner = pad(rate.expand(batch)[..., None, None], (moved.shape[-1], 0))
         return torch.cat([pad(moved.expand(*batch, -1, -1), (0, 1)), corner], -2)
 
@@ -166,7 +167,7 @@ class UnknownTurn(Motion):
 def _turned(velocity: Tensor, c: Tensor, s: Tensor, rest: float = 0.0) -> Tensor:
     """Velocities ``(..., dims)`` times ``[[c, -s], [s, c]]`` in the plane of the turn, the others times ``rest``."""
     vx, vy, others = velocity[..., :1], velocity[..., 1:2], velocity[..., 2:]
-    batch = torch.broadcast_shapes(velocity.shape[:-1], c.shape[:-1])
+    batch = broadcast_shapes(velocity.shape[:-1], c.shape[:-1])
     return torch.cat([c * vx - s * vy, s * vx + c * vy, (rest * others).expand(*batch, -1)], -1)
 
 

@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.distributions import constraints
 
 from torchfra.hyper import Hyper, Value
+from torchfra.linalg.batches import broadcast_shapes
 from torchfra.motion.base import Motion
 from torchfra.motion.blocks import per_axis, white_root
 
@@ -84,5 +85,5 @@ class Clock(Motion):
         drift = white_root(dt, self.drift(dt), 2, 1)
         offset = self.offset(dt).sqrt() * dt.sqrt()
         offset = torch.stack([offset, torch.zeros_like(offset)], -1).unsqueeze(-1)
-        batch = torch.broadcast_shapes(drift.shape[:-2], offset.shape[:-2])
+        batch = broadcast_shapes(drift.shape[:-2], offset.shape[:-2])
         return torch.cat([drift.expand(*batch, 2, 2), offset.expand(*batch, 2, 1)], -1)

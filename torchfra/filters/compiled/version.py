@@ -21,6 +21,7 @@ from torchfra.kernel.copies import frozen
 from torchfra.kernel.program import Program
 from torchfra.kernel.run import Kernels, has_gradient
 from torchfra.kernel.step import Input, Step
+from torchfra.linalg.batches import broadcast_shapes
 from torchfra.tree import flatten, map_tensors, ranks
 from torchfra.types import Gaussian
 
@@ -132,7 +133,7 @@ class Version:
         alone = back.batch if back else state.belief.mean.shape[: -1 - self.scans]
         pairs = zip(self.values, self._read_for(back), strict=True)
         values = [(value, x, x.dim() - (value.alone if back else value.event)) for value, x in pairs]
-        batch = torch.broadcast_shapes(alone, *(x.shape[:rank] for _, x, rank in values))
+        batch = broadcast_shapes(alone, *(x.shape[:rank] for _, x, rank in values))
         inputs, shapes = {}, []
         for (name, event), x, varies in zip(events.items(), data, timed, strict=True):
             if x is not None:

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 
 from torchfra.hyper import Hyper, Values
+from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian
 
@@ -104,7 +105,7 @@ class Regimes(nn.Module):
             spread: ``(..., K, n, p)`` what was uncertain before.
             noise: ``(..., K, n, q)`` process noise.
         """
-        every = torch.broadcast_shapes(mean.shape, noise.shape[:-1])  # values of motions may bring a batch
+        every = broadcast_shapes(mean.shape, noise.shape[:-1])  # values of motions may bring a batch
         rank = mean.dim() - 2
         means = mean.expand(every).movedim(-2, 0)
         spread, noise = (x.expand(*every, -1).movedim(-3, 0) for x in (spread, noise))
