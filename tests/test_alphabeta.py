@@ -111,7 +111,7 @@ def test_the_covariance_is_that_of_the_errors(orders):
 def test_what_is_not_stable_is_refused():
     for alpha, beta in ((0.5, 3.2), (-0.1, 0.1), (1.0, 2.0)):
         assert not gains.stable(Gains(tensor(alpha), tensor(beta)))
-    with pytest.raises(ValueError, match="gains: expected stable ones"):
+    with pytest.raises(ValueError, match="gains: expected stable alpha and beta, received"):
         AlphaBeta(LINE, SENSOR, Gains(tensor(0.5).squeeze(), tensor(3.2).squeeze()))
 
 

@@ -67,7 +67,7 @@ def filter(
         listed: whether commands run it unless told which.
 
     Raises:
-        ValueError: a name that is taken by another function or is none, or what is no function.
+        ValueError: a name that another function has or that has other characters, or what is no function.
     """
 
     def add(preset: F) -> F:
@@ -82,7 +82,7 @@ def scenario(name: str) -> Callable[[F], F]:
     """A decorator that adds a function that makes a ``Scenario`` to the scenarios; its arguments have defaults.
 
     Raises:
-        ValueError: a name that is taken by another function or is none, or what is no function.
+        ValueError: a name that another function has or that has other characters, or what is no function.
     """
 
     def add(make: F) -> F:

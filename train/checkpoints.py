@@ -58,7 +58,7 @@ def load(training: Training, out: Path) -> bool:
 
 
 def _read(path: Path, training: Training) -> dict[str, Any]:
-    """What ``_write`` has put together.
+    """The state that ``save`` has written.
 
     Raises:
         OtherSettingsError: with other settings.

@@ -94,7 +94,7 @@ class Config:
     test_seed: int = 2
     device: str = "cpu"
     compile: bool = True
-    """Run compiled kernels on the CPU: many times faster, and needs a C++ compiler."""
+    """Run compiled kernels: many times faster, and needs a C++ compiler, or NVRTC on a GPU."""
     tensorboard: bool = False
     """Also write a TensorBoard log."""
 

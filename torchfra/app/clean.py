@@ -43,7 +43,8 @@ def clean(
         data: the path of a file; a pandas ``DataFrame``; ``(time (k,), position (k, d))``, seconds or moments, and
             metres in 2 or 3 dimensions, NaN where missing; or recordings of ``torchfra.readers.read``.
         filter: its name, out of ``catalogue.track_filters()``.
-        bank: of what targets: ``"aircraft"``, ``"ship"``, ``"vehicle"`` or ``"person"``; None chooses by the data.
+        bank: of what targets: ``"aircraft"``, ``"ship"``, ``"vehicle"`` or ``"person"``, or a ``Bank`` of motions; None
+            chooses by the data.
         sigma: standard deviation of a fix per axis, m; where fixes have their own, a factor on those.  None finds it.
         q: density of the process noise per second, m^2/s^3.  None finds it.
         smooth: whether each estimate knows the fixes after it.
@@ -64,6 +65,7 @@ def clean(
     Raises:
         ValueError: the data cannot be understood, or a value is out of its range.
         ImportError: what reads a file is not installed.
+        CompileError: (a ``RuntimeError``) with ``compile``, if there is no C++ compiler.
     """
     settings: dict[str, Any] = {"filter": filter, "bank": bank, "sigma": sigma, "q": q, "smooth": smooth, "dt": dt,
                                 "repair": repair, "compile": compile}  # fmt: skip
@@ -136,7 +138,7 @@ def _sheet_of_arrays(data: Any) -> Sheet:
     """Times and positions.
 
     Raises:
-        ValueError: they are none.
+        ValueError: it is no pair of times and positions.
     """
     if not isinstance(data, tuple | list) or len(data) != 2:
         raise ValueError(

@@ -172,7 +172,7 @@ def exit_status(program: str, work: Callable[[], object]) -> int:
 
 
 def message(error: Exception) -> str | None:
-    """What a user reads of an error; None of one that no argument, no file and no machine explains."""
+    """What a user reads of an error; None of an error in the program itself."""
     if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and any(x in str(error) for x in _NO_MEMORY)):
         return f"not enough memory: {error}"
     if isinstance(error, OverflowError):

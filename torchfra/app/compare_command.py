@@ -102,7 +102,7 @@ def run(options: argparse.Namespace) -> None:
     check_limit(options.limit)
     check_files(_outputs(options), inputs)
     for module in options.modules:
-        load_module(module)
+        load_module(module, "import")
     scenario, runs = scenario_of(options)
     options.figure = options.figure or Path(f"compare-{scenario.name}.png")
     check_files(_outputs(options), inputs)
@@ -139,7 +139,7 @@ def _outputs(options: argparse.Namespace) -> dict[str, Path | None]:
     """The files that are written, by option.
 
     Raises:
-        ValueError: an ending that is none of a table, or of a figure.
+        ValueError: a name that does not end as one of a table, or of a figure.
     """
     if options.table is not None:
         table_form(options.table)

@@ -24,8 +24,12 @@ def is_place(name: str) -> bool:
     return ":" in name
 
 
-def load_module(place: str) -> ModuleType:
+def load_module(place: str, argument: str) -> ModuleType:
     """The module of a dotted name, looked for in the current folder too, or of a ``.py`` file.
+
+    Args:
+        place: the name, or the file.
+        argument: what it was given as.
 
     Raises:
         ValueError: there is none, or it cannot be run.
@@ -39,25 +43,26 @@ def load_module(place: str) -> ModuleType:
     except Exception as error:
         reason = f"{type(error).__name__}: {error}"
         raise ValueError(
-            f"import: expected a module, or a file that ends in .py, received {place} ({reason})"
+            f"{argument}: expected a module, or a file that ends in .py, received {place} ({reason})"
         ) from error
 
 
-def load_function(place: str) -> Callable[..., Any]:
-    """The function of ``module:function``.
+def load_function(place: str, argument: str) -> Callable[..., Any]:
+    """The function of ``module:function``, given as ``argument``.
 
     Raises:
         ValueError: there is no such module, or nothing in it by that name that can be called.
     """
     module, _, name = place.rpartition(":")
     if not module or not name:
-        raise ValueError(f"import: expected module:function or file.py:function, received {place!r}")
-    found = getattr(load_module(module), name, None)
+        raise ValueError(f"{argument}: expected module:function or file.py:function, received {place!r}")
+    loaded = load_module(module, argument)
+    found = getattr(loaded, name, None)
     if not callable(found):
-        known = sorted(key for key, value in vars(load_module(module)).items() if _own(value, module))
+        known = sorted(key for key, value in vars(loaded).items() if _own(value, loaded))
         received = "nothing" if found is None else type(found).__name__
         hint = f"; it has {', '.join(known)}" if known else ""
-        raise ValueError(f"import: expected {module} to have a function {name}, received {received}{hint}")
+        raise ValueError(f"{argument}: expected {module} to have a function {name}, received {received}{hint}")
     function: Callable[..., Any] = found
     return function
 
@@ -68,7 +73,7 @@ def load_scenario(place: str, **options: Any) -> Scenario:
     Raises:
         ValueError: there is no such function, it does not take an option, or it returns something else.
     """
-    make = load_function(place)
+    make = load_function(place, "scenario")
     for key in options.keys() - inspect.signature(make).parameters.keys():
         raise ValueError(f"{key}: {place} takes no such option, received {options[key]!r}")
     scenario: Scenario = register.made(place, make(**options), Scenario, "()")
@@ -90,7 +95,8 @@ def load_filters(names: Sequence[str], scenario: Scenario) -> dict[str, Filter]:
 def _filter(name: str, scenario: Scenario) -> Filter:
     if not is_place(name):
         return scenario_filter(name, scenario)
-    f: Filter = register.made(name, load_function(name)(scenario.motion, scenario.sensor), Filter, "(motion, sensor)")
+    preset = load_function(name, "filters")
+    f: Filter = register.made(name, preset(scenario.motion, scenario.sensor), Filter, "(motion, sensor)")
     if f.scans != (scenario.clutter is not None):
         wanted = "scans" if scenario.clutter is not None else "single targets"
         raise ValueError(f"filters: expected one of {wanted} for {scenario.name}, received {name}")
@@ -117,6 +123,6 @@ def _module_of_file(path: Path) -> ModuleType:
     return sys.modules[name]
 
 
-def _own(value: object, module: str) -> bool:
+def _own(value: object, module: ModuleType) -> bool:
     """Whether a function is one that a module has itself."""
-    return inspect.isfunction(value) and value.__module__ == load_module(module).__name__
+    return inspect.isfunction(value) and value.__module__ == module.__name__

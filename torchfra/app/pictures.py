@@ -15,7 +15,7 @@ def picture_form(path: str | Path, argument: str = "path") -> str:
         argument: what it was given as.
 
     Raises:
-        ValueError: another ending.
+        ValueError: a name that ends in none of ``FORMS``.
     """
     form = Path(path).suffix.lower().removeprefix(".") or "png"
     if form not in FORMS:

@@ -29,9 +29,9 @@ _FEW = 2.0
 _ALONE = USUAL._replace(same=0.0)
 """While sigma and the process noise are found: many outliers as far off as each other could stand for clean fixes."""
 _SLOWEST = 1e-5
-"""Least density of the process noise, m^2/s^3, ..."""
+"""Least density of the process noise, m^2/s^3."""
 _STILL = 0.1
-"""and what it may move a target by between two fixes, m."""
+"""How far the least process noise may move a target between two fixes, m."""
 _LASTING = 300.0, 15.0
 """Mean time that the least and the largest process noise last, s."""
 _RARER = 3.0

@@ -1,4 +1,4 @@
-"""What every filter is: a pure ``step``, and ``forward``, the only loop over time."""
+"""What every filter is: a pure ``step``, and ``forward`` over whole tracks."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class Kept(NamedTuple):
     log_likelihood: Tensor
     info: Any
     past: Any = None
-    """Of a pass whose way back will be gone."""
+    """What smoothing needs of the step; None unless it was asked for."""
 
 
 def scores(normalised: Tensor, root: Tensor, log_norm: Tensor, log_density: Tensor | None) -> tuple[Tensor, Tensor]:

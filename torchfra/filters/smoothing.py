@@ -1,4 +1,4 @@
-"""Smoothing: the way back over a track that has been filtered, the only loop over time that runs backwards."""
+"""Smoothing: the way back over a track that has been filtered."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ class Smoother(nn.Module):
         return past
 
     def needed_ahead(self, past: Any) -> Any:
-        """Of a past what a step back needs of the step that it comes from, None in the place of all else."""
+        """What smoothing a step reads of the past of the step after it; all other fields are None."""
         return past
 
     def last(self, past: Any) -> tuple[Any, Told]:

@@ -165,7 +165,7 @@ class Fitted:
         """The learning curve, a figure of matplotlib; written to ``path`` if there is one, as PDF, SVG or PNG.
 
         Raises:
-            ValueError: another ending.
+            ValueError: a name that ends otherwise.
             OSError: it cannot be written.
         """
         if path is not None:

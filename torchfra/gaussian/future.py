@@ -19,7 +19,7 @@ from torchfra.types import Gaussian
 
 
 class Told(NamedTuple):
-    """What a measurement makes of beliefs whose roots it is in units of: ``N(0, I)`` where it says nothing."""
+    """Beliefs after a measurement, in units of their roots before: ``N(0, I)`` where the measurement says nothing."""
 
     belief: Gaussian
     """``(..., n)`` in those units, with an upper root."""
@@ -76,7 +76,7 @@ def _log_det(root: Tensor) -> Tensor:
 
 
 def future(predicted: Gaussian, smoothed: Gaussian, difference: Difference = torch.sub) -> Future:
-    """The measurement that makes of a ``predicted`` belief ``(..., n)`` the ``smoothed`` one.
+    """The measurement that turns a ``predicted`` belief ``(..., n)`` into the ``smoothed`` one.
 
     In units of the predicted root the smoothed belief is ``N(w, W W^T)``.  Eigenvalues ``p`` of ``W W^T`` are below 1
     where later measurements have told something: there the information is ``1 / p - 1``.  Directions of more, which

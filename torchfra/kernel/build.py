@@ -21,7 +21,7 @@ from torchfra.kernel.compilers import CompileError as CompileError
 from torchfra.kernel.compilers import Compiler
 
 compiled = 0
-"""How many times this process has called the compiler."""
+"""How many libraries this process has compiled."""
 
 LARGE = 30_000
 """Lines of a source from which the compiler optimises less: in half the time, for steps of many models."""
@@ -92,7 +92,7 @@ def wide() -> bool:
 
 
 def stop() -> None:
-    """Ends all compilations of this process, whose ``load`` then raises a ``CompileError``: for one that ends."""
+    """Ends all compilations, whose ``load`` then raises a ``CompileError``: call it when the process ends."""
     _places().stop()
 
 

@@ -1,4 +1,4 @@
-"""What follows from a choice between values that stay is such a choice too, whose sides are computed once."""
+"""Writes ``f(m ? a : b)`` as ``m ? f(a) : f(b)`` where a and b do not change over time: both are computed once."""
 
 from __future__ import annotations
 

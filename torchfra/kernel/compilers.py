@@ -57,7 +57,7 @@ class Compiler(NamedTuple):
 
     @property
     def wide(self) -> bool:
-        """Whether it takes torch's vectors: not on Windows, where torch keeps their mathematics to itself."""
+        """Whether it takes kernels in vectors: not on Windows, where torch keeps their mathematics to itself."""
         return self.family != "msvc" and sys.platform != "win32"
 
     def flags(self, large: bool = False) -> list[str]:

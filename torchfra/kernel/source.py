@@ -75,7 +75,7 @@ class Scan:
         """The translation unit, whose function is ``run``.
 
         Args:
-            narrow: whether for one track, in plain C++ that needs no headers of torch; or for many, in vectors.
+            narrow: whether for one track, in numbers; or for many, in vectors.
         """
         run = threaded("run.cpp").replace("MANY_BYTES", str(PAST))
         return "".join((*self._parts(Writer(self.step(), narrow), narrow, apart=True), run))

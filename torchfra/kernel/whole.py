@@ -60,7 +60,7 @@ class Whole:
         for port in ends.settled:
             self._table.extend([0, 1, 0, ready.table[4 * port + 3]])
         self._table.extend([0, 1, 0, ready.tracks] * len(ends.each))
-        if ready.steps == 1:  # the end of what comes late takes the place of what the only step says of none before it
+        if ready.steps == 1:  # no step is before it: the end of what comes late overwrites that
             for k in late:
                 like[k], self._table[4 * (reads + count + k) + 2] = like[k].narrow(rank, 0, 1), 0
         self._late = late if ready.steps > 1 else []

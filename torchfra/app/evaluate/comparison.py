@@ -142,7 +142,7 @@ class Comparison:
         """Writes the table by the ending of the file, ``.txt``, ``.csv``, ``.tex`` or ``.md``; all of it as ``.json``.
 
         Raises:
-            ValueError: another ending.
+            ValueError: a name that ends in none of these.
             OSError: it cannot be written.
         """
         path = Path(path)
@@ -160,7 +160,7 @@ class Comparison:
             width: of the figure, inches: 3.5 is a column.
 
         Raises:
-            ValueError: another ending, or no truth to compare with.
+            ValueError: a name that ends otherwise, or no truth to compare with.
             OSError: it cannot be written.
         """
         if path is not None:

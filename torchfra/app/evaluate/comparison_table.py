@@ -63,7 +63,7 @@ def table_form(path: Path) -> str:
     """The form of a table by the ending of its file.
 
     Raises:
-        ValueError: another ending.
+        ValueError: a name that ends in none of ``FORMS``.
     """
     if path.suffix not in FORMS:
         raise ValueError(f"table: expected a file that ends in {', '.join(FORMS)}, received {path}")

@@ -16,7 +16,7 @@ RUNS = 32
 
 
 def check_limit(limit: float | None) -> None:
-    """Checks what a user has said of it; None is nothing.
+    """Checks a limit that a user gave; None means that none was given.
 
     Raises:
         ValueError: no number above 0.

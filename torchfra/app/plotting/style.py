@@ -29,11 +29,11 @@ _BROKEN = ("-", "--", ":", "-.")
 def save(figure: Figure, path: str | Path) -> Path:
     """Writes a figure, completely or not at all, as PNG, or as PDF or SVG where the file ends so.
 
-    Letters of PDF and SVG stay text in outlines' stead, and two of the same figure are the same to the byte.
+    PDF and SVG keep letters as text, not as outlines, and two of the same figure are the same to the byte.
 
     Raises:
         OSError: it cannot be written.
-        ValueError: another ending.
+        ValueError: a name that ends in none of .png, .pdf and .svg.
     """
     picture, form = BytesIO(), picture_form(path)
     undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": None}[form]

@@ -147,7 +147,7 @@ class AlphaBetaBank(Updates):
         if not self.longest > 0:
             raise ValueError(f"longest: expected seconds above 0, received {self.longest}")
         if self.detect == "polar" and self.motion.dims < 2:
-            raise ValueError("detect: expected 'cartesian' on a line, received 'polar'")
+            raise ValueError("detect: expected 'cartesian' for a motion of one dimension, received 'polar'")
 
     def _set_levels(self, gains: Gains) -> None:
         count = gains.alpha.shape[-1] if gains.alpha.dim() else 0

@@ -74,13 +74,13 @@ def levels(orders: int = 2) -> Gains:
 
     With ``orders`` 3 the first two have three gains, of index 0.1 and 0.03.
     """
-    slow = kalata(torch.tensor([1.5, 0.5, 0.1], dtype=torch.float64))
+    two = kalata(torch.tensor([1.5, 0.5, 0.1], dtype=torch.float64))
     if orders == 2:
-        return slow
-    fast = kalata(torch.tensor([0.1, 0.03], dtype=torch.float64), 3)
-    assert fast.gamma is not None
-    alpha, beta = torch.cat([fast.alpha, slow.alpha[-1:]]), torch.cat([fast.beta, slow.beta[-1:]])
-    return Gains(alpha, beta, torch.nn.functional.pad(fast.gamma, (0, 1)))
+        return two
+    three = kalata(torch.tensor([0.1, 0.03], dtype=torch.float64), 3)
+    assert three.gamma is not None
+    alpha, beta = torch.cat([three.alpha, two.alpha[-1:]]), torch.cat([three.beta, two.beta[-1:]])
+    return Gains(alpha, beta, torch.nn.functional.pad(three.gamma, (0, 1)))
 
 
 def benedict_bordner(alpha: Value) -> Gains:
@@ -97,9 +97,11 @@ def critically_damped(theta: Value) -> Gains:
     """Fading memory: both poles at ``theta``, in (0, 1).  Source: Morrison (1969).
 
     Raises:
-        ValueError: ``theta`` not in (0, 1].
+        ValueError: ``theta`` not in (0, 1).
     """
     theta = _share("theta", theta)
+    if bool((theta == 1).any()):
+        raise ValueError(f"theta: expected a value below 1, which would use no measurement, received {theta.tolist()}")
     return Gains(1 - theta.square(), (1 - theta).square())
 
 

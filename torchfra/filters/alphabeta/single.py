@@ -86,7 +86,8 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
     ) -> None:
         super().__init__(motion, sensor, initiation, period)
         if (gains.gamma is not None and motion.orders == 2) or not design.stable(gains):
-            raise ValueError(f"gains: expected stable ones, at most {motion.orders}, received {gains}")
+            more = "" if motion.orders == 2 else ", or these and gamma"
+            raise ValueError(f"gains: expected stable alpha and beta{more}, received {gains}")
         if expanding and gains.gamma is not None:
             raise ValueError("expanding: expected two gains, received three")
         self.alpha = Hyper(gains.alpha, constraints.unit_interval, name="alpha")

@@ -26,7 +26,7 @@ def begin(f: Any, book: Expressions, targets: Sequence[int] = ()) -> Any:
     state = f.begin(Gaussian(Entries.inputs(book, (*targets, n), dtype), Entries(book, root, dtype)))
     if f.home is f:
         return state
-    # What a view keeps of a measurement is not nothing, as it seems to be from the view's own steps.
+    # Steps of a view never change this memory, so that tracing would take it for constant zeros: it is unknown.
     return f.remembering(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
 
 

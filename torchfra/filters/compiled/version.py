@@ -165,7 +165,7 @@ class Version:
     def get_ready(self, plan: Plan, state: Any, data: Data, whole: bool) -> None:
         """Makes later steps like this one ready, if they need no gradient and all is read where it lies."""
         tensors = [*flatten(state), *(x for x in data if x is not None), *self.read()]
-        if plan.counts or self._changes(plan, tensors):
+        if plan.counts or self._changes(tensors):
             return
         full, step = self.full(plan, tensors), plan.kernels.step
         if any(x.data_ptr() != y.data_ptr() for x, y in zip(full, tensors, strict=True)):
@@ -182,7 +182,7 @@ class Version:
         tensors, leaves = [*prior, *given], [x.contiguous() for x in flatten(state)]
         full, kernels, learns = self.full(plan, [*leaves, *given]), plan.kernels, has_gradient(tensors)
         if (
-            self._changes(plan, tensors, learns and plain and not past and kernels.remembers(plan.batch, steps))
+            self._changes(tensors, learns and plain and not past and kernels.remembers(plan.batch, steps))
             or any(x.dtype != plan.dtypes[0] or x.device != plan.device for x in prior)
             or any(x.data_ptr() != y.data_ptr() for x, y in zip(full, [*leaves, *given], strict=True))
         ):
@@ -198,7 +198,7 @@ class Version:
             self.tracks.add(form, ReadyTracks(run, plan.batch, tensors, state, made))
 
     @staticmethod
-    def _changes(plan: Plan, tensors: Sequence[Tensor], learns: bool = False) -> bool:
+    def _changes(tensors: Sequence[Tensor], learns: bool = False) -> bool:
         """Whether a call needs gradients, unless it ``learns``, or cannot be told from others by its tensors alone."""
         gradients = (has_gradient(tensors) and not learns) or forward_ad._current_level >= 0
         twice = len({*map(id, tensors)}) < len(tensors)  # as in the first state of some filters; guards refuse that
@@ -217,7 +217,7 @@ class Version:
         self, plan: Plan, steps: int, state: Any, data: Sequence[Tensor | None], *options: int | None,
         back: Given | None = None,
     ) -> tuple[Any, Any]:  # fmt: skip
-        """Does it."""
+        """Runs the kernels of a plan on these tensors: the state after all steps, and the record of each."""
         count = len(plan.kernels.step.zero)
         full = self.full(plan, [*flatten(state), *(x for x in data if x is not None), *self._read_for(back)])
         state, record = plan.kernels.run(plan.batch, steps, full[:count], full[count:], *options)

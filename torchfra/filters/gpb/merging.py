@@ -24,7 +24,7 @@ def lifted(predicted: Gaussian, belief: Gaussian) -> Gaussian:
 
 
 def shares(log_weights: Tensor) -> tuple[Tensor, Tensor]:
-    """``shared``, where nothing has a share in nothing."""
+    """As ``shared``, but all shares are 0 where no hypothesis has any weight."""
     roots, total = shared(log_weights)
     return torch.where(total == -torch.inf, 0.0, roots), total
 

@@ -12,7 +12,7 @@ from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian
 
 FURTHEST = 1e5
-"""Largest factor of a jump: a measurement that is wrong beyond all bounds moves no target."""
+"""Largest factor of a jump on the covariance, however far off the measurement is."""
 USUAL = 1000.0
 """Normalised innovation squared per element up to which all jumps have the same odds."""
 

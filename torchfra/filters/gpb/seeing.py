@@ -11,8 +11,10 @@ from torchfra.gaussian.inputs import Frame
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
-BLIND, NEAR = 0.02, 0.01
-"""Share of a predicted element's variance below which its slope counts for nothing; how wide points are then."""
+BLIND = 0.02
+"""Share of a predicted element's variance below which the slope of its points counts for nothing."""
+NEAR = 0.01
+"""Scale of the points that then stand for the slope at the mean."""
 
 
 def by_points_or_slope(compare: Callable[[Gaussian], Whitened], belief: Gaussian) -> Whitened:

@@ -1,4 +1,4 @@
-"""Steps of a filter of scans for who manages its targets: what to expect of a scan, and what it has said."""
+"""Steps of a filter of scans as ``targets.Targets`` calls them: what to expect of a scan, and what it has said."""
 
 from __future__ import annotations
 

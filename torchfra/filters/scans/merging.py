@@ -124,7 +124,7 @@ def _joint(log_weights: Tensor, inside: Tensor) -> Tensor:
 
 
 def _shared(joint: Tensor, log_weights: Tensor) -> tuple[Tensor, Tensor]:
-    """Sums over hypotheses ``(P, ...)``, and their shares in them; ``log_weights`` in a sum of nothing."""
+    """Sums over hypotheses ``(P, ...)``, and logs of their shares: ``log_weights`` where none has any weight."""
     total = joint.logsumexp(0)
     nothing = total == -torch.inf
     return total, torch.where(nothing, log_weights, joint - torch.where(nothing, 0.0, total))
