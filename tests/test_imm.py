@@ -335,8 +335,9 @@ def test_what_does_not_fit_is_named():
         presets.imm(bank()[:2], SENSOR, transition=torch.tensor([[0.5, 0.6], [0.5, 0.5]]))
     with pytest.raises(ValueError, match=r"initial: expected \(5,\)"):
         presets.imm(bank(), SENSOR, initial=torch.ones(3) / 3)
-    with pytest.raises(ValueError, match="inner: expected a plain filter around a Bank"):
-        IMM(presets.srckf(ConstantAcceleration(1.0), SENSOR), transition=torch.eye(1))
+    for preset, models in ((presets.srckf, bank()[0]), (presets.gpb, bank()), (presets.imm, bank())):
+        with pytest.raises(ValueError, match="inner: expected SRCKF or FRA around a Bank, or a filter that mixes"):
+            IMM(preset(models, SENSOR), stay=0.9)
     with pytest.raises(ValueError, match="out, into"):
         Embedded(ConstantVelocity(1.0), torch.eye(4), torch.eye(4), orders=3)
     with pytest.raises(ValueError, match="motion: expected a linear one"):

@@ -26,17 +26,17 @@ def look_ahead(f: Any, state: Any, frame: Frame) -> Ahead:
     """What a filter expects after a step.
 
     Args:
-        f: gives hypotheses by ``foresee``, and measurements of them by ``would_see``.
+        f: gives hypotheses by ``predict_hypotheses``, and measurements of them by ``predict_innovation``.
         state: before the step.
         frame: of the step, with nothing measured.
     """
-    beliefs, log_weights = f.foresee(state, frame)
+    beliefs, log_weights = f.predict_hypotheses(state, frame)
     belief = _together(beliefs, log_weights, f.motion.angles)
     belief = belief._replace(mean=f.motion.canonical(belief.mean))
     z = f.sensor.at_points(belief.mean, frame.u)
     noise = f.sensor.measurement_noise(z)
     seen = frame._replace(z=z, seen=torch.ones_like(z), measurement_noise=noise)
-    residual, root = _together(f.would_see(state, beliefs, seen), log_weights)
+    residual, root = _together(f.predict_innovation(state, beliefs, seen), log_weights)
     apart = noise.colour(residual.unsqueeze(-1)).squeeze(-1)
     return Ahead(belief, Gaussian(z - apart, noise.colour(root)))
 

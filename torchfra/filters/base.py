@@ -123,8 +123,8 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
             return self.with_sensor(sensor).step(state, z, dt=dt, u=u, std=std, noise=noise)
         measurements = Measurements(z, dt, u, std, noise)
         frame = partial(self._frame, state, measurements)
-        if self._kernels is not None and self._kernels.takes(z):
-            compiled: tuple[S, Innovation] = self._kernels.step(self, state, measurements, frame)
+        if (kernels := self.kernels_for(z)) is not None:
+            compiled: tuple[S, Innovation] = kernels.step(self, state, measurements, frame)
             return compiled
         return self.observe(state, frame())
 
@@ -173,8 +173,8 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
         """
         check_lengths(truncate=truncate, checkpoint=checkpoint)
         f = self if sensors is None and which is None else fused(self, sensors, which)
-        run = f._remembered if past else f._forth
-        return run(Measurements(z, dt, u, std, noise), prior, checkpoint, truncate)[0]
+        given = Measurements(z, dt, u, std, noise), prior, checkpoint, truncate
+        return f._remembered(*given) if past else f._forth(*given)[0]
 
     if TYPE_CHECKING:  # what torch types as a call that may return anything
         __call__ = forward
@@ -188,23 +188,22 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
     def observe(self, state: S, frame: Frame) -> tuple[S, Innovation]:
         """One step on a prepared frame: the next state, and what the measurement said."""
         state, record = self.advance(state, frame)
-        log_norm = frame.measurement_noise.log_norm
-        return state, Innovation(*self._innovation(record, frame), *self._scores(record, log_norm))
+        return state, self.innovation_of(record, frame)
 
     def _forth(
         self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
         past: bool = False,
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
         """The estimate of whole tracks, and where there will be a way back the last state and what steps have kept."""
-        compiled = self._kernels is not None and self._kernels.takes(measurements.z)
-        done = self._kernels.ready(self, measurements, prior, past, checkpoint or truncate) if compiled else None
+        kernels, cut = self.kernels_for(measurements.z), checkpoint or truncate
+        done = None if kernels is None else kernels.ready(self, measurements, prior, past, cut)
         if done is None:
             batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
             mean, root = (x.to(measurements.z) for x in prior)
             begun = self.init(Gaussian(mean.expand((*batch, self.motion.size)), root))
             done = self._pass(begun, measurements, len(batch), checkpoint, truncate, past)
-            if compiled:
-                self._kernels.get_ready(self, begun, measurements, prior, past, checkpoint or truncate)
+            if kernels is not None:
+                kernels.get_ready(self, begun, measurements, prior, past, cut)
         if isinstance(done, Estimate):
             return diagnosed(self, done, measurements, prior), None, None
         state, kept = done
@@ -217,8 +216,8 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
         past: bool,
     ) -> Any:  # fmt: skip
         """The state after all steps, and what is kept of each."""
-        if self._kernels is not None and self._kernels.takes(measurements.z):
-            return self._kernels.forward(self, state, measurements, checkpoint, truncate, past)
+        if (kernels := self.kernels_for(measurements.z)) is not None:
+            return kernels.forward(self, state, measurements, checkpoint, truncate, past)
         frames, log_norm = self._frames(measurements, rank)
         state, record = run(self.advance, state, frames, rank, checkpoint, truncate, past)
         return state, Kept(record.belief, *self._scores(record, log_norm.movedim(0, -1)), record.info, record.past)
@@ -246,6 +245,6 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
         """Normalised innovation squared and log likelihood."""
         raise TypeError(f"{type(self).__name__} needs a _scores: see TrackFilter and ScanFilter")
 
-    def _innovation(self, record: Record, frame: Frame) -> tuple[Tensor, Tensor]:
-        """The residual and its root in the measurement's own units."""
-        raise TypeError(f"{type(self).__name__} needs an _innovation: see TrackFilter and ScanFilter")
+    def innovation_of(self, record: Record, frame: Frame) -> Innovation:
+        """What the measurement of a step said, in its own units."""
+        raise TypeError(f"{type(self).__name__} needs an innovation_of: see TrackFilter and ScanFilter")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from torch import nn
+from torch import Tensor, nn
 from typing_extensions import Self
 
 
@@ -15,6 +15,10 @@ class Compilable(nn.Module):
     """Attributes that are plain numbers, which compiled kernels read when they run."""
     slow_to_compile = False  # some ten seconds or more: commands compile such a filter only when told to
     _kernels: Any
+
+    def kernels_for(self, z: Tensor) -> Any:
+        """What runs measurements ``z`` as kernels; None without ``compile``, and for what kernels do not take."""
+        return self._kernels if self._kernels is not None and self._kernels.takes(z) else None
 
     def compile(self, *args: Any, **options: Any) -> Self:  # type: ignore[override]  # torch's own returns None
         """From here on run as compiled kernels, on CPU or GPU: same results (to rounding), same gradients.

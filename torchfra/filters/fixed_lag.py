@@ -18,7 +18,7 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Innovation
 
 
-class Moment(NamedTuple):
+class WindowStep(NamedTuple):
     """What is kept of a step."""
 
     belief: Gaussian
@@ -32,7 +32,7 @@ class FixedLagState(NamedTuple):
 
     inner: Any
     """Of the filter."""
-    window: tuple[Moment, ...] = ()
+    window: tuple[WindowStep, ...] = ()
     """The steps up to ``lag`` back, the newest last."""
     told: Told | None = None
     """Of the first step of the window, from the measurements so far: see ``lagged``."""
@@ -96,27 +96,25 @@ class FixedLag(nn.Module):
         f: Filter = self.filter.with_sensor(sensor)
         if f is not self.filter:
             self.filter.check_smooths_several()
-        inner, record, moment = remember(f, state.inner, Measurements(z, dt, u, std, noise))
-        window = (*state.window, moment)[-self.lag - 1 :]
+        inner, record, step = remember(f, state.inner, Measurements(z, dt, u, std, noise))
+        window = (*state.window, step)[-self.lag - 1 :]
         told, rank = go_back(self.filter, inner, window), inner.belief.mean.dim() - 1
         first: Told = tree.map_tensors(lambda x: x.select(rank, 0), told)
-        log_norm = moment.frame.measurement_noise.log_norm
-        innovation = Innovation(*f._innovation(record, moment.frame), *f._scores(record, log_norm))
-        return FixedLagState(inner, window, first), innovation
+        return FixedLagState(inner, window, first), f.innovation_of(record, step.frame)
 
 
-def remember(f: Filter, state: Any, measurements: Measurements) -> tuple[Any, Record, Moment]:
+def remember(f: Filter, state: Any, measurements: Measurements) -> tuple[Any, Record, WindowStep]:
     """One step of a filter: the next state, its record, and what is kept of it."""
     frame = f._frame(state, measurements)
     state, record = f.advance(state, frame)
-    return state, record, Moment(record.belief, record.info, record.past if f.keeps_past else None, frame)
+    return state, record, WindowStep(record.belief, record.info, record.past if f.keeps_past else None, frame)
 
 
-def go_back(f: Filter, inner: Any, window: Sequence[Moment]) -> Told:
+def go_back(f: Filter, inner: Any, window: Sequence[WindowStep]) -> Told:
     """What is told of all steps of a window that ends in the filter's state ``inner``, time behind the batch."""
     rank = inner.belief.mean.dim() - 1
-    steps = [tree.map_tensors(lambda x: x.unsqueeze(rank), moment[:3]) for moment in window]
+    steps = [tree.map_tensors(lambda x: x.unsqueeze(rank), step[:3]) for step in window]
     belief, info, steps = joined(steps, rank)
     past = f.past(*f.finish(inner, belief, info), inner, steps)
     *earlier, now = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(window))
-    return sweep(f, [*earlier, f.fresh(now)], [moment.frame for moment in window], rank, None, None)
+    return sweep(f, [*earlier, f.fresh(now)], [step.frame for step in window], rank, None, None)

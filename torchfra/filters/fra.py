@@ -71,6 +71,7 @@ class FRA(Soft, GaussianFilter[FRAState]):
     """
 
     fading: Fading
+    mixes = True
 
     def __init__(
         self,

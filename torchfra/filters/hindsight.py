@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.smoothing import Told, Turn
+from torchfra.filters.smoothing import BackwardStep, Told
 from torchfra.gaussian.future import future
 from torchfra.gaussian.mixture import models_first, moment_match, repeated, without_failed
 from torchfra.gaussian.model import adapted
@@ -75,7 +75,7 @@ def together(models: Models, active: Tensor | None, motion: Motion) -> Told:
     return Told(belief, weights if active is None else (weights.unsqueeze(-2) @ active).squeeze(-2))
 
 
-def retreat(inner: Any, turn: Turn, matrix: Tensor, after: Models) -> Models:
+def smooth_step(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Models:
     """One step back, for every model before it and every model after.
 
     What comes after the step, measured by the model after it, is the measurement that makes of that model's prediction
@@ -84,26 +84,26 @@ def retreat(inner: Any, turn: Turn, matrix: Tensor, after: Models) -> Models:
 
     Args:
         inner: the models' filter.
-        turn: a ``ModelsPast``, the ``Past`` of the step ahead, and the frame for each model.
+        step: a ``ModelsPast``, the ``Past`` of the step ahead, and the frame for each model.
         matrix: ``(..., K, K)`` logs of the transition, ``[was, now]``.
         after: the models after the step.
     """
-    joint = matrix + turn.past.log_weights.unsqueeze(-1)
+    joint = matrix + step.past.log_weights.unsqueeze(-1)
     share = joint - joint.logsumexp(-2, keepdim=True)
-    before = repeated(models_first(turn.past.inner.belief), share.shape[-1])  # (was, ..., now)
+    before = repeated(models_first(step.past.inner.belief), share.shape[-1])  # (was, ..., now)
     mixed = moment_match(before, share.movedim(-2, 0), inner.motion.angles)
-    frame = adapted(turn.frame, mixed.mean)  # as the filter has adapted it
-    predicted, _ = inner.carry(mixed, frame, turn.ahead.factor).belief()
+    frame = adapted(step.frame, mixed.mean)  # as the filter has adapted it
+    predicted, _ = inner.carry(mixed, frame, step.ahead.factor).belief()
     difference = inner.motion.difference
     later = future(predicted, after.belief, difference)
-    each, fit = later.told(inner.carry(before, frame, turn.ahead.factor), difference)
+    each, fit = later.told(inner.carry(before, frame, step.ahead.factor), difference)
     joint = without_failed((share + without_failed(fit).movedim(0, -2)).log_softmax(-2))
     joint = joint + after.log_weights.unsqueeze(-2)
     log_weights = joint.logsumexp(-1)
     back = Gaussian(each.mean.movedim(-2, 0), each.scale_tril.movedim(-3, 0))  # (now, was, ...)
     told = moment_match(back, (joint - log_weights.unsqueeze(-1)).movedim((-1, -2), (0, 1)))
     told = Gaussian(told.mean.movedim(0, -2), told.scale_tril.movedim(0, -3))
-    return Models(inside(turn.past.inner.belief, told), log_weights)
+    return Models(inside(step.past.inner.belief, told), log_weights)
 
 
 def inside(belief: Gaussian, told: Gaussian) -> Gaussian:

@@ -12,7 +12,7 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.base import Filter, Mix, S
-from torchfra.filters.hindsight import Models, ModelsPast, ModelsStep, remembered, retreat, together
+from torchfra.filters.hindsight import Models, ModelsPast, ModelsStep, remembered, smooth_step, together
 from torchfra.filters.interaction import (
     as_stay,
     as_transition,
@@ -23,7 +23,7 @@ from torchfra.filters.interaction import (
     interaction,
 )
 from torchfra.filters.records import Record
-from torchfra.filters.smoothing import Told, Turn
+from torchfra.filters.smoothing import BackwardStep, Told
 from torchfra.filters.tracks import TrackFilter
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import models_first, repeated
@@ -51,14 +51,14 @@ class IMMInfo(NamedTuple):
     """``(..., T, K)`` of the models."""
 
 
-class Around(TrackFilter[S]):
+class MultipleModelFilter(TrackFilter[S]):
     """Abstract: a filter around another that runs all models of a ``Bank`` in one batched call.
 
     Args:
         inner: that other; a copy of it runs here, with the copy's motion and sensor.
 
     Raises:
-        ValueError: it has no bank, or is one of these itself.
+        ValueError: it has no bank, or is one whose models cannot be mixed from outside: ``GPB``, another of these.
     """
 
     keeps_past = True
@@ -66,11 +66,9 @@ class Around(TrackFilter[S]):
 
     def __init__(self, inner: Filter) -> None:
         super().__init__()
-        if not isinstance(inner.motion, Bank) or isinstance(inner, Around):
-            raise ValueError(
-                f"inner: expected a plain filter around a Bank, received {type(inner).__name__} around "
-                f"{type(inner.motion).__name__}"
-            )
+        if not isinstance(inner.motion, Bank) or not getattr(inner, "mixes", False):
+            received = f"{type(inner).__name__} around {type(inner.motion).__name__}"
+            raise ValueError(f"inner: expected SRCKF or FRA around a Bank, or a filter that mixes, received {received}")
         self.inner, self.given = copy.deepcopy(inner), (inner.sensor,)
         for part in self.inner.children():
             if part is not self.inner.motion and part is not self.inner.sensor:
@@ -99,19 +97,19 @@ class Around(TrackFilter[S]):
         """Logs ``(..., K)`` of the models' probabilities in a step, what mixes them for it, and its frame for each."""
         raise TypeError(f"{type(self).__name__} needs a lead to predict")
 
-    def foresee(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
+    def predict_hypotheses(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
         """A hypothesis ``(K, ..., n)`` of the state after a step for each model, and logs of their weights."""
         log_weights, interact, frame = self.lead(state, frame)
         belief = self.inner.predicted(interact(state.inner.belief), frame).belief  # type: ignore[operator]
         return models_first(belief), log_weights.movedim(-1, 0)
 
-    def would_see(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
+    def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """What is measured, less what hypotheses ``(K, ..., n)`` expect: ``(K, ..., m)`` in units of the noise."""
         mean, root = beliefs.mean.movedim(0, -2), beliefs.scale_tril.movedim(0, -3)
         f: Any = self.inner
-        return models_first(f.would_see(state.inner, Gaussian(mean, root), for_each_model(frame)))
+        return models_first(f.predict_innovation(state.inner, Gaussian(mean, root), for_each_model(frame)))
 
-    def matrix_back(self, turn: Turn, like: Tensor) -> tuple[Tensor, Frame]:
+    def matrix_back(self, step: BackwardStep, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
         raise TypeError(f"{type(self).__name__} needs a matrix_back to smooth")
 
@@ -138,18 +136,18 @@ class Around(TrackFilter[S]):
         models = Models(past.inner.belief, past.log_weights)
         return models, together(models, past.active, self.motion)
 
-    def retreat(self, turn: Turn, after: Models) -> tuple[Models, Told]:
+    def smooth_step(self, step: BackwardStep, after: Models) -> tuple[Models, Told]:
         """One step back, of all models."""
-        if after.log_weights.dim() > turn.past.log_weights.dim():
-            each = [self.retreat(turn, one) for one in tree.unbind(after, len(after.log_weights))]
+        if after.log_weights.dim() > step.past.log_weights.dim():
+            each = [self.smooth_step(step, one) for one in tree.unbind(after, len(after.log_weights))]
             several: tuple[Models, Told] = tree.stack(each, 0)
             return several
-        matrix, frame = self.matrix_back(turn, after.log_weights)
-        models = retreat(self.inner, Turn(turn.past, turn.ahead.inner, frame), matrix, after)
-        return models, together(models, turn.past.active, self.motion)
+        matrix, frame = self.matrix_back(step, after.log_weights)
+        models = smooth_step(self.inner, BackwardStep(step.past, step.ahead.inner, frame), matrix, after)
+        return models, together(models, step.past.active, self.motion)
 
 
-class IMM(Around[IMMState]):
+class IMM(MultipleModelFilter[IMMState]):
     """Interacting multiple models over any filter of this package, in the log domain and in square-root form.
 
     Args:
@@ -245,6 +243,6 @@ class IMM(Around[IMMState]):
             self.have_rows()
         super()._load_from_state_dict(state_dict, prefix, *args)
 
-    def matrix_back(self, turn: Turn, like: Tensor) -> tuple[Tensor, Frame]:
+    def matrix_back(self, step: BackwardStep, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
-        return held(self.matrix(like).log(), turn.frame.dt), for_each_model(turn.frame)
+        return held(self.matrix(like).log(), step.frame.dt), for_each_model(step.frame)

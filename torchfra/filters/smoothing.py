@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -44,7 +44,7 @@ class Told(NamedTuple):
     repaired: Tensor | None = None
 
 
-class Turn(NamedTuple):
+class BackwardStep(NamedTuple):
     """What a step of the way back starts from: two steps of the past, and the frame that led from one to the other."""
 
     past: Any
@@ -55,8 +55,8 @@ class Turn(NamedTuple):
 class Smoother(nn.Module):
     """Abstract, a part of ``Filter``: smoothed estimates of whole tracks.
 
-    A filter gives ``past``, ``last`` and ``retreat``; one that decides late gives ``fresh`` and
-    ``decided`` too, one whose estimate does not hold all of that says ``keeps_past`` and puts it into ``Record.past``.
+    A filter gives ``past``, ``last`` and ``smooth_step``, and where it decides late ``fresh`` and ``decided``.  If its
+    estimate does not hold all of that, it says ``keeps_past`` and puts it into ``Record.past``.
     """
 
     keeps_past = False
@@ -66,7 +66,7 @@ class Smoother(nn.Module):
     """Whether the way back can run as a kernel."""
 
     if TYPE_CHECKING:  # of Filter
-        _kernels: Any
+        kernels_for: Callable[[Tensor], Any]
         motion: Motion
         scans: bool
 
@@ -120,8 +120,8 @@ class Smoother(nn.Module):
 
         Raises:
             ValueError: as of ``forward``; ``lag`` below 1, or an estimate of other tracks.
-            NotImplementedError: constant gains, which do not say how states follow from each other; or ``GPB`` over
-                several sensors, as its way back is of one sensor's outliers.
+            NotImplementedError: constant gains, which do not say how states follow from each other; ``GPB`` over
+                several sensors, as its way back is of one sensor's outliers; ``JPDA`` around several models.
         """
         f: Any = self if sensors is None and which is None else fused(self, sensors, which)
         f.check_smooths()
@@ -129,8 +129,8 @@ class Smoother(nn.Module):
         measurements = Measurements(z, dt, u, std, noise)
         filtered, past = f._filtered(measurements, prior, checkpoint, truncate, estimate)
         rank = filtered.mean.dim() - 2
-        if self.kernels_back and self._kernels is not None and self._kernels.takes(z):
-            told: Told = self._kernels.back(self, past, measurements, rank, lag)
+        if self.kernels_back and (kernels := self.kernels_for(z)) is not None:
+            told: Told = kernels.back(self, past, measurements, rank, lag)
         else:
             frames, _ = f._frames(measurements, rank)
             *steps, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(frames))
@@ -153,7 +153,7 @@ class Smoother(nn.Module):
             state: after the last step; None of a filter that keeps no past.
             steps: ``Record.past`` of all steps; likewise.
         """
-        raise TypeError(f"{type(self).__name__} needs a past, a last and a retreat to smooth")
+        raise TypeError(f"{type(self).__name__} needs a past, a last and a smooth_step to smooth")
 
     def fresh(self, past: Any) -> Any:
         """Of one step the past as it was at the step itself, before a later measurement decided anything of it."""
@@ -169,22 +169,22 @@ class Smoother(nn.Module):
 
     def last(self, past: Any) -> tuple[Any, Told]:
         """The state of the way back at its first step, the last of the track, and what it says of that."""
-        raise TypeError(f"{type(self).__name__} needs a past, a last and a retreat to smooth")
+        raise TypeError(f"{type(self).__name__} needs a past, a last and a smooth_step to smooth")
 
-    def retreat(self, turn: Turn, after: Any) -> tuple[Any, Told]:
+    def smooth_step(self, step: BackwardStep, after: Any) -> tuple[Any, Told]:
         """One step back: the next state from that ``after`` the step, and what it says.
 
         States may have one more dimension in front of the batch, of several states for the same past.
         """
-        raise TypeError(f"{type(self).__name__} needs a past, a last and a retreat to smooth")
+        raise TypeError(f"{type(self).__name__} needs a past, a last and a smooth_step to smooth")
 
     def _remembered(
         self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None
-    ) -> tuple[Estimate]:
+    ) -> Estimate:
         """The filtered estimate, which holds its past."""
         self.check_smooths()
         estimate, past = self._filtered(measurements, prior, checkpoint, truncate, None)
-        return (estimate._replace(past=past),)
+        return estimate._replace(past=past)
 
     def _filtered(
         self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
@@ -217,34 +217,34 @@ def sweep(f: Smoother, past: Any, frames: Sequence[Frame], rank: int, checkpoint
         checkpoint: steps between states that are kept for gradients.
         lag: steps after which measurements are no longer looked at; None for all there are.
     """
-    turns = [Turn(*pair, frame) for pair, frame in zip(pairwise(past), frames[1:], strict=True)]
+    steps = [BackwardStep(*pair, frame) for pair, frame in zip(pairwise(past), frames[1:], strict=True)]
     state, end = f.last(past[-1])
     if lag is None:
-        retreat = partial(_back, f)
+        smooth_step = partial(_back, f)
     else:
-        retreat, state = partial(_lagged, f), tree.stack([state] * lag, 0)
-    _, told = scan(retreat, state, turns[::-1], checkpoint)
+        smooth_step, state = partial(_lagged, f), tree.stack([state] * lag, 0)
+    _, told = scan(smooth_step, state, steps[::-1], checkpoint)
     every: Told = tree.stack([*told[::-1], end], rank)
     return every
 
 
-def _back(f: Smoother, after: Any, turn: Turn) -> tuple[Any, Told]:
-    return f.retreat(turn, after)
+def _back(f: Smoother, after: Any, step: BackwardStep) -> tuple[Any, Told]:
+    return f.smooth_step(step, after)
 
 
-def _lagged(f: Smoother, window: Any, turn: Turn) -> tuple[Any, Told]:
+def _lagged(f: Smoother, window: Any, step: BackwardStep) -> tuple[Any, Told]:
     """One step back of several states: ``window[l]`` knows the measurements up to ``l`` steps later.
 
     What the newest of them has not decided yet is taken as it was at the step itself.
     """
-    ahead = f.fresh(turn.ahead)
-    if ahead is turn.ahead:
-        before, told = f.retreat(turn, window)
+    ahead = f.fresh(step.ahead)
+    if ahead is step.ahead:
+        before, told = f.smooth_step(step, window)
     else:
-        before, told = f.retreat(turn._replace(ahead=ahead), tree.map_tensors(lambda x: x[:1], window))
+        before, told = f.smooth_step(step._replace(ahead=ahead), tree.map_tensors(lambda x: x[:1], window))
         if len(tree.flatten(window)[0]) > 1:
-            older, told = f.retreat(turn, tree.map_tensors(lambda x: x[1:], window))
+            older, told = f.smooth_step(step, tree.map_tensors(lambda x: x[1:], window))
             before = tree.map_tensors(lambda *xs: torch.cat(xs), before, older)
-    now, _ = f.last(f.fresh(turn.past))
+    now, _ = f.last(f.fresh(step.past))
     window = tree.map_tensors(lambda x, older: torch.cat([x.unsqueeze(0), older[:-1]]), now, before)
     return window, tree.map_tensors(lambda x: x[-1], told)

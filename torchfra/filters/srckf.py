@@ -72,6 +72,8 @@ class SRCKF(GaussianFilter[State]):
     (22)-(24) are one triangularisation; both leave the result as it is.
     """
 
+    mixes = True
+
     def __init__(
         self,
         motion: Motion,
@@ -125,7 +127,7 @@ class SRCKF(GaussianFilter[State]):
         """A state with the innovations that the one ``before`` remembers."""
         return state._replace(fading=before.fading)
 
-    def would_see(self, state: State, beliefs: Gaussian, frame: Frame) -> Gaussian:
+    def predict_innovation(self, state: State, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """What is measured, less what hypotheses ``(K, ..., n)`` expect, by the noise as it is known."""
         whitened = self.compare(beliefs, frame)
         root, _ = innovation(self.noise.known(whitened, state.noise, frame.seen))

@@ -14,7 +14,7 @@ from torchfra.filters.base import Filter, S
 from torchfra.filters.checks import check_state
 from torchfra.filters.precision import in_full_precision
 from torchfra.filters.records import Record, scores
-from torchfra.filters.smoothing import Told, Turn
+from torchfra.filters.smoothing import BackwardStep, Told
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame, Measurements, Time, make_frames
 from torchfra.gaussian.model import Carried, compare, predict, propagate
@@ -23,7 +23,7 @@ from torchfra.gaussian.smoothing import reverse
 from torchfra.gaussian.update import innovation
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
-from torchfra.types import Gaussian, Prediction, Whitened
+from torchfra.types import Gaussian, Innovation, Prediction, Whitened
 
 
 class Past(NamedTuple):
@@ -39,6 +39,9 @@ class Past(NamedTuple):
 
 class TrackFilter(Filter[S]):
     """Abstract: measurements ``z (..., T, m)``, beliefs ``(..., n)``."""
+
+    mixes = False
+    """Whether ``advance`` starts from what its ``mix`` makes of a belief, as filters inside of ``IMM`` have to."""
 
     @in_full_precision
     def predict(self, state: Any, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None) -> Ahead:
@@ -64,13 +67,13 @@ class TrackFilter(Filter[S]):
         nothing = mean.new_full((*mean.shape[:-1], f.sensor.size), torch.nan)
         return look_ahead(f, state, f._frame(state, Measurements(nothing, dt, u)))
 
-    def foresee(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
+    def predict_hypotheses(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(K, ..., n)`` of the state after a step, and logs ``(K, ...)`` of their weights."""
-        raise TypeError(f"{type(self).__name__} needs a foresee and a would_see to predict")
+        raise TypeError(f"{type(self).__name__} needs a predict_hypotheses and a predict_innovation to predict")
 
-    def would_see(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
+    def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """What is measured, less what hypotheses ``(K, ..., n)`` expect: ``(K, ..., m)`` in units of the noise."""
-        raise TypeError(f"{type(self).__name__} needs a foresee and a would_see to predict")
+        raise TypeError(f"{type(self).__name__} needs a predict_hypotheses and a predict_innovation to predict")
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
         """A frame for each step, and the log norms of the measurement noise, time first."""
@@ -80,11 +83,12 @@ class TrackFilter(Filter[S]):
         """Normalised innovation squared and log likelihood."""
         return scores(record.normalised, record.root, log_norm, record.density)
 
-    def _innovation(self, record: Record, frame: Frame) -> tuple[Tensor, Tensor]:
-        """The residual and its root in the measurement's own units."""
+    def innovation_of(self, record: Record, frame: Frame) -> Innovation:
+        """What the measurement of a step said, in its own units."""
         noise = frame.measurement_noise
         assert record.residual is not None
-        return noise.colour(record.residual.unsqueeze(-1)).squeeze(-1), noise.colour(record.root)
+        residual, root = noise.colour(record.residual.unsqueeze(-1)).squeeze(-1), noise.colour(record.root)
+        return Innovation(residual, root, *self._scores(record, noise.log_norm))
 
 
 class GaussianFilter(TrackFilter[S]):
@@ -123,13 +127,13 @@ class GaussianFilter(TrackFilter[S]):
         """The measurement against a predicted belief."""
         return compare(self.sensor, self.sensor_rule, belief, frame)
 
-    def foresee(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
+    def predict_hypotheses(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
         """The only hypothesis of the state after a step, and the log of its weight."""
         belief = self.predicted(state.belief, frame).belief
         mean, root = (x.unsqueeze(0) for x in belief)
         return Gaussian(mean, root), torch.zeros_like(mean[..., 0])
 
-    def would_see(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
+    def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """What is measured, less what hypotheses ``(K, ..., n)`` expect: ``(K, ..., m)`` in units of the noise."""
         whitened = self.compare(beliefs, frame)
         return Gaussian(whitened.residual, innovation(whitened)[0])
@@ -155,10 +159,10 @@ class GaussianFilter(TrackFilter[S]):
         repaired = torch.zeros_like(past.belief.mean[..., 0], dtype=torch.bool) if self._may_repair else None
         return past.belief, Told(past.belief, repaired=repaired)
 
-    def retreat(self, turn: Turn, after: Gaussian) -> tuple[Gaussian, Told]:
+    def smooth_step(self, step: BackwardStep, after: Gaussian) -> tuple[Gaussian, Told]:
         """One step back: Rauch, Tung & Striebel (1965) through the prediction as it was made."""
-        ahead = self.carry(turn.past.belief, turn.frame, turn.ahead.factor)
-        told = self.reverse(turn.past.belief, ahead, after)
+        ahead = self.carry(step.past.belief, step.frame, step.ahead.factor)
+        told = self.reverse(step.past.belief, ahead, after)
         return told.belief, told
 
     def reverse(self, belief: Gaussian, ahead: Carried, after: Gaussian) -> Told:

@@ -12,10 +12,10 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.base import Filter, Mix
-from torchfra.filters.imm import Around
+from torchfra.filters.imm import MultipleModelFilter
 from torchfra.filters.interaction import PER_MODEL, cycle, for_each_model, held, interaction
 from torchfra.filters.records import Record
-from torchfra.filters.smoothing import Turn
+from torchfra.filters.smoothing import BackwardStep
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import repeated
 from torchfra.hyper import Hyper, Value
@@ -44,7 +44,7 @@ class VSIMMInfo(NamedTuple):
     """``(..., T, K)`` bool: the models that run."""
 
 
-class VSIMM(Around[VSIMMState]):
+class VSIMM(MultipleModelFilter[VSIMMState]):
     """Interacting multiple models with a model set that changes: the likely-model set, at a fixed number of models.
 
     Before every step the set is chosen from the probabilities: a model above ``principal`` calls its neighbours, one
@@ -132,12 +132,12 @@ class VSIMM(Around[VSIMMState]):
         _, matrix, frame = self.chosen(state, frame)
         return *interaction(state.log_weights, matrix, self.motion), frame
 
-    def matrix_back(self, turn: Turn, like: Tensor) -> tuple[Tensor, Frame]:
+    def matrix_back(self, step: BackwardStep, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., A, A)`` of the transition of a step, ``[was, now]``, and its frame for each active model."""
-        was, now = turn.past.active, turn.ahead.active
+        was, now = step.past.active, step.ahead.active
         goes_on = (was * now).sum(-1)  # a model that goes on keeps its place
-        matrix = held(self.matrix(was, now, goes_on).log(), turn.frame.dt)
-        return matrix, _of_active(for_each_model(turn.frame), now)
+        matrix = held(self.matrix(was, now, goes_on).log(), step.frame.dt)
+        return matrix, _of_active(for_each_model(step.frame), now)
 
     def choose(self, active: Tensor, log_weights: Tensor) -> tuple[Tensor, Tensor]:
         """The set for the next step, ``(..., A, K)``, and ``(..., A)`` 1 where a model goes on running.

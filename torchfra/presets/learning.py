@@ -7,7 +7,7 @@ from collections.abc import Collection
 from typing import TypeVar
 
 from torchfra.filters.base import Filter
-from torchfra.filters.imm import Around
+from torchfra.filters.imm import MultipleModelFilter
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.hyper import learnable, named, provide
 
@@ -26,7 +26,7 @@ def with_learning(f: F, names: Collection[str]) -> F:
     """
     provide(f, names)
     inner: Filter = f
-    while isinstance(inner, Around | JPDA):
+    while isinstance(inner, MultipleModelFilter | JPDA):
         inner = inner.inner
     chosen = {id(hyper) for hyper in named(f, names).values() if not hyper.raw.requires_grad}
     for part in ("motion", "sensor"):

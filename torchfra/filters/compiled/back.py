@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.smoothing import Told, Turn
+from torchfra.filters.smoothing import BackwardStep, Told
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.kernel.expressions import Expressions
 from torchfra.types import Gaussian
@@ -42,8 +42,8 @@ class Given(NamedTuple):
         return _lower(tree.map_tensors(lambda x: torch.ones(x.shape[rank:], dtype=x.dtype), self.state))
 
     def advance(self, f: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any, Told]:
-        """One step back of one track: see ``retreat``."""
-        return retreat(f, self.like, after, data)
+        """One step back of one track: see ``smooth_step``."""
+        return smooth_step(f, self.like, after, data)
 
 
 def windows(f: Any, past: Any, measurements: Measurements, rank: int, lag: int) -> Iterator[tuple[Any, Measurements]]:
@@ -117,7 +117,7 @@ def _lower(x: Any) -> Any:
     return type(x)(*parts) if hasattr(x, "_fields") else tuple(parts)
 
 
-def retreat(f: Any, like: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any, Told]:
+def smooth_step(f: Any, like: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any, Told]:
     """One step back of one track; at the last step, where it begins, what that says."""
     leaves = iter([x for name, x in data.items() if name.startswith("past")])
     past, ahead = _lower(tree.unflatten(like, leaves))
@@ -125,6 +125,6 @@ def retreat(f: Any, like: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any
     models = motion.transition(dt) if motion.linear else None, motion.shift(dt, u)
     noise = motion.process_noise(dt), motion.adaptation(dt)
     frame = Frame(None, None, None, dt, u, *models, *noise)  # type: ignore[arg-type]  # nothing is measured
-    stepped = f.retreat(Turn(past, ahead, frame), after)
+    stepped = f.smooth_step(BackwardStep(past, ahead, frame), after)
     begun_or_stepped: tuple[Any, Told] = tree.where(data["last"] > 0, f.last(past), stepped)
     return begun_or_stepped

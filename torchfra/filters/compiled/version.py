@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.autograd import forward_ad
 
 from torchfra.filters.compiled import traced
-from torchfra.filters.compiled.back import Given, retreat
+from torchfra.filters.compiled.back import Given, smooth_step
 from torchfra.filters.compiled.seen import Seen
 from torchfra.filters.compiled.step import Data, ReadyStep, ReadySteps, number
 from torchfra.filters.compiled.tracks import AllReadyTracks, ReadyTracks, WholeTracks
@@ -143,7 +143,7 @@ class Version:
             double = x.dtype == torch.float64 != dtype  # read as it is: to convert it would take longer than to filter
             inputs[value.path] = Input(x.shape[rank:], False, True, double)
             shapes.append(batch + x.shape[rank:])
-        key = (retreat if back else advance, dtype, targets, tuple(inputs.items()))
+        key = (smooth_step if back else advance, dtype, targets, tuple(inputs.items()))
         if key not in self.kernels:
             begin = back.begin if back else partial(traced.begin, targets=targets)
             with torch.inference_mode(False):  # in which torch does not take operations apart

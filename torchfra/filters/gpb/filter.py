@@ -189,7 +189,7 @@ class GPB(Sensing):
         jumped = self.regimes.jumped(agile, far, self.motion.position)
         return Gaussian(*map(torch.cat, zip(predicted, jumped, strict=True))), whitened, far
 
-    def foresee(self, state: GPBState, frame: Frame) -> tuple[Gaussian, Tensor]:
+    def predict_hypotheses(self, state: GPBState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(2 R, ..., n)`` of the state after a step, and logs of their weights."""
         before = tree.stack([state.clean, state.dirty], 0)
         predicted, log_ahead, _, _, _ = self.look_ahead(before, state.log_weights.movedim(-2, 0), frame)

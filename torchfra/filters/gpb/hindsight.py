@@ -14,7 +14,7 @@ from torchfra.filters.gpb.regimes import Regimes, in_front
 from torchfra.filters.gpb.states import GPBState
 from torchfra.filters.hindsight import inside
 from torchfra.filters.interaction import for_each_model, held
-from torchfra.filters.smoothing import Told, Turn
+from torchfra.filters.smoothing import BackwardStep, Told
 from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.future import Future, future
 from torchfra.gaussian.mixture import matched, repeated, shared, without_failed
@@ -82,18 +82,18 @@ class WayBack(GaussianFilter[GPBState]):
         """The last step, which no later measurement speaks of."""
         return past, past.told(self.regimes, self.motion)
 
-    def retreat(self, turn: Turn, after: GPBPast) -> tuple[GPBPast, Told]:  # type: ignore[override]
+    def smooth_step(self, step: BackwardStep, after: GPBPast) -> tuple[GPBPast, Told]:  # type: ignore[override]
         """One step back, of all hypotheses."""
-        if after.outlier.dim() > turn.past.outlier.dim():
+        if after.outlier.dim() > step.past.outlier.dim():
             several: tuple[GPBPast, Told] = tree.stack(
-                [self.retreat(turn, x) for x in tree.unbind(after, len(after.outlier))], 0
+                [self.smooth_step(step, x) for x in tree.unbind(after, len(after.outlier))], 0
             )
             return several
-        before = _retreat(self, turn, after)
+        before = _smooth_step(self, step, after)
         return before, before.told(self.regimes, self.motion)
 
 
-def _retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
+def _smooth_step(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     """One step back: hypotheses of the step before (2 qualities, K motions) meet those of the step (R regimes, 2).
 
     As in ``torchfra.filters.hindsight``: what comes later is the measurement that makes of a prediction its smoothed
@@ -102,11 +102,11 @@ def _retreat(f: Any, turn: Turn, after: GPBPast) -> GPBPast:
 
     Args:
         f: the filter.
-        turn: two ``GPBPast``, and the frame between them.
+        step: two ``GPBPast``, and the frame between them.
         after: smoothed.
     """
-    past, frame = turn.past, turn.frame
-    regimes, before, far = f.regimes, past.beliefs(), turn.ahead.far
+    past, frame = step.past, step.frame
+    regimes, before, far = f.regimes, past.beliefs(), step.ahead.far
     prior = _prior(f, past, far, frame.dt)  # (now, was, ..., regime was, regime now)
     mixed, _, _ = f.interact(before, past.log_weights.movedim(-2, 0), frame.dt)
     frame = adapted(for_each_model(frame), mixed.mean)  # as the filter has adapted it

@@ -52,9 +52,9 @@ class Sensing(WayBack):
             return exactly(self.sensor, belief, frame)
         return by_points_or_slope(lambda x: super(Sensing, self).compare(x, frame), belief)
 
-    def would_see(self, state: GPBState, beliefs: Gaussian, frame: Frame) -> Gaussian:
+    def predict_innovation(self, state: GPBState, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """What is measured, less what hypotheses ``(K, ..., n)`` expect: ``(K, ..., m)`` in units of the noise."""
-        return super().would_see(state, self.read(beliefs), frame)
+        return super().predict_innovation(state, self.read(beliefs), frame)
 
     def read(self, predicted: Gaussian) -> Gaussian:
         """Of states, what the sensor reads."""

@@ -11,13 +11,13 @@ from torchfra import tree
 from torchfra.filters.base import Filter, S
 from torchfra.filters.gpb import GPB
 from torchfra.filters.records import Record
-from torchfra.filters.smoothing import Told, Turn
+from torchfra.filters.smoothing import BackwardStep, Told
 from torchfra.filters.tracks import Past
 from torchfra.gaussian.inputs import Frame, Measurements, Whole, make_frames
 from torchfra.hyper import hypers
 from torchfra.linalg.tracing import is_traced
 from torchfra.sensors.base import Sensor
-from torchfra.types import Gaussian
+from torchfra.types import Gaussian, Innovation
 
 
 class ScanPast(NamedTuple):
@@ -85,10 +85,10 @@ class ScanFilter(Filter[S]):
         assert record.density is not None
         return record.normalised.square().sum(-1), record.density
 
-    def _innovation(self, record: Record, frame: Frame) -> tuple[Tensor, Tensor]:
-        """The combined innovation and its root."""
+    def innovation_of(self, record: Record, frame: Frame) -> Innovation:
+        """The combined innovation, its root, and what they say of the scan."""
         assert record.residual is not None
-        return record.residual, record.root
+        return Innovation(record.residual, record.root, *self._scores(record, frame.measurement_noise.log_norm))
 
     def for_each_target(self, measurements: Measurements) -> Measurements:
         """Measurements for the way back of targets: time steps and ``u`` of scenes have a dimension for targets."""
@@ -105,11 +105,11 @@ class ScanFilter(Filter[S]):
         last: tuple[Gaussian, Told] = self.inner.last(past.inner)
         return last
 
-    def retreat(self, turn: Turn, after: Gaussian) -> tuple[Gaussian, Told]:
+    def smooth_step(self, step: BackwardStep, after: Gaussian) -> tuple[Gaussian, Told]:
         """One scan back, of each target for itself."""
-        belief, factor = tree.insert_batch_dimension(turn.past.inner.belief), turn.ahead.inner.factor
-        ahead = self.inner.carry(belief, turn.frame, None if factor is None else factor.unsqueeze(-1))
-        times = 2 ** (turn.ahead.searched - turn.past.searched).clamp_min(0.0)[..., None, None, None]
+        belief, factor = tree.insert_batch_dimension(step.past.inner.belief), step.ahead.inner.factor
+        ahead = self.inner.carry(belief, step.frame, None if factor is None else factor.unsqueeze(-1))
+        times = 2 ** (step.ahead.searched - step.past.searched).clamp_min(0.0)[..., None, None, None]
         spread, noise = times * ahead.spread, times * ahead.process_noise
         ahead = ahead._replace(
             spread=spread, process_noise=noise, lost=None if ahead.lost is None else times * ahead.lost

@@ -30,8 +30,8 @@ def stepped(
     """
     targets, count = state.belief.mean.shape[-2], measurements.z.shape[-2]
     small = targets == 1 or (targets <= f.exact[0] and count <= f.exact[1])
-    if small and f._kernels is not None and f._kernels.takes(measurements.z):
-        done: tuple[JPDAState, Any] = f._kernels.once(f, function, state, measurements)
+    if small and (kernels := f.kernels_for(measurements.z)) is not None:
+        done: tuple[JPDAState, Any] = kernels.once(f, function, state, measurements)
         return done
     (frame,), _ = f._frames(measurements.as_track(scans=True), state.belief.mean.dim() - 1)
     return function(f, state, frame)

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.filters.base import Filter
 from torchfra.filters.gpb import GPB, GPBState
-from torchfra.filters.imm import Around, IMMState
+from torchfra.filters.imm import IMMState, MultipleModelFilter
 from torchfra.filters.srckf import SRCKF, State
 from torchfra.filters.vsimm import VSIMMState
 from torchfra.gaussian.mixture import moment_match
@@ -24,7 +24,8 @@ def check_merges(inner: Filter) -> None:
     Raises:
         ValueError: they cannot.
     """
-    around, core = isinstance(inner, Around), inner.inner if isinstance(inner, Around) else inner
+    around = isinstance(inner, MultipleModelFilter)
+    core = inner.inner if isinstance(inner, MultipleModelFilter) else inner
     if isinstance(core, SRCKF):
         if around and core.noise.adapt != "never":
             raise ValueError(
@@ -54,7 +55,7 @@ def merged(inner: Filter, states: Any, log_weights: Tensor) -> Any:
     """
     if isinstance(inner, GPB):
         return _of_regimes(inner, states, log_weights)
-    if isinstance(inner, Around):
+    if isinstance(inner, MultipleModelFilter):
         return _of_models(inner, states, log_weights)
     belief = moment_match(states.belief, log_weights, inner.motion.angles)
     return State(belief, *averaged(states[1:], log_weights))
@@ -89,7 +90,7 @@ def on_beliefs(function: Callable[[Any], Any], trees: Any) -> Any:
     return function(trees)
 
 
-def _of_models(inner: Around, states: Any, log_weights: Tensor) -> IMMState | VSIMMState:
+def _of_models(inner: MultipleModelFilter, states: Any, log_weights: Tensor) -> IMMState | VSIMMState:
     """Each model by its share of each hypothesis: the probability of both together is what counts."""
     after, shares = _shared(_joint(log_weights.unsqueeze(-1), states.log_weights), log_weights.unsqueeze(-1))
     every: IMMState | VSIMMState = states._replace(
