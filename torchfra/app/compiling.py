@@ -11,12 +11,10 @@ from concurrent.futures import ThreadPoolExecutor
 import torch
 
 from torchfra.app.progress import progress_bar
+from torchfra.cleaning.others import Fallback
 from torchfra.filters import Filter
 from torchfra.kernel.build import CompileError, compiler, stop
 from torchfra.motion.bank import Bank
-
-Fallback = Callable[[str, str], None]
-"""Called with the name of a filter that has no kernel, and the reason."""
 
 
 def add_compile_option(parser: argparse.ArgumentParser, default: str) -> None:

@@ -59,16 +59,19 @@ def _quantiles(track_rmse: Tensor) -> dict[str, float]:
     return {name: ordered[max(math.ceil(share * len(ordered)), 1) - 1].item() for name, share in ranks.items()}
 
 
+FLOOR = 100.0
+"""Coordinates below count as this in relative errors, m."""
+
+
 class RunningMetrics:
     """Errors of one filter and the time it took.
 
     Args:
         states: components of the state by name, ``"position"`` among them.
-        floor: coordinates below count as this in relative errors, m.
     """
 
-    def __init__(self, states: Mapping[str, slice], floor: float = 100.0) -> None:
-        self.states, self.floor = states, floor
+    def __init__(self, states: Mapping[str, slice]) -> None:
+        self.states = states
         self.squares: dict[str, Tensor] = {}
         """Sums of squared errors over the tracks, ``(T,)``."""
         self.counts: dict[str, Tensor] = {}
@@ -133,7 +136,7 @@ class RunningMetrics:
         """Adds errors of each coordinate of the position, and the probabilities of interacting models."""
         gap = estimate.mean[..., self.states["position"]] - truth
         gap = torch.where(gap.isnan() & ~truth.isnan(), torch.inf, gap)  # NaN in an estimate is an infinite error
-        more = {"error": gap, "square": gap.square(), "share": gap.abs() / truth.abs().clamp_min(self.floor)}
+        more = {"error": gap, "square": gap.square(), "share": gap.abs() / truth.abs().clamp_min(FLOOR)}
         if hasattr(estimate.info, "probabilities"):
             more["probabilities"] = estimate.info.probabilities
         for name, values in more.items():

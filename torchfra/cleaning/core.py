@@ -106,6 +106,8 @@ def check_settings(
         raise ValueError(f"dt: expected seconds above 0, received {dt}")
     if isinstance(bank, str):
         check_kind(bank)
+    elif not (bank is None or isinstance(bank, Bank)):
+        raise ValueError(f"bank: expected a kind of target, a Bank or None, received {bank!r}")
     one = torch.ones(1, dtype=torch.float64)
     make(filter, 2, one, one, one)
 

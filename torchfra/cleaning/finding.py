@@ -28,6 +28,8 @@ _FEW = 2.0
 """Fixes that shares of levels are worth before any was seen."""
 _ALONE = USUAL._replace(same=0.0)
 """While sigma and the process noise are found: many outliers as far off as each other could stand for clean fixes."""
+_ROUNDS = 2
+"""Of finding."""
 _SLOWEST = 1e-5
 """Least density of the process noise, m^2/s^3."""
 _STILL = 0.1
@@ -140,7 +142,7 @@ def _rough(fixes: Fixes, owner: Tensor) -> Tensor:
     return most.clamp_min(LEAST_SIGMA * 2.0**_COARSE / 4)
 
 
-def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool, rounds: int = 2) -> list[Part]:
+def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) -> list[Part]:
     """Parts with what is found of all of their fixes.
 
     Each round takes the levels' shares as smoothing has found them, and what the axes across the ground say of an
@@ -151,9 +153,8 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool, 
         owner: ``(B,)`` numbers; rows of the same one are of one track, or of tracks that are looked at together.
         find_sigma: whether to find sigma.
         find_q: whether to find the shares of the levels.
-        rounds: of finding.
     """
-    for left in reversed(range(rounds)):
+    for left in reversed(range(_ROUNDS)):
         known = [both_ways(part.scaled, part.levels, _ALONE) for part in parts]
         if find_q:
             parts = [_learnt(part, of, owner) for part, of in zip(parts, known, strict=True)]

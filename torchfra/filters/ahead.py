@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import moment_match
+from torchfra.gaussian.model import canonical
 from torchfra.types import Gaussian
 
 
@@ -32,7 +33,7 @@ def look_ahead(f: Any, state: Any, frame: Frame) -> Ahead:
     """
     beliefs, log_weights = f.predict_hypotheses(state, frame)
     belief = _together(beliefs, log_weights, f.motion.angles)
-    belief = belief._replace(mean=f.motion.canonical(belief.mean))
+    belief = canonical(f.motion, belief)
     z = f.sensor.at_points(belief.mean, frame.u)
     noise = f.sensor.measurement_noise(z)
     seen = frame._replace(z=z, seen=torch.ones_like(z), measurement_noise=noise)

@@ -69,7 +69,7 @@ def export(
     begin, prior = _begin(f, dtype)
     return Standalone(
         name, _about(f), begin, step.forwards(), prior, _fields(step.state),
-        [Field(key, x.shape, _MEANINGS[key]) for key, x in given.items()], _fields(step.record),
+        [Field(key, x.shape, _MEANINGS[key]) for key, x in given.items()], _fields(step.record), f.instants,
     ).files()  # fmt: skip
 
 

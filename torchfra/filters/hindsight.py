@@ -10,7 +10,7 @@ from torchfra import tree
 from torchfra.filters.smoothing import BackwardStep, Told
 from torchfra.gaussian.future import future
 from torchfra.gaussian.mixture import models_first, moment_match, repeated, without_failed
-from torchfra.gaussian.model import adapted
+from torchfra.gaussian.model import adapted, canonical
 from torchfra.linalg.triangular import apply
 from torchfra.motion.base import Motion
 from torchfra.types import Gaussian
@@ -70,7 +70,7 @@ def remembered(inner: Any, state: Any, steps: ModelsStep) -> ModelsPast:
 def together(models: Models, active: Tensor | None, motion: Motion) -> Told:
     """All models as one belief, and their probabilities, 0 of those that are not ``active``."""
     belief = moment_match(models_first(models.belief), models.log_weights.movedim(-1, 0), motion.angles)
-    belief = belief._replace(mean=motion.canonical(belief.mean))
+    belief = canonical(motion, belief)
     weights = models.log_weights.exp()
     return Told(belief, weights if active is None else (weights.unsqueeze(-2) @ active).squeeze(-2))
 

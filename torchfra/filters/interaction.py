@@ -14,6 +14,7 @@ from torchfra.filters.hindsight import ModelsStep
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, shared, wide, without_failed
+from torchfra.gaussian.model import canonical
 from torchfra.gaussian.update import density
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_log
@@ -45,8 +46,7 @@ def cycle(inner: Filter, state: Any, predicted: Tensor, interact: Mix, frame: Fr
     log_weights = predicted + (log_density if record.evidence is None else without_failed(record.evidence))
     roots, total = shared(log_weights.movedim(-1, 0))
     log_weights = log_weights - total.unsqueeze(-1)  # eq. (9)
-    belief = matched(models_first(record.belief), roots, motion.angles)  # eqs. (10), (11)
-    belief = belief._replace(mean=motion.canonical(belief.mean))
+    belief = canonical(motion, matched(models_first(record.belief), roots, motion.angles))  # eqs. (10), (11)
     innovation = moment_match(models_first(Gaussian(record.residual, record.root)), predicted.movedim(-1, 0))
     normalised = whiten(innovation.scale_tril, innovation.mean)
     log_density = (predicted + log_density).logsumexp(-1)

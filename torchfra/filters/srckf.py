@@ -15,7 +15,7 @@ from torchfra.filters.records import Record
 from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.model import add_counts, repairs
+from torchfra.gaussian.model import add_counts, canonical, repairs
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import correct, innovation
 from torchfra.motion.base import Motion
@@ -140,7 +140,7 @@ class SRCKF(GaussianFilter[State]):
         if not self.plain:
             return self.update(prediction, whitened, state, frame)
         belief, root, normalised = correct(prediction.belief, whitened)  # (17)-(24)
-        belief = self.canonical(belief)
+        belief = canonical(self.motion, belief)
         info = Info(repaired=repairs(prediction, whitened))
         return State(belief, None, None), Record(belief, whitened.residual, root, normalised, info)
 
@@ -155,7 +155,7 @@ class SRCKF(GaussianFilter[State]):
         done = self.robust.correct(widened.belief, known, weights, frame.measurement_noise)  # (26), (17)-(24)
         if self.noise.adapt == "residual":
             noise = self.noise.learn(noise, self.compare(done.belief, frame), frame.seen, "residual")
-        belief, repaired = self.canonical(done.belief), add_counts(repairs(prediction, whitened), done.repaired)
+        belief, repaired = canonical(self.motion, done.belief), add_counts(repairs(prediction, whitened), done.repaired)
         info = Info(done.weights, factor, done.iterations, repaired, self.noise.scale(noise))
         root = self.noise.nominal(root, state.noise, frame.seen)
         record = Record(belief, whitened.residual, root, normalised, info, evidence=done.evidence)
@@ -171,7 +171,3 @@ class SRCKF(GaussianFilter[State]):
             return prediction, whitened, memory, None
         prediction = self.fading.inflate(prediction, factor)  # (29)
         return prediction, self.compare(prediction.belief, frame), memory, factor
-
-    def canonical(self, belief: Gaussian) -> Gaussian:
-        """The belief with its angles as the motion writes them."""
-        return belief._replace(mean=self.motion.canonical(belief.mean))

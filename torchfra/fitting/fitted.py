@@ -83,10 +83,10 @@ class Fitted:
     counts: dict[str, int]
     """Tracks to learn from, to stop by, to judge by, and left out."""
     seconds: float
-    notes: list[str] = field(default_factory=list)
+    notes: list[str]
     """What went otherwise than asked for."""
-    _tracks: Tracks | None = field(default=None, repr=False)
-    _raw: Tensor | None = field(default=None, repr=False)
+    _tracks: Tracks = field(repr=False)
+    _raw: Tensor = field(repr=False)
 
     @property
     def errors(self) -> dict[str, float]:
@@ -113,13 +113,12 @@ class Fitted:
             raise ValueError(f"others: expected filters or fits by name, received {others!r:.80}")
         if "fitted" in others:
             raise ValueError("others: expected names other than 'fitted', which is this filter, received 'fitted'")
-        tracks = self._own()
-        assert self._raw is not None
+        tracks = self._tracks
         mine = tracks.objective.losses(self._raw[None, None], tracks.test)[0]
         rows = {"fitted": tracks.judge(mine, mine, self.settings.seed)}
         for name, other in others.items():
             f = other.filter if isinstance(other, Fitted) else other
-            test = other._own().test if isinstance(other, Fitted) else tracks.test
+            test = other._tracks.test if isinstance(other, Fitted) else tracks.test
             if test.z.shape != tracks.test.z.shape or not torch.equal(test.z.nan_to_num(), tracks.test.z.nan_to_num()):
                 raise ValueError(f"others: expected fits with the same data and seed, {name} has other tracks")
             if f.sensor.size != test.z.shape[-1]:
@@ -130,11 +129,11 @@ class Fitted:
 
     def profile(self, name: str, *, points: int = 9, reach: float = 3.0) -> Profile:
         """How the loss grows away from the best value of one number, all others adapted: ``fitting.again.profile``."""
-        return profile(self._own().sums, self._best(), self.certainty, name, points=points, reach=reach)
+        return profile(self._tracks.sums, self._raw, self.certainty, name, points=points, reach=reach)
 
     def bootstrap(self, resamples: int = 100) -> Bootstrap:
         """Standard errors by fitting again to tracks drawn with replacement: ``fitting.again.bootstrap``."""
-        return bootstrap(self._own().sums, self._best(), resamples, self.settings.seed)
+        return bootstrap(self._tracks.sums, self._raw, resamples, self.settings.seed)
 
     @property
     def quantity(self) -> str:
@@ -193,11 +192,3 @@ class Fitted:
         how = "compiled" if self.compiled else "interpreted"
         text += f"{len(self.rows)} iterations, {self.seconds:.1f} s, {self.dtype}, {how}, seed {self.settings.seed}"
         return "\n".join([text, *(f"note: {line}" for line in self.notes)])
-
-    def _own(self) -> Tracks:
-        assert self._tracks is not None
-        return self._tracks
-
-    def _best(self) -> Tensor:
-        assert self._raw is not None
-        return self._raw

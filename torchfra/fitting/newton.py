@@ -16,6 +16,8 @@ LENGTHS = (1.0, 0.5, 0.2, 0.05, 0.01)
 """Of a step, tried at once."""
 REACH = 2.0
 """Longest step, in unconstrained values: a factor of 7 for what is above 0."""
+MOST = 30
+"""Iterations."""
 STILL = 0.02
 """Standard errors of the gradient below which it counts as 0."""
 WILD = 30.0
@@ -110,7 +112,7 @@ class Sums:
         return x.new_zeros(len(x), self.groups, x.shape[-1]).index_add(1, self.group, x)
 
 
-def minimised(sums: Sums, raw: Tensor, most: int = 30) -> tuple[Tensor, Curvature]:
+def minimised(sums: Sums, raw: Tensor) -> tuple[Tensor, Curvature]:
     """The values ``(R, G, P)`` of the least sums nearby, and the curvature there.
 
     Directions of negative curvature are followed downhill.  A problem stays where no step lowers its sum.
@@ -118,10 +120,9 @@ def minimised(sums: Sums, raw: Tensor, most: int = 30) -> tuple[Tensor, Curvatur
     Args:
         sums: what is made small.
         raw: ``(R, G, P)`` where to begin.
-        most: iterations.
     """
     curvature = sums.curvature(raw)
-    for _ in range(most):
+    for _ in range(MOST):
         going = curvature.off > STILL
         if not bool(going.any()):
             break

@@ -52,6 +52,11 @@ class Carried(NamedTuple):
         return Gaussian(self.mean, root), repaired
 
 
+def canonical(motion: Motion, belief: Gaussian) -> Gaussian:
+    """The belief with its angles as the motion writes them."""
+    return belief._replace(mean=motion.canonical(belief.mean))
+
+
 def predict(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Prediction:
     """Time update: eqs. (8)-(13)."""
     carried = propagate(motion, rule, belief, frame)

@@ -38,6 +38,10 @@ class Both(NamedTuple):
     """What becomes of them."""
 
 
+_LOOKS = 3, 0, 1
+"""Numbers of the tensors that say whether all is finite: the scores of all steps, others of the last."""
+
+
 class Ends:
     """The two ends of a track, traced once like the step between them.
 
@@ -121,13 +125,12 @@ class Ends:
                 self.settled[first + place] = then, x.dtype == torch.bool
             self.places.append(place)
 
-    def source(self, narrow: bool, remembered: int = 0, looks: Sequence[int] = (3, 0, 1)) -> str:
+    def source(self, narrow: bool, remembered: int = 0) -> str:
         """The translation unit, whose function is ``whole``.
 
         Args:
             narrow: as of ``Scan.source``.
             remembered: how many more tensors the steps write behind their records.
-            looks: numbers of the tensors that say whether all is finite: the scores of all steps, others of the last.
         """
         step, states = self.step, len(self.sizes)
         nothing: list[list[int]] = [[]]
@@ -142,7 +145,7 @@ class Ends:
         begin = Scan(self._book, [], [], reads, list(map(_port, self._begun)), dtype=step.dtype)
         finish = Scan(self._book, [], [], reads, [*[_port([])] * len(reads), *last], dtype=step.dtype)
         (head, started), (_, finished) = begin.parts(narrow, "begin"), finish.parts(narrow, "finish")
-        looked = [first + self.places[k] for k in looks]
+        looked = [first + self.places[k] for k in _LOOKS]
         made, prior, end = flatten(self.made), len(reads) - 2, len(reads) + len(last)
         given = [range(prior, len(reads)), range(states, after), range(first, prior), range(end, end + len(self.each))]
         words: dict[str, Iterable[Any]] = {
@@ -151,7 +154,7 @@ class Ends:
             "SETTLED": [*self.settled, -1],
             "SIZES": [*(1 if port.truth else "sizeof(Scalar)" for port in last), 0],
             "LOOKS": (2 * port + (port in self.settled) for port in looked),
-            "NUMBERS": (made[k].numel() // 2 for k in looks),
+            "NUMBERS": (made[k].numel() // 2 for k in _LOOKS),
             "EACH": [*self.each, 0],
             "AFTER": [after],
             "LAST": [len(reads)],

@@ -21,6 +21,7 @@ from torchfra.kernel.program import BUILDING, Program, Ready, batch_first
 from torchfra.kernel.source import Scan
 from torchfra.kernel.step import Step
 from torchfra.kernel.whole import Whole, at_both_ends, load
+from torchfra.linalg.tracing import has_tangents
 from torchfra.tree import flatten, unflatten
 
 _CPU = torch.device("cpu")
@@ -126,7 +127,7 @@ class Kernels:
                 all if they are few, else for one every sqrt(T) steps.
             truncate: steps after which gradients flow no further back.
         """
-        if forward_ad._current_level >= 0:
+        if has_tangents():
             done = self._with_tangents(batch, steps, [forward_ad.unpack_dual(x) for x in (*state, *inputs)])
         elif has_gradient((*state, *inputs)):
             remembers = checkpoint is None and self.remembers(batch, steps)

@@ -44,6 +44,7 @@ class Standalone(NamedTuple):
         state: those of a state.
         inputs: those of what a step reads.
         outputs: those of what it writes.
+        instants: whether a step may take no time.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Standalone(NamedTuple):
     state: Sequence[Field]
     inputs: Sequence[Field]
     outputs: Sequence[Field]
+    instants: bool
 
     def files(self) -> dict[str, str]:
         """The text of each file by its name."""
@@ -90,8 +92,11 @@ class Standalone(NamedTuple):
 
     def _named(self, text: str) -> str:
         mean, root = (str(x.shape.numel()) for x in self.prior)
-        text = text.replace("MEAN", mean).replace("ROOT", root).replace("NAME", self.name)
-        return text.replace("SCALAR", SCALARS[self.advance.dtype])
+        words = {"INSTANT": "0 or more" if self.instants else "above 0", "MEAN": mean, "ROOT": root, "NAME": self.name,
+                 "SCALAR": SCALARS[self.advance.dtype]}  # fmt: skip
+        for word, value in words.items():
+            text = text.replace(word, value)
+        return text
 
     def example(self) -> str:
         """A program that filters the tracks of a text."""
@@ -138,7 +143,8 @@ struct Output {
 State init(const Scalar (&mean)[MEAN], const Scalar (&scale_tril)[ROOT]);
 
 // One measurement: the state becomes the next.  Any number of tracks, in any number of threads, each has a state.
-// Nothing is checked: dt and deviations are to be finite and above 0.  NaN must stay NaN: no -ffast-math.
+// Nothing is checked: dt is to be finite and INSTANT, deviations finite and above 0.
+// NaN must stay NaN: no -ffast-math.
 Output step(State& state, const Input& input);
 
 }  // namespace NAME

@@ -66,16 +66,19 @@ def gram_information(h: Tensor) -> tuple[Tensor, Tensor]:
     return function(root, -1 / (p * q * (a + b))), function(1 / share, (p + q - 1) / (s * t * (s + t)))
 
 
-def downdate(root: Tensor, lost: Tensor, floor: float = 1e-12) -> tuple[Tensor, Tensor]:
+_LEAST = 1e-12
+"""Smallest fraction of a variance that remains."""
+
+
+def downdate(root: Tensor, lost: Tensor) -> tuple[Tensor, Tensor]:
     """Lower-triangular root of ``root root^T - lost lost^T``, repaired where that is not positive definite.
 
-    In units of ``root`` the difference is ``I - H H^T`` with ``H = root^-1 lost``.  Its eigenvalues below ``floor`` are
-    raised to ``floor``: in those directions the result is repaired, and has no gradient.
+    In units of ``root`` the difference is ``I - H H^T`` with ``H = root^-1 lost``.  Its eigenvalues below 1e-12 are
+    raised to that: in those directions the result is repaired, and has no gradient.
 
     Args:
         root: ``(..., n, n)`` lower; a direction without uncertainty (a zero on the diagonal) is left as it is.
         lost: ``(..., n, r)`` root of the covariance to subtract.
-        floor: smallest fraction of a variance that remains.
 
     Returns:
         ``(root, repaired)``: the new root ``(..., n, n)``, and ``(...)`` bool, whether it had to be repaired.  The
@@ -85,8 +88,8 @@ def downdate(root: Tensor, lost: Tensor, floor: float = 1e-12) -> tuple[Tensor, 
     invertible = root + torch.diag_embed(certain.to(root))
     h = torch.linalg.solve_triangular(invertible, torch.where(certain.unsqueeze(-1), 0.0, lost), upper=False)
     u, power = _left_singular(_finite(h).detach())
-    kept = 1 - power > floor
-    remaining = torch.where(kept, 1 - power, floor).sqrt()
+    kept = 1 - power > _LEAST
+    remaining = torch.where(kept, 1 - power, _LEAST).sqrt()
     slope = -kept.to(remaining).unsqueeze(-1) / (remaining.unsqueeze(-1) + remaining.unsqueeze(-2))
     return tria(root @ _of_gram(h, u, power, remaining, kept, slope)), ~kept.all(-1)
 

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
 
 def is_traced(*tensors: Tensor) -> bool:
@@ -19,6 +20,11 @@ def is_traced(*tensors: Tensor) -> bool:
     """
     wrapped = torch._C._functorch.is_functorch_wrapped_tensor
     return bool(torch.compiler.is_compiling()) or is_elementary() or any(wrapped(t) for t in tensors)
+
+
+def has_tangents() -> bool:
+    """Whether derivatives go forwards here, inside of ``torch.autograd.forward_ad.dual_level``."""
+    return not torch.compiler.is_compiling() and forward_ad._current_level >= 0
 
 
 _elementary: ContextVar[bool] = ContextVar("elementary", default=False)

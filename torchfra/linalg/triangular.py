@@ -8,12 +8,11 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd import forward_ad
 from torch.nn.functional import pad
 
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.safe import safe_divide
-from torchfra.linalg.tracing import is_elementary, is_traced, written_once
+from torchfra.linalg.tracing import has_tangents, is_elementary, is_traced, written_once
 
 
 def tria(a: Tensor, *, padded: bool = False) -> Tensor:
@@ -44,8 +43,7 @@ def tria(a: Tensor, *, padded: bool = False) -> Tensor:
     a = a if padded else pad(a, (a.shape[-2], 0))
     if not _differentiated(a):
         return _reflect(a)  # the same result, without the overhead of autograd
-    result: Tensor = (_MovingTria if _moves() else _Tria).apply(a, False)  # type: ignore[no-untyped-call]  # untyped in torch
-    return result
+    return _apply(a, False)
 
 
 def tria_beside(diagonal: Tensor, a: Tensor) -> Tensor:
@@ -58,18 +56,18 @@ def tria_beside(diagonal: Tensor, a: Tensor) -> Tensor:
         return tria(full)
     if not _differentiated(full):
         return _positive(_reflect(full))
-    result: Tensor = (_MovingTria if _moves() else _Tria).apply(full, True)  # type: ignore[no-untyped-call]  # untyped in torch
+    return _apply(full, True)
+
+
+def _apply(a: Tensor, beside: bool) -> Tensor:
+    """With derivatives."""
+    result: Tensor = (_MovingTria if has_tangents() else _Tria).apply(a, beside)  # type: ignore[no-untyped-call]  # untyped in torch
     return result
 
 
 def _differentiated(a: Tensor) -> bool:
     """Whether derivatives may be wanted, backwards or forwards, or this is traced."""
-    return a.requires_grad or is_traced(a) or _moves()
-
-
-def _moves() -> bool:
-    """Whether derivatives go forwards here."""
-    return not torch.compiler.is_compiling() and forward_ad._current_level >= 0
+    return a.requires_grad or is_traced(a) or has_tangents()
 
 
 def _positive(lower: Tensor) -> Tensor:
@@ -181,7 +179,8 @@ class _Tria(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
-        lower, root, q, nonzero = _rotated(*ctx.saved_tensors)
+        a, lower = ctx.saved_tensors
+        root, q, nonzero = _pivoted(a, lower)
         grad = grad.tril() * nonzero.unsqueeze(-2)
         rotation = lower.mT @ grad
         rotation = (rotation.mT - rotation).triu(1) * nonzero.unsqueeze(-1)
@@ -199,19 +198,20 @@ class _MovingTria(_Tria):
 
     @staticmethod
     def jvp(ctx: Any, rate: Tensor, _: None) -> Tensor:
-        lower, root, q, nonzero = _rotated(*ctx.saved_tensors)
+        a, lower = ctx.saved_tensors
+        root, q, nonzero = _pivoted(a, lower)
         b, kept = rate @ (q * nonzero.unsqueeze(-1)).mT, nonzero.unsqueeze(-1)
         rotation = torch.linalg.solve_triangular(root, b, upper=False).triu(1) * kept
         moved: Tensor = (b - lower @ (rotation - rotation.mT)).tril() * kept.mT
         return moved
 
 
-def _rotated(a: Tensor, lower: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """``L``, the same with ones for zero pivots, ``Q^T``, and which pivots are not zero."""
+def _pivoted(a: Tensor, lower: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """``L`` with ones for zero pivots, ``Q^T``, and which pivots are not zero."""
     rounding = 4 * sum(a.shape[-2:]) * torch.finfo(a.dtype).eps
     nonzero = lower.diagonal(dim1=-2, dim2=-1) > rounding * lower.abs().sum(-1)  # not the norms, which take roots
     root = lower + torch.diag_embed((~nonzero).to(a.dtype))
-    return lower, root, torch.linalg.solve_triangular(root, a, upper=False), nonzero
+    return root, torch.linalg.solve_triangular(root, a, upper=False), nonzero
 
 
 def apply(matrix: Tensor, vector: Tensor) -> Tensor:

@@ -9,13 +9,14 @@ import torch
 from torch import Tensor
 
 from torchfra.app import distributed
-from torchfra.app.compiling import Fallback, compiled
+from torchfra.app.compiling import compiled
 from torchfra.app.evaluate.limits import check_limit, divergence_limit
 from torchfra.app.evaluate.results import Result
 from torchfra.app.evaluate.sureness import sureness
 from torchfra.app.progress import progress_bar
 from torchfra.app.running_metrics import RunningMetrics
 from torchfra.catalogue import reference_filter, scenario_filters
+from torchfra.cleaning.others import Fallback
 from torchfra.filters.base import Filter
 from torchfra.scenarios import Scenario, Tracks
 from torchfra.types import Estimate

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-import torch
-
+from torchfra.app.evaluate.results import versions
 from torchfra.app.outputs.summary import summary
 from torchfra.app.outputs.table import about, columns
 from torchfra.cleaning import Cleaned
-from torchfra.version import __version__
 
 
 def metadata(results: Sequence[Cleaned], settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -25,7 +21,6 @@ def metadata(results: Sequence[Cleaned], settings: Mapping[str, Any]) -> dict[st
     alike = {(one.raw.shape[1], one.recording.origin is None, one.regimes): one for one in results}
     names = dict.fromkeys(name for one in alike.values() for name in columns(one))
     source = results[0].recording.source
-    versions = {"torchfra": __version__, "torch": torch.__version__, "numpy": np.__version__}
     return {
         "input": source.name,
         "input_columns": source.columns,
@@ -33,7 +28,7 @@ def metadata(results: Sequence[Cleaned], settings: Mapping[str, Any]) -> dict[st
         "metres_per_unit": source.unit,
         "said": list(source.said),
         "settings": dict(settings),
-        "versions": versions | {"python": platform.python_version()},
+        "versions": versions(),
         "columns": about(list(names)),
         "tracks": [_of(cleaned) for cleaned in results],
     }

@@ -8,7 +8,6 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.autograd import forward_ad
 
 from torchfra.filters.compiled import traced
 from torchfra.filters.compiled.back import Given, given, of_windows, windows
@@ -21,7 +20,7 @@ from torchfra.kernel.guards import hooked
 from torchfra.kernel.program import BUILDING
 from torchfra.kernel.run import has_gradient
 from torchfra.kernel.source import SCALARS
-from torchfra.linalg.tracing import is_traced
+from torchfra.linalg.tracing import has_tangents, is_traced
 from torchfra.tree import flatten, map_tensors
 from torchfra.types import Gaussian, Innovation
 
@@ -64,7 +63,7 @@ class Compiled:
             and z.dtype in SCALARS
             and not is_traced()
             and torch._C._functorch.peek_interpreter_stack() is None
-            and (forward_ad._current_level < 0 or not torch.is_grad_enabled())
+            and not (has_tangents() and torch.is_grad_enabled())
         )
 
     def ready(self, f: Any, measurements: Measurements, prior: Gaussian, past: bool, cut: int | None) -> Any:
@@ -75,7 +74,7 @@ class Compiled:
         Raises:
             ValueError: the time steps or the noise have a bad value.
         """
-        if not self._versions or not isinstance(prior, Gaussian) or forward_ad._current_level >= 0:
+        if not self._versions or not isinstance(prior, Gaussian) or has_tangents():
             return None
         now, form = self._now(f), form_of(measurements, past, cut is None and not hooked())
         return now.tracks(f, form, prior, measurements, now.read)

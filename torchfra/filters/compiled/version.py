@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.autograd import forward_ad
 
 from torchfra.filters.compiled import traced
 from torchfra.filters.compiled.back import Given, smooth_step
@@ -22,6 +21,7 @@ from torchfra.kernel.program import Program
 from torchfra.kernel.run import Kernels, has_gradient
 from torchfra.kernel.step import Input, Step
 from torchfra.linalg.batches import broadcast_shapes
+from torchfra.linalg.tracing import has_tangents
 from torchfra.tree import flatten, map_tensors, ranks
 from torchfra.types import Gaussian
 
@@ -200,7 +200,7 @@ class Version:
     @staticmethod
     def _changes(tensors: Sequence[Tensor], learns: bool = False) -> bool:
         """Whether a call needs gradients, unless it ``learns``, or cannot be told from others by its tensors alone."""
-        gradients = (has_gradient(tensors) and not learns) or forward_ad._current_level >= 0
+        gradients = (has_gradient(tensors) and not learns) or has_tangents()
         twice = len({*map(id, tensors)}) < len(tensors)  # as in the first state of some filters; guards refuse that
         return gradients or twice
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchfra.filters.gpb.regimes import Regimes
 from torchfra.gaussian.mixture import matched, shared
+from torchfra.gaussian.model import canonical
 from torchfra.linalg.triangular import apply, hstack
 from torchfra.motion.base import Motion
 from torchfra.types import Gaussian
@@ -71,4 +72,4 @@ def together(beliefs: Gaussian, roots: Tensor, motion: Motion) -> Gaussian:
     mean, root = beliefs.mean.movedim(-2, 0), beliefs.scale_tril.movedim(-3, 0)
     flat = Gaussian(mean.flatten(0, 1), root.flatten(0, 1))
     belief = matched(flat, roots.movedim(-1, 0).flatten(0, 1), motion.angles)
-    return belief._replace(mean=motion.canonical(belief.mean))
+    return canonical(motion, belief)

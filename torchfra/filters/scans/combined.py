@@ -14,6 +14,7 @@ from torchfra.filters.scans.hypotheses import Scan, gated, likeliest, missed_or_
 from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import missed_or_hit, moment_match
+from torchfra.gaussian.model import canonical
 from torchfra.linalg.safe import safe_divide
 from torchfra.types import Gaussian, Prediction, Whitened
 
@@ -76,4 +77,4 @@ def update(
         belief = missed_or_hit(predicted, each.belief, log_weights)
     else:
         belief = moment_match(missed_or_measured(predicted, each.belief), log_weights.movedim(-1, 0))
-    return f.canonical(belief), None if robust.plain else weights
+    return canonical(f.motion, belief), None if robust.plain else weights
