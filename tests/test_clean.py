@@ -141,6 +141,12 @@ def test_what_is_no_track_is_refused(data, said):
         torchfra.clean(data)
 
 
+def test_a_bank_that_is_none_is_refused():
+    data = np.arange(20.0), np.random.default_rng(0).normal(size=(20, 2))
+    with pytest.raises(ValueError, match="bank: expected a kind of target, a Bank or None, received 3"):
+        torchfra.clean(data, bank=3)
+
+
 def test_a_table_cannot_get_more_rows(frame):
     with pytest.raises(ValueError, match="dt: expected None for a DataFrame, whose rows are kept, received 1"):
         torchfra.clean(frame, dt=1.0)

@@ -65,7 +65,10 @@ class Gaussian(NamedTuple):
 
 @event_ranks(spread=2, process_noise=2, repaired=0)
 class Prediction(NamedTuple):
-    """A belief carried over one step, and its parts: ``P = spread spread^T + process_noise process_noise^T``."""
+    """A belief carried over one step, and its parts: ``P = spread spread^T + process_noise process_noise^T``.
+
+    Rules with negative weights have subtracted something from that.
+    """
 
     belief: Gaussian
     spread: Tensor
@@ -76,7 +79,7 @@ class Prediction(NamedTuple):
     """``(...)`` bool, of a rule with negative weights: the covariance was not positive definite and was repaired."""
 
 
-@event_ranks(residual=1, spread=2, lost=2)
+@event_ranks(residual=1, spread=2, subtracted=2)
 class Whitened(NamedTuple):
     """A measurement against its prediction, in units of the measurement noise (whose covariance is then the identity).
 
@@ -89,7 +92,7 @@ class Whitened(NamedTuple):
     """``(..., m, r + d)`` root of the covariance of what was predicted: ``[rest, H S]``."""
     reads: int
     """``d``, the last columns of ``spread``: how the measurement follows the root of the belief."""
-    lost: Tensor | None = None
+    subtracted: Tensor | None = None
     """``(..., m, k)`` root of what a rule with negative weights takes off that covariance."""
 
     @property

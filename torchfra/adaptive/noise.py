@@ -153,7 +153,7 @@ class SageHusa(NominalNoise):
         For ``"residual"`` it is what was measured against the belief after the update.
         """
         predicted = whitened.spread.square().sum(-1)
-        predicted = predicted if whitened.lost is None else predicted - whitened.lost.square().sum(-1)
+        predicted = predicted if whitened.subtracted is None else predicted - whitened.subtracted.square().sum(-1)
         return whitened.residual.square() + (predicted if self.adapt == "residual" else -predicted)
 
     def forward(self, memory: Any, excess: Tensor, weight: Tensor) -> Any:

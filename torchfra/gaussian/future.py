@@ -47,20 +47,20 @@ class Future(NamedTuple):
         ``difference`` subtracts two states.
         """
         gap = difference(ahead.mean, self.origin)
-        lost = () if ahead.lost is None else (ahead.lost,)
-        return _told(self.slope, self.value, gap, ahead.spread, ahead.process_noise, *lost)
+        subtracted = () if ahead.subtracted is None else (ahead.subtracted,)
+        return _told(self.slope, self.value, gap, ahead.spread, ahead.process_noise, *subtracted)
 
 
 @written_once(2, 1, 1, 2, 2, 2)
-def _told(slope: Tensor, value: Tensor, gap: Tensor, spread: Tensor, noise: Tensor, *lost: Tensor) -> Told:
+def _told(slope: Tensor, value: Tensor, gap: Tensor, spread: Tensor, noise: Tensor, *subtracted: Tensor) -> Told:
     """``Future.told`` of beliefs that lie ``gap`` beyond the origin."""
     n = slope.shape[-1]
     rest = spread.shape[-1] - n
     noise = hstack(noise, spread[..., :rest]) if rest else noise
     eye = torch.eye(n, dtype=noise.dtype, device=noise.device)
     root = tria_beside(eye.diagonal(), slope @ noise)
-    if lost:
-        root, _ = downdate(root, slope @ lost[0])
+    if subtracted:
+        root, _ = downdate(root, slope @ subtracted[0])
     seen = torch.linalg.solve_triangular(root, hstack(slope, value.unsqueeze(-1)), upper=False)
     slope = seen[..., :n]
     residual = seen[..., n] - apply(slope, gap)

@@ -20,7 +20,7 @@ from torchfra.types import Gaussian, Prediction, Whitened
 
 def repairs(prediction: Prediction, whitened: Whitened) -> Tensor | None:
     """How many covariances ``(...)`` of a step had to be repaired; None for rules that never need it."""
-    measured = None if whitened.lost is None else repaired_root(whitened)[1]
+    measured = None if whitened.subtracted is None else repaired_root(whitened)[1]
     return add_counts(prediction.repaired, measured)
 
 
@@ -30,9 +30,12 @@ def add_counts(*counts: Tensor | None) -> Tensor | None:
     return sum(there[1:], there[0]) if there else None
 
 
-@event_ranks(mean=1, spread=2, process_noise=2, lost=2)
+@event_ranks(mean=1, spread=2, process_noise=2, subtracted=2)
 class Carried(NamedTuple):
-    """A belief carried through a motion: ``P = spread spread^T + process_noise process_noise^T - lost lost^T``."""
+    """A belief carried through a motion.
+
+    ``P = spread spread^T + process_noise process_noise^T - subtracted subtracted^T``.
+    """
 
     mean: Tensor
     """``(..., n)``."""
@@ -40,15 +43,15 @@ class Carried(NamedTuple):
     """``(..., n, p)`` of what was uncertain before; the last ``n`` columns follow the root of that belief."""
     process_noise: Tensor
     """``(..., n, q)``."""
-    lost: Tensor | None
+    subtracted: Tensor | None
     """``(..., n, k)`` what a rule with negative weights takes off."""
 
     def belief(self) -> tuple[Gaussian, Tensor | None]:
         """The prediction, and ``(...)`` bool whether its covariance was repaired; None where it never is."""
         root = tria(hstack(self.spread, self.process_noise))
-        if self.lost is None:
+        if self.subtracted is None:
             return Gaussian(self.mean, root), None
-        root, repaired = downdate(root, self.lost)
+        root, repaired = downdate(root, self.subtracted)
         return Gaussian(self.mean, root), repaired
 
 
@@ -72,8 +75,8 @@ def propagate(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Car
         frame = adapted(frame, mean)
         mean, spread = apply(transition, mean), transition @ root
         return Carried(mean if frame.shift is None else mean + frame.shift, spread, frame.process_noise, None)
-    mean, spread, lost = rule(lambda x: motion.at_points(x, frame.dt, frame.u), belief, motion.difference)
-    return Carried(mean, spread, motion.process_noise_at(frame.process_noise, mean, frame.dt), lost)
+    mean, spread, subtracted = rule(lambda x: motion.at_points(x, frame.dt, frame.u), belief, motion.difference)
+    return Carried(mean, spread, motion.process_noise_at(frame.process_noise, mean, frame.dt), subtracted)
 
 
 def adapted(frame: Frame, mean: Tensor) -> Frame:
@@ -88,6 +91,6 @@ def compare(sensor: Sensor, rule: Rule, belief: Gaussian, frame: Frame) -> White
     """The measurement against a predicted belief, in units of its noise: eqs. (14)-(21)."""
     d, noise = sensor.reads, frame.measurement_noise
     seen = Gaussian(belief.mean[..., :d], belief.scale_tril[..., :d, :d])  # lower triangular: the marginal's root
-    value, spread, lost = rule(lambda x: sensor.at_points(x, frame.u), seen, sensor.difference)
+    value, spread, subtracted = rule(lambda x: sensor.at_points(x, frame.u), seen, sensor.difference)
     residual = noise.whiten(sensor.difference(frame.z, value).unsqueeze(-1)).squeeze(-1)
-    return Whitened(residual, noise.whiten(spread), d, lost if lost is None else noise.whiten(lost))
+    return Whitened(residual, noise.whiten(spread), d, subtracted if subtracted is None else noise.whiten(subtracted))

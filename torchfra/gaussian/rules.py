@@ -5,7 +5,7 @@ Each ends in the same form, a statistical linearisation.  For ``x ~ N(mean, S S^
     f(x) ~ value + slope S^-1 (x - mean) + (something uncorrelated with x, of covariance rest rest^T),
 
 so that every Gaussian filter is one piece of square-root algebra around its rule.  Where weights are negative, that
-covariance is ``rest rest^T - lost lost^T``.
+covariance is ``rest rest^T - subtracted subtracted^T``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Linearised(NamedTuple):
 
     value: Tensor
     spread: Tensor
-    lost: Tensor | None = None
+    subtracted: Tensor | None = None
     """``(..., m, k)``, only of rules with negative weights."""
 
 
@@ -130,8 +130,8 @@ class SigmaPoints(nn.Module):
         around = difference(values[1:], centre).flatten(1).mT  # a row for each entry of the batch and of the values
         moments = (around @ combine).reshape(*centre.shape, combine.shape[1])
         minus = self.minus
-        lost = None if minus is None else (around @ minus.to(mean)).reshape(*centre.shape, minus.shape[1])
-        return Linearised(centre + moments[..., 0], moments[..., 1:], lost)
+        subtracted = None if minus is None else (around @ minus.to(mean)).reshape(*centre.shape, minus.shape[1])
+        return Linearised(centre + moments[..., 0], moments[..., 1:], subtracted)
 
 
 class Tangent(nn.Module):

@@ -63,8 +63,8 @@ def reverse(belief: Gaussian, ahead: Carried) -> Reversed:
     """
     n, repaired = ahead.mean.shape[-1], None
     columns = hstack(ahead.process_noise, ahead.spread)
-    if ahead.lost is not None:
-        root, repaired = downdate(tria(columns[..., :-n]), ahead.lost)
+    if ahead.subtracted is not None:
+        root, repaired = downdate(tria(columns[..., :-n]), ahead.subtracted)
         columns = hstack(root, columns[..., -n:])
     now = pad(belief.scale_tril.expand(*columns.shape[:-2], n, n), (columns.shape[-1] - n, 0))
     root, cross, left, certain = _split(torch.cat([columns, now], -2), n)

@@ -30,8 +30,8 @@ def repaired_root(whitened: Whitened) -> tuple[Tensor, Tensor]:
 
     Also ``(...)`` bool: it was not positive definite and was repaired.
     """
-    assert whitened.lost is not None
-    return downdate(tria(hstack(_unit(whitened), whitened.rest)), whitened.lost)
+    assert whitened.subtracted is not None
+    return downdate(tria(hstack(_unit(whitened), whitened.rest)), whitened.subtracted)
 
 
 def innovation(whitened: Whitened) -> tuple[Tensor, Tensor]:
@@ -65,8 +65,8 @@ def down_weight(whitened: Whitened, weights: Tensor) -> Whitened:
     Scaling the measurement down instead of its noise up lets a weight of 0 leave it out.
     """
     scale = safe_sqrt(weights)
-    lost = None if whitened.lost is None else scale.unsqueeze(-1) * whitened.lost
-    return Whitened(scale * whitened.residual, scale.unsqueeze(-1) * whitened.spread, whitened.reads, lost)
+    subtracted = None if whitened.subtracted is None else scale.unsqueeze(-1) * whitened.subtracted
+    return Whitened(scale * whitened.residual, scale.unsqueeze(-1) * whitened.spread, whitened.reads, subtracted)
 
 
 def density(root: Tensor, normalised: Tensor) -> Tensor:
@@ -86,6 +86,6 @@ def _unit(whitened: Whitened) -> Tensor:
 
 def _blocks(whitened: Whitened) -> Tensor:
     """``[I, rest, H S] (..., m, p)``, a root of the residual's covariance."""
-    if whitened.lost is None:
+    if whitened.subtracted is None:
         return hstack(_unit(whitened), whitened.spread)
     return hstack(repaired_root(whitened)[0], whitened.slope)

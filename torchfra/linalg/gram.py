@@ -70,15 +70,15 @@ _LEAST = 1e-12
 """Smallest fraction of a variance that remains."""
 
 
-def downdate(root: Tensor, lost: Tensor) -> tuple[Tensor, Tensor]:
-    """Lower-triangular root of ``root root^T - lost lost^T``, repaired where that is not positive definite.
+def downdate(root: Tensor, subtracted: Tensor) -> tuple[Tensor, Tensor]:
+    """Lower-triangular root of ``root root^T - subtracted subtracted^T``, repaired where that is not positive definite.
 
-    In units of ``root`` the difference is ``I - H H^T`` with ``H = root^-1 lost``.  Its eigenvalues below 1e-12 are
-    raised to that: in those directions the result is repaired, and has no gradient.
+    In units of ``root`` the difference is ``I - H H^T`` with ``H = root^-1 subtracted``.  Its eigenvalues below 1e-12
+    are raised to that: in those directions the result is repaired, and has no gradient.
 
     Args:
         root: ``(..., n, n)`` lower; a direction without uncertainty (a zero on the diagonal) is left as it is.
-        lost: ``(..., n, r)`` root of the covariance to subtract.
+        subtracted: ``(..., n, r)`` root of the covariance to subtract.
 
     Returns:
         ``(root, repaired)``: the new root ``(..., n, n)``, and ``(...)`` bool, whether it had to be repaired.  The
@@ -86,7 +86,7 @@ def downdate(root: Tensor, lost: Tensor) -> tuple[Tensor, Tensor]:
     """
     certain = root.diagonal(dim1=-2, dim2=-1) == 0
     invertible = root + torch.diag_embed(certain.to(root))
-    h = torch.linalg.solve_triangular(invertible, torch.where(certain.unsqueeze(-1), 0.0, lost), upper=False)
+    h = torch.linalg.solve_triangular(invertible, torch.where(certain.unsqueeze(-1), 0.0, subtracted), upper=False)
     u, power = _left_singular(_finite(h).detach())
     kept = 1 - power > _LEAST
     remaining = torch.where(kept, 1 - power, _LEAST).sqrt()

@@ -91,7 +91,7 @@ class HuberRegression(Robust):
         residual, slope, d = whitened.residual, whitened.slope, whitened.reads
         if self.compensate:
             unit = torch.eye(residual.shape[-1], dtype=residual.dtype, device=residual.device)
-            root = tria(hstack(unit, whitened.rest)) if whitened.lost is None else repaired_root(whitened)[0]
+            root = tria(hstack(unit, whitened.rest)) if whitened.subtracted is None else repaired_root(whitened)[0]
             residual, slope = whiten(root, residual), torch.linalg.solve_triangular(root, slope, upper=False)
         threshold = self.threshold(residual).unsqueeze(-1)
         return _Linear(Whitened(residual, slope, d), pad(slope, (0, n - d)), threshold)

@@ -112,7 +112,9 @@ class ScanFilter(Filter[S]):
         times = 2 ** (step.ahead.searched - step.past.searched).clamp_min(0.0)[..., None, None, None]
         spread, noise = times * ahead.spread, times * ahead.process_noise
         ahead = ahead._replace(
-            spread=spread, process_noise=noise, lost=None if ahead.lost is None else times * ahead.lost
+            spread=spread,
+            process_noise=noise,
+            subtracted=None if ahead.subtracted is None else times * ahead.subtracted,
         )
         told = self.inner.reverse(belief, ahead, tree.insert_batch_dimension(after))
         repaired = None if told.repaired is None else told.repaired.squeeze(-1)

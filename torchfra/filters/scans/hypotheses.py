@@ -152,7 +152,7 @@ def combined(
 
 def target_repairs(prediction: Prediction, whitened: Whitened) -> Tensor | None:
     """How many covariances of a target had to be repaired; None for rules that never need it."""
-    measured = None if whitened.lost is None else repaired_root(whitened)[1].any(-1)
+    measured = None if whitened.subtracted is None else repaired_root(whitened)[1].any(-1)
     return add_counts(None if prediction.repaired is None else prediction.repaired.squeeze(-1), measured)
 
 
