@@ -119,9 +119,10 @@ def regimes(stay, renew, levels, jumps=(200.0,), motions=1):
     renew[count : count + others] = [x / others for x in renew[count : count + others]]
     odds = np.array(renew) / sum(renew)
     chain = oracle.renewing_chain(stay, odds)
+    silent = oracle.silent_chain(stay, list(odds), range(count, count + others)) if others else np.eye(len(stay))
     factors = [*levels, *[1.0] * others]
     which = [0] * count + list(range(1, motions))
-    return options | VALUES, oracle.Regimes(which, factors, list(jumps), chain, odds, count - 1)
+    return options | VALUES, oracle.Regimes(which, factors, list(jumps), chain, silent, odds, count - 1)
 
 
 TWO = ((0.9, 0.8, 0.7, 0.1), (0.5, 0.3, 0.15, 0.05), (0.1, 30.0))

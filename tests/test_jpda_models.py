@@ -122,9 +122,8 @@ def test_gpb_of_two_targets_is_that_of_plain_loops():
     # One motion: its two levels, and the jump after the second of them.
     stay, renew = (np.delete(GPB[name], 2) for name in ("stay", "renew"))
     odds = renew / renew.sum()
-    r = regimes.Regimes(
-        [0, 0], list(GPB["levels"]), list(GPB["jumps"]), regimes.renewing_chain(list(stay), list(odds)), odds, 1
-    )
+    chain = regimes.renewing_chain(list(stay), list(odds))
+    r = regimes.Regimes([0, 0], list(GPB["levels"]), list(GPB["jumps"]), chain, np.eye(3), odds, 1)
     q = regimes.Qualities([[0, 1]], np.array(GPB["qualities"]), list(GPB["sizes"]), list(GPB["shares"]))
     model = oracles.Model(F, SQ, STD * np.eye(2), lambda x, k: x[:2], np.zeros(2))
     targets = [

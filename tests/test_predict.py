@@ -57,7 +57,8 @@ def test_it_is_what_the_next_measurement_is_held_against(name):
         close(ahead.measurement.covariance, innovation.scale_tril @ innovation.scale_tril.mT)
     nothing, _ = f.step(state, torch.full((2, 2), torch.nan, **F64), dt=0.6)
     close(ahead.belief.mean, nothing.belief.mean)
-    close(ahead.belief.covariance, nothing.belief.covariance)
+    if name != "gpb":  # which counts on manoeuvres that may begin, as they do not without a measurement
+        close(ahead.belief.covariance, nothing.belief.covariance)
 
 
 @pytest.mark.parametrize("name", ["srckf", "fra", "gpb", "imm_srckf"])

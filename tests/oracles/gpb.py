@@ -34,6 +34,7 @@ class Regimes(NamedTuple):
     levels: list[float]  # factors on Q
     jumps: list[float]  # factors on the covariance of the home level's predicted position, times its NIS per element
     chain: Array  # (R,R), [i, j] = P(now j | was i), levels first
+    silent: Array  # (R,R) the same in a step without any measurement
     first: Array  # (R,) probabilities before the first step
     home: int
 
@@ -60,6 +61,14 @@ def renewing_chain(stay: list[float], renew: list[float]) -> Array:
         for j in range(count):
             chain[i, j] = (1 - stay[i]) * renew[j] + (stay[i] if i == j else 0.0)
     return chain
+
+
+def silent_chain(stay: list[float], renew: list[float], others: range) -> Array:
+    """That of steps without any measurement, in which no regime begins but those of other motions."""
+    return renewing_chain(
+        [1 - (1 - s) * sum(renew[j] for j in others) for s in stay],
+        [renew[j] / sum(renew[i] for i in others) if j in others else 0.0 for j in range(len(renew))],
+    )
 
 
 def carried(F: Any, SQ: Any) -> Carry:
@@ -214,7 +223,7 @@ class Carried(NamedTuple):
     """What goes from step to step."""
 
     beliefs: Beliefs  # of every motion
-    log_pairs: Array  # (2,R,R) logs of the probabilities of quality, regime, next regime
+    log_regimes: Array  # (2,R) logs of the probabilities of quality and regime
     outlier: Array  # (B,) of each block, if the step was dirty
 
 
@@ -222,8 +231,8 @@ def start(mean: Array, P: Array, regimes: Regimes, q: Qualities, poor: float, fa
     """The prior as given, and the same widened."""
     count = max(regimes.motions) + 1
     beliefs = {(i, m): (mean, P * (factor if i else 1.0)) for i in QUALITIES for m in range(count)}
-    pairs = np.array([share * regimes.first[:, None] * regimes.chain for share in (1 - poor, poor)])
-    return Carried(beliefs, np.log(pairs), np.zeros(len(q.blocks)))
+    log_regimes = np.log(np.array([share * regimes.first for share in (1 - poor, poor)]))
+    return Carried(beliefs, log_regimes, np.zeros(len(q.blocks)))
 
 
 class Hypothesis(NamedTuple):
@@ -244,6 +253,8 @@ def hypotheses(
     found = []
     for before, r in ahead:
         quality, prior = outlier_odds(q, was, before)
+        if np.isnan(z).all():
+            quality = np.eye(2)[before]  # until a measurement says more
         score, belief = clean(ahead[before, r], z, q, model, k)
         weight = log_chance[before, r]
         found.append(Hypothesis(0, r, before, weight + log(quality[0]) + score, belief, np.zeros(len(prior))))
@@ -262,12 +273,14 @@ def step(
     c: Carried, z: Array, motions: list[Carry], model: Model, regimes: Regimes, q: Qualities, position: slice, k: int
 ) -> tuple[Carried, dict[str, Any], Belief]:
     """One step: what goes on, what is told of it, and the belief of the step before as it is now known."""
-    motion = regimes.all_motions
-    mixed, shares = interacted(c.beliefs, c.log_pairs, motion)
+    motion, nothing = regimes.all_motions, bool(np.isnan(z).all())
+    with np.errstate(divide="ignore"):
+        log_pairs = c.log_regimes[:, :, None] + np.log(regimes.silent if nothing else regimes.chain)
+    mixed, shares = interacted(c.beliefs, log_pairs, motion)
     ahead = predicted(mixed, motions, regimes, k)
     after_jumps, rarer = jumped(ahead, regimes, position, z, model, k)
     ahead |= after_jumps
-    chance = np.array([[log_sum(c.log_pairs[q, :, r]) for r in range(len(motion))] for q in QUALITIES])
+    chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(len(motion))] for q in QUALITIES])
     chance[:, len(regimes.levels) :] -= np.log(rarer)[:, None]
     every = hypotheses(ahead, chance, c.outlier, z, model, q, k)
     log_likelihood, (mean, P) = merged(every)
@@ -289,8 +302,10 @@ def step(
         "mean": mean, "P": P, "regimes": np.exp(log_regimes).sum(0), "outlier": outlier,
         "log_likelihood": log_likelihood, "nis": fit(expected.e, expected.Pzz)[0],
     }  # fmt: skip
-    log_pairs = log_regimes[:, :, None] + np.log(regimes.chain)
-    return Carried(after, log_pairs, outlier / np.exp(log_regimes[1]).sum()), told_of, hindsight
+    if nothing:
+        told_of["outlier"] = np.zeros(len(c.outlier))
+        return Carried(after, log_regimes, c.outlier), told_of, hindsight
+    return Carried(after, log_regimes, outlier / np.exp(log_regimes[1]).sum()), told_of, hindsight
 
 
 def gpb(

@@ -58,7 +58,7 @@ def follow(z: Array, targets: list[Target], *, PD: float, density: float, gate: 
 def told(state: Any) -> Array:
     """Probabilities of the models, or of the regimes."""
     if isinstance(state, gpb.Carried):
-        return np.exp(state.log_pairs).sum((0, 2))
+        return np.exp(state.log_regimes).sum(0)
     return np.array([state[1][j] for j in sorted(state[1])])
 
 
@@ -94,14 +94,14 @@ def regimes(
         return after, told_of["log_likelihood"], told_of["mean"], told_of["P"]
 
     def merge(parts: list[tuple[float, Any]]) -> Any:
-        chances = sum(w * np.exp(s.log_pairs) for w, s in parts)  # of quality, regime, next regime
+        chances = sum(w * np.exp(s.log_regimes) for w, s in parts)  # of quality and regime
         beliefs = {}
         for quality, m in parts[0][1].beliefs:
             of = [i for i in range(len(motion)) if motion[i] == m]
-            each = [w * np.exp(s.log_pairs[quality, of]).sum() for w, s in parts]
+            each = [w * np.exp(s.log_regimes[quality, of]).sum() for w, s in parts]
             found = [s.beliefs[quality, m] for _, s in parts]
             beliefs[quality, m] = matched([(w / sum(each), *b) for w, b in zip(each, found, strict=True)])
-        dirty = [w * np.exp(s.log_pairs[1]).sum() for w, s in parts]
+        dirty = [w * np.exp(s.log_regimes[1]).sum() for w, s in parts]
         outlier = sum(w / sum(dirty) * s.outlier for w, (_, s) in zip(dirty, parts, strict=True))
         return gpb.Carried(beliefs, np.log(chances), np.asarray(outlier))
 

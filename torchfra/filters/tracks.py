@@ -47,7 +47,8 @@ class TrackFilter(Filter[S]):
     def predict(self, state: Any, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None) -> Ahead:
         """What is expected after ``dt`` seconds, without a measurement; it runs interpreted.
 
-        Of several models or hypotheses it has the moments.  ``FRA`` looks ahead from its provisional estimate.
+        Of several models or hypotheses it has the moments.  ``FRA`` looks ahead from its provisional estimate, ``GPB``
+        counts on manoeuvres that may begin.
 
         Args:
             state: from ``init`` or ``step``; it is not changed.

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchfra.angles import near
-from torchfra.linalg.safe import safe_sqrt
+from torchfra.linalg.safe import safe_log, safe_sqrt
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian
 
@@ -79,6 +79,12 @@ def shared(log_weights: Tensor) -> tuple[Tensor, Tensor]:
     roots = (0.5 * (log_weights - top)).exp()
     total = roots.square().sum(0)
     return roots / total.sqrt(), top + total.log()
+
+
+def log_sum(log_weights: Tensor, dim: int) -> Tensor:
+    """Log of the sum of weights, from their logs; where none counts minus infinity, with a gradient of 0."""
+    top = largest(log_weights, dim, keepdim=True)
+    return safe_log((log_weights - top).exp().sum(dim)) + top.squeeze(dim)
 
 
 def largest(log_weights: Tensor, dim: int, keepdim: bool = False) -> Tensor:

@@ -41,7 +41,8 @@ class GPB(Sensing):
     sizes.  Every combination is a hypothesis with a prediction, a correction and a likelihood.  After a step they
     are merged into one Gaussian for each motion and for clean and dirty (a step with an outlier in any block); these
     two are kept apart until the next measurement has said which of them was right.  So nothing is decided by a gate,
-    and all is smooth: the next measurement weighs an outlier against a manoeuvre.
+    and all is smooth: the next measurement weighs an outlier against a manoeuvre.  Over steps without any measurement,
+    however many, both are carried on, and the first motion keeps its regime.
 
     Merging, in square-root form, happens where hypotheses differ: outlier sizes in the space of the measurement,
     regimes and qualities in that of states.  Motions interact as in ``IMM``.
@@ -120,10 +121,11 @@ class GPB(Sensing):
     def advance(self, state: GPBState, frame: Frame, mix: Mix | None = None) -> tuple[GPBState, Record]:
         """One step; ``mix`` is not looked at, as this filter mixes itself."""
         before = tree.stack([state.clean, state.dirty], 0)  # (2, ..., K)
-        predicted, log_ahead, made_of, agile, far = self.look_ahead(before, state.log_weights.movedim(-2, 0), frame)
+        measured, log_weights = frame.seen.sum(-1) > 0, state.log_weights.movedim(-2, 0)
+        predicted, log_ahead, made_of, agile, far = self.look_ahead(before, log_weights, frame, measured)
         seen = self.read(predicted)
         whitened, expected = self.compare_all(seen, agile, log_ahead, frame)
-        log_quality, prior = self.qualities.ahead(state.outlier)
+        log_quality, prior = self.qualities.ahead(state.outlier, measured)
         corrected = self.qualities(seen, whitened, lambda x: self.compare(x, frame), prior, 1 - frame.seen)
         joint = log_quality.unsqueeze(1) + log_ahead + corrected.log_density  # (2, R, 2, ...): now, regime, before
         joint = torch.where(joint.isnan(), -torch.inf, joint)  # nothing speaks for a hypothesis that failed
@@ -136,8 +138,11 @@ class GPB(Sensing):
         settling = safe_sqrt(self.hindsight(weights.sum(2), made_of))
         ends = tree.stack([after, before], 1), torch.stack([(of_motion * now).movedim(0, -1), settling], 1)
         belief, settled = tree.unbind(together(*ends, self.motion), 2)
-        if_dirty = (share[:, :, 1].unsqueeze(-1) * corrected.outlier).sum((0, 1))
-        info = Step(tree.Late(settled), weights.sum((1, 2)).movedim(0, -1), if_dirty * now[1].square().unsqueeze(-1))
+        if_dirty = torch.where(
+            measured.unsqueeze(-1), (share[:, :, 1].unsqueeze(-1) * corrected.outlier).sum((0, 1)), state.outlier
+        )
+        outlier = torch.where(measured, now[1].square(), 0.0).unsqueeze(-1) * if_dirty
+        info = Step(tree.Late(settled), weights.sum((1, 2)).movedim(0, -1), outlier)
         log_regimes = self.regimes.of_each(log_after, -1) + safe_log(roots.square().sum(1)).movedim(0, -1)
         log_regimes = log_regimes - log_likelihood.unsqueeze(-1)  # (2, ..., R)
         clean, dirty = tree.unbind(after, 2)
@@ -148,7 +153,7 @@ class GPB(Sensing):
             *innovation(expected),
             info,
             log_likelihood,
-            past=GPBPast(*carried, far.movedim(0, -1)),
+            past=GPBPast(*carried, far.movedim(0, -1), measured.to(far).expand(far.shape[1:])),
         )
         return GPBState(belief, settled, *carried), record
 
@@ -169,13 +174,13 @@ class GPB(Sensing):
         return each, tree.map_tensors(lambda x: x[-1], whitened)
 
     def look_ahead(
-        self, before: Gaussian, log_weights: Tensor, frame: Frame
+        self, before: Gaussian, log_weights: Tensor, frame: Frame, measured: Tensor
     ) -> tuple[Gaussian, Tensor, Shares | None, Whitened, Tensor]:
         """Predictions ``(R, 2, ..., n)`` of all regimes, their log weights, and who contributed to which motion.
 
         Also ``(2, ...)`` the measurement against the agile ones, and its normalised innovation squared per element.
         """
-        mixed, log_ahead, made_of = self.interact(before, log_weights, frame.dt)
+        mixed, log_ahead, made_of = self.interact(before, log_weights, frame.dt, measured)
         mean, spread, noise, _ = propagate(self.motion, self.motion_rule, mixed, for_each_model(frame))
         predicted, agile, far = self.with_jumps(self.regimes.predictions(mean, spread, noise), frame)
         return predicted, self.regimes.rarer(log_ahead.movedim(-1, 0), far), made_of, agile, far
@@ -192,23 +197,27 @@ class GPB(Sensing):
     def predict_hypotheses(self, state: GPBState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(2 R, ..., n)`` of the state after a step, and logs of their weights."""
         before = tree.stack([state.clean, state.dirty], 0)
-        predicted, log_ahead, _, _, _ = self.look_ahead(before, state.log_weights.movedim(-2, 0), frame)
+        log_weights, measured = state.log_weights.movedim(-2, 0), torch.ones_like(frame.dt, dtype=torch.bool)
+        predicted, log_ahead, _, _, _ = self.look_ahead(before, log_weights, frame, measured)
         flat: Gaussian = tree.map_tensors(lambda x: x.flatten(0, 1), predicted)
         log_weights = log_ahead.flatten(0, 1)
         return flat, log_weights - log_weights.logsumexp(0)
 
-    def interact(self, before: Gaussian, log_weights: Tensor, dt: Tensor) -> tuple[Gaussian, Tensor, Shares | None]:
+    def interact(
+        self, before: Gaussian, log_weights: Tensor, dt: Tensor, measured: Tensor
+    ) -> tuple[Gaussian, Tensor, Shares | None]:
         """The motions ``(2, ..., K)`` mixed, log weights ``(2, ..., R)`` of the regimes ahead, and who contributed.
 
         As regimes that do not stay are drawn anew, a motion's belief is a mixture of its own and of one that all share.
-        Over ``dt (...)`` of 0 seconds every regime stays.
+        Over ``dt (...)`` of 0 seconds every regime stays; where nothing is ``measured (...)``: see ``Regimes.chain``.
         """
         regimes, top = self.regimes, largest(log_weights, -1, keepdim=True)
         weights = (log_weights - top).exp()
-        stay = torch.where((dt == 0).unsqueeze(-1), 1.0, regimes.staying(weights))
+        stay, odds = regimes.chain(weights, measured)
+        stay = torch.where((dt == 0).unsqueeze(-1), 1.0, stay)
         stayed, left = stay * weights, (1 - stay) * weights
         all_left = left.sum(-1, keepdim=True)
-        drawn = all_left * regimes.renewed(weights)
+        drawn = all_left * odds
         log_ahead = safe_log(stayed + drawn) + top
         if len(self.bank) == 1:
             return before, log_ahead, None

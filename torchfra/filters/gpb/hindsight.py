@@ -17,7 +17,7 @@ from torchfra.filters.interaction import for_each_model, held
 from torchfra.filters.smoothing import BackwardStep, Told
 from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.future import Future, future
-from torchfra.gaussian.mixture import matched, repeated, shared, without_failed
+from torchfra.gaussian.mixture import log_sum, matched, repeated, shared, without_failed
 from torchfra.gaussian.model import Carried, adapted
 from torchfra.motion.base import Motion
 from torchfra.types import Gaussian
@@ -36,6 +36,8 @@ class GPBPast(NamedTuple):
     """``(..., B)`` of each block that it was an outlier, if the step was dirty."""
     far: Tensor
     """``(..., 2)`` how far the measurement was from what the clean and the dirty belief before predicted: of jumps."""
+    measured: Tensor
+    """``(...)`` 1 where there was any, else 0."""
 
     def beliefs(self) -> Gaussian:
         """``(2, ..., K)``."""
@@ -46,7 +48,7 @@ class GPBPast(NamedTuple):
         """All hypotheses together, and the probabilities of regimes and outliers."""
         log_weights = self.log_weights.movedim(-2, 0)
         weights = log_weights.exp()
-        outlier = weights[1].sum(-1, keepdim=True) * self.outlier
+        outlier = weights[1].sum(-1, keepdim=True) * self.measured.unsqueeze(-1) * self.outlier
         roots = (0.5 * regimes.of_motion(log_weights)).exp()
         return Told(together(self.beliefs(), roots, motion), weights.sum(0), outlier)
 
@@ -75,8 +77,8 @@ class WayBack(GaussianFilter[GPBState]):
     decided = fresh  # type: ignore[assignment]
 
     def needed_ahead(self, past: GPBPast) -> GPBPast:  # type: ignore[override]
-        """How far the measurement was."""
-        return GPBPast(None, None, None, None, past.far)  # type: ignore[arg-type]  # nothing reads the others
+        """How far the measurement was, if there was any."""
+        return GPBPast(None, None, None, None, past.far, past.measured)  # type: ignore[arg-type]  # nothing reads the others
 
     def last(self, past: GPBPast) -> tuple[GPBPast, Told]:  # type: ignore[override]
         """The last step, which no later measurement speaks of."""
@@ -107,10 +109,10 @@ def _smooth_step(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     """
     past, frame = step.past, step.frame
     regimes, before, far = f.regimes, past.beliefs(), step.ahead.far
-    prior = _prior(f, past, far, frame.dt)  # (now, was, ..., regime was, regime now)
-    mixed, _, _ = f.interact(before, past.log_weights.movedim(-2, 0), frame.dt)
+    prior = _prior(f, past, step.ahead, frame.dt)  # (now, was, ..., regime was, regime now)
+    mixed, _, _ = f.interact(before, past.log_weights.movedim(-2, 0), frame.dt, step.ahead.measured > 0)
     frame = adapted(for_each_model(frame), mixed.mean)  # as the filter has adapted it
-    predicted = _predicted(f, f.carry(mixed, frame, None), far.movedim(-1, 0), prior.logsumexp(-2))
+    predicted = _predicted(f, f.carry(mixed, frame, None), far.movedim(-1, 0), log_sum(prior, -2))
     ahead = _of_regimes(f, f.carry(_each_motion(before), frame, None), far.movedim(-1, 0))
     later = _each_regime(regimes, future(predicted, after.beliefs(), f.motion.difference))
     each, fit = later.told(ahead, f.motion.difference)  # (R, now, motion was, was, ...)
@@ -125,15 +127,16 @@ def _smooth_step(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     told = matched(Gaussian(*(x.flatten(0, 1) for x in each)), shared(share.flatten(0, 1))[0])
     told = Gaussian(told.mean.movedim(0, -2), told.scale_tril.movedim(0, -3))
     clean, dirty = tree.unbind(inside(before, told), 2)
-    return GPBPast(clean, dirty, log_weights.movedim(0, -2), past.outlier, past.far)
+    smoothed: GPBPast = past._replace(clean=clean, dirty=dirty, log_weights=log_weights.movedim(0, -2))
+    return smoothed
 
 
-def _prior(f: Any, past: GPBPast, far: Tensor, dt: Tensor) -> Tensor:
+def _prior(f: Any, past: GPBPast, ahead: GPBPast, dt: Tensor) -> Tensor:
     """Logs ``(2, 2, ..., R, R)`` of the probabilities of two steps: quality now and before, regime before and now."""
-    log_weights = past.log_weights.movedim(-2, 0)
-    joint = log_weights.unsqueeze(-1) + held(f.regimes.transition(log_weights), dt)
-    joint = f.regimes.rarer(joint.movedim(-1, 0), far.movedim(-1, 0).unsqueeze(-1)).movedim(0, -1)
-    log_quality, _ = f.qualities.ahead(past.outlier)
+    log_weights, measured = past.log_weights.movedim(-2, 0), ahead.measured > 0
+    joint = log_weights.unsqueeze(-1) + held(f.regimes.transition(log_weights, measured), dt)
+    joint = f.regimes.rarer(joint.movedim(-1, 0), ahead.far.movedim(-1, 0).unsqueeze(-1)).movedim(0, -1)
+    log_quality, _ = f.qualities.ahead(past.outlier, measured)
     together: Tensor = log_quality[..., None, None] + joint
     return together
 

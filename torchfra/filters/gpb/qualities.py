@@ -106,11 +106,12 @@ class Qualities(nn.Module):
         if bool((correlated & ~within).any()):
             raise ValueError(f"{name}: expected noise that is independent between blocks, received a correlation")
 
-    def ahead(self, outlier: Tensor) -> tuple[Tensor, Tensor]:
-        """What the qualities of a step say of the next.
+    def ahead(self, outlier: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
+        """What the qualities of a step say of the next; where nothing is measured in that, they stay.
 
         Args:
             outlier: ``(..., B)`` of each block that it was an outlier, if the step was dirty.
+            measured: ``(...)`` whether anything is measured in the next step.
 
         Returns:
             Logs ``(2, 2, ...)`` of the probability that the next step is clean or dirty, ``[next, this]``, and
@@ -122,7 +123,8 @@ class Qualities(nn.Module):
         clean = torch.log1p(-now).sum(-1)
         dirty = -torch.expm1(clean)
         share = torch.ones_like(now) if len(self.blocks) == 1 else now / dirty.unsqueeze(-1)
-        return torch.stack([clean, dirty.log()]), share
+        same = torch.eye(2, dtype=now.dtype, device=now.device).log().reshape(2, 2, *[1] * measured.dim())
+        return torch.where(measured, torch.stack([clean, dirty.log()]), same), share
 
     def forward(
         self, seen: Gaussian, whitened: Whitened, compare: Compare, prior: Tensor, missing: Tensor

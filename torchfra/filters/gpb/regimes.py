@@ -6,8 +6,10 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import constraints
 
+from torchfra.gaussian.mixture import log_sum
 from torchfra.hyper import Hyper, Values
 from torchfra.linalg.batches import broadcast_shapes
+from torchfra.linalg.safe import safe_divide, safe_log
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian
 
@@ -57,7 +59,7 @@ class Regimes(nn.Module):
     def of_motion(self, log_weights: Tensor) -> Tensor:
         """Of logs of weights of regimes ``(..., R)`` those of each motion together, ``(..., K)``."""
         own, others = self._own_and_others(log_weights)
-        return torch.cat([own.logsumexp(-1, keepdim=True), others], -1)
+        return torch.cat([log_sum(own, -1).unsqueeze(-1), others], -1)
 
     def sums(self, weights: Tensor) -> Tensor:
         """Of weights of regimes ``(..., R)`` the sum of each motion, ``(..., K)``."""
@@ -81,11 +83,27 @@ class Regimes(nn.Module):
         others = values.narrow(dim, 1, self.motions - 1)
         return torch.cat([*[first] * self.count, others, *[first] * jumps], dim)
 
-    def transition(self, log_weights: Tensor) -> Tensor:
-        """Logs ``(..., R, R)`` of how regimes follow each other, ``[was, now]``, of tracks ``log_weights (..., R)``."""
-        stay = self.staying(log_weights)
-        drawn = (1 - stay).unsqueeze(-1) * self.renewed(log_weights).unsqueeze(-2)
-        return (drawn + torch.diag_embed(stay)).log()
+    def chain(self, like: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
+        """Self-transition probabilities ``(..., R)`` in a step, and odds ``(..., R)`` of what is drawn anew otherwise.
+
+        No level and no jump begins where nothing is ``measured (...)``, or what measurements have told of them would be
+        forgotten over steps without one.  Other motions do: the longer a gap is, the less is known.
+        """
+        stay, odds = self.staying(like), self.renewed(like)
+        before, others, after = odds.split((self.count, self.motions - 1, self.jumps.raw.shape[-1]), -1)
+        share = others.sum(-1, keepdim=True)
+        among_others = torch.cat([torch.zeros_like(before), safe_divide(others, share), torch.zeros_like(after)], -1)
+        measured = measured.unsqueeze(-1)
+        return torch.where(measured, stay, 1 - (1 - stay) * share), torch.where(measured, odds, among_others)
+
+    def transition(self, log_weights: Tensor, measured: Tensor) -> Tensor:
+        """Logs ``(..., R, R)`` of how regimes follow each other, ``[was, now]``, of tracks ``log_weights (..., R)``.
+
+        ``measured (...)``: whether anything is in the step.
+        """
+        stay, odds = self.chain(log_weights, measured)
+        drawn = (1 - stay).unsqueeze(-1) * odds.unsqueeze(-2)
+        return safe_log(drawn + torch.diag_embed(stay))
 
     def staying(self, like: Tensor) -> Tensor:
         """Probabilities ``(..., R)`` that a regime stays."""

@@ -1,0 +1,160 @@
+"""GPB over steps without any measurement: what was told of outliers and manoeuvres is kept until the next one."""
+
+import pytest
+import torch
+
+from torchfra import presets
+from torchfra.motion import ConstantAcceleration, ConstantVelocity
+from torchfra.sensors import Position
+from torchfra.types import Gaussian
+
+SENSOR = Position(2.0)
+MOTIONS = {"one motion": ConstantVelocity(1.0, spectral=True),
+           "bank": [ConstantAcceleration(q, spectral=True) for q in (0.1, 4.0)]}  # fmt: skip
+every_motion = pytest.mark.parametrize("motion", MOTIONS)
+RUNS, STEPS, TURN = 60, 40, 20
+
+
+def tracks(jump):
+    """True positions of targets that change their velocity by so much at a step, measurements, and a prior."""
+    rng = torch.Generator().manual_seed(5)
+    noise = [torch.randn(*shape, 2, dtype=torch.float64, generator=rng) for shape in ((RUNS, 1), (RUNS, STEPS))]
+    velocity = (10 * noise[0]).expand(RUNS, STEPS, 2).clone()
+    velocity[:, TURN:] += jump * noise[0].flip(-1) / noise[0].norm(dim=-1, keepdim=True)
+    truth = velocity.cumsum(1)
+    mean = torch.cat([torch.zeros(RUNS, 2).double(), velocity[:, 0]], -1)
+    return truth, truth + 2 * noise[1], Gaussian(mean, 5 * torch.eye(4, dtype=torch.float64))
+
+
+def padded(z, rows):
+    """The same with so many rows of NaN before each measurement."""
+    every = torch.full((len(z), (rows + 1) * z.shape[1], 2), torch.nan, dtype=torch.float64)
+    every[:, rows :: rows + 1] = z
+    return every
+
+
+def rmse(mean, truth):
+    """Of the position, at each step."""
+    return (mean[..., :2] - truth).square().sum(-1).mean(0).sqrt()
+
+
+def start(motion):
+    n = 4 if motion == "one motion" else 6
+    return Gaussian(torch.zeros(2, n).double(), 5 * torch.eye(n).double())
+
+
+def after_some(f, motion):
+    """A state that is in doubt: its last measurement may be an outlier."""
+    z = torch.zeros(2, 6, 2, dtype=torch.float64)
+    z[:, -1] = torch.tensor([[9.0, 0.0], [40.0, 30.0]])
+    state = f.init(start(motion))
+    for now in z.unbind(1):
+        state, _ = f.step(state, now)
+    return state
+
+
+NOTHING = torch.full((2, 2), torch.nan, dtype=torch.float64)
+
+
+# ---------------------------------------------------------------- until the next measurement
+
+
+@pytest.mark.parametrize("rows", [1, 3])
+@pytest.mark.parametrize("jump", [5.0, 20.0])
+def test_a_target_that_turns_is_found_again_as_soon_on_a_finer_grid_of_time(jump, rows):
+    truth, z, prior = tracks(jump)
+    f = presets.gpb(MOTIONS["one motion"], SENSOR)
+    plain, fine = (
+        rmse(f(z, prior).mean, truth),
+        rmse(f(padded(z, rows), prior, dt=1 / (rows + 1)).mean[:, rows :: rows + 1], truth),
+    )
+    assert (fine < 1.3 * plain + 1).all()
+    assert fine[-1] < 4
+
+
+@every_motion
+def test_both_readings_of_a_doubtful_measurement_wait_for_the_next(motion):
+    f = presets.gpb(MOTIONS[motion], SENSOR)
+    before = state = after_some(f, motion)
+    for _ in range(3):
+        state, _ = f.step(state, NOTHING)
+    share = [x.log_weights.exp().sum(-1) for x in (before, state)]
+    torch.testing.assert_close(*share, rtol=1e-10, atol=1e-12)
+    torch.testing.assert_close(state.outlier, before.outlier, rtol=0, atol=0)
+    gap = (state.clean.mean - state.dirty.mean)[1, 0, :2].norm()
+    assert gap > 10
+
+
+def test_of_one_motion_the_regimes_wait_too():
+    f = presets.gpb(MOTIONS["one motion"], SENSOR)
+    before = after_some(f, "one motion")
+    state, _ = f.step(before, NOTHING)
+    torch.testing.assert_close(state.log_weights, before.log_weights, rtol=1e-10, atol=1e-10)
+
+
+def test_other_motions_of_a_bank_may_begin_so_that_less_is_known_the_longer_a_gap_is():
+    f = presets.gpb(MOTIONS["bank"], SENSOR)
+    first, last = f.regimes.count, f.regimes.count + f.regimes.motions - 1
+    state = after_some(f, "bank")
+    shares = []
+    for _ in range(4):
+        shares.append(state.log_weights.exp().sum(-2)[..., first:last].sum(-1))
+        state, _ = f.step(state, NOTHING)
+    assert (torch.stack(shares).diff(dim=0) > 0).all()
+
+
+def test_a_poor_start_is_not_forgotten_before_the_first_measurement():
+    f = presets.gpb(MOTIONS["one motion"], SENSOR, poor=0.3)
+    state, _ = f.step(f.init(start("one motion")), NOTHING)
+    assert state.log_weights[..., 1, :].exp().sum(-1) == pytest.approx(0.3)
+
+
+def test_what_is_not_measured_is_no_outlier():
+    _, z, prior = tracks(20.0)
+    z[:, 10] += 300
+    z[:, 11] = torch.nan
+    f = presets.gpb(MOTIONS["one motion"], SENSOR)
+    for e in (f(z, prior), f.smooth(z, prior)):
+        outlier = e.info.outlier[..., 0]
+        assert (outlier[:, 10] > 0.99).all()
+        assert (outlier[:, 11] == 0).all()
+
+
+# ---------------------------------------------------------------- no time
+
+
+@every_motion
+def test_a_step_of_no_time_without_a_measurement_changes_nothing(motion):
+    f = presets.gpb(MOTIONS[motion], SENSOR)
+    before = after_some(f, motion)
+    state, _ = f.step(before, NOTHING, dt=0.0)
+    for name in ("belief", "clean", "dirty"):
+        a, b = getattr(state, name), getattr(before, name)
+        torch.testing.assert_close(a.mean, b.mean, rtol=1e-10, atol=1e-10)
+        torch.testing.assert_close(a.covariance, b.covariance, rtol=1e-10, atol=1e-10)
+    torch.testing.assert_close(state.log_weights, before.log_weights, rtol=1e-10, atol=1e-10)
+
+
+# ---------------------------------------------------------------- later
+
+
+def test_smoothed_it_is_as_near_the_truth():
+    truth, z, prior = tracks(20.0)
+    f = presets.gpb(MOTIONS["one motion"], SENSOR)
+    plain, fine = rmse(f.smooth(z, prior).mean, truth), rmse(f.smooth(padded(z, 1), prior, dt=0.5).mean[:, 1::2], truth)
+    assert (fine < 1.3 * plain + 1).all()
+
+
+@pytest.mark.slow
+def test_compiled_it_is_the_same_and_gradients_are_finite():
+    _, z, prior = tracks(20.0)
+    every = padded(z[:4, 15:26], 1)
+    f = presets.gpb(MOTIONS["one motion"], SENSOR, learn="all")
+    found = []
+    for g in (f, presets.gpb(MOTIONS["one motion"], SENSOR, learn="all").compile()):
+        e = g.smooth(every, Gaussian(prior.mean[:4], prior.scale_tril), dt=0.5)
+        (e.mean.square().mean() + e.log_likelihood.mean()).backward()
+        found.append((e.mean.detach(), e.info.outlier.detach(), *(p.grad for p in g.parameters())))
+    for slow, fast in zip(*found, strict=True):
+        assert slow.isfinite().all()
+        torch.testing.assert_close(fast, slow, rtol=1e-7, atol=1e-7 * slow.abs().max().item())
