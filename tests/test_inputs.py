@@ -1,6 +1,8 @@
 """What is handed in wrongly is named before any work; what may be handed in, works."""
 
+import copy
 import math
+import re
 
 import numpy as np
 import pytest
@@ -235,3 +237,20 @@ def test_parts_of_fra_may_be_replaced_by_ones_with_a_batch_of_values():
         one = presets.fra(scenario.motion, scenario.sensor, threshold=threshold)
         prior = Gaussian(tracks.prior.mean[i], tracks.prior.scale_tril)
         torch.testing.assert_close(one(tracks.z[i], prior, u=tracks.u).mean, whole[i])
+
+
+@pytest.mark.parametrize(
+    ("shape", "fits"), [((3,), False), ((3, 2), False), ((2,), True), ((1,), True), ((4, 1), True)]
+)
+def test_values_of_other_tracks_are_named(shape, fits):
+    f = presets.srckf(ConstantVelocity(torch.ones(shape, dtype=torch.float64)), Position(2.0))
+    z, prior = torch.zeros(2, 4, 2).double(), Gaussian(torch.zeros(2, 4).double(), torch.eye(4).double())
+    if shape[-1] in (1, 2):
+        assert f(z, prior).mean.shape == (*shape[:-1], 2, 4, 4)
+        return
+    said = rf"motion\.q: expected values that broadcast with tracks \((1, )?2,?\), received {re.escape(str(shape))}"
+    for g in (f, copy.deepcopy(f).compile()):
+        with pytest.raises(ValueError, match=said):
+            g(z, prior)
+        with pytest.raises(ValueError, match=said):
+            g.step(g.init(prior), z[:, 0])

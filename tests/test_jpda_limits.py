@@ -148,3 +148,18 @@ def test_a_track_that_searches_does_not_widen_further_while_nothing_is_measured_
     ratio = (searching.scale_tril[0, :, 0, 0] / patient.scale_tril[0, :, 0, 0]).log2()
     assert ratio[4] > 1
     assert ratio.max() < 5.5
+
+
+@pytest.mark.parametrize("name", ["jpda", "ukf_jpda", "iaukf_jpda"])
+def test_an_infinite_false_measurement_is_no_target_s(name):
+    start = torch.tensor([[0.0, 0, 1, 0], [500, 0, 1, 0]]).double()
+    rng = torch.Generator().manual_seed(0)
+    z = start[:, :2] + torch.arange(1, 11)[:, None, None] * start[:, 2:] + torch.randn(10, 2, 2, generator=rng)
+    z = torch.cat([z, torch.full((10, 1, 2), torch.nan)], 1).double()
+    other = z.clone()
+    other[5, 2] = torch.tensor([torch.inf, 0.0])
+    f = getattr(presets, name)(ConstantVelocity(1.0), Position(1.0), clutter=Clutter(1e6, rate=1.0))
+    prior = Gaussian(start, torch.diag(torch.tensor([5.0, 5, 2, 2]).double()))
+    estimate = f(other, prior)
+    assert not estimate.failed.any()
+    torch.testing.assert_close(estimate.mean, f(z, prior).mean, rtol=1e-4, atol=1e-3)

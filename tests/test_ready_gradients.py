@@ -89,6 +89,18 @@ def test_gradients_are_of_the_precision_of_what_they_are_for(make, tracks, soon)
         torch.testing.assert_close(b, a, rtol=1e-3, atol=1e-3 * a.abs().max().item())
 
 
+def test_measurements_of_inference_mode_are_taken_as_others(make, tracks, soon):
+    f = make("srckf", learn="all")
+    with torch.inference_mode():
+        given = alone(tracks)
+        own = given | {"z": given["z"].clone()}
+    slow, *fast = ([*torch.autograd.grad(g(**own).mean.square().sum(), [*g.parameters()])]
+                   for g in (f, *[copy.deepcopy(f).compile()] * 3))  # fmt: skip
+    for found in fast:
+        for a, b in zip(slow, found, strict=True):
+            torch.testing.assert_close(b, a, rtol=1e-9, atol=1e-9 * a.abs().max().item())
+
+
 @pytest.mark.parametrize("options", [{"truncate": 4}, {"checkpoint": 3}])
 def test_a_way_back_of_its_own_kind_is_not_that_of_ready_tracks(options, make, tracks, prepared, soon):
     fast, given = make("srckf", learn="all").compile(), alone(tracks)

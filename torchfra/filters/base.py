@@ -20,7 +20,7 @@ from torchfra.filters.precision import in_full_precision
 from torchfra.filters.records import Kept, Record
 from torchfra.filters.smoothing import Smoother
 from torchfra.gaussian.arguments import check, check_belief
-from torchfra.gaussian.inputs import Frame, Measurements, Time, batch_rank
+from torchfra.gaussian.inputs import Frame, Measurements, Time, batch_rank, with_values
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
@@ -235,7 +235,7 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
         batch = check(
             measurements, prior, self.motion, self.sensor.size, scans=self.scans, name=name, instants=self.instants
         )
-        return torch.Size((1,) * (self._rank() - self.scans - len(batch))) + batch
+        return with_values(self, torch.Size((1,) * (self._rank() - self.scans - len(batch))) + batch, self.scans)
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
         """A frame for each step, and the log norms of the measurement noise, time first."""

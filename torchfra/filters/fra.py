@@ -37,9 +37,10 @@ class FRA(Soft, GaussianFilter[FRAState]):
     A step whose normalised innovation squared is above the gate is abnormal, be it an outlier or a manoeuvre.  There
     the filter forks: one branch down-weights the measurement (robust), one widens the prediction (adaptive), and one
     may do neither (plain): a false alarm.  All predict the next measurement, and the best branch is kept.  So the
-    estimate of an abnormal step is final only with the next measurement: ``Estimate.mean`` holds the final ones and
+    estimate of an abnormal step is final only with the next step: ``Estimate.mean`` holds the final ones and
     ``info.provisional`` what was known at each step; ``step`` hands out the provisional one as ``state.belief`` and the
-    final one of the step before as ``state.settled``.
+    final one of the step before as ``state.settled``.  Where the next step has no measurement, nothing decides the
+    estimate, which stays provisional; the filter goes on with its branches until one does.
 
     Hard choices pass no gradient to what they rest on.  With a ``temperature`` they are soft, to train by: a step is
     abnormal by the weight ``sigmoid((nis - gate) / temperature)``, the branches share it by the softmax of their scores

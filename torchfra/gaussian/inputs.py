@@ -154,3 +154,17 @@ def _check_models(motion: Motion, shift: Tensor | None, transition: Tensor | Non
 def batch_rank(module: nn.Module) -> int:
     """Batch dimensions that the hyperparameters of a filter bring."""
     return max([0, *(hyper.batch_rank for hyper in hypers(module).values())])
+
+
+def with_values(module: nn.Module, batch: torch.Size, scans: bool) -> torch.Size:
+    """The batch of tracks, with which those of all hyperparameters of a filter broadcast; of scans they are of targets.
+
+    Raises:
+        ValueError: one that does not.
+    """
+    for path, hyper in ({} if scans else hypers(module)).items():
+        values = hyper.raw.shape[: hyper.batch_rank]
+        if any(own not in (1, tracks) and tracks != 1 for own, tracks in zip(values[::-1], batch[::-1], strict=False)):
+            expected = f"values that broadcast with tracks {tuple(batch)}"
+            raise ValueError(f"{path}: expected {expected}, received {tuple(values)}")
+    return batch

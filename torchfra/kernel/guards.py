@@ -37,3 +37,8 @@ def _form(x: Tensor) -> Hashable:
     if not isinstance(x, Tensor):
         return type(x)
     return type(x), x.dtype, x.device, x.shape, x.stride(), x.requires_grad, x.is_neg(), x.is_conj(), x._is_zerotensor()
+
+
+def savable(x: Tensor) -> Tensor:
+    """The tensor, or a copy of one that was made in inference mode, which autograd saves for no way back."""
+    return x.clone() if x.is_inference() else x

@@ -11,7 +11,7 @@ from torch.autograd.function import once_differentiable
 
 from torchfra.kernel.ends import PRIOR, Ends
 from torchfra.kernel.ends_back import after_back
-from torchfra.kernel.guards import guard
+from torchfra.kernel.guards import guard, savable
 from torchfra.kernel.program import Program, Ready, batch_first, strided
 from torchfra.kernel.source import Port
 from torchfra.kernel.whole import Whole
@@ -63,7 +63,7 @@ class Learning:
 
     def __call__(self, tensors: Sequence[Tensor]) -> tuple[list[Tensor], bool]:
         """As of a ``Whole``."""
-        sound, *written = _Learned.apply(self, *tensors)  # type: ignore[no-untyped-call]
+        sound, *written = _Learned.apply(self, *map(savable, tensors))  # type: ignore[no-untyped-call]
         return written, sound
 
     def back(self, saved: Sequence[Tensor], grads: Sequence[Tensor | None]) -> list[Tensor | None]:

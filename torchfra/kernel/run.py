@@ -16,6 +16,7 @@ from torch.autograd.function import once_differentiable
 
 from torchfra.kernel.ends import Ends
 from torchfra.kernel.ends_back import after_back, begin_back
+from torchfra.kernel.guards import savable
 from torchfra.kernel.learning import Learning
 from torchfra.kernel.program import BUILDING, Program, Ready, batch_first
 from torchfra.kernel.source import Scan
@@ -134,7 +135,8 @@ class Kernels:
             whole = remembers or self.step.last_first
             length = steps if whole else checkpoint or math.isqrt((truncate or steps) - 1) + 1
             starts = (*sorted({*range(0, steps, length), *range(0, steps, truncate or steps)}), steps)
-            done = _Run.apply(self, batch, starts, truncate, remembers, *state, *inputs)  # type: ignore[no-untyped-call]
+            given = map(savable, (*state, *inputs))
+            done = _Run.apply(self, batch, starts, truncate, remembers, *given)  # type: ignore[no-untyped-call]
         else:
             done = self.forwards(batch, inputs[0].device)(batch, steps, (*state, *inputs))
         rest = iter([batch_first(x, len(batch)) for x in done])

@@ -121,6 +121,7 @@ def weighted_mean(x: Tensor, share: Tensor, seen: Tensor) -> tuple[Tensor, Tenso
         seen: ``(..., 1, J, m)`` 1 where measured.
     """
     weight = share.unsqueeze(-1) * seen
+    x = torch.where(weight > 0, x, 0.0)  # others may be infinite
     total = weight.sum(-2, keepdim=True)
     return safe_divide((weight * x).sum(-2, keepdim=True), torch.where(total >= 0.5, total, 0.0)), total
 
