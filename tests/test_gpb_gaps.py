@@ -94,7 +94,7 @@ def test_of_one_motion_the_regimes_wait_too():
 
 def test_other_motions_of_a_bank_may_begin_so_that_less_is_known_the_longer_a_gap_is():
     f = presets.gpb(MOTIONS["bank"], SENSOR)
-    first, last = f.regimes.count, f.regimes.count + f.regimes.motions - 1
+    first, last = f.regimes.level_count, f.regimes.level_count + f.regimes.motions - 1
     state = after_some(f, "bank")
     shares = []
     for _ in range(4):

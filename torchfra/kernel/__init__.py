@@ -1,7 +1,12 @@
-"""From a filter's step to machine code.
+"""From a filter's step to machine code: ``README.md`` beside this file says how.
 
-``expressions`` holds arithmetic on single numbers; ``entries`` are tensors of expressions, which torch code runs on by
-the rules of ``entrywise``, ``reductions`` and ``moves``, put together in ``operations``; ``step`` traces a step and its
-gradient, ``source`` turns them into C++ (``template.cpp``), ``build`` compiles it, ``program`` and ``run`` run it on
-tensors; ``standalone`` writes C++ that needs no library.
+- Trace: ``step`` (backwards too), ``tangents`` (derivatives forwards), ``ends`` and ``ends_back`` (both ends of a
+  track); on ``entries`` with the rules of ``entrywise``, ``reductions`` and ``moves``, put together in ``operations``;
+  ``routines``, ``refusals``, ``origin``, ``copies``.
+- Simplify: ``expressions``, ``choices``, ``divisions``.
+- Write: ``source`` by ``writer`` and ``statements``, in the order of ``schedule`` and ``merges``, in places of
+  ``frame``, with ``access`` and ``names``; ``parts``; ``standalone`` for use without torch.
+- Compile: ``build`` with ``compilers``, ``workplace`` (on Windows ``plain_workplace``), ``cache``; ``cuda`` for GPUs.
+- Run: ``program`` one loop, ``run`` all of a step, ``whole`` and ``learning`` calls that come again and again;
+  ``guards``, ``pages``.
 """

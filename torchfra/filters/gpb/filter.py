@@ -164,7 +164,7 @@ class GPB(Sensing):
 
         Against the agile ones it is ``agile (2, ...)``.
         """
-        flat, at = tree.map_tensors(lambda x: x.flatten(0, 1), seen), 2 * (self.regimes.count - 1)
+        flat, at = tree.map_tensors(lambda x: x.flatten(0, 1), seen), 2 * self.regimes.agile
         expected = matched(flat, shared(log_ahead.flatten(0, 1))[0], self.motion.angles)
         others = [torch.cat([x[:at], x[at + 2 :], y.unsqueeze(0)]) for x, y in zip(flat, expected, strict=True)]
         whitened = self.compare(Gaussian(*others), frame)
@@ -187,7 +187,7 @@ class GPB(Sensing):
 
     def with_jumps(self, predicted: Gaussian, frame: Frame) -> tuple[Gaussian, Whitened, Tensor]:
         """Predictions of levels and motions, and of jumps after them; the measurement against agile ones, how far."""
-        agile = entry(predicted, self.regimes.count - 1)
+        agile = entry(predicted, self.regimes.agile)
         whitened = self.compare(self.read(agile), frame)
         far = innovation(whitened)[1].square().sum(-1) / frame.seen.sum(-1).clamp_min(1.0)
         far = torch.where(frame.dt == 0, 0.0, far)  # over no time nothing jumps

@@ -150,9 +150,9 @@ def _predicted(f: Any, ahead: Carried, far: Tensor, log_weights: Tensor) -> Gaus
         far: ``(2, ...)``: see ``GPBPast``.
         log_weights: ``(2, 2, ..., R)`` logs of the probabilities of both qualities and of the regime.
     """
-    regimes, first = f.regimes, f.regimes.count
+    regimes, first = f.regimes, f.regimes.level_count
     levels = regimes.predictions(*ahead[:3])
-    agile = entry(levels, first - 1)
+    agile = entry(levels, regimes.agile)
     jumped, others = regimes.jumped(agile, far, f.motion.position), regimes.motions - 1
     share = log_weights.movedim(-1, 1)  # (now, R, was, ...)
 
@@ -195,7 +195,7 @@ def _of_regimes(f: Any, ahead: Carried, far: Tensor) -> Carried:
     others = regimes.motions - 1
     every = levels.new_ones(others, *levels.shape[1:]), levels[-1:].expand(len(jumps), *levels.shape[1:])
     level = torch.cat([levels, *every])
-    wide = torch.cat([jumps.new_ones(regimes.count + others, *jumps.shape[1:]), jumps])
+    wide = torch.cat([jumps.new_ones(regimes.level_count + others, *jumps.shape[1:]), jumps])
     there = torch.zeros_like(ahead.mean[(0,) * (rank + 1)])
     there[f.motion.position] = 1.0
     widened = (1 + (wide.unsqueeze(-1) - 1) * there).unsqueeze(-1)

@@ -47,7 +47,7 @@ def merged(regimes: Regimes, beliefs: Gaussian, joint: Tensor, angles: Sequence[
     ``angles`` are components of a state, as in ``moment_match``.
     """
     every = [x.movedim(0, 2) for x in (*beliefs, joint)]  # (R, before, now, ...)
-    first, end = regimes.count, regimes.count + regimes.motions - 1
+    first, end = regimes.level_count, regimes.level_count + regimes.motions - 1
     own = every if regimes.motions == 1 else [torch.cat([x[:first], x[end:]]) for x in every]
     mean, root, weight = (x.flatten(0, 1) for x in own)
     roots, log_own = shares(weight)

@@ -46,7 +46,7 @@ class Regimes(nn.Module):
         for name, value in (("levels", levels), ("jumps", jumps)):
             if value.dim() == 0:
                 raise ValueError(f"{name}: expected several, received {value.item():g}")
-        self.motions, self.count = motions, levels.shape[-1]
+        self.motions, self.level_count, self.jump_count = motions, levels.shape[-1], jumps.shape[-1]
         kinds = levels.shape[-1] + 1 + jumps.shape[-1]
         for name, value in (("stay", stay), ("renew", renew)):
             if value.shape[-1:] != (kinds,):
@@ -55,6 +55,11 @@ class Regimes(nn.Module):
         self.jumps = Hyper(jumps, event_dim=1, name="jumps")
         self.stay = Hyper(stay, constraints.unit_interval, event_dim=1, name="stay")
         self.renew = Hyper(renew, constraints.simplex, event_dim=1, name="renew")
+
+    @property
+    def agile(self) -> int:
+        """The number of the first motion's last level, after which jumps come."""
+        return self.level_count - 1
 
     def of_motion(self, log_weights: Tensor) -> Tensor:
         """Of logs of weights of regimes ``(..., R)`` those of each motion together, ``(..., K)``."""
@@ -68,20 +73,20 @@ class Regimes(nn.Module):
 
     def _own_and_others(self, values: Tensor) -> tuple[Tensor, Tensor]:
         """Of regimes ``(..., R)`` those of the first motion, and those of the others."""
-        end = self.count + self.motions - 1
-        return torch.cat([values[..., : self.count], values[..., end:]], -1), values[..., self.count : end]
+        end = self.level_count + self.motions - 1
+        return torch.cat([values[..., : self.level_count], values[..., end:]], -1), values[..., self.level_count : end]
 
     def renewed(self, like: Tensor) -> Tensor:
         """Odds ``(..., R)`` of a regime drawn anew, which sum to one."""
         kinds = self.renew(like)
-        odds = self._by_regime(kinds, kinds[..., self.count : self.count + 1] / max(self.motions - 1, 1))
+        odds = self._by_regime(kinds, kinds[..., self.level_count : self.level_count + 1] / max(self.motions - 1, 1))
         return odds / odds.sum(-1, keepdim=True)  # one motion has no others
 
     def of_each(self, values: Tensor, dim: int) -> Tensor:
         """Of motions, along a dimension, what goes with each regime."""
-        first, jumps = values.narrow(dim, 0, 1), self.jumps.raw.shape[-1]
+        first, jumps = values.narrow(dim, 0, 1), self.jump_count
         others = values.narrow(dim, 1, self.motions - 1)
-        return torch.cat([*[first] * self.count, others, *[first] * jumps], dim)
+        return torch.cat([*[first] * self.level_count, others, *[first] * jumps], dim)
 
     def chain(self, like: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
         """Self-transition probabilities ``(..., R)`` in a step, and odds ``(..., R)`` of what is drawn anew otherwise.
@@ -90,7 +95,7 @@ class Regimes(nn.Module):
         forgotten over steps without one.  Other motions do: the longer a gap is, the less is known.
         """
         stay, odds = self.staying(like), self.renewed(like)
-        before, others, after = odds.split((self.count, self.motions - 1, self.jumps.raw.shape[-1]), -1)
+        before, others, after = odds.split((self.level_count, self.motions - 1, self.jump_count), -1)
         share = others.sum(-1, keepdim=True)
         among_others = torch.cat([torch.zeros_like(before), safe_divide(others, share), torch.zeros_like(after)], -1)
         measured = measured.unsqueeze(-1)
@@ -108,12 +113,12 @@ class Regimes(nn.Module):
     def staying(self, like: Tensor) -> Tensor:
         """Probabilities ``(..., R)`` that a regime stays."""
         kinds = self.stay(like)
-        return self._by_regime(kinds, kinds[..., self.count : self.count + 1])
+        return self._by_regime(kinds, kinds[..., self.level_count : self.level_count + 1])
 
     def _by_regime(self, kinds: Tensor, others: Tensor) -> Tensor:
         """Values by kind ``(..., L + 1 + J)`` as ``(..., R)``; those of ``others`` ``(..., 1)``."""
         repeated = others.expand(*others.shape[:-1], self.motions - 1)
-        return torch.cat([kinds[..., : self.count], repeated, kinds[..., self.count + 1 :]], -1)
+        return torch.cat([kinds[..., : self.level_count], repeated, kinds[..., self.level_count + 1 :]], -1)
 
     def predictions(self, mean: Tensor, spread: Tensor, noise: Tensor) -> Gaussian:
         """A prediction for each level and other motion, ``(L + K - 1, ..., n)``.
@@ -128,9 +133,9 @@ class Regimes(nn.Module):
         means = mean.expand(every).movedim(-2, 0)
         spread, noise = (x.expand(*every, -1).movedim(-3, 0) for x in (spread, noise))
         first = in_front(self.levels(mean).sqrt(), rank)[..., None, None] * noise[:1]
-        noise = torch.cat([first.expand(self.count, *noise.shape[1:]), noise[1:]])
-        roots = tria(hstack(torch.cat([spread[:1].expand(self.count, *spread.shape[1:]), spread[1:]]), noise))
-        return Gaussian(torch.cat([means[:1].expand(self.count, *means.shape[1:]), means[1:]]), roots)
+        noise = torch.cat([first.expand(self.level_count, *noise.shape[1:]), noise[1:]])
+        roots = tria(hstack(torch.cat([spread[:1].expand(self.level_count, *spread.shape[1:]), spread[1:]]), noise))
+        return Gaussian(torch.cat([means[:1].expand(self.level_count, *means.shape[1:]), means[1:]]), roots)
 
     def widths(self, like: Tensor, far: Tensor) -> Tensor:
         """Factors ``(J, ...)`` of jumps on the root of the position's covariance; ``far`` as in ``jumped``."""
@@ -161,7 +166,7 @@ class Regimes(nn.Module):
             log_weights: before it is known how far the measurement is.
             far: ``(...)`` as in ``jumped``.
         """
-        jumps = self.jumps.raw.shape[-1]
+        jumps = self.jump_count
         rarer = (far / USUAL).clamp_min(1.0).log().expand(jumps, *far.shape)
         still = torch.zeros_like(far).expand(log_weights.shape[0] - jumps, *far.shape)
         return log_weights - torch.cat([still, rarer])
