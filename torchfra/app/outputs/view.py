@@ -179,7 +179,11 @@ def _corners(cleaned: Cleaned, rejected: NDArray[np.bool_]) -> tuple[Array, Arra
     finite, kept = np.isfinite(path).all(1), (cleaned.row >= 0) & ~rejected
     of = path[finite & kept] if (finite & kept).any() else path[finite] if finite.any() else np.zeros((1, 2))
     low, high = of.min(0), of.max(0)
-    room = _ROOM * max((high - low).max(), 1.0)
+    return corners(low, high, fixes, _ROOM * max((high - low).max(), 1.0))
+
+
+def corners(low: Array, high: Array, fixes: Array, room: float) -> tuple[Array, Array]:
+    """Lower left and upper right, with a margin, of a path and of the fixes that are at most ``room`` away from it."""
     near = fixes[((fixes > low - room) & (fixes < high + room)).all(1)]
     points = np.concatenate([[low], [high], near])
     low, high = points.min(0), points.max(0)

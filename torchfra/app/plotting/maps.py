@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 
 from torchfra.app.evaluate import Flight
 from torchfra.app.outputs.colours import GREY
+from torchfra.app.outputs.view import corners
 from torchfra.app.plotting.labels import Array, in_free_places
 from torchfra.app.plotting.style import finish, words
 
@@ -87,9 +88,4 @@ def _corners(flight: Flight) -> tuple[Array, Array]:
     path = flight.truth.flatten(0, 1).numpy()
     low, high = np.nanmin(path, 0), np.nanmax(path, 0)
     room = (_ROOM - 1) * max((high - low).max(), 1.0)
-    fixes = flight.fixes.flatten(0, 1).numpy()
-    near = fixes[((fixes > low - room) & (fixes < high + room)).all(1)]
-    points = np.concatenate([[low], [high], near])
-    low, high = points.min(0), points.max(0)
-    margin = 0.04 * max((high - low).max(), 1.0)
-    return low - margin, high + margin
+    return corners(low, high, flight.fixes.flatten(0, 1).numpy(), room)

@@ -42,7 +42,7 @@ class GPB(Sensing):
     are merged into one Gaussian for each motion and for clean and dirty (a step with an outlier in any block); these
     two are kept apart until the next measurement has said which of them was right.  So nothing is decided by a gate,
     and all is smooth: the next measurement weighs an outlier against a manoeuvre.  Over steps without any measurement,
-    however many, both are carried on, and the first motion keeps its regime.
+    however many, both are carried on, the first motion keeps its regime, and what was settled is as filtered.
 
     Merging, in square-root form, happens where hypotheses differ: outlier sizes in the space of the measurement,
     regimes and qualities in that of states.  Motions interact as in ``IMM``.
