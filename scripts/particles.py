@@ -104,9 +104,9 @@ def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generat
     rooted = [innovation(down_weight(whitened, (1 / s).unsqueeze(-1).expand_as(whitened.residual))) for s in sizes]
     told = torch.stack([density(*pair) for pair in rooted])  # (C, R, N)
     told = told - 0.5 * frame.seen.sum() * sizes.log()
-    log_weight = (
-        before.log_weight + f.regimes.rarer(log_ahead(f, before), far) + log_quality(f, before).unsqueeze(1) + told
-    )
+    measured = frame.seen.sum() > 0
+    regimes, qualities = log_ahead(f, before, measured), log_quality(f, before, measured)
+    log_weight = before.log_weight + f.regimes.rarer(regimes, far) + qualities.unsqueeze(1) + told
     log_weight = (log_weight - log_weight.flatten().logsumexp(0)).nan_to_num(nan=-torch.inf)
     means = [posterior_mean(predicted, whitened, *pair, s) for s, pair in zip(sizes, rooted, strict=True)]
     estimate = (log_weight.exp().unsqueeze(-1) * torch.stack(means)).sum((0, 1, 2))
@@ -122,15 +122,16 @@ def one_motion(belief: Gaussian) -> Gaussian:
     return Gaussian(belief.mean.unsqueeze(-2), belief.scale_tril.unsqueeze(-3))
 
 
-def log_ahead(f: GPB, before: Particles) -> Tensor:
+def log_ahead(f: GPB, before: Particles, measured: Tensor) -> Tensor:
     """Logs ``(R, N)`` of the odds of each regime after those of the particles."""
     like = before.belief.mean[0]
-    return f.regimes.transition(like)[before.regime].mT
+    return f.regimes.transition(like, measured)[before.regime].mT
 
 
-def log_quality(f: GPB, before: Particles) -> Tensor:
-    """Logs ``(C, N)`` of the odds of a clean measurement, and of an outlier of each size."""
-    log_chain = f.qualities.chain(before.belief.mean[0]).log()[before.outlier.long()]  # (N, 2)
+def log_quality(f: GPB, before: Particles, measured: Tensor) -> Tensor:
+    """Logs ``(C, N)`` of the odds of a clean measurement, and of an outlier of each size; of none they stay."""
+    chain = f.qualities.chain(before.belief.mean[0])
+    log_chain = torch.where(measured, chain, torch.eye(2).to(chain)).log()[before.outlier.long()]  # (N, 2)
     shares = f.qualities.shares(before.belief.mean[0]).log()
     return torch.cat([log_chain[:, :1], log_chain[:, 1:] + shares], -1).mT
 

@@ -16,7 +16,7 @@ def broadcast_shapes(*shapes: Sequence[int]) -> torch.Size:
     some = [shape for shape in shapes if shape]
     if some and all(shape == some[0] for shape in some):
         return torch.Size(some[0])
-    whole = [1] * max(map(len, some), default=0)
+    whole = [1] * max([0, *(len(shape) for shape in some)])
     for shape in some:
         for i in range(-len(shape), 0):
             if shape[i] == 1:

@@ -36,8 +36,8 @@ rules = {"tangent (ekf)": tangent, "third degree (srckf)": third_degree, "fifth 
 for name, rule in rules.items():
     carried = rule(2)(place, belief, torch.sub)
     covariance = carried.spread @ carried.spread.mT
-    if carried.lost is not None:  # of rules with negative weights
-        covariance = covariance - carried.lost @ carried.lost.mT
+    if carried.subtracted is not None:  # of rules with negative weights
+        covariance = covariance - carried.subtracted @ carried.subtracted.mT
     axes.plot(*outline(carried.value, covariance), label=name)
 axes.set(aspect="equal", xlabel="x, m", ylabel="y, m")
 axes.legend(frameon=False)
