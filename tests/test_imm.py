@@ -336,7 +336,9 @@ def test_what_does_not_fit_is_named():
     with pytest.raises(ValueError, match=r"initial: expected \(5,\)"):
         presets.imm(bank(), SENSOR, initial=torch.ones(3) / 3)
     for preset, models in ((presets.srckf, bank()[0]), (presets.gpb, bank()), (presets.imm, bank())):
-        with pytest.raises(ValueError, match="inner: expected SRCKF or FRA around a Bank, or a filter that mixes"):
+        with pytest.raises(
+            ValueError, match="inner: expected SRCKF or FRA around a Bank, or a filter that says mixes = True"
+        ):
             IMM(preset(models, SENSOR), stay=0.9)
     with pytest.raises(ValueError, match="out, into"):
         Embedded(ConstantVelocity(1.0), torch.eye(4), torch.eye(4), orders=3)

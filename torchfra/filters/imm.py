@@ -68,7 +68,8 @@ class MultipleModelFilter(TrackFilter[S]):
         super().__init__()
         if not isinstance(inner.motion, Bank) or not getattr(inner, "mixes", False):
             received = f"{type(inner).__name__} around {type(inner.motion).__name__}"
-            raise ValueError(f"inner: expected SRCKF or FRA around a Bank, or a filter that mixes, received {received}")
+            expected = "SRCKF or FRA around a Bank, or a filter that says mixes = True"
+            raise ValueError(f"inner: expected {expected}, received {received}")
         self.inner, self.given = copy.deepcopy(inner), (inner.sensor,)
         for part in self.inner.children():
             if part is not self.inner.motion and part is not self.inner.sensor:

@@ -24,7 +24,10 @@ from torchfra.types import Gaussian
 
 
 class GPBPast(NamedTuple):
-    """What the way back needs of a step; ``(..., T, ...)`` of a whole track."""
+    """What the way back needs of a step; ``(..., T, ...)`` of a whole track.
+
+    Over steps without any measurement ``clean``, ``dirty`` and ``outlier`` are of the last one that had some.
+    """
 
     clean: Gaussian
     """``(..., K)`` for each motion, if no block was an outlier."""
@@ -120,9 +123,11 @@ def _smooth_step(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     fit = without_failed(fit).movedim(2, -1)  # (R, now, was, ..., motion was)
     fit = regimes.of_each(fit, -1).movedim(0, -1)  # (now, was, ..., regime was, regime now)
     joint = prior + fit
-    joint = without_failed(joint - joint.logsumexp((1, -2), keepdim=True))
+    total = log_sum(log_sum(joint, -2), 1)[:, None, ..., None, :]
+    none = total == -torch.inf  # nothing leads there
+    joint = without_failed(torch.where(none, -torch.inf, joint - torch.where(none, 0.0, total)))
     joint = joint + after.log_weights.movedim(-2, 0)[:, None, ..., None, :]
-    log_weights = joint.logsumexp((0, -1))  # (was, ..., R)
+    log_weights = log_sum(log_sum(joint, -1), 0)  # (was, ..., R)
     share = regimes.of_motion(joint.transpose(-1, -2)).movedim((-2, -1), (0, 2))  # (R, now, motion was, was, ...)
     told = matched(Gaussian(*(x.flatten(0, 1) for x in each)), shared(share.flatten(0, 1))[0])
     told = Gaussian(told.mean.movedim(0, -2), told.scale_tril.movedim(0, -3))

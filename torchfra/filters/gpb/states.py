@@ -11,12 +11,15 @@ from torchfra.types import Gaussian
 
 
 class GPBState(NamedTuple):
-    """What GPB knows after a step."""
+    """What GPB knows after a step.
+
+    Over steps without any measurement ``clean``, ``dirty`` and ``outlier`` are of the last one that had some.
+    """
 
     belief: Gaussian
     """All hypotheses together."""
     settled: Gaussian
-    """Of the step before, now that its hypotheses have met a measurement."""
+    """Of the step before, now that its hypotheses have met the measurement of this one, if there is any."""
     clean: Gaussian
     """``(..., K)`` for each motion, if no block was an outlier."""
     dirty: Gaussian
@@ -33,11 +36,12 @@ class GPBInfo(NamedTuple):
     filtered: Gaussian
     """``mean (..., T, n)`` and ``scale_tril``: what was known at the step itself."""
     settled: Gaussian
-    """The same, with the step's hypotheses weighed by the next measurement; the last step is as filtered."""
+    """The same, with the step's hypotheses weighed by the next step's measurement; as filtered where there is none."""
     regimes: Tensor
     """``(..., T, R)`` probabilities of the regimes."""
     outlier: Tensor
-    """``(..., T, B)`` of each block that it is an outlier."""
+    """``(..., T, B)`` of each block that it is an outlier; 0 where nothing is measured in a step.  Of a block that is
+    missing among others it is what its Markov chain says."""
 
 
 class Shares(NamedTuple):

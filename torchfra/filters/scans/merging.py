@@ -14,7 +14,7 @@ from torchfra.filters.gpb import GPB, GPBState
 from torchfra.filters.imm import IMMState, MultipleModelFilter
 from torchfra.filters.srckf import SRCKF, State
 from torchfra.filters.vsimm import VSIMMState
-from torchfra.gaussian.mixture import moment_match
+from torchfra.gaussian.mixture import log_sum, moment_match
 from torchfra.types import Gaussian
 
 
@@ -107,14 +107,14 @@ def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
     """Clean and dirty, each motion of each, by the share of each hypothesis."""
     joint = _joint(log_weights[..., None, None], states.log_weights)  # (P, ..., 2, R)
     _, shares = _shared(inner.regimes.of_motion(joint), log_weights[..., None, None])  # (P, ..., 2, K)
-    _, dirty = _shared(joint[..., 1, :].logsumexp(-1), log_weights)
+    _, dirty = _shared(log_sum(joint[..., 1, :], -1), log_weights)
     angles = inner.motion.angles
     return GPBState(
         moment_match(states.belief, log_weights, angles),
         moment_match(states.settled, log_weights, angles),
         moment_match(states.clean, shares[..., 0, :], angles),
         moment_match(states.dirty, shares[..., 1, :], angles),
-        joint.logsumexp(0),
+        log_sum(joint, 0),
         averaged(states.outlier, dirty),
     )
 
@@ -126,6 +126,6 @@ def _joint(log_weights: Tensor, inside: Tensor) -> Tensor:
 
 def _shared(joint: Tensor, log_weights: Tensor) -> tuple[Tensor, Tensor]:
     """Sums over hypotheses ``(P, ...)``, and logs of their shares: ``log_weights`` where none has any weight."""
-    total = joint.logsumexp(0)
+    total = log_sum(joint, 0)
     nothing = total == -torch.inf
     return total, torch.where(nothing, log_weights, joint - torch.where(nothing, 0.0, total))
