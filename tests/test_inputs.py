@@ -254,3 +254,23 @@ def test_values_of_other_tracks_are_named(shape, fits):
             g(z, prior)
         with pytest.raises(ValueError, match=said):
             g.step(g.init(prior), z[:, 0])
+
+
+@pytest.mark.parametrize("value", ["poor", "start"])
+def test_a_grid_of_values_is_a_grid_of_tracks_whichever_value_it_is(value):
+    values = {"poor": torch.tensor([[0.1], [0.2], [0.3]]), "start": torch.tensor([[10.0], [100.0], [300.0]])}[
+        value
+    ].double()
+    z = torch.randn(2, 4, 2, generator=torch.Generator().manual_seed(0)).double()
+    prior = Gaussian(torch.zeros(2, 4).double(), torch.eye(4).double())
+    whole = presets.gpb(ConstantVelocity(1.0), Position(2.0), **{value: values})(z, prior).mean
+    assert whole.shape == (3, 2, 4, 4)
+    for i, one in enumerate(values.flatten().tolist()):
+        alone = presets.gpb(ConstantVelocity(1.0), Position(2.0), **{value: one})(z, prior).mean
+        torch.testing.assert_close(whole[i], alone, rtol=1e-10, atol=1e-10)
+
+
+def test_a_value_that_a_filter_does_not_read_still_says_of_which_tracks_it_is():
+    f = presets.alphabeta(ConstantVelocity(torch.ones(3, 1).double()), Position(2.0))
+    z, prior = torch.zeros(2, 4, 2).double(), Gaussian(torch.zeros(2, 4).double(), torch.eye(4).double())
+    assert f(z, prior).mean.shape == copy.deepcopy(f).compile()(z, prior).mean.shape == (3, 2, 4, 4)

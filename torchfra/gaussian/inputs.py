@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from torchfra import tree
 from torchfra.hyper import hypers
+from torchfra.linalg.batches import broadcast_shapes
 from torchfra.motion.base import Adaptation, Motion
 from torchfra.sensors.base import MeasurementNoise, Sensor
 from torchfra.tree import event_ranks
@@ -157,14 +158,17 @@ def batch_rank(module: nn.Module) -> int:
 
 
 def with_values(module: nn.Module, batch: torch.Size, scans: bool) -> torch.Size:
-    """The batch of tracks, with which those of all hyperparameters of a filter broadcast; of scans they are of targets.
+    """The batch of tracks and of all values of a filter together; of scans that of tracks, as values are of targets.
 
     Raises:
-        ValueError: one that does not.
+        ValueError: values that do not broadcast with the tracks.
     """
+    whole = batch
     for path, hyper in ({} if scans else hypers(module)).items():
         values = hyper.raw.shape[: hyper.batch_rank]
-        if any(own not in (1, tracks) and tracks != 1 for own, tracks in zip(values[::-1], batch[::-1], strict=False)):
+        try:
+            whole = broadcast_shapes(whole, values)
+        except RuntimeError:
             expected = f"values that broadcast with tracks {tuple(batch)}"
-            raise ValueError(f"{path}: expected {expected}, received {tuple(values)}")
-    return batch
+            raise ValueError(f"{path}: expected {expected}, received {tuple(values)}") from None
+    return whole
