@@ -111,11 +111,8 @@ class ScanFilter(Filter[S]):
         ahead = self.inner.carry(belief, step.frame, None if factor is None else factor.unsqueeze(-1))
         times = 2 ** (step.ahead.searched - step.past.searched).clamp_min(0.0)[..., None, None, None]
         spread, noise = times * ahead.spread, times * ahead.process_noise
-        ahead = ahead._replace(
-            spread=spread,
-            process_noise=noise,
-            subtracted=None if ahead.subtracted is None else times * ahead.subtracted,
-        )
+        subtracted = None if ahead.subtracted is None else times * ahead.subtracted
+        ahead = ahead._replace(spread=spread, process_noise=noise, subtracted=subtracted)
         told = self.inner.reverse(belief, ahead, tree.insert_batch_dimension(after))
         repaired = None if told.repaired is None else told.repaired.squeeze(-1)
         told = Told(tree.remove_batch_dimension(told.belief), repaired=repaired)
