@@ -96,14 +96,14 @@ _SMALL = 16
 def _orthogonalise(a: Tensor) -> Tensor:
     """Modified Gram-Schmidt: in exact arithmetic the same root as that of Householder reflections."""
     columns, rest = [], a[..., a.shape[-2] :]
-    for j in range(min(rest.shape[-2:])):
+    for j in range(a.shape[-2]):  # of a tall matrix too: rows without length, as of missing elements, take no direction
         row, rest = rest[..., :1, :], rest[..., 1:, :]
         norm = _norms(row)
         unit = row / torch.where(norm == 0, 1.0, norm)  # a row without length is zero
         below = (rest * unit).sum(-1, keepdim=True)
         rest = rest - below * unit
         columns.append(pad(torch.cat([norm, below], -2), (0, 0, j, 0)))
-    return pad(torch.cat(columns, -1), (0, a.shape[-2] - len(columns)))  # of a tall matrix no more is left
+    return torch.cat(columns, -1)
 
 
 def eliminated(a: Tensor, count: int, rounding: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
