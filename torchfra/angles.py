@@ -9,13 +9,22 @@ from torch import Tensor
 
 
 def wrap(angle: Tensor) -> Tensor:
-    """The same angle between -pi and pi, rad."""
-    return angle - 2 * math.pi * torch.round(angle / (2 * math.pi))
+    """The same angle between -pi and pi, rad; half a turn, which both ends are, is pi but for rounding."""
+    return angle - 2 * math.pi * _turns(angle)
 
 
 def near(angle: Tensor, other: Tensor) -> Tensor:
     """The same angle within half a turn of another, rad; as it is where it is already."""
-    return angle - 2 * math.pi * torch.round((angle - other) / (2 * math.pi))
+    return angle - 2 * math.pi * _turns(angle - other)
+
+
+def _turns(angle: Tensor) -> Tensor:
+    """Whole turns in an angle.
+
+    A point behind a station is half a turn from one in front of it, and with round numbers exactly so.  Rounding must not
+    decide which way round: the cut lies beside that, by the root of the rounding error, where no round numbers lead.
+    """
+    return torch.round(angle / (2 * math.pi) - torch.finfo(angle.dtype).eps ** 0.5)
 
 
 def turned(azimuth: Tensor) -> Tensor:
