@@ -51,7 +51,7 @@ class Evolution:
 
     def tell(self, losses: Tensor) -> None:
         """Moves on to the next generation, from the losses ``(population,)`` of the candidates; NaN is the worst."""
-        best = losses.nan_to_num(nan=math.inf, posinf=math.inf).argsort()[: len(self.weights)]
+        best = losses.nan_to_num(nan=math.inf, posinf=math.inf).argsort(stable=True)[: len(self.weights)]
         draws = self._draws()[best]
         drawn = self.weights @ draws  # the mean's move, in units of the spread
         self.mean = self.mean + self.step * self.variances.sqrt() * drawn

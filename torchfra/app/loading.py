@@ -74,7 +74,7 @@ def load_scenario(place: str, **options: Any) -> Scenario:
         ValueError: there is no such function, it does not take an option, or it returns something else.
     """
     make = load_function(place, "scenario")
-    for key in options.keys() - inspect.signature(make).parameters.keys():
+    for key in sorted(options.keys() - inspect.signature(make).parameters.keys()):
         raise ValueError(f"{key}: {place} takes no such option, received {options[key]!r}")
     scenario: Scenario = register.made(place, make(**options), Scenario, "()")
     return scenario

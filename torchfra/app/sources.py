@@ -62,7 +62,7 @@ def scenario_of(options: argparse.Namespace) -> tuple[Scenario, int]:
         raise ValueError(f"compare: expected one of files, --scenario and --ranges, received {received}")
     (source,) = chosen
     values = {name: getattr(options, name) for name in _OPTIONS if getattr(options, name) is not None}
-    for name in values.keys() - set(_TAKEN[source]):
+    for name in sorted(values.keys() - set(_TAKEN[source])):
         goes_with = " or ".join(other for other, names in _TAKEN.items() if name in names)
         raise ValueError(f"{name}: goes with {goes_with}, not with {source}")
     if source == "--scenario":

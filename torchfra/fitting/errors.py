@@ -95,10 +95,12 @@ def certainty(vector: Vector, raw: Tensor, curvature: Curvature, kind: str) -> C
 
 
 def _words(vector: Vector, axis: Tensor, inner: Tensor, inside: Tensor) -> str:
-    """A direction: which values change in it, and how well it is known."""
-    shares = sorted(zip(axis.tolist(), vector.names, strict=True), key=lambda pair: -abs(pair[0]))
-    main = [(share, name) for share, name in shares if abs(share) > 0.3 * abs(shares[0][0])]
-    sign = math.copysign(1.0, main[0][0])
-    words = ", ".join(f"{name} {'up' if share * sign > 0 else 'down'}" for share, name in main[:4])
+    """A direction: which values change in it, in the order of the values, and how well it is known.
+
+    The sign of an eigenvector says nothing, and equal shares have no order: the first value that changes goes up.
+    """
+    shares = axis / axis.abs().max()
+    main = [(share, name) for share, name in zip(shares.tolist(), vector.names, strict=True) if abs(share) > 0.3]
+    words = ", ".join(f"{name} {'up' if share * main[0][0] > 0 else 'down'}" for share, name in main)
     error = float((inside @ inner @ inside).clamp_min(0).sqrt())
     return f"{words}: standard error {error:.2g} in unconstrained values"

@@ -95,7 +95,7 @@ def typical_run(scenario: Scenario, rmse: Sequence[Tensor], seed: int) -> int:
     ratio = rmse[-1] / rmse[0] if len(rmse) > 1 else rmse[0]
     middle, half = len(ratio) // 2, _CANDIDATES // 2
     targets = len(_plane(scenario, scenario.simulate(1, seed).truth))
-    runs = sorted({int(i) // targets for i in ratio.argsort()[max(0, middle - half) : middle + half + 1]})
+    runs = sorted({int(i) // targets for i in ratio.argsort(stable=True)[max(0, middle - half) : middle + half + 1]})
 
     def dull(number: int) -> tuple[bool, float]:
         tracks = scenario.simulate(1, seed, first=number)

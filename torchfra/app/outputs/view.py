@@ -131,7 +131,7 @@ def beyond(of: View, low: Array, high: Array) -> tuple[Array, Array, list[str]]:
     out = ((fixes < low) | (fixes > high)).any(1)
     steps, fixes = steps[out], fixes[out]
     off = of.metres * np.linalg.norm(fixes - of.path[steps], axis=1)
-    order = np.argsort(-off)
+    order = np.argsort(-off, kind="stable")
     steps, fixes, off = steps[order], fixes[order], off[order]
     centre, half = (low + high) / 2, (high - low) / 2
     way = fixes - centre
@@ -196,7 +196,7 @@ def _regimes(cleaned: Cleaned) -> dict[str, Array]:
     if not cleaned.regimes:
         return {}
     share = np.nan_to_num(np.nanmean(cleaned.regime, 0)) if np.isfinite(cleaned.regime).any() else np.zeros(0)
-    order = [i for i in np.argsort(-share) if i and share[i] >= _LEAST_SHARE][: _REGIMES - 1]
+    order = [i for i in np.argsort(-share, kind="stable") if i and share[i] >= _LEAST_SHARE][: _REGIMES - 1]
     shown = [0, *sorted(order)]
     named = {cleaned.regimes[i]: cleaned.regime[:, i] for i in shown}
     rest = [i for i in range(len(cleaned.regimes)) if i not in shown]
