@@ -88,10 +88,10 @@ def smooth_step(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -
         matrix: ``(..., K, K)`` logs of the transition, ``[was, now]``.
         after: the models after the step.
     """
-    joint = matrix + step.past.log_weights.unsqueeze(-1)
-    share = joint - joint.logsumexp(-2, keepdim=True)
-    before = repeated(models_first(step.past.inner.belief), share.shape[-1])  # (was, ..., now)
-    mixed = moment_match(before, share.movedim(-2, 0), inner.motion.angles)
+    of_pairs = [matrix + x.log_weights.unsqueeze(-1) for x in (step.past, step.carried)]
+    share, of_carried = (joint - joint.logsumexp(-2, keepdim=True) for joint in of_pairs)
+    before, carried = (repeated(models_first(x.inner.belief), share.shape[-1]) for x in (step.past, step.carried))
+    mixed = moment_match(carried, of_carried.movedim(-2, 0), inner.motion.angles)  # (was, ..., now) before
     frame = adapted(step.frame, mixed.mean)  # as the filter has adapted it
     predicted, _ = inner.carry(mixed, frame, step.ahead.factor).belief()
     difference = inner.motion.difference

@@ -144,7 +144,7 @@ class MultipleModelFilter(TrackFilter[S]):
             several: tuple[Models, Told] = tree.stack(each, 0)
             return several
         matrix, frame = self.matrix_back(step, after.log_weights)
-        models = smooth_step(self.inner, BackwardStep(step.past, step.ahead.inner, frame), matrix, after)
+        models = smooth_step(self.inner, BackwardStep(step.past, step.ahead.inner, frame, step.carried), matrix, after)
         return models, together(models, step.past.active, self.motion)
 
 

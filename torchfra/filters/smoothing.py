@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
@@ -50,6 +49,12 @@ class BackwardStep(NamedTuple):
     past: Any
     ahead: Any
     frame: Frame
+    carried: Any
+    """The past that the step was predicted from: without a gradient where that of the way forward was cut after it.
+
+    What comes later is known by how it has changed a prediction.  If one of the two had a gradient and the other not,
+    that of their difference would be of the size of its rounding error.
+    """
 
 
 class Smoother(nn.Module):
@@ -106,7 +111,8 @@ class Smoother(nn.Module):
             u: likewise.
             std: likewise.
             noise: likewise.
-            truncate: steps after which gradients of the way forward flow no further back.
+            truncate: steps after which gradients of the way forward flow no further back; nor do those of predictions
+                on the way back.
             checkpoint: steps between states that are kept for gradients, both ways.
             lag: measurements up to so many steps later count for the estimate of a step; None for all there are.
             estimate: what ``forward`` gave for the same arguments, so that it need not run again; of several models,
@@ -130,11 +136,11 @@ class Smoother(nn.Module):
         filtered, past = f._filtered(measurements, prior, checkpoint, truncate, estimate)
         rank = filtered.mean.dim() - 2
         if self.kernels_back and (kernels := self.kernels_for(z)) is not None:
-            told: Told = kernels.back(self, past, measurements, rank, lag)
+            told: Told = kernels.back(self, past, measurements, rank, lag, truncate)
         else:
             frames, _ = f._frames(measurements, rank)
             *steps, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(frames))
-            told = sweep(self, [*steps, self.decided(last)], frames, rank, checkpoint, lag)
+            told = sweep(self, [*steps, self.decided(last)], frames, rank, checkpoint, lag, truncate)
         info = SmoothInfo(filtered, told.probabilities, told.outlier, told.repaired)
         return Estimate(*told.belief, filtered.nis, filtered.log_likelihood, info)
 
@@ -206,7 +212,10 @@ class Smoother(nn.Module):
         return estimate, self.past(Gaussian(estimate.mean, estimate.scale_tril), estimate.info, state, steps)
 
 
-def sweep(f: Smoother, past: Any, frames: Sequence[Frame], rank: int, checkpoint: int | None, lag: int | None) -> Told:
+def sweep(
+    f: Smoother, past: Any, frames: Sequence[Frame], rank: int, checkpoint: int | None, lag: int | None,
+    truncate: int | None = None,
+) -> Told:  # fmt: skip
     """What the way back says of all steps, stacked over time behind ``rank`` batch dimensions.
 
     Args:
@@ -216,8 +225,10 @@ def sweep(f: Smoother, past: Any, frames: Sequence[Frame], rank: int, checkpoint
         rank: batch dimensions.
         checkpoint: steps between states that are kept for gradients.
         lag: steps after which measurements are no longer looked at; None for all there are.
+        truncate: steps after which gradients of the way forward were cut.
     """
-    steps = [BackwardStep(*pair, frame) for pair, frame in zip(pairwise(past), frames[1:], strict=True)]
+    carried = [tree.detach(x) if truncate and k % truncate == 0 else x for k, x in enumerate(past, 1)]
+    steps = [BackwardStep(*of) for of in zip(past[:-1], past[1:], frames[1:], carried[:-1], strict=True)]
     state, end = f.last(past[-1])
     if lag is None:
         smooth_step = partial(_back, f)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from torchfra.filters.compiled import traced
-from torchfra.filters.compiled.back import Given, given, of_windows, windows
+from torchfra.filters.compiled.back import Given, cut, given, of_windows, windows
 from torchfra.filters.compiled.step import Data, check_changing, is_ordinary, number
 from torchfra.filters.compiled.tracks import form_of, seconds_of
 from torchfra.filters.compiled.version import Plan, Version
@@ -111,12 +111,15 @@ class Compiled:
         with BUILDING:
             return now, now.plan(keep, state, data, timed), data
 
-    def back(self, f: Any, past: Any, measurements: Measurements, rank: int, lag: int | None = None) -> Any:
+    def back(
+        self, f: Any, past: Any, measurements: Measurements, rank: int, lag: int | None, truncate: int | None
+    ) -> Any:
         """What the way back says of every step, time behind ``rank`` batch dimensions: see ``Smoother``."""
         measurements = f.for_each_target(measurements) if f.scans else measurements
+        carried = cut(past, rank, truncate) if truncate and has_gradient(flatten(past)) else None
         if lag is None or lag >= flatten(past)[0].shape[rank] - 1:
-            return self._back(f, given(f, past, measurements, rank))
-        every = windows(f, past, measurements, rank, lag)
+            return self._back(f, given(f, past, carried, measurements, rank))
+        every = windows(f, past, carried, measurements, rank, lag)
         parts = [self._back(f, given(f, *part, rank + 1)._replace(windows=True)) for part in every]
         return of_windows(parts, rank, lag)
 

@@ -32,7 +32,8 @@ class Given(NamedTuple):
     batch: torch.Size
     steps: int
     like: Any
-    """A past and what is needed of the step ahead, whose leaves come first in the data."""
+    """A past, what is needed of the step ahead, and the past that it was predicted from, if that is another; their
+    leaves come first in the data."""
     windows: bool = False
     """Whether the last dimension of the batch counts windows; the filter's own values do not have it."""
 
@@ -46,13 +47,24 @@ class Given(NamedTuple):
         return smooth_step(f, self.like, after, data)
 
 
-def windows(f: Any, past: Any, measurements: Measurements, rank: int, lag: int) -> Iterator[tuple[Any, Measurements]]:
+def cut(past: Any, rank: int, truncate: int) -> Any:
+    """A past ``(..., T, ...)`` without the gradients of steps after which those of the way forward were cut."""
+
+    def without(x: Tensor) -> Tensor:
+        steps = torch.arange(1, x.shape[rank] + 1, device=x.device).reshape(-1, *(1,) * (x.dim() - rank - 1))
+        return torch.where(steps % truncate == 0, x.detach(), x)
+
+    return tree.map_tensors(without, past)
+
+
+def windows(
+    f: Any, past: Any, carried: Any, measurements: Measurements, rank: int, lag: int
+) -> Iterator[tuple[Any, Any, Measurements]]:
     """A track of ``lag + 1`` steps for each step that has so many later ones, along one more dimension of the batch.
 
     What the last step of a window has not decided yet is taken as it was at the step itself.  They come in parts, each
     of ``_AT_ONCE`` steps in all or so, and the arguments are as those of ``given``.
     """
-    decided, fresh = f.decided(past), f.fresh(past)
     shape = tree.flatten(past)[0].shape[: rank + 1]
     count, most = shape[-1] - lag, max(_AT_ONCE // max(shape[:-1].numel() * (lag + 1), 1), 1)
     for first in range(0, count, most):
@@ -70,7 +82,8 @@ def windows(f: Any, past: Any, measurements: Measurements, rank: int, lag: int) 
         if isinstance(dt, Tensor) and dt.dim():
             dt = unfolded(dt, dt.dim() - 1) if measurements.varying_dt else dt.unsqueeze(-1)
         u = None if u is None else unfolded(u, u.dim() - 2)
-        yield tree.map_tensors(ending, decided, fresh), measurements._replace(dt=dt, u=u)
+        both = (None if x is None else tree.map_tensors(ending, f.decided(x), f.fresh(x)) for x in (past, carried))
+        yield *both, measurements._replace(dt=dt, u=u)
 
 
 def of_windows(told: Sequence[Any], rank: int, lag: int) -> Any:
@@ -83,20 +96,22 @@ def of_windows(told: Sequence[Any], rank: int, lag: int) -> Any:
     return tree.map_tensors(steps, *told)
 
 
-def given(f: Any, past: Any, measurements: Measurements, rank: int) -> Given:
+def given(f: Any, past: Any, carried: Any, measurements: Measurements, rank: int) -> Given:
     """All that the kernel of this filter is given.
 
     Args:
         f: the filter.
         past: ``(..., T, ...)``: see ``Smoother.past``.
+        carried: likewise: see ``BackwardStep``; None for the same.
         measurements: of the way forward.
         rank: dimensions of the batch.
     """
     past = f.decided(past)
+    carried = None if carried is None else f.decided(carried)
     ahead = tree.map_tensors(lambda x: x.roll(-1, rank), f.needed_ahead(past))
     varying, like, u = measurements.varying_dt, measurements.z, measurements.u
     seconds = torch.as_tensor(measurements.dt if varying else measurements.common_dt).to(like)
-    data = {f"past{i}": x for i, x in enumerate(tree.flatten((past, ahead)))}
+    data = {f"past{i}": x for i, x in enumerate(tree.flatten((past, ahead, carried)))}
     events = {name: x.dim() - rank - 1 for name, x in data.items()} | {"last": 0, "dt": 0}
     batch, steps = data["past0"].shape[:rank], data["past0"].shape[rank]
     at = torch.arange(steps, device=like.device)
@@ -104,7 +119,7 @@ def given(f: Any, past: Any, measurements: Measurements, rank: int) -> Given:
     if u is not None:
         data["u"], events["u"] = u.roll(-1, -2), 1
     state, _ = f.last(tree.map_tensors(lambda x: x.select(rank, -1), past))
-    return Given(state, data, {k: varying or k != "dt" for k in data}, events, batch, steps, (past, ahead))
+    return Given(state, data, {k: varying or k != "dt" for k in data}, events, batch, steps, (past, ahead, carried))
 
 
 def _lower(x: Any) -> Any:
@@ -120,11 +135,11 @@ def _lower(x: Any) -> Any:
 def smooth_step(f: Any, like: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any, Told]:
     """One step back of one track; at the last step, where it begins, what that says."""
     leaves = iter([x for name, x in data.items() if name.startswith("past")])
-    past, ahead = _lower(tree.unflatten(like, leaves))
+    past, ahead, carried = _lower(tree.unflatten(like, leaves))
     dt, u, motion = data["dt"], data.get("u"), f.motion
     models = motion.transition(dt) if motion.linear else None, motion.shift(dt, u)
     noise = motion.process_noise(dt), motion.adaptation(dt)
     frame = Frame(None, None, None, dt, u, *models, *noise)  # type: ignore[arg-type]  # nothing is measured
-    stepped = f.smooth_step(BackwardStep(past, ahead, frame), after)
+    stepped = f.smooth_step(BackwardStep(past, ahead, frame, past if carried is None else carried), after)
     begun_or_stepped: tuple[Any, Told] = tree.where(data["last"] > 0, f.last(past), stepped)
     return begun_or_stepped

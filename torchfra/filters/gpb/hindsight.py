@@ -110,12 +110,13 @@ def _smooth_step(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
         step: two ``GPBPast``, and the frame between them.
         after: smoothed.
     """
-    past, frame = step.past, step.frame
+    past, carried, frame = step.past, step.carried, step.frame
     regimes, before, far = f.regimes, past.beliefs(), step.ahead.far
-    prior = _prior(f, past, step.ahead, frame.dt)  # (now, was, ..., regime was, regime now)
-    mixed, _, _ = f.interact(before, past.log_weights.movedim(-2, 0), frame.dt, step.ahead.measured > 0)
+    prior, of_carried = (_prior(f, x, step.ahead, frame.dt) for x in (past, carried))  # (now, was, ..., R was, R now)
+    log_weights, measured = carried.log_weights.movedim(-2, 0), step.ahead.measured > 0
+    mixed, _, _ = f.interact(carried.beliefs(), log_weights, frame.dt, measured)
     frame = adapted(for_each_model(frame), mixed.mean)  # as the filter has adapted it
-    predicted = _predicted(f, f.carry(mixed, frame, None), far.movedim(-1, 0), log_sum(prior, -2))
+    predicted = _predicted(f, f.carry(mixed, frame, None), far.movedim(-1, 0), log_sum(of_carried, -2))
     ahead = _of_regimes(f, f.carry(_each_motion(before), frame, None), far.movedim(-1, 0))
     later = _each_regime(regimes, future(predicted, after.beliefs(), f.motion.difference))
     each, fit = later.told(ahead, f.motion.difference)  # (R, now, motion was, was, ...)
