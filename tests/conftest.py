@@ -25,6 +25,7 @@ STEPS = 12
 
 def pytest_addoption(parser):
     parser.addoption("--thorough", action="store_true", help="all combinations of options in the battery of filters")
+    parser.addoption("--draws", type=int, metavar="N", help="so many random settings of filters, others each time")
 
 
 def pytest_collection_modifyitems(items):

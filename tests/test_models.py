@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchfra import metrics, presets
-from torchfra.angles import wrap
+from torchfra.angles import near, wrap
 from torchfra.gaussian import tangent, third_degree, unscented
 from torchfra.hyper import Hyper, learnable
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn, Motion
@@ -245,8 +245,16 @@ def test_range_bearing_and_elevation():
 @given(st.floats(-1e3, 1e3))
 def test_a_wrapped_angle_is_the_same_angle_within_half_a_turn(angle):
     wrapped = wrap(torch.tensor(angle, dtype=torch.float64)).item()
-    assert abs(wrapped) <= math.pi + 1e-9
+    assert abs(wrapped) <= math.pi + 1e-7
     assert math.cos(wrapped) == pytest.approx(math.cos(angle), abs=1e-9)
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_rounding_does_not_decide_which_way_round_half_a_turn_is(dtype):
+    half = torch.tensor([-1, 1, -3, 3], dtype=dtype) * math.pi
+    digit = torch.tensor([-1, 0, 1], dtype=dtype).unsqueeze(-1) * 8 * torch.finfo(dtype).eps
+    assert (wrap(half * (1 + digit)) > 3).all()
+    assert (near(half * (1 + digit) + 0.5, torch.full_like(half, 0.5)) > 3).all()
 
 
 def test_only_angles_wrap():

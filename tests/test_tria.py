@@ -171,6 +171,16 @@ def test_rows_of_any_scale_have_the_root_and_the_gradient_of_that_scale(way, dty
             torch.testing.assert_close(slope_found * d, gradient, rtol=tolerance, atol=tolerance)
 
 
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("zeros", [[0], [0, 1], [0, 1, 2], [1, 3]])
+def test_a_tall_matrix_with_rows_of_zeros_keeps_its_other_rows(way, zeros):
+    """As of missing elements above those of a state: a row of zeros takes none of the few directions there are."""
+    a, weights = random(5, 3), random(5, 5, seed=1).tril()
+    a[zeros] = 0
+    lower, _ = WAYS[way](a, weights)
+    torch.testing.assert_close(lower @ lower.mT, a @ a.mT)
+
+
 @pytest.mark.parametrize("power", [-600, 600])
 def test_a_lost_rank_is_seen_at_any_scale(power):
     a, weights = random(4, 7), random(4, 4, seed=1).tril()
