@@ -16,6 +16,9 @@ from torchfra.types import Gaussian
 NAMES = [name for name, entry in FILTERS.items() if entry.preset is not presets.imm_ckf]
 COMPILED = ("gpb", "ekf", "mr_ckf", "hghckf1", "hghckf2", "iaukf", "fra", "imm_srckf", "vsimm_srckf", "alphabeta")
 """Of every part that filters have one or two whose kernels go through the whole battery."""
+HOLDS = "where_its_models_hold_it_is_no_worse_than_a_kalman_filter"
+ROBUST = ("rsrckf", "asrckf", "rmckf", "hghckf2", "hghckf", "alphabeta")
+"""Filters that are worse than a Kalman filter where its models hold, for what they gain elsewhere."""
 
 
 def preset(name, scenario, crossing):
@@ -39,9 +42,10 @@ def preset(name, scenario, crossing):
 def test_every_filter_keeps_what_filters_promise(name, scenario, crossing, request):
     f, tracks = preset(name, scenario, crossing)
     thorough = request.config.getoption("--thorough")
-    report = check_filter(f, **tracks, compiled=name in COMPILED or thorough, thorough=thorough)
+    skip = (HOLDS,) if name in ROBUST else ()
+    report = check_filter(f, **tracks, compiled=name in COMPILED or thorough, thorough=thorough, skip=skip)
     assert len(report.of("passed")) > 15
-    assert report.of("skipped") == ()
+    assert {outcome.check for outcome in report.of("skipped")} <= {HOLDS}
     if name not in COMPILED and not FILTERS[name].scans:  # whose kernels have a battery of their own
         assert check_filter(f, **tracks, only=["compiled_gives_what_eager_gives"]).of("skipped") == ()
 

@@ -193,7 +193,7 @@ def test_a_state_may_be_a_single_number():
 NEVER = {
     "no outliers": ({"qualities": ((1.0, 0.0), (1.0, 0.0))}, {"qualities": ((1 - 1e-15, 1e-15), (1 - 1e-15, 1e-15))}),
     "no poor start": ({"poor": 0.0}, {"poor": 1e-15}),
-    "no other regime": ({"renew": (1.0, 0.0, 0.0, 0.0)}, {"renew": (1 - 3e-15, 1e-15, 1e-15, 1e-15)}),
+    "no other regime": ({"renew": (1.0, *[0.0] * 5)}, {"renew": (1 - 5e-15, *[1e-15] * 5)}),
 }
 """Probabilities of 0, and nearly so."""
 

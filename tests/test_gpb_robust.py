@@ -31,18 +31,25 @@ SENSORS = {
 }
 SIGMA = {"position": 10.0, "radar": 20.0, "bearings": 80.0, "ranges": 10.0}
 """What a standard deviation of the measurement is on the ground, m."""
-MOTIONS = {"one motion": lambda: ConstantAcceleration(4.0), "bank": aircraft}
+STATED = {"one motion": 0.3, "bank": 4.0}
+"""Process noise: one that fits the flight, whose acceleration changes by 1.6 m/s^2 four times in four minutes, and that
+which the bank of aircraft has if nothing is said."""
+MOTIONS = {"one motion": lambda: ConstantAcceleration(STATED["one motion"]), "bank": aircraft}
 START = torch.diag(tensor([30, 30, 5, 5, 1, 1]))
 
 COVERED = {"one motion": 0.99, "bank": 0.975}
 """Share of steps whose NEES is below the bound, as the values reach it; what is asked of a bank too is a test below."""
 
+COVERS = "test_a_bank_covers_99_percent_of_the_steps"
+CALM = "a bank's calm is so calm that it misses the beginning of some turns"
 JUMP = "test_a_target_that_jumps_by_a_hundred_sigma_and_stays"
 SHORT = "by bearings it jumps from near the line between the stations, where they tell little of the place along it"
 OPEN = {
-    f"{JUMP}[radar-one motion]": "one run in ten takes a step more",
     f"{JUMP}[bearings-one motion]": SHORT,
     f"{JUMP}[bearings-bank]": SHORT,
+    "test_a_start_that_is_three_kilometres_off[bearings-bank]": f"97.3 % of the steps are covered: {CALM}",
+    f"{COVERS}[radar]": CALM,
+    f"{COVERS}[bearings]": CALM,
 }
 """What its values do not reach yet, and why."""
 
@@ -167,17 +174,17 @@ def estimates(motion, sensor):
 
 
 @functools.cache
-def usual_error(sensor):
+def usual_error(motion, sensor):
     """Of a plain filter where nothing is wrong."""
     truth, z, prior = nothing(sensor)
-    e = presets.srckf(ConstantAcceleration(4.0), SENSORS[sensor])(z, prior)
+    e = presets.srckf(ConstantAcceleration(STATED[motion]), SENSORS[sensor])(z, prior)
     return (e.mean - truth)[:, 20:, :2].norm(dim=-1).square().mean().sqrt()
 
 
 def check(motion, sensor, case, since):
     """Finite; well from the fifth measured step on; and its covariance covers what happened."""
     truth, _, _, e = estimates(motion, sensor)[case]
-    usual = usual_error(sensor)
+    usual = usual_error(motion, sensor)
     assert not e.failed.any()
     assert all(x.isfinite().all() for of in (e.info.filtered, e.info.settled) for x in of)
     assert well(e, truth, usual)[:, since + RECOVERED - 1 :].all()
@@ -194,7 +201,6 @@ def test_nothing_is_wrong(sensor, motion):
 
 
 @every_sensor
-@pytest.mark.xfail(strict=True, reason="a bank's calm is so calm that it misses the beginning of some turns")
 def test_a_bank_covers_99_percent_of_the_steps(sensor):
     truth, _, _, e = estimates("bank", sensor)[nothing]
     assert (nees(e, truth) < BOUND).double().mean() > COVERED["one motion"]
@@ -202,7 +208,7 @@ def test_a_bank_covers_99_percent_of_the_steps(sensor):
 
 @pytest.mark.slow
 def test_a_bank_that_leaves_its_calm_more_easily_does():
-    truth, stay = flight(), (0.98, 0.28, 0.9988, 0.0013)
+    truth, stay = flight(), (0.98, 0.98, 0.925, 0.969, 0.99924, 0.00413)
     e = presets.gpb(aircraft(), SENSORS["bearings"], stay=stay)(measured(SENSORS["bearings"], truth), start(truth))
     assert (nees(e, truth) < BOUND).double().mean() > COVERED["one motion"]
 
@@ -248,7 +254,7 @@ def test_one_fix_that_is_thousands_of_kilometres_off(sensor, motion):
 def test_bursts_of_four_measurements_at_ten_sigma(sensor, motion):
     e, truth, usual = check(motion, sensor, bursts, STEPS)
     _, z, prior = bursts(sensor)
-    plain = presets.srckf(ConstantAcceleration(4.0), SENSORS[sensor])(z, prior)
+    plain = presets.srckf(ConstantAcceleration(STATED[motion]), SENSORS[sensor])(z, prior)
     error, loose = ((x.mean - truth)[:, 20:, :2].norm(dim=-1).square().mean().sqrt() for x in (e, plain))
     assert error < 0.7 * loose
     assert error < 1.6 * usual

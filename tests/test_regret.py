@@ -262,7 +262,8 @@ def test_recorded_ranges_are_cells_of_one_run(tmp_path):
 
 def test_cells_are_chosen_by_names_and_patterns():
     known = cells.all_cells()
-    assert len(known) == 6 * len(cells.OUTLIERS) + 1
+    assert len(known) == 6 * len(cells.OUTLIERS) + 1 + len(cells.as_stated())
+    assert known["stated-velocity-0.1-std-q10"].make().settings["q"] == 10
     for patterns in (["*"], ["2-std"], ["1-*", "flights-radar-none"], ["*-bursts"]):
         chosen = list(cells.chosen_cells(known, patterns))
         assert chosen == [name for name in known if any(fnmatchcase(name, pattern) for pattern in patterns)]

@@ -58,6 +58,7 @@ SCENARIOS.update({
     "growth": scenarios.growth,
     "reentry": scenarios.reentry,
     "ranges-outliers": scenarios.ranges_outliers,
+    "as-stated": scenarios.as_stated,
 })  # fmt: skip
 
 
@@ -209,7 +210,7 @@ def make_scenario(name: str, **options: Any) -> Scenario:
     if name not in SCENARIOS:
         raise ValueError(f"scenario: expected one of {', '.join(SCENARIOS)}, received {name!r}")
     chosen = {key: value for key, value in options.items() if value is not None}
-    for key in chosen.keys() - inspect.signature(SCENARIOS[name]).parameters.keys():
+    for key in sorted(chosen.keys() - inspect.signature(SCENARIOS[name]).parameters.keys()):
         raise ValueError(f"{key}: {name} takes no such option, received {chosen[key]!r}")
     scenario: Scenario = made(name, SCENARIOS[name](**chosen), Scenario, "()")
     return scenario

@@ -84,6 +84,7 @@ def recover_gpb() -> Config:
         learn=tuple(known),
         filter="gpb",
         options={
+            "levels": [1.0, 100.0],
             "jumps": [],
             "grows": False,
             "sizes": [100.0],

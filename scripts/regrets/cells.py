@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from fnmatch import fnmatchcase
 from functools import cache, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torchfra import readers, scenarios
 from torchfra.catalogue import make_scenario
@@ -14,6 +14,8 @@ from torchfra.readers.recording import Recording
 from torchfra.scenarios import Scenario
 
 OUTLIERS = ("none", "covariance", "std", "bursts")
+INDICES = (0.001, 0.01, 0.1, 1.0)
+"""Manoeuvring indices of cells whose truth is drawn from the stated models."""
 SAMPLES = ("calibration", "gliders")
 """Recorded flights, of those that come with the package ``traffic``, unless others are given."""
 
@@ -48,6 +50,7 @@ def all_cells(flights: Sequence[Path] | None = None, ranges: Iterable[Path] = ()
     for sensor in ("bearings", "position", "radar"):
         cells |= {f"flights-{sensor}-{kind}": Cell(partial(_flights, files, sensor, kind)) for kind in OUTLIERS}
     cells["ranges"] = Cell(partial(make_scenario, "ranges-outliers"))
+    cells |= {name: Cell(partial(make_scenario, "as-stated", **options)) for name, options in as_stated().items()}
     for folder in ranges:
         cells |= {str(place): Cell(partial(_ranges, place), 1) for place in readers.range_folders(folder)}
     return cells
@@ -63,6 +66,34 @@ def chosen_cells(cells: dict[str, Cell], patterns: Sequence[str]) -> dict[str, C
         if not any(fnmatchcase(name, pattern) for name in cells):
             raise ValueError(f"cells: expected names, or patterns, out of {', '.join(cells)}, received {pattern!r}")
     return {name: cell for name, cell in cells.items() if any(fnmatchcase(name, pattern) for pattern in patterns)}
+
+
+def as_stated() -> dict[str, dict[str, Any]]:
+    """Options of cells whose truth is drawn from models, by name: models, manoeuvring index, outliers, what is off.
+
+    First where the models hold; then with outliers; then where filters are told another ``q`` or ``std``.  Steps take
+    0.1, 1 and 10 s in turns, which changes nothing for filters whose chains count steps.
+    """
+    motions, sensors = ("velocity", "acceleration", "turn", "bank"), ("bearings", "radar", "ranges")
+    chosen: list[dict[str, Any]] = [{"motion": motion, "index": index} for motion in motions for index in INDICES]
+    chosen += [{"sensor": sensor, "index": index} for sensor in sensors for index in (0.001, 0.1, 1.0)]
+    for kind in OUTLIERS[1:]:
+        chosen += [{"index": index, "outliers": kind} for index in INDICES]
+        chosen += [{"motion": motion, "index": 0.1, "outliers": kind} for motion in motions[1:]]
+        chosen += [{"sensor": sensor, "index": 0.1, "outliers": kind} for sensor in sensors]
+    chosen += [{"index": index, "q": q} for index in INDICES for q in (0.01, 0.1, 10.0, 100.0)]
+    chosen += [{"index": index, "std": std} for index in INDICES for std in (0.5, 2.0)]
+    chosen += [
+        {"index": 0.1, "q": q} | more for q in (0.1, 10.0) for more in ({"motion": "acceleration"}, {"outliers": "std"})
+    ]
+    return {_name(options): options | {"dt": (0.1, 1.0, 10.0)[i % 3]} for i, options in enumerate(chosen)}
+
+
+def _name(options: dict[str, Any]) -> str:
+    """Such as ``stated-velocity-0.1-none`` and ``stated-velocity-0.1-none-q10``."""
+    models = options["sensor"] if "sensor" in options else options.get("motion", "velocity")
+    off = [f"{key}{options[key]:g}" for key in ("q", "std") if key in options]
+    return "-".join(["stated", models, f"{options['index']:g}", options.get("outliers", "none"), *off])
 
 
 def _flights(files: tuple[Path, ...] | None, sensor: str, outliers: str) -> Scenario:

@@ -18,19 +18,22 @@ from torchfra.sensors.base import Sensor
 
 @with_values
 def gpb(
-    motion: Motion | Sequence[Motion], sensor: Sensor, *, levels: Values = (0.00371, 0.933), jumps: Values = (6.5,),
-    stay: Values = (0.9929, 0.28, 0.9988, 0.0013), renew: Values = (0.117, 0.38, 0.5029985, 1.5e-06),
-    qualities: Values = ((0.99913, 0.00087), (0.84, 0.16)), sizes: Values = (4.7, 57.0, 1900.0, 20000.0),
-    shares: Values = (0.47, 0.5215, 0.0061, 0.0024), poor: Value = 0.026, start: Value = 135.0, grows: bool = True,
-    lag: int = 0, rule: Callable[[int], Rule] = third_degree, values: str | None = None, learn: Collection[str] = (),
+    motion: Motion | Sequence[Motion], sensor: Sensor, *, levels: Values = (0.00631, 1.0, 7.29, 37.0),
+    jumps: Values = (5.0,), stay: Values = (0.9986, 0.99949, 0.925, 0.969, 0.99924, 0.00413),
+    renew: Values = (0.0447, 0.323, 0.032, 0.00728, 0.59301877, 1.23e-06),
+    qualities: Values = ((0.99839, 0.00161), (0.958, 0.042)), sizes: Values = (7.17, 61.3, 3390.0, 83600.0),
+    shares: Values = (0.895585, 0.103, 0.000984, 0.000431), poor: Value = 0.0078, start: Value = 140.0,
+    grows: bool = True, lag: int = 0, rule: Callable[[int], Rule] = third_degree, values: str | None = None,
+    learn: Collection[str] = (),
 ) -> GPB:  # fmt: skip
     """The filter to reach for first: outliers, manoeuvres, jumps and a poor start as hypotheses of every step.
 
     Args:
-        motion: how targets move; its regimes are calm, agile and a jump.  Of several motions of one state, or a
-            ``Bank``, the first has these regimes, and each of the others is one more.
+        motion: how targets move; its regimes are its levels of process noise and a jump.  Of several motions of one
+            state, or a ``Bank``, the first has these regimes, and each of the others is one more.
         sensor: what is measured; outliers come per block of its elements (``Sensor.blocks``).
-        levels: factors on the variance of the (first) motion's process noise: of calm and agile.
+        levels: factors on the variance of the (first) motion's process noise, ascending: of calm, of the motion as it
+            is stated (1), and of agile ones.  Calm and agile are for motions that do not hold.
         jumps: factors on the covariance of the position after a jump, per unit of the normalised innovation squared per
             element.
         stay: self-transition probabilities of the regimes: of each level, any other motion, each jump.

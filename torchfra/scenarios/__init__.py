@@ -1,6 +1,7 @@
 """The experiments: a motion, a sensor, a prior and the tracks to go with them."""
 
 from torchfra.scenarios.adsb import adsb_models, adsb_turns
+from torchfra.scenarios.as_stated import as_stated
 from torchfra.scenarios.base import Scenario, Tracks
 from torchfra.scenarios.bearings import bearings_manoeuvre, bearings_outliers
 from torchfra.scenarios.bounds import Bound, bound
@@ -22,6 +23,7 @@ __all__ = [
     "Tracks",
     "adsb_models",
     "adsb_turns",
+    "as_stated",
     "bearings_manoeuvre",
     "bearings_outliers",
     "bound",

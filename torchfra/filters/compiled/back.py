@@ -82,8 +82,8 @@ def windows(
         if isinstance(dt, Tensor) and dt.dim():
             dt = unfolded(dt, dt.dim() - 1) if measurements.varying_dt else dt.unsqueeze(-1)
         u = None if u is None else unfolded(u, u.dim() - 2)
-        both = (None if x is None else tree.map_tensors(ending, f.decided(x), f.fresh(x)) for x in (past, carried))
-        yield *both, measurements._replace(dt=dt, u=u)
+        ends = (None if x is None else tree.map_tensors(ending, f.decided(x), f.fresh(x)) for x in (past, carried))
+        yield next(ends), next(ends), measurements._replace(dt=dt, u=u)
 
 
 def of_windows(told: Sequence[Any], rank: int, lag: int) -> Any:
