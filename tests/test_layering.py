@@ -24,11 +24,6 @@ APART = {("scenarios", "filters"), ("scenarios", "presets")}
 OPTIONAL = {"train": "nothing", "matplotlib": "app.plotting"}
 """Packages from outside, and the one part of the library that may import them."""
 
-LINES_OF_A_FILE, LINES_OF_A_FUNCTION = 250, 40
-LONG_FILES: dict[str, str] = {}
-"""Exceptions, with their reasons."""
-LONG_FUNCTIONS: dict[str, str] = {}
-
 
 # ---------------------------------------------------------------- the checker
 
@@ -96,15 +91,6 @@ def circles(root):
         yield from visit(name)
 
 
-def functions_of(path):
-    """Each function or method of a file with its number of lines, the docstring not counted."""
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            first = node.body[0]
-            docstring = first.end_lineno - first.lineno + 1 if ast.get_docstring(node) is not None else 0
-            yield node.name, node.end_lineno - node.lineno + 1 - docstring
-
-
 # ---------------------------------------------------------------- the library
 
 
@@ -118,27 +104,6 @@ def test_no_module_imports_itself_through_others():
 
 def test_every_folder_is_a_package():
     assert {path.parent for path in LIBRARY.rglob("*.py")} == {path.parent for path in LIBRARY.rglob("__init__.py")}
-
-
-def test_no_file_is_long():
-    long = {}
-    for root in (LIBRARY, RECIPES):
-        for path in root.rglob("*.py"):
-            lines, name = len(path.read_text().splitlines()), str(path.relative_to(root.parent))
-            if lines > LINES_OF_A_FILE and name not in LONG_FILES:
-                long[name] = lines
-    assert not long, long
-
-
-def test_no_function_is_long():
-    long = {}
-    for root in (LIBRARY, RECIPES):
-        for path in root.rglob("*.py"):
-            for name, lines in functions_of(path):
-                where = f"{path.relative_to(root.parent)}:{name}"
-                if lines > LINES_OF_A_FUNCTION and where not in LONG_FUNCTIONS:
-                    long[where] = lines
-    assert not long, long
 
 
 # ---------------------------------------------------------------- the checker sees what it must
@@ -209,9 +174,3 @@ def test_a_circle_inside_a_package_is_seen(package, files, modules):
     (circle,) = circles(root)
     assert set(circle.split(" imports ")) == modules
     assert list(upward_imports(root, TINY)) == []
-
-
-def test_lines_of_functions_are_counted_without_their_docstrings(tmp_path):
-    path = tmp_path / "a.py"
-    path.write_text('class A:\n    def f(self):\n        """One.\n\n        Two.\n        """\n        return 1\n')
-    assert list(functions_of(path)) == [("f", 2)]
