@@ -18,7 +18,8 @@ def gpb() -> Config:
 
     Filters of a bank count twice as much as those of one motion, and learn the same values.  Targets of the bearings
     scenarios move without process noise, which would draw the levels to 0; so the truth of some is disturbed as filters
-    assume.  What does not count (weight 0) is looked at in the end.
+    assume, and other tracks are drawn from what filters are told, or are told a process noise that is ten times off.
+    What does not count (weight 0) is looked at in the end.
     """
     kinds = ("none", "covariance", "std", "bursts")
     starts = [Task("bearings-outliers", {"initial": initial}) for initial in ("paper", "truth")]
@@ -26,6 +27,15 @@ def gpb() -> Config:
     tasks = [_task(task, outliers=kind) for task in (*starts, Task("bearings-manoeuvre"), *flights) for kind in kinds]
     tasks += [_task(task, outliers="std", truth_noise=0.01) for task in starts]
     tasks += [Task("ranges-outliers", {"outliers": kind}) for kind in ("short", "both")]
+    for index in (0.01, 1.0):
+        told = Task("as-stated", {"index": index, "outliers": "none"})
+        tasks += [
+            told,
+            _task(told, outliers="std"),
+            _task(told, outliers="bursts"),
+            _task(told, q=0.1),
+            _task(told, q=10.0),
+        ]
     single = [replace(task, models="motion", weight=0.5) for task in tasks if task.scenario in SINGLE]
     unseen = [Task("ranges-outliers", {"outliers": "nlos", "anchors": "around"}, weight=0.0)]
     return Config(
@@ -35,8 +45,8 @@ def gpb() -> Config:
         tasks=(*tasks, *single, *unseen),
         learn=("all",),
         start={
-            "levels": [0.1, 10.0], "jumps": [3.7], "stay": [0.97, 0.9, 0.99, 0.1],
-            "renew": [0.5, 0.25, 0.249999, 1e-6], "qualities": [[0.98, 0.02], [0.7, 0.3]],
+            "levels": [0.1, 1.0, 10.0, 100.0], "jumps": [3.7], "stay": [0.97, 0.97, 0.9, 0.8, 0.99, 0.1],
+            "renew": [0.3, 0.2, 0.15, 0.1, 0.249999, 1e-6], "qualities": [[0.98, 0.02], [0.7, 0.3]],
             "sizes": [10.0, 100.0, 1600.0, 3e4], "shares": [0.5, 0.35, 0.149, 0.001], "poor": 0.25, "start": 340.0,
         },
         batch=32,
