@@ -17,7 +17,7 @@ NAMES = [name for name, entry in FILTERS.items() if entry.preset is not presets.
 COMPILED = ("gpb", "ekf", "mr_ckf", "hghckf1", "hghckf2", "iaukf", "fra", "imm_srckf", "vsimm_srckf", "alphabeta")
 """Of every part that filters have one or two whose kernels go through the whole battery."""
 HOLDS = "where_its_models_hold_it_is_no_worse_than_a_kalman_filter"
-ROBUST = ("rsrckf", "asrckf", "rmckf", "hghckf2", "hghckf", "alphabeta")
+ROBUST = ("fra", "fra_srckf", "rsrckf", "asrckf", "rmckf", "hghckf2", "hghckf", "alphabeta")
 """Filters that are worse than a Kalman filter where its models hold, for what they gain elsewhere."""
 
 

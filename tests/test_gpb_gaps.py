@@ -62,16 +62,21 @@ NOTHING = torch.full((2, 2), torch.nan, dtype=torch.float64)
 # ---------------------------------------------------------------- until the next measurement
 
 
+LATE = pytest.mark.xfail(
+    strict=True, reason="20 standard deviations of the stated acceleration: on a finer grid it takes a measurement more"
+)
+
+
 @pytest.mark.parametrize("rows", [1, 3])
-@pytest.mark.parametrize("jump", [10.0, 20.0])
+@pytest.mark.parametrize("jump", [10.0, pytest.param(20.0, marks=LATE)])
 def test_a_target_that_turns_is_found_again_on_a_finer_grid_of_time_too(jump, rows):
     truth, z, prior = tracks(jump)
     f = presets.gpb(MOTIONS["one motion"], SENSOR)
     fine = rmse(f(padded(z, rows), prior, dt=1 / (rows + 1)).mean[:, rows :: rows + 1], truth)
     plain = rmse(f(z, prior).mean, truth)
-    near = fine[2:] < 1.3 * torch.stack([plain[2:], plain[1:-1], plain[:-2]]).amax(0) + 1  # two steps later at most
-    near[TURN - 2 : TURN + 1] = True  # the first three measurements may be outliers
-    assert near.all()
+    assert (
+        fine[2:] < 1.3 * torch.stack([plain[2:], plain[1:-1], plain[:-2]]).amax(0) + 1
+    ).all()  # two steps later at most
     assert fine[-1] < 4
 
 
@@ -141,12 +146,12 @@ def test_a_step_of_no_time_without_a_measurement_changes_nothing(motion):
 # ---------------------------------------------------------------- later
 
 
+@LATE
 def test_smoothed_it_is_as_near_the_truth():
     truth, z, prior = tracks(20.0)
     f = presets.gpb(MOTIONS["one motion"], SENSOR)
     plain, fine = rmse(f.smooth(z, prior).mean, truth), rmse(f.smooth(padded(z, 1), prior, dt=0.5).mean[:, 1::2], truth)
-    assert fine.square().mean() < 1.1 * plain.square().mean()
-    assert (fine < 2 * plain + 1).all()
+    assert (fine < 1.3 * plain + 1).all()
 
 
 @pytest.mark.slow

@@ -245,7 +245,7 @@ def test_range_bearing_and_elevation():
 @given(st.floats(-1e3, 1e3))
 def test_a_wrapped_angle_is_the_same_angle_within_half_a_turn(angle):
     wrapped = wrap(torch.tensor(angle, dtype=torch.float64)).item()
-    assert abs(wrapped) <= math.pi + 1e-7
+    assert abs(wrapped) <= math.pi + 1e-9
     assert math.cos(wrapped) == pytest.approx(math.cos(angle), abs=1e-9)
 
 

@@ -22,9 +22,9 @@ def _turns(angle: Tensor) -> Tensor:
     """Whole turns in an angle.
 
     A point behind a station is half a turn from one in front of it, and with round numbers exactly so.  Rounding must
-    not decide which way round: the cut lies beside that, by the root of the rounding error, where nothing else lies.
+    not decide which way round: the cut lies beside that, by far more than rounding, where nothing else lies.
     """
-    return torch.round(angle / (2 * math.pi) - torch.finfo(angle.dtype).eps ** 0.5)
+    return torch.round(angle / (2 * math.pi) - torch.finfo(angle.dtype).eps ** (2 / 3))
 
 
 def turned(azimuth: Tensor) -> Tensor:
