@@ -32,8 +32,8 @@ SENSORS = {
 SIGMA = {"position": 10.0, "radar": 20.0, "bearings": 80.0, "ranges": 10.0}
 """What a standard deviation of the measurement is on the ground, m."""
 STATED = {"one motion": 4.0, "one that fits": 0.3, "bank": 4.0}
-"""Process noise: far more than the flight has; what fits it, as its acceleration changes by 1.6 m/s^2 four times in four
-minutes; and what the bank of aircraft has if nothing is said."""
+"""Process noise: far more than the flight has; what fits it, as its acceleration changes by 1.6 m/s^2 four times in
+four minutes; and what the bank of aircraft has if nothing is said."""
 MOTIONS = {
     "one motion": lambda: ConstantAcceleration(STATED["one motion"]),
     "one that fits": lambda: ConstantAcceleration(STATED["one that fits"]),
