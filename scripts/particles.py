@@ -38,7 +38,6 @@ from torchfra.app.evaluate import versions
 from torchfra.app.progress import progress_bar
 from torchfra.filters import GPB
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
-from torchfra.gaussian.model import propagate
 from torchfra.gaussian.update import correct, density, down_weight, innovation
 from torchfra.linalg.triangular import apply
 from torchfra.scenarios import Tracks
@@ -70,7 +69,7 @@ def particle_filter(f: GPB, z: Tensor, prior: Gaussian, u: Tensor | None, count:
     Raises:
         ValueError: a bank, or a sensor of several blocks.
     """
-    if len(f.bank) > 1 or len(f.qualities.blocks) > 1:
+    if len(f.bank) > 1 or len(f.outliers.blocks) > 1:
         raise ValueError("f: expected one motion, and a sensor of one block")
     rng = torch.Generator().manual_seed(seed)
     frames, _ = make_frames(Measurements(z, dt, u), f.motion, f.sensor, 0)
@@ -84,7 +83,7 @@ def particle_filter(f: GPB, z: Tensor, prior: Gaussian, u: Tensor | None, count:
 def first(f: GPB, prior: Gaussian, count: int, rng: torch.Generator) -> Particles:
     """Two for each regime: the prior as given, and widened."""
     mean, root = prior
-    log_renew, poor = f.regimes.renewed(mean).log(), f.poor(mean)
+    log_renew, poor = f.regimes.restart(mean[:1]).log(), f.poor(mean)
     regimes = len(log_renew)
     roots = torch.stack([root, f.start(mean).sqrt() * root]).repeat_interleave(regimes, 0)
     weights = (torch.stack([torch.log1p(-poor), poor.log()]).unsqueeze(-1) + log_renew).flatten()
@@ -94,19 +93,18 @@ def first(f: GPB, prior: Gaussian, count: int, rng: torch.Generator) -> Particle
 
 def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generator) -> tuple[Tensor, Particles]:
     """The mean ``(n,)`` over all continuations, and those that are kept."""
-    mean, spread, noise, _ = propagate(f.motion, f.motion_rule, one_motion(before.belief), frame)
-    still = f.regimes.predictions(mean, spread, noise.expand(len(mean), *noise.shape[-3:]))
-    predicted, _, far = f.with_jumps(still, frame)
+    measured = frame.seen.sum() > 0
+    mixed = Gaussian(*(x[None, None, None] for x in before.belief))  # one motion, no outliers before
+    every, _ = f.predict_regimes(mixed, log_ahead(f, before, frame.dt, measured)[None, :, None], frame)
+    predicted, log_regimes = Gaussian(*(x[0, :, 0] for x in every.belief)), every.log_weight[0, :, 0]
     whitened = f.compare(f.read(predicted), frame)  # of (R, N)
-    sizes = f.qualities.sizes(mean)
+    sizes = f.outliers.sizes(predicted.mean)
     sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])[:, None, None].expand(-1, *whitened.residual.shape[:-1])
-    sizes = f.qualities.grown(sizes, whitened.residual, 1 - frame.seen)  # (C, R, N)
+    sizes = f.outliers.adapted(sizes, whitened.residual, 1 - frame.seen)  # (C, R, N)
     rooted = [innovation(down_weight(whitened, (1 / s).unsqueeze(-1).expand_as(whitened.residual))) for s in sizes]
     told = torch.stack([density(*pair) for pair in rooted])  # (C, R, N)
     told = told - 0.5 * frame.seen.sum() * sizes.log()
-    measured = frame.seen.sum() > 0
-    regimes, qualities = log_ahead(f, before, measured), log_quality(f, before, measured)
-    log_weight = before.log_weight + f.regimes.rarer(regimes, far) + qualities.unsqueeze(1) + told
+    log_weight = before.log_weight + log_regimes + log_outlier(f, before, measured).unsqueeze(1) + told
     log_weight = (log_weight - log_weight.flatten().logsumexp(0)).nan_to_num(nan=-torch.inf)
     means = [posterior_mean(predicted, whitened, *pair, s) for s, pair in zip(sizes, rooted, strict=True)]
     estimate = (log_weight.exp().unsqueeze(-1) * torch.stack(means)).sum((0, 1, 2))
@@ -117,22 +115,17 @@ def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generat
     return estimate, Particles(correct(belief, own)[0], r, c > 0, kept)
 
 
-def one_motion(belief: Gaussian) -> Gaussian:
-    """Beliefs ``(N,)`` as a bank of one motion wants them, ``(N, 1)``."""
-    return Gaussian(belief.mean.unsqueeze(-2), belief.scale_tril.unsqueeze(-3))
-
-
-def log_ahead(f: GPB, before: Particles, measured: Tensor) -> Tensor:
+def log_ahead(f: GPB, before: Particles, dt: Tensor, measured: Tensor) -> Tensor:
     """Logs ``(R, N)`` of the odds of each regime after those of the particles."""
-    like = before.belief.mean[0]
-    return f.regimes.transition(like, measured)[before.regime].mT
+    like = before.belief.mean[:1, :1].expand(len(f.regimes.motion_of), 1)
+    return f.regimes.transition(like, dt, measured)[:, 0, before.regime]
 
 
-def log_quality(f: GPB, before: Particles, measured: Tensor) -> Tensor:
-    """Logs ``(C, N)`` of the odds of a clean measurement, and of an outlier of each size; of none they stay."""
-    chain = f.qualities.chain(before.belief.mean[0])
+def log_outlier(f: GPB, before: Particles, measured: Tensor) -> Tensor:
+    """Logs ``(C, N)`` of the odds of no outlier, and of one of each size; of none they stay."""
+    chain = f.outliers.chain(before.belief.mean[0])
     log_chain = torch.where(measured, chain, torch.eye(2).to(chain)).log()[before.outlier.long()]  # (N, 2)
-    shares = f.qualities.shares(before.belief.mean[0]).log()
+    shares = f.outliers.shares(before.belief.mean[0]).log()
     return torch.cat([log_chain[:, :1], log_chain[:, 1:] + shares], -1).mT
 
 

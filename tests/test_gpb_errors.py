@@ -5,7 +5,7 @@ import torch
 from test_gpb import ANCHORS, MOTION, PRIOR, SENSORS, STEPS, VALUES, measured, same, tensor
 
 from torchfra import presets
-from torchfra.filters import GPB, Qualities, Regimes
+from torchfra.filters import GPB, Outliers, Regimes
 from torchfra.gaussian import fifth_degree
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position, Ranges
@@ -13,8 +13,8 @@ from torchfra.sensors import Position, Ranges
 
 def test_the_parts_make_the_filter_that_the_preset_makes():
     regimes = Regimes(1, levels=(0.1, 30.0), jumps=(200.0,), stay=VALUES["stay"], renew=VALUES["renew"])
-    qualities = Qualities([[0, 1]], chain=VALUES["qualities"], sizes=VALUES["sizes"], shares=VALUES["shares"])
-    f = GPB(MOTION, SENSORS["position"], regimes=regimes, qualities=qualities, poor=0.3, start=50.0)
+    outliers = Outliers([[0, 1]], chain=VALUES["qualities"], sizes=VALUES["sizes"], shares=VALUES["shares"])
+    f = GPB(MOTION, SENSORS["position"], regimes=regimes, outliers=outliers, poor=0.3, start=50.0)
     same(f(measured(), PRIOR), presets.gpb(MOTION, SENSORS["position"], **VALUES)(measured(), PRIOR))
 
 
@@ -78,9 +78,9 @@ def test_models_that_do_not_fit_are_named(motion, sensor, said):
 
 def test_regimes_of_other_motions_are_refused():
     regimes = Regimes(2, levels=(0.1, 30.0), jumps=(200.0,), stay=VALUES["stay"], renew=VALUES["renew"])
-    qualities = Qualities([[0, 1]], chain=VALUES["qualities"], sizes=(9.0,), shares=(1.0,))
+    outliers = Outliers([[0, 1]], chain=VALUES["qualities"], sizes=(9.0,), shares=(1.0,))
     with pytest.raises(ValueError, match=r"regimes: expected those of 1 motions, received of 2"):
-        GPB(MOTION, SENSORS["position"], regimes=regimes, qualities=qualities)
+        GPB(MOTION, SENSORS["position"], regimes=regimes, outliers=outliers)
 
 
 def test_noise_that_is_correlated_between_blocks_is_refused_before_any_work():

@@ -89,7 +89,7 @@ def test_both_readings_of_a_doubtful_measurement_wait_for_the_next(motion):
     share = [x.log_weights.exp().sum(-1) for x in (before, state)]
     torch.testing.assert_close(*share, rtol=1e-10, atol=1e-12)
     torch.testing.assert_close(state.outlier, before.outlier, rtol=0, atol=0)
-    gap = (state.clean.mean - state.dirty.mean)[1, 0, :2].norm()
+    gap = (state.hypotheses.mean[1, 0, 0] - state.hypotheses.mean[1, 1, 0])[:2].norm()
     assert gap > 10
 
 
@@ -136,7 +136,7 @@ def test_a_step_of_no_time_without_a_measurement_changes_nothing(motion):
     f = presets.gpb(MOTIONS[motion], SENSOR)
     before = after_some(f, motion)
     state, _ = f.step(before, NOTHING, dt=0.0)
-    for name in ("belief", "clean", "dirty"):
+    for name in ("belief", "hypotheses"):
         a, b = getattr(state, name), getattr(before, name)
         torch.testing.assert_close(a.mean, b.mean, rtol=1e-10, atol=1e-10)
         torch.testing.assert_close(a.covariance, b.covariance, rtol=1e-10, atol=1e-10)

@@ -53,7 +53,7 @@ def test_filters_of_a_motion_and_of_a_bank_have_the_same_values(training):
     for f in (motion, bank):
         assert f.poor is training.filter["poor"]
         assert f.regimes.stay is training.filter["stay"]
-        assert f.qualities.chain is training.filter["qualities"]
+        assert f.outliers.chain is training.filter["qualities"]
         assert sum(p is q for p in f.parameters() for q in training.parameters.values()) == len(training.config.start)
 
 
@@ -168,7 +168,7 @@ def test_what_was_learned_goes_into_the_preset(run):
     for models in (scenario.motion, scenario.bank):
         f = presets.gpb(models, scenario.sensor, **result["preset"])
         assert f.poor().item() == pytest.approx(learned["poor"])
-        assert f.qualities.sizes()[1].item() == pytest.approx(learned["sizes[1]"])
+        assert f.outliers.sizes()[1].item() == pytest.approx(learned["sizes[1]"])
     assert learned.keys() == result["values"]["start"].keys()
 
 

@@ -8,7 +8,7 @@ from torchfra.filters.base import Filter
 from torchfra.filters.branches import FRAInfo, FRAState
 from torchfra.filters.fixed_lag import FixedLag, FixedLagState
 from torchfra.filters.fra import FRA
-from torchfra.filters.gpb import GPB, GPBInfo, GPBState, Qualities, Regimes
+from torchfra.filters.gpb import GPB, GPBInfo, GPBState, Outliers, Regimes
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
 from torchfra.filters.scans.base import ScanFilter
 from torchfra.filters.scans.hypotheses import JPDAInfo, JPDAState
@@ -42,7 +42,7 @@ __all__ = [
     "Info",
     "JPDAInfo",
     "JPDAState",
-    "Qualities",
+    "Outliers",
     "Regimes",
     "ScanFilter",
     "SmoothInfo",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 
 from torchfra.filters.checks import check_models
-from torchfra.filters.gpb import GPB, Qualities, Regimes
+from torchfra.filters.gpb import GPB, Outliers, Regimes
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.rules import Rule
 from torchfra.hyper import Value, Values
@@ -68,6 +68,6 @@ def gpb(
     check_models(models, sensor)
     count = len(models) if isinstance(models, Bank) else 1
     regimes = Regimes(count, levels=levels, jumps=jumps, stay=stay, renew=renew)
-    doubts = Qualities(sensor.blocks, chain=qualities, sizes=sizes, shares=shares, grows=grows)
-    f = GPB(models, sensor, regimes=regimes, qualities=doubts, poor=poor, start=start, lag=lag, rule=rule)
+    doubts = Outliers(sensor.blocks, chain=qualities, sizes=sizes, shares=shares, grows=grows)
+    f = GPB(models, sensor, regimes=regimes, outliers=doubts, poor=poor, start=start, lag=lag, rule=rule)
     return with_learning(f, learn)

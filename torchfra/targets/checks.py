@@ -95,7 +95,7 @@ def _check_noise(filter: JPDA, measurements: Measurements) -> None:
             raise ValueError(f"{name}: expected {tuple(shape)}, received {tuple(x.shape)}")
     check_values(measurements._replace(dt=1.0, u=None))
     if isinstance(filter.inner, GPB):
-        filter.inner.qualities.check_noise("noise", noise)
+        filter.inner.outliers.check_noise("noise", noise)
 
 
 def check_scans(filter: JPDA, z: Tensor, dt: Time, u: Tensor | None) -> list[Look]:

@@ -39,12 +39,13 @@ for panel, z, title in zip(
     after, _ = gpb.step(state, z[20], dt=dt)
     before = state.log_weights.exp()[1].sum()
     settled = gpb.smooth(z[:21], prior, dt=dt, lag=1).info.outlier[19, 0]
-    for belief, now, later, name, colour in (
-        (state.clean, 1 - before, 1 - settled, "clean", "#0072B2"),
-        (state.dirty, before, settled, "an outlier", "#D55E00"),
+    for hypothesis, now, later, name, colour in (
+        (0, 1 - before, 1 - settled, "as stated", "#0072B2"),
+        (1, before, settled, "an outlier", "#D55E00"),
     ):
         label = f"if it was {name}: {now:.0%}, then {later:.0%}"
-        panel.fill(*ellipse(belief.mean[0], belief.scale_tril[0]), color=colour, alpha=0.35, lw=0, label=label)
+        mean, root = (x[hypothesis, 0] for x in state.hypotheses)
+        panel.fill(*ellipse(mean, root), color=colour, alpha=0.35, lw=0, label=label)
     panel.plot(*z[19], "ko", ms=5, label="measured")
     panel.plot(*torch.stack([after.settled.mean[:2], z[20]]).T, "k:", lw=1, label="towards what is measured next")
     panel.plot(*state.belief.mean[:2], "P", color="#009E73", ms=9, label="estimate at the step")

@@ -3,26 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.base import Mix
 from torchfra.filters.checks import check_models
-from torchfra.filters.gpb.hindsight import GPBPast
-from torchfra.filters.gpb.merging import lifted, merged, shares, together
-from torchfra.filters.gpb.qualities import Qualities, entry
-from torchfra.filters.gpb.regimes import Regimes
-from torchfra.filters.gpb.sensing import Sensing
-from torchfra.filters.gpb.states import GPBInfo, GPBState, Shares, Step
+from torchfra.filters.gpb import smoothing
+from torchfra.filters.gpb.hypotheses import (
+    BEFORE,
+    MOTION,
+    OUTLIER,
+    Hypotheses,
+    carry,
+    estimate,
+    from_state,
+    merge,
+    to_state,
+)
+from torchfra.filters.gpb.outliers import Outliers
+from torchfra.filters.gpb.regimes import Moves, Regimes
+from torchfra.filters.gpb.slopes import by_points_or_slope, exactly
+from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, Step
 from torchfra.filters.interaction import for_each_model
+from torchfra.filters.other_sensors import sharing
 from torchfra.filters.records import Record
+from torchfra.filters.smoothing import BackwardStep, Told
+from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.cubature import third_degree
-from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import largest, matched, models_first, repeated, shared
-from torchfra.gaussian.model import propagate
+from torchfra.gaussian.inputs import Frame, Measurements
+from torchfra.gaussian.mixture import matched, repeated, shared
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import innovation
 from torchfra.hyper import Hyper, Value
@@ -33,30 +46,53 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
 
-class GPB(Sensing):
-    """Generalised pseudo-Bayes over regimes of the motion and qualities of the measurement.
+class Mixing(NamedTuple):
+    """What the mixed belief of each motion is made of, ``(1, K, 2, ...)``."""
 
-    A step's regime is a Markov chain: calm, agile or a jump of a motion, and the other motions of a bank.  The quality
-    of what each block of the sensor's elements measures is a Markov chain too: clean, or an outlier of one of some
-    sizes.  Every combination is a hypothesis with a prediction, a correction and a likelihood.  After a step they
-    are merged into one Gaussian for each motion and for clean and dirty (a step with an outlier in any block); these
-    two are kept apart until the next measurement has said which of them was right.  So nothing is decided by a gate,
-    and all is smooth: the next measurement weighs an outlier against a manoeuvre.  Over steps without any measurement,
-    however many, both are carried on, the first motion keeps its regime, and what was settled is as filtered.
+    own: Tensor
+    """The share of its own."""
+    common: Tensor
+    """The share of the one that regimes which begin have in common."""
+    origin: Tensor
+    """The share that each motion has in that one."""
 
-    Merging, in square-root form, happens where hypotheses differ: outlier sizes in the space of the measurement,
-    regimes and qualities in that of states.  Motions interact as in ``IMM``.
+    def smoothed(self, weight: Tensor) -> Tensor:
+        """Probabilities of the motions before a step, from those of what they became, by motion."""
+        return weight * self.own + (weight * self.common).sum(MOTION, keepdim=True) * self.origin
 
-    Before the first step there are two beliefs too: the prior as given, and the same widened, should it be poor.
+
+class GPB(GaussianFilter[GPBState]):
+    """Generalised pseudo-Bayes over regimes of the motion and outliers of the measurement.
+
+    A step's regime is a Markov chain: a level of the process noise or a jump of a motion, and the other motions of a
+    bank.  Whether what each block of the sensor's elements measures is an outlier, of one of some sizes, is a Markov
+    chain too.  Every combination is a hypothesis with a prediction, an update and a likelihood.  After a step they are
+    merged into one Gaussian for each motion and for whether the step had an outlier in any block; these two are kept
+    apart until the next measurement has said which of them was right.  So nothing is decided by a gate, and all is
+    smooth: the next measurement weighs an outlier against a manoeuvre.  Over steps without any measurement, however
+    many, both are carried on, and the first motion keeps its regime.
+
+    With ``o`` for an outlier in the step, ``r`` for its regime, ``k`` for the regime's motion, and a prime for the step
+    before, a step is:
+
+    1. ``c(r, o') = sum over r' of P(r | r') P(r', o')``: regimes go on or begin.
+    2. ``x(k, o')``: the beliefs of all motions, mixed as they give way to ``k``.
+    3. ``x-(r, o')``: predicted by the regime, of a jump as wide as the measurement asks for.
+    4. ``x(o, r, o')``, ``L(o, r, o')``: updated, and how likely the measurement is.
+    5. ``P(o, r, o' | z) = L(o, r, o') P(o | o') c(r, o') / L``, with ``L`` the sum of all.
+    6. ``x(o, k)``: merged over the regimes of a motion and what was before; ``P(r, o)`` their sum.
+    7. ``x``: merged over all, the estimate.
+    8. ``x'``: the beliefs before, weighed by what has become of them: the estimate of the step before, settled.
 
     ``Estimate.nis`` and the innovation are those of the Gaussian with the moments of all predictions, with the noise as
-    the sensor states it; ``log_likelihood`` is that of the mixture.
+    the sensor states it; ``log_likelihood`` is that of the mixture.  Before the first step there are two beliefs too:
+    the prior as given, and the same widened, should it be poor.
 
     Args:
         motion: how targets move; a ``Bank`` of several.
         sensor: what is measured; ``Sensor.blocks`` says which elements come from the same device.
         regimes: the Markov chain of the motion, of as many motions as the bank has.
-        qualities: the Markov chain of outliers, of the sensor's blocks.
+        outliers: the Markov chain of outliers, of the sensor's blocks.
         poor: probability that the prior is worth little.
         start: factor on the prior's covariance then, but for parameters (``kinds`` of the motion).
         lag: 0 for the filtered estimate, 1 for the one that the next measurement has settled; the other is in ``info``.
@@ -70,13 +106,15 @@ class GPB(Sensing):
     Kirubarajan (2001), section 11.6, for GPB2 and IMM; Daeipour & Bar-Shalom (1995) for modes of the noise.
     """
 
+    keeps_past = True
+
     def __init__(
         self,
         motion: Motion,
         sensor: Sensor,
         *,
         regimes: Regimes,
-        qualities: Qualities,
+        outliers: Outliers,
         poor: Value = 0.25,
         start: Value = 340.0,
         lag: int = 0,
@@ -90,8 +128,8 @@ class GPB(Sensing):
             raise ValueError("rule: expected one without negative weights, received one with some")
         if regimes.motions != len(self.bank):
             raise ValueError(f"regimes: expected those of {len(self.bank)} motions, received of {regimes.motions}")
-        qualities.check(sensor)
-        self.regimes, self.qualities, self.lag = regimes, qualities, lag
+        outliers.check(sensor)
+        self.regimes, self.outliers, self.lag = regimes, outliers, lag
         self.poor = Hyper(poor, constraints.unit_interval, name="poor")
         self.start = Hyper(start, constraints.greater_than_eq(1.0), name="start")
 
@@ -105,139 +143,181 @@ class GPB(Sensing):
         """The motions."""
         return self.motion  # type: ignore[return-value]
 
+    # ------------------------------------------------------------ a step
+
     def begin(self, belief: Gaussian) -> GPBState:
         """The state of a belief: as it is, and widened, for every motion; what is known of parameters stays."""
         mean, poor = belief.mean, self.poor(belief.mean)
-        log_start = torch.stack([torch.log1p(-poor), poor.log()], -1)
-        log_weights = log_start.unsqueeze(-1) + self.regimes.renewed(mean).log().unsqueeze(-2)
+        prior = torch.stack([torch.log1p(-poor), poor.log()], -1).unsqueeze(-1)
+        log_weights = prior + self.regimes.restart(mean[..., 0].unsqueeze(0)).log().movedim(0, -1).unsqueeze(-2)
         log_weights = log_weights.expand(*mean.shape[:-1], *log_weights.shape[-2:])
-        every = repeated(belief, len(self.bank))
-        told = torch.tensor([kind != "parameter" for kind in self.motion.kinds], device=mean.device)
-        factor = torch.where(told, self.start(mean).sqrt().unsqueeze(-1), 1.0)[..., None, :, None]
-        widened = every._replace(scale_tril=factor * every.scale_tril)
-        outlier = mean.new_zeros(*mean.shape[:-1], len(self.qualities.blocks))
-        return GPBState(belief, belief, every, widened, log_weights, outlier)
+        widened = torch.tensor([kind != "parameter" for kind in self.motion.kinds], device=mean.device)
+        factor = torch.where(widened, self.start(mean).sqrt().unsqueeze(-1), 1.0).unsqueeze(-1)
+        both = tree.stack([belief, belief._replace(scale_tril=factor * belief.scale_tril)], mean.dim() - 1)
+        outlier = mean.new_zeros(*mean.shape[:-1], len(self.outliers.blocks))
+        return GPBState(belief, belief, repeated(both, len(self.bank)), log_weights, outlier)
 
     def advance(self, state: GPBState, frame: Frame, mix: Mix | None = None) -> tuple[GPBState, Record]:
         """One step; ``mix`` is not looked at, as this filter mixes itself."""
-        before = tree.stack([state.clean, state.dirty], 0)  # (2, ..., K)
-        measured, log_weights = frame.seen.sum(-1) > 0, state.log_weights.movedim(-2, 0)
-        predicted, log_ahead, made_of, agile, far = self.look_ahead(before, log_weights, frame, measured)
-        seen = self.read(predicted)
-        whitened, expected = self.compare_all(seen, agile, log_ahead, frame)
-        log_quality, prior = self.qualities.ahead(state.outlier, measured)
-        corrected = self.qualities(seen, whitened, lambda x: self.compare(x, frame), prior, 1 - frame.seen)
-        joint = log_quality.unsqueeze(1) + log_ahead + corrected.log_density  # (2, R, 2, ...): now, regime, before
-        joint = torch.where(joint.isnan(), -torch.inf, joint)  # nothing speaks for a hypothesis that failed
+        measured = frame.seen.sum(-1) > 0
+        before = from_state(state.hypotheses, state.log_weights, (BEFORE, MOTION))
+        moves = self.regimes.moves(before.log_weight, frame.dt, measured)  # (1)
+        mixed, mixing = self.mix(before.belief, moves)  # (2)
+        predicted, nis = self.predict_regimes(mixed, moves.log_weight, frame)  # (3)
+        expected = self.compare(self.expected(predicted), frame)
+        updated, outlier = self.outliers.update(  # (4)
+            predicted, lambda x: self.compare(x, frame), self.sensor.reads, 1 - frame.seen,
+            self.outliers.ahead(state.outlier, measured),
+        )  # fmt: skip
 
-        after, log_after, roots = merged(self.regimes, lifted(predicted, corrected.belief), joint, self.motion.angles)
-        of_motion, log_now = shares(log_after.movedim(-1, 0))  # (K, 2, ...), (2, ...)
-        now, log_likelihood = shared(log_now)
-        share = roots.square() * self.regimes.of_each(of_motion.square(), 0).unsqueeze(1)  # (R, before, now, ...)
-        weights = share * now.square()
-        settling = safe_sqrt(self.hindsight(weights.sum(2), made_of))
-        ends = tree.stack([after, before], 1), torch.stack([(of_motion * now).movedim(0, -1), settling], 1)
-        belief, settled = tree.unbind(together(*ends, self.motion), 2)
-        if_dirty = torch.where(
-            measured.unsqueeze(-1), (share[:, :, 1].unsqueeze(-1) * corrected.outlier).sum((0, 1)), state.outlier
+        share, log_mode = updated.shares(MOTION, BEFORE)  # (5)
+        of_mode, log_likelihood = shared(log_mode)  # NaN where every hypothesis has failed
+        weight = (share * of_mode).square()
+        after = self.regimes.merged(updated, self.motion.angles)  # (6)
+        log_regimes = log_mode + safe_log(share.square().sum(BEFORE, keepdim=True)) - log_likelihood
+        belief = estimate(after.belief, after.shares(MOTION)[0] * of_mode, self.motion)  # (7)
+        origin = mixing.smoothed(self.regimes.by_motion(weight.sum(OUTLIER, keepdim=True)))
+        settled = estimate(before.belief, safe_sqrt(origin), self.motion)  # (8)
+
+        if_outlier = torch.where(
+            measured.unsqueeze(-1), (share[1].square().unsqueeze(-1) * outlier[0]).sum((0, 1)), state.outlier
         )
-        outlier = torch.where(measured, now[1].square(), 0.0).unsqueeze(-1) * if_dirty
-        info = Step(tree.Late(settled), weights.sum((1, 2)).movedim(0, -1), outlier)
-        log_regimes = self.regimes.of_each(log_after, -1) + safe_log(roots.square().sum(1)).movedim(0, -1)
-        log_regimes = log_regimes - log_likelihood.unsqueeze(-1)  # (2, ..., R)
-        clean, dirty = tree.unbind(after, 2)
-        carried = clean, dirty, log_regimes.movedim(0, -2), if_dirty
-        record = Record(
-            belief,
-            expected.residual,
-            *innovation(expected),
-            info,
-            log_likelihood,
-            past=GPBPast(*carried, far.movedim(0, -1), measured.to(far).expand(far.shape[1:])),
-        )
+        probability = torch.where(measured, of_mode[1, 0, 0].square(), 0.0).unsqueeze(-1)
+        of_regimes = weight.sum((OUTLIER, BEFORE)).movedim(0, -1)
+        info = Step(tree.Late(settled), of_regimes, probability * if_outlier)
+        carried = (*to_state(Hypotheses(after.belief, log_regimes), (OUTLIER, MOTION)), if_outlier)
+        past = GPBPast(*carried, nis[0, 0].movedim(0, -1), measured.to(nis).expand(nis.shape[3:]))
+        record = Record(belief, expected.residual, *innovation(expected), info, log_likelihood[0, 0], past=past)
         return GPBState(belief, settled, *carried), record
 
-    def compare_all(
-        self, seen: Gaussian, agile: Whitened, log_ahead: Tensor, frame: Frame
-    ) -> tuple[Whitened, Whitened]:
-        """The measurement against all predictions, ``(1, R, 2, ...)``, and against the Gaussian with their moments.
-
-        Against the agile ones it is ``agile (2, ...)``.
-        """
-        flat, at = tree.map_tensors(lambda x: x.flatten(0, 1), seen), 2 * self.regimes.agile
-        expected = matched(flat, shared(log_ahead.flatten(0, 1))[0], self.motion.angles)
-        others = [torch.cat([x[:at], x[at + 2 :], y.unsqueeze(0)]) for x, y in zip(flat, expected, strict=True)]
-        whitened = self.compare(Gaussian(*others), frame)
-        each = tree.map_tensors(
-            lambda x, y: torch.cat([x[:at], y, x[at:-1]]).unflatten(0, (1, *log_ahead.shape[:2])), whitened, agile
-        )
-        return each, tree.map_tensors(lambda x: x[-1], whitened)
-
-    def look_ahead(
-        self, before: Gaussian, log_weights: Tensor, frame: Frame, measured: Tensor
-    ) -> tuple[Gaussian, Tensor, Shares | None, Whitened, Tensor]:
-        """Predictions ``(R, 2, ..., n)`` of all regimes, their log weights, and who contributed to which motion.
-
-        Also ``(2, ...)`` the measurement against the agile ones, and its normalised innovation squared per element.
-        """
-        mixed, log_ahead, made_of = self.interact(before, log_weights, frame.dt, measured)
-        mean, spread, noise, _ = propagate(self.motion, self.motion_rule, mixed, for_each_model(frame))
-        predicted, agile, far = self.with_jumps(self.regimes.predictions(mean, spread, noise), frame)
-        return predicted, self.regimes.rarer(log_ahead.movedim(-1, 0), far), made_of, agile, far
-
-    def with_jumps(self, predicted: Gaussian, frame: Frame) -> tuple[Gaussian, Whitened, Tensor]:
-        """Predictions of levels and motions, and of jumps after them; the measurement against agile ones, how far."""
-        agile = entry(predicted, self.regimes.agile)
-        whitened = self.compare(self.read(agile), frame)
-        far = innovation(whitened)[1].square().sum(-1) / frame.seen.sum(-1).clamp_min(1.0)
-        far = torch.where(frame.dt == 0, 0.0, far)  # over no time nothing jumps
-        jumped = self.regimes.jumped(agile, far, self.motion.position)
-        return Gaussian(*map(torch.cat, zip(predicted, jumped, strict=True))), whitened, far
-
-    def predict_hypotheses(self, state: GPBState, frame: Frame) -> tuple[Gaussian, Tensor]:
-        """Hypotheses ``(2 R, ..., n)`` of the state after a step, and logs of their weights."""
-        before = tree.stack([state.clean, state.dirty], 0)
-        log_weights, measured = state.log_weights.movedim(-2, 0), torch.ones_like(frame.dt, dtype=torch.bool)
-        predicted, log_ahead, _, _, _ = self.look_ahead(before, log_weights, frame, measured)
-        flat: Gaussian = tree.map_tensors(lambda x: x.flatten(0, 1), predicted)
-        log_weights = log_ahead.flatten(0, 1)
-        return flat, log_weights - log_weights.logsumexp(0)
-
-    def interact(
-        self, before: Gaussian, log_weights: Tensor, dt: Tensor, measured: Tensor
-    ) -> tuple[Gaussian, Tensor, Shares | None]:
-        """The motions ``(2, ..., K)`` mixed, log weights ``(2, ..., R)`` of the regimes ahead, and who contributed.
-
-        As regimes that do not stay are drawn anew, a motion's belief is a mixture of its own and of one that all share.
-        Over ``dt (...)`` of 0 seconds every regime stays; where nothing is ``measured (...)``: see ``Regimes.chain``.
-        """
-        regimes, top = self.regimes, largest(log_weights, -1, keepdim=True)
-        weights = (log_weights - top).exp()
-        stay, odds = regimes.chain(weights, measured)
-        stay = torch.where((dt == 0).unsqueeze(-1), 1.0, stay)
-        stayed, left = stay * weights, (1 - stay) * weights
-        all_left = left.sum(-1, keepdim=True)
-        drawn = all_left * odds
-        log_ahead = safe_log(stayed + drawn) + top
+    def mix(self, before: Gaussian, moves: Moves) -> tuple[Gaussian, Mixing]:
+        """What each motion starts from, ``(1, K, 2, ...)``: its own belief, or what is known where others end."""
+        stayed, left, restarted = (self.regimes.by_motion(x) for x in moves[:3])
+        ahead = stayed + restarted
+        origin = safe_divide(left, left.sum(MOTION, keepdim=True))
+        mixing = Mixing(safe_divide(stayed, ahead), safe_divide(restarted, ahead), origin)
         if len(self.bank) == 1:
-            return before, log_ahead, None
-        ahead = regimes.sums(stayed + drawn)
-        own, common = (safe_divide(regimes.sums(x), ahead) for x in (stayed, drawn))
-        made_of = Shares(own, common, safe_divide(regimes.sums(left), all_left))
-        anew = matched(models_first(before), safe_sqrt(made_of.origin).movedim(-1, 0), self.motion.angles)
-        pair = tree.stack([before, repeated(anew, len(self.bank))], 0)
-        mixed = matched(pair, safe_sqrt(torch.stack([own, common])), self.motion.angles)
-        return mixed, log_ahead, made_of
+            return before, mixing
+        common = merge(before, safe_sqrt(origin), [MOTION], self.motion.angles)
+        two = tree.stack([before, common], 0)
+        return matched(two, safe_sqrt(torch.stack([mixing.own, mixing.common])), self.motion.angles), mixing
 
-    def hindsight(self, weights: Tensor, made_of: Shares | None) -> Tensor:
-        """Weights ``(2, ..., K)`` of the beliefs before a step, from those of what they became, ``(R, 2, ...)``."""
-        now = self.regimes.sums(weights.movedim(0, -1))
-        if made_of is None:
-            return now
-        return now * made_of.own + (now * made_of.common).sum(-1, keepdim=True) * made_of.origin
+    def predict_regimes(self, mixed: Gaussian, log_weight: Tensor, frame: Frame) -> tuple[Hypotheses, Tensor]:
+        """Predictions of all regimes, and the NIS per element ``(1, 1, 2, ...)`` of what jumps start from.
+
+        Args:
+            mixed: ``(1, K, 2, ...)`` of each motion.
+            log_weight: ``(1, R, 2, ...)`` of the regimes, before it is known how far off the measurement is.
+            frame: of the step.
+        """
+        regimes = self.regimes
+        level = regimes.predictions(carry(self.bank, self.motion_rule, mixed, for_each_model(frame)))
+        agile = Gaussian(*(x[:, regimes.agile : regimes.agile + 1] for x in level))
+        _, normalised = innovation(self.compare(self.read(agile), frame))
+        nis = normalised.square().sum(-1) / frame.seen.sum(-1).clamp_min(1.0)
+        nis = torch.where(frame.dt == 0, 0.0, nis)  # over no time nothing jumps
+        widened = regimes.widened(level, nis, self.motion.position)
+        return Hypotheses(widened, regimes.rarer(log_weight, nis)), nis
+
+    def expected(self, predicted: Hypotheses) -> Gaussian:
+        """What the sensor reads of all predictions together, ``(..., d)``."""
+        seen = predicted._replace(belief=self.read(predicted.belief))
+        one = seen.merged(OUTLIER, MOTION, BEFORE, angles=self.motion.angles).belief
+        return Gaussian(one.mean[0, 0, 0], one.scale_tril[0, 0, 0])
 
     def finish(self, state: GPBState, belief: Gaussian, info: Step) -> tuple[Gaussian, GPBInfo]:
         """Each step's settled estimate comes with the next."""
         time = info.regimes.dim() - 2
         settled = tree.one_earlier(info.settled, state.belief, time, info.regimes.shape[time])
         return settled if self.lag else belief, GPBInfo(belief, settled, info.regimes, info.outlier)
+
+    # ------------------------------------------------------------ what is expected later
+
+    def predict_hypotheses(self, state: GPBState, frame: Frame) -> tuple[Gaussian, Tensor]:
+        """Hypotheses ``(2 R, ..., n)`` of the state after a step, and logs of their weights."""
+        before = from_state(state.hypotheses, state.log_weights, (BEFORE, MOTION))
+        moves = self.regimes.moves(before.log_weight, frame.dt, torch.ones_like(frame.dt, dtype=torch.bool))
+        predicted, _ = self.predict_regimes(self.mix(before.belief, moves)[0], moves.log_weight, frame)
+        flat: Hypotheses = tree.map_tensors(lambda x: x.flatten(0, 2), predicted)
+        return flat.belief, flat.log_weight - flat.log_weight.logsumexp(0)
+
+    def predict_innovation(self, state: GPBState, beliefs: Gaussian, frame: Frame) -> Gaussian:
+        """What is measured, less what hypotheses ``(K, ..., n)`` expect: ``(K, ..., m)`` in units of the noise."""
+        return super().predict_innovation(state, self.read(beliefs), frame)
+
+    # ------------------------------------------------------------ the sensor
+
+    def read(self, belief: Gaussian) -> Gaussian:
+        """Of states, what the sensor reads."""
+        d = self.sensor.reads
+        return Gaussian(belief.mean[..., :d], belief.scale_tril[..., :d, :d])
+
+    def compare(self, belief: Gaussian, frame: Frame) -> Whitened:
+        """The measurement against a predicted belief; by the slope at its mean where its points show none.
+
+        From points on all sides of an anchor ranges do not tell where the target is: a belief that wide would learn
+        nothing, and widen on.
+        """
+        if self.sensor.linear:
+            return exactly(self.sensor, belief, frame)
+        compare = super().compare
+        return by_points_or_slope(lambda x: compare(x, frame), belief)
+
+    def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
+        """The batch of all that was handed in, checked."""
+        batch = super()._batch(measurements, prior, name)
+        self.outliers.check_noise("noise", measurements.noise)
+        return batch
+
+    def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
+        """Its parts, by name, that are others around another sensor."""
+        outliers = sharing(self.outliers, Outliers, blocks=tuple(map(tuple, sensor.blocks)))
+        outliers.check(sensor)
+        return super().parts_for(sensor) | {"outliers": outliers}
+
+    def unremembered(self, state: GPBState) -> GPBState:
+        """A state whose last measurement says nothing of outliers in the next."""
+        return state._replace(
+            outlier=state.belief.mean.new_zeros((*state.belief.mean.shape[:-1], len(self.outliers.blocks)))
+        )
+
+    def remembering(self, state: GPBState, before: GPBState) -> GPBState:
+        """Likewise, in the form of the one ``before``: outliers of another sensor say nothing of this one's."""
+        return state._replace(outlier=torch.zeros_like(before.outlier))
+
+    # ------------------------------------------------------------ smoothing
+
+    def check_smooths_several(self) -> None:
+        """Raises a ``NotImplementedError``: there is no smoother over several sensors."""
+        raise NotImplementedError(
+            f"{type(self).__name__}: hypotheses of outliers are of one sensor in the backward pass; smooth several "
+            "with presets.srckf or fra, or a bank of motions around them"
+        )
+
+    def past(self, belief: Gaussian, info: Any, state: Any, steps: GPBPast) -> GPBPast:  # type: ignore[override]
+        """What is known of all hypotheses after each step."""
+        return steps
+
+    def fresh(self, past: GPBPast) -> GPBPast:  # type: ignore[override]
+        """The same: nothing is decided later."""
+        return past
+
+    decided = fresh  # type: ignore[assignment]
+
+    def needed_ahead(self, past: GPBPast) -> GPBPast:  # type: ignore[override]
+        """How far off the measurement was, if there was any."""
+        return GPBPast(None, None, None, past.nis, past.measured)  # type: ignore[arg-type]  # nothing reads the others
+
+    def last(self, past: GPBPast) -> tuple[GPBPast, Told]:  # type: ignore[override]
+        """The last step, which no later measurement speaks of."""
+        return past, smoothing.smoothed(self, past)
+
+    def smooth_step(self, step: BackwardStep, after: GPBPast) -> tuple[GPBPast, Told]:  # type: ignore[override]
+        """One step back, of all hypotheses."""
+        if after.outlier.dim() > step.past.outlier.dim():
+            several: tuple[GPBPast, Told] = tree.stack(
+                [self.smooth_step(step, x) for x in tree.unbind(after, len(after.outlier))], 0
+            )
+            return several
+        before = smoothing.smooth_step(self, step, after)
+        return before, smoothing.smoothed(self, before)

@@ -1,14 +1,18 @@
-"""Regimes of a motion: calm and agile, the other motions of a bank, and jumps."""
+"""Regimes of a motion: levels of its process noise, the other motions of a bank, and jumps."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.distributions import constraints
 
-from torchfra.gaussian.mixture import log_sum
+from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses
+from torchfra.gaussian.mixture import largest, log_sum
+from torchfra.gaussian.model import Carried
 from torchfra.hyper import Hyper, Values
-from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.safe import safe_divide, safe_log
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian
@@ -19,14 +23,29 @@ USUAL = 1000.0
 """Normalised innovation squared per element up to which all jumps have the same odds."""
 
 
+class Moves(NamedTuple):
+    """Weights ``(1, R, 2, ...)`` of how regimes go over into those of the next step, all by the same factor."""
+
+    stayed: Tensor
+    """Of each regime, that it goes on."""
+    left: Tensor
+    """Of each regime before, that it ends."""
+    restarted: Tensor
+    """Of each regime, that it begins where another has ended."""
+    log_weight: Tensor
+    """Logs of the weights of the regimes in the step: of those that go on or begin."""
+
+
 class Regimes(nn.Module):
     """How a step may go: a Markov chain over motions, levels of their process noise, and jumps.
 
     The first motion comes at ``L`` levels, the others of a bank as they are, and ``J`` jumps widen the first motion's
     prediction at its last level, as far as the measurement asks for. In this order they are the ``R = L + (K - 1) + J``
-    regimes. A regime stays with a probability of its own; else the next one is drawn anew, from the same odds whatever
-    was before. Values are given by kind, ``(..., L + 1 + J)``: each level, any other motion, each jump; so they fit
-    banks of any size.
+    regimes. A regime goes on with a probability of its own; else the next one is drawn from the restart distribution,
+    whatever was before. Values are given by kind, ``(..., L + 1 + J)``: each level, any other motion, each jump; so
+    they fit banks of any size.
+
+    Tensors of regimes have the axes of ``Hypotheses``.
 
     Args:
         motions: their number, ``K``.
@@ -34,7 +53,7 @@ class Regimes(nn.Module):
         jumps: ``(..., J)`` times the normalised innovation squared per element: by so much, at least 1, the covariance
             of the predicted position is multiplied; its correlations stay.
         stay: self-transition probabilities by kind.
-        renew: odds by kind of the regime that is drawn anew, which sum to one; other motions share theirs evenly.
+        renew: restart distribution by kind, which sums to one; other motions share theirs evenly.
 
     Raises:
         ValueError: shapes that do not go together, values that are out of their range or do not sum to one.
@@ -47,10 +66,22 @@ class Regimes(nn.Module):
             if value.dim() == 0:
                 raise ValueError(f"{name}: expected several, received {value.item():g}")
         self.motions, self.level_count, self.jump_count = motions, levels.shape[-1], jumps.shape[-1]
-        kinds = levels.shape[-1] + 1 + jumps.shape[-1]
+        kinds = self.level_count + 1 + self.jump_count
         for name, value in (("stay", stay), ("renew", renew)):
             if value.shape[-1:] != (kinds,):
                 raise ValueError(f"{name}: expected (..., {kinds}), received {tuple(value.shape)}")
+        self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * self.jump_count
+        """The number of each regime's motion."""
+        self.regimes_of = tuple(
+            tuple(r for r, k in enumerate(self.motion_of) if k == motion) for motion in range(motions)
+        )
+        """The numbers of each motion's regimes."""
+        self.kind_of = (
+            *range(self.level_count),
+            *(self.level_count,) * (motions - 1),
+            *range(self.level_count + 1, kinds),
+        )
+        """The kind of each regime."""
         self.levels = Hyper(levels, event_dim=1, name="levels")
         self.jumps = Hyper(jumps, event_dim=1, name="jumps")
         self.stay = Hyper(stay, constraints.unit_interval, event_dim=1, name="stay")
@@ -61,115 +92,136 @@ class Regimes(nn.Module):
         """The number of the first motion's last level, after which jumps come."""
         return self.level_count - 1
 
-    def of_motion(self, log_weights: Tensor) -> Tensor:
-        """Of logs of weights of regimes ``(..., R)`` those of each motion together, ``(..., K)``."""
-        own, others = self._own_and_others(log_weights)
-        return torch.cat([log_sum(own, -1).unsqueeze(-1), others], -1)
+    # ------------------------------------------------------------ the Markov chain
 
-    def sums(self, weights: Tensor) -> Tensor:
-        """Of weights of regimes ``(..., R)`` the sum of each motion, ``(..., K)``."""
-        own, others = self._own_and_others(weights)
-        return torch.cat([own.sum(-1, keepdim=True), others], -1)
+    def restart(self, like: Tensor) -> Tensor:
+        """The restart distribution ``(R, ...)``, which sums to one, for ``like (R, ...)``."""
+        odds = self._by_regime(self.renew(like), like.dim() - 1)
+        others = torch.tensor([float(self.motions - 1) if k else 1.0 for k in self.motion_of]).to(odds)
+        odds = odds / others.reshape(-1, *(1,) * (odds.dim() - 1))
+        return odds / odds.sum(0)  # one motion has no others
 
-    def _own_and_others(self, values: Tensor) -> tuple[Tensor, Tensor]:
-        """Of regimes ``(..., R)`` those of the first motion, and those of the others."""
-        end = self.level_count + self.motions - 1
-        return torch.cat([values[..., : self.level_count], values[..., end:]], -1), values[..., self.level_count : end]
+    def chain(self, like: Tensor, dt: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
+        """Self-transition probabilities ``(R, ...)`` in a step, and the restart distribution ``(R, ...)``.
 
-    def renewed(self, like: Tensor) -> Tensor:
-        """Odds ``(..., R)`` of a regime drawn anew, which sum to one."""
-        kinds = self.renew(like)
-        odds = self._by_regime(kinds, kinds[..., self.level_count : self.level_count + 1] / max(self.motions - 1, 1))
-        return odds / odds.sum(-1, keepdim=True)  # one motion has no others
-
-    def of_each(self, values: Tensor, dim: int) -> Tensor:
-        """Of motions, along a dimension, what goes with each regime."""
-        first, jumps = values.narrow(dim, 0, 1), self.jump_count
-        others = values.narrow(dim, 1, self.motions - 1)
-        return torch.cat([*[first] * self.level_count, others, *[first] * jumps], dim)
-
-    def chain(self, like: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
-        """Self-transition probabilities ``(..., R)`` in a step, and odds ``(..., R)`` of what is drawn anew otherwise.
-
-        No level and no jump begins where nothing is ``measured (...)``, or what measurements have told of them would be
-        forgotten over steps without one.  Other motions do: the longer a gap is, the less is known.
-        """
-        stay, odds = self.staying(like), self.renewed(like)
-        before, others, after = odds.split((self.level_count, self.motions - 1, self.jump_count), -1)
-        share = others.sum(-1, keepdim=True)
-        among_others = torch.cat([torch.zeros_like(before), safe_divide(others, share), torch.zeros_like(after)], -1)
-        measured = measured.unsqueeze(-1)
-        return torch.where(measured, stay, 1 - (1 - stay) * share), torch.where(measured, odds, among_others)
-
-    def transition(self, log_weights: Tensor, measured: Tensor) -> Tensor:
-        """Logs ``(..., R, R)`` of how regimes follow each other, ``[was, now]``, of tracks ``log_weights (..., R)``.
-
-        ``measured (...)``: whether anything is in the step.
-        """
-        stay, odds = self.chain(log_weights, measured)
-        drawn = (1 - stay).unsqueeze(-1) * odds.unsqueeze(-2)
-        return safe_log(drawn + torch.diag_embed(stay))
-
-    def staying(self, like: Tensor) -> Tensor:
-        """Probabilities ``(..., R)`` that a regime stays."""
-        kinds = self.stay(like)
-        return self._by_regime(kinds, kinds[..., self.level_count : self.level_count + 1])
-
-    def _by_regime(self, kinds: Tensor, others: Tensor) -> Tensor:
-        """Values by kind ``(..., L + 1 + J)`` as ``(..., R)``; those of ``others`` ``(..., 1)``."""
-        repeated = others.expand(*others.shape[:-1], self.motions - 1)
-        return torch.cat([kinds[..., : self.level_count], repeated, kinds[..., self.level_count + 1 :]], -1)
-
-    def predictions(self, mean: Tensor, spread: Tensor, noise: Tensor) -> Gaussian:
-        """A prediction for each level and other motion, ``(L + K - 1, ..., n)``.
+        No level and no jump begins where nothing is measured, or what measurements have told of them would be
+        forgotten over steps without one.  Other motions do: the longer a gap is, the less is known.  Over 0 seconds
+        every regime goes on.
 
         Args:
-            mean: ``(..., K, n)`` of each motion, from ``gaussian.model.propagate``, as what follows.
-            spread: ``(..., K, n, p)`` what was uncertain before.
-            noise: ``(..., K, n, q)`` process noise.
+            like: ``(R, ...)``.
+            dt: ``(...)`` seconds.
+            measured: ``(...)`` whether anything is.
         """
-        every = broadcast_shapes(mean.shape, noise.shape[:-1])  # values of motions may bring a batch
-        rank = mean.dim() - 2
-        means = mean.expand(every).movedim(-2, 0)
-        spread, noise = (x.expand(*every, -1).movedim(-3, 0) for x in (spread, noise))
-        first = in_front(self.levels(mean).sqrt(), rank)[..., None, None] * noise[:1]
-        noise = torch.cat([first.expand(self.level_count, *noise.shape[1:]), noise[1:]])
-        roots = tria(hstack(torch.cat([spread[:1].expand(self.level_count, *spread.shape[1:]), spread[1:]]), noise))
-        return Gaussian(torch.cat([means[:1].expand(self.level_count, *means.shape[1:]), means[1:]]), roots)
+        stay, restart = self._by_regime(self.stay(like), like.dim() - 1), self.restart(like)
+        other = torch.tensor([k > 0 for k in self.motion_of], device=like.device).reshape(-1, *(1,) * (like.dim() - 1))
+        others = torch.where(other, restart, 0.0)
+        share = others.sum(0)
+        stay = torch.where(measured, stay, 1 - (1 - stay) * share)
+        return torch.where(dt == 0, 1.0, stay), torch.where(measured, restart, safe_divide(others, share))
 
-    def widths(self, like: Tensor, far: Tensor) -> Tensor:
-        """Factors ``(J, ...)`` of jumps on the root of the position's covariance; ``far`` as in ``jumped``."""
-        return (in_front(self.jumps(like), far.dim()) * far).clamp(1.0, FURTHEST).sqrt()
+    def moves(self, log_weight: Tensor, dt: Tensor, measured: Tensor) -> Moves:
+        """How regimes ``(1, R, 2, ...)`` with such weights go over into those of the next step."""
+        top = largest(log_weight, MOTION, keepdim=True)
+        weight = (log_weight - top).exp()
+        stay, restart = self.chain(weight[0], dt, measured)
+        stayed, left = stay * weight, (1 - stay) * weight
+        restarted = left.sum(MOTION, keepdim=True) * restart
+        return Moves(stayed, left, restarted, safe_log(stayed + restarted) + top)
 
-    def jumped(self, belief: Gaussian, far: Tensor, position: slice) -> Gaussian:
-        """A belief ``(..., n)`` after each jump, ``(J, ..., n)``.
+    def transition(self, like: Tensor, dt: Tensor, measured: Tensor) -> Tensor:
+        """Logs ``(R now, 2, R before, ...)`` of how regimes follow each other, for ``like (R, 2, ...)``."""
+        stay, restart = self.chain(like, dt, measured)
+        same = torch.eye(len(stay), dtype=stay.dtype, device=stay.device)
+        same = same.reshape(len(stay), 1, len(stay), *(1,) * (stay.dim() - 2))
+        stay = stay.movedim(0, 1)
+        return safe_log(same * stay + restart.unsqueeze(2) * (1 - stay))
+
+    def rarer(self, log_weight: Tensor, nis: Tensor) -> Tensor:
+        """Log weights ``(..., R, 2, ...)`` with odds of jumps that fall with their size: so far off are outliers.
+
+        Args:
+            log_weight: before it is known how far off the measurement is.
+            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element of what jumps start from.
+        """
+        return log_weight - self._of_jumps((nis / USUAL).clamp_min(1.0).log(), 0.0)
+
+    # ------------------------------------------------------------ predictions
+
+    def predictions(self, ahead: Carried) -> Gaussian:
+        """Of every regime the prediction ``(1, R, 2, ..., n)``; a jump's is that of the agile level, not widened yet.
+
+        Args:
+            ahead: ``(1, K, 2, ...)`` of each motion.
+        """
+        noise = self.noise_factors(ahead.mean)[..., None, None] * self.of_motions(ahead.process_noise)
+        return Gaussian(self.of_motions(ahead.mean), tria(hstack(self.of_motions(ahead.spread), noise)))
+
+    def noise_factors(self, mean: Tensor) -> Tensor:
+        """Factors ``(R, ...)`` on the root of the process noise, for ``mean (1, R or K, ..., n)``."""
+        levels = in_front(self.levels(mean).sqrt(), mean.dim() - 3)
+        ones = levels.new_ones(1, *levels.shape[1:])
+        return torch.cat([levels, *[ones] * (self.motions - 1), *[levels[-1:]] * self.jump_count])
+
+    def widened(self, predicted: Gaussian, nis: Tensor, position: slice) -> Gaussian:
+        """Predictions ``(1, R, 2, ..., n)`` with those of jumps as wide as they are.
 
         A jump that is wider than what is measured asks for would never be contradicted where little can be told from
         the measurement, or nothing at all, and widen the estimate without bound.
 
         Args:
-            belief: without a jump.
-            far: ``(...)`` normalised innovation squared per element of the belief.
+            predicted: from ``predictions``.
+            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element of what jumps start from.
             position: which components of a state are its position.
         """
-        mean, root = belief
-        widened = self.widths(mean, far).unsqueeze(-1)
+        mean, root = predicted
+        return Gaussian(mean, self._widths(mean, nis, position) * root)  # scaled rows of a lower root: still one
+
+    def carried(self, ahead: Carried, nis: Tensor, position: slice) -> Carried:
+        """The parts of ``widened(predictions(ahead))``."""
+        widths = self._widths(ahead.mean, nis, position)
+        noise = self.noise_factors(ahead.mean)[..., None, None] * self.of_motions(ahead.process_noise)
+        return Carried(self.of_motions(ahead.mean), widths * self.of_motions(ahead.spread), widths * noise, None)
+
+    def _widths(self, mean: Tensor, nis: Tensor, position: slice) -> Tensor:
+        """Factors ``(1, R, 2, ..., n, 1)`` on the rows of roots."""
+        jumps = in_front(self.jumps(mean), nis.dim() - 2).unsqueeze(0)
+        widths = self._of_jumps((jumps * nis).clamp(1.0, FURTHEST).sqrt(), 1.0)
         there = torch.zeros(mean.shape[-1], dtype=mean.dtype, device=mean.device)
         there[position] = 1.0
-        scaled = (1 + (widened - 1) * there).unsqueeze(-1) * root  # scaled rows: still a lower root
-        return Gaussian(mean.expand(scaled.shape[:-1]), scaled)
+        return (1 + (widths.unsqueeze(-1) - 1) * there).unsqueeze(-1)
 
-    def rarer(self, log_weights: Tensor, far: Tensor) -> Tensor:
-        """Log weights ``(R, ...)`` with odds of jumps that fall with their size: what is that far off is an outlier.
+    # ------------------------------------------------------------ regimes and their motions
 
-        Args:
-            log_weights: before it is known how far the measurement is.
-            far: ``(...)`` as in ``jumped``.
-        """
-        jumps = self.jump_count
-        rarer = (far / USUAL).clamp_min(1.0).log().expand(jumps, *far.shape)
-        still = torch.zeros_like(far).expand(log_weights.shape[0] - jumps, *far.shape)
-        return log_weights - torch.cat([still, rarer])
+    def of_motions(self, x: Tensor, axis: int = MOTION) -> Tensor:
+        """Of motions along an axis what goes with each regime."""
+        return torch.stack([x.select(axis, motion) for motion in self.motion_of], axis)
+
+    def by_motion(self, weight: Tensor) -> Tensor:
+        """Of weights ``(1, R, 2, ...)`` the sum of each motion, ``(1, K, 2, ...)``."""
+        return torch.stack([sum(weight[:, r] for r in regimes) for regimes in self.regimes_of], MOTION)  # type: ignore[misc]
+
+    def log_by_motion(self, log_weight: Tensor, axis: int = MOTION) -> Tensor:
+        """The same of logs of weights, along an axis."""
+        each = [torch.stack([log_weight.select(axis, r) for r in regimes], axis) for regimes in self.regimes_of]
+        return torch.stack([log_sum(x, axis) for x in each], axis)
+
+    def merged(self, every: Hypotheses, angles: Sequence[int]) -> Hypotheses:
+        """Hypotheses ``(2, R, 2, ...)`` merged into one for each motion, whatever was before: ``(2, K, 1, ...)``."""
+        motions = [every.of(regimes).merged(MOTION, BEFORE, angles=angles) for regimes in self.regimes_of]
+        belief = Gaussian(*(torch.cat(x, MOTION) for x in zip(*(one.belief for one in motions), strict=True)))
+        return Hypotheses(belief, torch.cat([one.log_weight for one in motions], MOTION))
+
+    def _by_regime(self, kinds: Tensor, rank: int) -> Tensor:
+        """Values by kind ``(..., L + 1 + J)`` as ``(R, ...)`` of so many dimensions behind the first."""
+        values = in_front(kinds, rank)
+        return torch.stack([values[kind] for kind in self.kind_of])
+
+    def _of_jumps(self, jumps: Tensor, others: float) -> Tensor:
+        """Values ``(1, 1 or J, 2, ...)`` of jumps, and ``others`` of all regimes but these, ``(1, R, 2, ...)``."""
+        jumps = jumps.expand(1, self.jump_count, *jumps.shape[2:])
+        rest = jumps.new_full((1, len(self.motion_of) - self.jump_count, *jumps.shape[2:]), others)
+        return torch.cat([rest, jumps], MOTION)
 
 
 def in_front(values: Tensor, rank: int) -> Tensor:

@@ -1,4 +1,4 @@
-"""What GPB knows after a step, and what it tells of it."""
+"""What GPB knows after a step, and what it says of it."""
 
 from __future__ import annotations
 
@@ -13,21 +13,20 @@ from torchfra.types import Gaussian
 class GPBState(NamedTuple):
     """What GPB knows after a step.
 
-    Over steps without any measurement ``clean``, ``dirty`` and ``outlier`` are of the last one that had some.
+    Over steps without any measurement ``outlier`` and the first dimension of ``hypotheses`` and ``log_weights`` are of
+    the last one that had some.
     """
 
     belief: Gaussian
     """All hypotheses together."""
     settled: Gaussian
     """Of the step before, now that its hypotheses have met the measurement of this one, if there is any."""
-    clean: Gaussian
-    """``(..., K)`` for each motion, if no block was an outlier."""
-    dirty: Gaussian
-    """``(..., K)`` for each motion, if one was."""
+    hypotheses: Gaussian
+    """``(..., 2, K)`` without and with an outlier in the measurement, for each motion."""
     log_weights: Tensor
-    """``(..., 2, R)`` logs of the probabilities of clean and dirty, and of the regimes."""
+    """``(..., 2, R)`` logs of the probabilities of that, and of the regimes."""
     outlier: Tensor
-    """``(..., B)`` of each block that it was an outlier, if the step was dirty."""
+    """``(..., B)`` probability of each block that it was an outlier, if any was."""
 
 
 class GPBInfo(NamedTuple):
@@ -44,20 +43,25 @@ class GPBInfo(NamedTuple):
     missing among others it is what its Markov chain says."""
 
 
-class Shares(NamedTuple):
-    """What the mixed belief of each motion is made of, ``(2, ..., K)``."""
-
-    own: Tensor
-    """Of its own."""
-    common: Tensor
-    """Of the one that regimes drawn anew share."""
-    origin: Tensor
-    """Of the share that each motion has in that one."""
-
-
 class Step(NamedTuple):
-    """What one step knows: about itself, and now for good about the one before."""
+    """What one step says: of itself, and now for good of the one before."""
 
     settled: Late
     regimes: Tensor
     outlier: Tensor
+
+
+class GPBPast(NamedTuple):
+    """What smoothing needs of a step; ``(..., T, ...)`` of a whole track."""
+
+    hypotheses: Gaussian
+    """As in ``GPBState``."""
+    log_weights: Tensor
+    """Likewise."""
+    outlier: Tensor
+    """Likewise."""
+    nis: Tensor
+    """``(..., 2)`` normalised innovation squared per element of what jumps started from, without and with an outlier
+    before."""
+    measured: Tensor
+    """``(...)`` 1 where anything was, else 0."""

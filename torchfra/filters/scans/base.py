@@ -45,7 +45,7 @@ class ScanFilter(Filter[S]):
         """The batch of scenes, checked; targets are no part of it."""
         batch = super()._batch(measurements, prior, name)
         if isinstance(self.inner, GPB):
-            self.inner.qualities.check_noise("noise", measurements.noise)
+            self.inner.outliers.check_noise("noise", measurements.noise)
         count = prior.mean.shape[-2]
         for path, hyper in hypers(self).items():
             if hyper.batch_rank and hyper.raw.shape[-1 - hyper.event_dim] not in (1, count):

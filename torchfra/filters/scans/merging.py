@@ -104,18 +104,17 @@ def _of_models(inner: MultipleModelFilter, states: Any, log_weights: Tensor) -> 
 
 
 def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
-    """Clean and dirty, each motion of each, by the share of each hypothesis."""
+    """Without and with outliers, each motion of each, by the share of each hypothesis."""
     joint = _joint(log_weights[..., None, None], states.log_weights)  # (P, ..., 2, R)
-    _, shares = _shared(inner.regimes.of_motion(joint), log_weights[..., None, None])  # (P, ..., 2, K)
-    _, dirty = _shared(log_sum(joint[..., 1, :], -1), log_weights)
+    _, shares = _shared(inner.regimes.log_by_motion(joint, -1), log_weights[..., None, None])  # (P, ..., 2, K)
+    _, some = _shared(log_sum(joint[..., 1, :], -1), log_weights)
     angles = inner.motion.angles
     return GPBState(
         moment_match(states.belief, log_weights, angles),
         moment_match(states.settled, log_weights, angles),
-        moment_match(states.clean, shares[..., 0, :], angles),
-        moment_match(states.dirty, shares[..., 1, :], angles),
+        moment_match(states.hypotheses, shares, angles),
         log_sum(joint, 0),
-        averaged(states.outlier, dirty),
+        averaged(states.outlier, some),
     )
 
 

@@ -1,0 +1,151 @@
+"""Hypotheses: beliefs of which one holds, how likely each is, and what they are together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra import tree
+from torchfra.gaussian.inputs import Frame
+from torchfra.gaussian.mixture import matched, shared
+from torchfra.gaussian.model import Carried, canonical, propagate
+from torchfra.gaussian.rules import Rule
+from torchfra.linalg.batches import broadcast_shapes
+from torchfra.motion.bank import Bank
+from torchfra.motion.base import Motion
+from torchfra.tree import event_ranks
+from torchfra.types import Gaussian
+
+OUTLIER, MOTION, BEFORE = 0, 1, 2
+"""The axes of hypotheses, all in front of the batch: whether the measurement has an outlier in any block (2, no and
+yes), how the target moves (``R`` regimes, or ``K`` motions), whether the measurement before had one (2).  An axis along
+which nothing differs, or over which hypotheses have been merged, has size 1, so that all shapes broadcast."""
+
+
+@event_ranks(log_weight=0)
+class Hypotheses(NamedTuple):
+    """Beliefs of which one holds, with the logs of their weights, which need not sum to one."""
+
+    belief: Gaussian
+    """``mean (2, R, 2, ..., n)``; ``scale_tril`` any root."""
+    log_weight: Tensor
+    """``(2, R, 2, ...)``; minus infinity for a hypothesis that is ruled out, whose belief may be NaN."""
+
+    def shares(self, *axes: int) -> tuple[Tensor, Tensor]:
+        """Square roots of the probabilities along some axes given the others, and the log weights of those others.
+
+        Where no hypothesis has any weight all shares are 0.
+        """
+        roots, total = shared(_in_front(self.log_weight, axes).flatten(0, len(axes) - 1))
+        roots = torch.where(total == -torch.inf, 0.0, roots)
+        sizes = [self.log_weight.shape[axis] for axis in axes]
+        return roots.unflatten(0, sizes).movedim(tuple(range(len(axes))), axes), _kept(total, axes)
+
+    def merged(self, *axes: int, angles: Sequence[int] = ()) -> Hypotheses:
+        """The hypotheses along some axes as one with their moments.
+
+        Args:
+            axes: which; they have size 1 afterwards.
+            angles: components of a state that are angles, as in ``gaussian.moment_match``.
+        """
+        roots, total = self.shares(*axes)
+        return Hypotheses(merge(self.belief, roots, axes, angles), total)
+
+    def of(self, regimes: Sequence[int]) -> Hypotheses:
+        """Those of some regimes."""
+        chosen: Hypotheses = tree.map_tensors(lambda x: torch.stack([x[:, r] for r in regimes], MOTION), self)
+        return chosen
+
+
+def merge(belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence[int] = ()) -> Gaussian:
+    """Hypotheses along some axes as one with their moments, by square roots of their probabilities.
+
+    Args:
+        belief: ``(2, R, 2, ..., n)``, any root.
+        roots: ``(2, R, 2, ...)``.
+        axes: which; they have size 1 afterwards.
+        angles: components of a state that are angles, as in ``gaussian.moment_match``.
+    """
+    batch = broadcast_shapes(belief.mean.shape[:-1], belief.scale_tril.shape[:-2], roots.shape)
+    mean = belief.mean.expand(*batch, -1)
+    root = belief.scale_tril.expand(*batch, *belief.scale_tril.shape[-2:])
+    first = [_in_front(x, axes).flatten(0, len(axes) - 1) for x in (mean, root, roots.expand(batch))]
+    one = matched(Gaussian(*first[:2]), first[2], angles)
+    return Gaussian(*(_kept(x, axes) for x in one))
+
+
+def estimate(belief: Gaussian, roots: Tensor, motion: Motion) -> Gaussian:
+    """All hypotheses of a state together, ``(..., n)``, by square roots of their probabilities."""
+    one = merge(belief, roots, (OUTLIER, MOTION, BEFORE), motion.angles)
+    return canonical(motion, Gaussian(one.mean[0, 0, 0], one.scale_tril[0, 0, 0]))
+
+
+def carry(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) -> Carried:
+    """Beliefs with ``K`` motions on axis ``MOTION``, carried over a step, each by its own motion.
+
+    Process noise that is the same for several hypotheses has size 1 along their axes.
+
+    Args:
+        bank: the motions.
+        rule: carries a belief through them.
+        belief: ``(1, K, ..., n)``.
+        frame: for each motion.
+    """
+    ahead = propagate(bank, rule, models_last(belief), frame)
+    rank = belief.mean.dim() - 1
+
+    def back(event: int, x: Tensor) -> Tensor:
+        return x.reshape((1,) * (rank + event - x.dim()) + x.shape).movedim(-1 - event, MOTION)
+
+    carried: Carried = tree.map_ranked(back, ahead)
+    return carried
+
+
+def models_last(belief: Gaussian) -> Gaussian:
+    """Beliefs with motions on axis ``MOTION`` as a ``Bank`` wants them, ``(..., K, n)``."""
+    return Gaussian(belief.mean.movedim(MOTION, -2), belief.scale_tril.movedim(MOTION, -3))
+
+
+def from_state(belief: Gaussian, log_weight: Tensor, axes: tuple[int, int], count: int = 3) -> Hypotheses:
+    """What a state holds, ``(..., 2, K, n)`` and ``(..., 2, R)``, as hypotheses.
+
+    Args:
+        belief: without and with an outlier, for each motion.
+        log_weight: without and with an outlier, of each regime.
+        axes: where these two go.
+        count: how many axes hypotheses have.
+    """
+
+    def placed(event: int, x: Tensor) -> Tensor:
+        x = x.movedim((-2 - event, -1 - event), sorted(range(2), key=axes.__getitem__))  # in the order of their axes
+        return _kept(x, [axis for axis in range(count) if axis not in axes])
+
+    every: Hypotheses = tree.map_ranked(placed, Hypotheses(belief, log_weight))
+    return every
+
+
+def to_state(every: Hypotheses, axes: tuple[int, int], count: int = 3) -> Hypotheses:
+    """The reverse of ``from_state``; all other axes have size 1."""
+
+    def placed(event: int, x: Tensor) -> Tensor:
+        x = x.movedim(axes, (0, 1))
+        for _ in range(count - 2):
+            x = x.squeeze(2)
+        return x.movedim((0, 1), (x.dim() - 2 - event, x.dim() - 1 - event))
+
+    state: Hypotheses = tree.map_ranked(placed, every)
+    return state
+
+
+def _in_front(x: Tensor, axes: Sequence[int]) -> Tensor:
+    return x.movedim(tuple(axes), tuple(range(len(axes))))
+
+
+def _kept(x: Tensor, axes: Sequence[int]) -> Tensor:
+    """The axes that a sum has taken away, with size 1."""
+    for axis in sorted(axes):
+        x = x.unsqueeze(axis)
+    return x

@@ -1,0 +1,239 @@
+"""Outliers of a measurement: each block of elements from one device is as stated, or an outlier of some size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import reduce
+
+import torch
+from torch import Tensor, nn
+from torch.distributions import constraints
+from torch.nn.functional import pad
+
+from torchfra.filters.gpb.hypotheses import Hypotheses
+from torchfra.filters.gpb.regimes import in_front
+from torchfra.gaussian.mixture import matched, shared, without_failed
+from torchfra.hyper import Hyper, Values
+from torchfra.linalg.tracing import is_traced
+from torchfra.linalg.triangular import apply, hstack, tria
+from torchfra.sensors.base import Sensor
+from torchfra.types import Gaussian, Whitened
+
+
+class Outliers(nn.Module):
+    """Whether measurements are outliers: a Markov chain for each block of elements.
+
+    Args:
+        blocks: numbers of the elements of each block: those of a device fail together.
+        chain: ``(..., 2, 2)``, ``chain[i, j] = P(now j | was i)`` of clean and outlier, rows that sum to one.
+        sizes: ``(..., C)`` by which an outlier's measurement noise is multiplied, as a covariance.
+        shares: ``(..., C)`` of the outliers that have each size, which sum to one.
+        grows: whether the last size grows to the mean square error of a block, in units of its noise, where that is
+            larger: outliers of any size are then as likely as others of that kind.
+
+    Raises:
+        ValueError: shapes that do not go together, values out of their range or that do not sum to one.
+    """
+
+    def __init__(
+        self, blocks: Sequence[Sequence[int]], *, chain: Values, sizes: Values, shares: Values, grows: bool = True
+    ) -> None:
+        super().__init__()
+        self.grows = grows
+        chain, sizes, shares = (torch.as_tensor(x, dtype=torch.float64) for x in (chain, sizes, shares))
+        if chain.shape[-2:] != (2, 2):
+            raise ValueError(f"qualities: expected (2, 2), received {tuple(chain.shape)}")
+        if sizes.shape[-1:] != shares.shape[-1:]:
+            raise ValueError(f"shares: expected one for each of the sizes, received {tuple(shares.shape)}")
+        self.blocks = tuple(tuple(block) for block in blocks)
+        self.chain = Hyper(chain, constraints.simplex, event_dim=2, name="qualities")
+        self.sizes = Hyper(sizes, constraints.greater_than(1.0), event_dim=1, name="sizes")
+        self.shares = Hyper(shares, constraints.simplex, event_dim=1, name="shares")
+
+    def check(self, sensor: Sensor) -> None:
+        """Checks that the blocks are those of a sensor.
+
+        Raises:
+            ValueError: an element in no block or in several, or noise that is correlated between blocks.
+        """
+        if not all(self.blocks) or sorted(i for block in self.blocks for i in block) != list(range(sensor.size)):
+            raise ValueError(f"blocks: expected each of {sensor.size} elements once, received {self.blocks}")
+        self.check_noise("sensor", sensor.root)
+
+    def check_noise(self, name: str, root: Tensor | None) -> None:
+        """Checks that the noise of a root ``(..., m, m)`` of its covariance, if there is one, fits the blocks.
+
+        Raises:
+            ValueError: it is correlated between blocks.
+        """
+        if root is None or len(self.blocks) == 1 or is_traced(root):
+            return
+        covariance = root @ root.mT
+        std = covariance.diagonal(dim1=-2, dim2=-1).sqrt()
+        within = torch.zeros(covariance.shape[-2:], dtype=torch.bool, device=root.device)
+        for block in self.blocks:
+            within[torch.tensor(block).unsqueeze(-1), torch.tensor(block)] = True
+        correlated = covariance.abs() > 1e-6 * std.unsqueeze(-1) * std.unsqueeze(-2)
+        if bool((correlated & ~within).any()):
+            raise ValueError(f"{name}: expected noise that is independent between blocks, received a correlation")
+
+    def ahead(self, outlier: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
+        """What the outliers of a step say of those of the next; where nothing is measured in that, they stay.
+
+        Args:
+            outlier: ``(..., B)`` probability of each block that it was an outlier, if any was.
+            measured: ``(...)`` whether anything is measured in the next step.
+
+        Returns:
+            Logs ``(2, 1, 2, ...)`` of the probability that the next step has no outlier or some, after one without and
+            with some, and ``(1, 1, 2, ..., B)`` of each block that it is one if any is.
+        """
+        chain = self.chain(outlier)
+        begins, goes_on = chain[..., 0, 1].unsqueeze(-1), chain[..., 1, 1].unsqueeze(-1)
+        now = torch.stack([begins.expand_as(outlier), begins + outlier * (goes_on - begins)])[None, None]
+        none = torch.log1p(-now).sum(-1)
+        some = -torch.expm1(none)
+        share = torch.ones_like(now) if len(self.blocks) == 1 else now / some.unsqueeze(-1)
+        same = torch.eye(2, dtype=now.dtype, device=now.device).log().reshape(2, 1, 2, *[1] * measured.dim())
+        return torch.where(measured, torch.cat([none, some.log()]), same), share
+
+    def update(
+        self,
+        predicted: Hypotheses,
+        compare: Callable[[Gaussian], Whitened],
+        reads: int,
+        missing: Tensor,
+        before: tuple[Tensor, Tensor],
+    ) -> tuple[Hypotheses, Tensor]:
+        """The measurement taken as the sensor states it, and with outliers in some blocks.
+
+        Blocks are independent, so they are taken one after the other: what they cost adds up.  Each is taken with its
+        noise as stated and with that of outliers of all sizes, and these are merged at once, in the space of what is
+        measured: beliefs are kept in units of the root of the prediction, ``N(0, I)`` at first.
+
+        Args:
+            predicted: ``(1, R, 2, ...)``.
+            compare: the measurement against a belief ``(..., d)`` of what the sensor reads.
+            reads: ``d``, the leading components of a state that the sensor reads.
+            missing: ``(..., m)`` 1 where missing, 0 where measured.
+            before: from ``ahead``.
+
+        Returns:
+            ``(2, R, 2, ...)`` without and with outliers, and the probability ``(1, R, 2, ..., B)`` of each block that
+            it is one if any is.
+        """
+        log_mode, prior = before
+        mean, root = predicted.belief.mean[..., :reads], predicted.belief.scale_tril[..., :reads, :reads]
+        rank, eye = mean.dim() - 1, torch.eye(reads, dtype=root.dtype, device=root.device)
+        sizes, log_shares = in_front(self.sizes(mean), rank), in_front(self.shares(mean).log(), rank)
+        sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])  # of no outlier, and of outliers
+        belief, log_density, outliers = (
+            Gaussian(torch.zeros_like(mean), eye.expand_as(root)),
+            torch.zeros_like(mean[..., 0]),
+            [],
+        )
+        only = len(self.blocks) == 1
+        for b, block in enumerate(self.blocks):
+            share, gone = prior[..., b], missing[..., list(block)]
+            so_far = Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril) if b else Gaussian(mean, root)
+            rows, cross, left, residual = _in_space_of(_of_block(compare(so_far), block), belief)
+            told, log_told = sequential(rows[-1:], residual[-1:], self.adapted(sizes, residual[-1:], gone), gone)
+            none, log_none = _entry(told, 0), log_told[0]
+            if b:  # with and without outliers have the first block's prediction in common alone
+                first, log_first = sequential(rows[:1], residual[:1], sizes[:1], gone)
+                none, log_none = _entry(first, 0), log_first[0]
+            joint = torch.cat(
+                [(log_told[0] + torch.log1p(-share)).unsqueeze(0), log_told[1:] + share.log() + log_shares]
+            )
+            first_size = int(only)  # if some block is an outlier and there is no other, this one is
+            roots, log_some = shared(joint[first_size:])
+            some = matched(Gaussian(told.mean[first_size:], told.scale_tril[first_size:]), roots)
+            both = Gaussian(*(torch.cat(x) for x in zip(none, some, strict=True)))
+            spread = cross @ both.scale_tril
+            spread = spread if left is None else hstack(spread, left)
+            belief = Gaussian(belief.mean + apply(cross, both.mean), tria(spread))
+            log_density = log_density + torch.cat([log_none, log_some])
+            outliers.append(torch.ones_like(log_some) if only else roots[1:].square().sum(0))
+        log_weight = without_failed(log_mode + predicted.log_weight + log_density)
+        return Hypotheses(_lifted(predicted.belief, belief), log_weight), torch.stack(outliers, -1)
+
+    def adapted(self, sizes: Tensor, residual: Tensor, missing: Tensor) -> Tensor:
+        """Sizes ``(C, ...)`` of the noise, the last one as large as a residual ``(..., m)`` asks for, if it grows."""
+        if not self.grows:
+            return sizes
+        asked = residual.square().sum(-1) / (1 - missing).sum(-1).clamp_min(1.0)
+        last = torch.maximum(sizes[-1:], asked)
+        return torch.cat([sizes[:-1].expand(-1, *last.shape[1:]), last])
+
+
+def sequential(rows: Tensor, residual: Tensor, sizes: Tensor, missing: Tensor) -> tuple[Gaussian, Tensor]:
+    """A measurement's unknowns ``(C, ..., k)`` after it, any root, and its log density, for ``C`` sizes of its noise.
+
+    Elements are taken one after the other, as their noise is independent.
+
+    Args:
+        rows: ``(..., m, k)``: measured are these times the unknowns, which are ``N(0, I)`` before.
+        residual: ``(..., m)``.
+        sizes: ``(C, ...)`` of the noise's covariance, in units of what the sensor states.
+        missing: ``(..., m)`` 1 where missing, 0 where measured.
+
+    Source: Potter's square-root update, in Bierman (1977), chapter II.
+    """
+    rows = rows.movedim((-2, -1), (0, 1)).contiguous().unsqueeze(2)  # sums over short first dimensions are fast
+    m, k, rank = rows.shape[0], rows.shape[1], rows.dim() - 2
+    root = torch.eye(k, dtype=rows.dtype, device=rows.device).reshape(k, k, *(1,) * rank)
+    mean, noise, squares, stds = torch.zeros_like(rows[0]), sizes.sqrt(), torch.zeros_like(residual[..., 0]), []
+    for i in range(m):
+        follows = (root * rows[i].unsqueeze(1)).sum(0)
+        std = (follows.square().sum(0) + sizes).sqrt()
+        once = 1 / (std * (std + noise))
+        inverse = (std + noise) * once  # of std, by the same division
+        normalised = (residual[..., i] - (mean * rows[i]).sum(0)) * inverse
+        covariance = (root * follows).sum(1)
+        mean = mean + covariance * (normalised * inverse)
+        root = root - covariance.unsqueeze(1) * (follows * once)
+        squares = squares + normalised.square()
+        stds.append(torch.where(missing[..., i] > 0, 1.0, std))
+    # Two at a time: their product does not overflow where their squares do not.
+    log_density = -0.5 * squares
+    for i in range(0, m, 2):
+        log_density = log_density - reduce(torch.mul, stds[i : i + 2]).log()
+    return Gaussian(mean.movedim(0, -1), root.movedim((0, 1), (-2, -1))), log_density
+
+
+def _of_block(whitened: Whitened, block: Sequence[int]) -> Whitened:
+    """What some elements measure."""
+    residual, spread = whitened.residual, whitened.spread
+    if len(block) < residual.shape[-1]:
+        residual = torch.stack([residual[..., i] for i in block], -1)
+        spread = torch.stack([spread[..., i, :] for i in block], -2)
+    return whitened._replace(residual=residual, spread=spread)
+
+
+def _in_space_of(whitened: Whitened, belief: Gaussian) -> tuple[Tensor, Tensor, Tensor | None, Tensor]:
+    """What is measured, and the belief, by the same independent unknowns of variance 1.
+
+    Returns:
+        ``rows (..., m, k)``: measured, without its noise, are these times ``k`` unknowns; ``cross (..., d, k)`` by
+        which the belief follows those; a root ``(..., d, d)`` of what no measurement can tell of it, None for nothing;
+        and the residual ``(..., m)``.
+    """
+    residual, spread, _, _ = whitened
+    m, d = residual.shape[-1], belief.mean.shape[-1]
+    if spread.shape[-1] == d:  # the belief's own unknowns suffice
+        return spread, belief.scale_tril, None, residual
+    own = pad(belief.scale_tril, (spread.shape[-1] - d, 0))
+    lower = tria(torch.cat([spread, own], -2))
+    return lower[..., :m, :m], lower[..., m:, :m], lower[..., m:, m:], residual
+
+
+def _lifted(predicted: Gaussian, belief: Gaussian) -> Gaussian:
+    """Beliefs of states, any root, from those of the components that a sensor reads, in units of the predicted root."""
+    mean, root = predicted
+    gain = root[..., : belief.mean.shape[-1]]
+    own = gain @ belief.scale_tril
+    return Gaussian(mean + apply(gain, belief.mean), hstack(own, root[..., gain.shape[-1] :]))
+
+
+def _entry(belief: Gaussian, i: int) -> Gaussian:
+    return Gaussian(belief.mean[i], belief.scale_tril[i])
