@@ -18,6 +18,7 @@ from torchfra.filters.gpb.hypotheses import (
     MOTION,
     OUTLIER,
     Hypotheses,
+    batch_first,
     carry,
     estimate,
     from_state,
@@ -25,7 +26,7 @@ from torchfra.filters.gpb.hypotheses import (
     to_state,
 )
 from torchfra.filters.gpb.outliers import Outliers
-from torchfra.filters.gpb.regimes import Moves, Regimes
+from torchfra.filters.gpb.regimes import Moves, Regimes, in_front
 from torchfra.filters.gpb.slopes import by_points_or_slope, exactly
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, Step
 from torchfra.filters.interaction import for_each_model
@@ -35,11 +36,11 @@ from torchfra.filters.smoothing import BackwardStep, Told
 from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame, Measurements
-from torchfra.gaussian.mixture import matched, repeated, shared
+from torchfra.gaussian.mixture import matched
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import innovation
 from torchfra.hyper import Hyper, Value
-from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
+from torchfra.linalg.safe import safe_divide, safe_sqrt
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
@@ -147,47 +148,43 @@ class GPB(GaussianFilter[GPBState]):
 
     def begin(self, belief: Gaussian) -> GPBState:
         """The state of a belief: as it is, and widened, for every motion; what is known of parameters stays."""
-        mean, poor = belief.mean, self.poor(belief.mean)
-        prior = torch.stack([torch.log1p(-poor), poor.log()], -1).unsqueeze(-1)
-        log_weights = prior + self.regimes.restart(mean[..., 0].unsqueeze(0)).log().movedim(0, -1).unsqueeze(-2)
-        log_weights = log_weights.expand(*mean.shape[:-1], *log_weights.shape[-2:])
+        mean, root = belief
+        poor = self.poor(mean)
+        log_prior = in_front(torch.stack([torch.log1p(-poor), poor.log()], -1), mean.dim() + 1)
+        log_weight = log_prior + self.regimes.restart(mean[None, ..., 0]).log()[None, :, None]
         widened = torch.tensor([kind != "parameter" for kind in self.motion.kinds], device=mean.device)
-        factor = torch.where(widened, self.start(mean).sqrt().unsqueeze(-1), 1.0).unsqueeze(-1)
-        both = tree.stack([belief, belief._replace(scale_tril=factor * belief.scale_tril)], mean.dim() - 1)
+        factor = torch.where(widened, self.start(mean).sqrt()[..., None], 1.0)[..., None]
+        both = tree.stack([belief, Gaussian(mean, factor * root)], OUTLIER)
+        every = Hypotheses(
+            Gaussian(*(x[:, None, None].expand(2, len(self.bank), 1, *x.shape[1:]) for x in both)),
+            log_weight.expand(*log_weight.shape[:3], *mean.shape[:-1]),
+        )
         outlier = mean.new_zeros(*mean.shape[:-1], len(self.outliers.blocks))
-        return GPBState(belief, belief, repeated(both, len(self.bank)), log_weights, outlier)
+        return GPBState(belief, belief, *to_state(every, (OUTLIER, MOTION)), outlier)
 
     def advance(self, state: GPBState, frame: Frame, mix: Mix | None = None) -> tuple[GPBState, Record]:
         """One step; ``mix`` is not looked at, as this filter mixes itself."""
-        measured = frame.seen.sum(-1) > 0
+        regimes, angles, measured = self.regimes, self.motion.angles, frame.seen.sum(-1) > 0
         before = from_state(state.hypotheses, state.log_weights, (BEFORE, MOTION))
-        moves = self.regimes.moves(before.log_weight, frame.dt, measured)  # (1)
+        moves = regimes.moves(before.log_weight, frame.dt, measured)  # (1)
         mixed, mixing = self.mix(before.belief, moves)  # (2)
         predicted, nis = self.predict_regimes(mixed, moves.log_weight, frame)  # (3)
-        expected = self.compare(self.expected(predicted), frame)
-        updated, outlier = self.outliers.update(  # (4)
-            predicted, lambda x: self.compare(x, frame), self.sensor.reads, 1 - frame.seen,
-            self.outliers.ahead(state.outlier, measured),
-        )  # fmt: skip
-
-        share, log_mode = updated.shares(MOTION, BEFORE)  # (5)
-        of_mode, log_likelihood = shared(log_mode)  # NaN where every hypothesis has failed
-        weight = (share * of_mode).square()
-        after = self.regimes.merged(updated, self.motion.angles)  # (6)
-        log_regimes = log_mode + safe_log(share.square().sum(BEFORE, keepdim=True)) - log_likelihood
-        belief = estimate(after.belief, after.shares(MOTION)[0] * of_mode, self.motion)  # (7)
-        origin = mixing.smoothed(self.regimes.by_motion(weight.sum(OUTLIER, keepdim=True)))
+        updated, outlier = self.update(predicted, frame, self.outliers.ahead(state.outlier, measured))  # (4)
+        found = updated.posterior()  # (5)
+        after = regimes.merged(updated, angles)  # (6)
+        belief = estimate(after.belief, after.shares(MOTION)[0] * found.mode, self.motion)  # (7)
+        origin = mixing.smoothed(regimes.by_motion(found.probability.sum(OUTLIER, keepdim=True)))
         settled = estimate(before.belief, safe_sqrt(origin), self.motion)  # (8)
 
-        if_outlier = torch.where(
-            measured.unsqueeze(-1), (share[1].square().unsqueeze(-1) * outlier[0]).sum((0, 1)), state.outlier
-        )
-        probability = torch.where(measured, of_mode[1, 0, 0].square(), 0.0).unsqueeze(-1)
-        of_regimes = weight.sum((OUTLIER, BEFORE)).movedim(0, -1)
-        info = Step(tree.Late(settled), of_regimes, probability * if_outlier)
-        carried = (*to_state(Hypotheses(after.belief, log_regimes), (OUTLIER, MOTION)), if_outlier)
-        past = GPBPast(*carried, nis[0, 0].movedim(0, -1), measured.to(nis).expand(nis.shape[3:]))
-        record = Record(belief, expected.residual, *innovation(expected), info, log_likelihood[0, 0], past=past)
+        if_any = (found.share[1:].unsqueeze(-1) * outlier).sum((OUTLIER, MOTION, BEFORE))
+        if_any = torch.where(measured.unsqueeze(-1), if_any, state.outlier)
+        any_outlier = torch.where(measured, found.mode[1, 0, 0].square(), 0.0).unsqueeze(-1)
+        of_regimes = batch_first(found.probability.sum((OUTLIER, BEFORE), keepdim=True), MOTION)
+        carried = *to_state(Hypotheses(after.belief, found.log_regimes), (OUTLIER, MOTION)), if_any
+        expected = self.compare(self.expected(predicted), frame)
+        info = Step(tree.Late(settled), of_regimes, any_outlier * if_any)
+        past = GPBPast(*carried, batch_first(nis, BEFORE), measured.to(nis).expand(nis.shape[3:]))
+        record = Record(belief, expected.residual, *innovation(expected), info, found.log_likelihood, past=past)
         return GPBState(belief, settled, *carried), record
 
     def mix(self, before: Gaussian, moves: Moves) -> tuple[Gaussian, Mixing]:
@@ -218,6 +215,11 @@ class GPB(GaussianFilter[GPBState]):
         nis = torch.where(frame.dt == 0, 0.0, nis)  # over no time nothing jumps
         widened = regimes.widened(level, nis, self.motion.position)
         return Hypotheses(widened, regimes.rarer(log_weight, nis)), nis
+
+    def update(self, predicted: Hypotheses, frame: Frame, before: tuple[Tensor, Tensor]) -> tuple[Hypotheses, Tensor]:
+        """Hypotheses after the measurement: see ``Outliers.update``."""
+        d = self.sensor.reads
+        return self.outliers.update(predicted, lambda x: self.compare(x, frame), d, 1 - frame.seen, before)
 
     def expected(self, predicted: Hypotheses) -> Gaussian:
         """What the sensor reads of all predictions together, ``(..., d)``."""

@@ -14,6 +14,7 @@ from torchfra.gaussian.mixture import matched, shared
 from torchfra.gaussian.model import Carried, canonical, propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.linalg.batches import broadcast_shapes
+from torchfra.linalg.safe import safe_log
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.tree import event_ranks
@@ -23,6 +24,21 @@ OUTLIER, MOTION, BEFORE = 0, 1, 2
 """The axes of hypotheses, all in front of the batch: whether the measurement has an outlier in any block (2, no and
 yes), how the target moves (``R`` regimes, or ``K`` motions), whether the measurement before had one (2).  An axis along
 which nothing differs, or over which hypotheses have been merged, has size 1, so that all shapes broadcast."""
+
+
+class Posterior(NamedTuple):
+    """How likely hypotheses are, given the measurement."""
+
+    probability: Tensor
+    """``(2, R, 2, ...)``, which sum to one."""
+    share: Tensor
+    """``(2, R, 2, ...)`` the same, given whether the measurement has an outlier."""
+    mode: Tensor
+    """``(2, 1, 1, ...)`` square roots of the probabilities of no outlier and of some."""
+    log_regimes: Tensor
+    """``(2, R, 1, ...)`` logs of the probabilities of that and of the regime."""
+    log_likelihood: Tensor
+    """``(...)`` of the measurement."""
 
 
 @event_ranks(log_weight=0)
@@ -43,6 +59,13 @@ class Hypotheses(NamedTuple):
         roots = torch.where(total == -torch.inf, 0.0, roots)
         sizes = [self.log_weight.shape[axis] for axis in axes]
         return roots.unflatten(0, sizes).movedim(tuple(range(len(axes))), axes), _kept(total, axes)
+
+    def posterior(self) -> Posterior:
+        """How likely each is, if weights hold the likelihood of the measurement."""
+        share, log_mode = self.shares(MOTION, BEFORE)
+        mode, log_likelihood = shared(log_mode)  # NaN where every hypothesis has failed
+        log_regimes = log_mode + safe_log(share.square().sum(BEFORE, keepdim=True)) - log_likelihood
+        return Posterior((share * mode).square(), share.square(), mode, log_regimes, log_likelihood[0, 0])
 
     def merged(self, *axes: int, angles: Sequence[int] = ()) -> Hypotheses:
         """The hypotheses along some axes as one with their moments.
@@ -131,13 +154,24 @@ def to_state(every: Hypotheses, axes: tuple[int, int], count: int = 3) -> Hypoth
     """The reverse of ``from_state``; all other axes have size 1."""
 
     def placed(event: int, x: Tensor) -> Tensor:
-        x = x.movedim(axes, (0, 1))
-        for _ in range(count - 2):
-            x = x.squeeze(2)
-        return x.movedim((0, 1), (x.dim() - 2 - event, x.dim() - 1 - event))
+        return _behind(x, axes, count, event)
 
     state: Hypotheses = tree.map_ranked(placed, every)
     return state
+
+
+def batch_first(values: Tensor, axis: int, count: int = 3) -> Tensor:
+    """Numbers that differ along one of so many axes alone, ``(..., R)`` along ``MOTION`` or ``(..., 2)``."""
+    return _behind(values, (axis,), count, 0)
+
+
+def _behind(x: Tensor, axes: Sequence[int], count: int, event: int) -> Tensor:
+    """Some of the ``count`` axes behind the batch, in front of the event; all others have size 1 and go."""
+    x = _in_front(x, axes)
+    for _ in range(count - len(axes)):
+        x = x.squeeze(len(axes))
+    end = x.dim() - event
+    return x.movedim(tuple(range(len(axes))), tuple(range(end - len(axes), end)))
 
 
 def _in_front(x: Tensor, axes: Sequence[int]) -> Tensor:
