@@ -2,7 +2,7 @@
 
     python scripts/particles.py --runs 20 --particles 2000 --json out/particles.json
 
-Every particle is a history of regimes and qualities, and carries the Gaussian that belongs to it (Rao-Blackwell).  Each
+Every particle is a history of regimes and outliers, and carries the Gaussian that belongs to it (Rao-Blackwell).  Each
 step continues all of them in every way; the estimate is the mean over all continuations, of which so many are kept as
 there are particles: likely ones for sure, the others by chance, so that no weight is biased.  Nothing is merged; with
 many particles it is what the values of ``gpb`` imply, but for the cubature of a sensor that bends.
@@ -83,9 +83,9 @@ def particle_filter(f: GPB, z: Tensor, prior: Gaussian, u: Tensor | None, count:
 def first(f: GPB, prior: Gaussian, count: int, rng: torch.Generator) -> Particles:
     """Two for each regime: the prior as given, and widened."""
     mean, root = prior
-    log_renew, poor = f.regimes.restart(mean[:1]).log(), f.poor(mean)
+    log_renew, poor = f.regimes.restart_distribution(mean[:1]).log(), f.prior_outlier(mean)
     regimes = len(log_renew)
-    roots = torch.stack([root, f.start(mean).sqrt() * root]).repeat_interleave(regimes, 0)
+    roots = torch.stack([root, f.prior_inflation(mean).sqrt() * root]).repeat_interleave(regimes, 0)
     weights = (torch.stack([torch.log1p(-poor), poor.log()]).unsqueeze(-1) + log_renew).flatten()
     regime = torch.arange(regimes).repeat(2)
     return Particles(Gaussian(mean.expand(2 * regimes, -1), roots), regime, torch.zeros_like(regime).bool(), weights)
@@ -98,7 +98,7 @@ def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generat
     every, _ = f.predict_regimes(mixed, log_ahead(f, before, frame.dt, measured)[None, :, None], frame)
     predicted, log_regimes = Gaussian(*(x[0, :, 0] for x in every.belief)), every.log_weight[0, :, 0]
     whitened = f.compare(f.read(predicted), frame)  # of (R, N)
-    sizes = f.outliers.sizes(predicted.mean)
+    sizes = f.outliers.outlier_sizes(predicted.mean)
     sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])[:, None, None].expand(-1, *whitened.residual.shape[:-1])
     sizes = f.outliers.adapted(sizes, whitened.residual, 1 - frame.seen)  # (C, R, N)
     rooted = [innovation(down_weight(whitened, (1 / s).unsqueeze(-1).expand_as(whitened.residual))) for s in sizes]
@@ -123,9 +123,9 @@ def log_ahead(f: GPB, before: Particles, dt: Tensor, measured: Tensor) -> Tensor
 
 def log_outlier(f: GPB, before: Particles, measured: Tensor) -> Tensor:
     """Logs ``(C, N)`` of the odds of no outlier, and of one of each size; of none they stay."""
-    chain = f.outliers.chain(before.belief.mean[0])
+    chain = f.outliers.outlier_transition(before.belief.mean[0])
     log_chain = torch.where(measured, chain, torch.eye(2).to(chain)).log()[before.outlier.long()]  # (N, 2)
-    shares = f.outliers.shares(before.belief.mean[0]).log()
+    shares = f.outliers.outlier_shares(before.belief.mean[0]).log()
     return torch.cat([log_chain[:, :1], log_chain[:, 1:] + shares], -1).mT
 
 

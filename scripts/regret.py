@@ -8,13 +8,14 @@
 
 Cells: scenario 1 of the bearings experiments with the paper's start and with a good one, and scenario 2; recorded
 flights by bearings, position and radar; each with outliers none, covariance, std and bursts; simulated ranges with
-outliers; tracks drawn from the models that filters are told, with and without outliers, or with process or measurement
-noise that is stated several times off (stated-*); and recorded ranges, where folders of them are given.  Regret is the
-mean position RMSE divided by that of the best filter of the catalogue that is not compared, at its defaults, a bank of
-motions among them, minus 1.  There are
-two tables: of filtered estimates, and of settled ones, where every filter that waits for a measurement before it
-decides has its later estimate, and the others the only one they have.  The 95 % interval is of a bootstrap over the
-runs, which are the same for all filters; a run is lost above 2000 m, of ranges above 20 m.
+outliers; tracks drawn from the models that are stated to filters, with and without outliers, or with process or
+measurement noise that is stated several times off (stated-*); and recorded ranges, where folders of them are given.
+
+Regret is the mean position RMSE divided by that of the best filter of the catalogue that is not compared, at its
+defaults, a bank of motions among them, minus 1.  There are two tables: of filtered estimates, and of settled ones,
+where every filter that waits for a measurement before it decides has its later estimate, and the others the only one
+they have.  The 95 % interval is of a bootstrap over the runs, which are the same for all filters; a run is lost above
+2000 m, of ranges above 20 m.
 
 With --smooth no filter is compared with another: one table has the errors of each as it filters, 1 and 5 steps later,
 and smoothed, the change from the first to the last, and the NEES of positions per dimension, which is 1 where

@@ -75,7 +75,7 @@ def test_what_a_filter_begins_with_may_differ_between_tracks(make, tracks, scena
     poor = torch.linspace(0.1, 0.4, len(tracks.z), dtype=torch.float64)
     chances = torch.stack([poor, 1 - 2 * poor, poor], -1)
     bank = presets.imm_srckf(scenario.bank, scenario.sensor, initial=chances)
-    for f in (make("gpb", poor=poor, start=1 / poor), bank):
+    for f in (make("gpb", prior_outlier=poor, prior_inflation=1 / poor), bank):
         close(*both(f, tracks.z, tracks.prior, u=tracks.u))
 
 

@@ -30,20 +30,33 @@ SENSORS = {
     "ranges": Ranges(ANCHORS, 2.0),
 }
 VALUES = {
-    "levels": (0.1, 30.0), "qualities": ((0.95, 0.05), (0.6, 0.4)), "sizes": (9.0, 400.0, 1e6),
-    "shares": (0.6, 0.3, 0.1), "poor": 0.3, "start": 50.0, "stay": (0.9, 0.8, 0.7, 0.1), "jumps": (200.0,),
-    "renew": (0.5, 0.3, 0.15, 0.05),
-}  # fmt: skip
+    "noise_levels": (0.1, 30.0),
+    "outlier_transition": ((0.95, 0.05), (0.6, 0.4)),
+    "outlier_sizes": (9.0, 400.0, 1e6),
+    "outlier_shares": (0.6, 0.3, 0.1),
+    "prior_outlier": 0.3,
+    "prior_inflation": 50.0,
+    "self_transition": (0.9, 0.8, 0.7, 0.1),
+    "jump_factors": (200.0,),
+    "restart": (0.5, 0.3, 0.15, 0.05),
+}
 FEWER = {
-    "levels": (0.1, 10.0), "jumps": (), "stay": (0.95, 0.8, 0.5), "renew": (0.5, 0.4, 0.1),
-    "sizes": (100.0,), "shares": (1.0,), "grows": False,
+    "noise_levels": (0.1, 10.0), "jump_factors": (), "self_transition": (0.95, 0.8, 0.5), "restart": (0.5, 0.4, 0.1),
+    "outlier_sizes": (100.0,), "outlier_shares": (1.0,), "adaptive_largest_size": False,
 }  # fmt: skip
 """Regimes and outliers, for the compiler's time."""
 TINY = 1e-13
 ALMOST_NONE = {
-    "qualities": ((1 - TINY, TINY), (1 - TINY, TINY)), "sizes": (10.0,), "shares": (1.0,), "poor": TINY, "start": 10.0,
-    "levels": (1.0,), "jumps": (10.0,), "stay": (0.6, 0.8, TINY), "renew": (0.5, 0.5 - TINY, TINY),
-}  # fmt: skip
+    "outlier_transition": ((1 - TINY, TINY), (1 - TINY, TINY)),
+    "outlier_sizes": (10.0,),
+    "outlier_shares": (1.0,),
+    "prior_outlier": TINY,
+    "prior_inflation": 10.0,
+    "noise_levels": (1.0,),
+    "jump_factors": (10.0,),
+    "self_transition": (0.6, 0.8, TINY),
+    "restart": (0.5, 0.5 - TINY, TINY),
+}
 """Outliers, jumps and poor starts hardly ever happen."""
 
 
@@ -142,7 +155,10 @@ def test_probabilities_are_probabilities(seed, name, spread, outlier, jump):
     noise = torch.randn(2, STEPS, 1, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
     z = measured(name, seed=seed)
     z = z + spread * SENSORS[name].std() * noise * (noise > 1)
-    options = VALUES | {"renew": (0.5, 0.3, 0.2 - jump, jump), "qualities": ((1 - outlier, outlier), (0.6, 0.4))}
+    options = VALUES | {
+        "restart": (0.5, 0.3, 0.2 - jump, jump),
+        "outlier_transition": ((1 - outlier, outlier), (0.6, 0.4)),
+    }
     e = presets.gpb(MOTION, SENSORS[name], **options)(z, PRIOR)
     for of in (e.info.regimes, e.info.outlier):
         assert ((of >= 0) & (of <= 1 + 1e-12)).all()
@@ -177,7 +193,9 @@ def test_outliers_come_in_runs_where_the_chain_says_so():
     z = measured(outliers=False)
     z[:, 8:11] += 50
     once, runs = (
-        presets.gpb(MOTION, SENSORS["position"], **VALUES | {"qualities": ((0.95, 0.05), (1 - still, still))})(z, PRIOR)
+        presets.gpb(MOTION, SENSORS["position"], **VALUES | {"outlier_transition": ((0.95, 0.05), (1 - still, still))})(
+            z, PRIOR
+        )
         for still in (0.05, 0.8)
     )
     assert (runs.info.outlier[:, 9] > once.info.outlier[:, 9]).all()
@@ -226,9 +244,9 @@ def test_every_value_learns():
     f = presets.gpb(MOTION, SENSORS["position"], learn="all", **VALUES)
     paths = set(hypers(f))
     assert {p.removesuffix(".raw") for p, _ in f.named_parameters()} == paths
-    assert {path.rpartition(".")[2] for path in paths} == {"q", "std", "chain", *VALUES} - {"qualities"}
-    f = presets.gpb(MOTION, SENSORS["position"], learn=("poor", "stay"), **VALUES)
-    assert {p for p, _ in f.named_parameters()} == {"poor.raw", "regimes.stay.raw"}
+    assert {path.rpartition(".")[2] for path in paths} == {"q", "std", *VALUES}
+    f = presets.gpb(MOTION, SENSORS["position"], learn=("prior_outlier", "self_transition"), **VALUES)
+    assert {p for p, _ in f.named_parameters()} == {"prior_outlier.raw", "regimes.self_transition.raw"}
     assert not list(MOTION.parameters())
 
 

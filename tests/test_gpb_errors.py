@@ -12,9 +12,20 @@ from torchfra.sensors import Position, Ranges
 
 
 def test_the_parts_make_the_filter_that_the_preset_makes():
-    regimes = Regimes(1, levels=(0.1, 30.0), jumps=(200.0,), stay=VALUES["stay"], renew=VALUES["renew"])
-    outliers = Outliers([[0, 1]], chain=VALUES["qualities"], sizes=VALUES["sizes"], shares=VALUES["shares"])
-    f = GPB(MOTION, SENSORS["position"], regimes=regimes, outliers=outliers, poor=0.3, start=50.0)
+    regimes = Regimes(
+        1,
+        noise_levels=(0.1, 30.0),
+        jump_factors=(200.0,),
+        self_transition=VALUES["self_transition"],
+        restart=VALUES["restart"],
+    )
+    outliers = Outliers(
+        [[0, 1]],
+        outlier_transition=VALUES["outlier_transition"],
+        outlier_sizes=VALUES["outlier_sizes"],
+        outlier_shares=VALUES["outlier_shares"],
+    )
+    f = GPB(MOTION, SENSORS["position"], regimes=regimes, outliers=outliers, prior_outlier=0.3, prior_inflation=50.0)
     same(f(measured(), PRIOR), presets.gpb(MOTION, SENSORS["position"], **VALUES)(measured(), PRIOR))
 
 
@@ -24,23 +35,23 @@ def numbered(argument):
 
 
 @pytest.mark.parametrize(("options", "said"), [
-    ({"qualities": ((0.9, 0.2), (0.5, 0.5))}, "qualities: expected"),
-    ({"qualities": (0.9, 0.1)}, r"qualities: expected \(2, 2\), received \(2,\)"),
-    ({"shares": (0.6, 0.3, 0.2)}, "shares: expected"),
-    ({"shares": (0.6, 0.4)}, "shares: expected one for each of the sizes"),
-    ({"sizes": (0.9, 4.0, 100.0)}, "sizes: expected a value above 1"),
-    ({"levels": (-1.0, 10.0)}, "levels: expected"),
-    ({"levels": 3.0}, "levels: expected several, received 3"),
-    ({"jumps": 300.0}, "jumps: expected several, received 300"),
-    ({"jumps": (-1.0,)}, "jumps: expected a value above 0"),
-    ({"stay": (0.5, 0.5, 0.5, 1.5)}, r"stay: expected a value in \[0, 1\]"),
-    ({"stay": (0.5, 0.5, 0.5)}, r"stay: expected \(..., 4\), received \(3,\)"),
-    ({"stay": 0.9}, r"stay: expected \(..., 4\), received \(\)"),
-    ({"renew": (0.5, 0.3, 0.2)}, r"renew: expected \(..., 4\), received \(3,\)"),
-    ({"renew": (0.5, 0.3, 0.2, 0.1)}, "renew: expected"),
-    ({"renew": (0.5, 0.3, 0.3, -0.1)}, "renew: expected"),
-    ({"poor": 2.0}, r"poor: expected a value in \[0, 1\]"),
-    ({"start": 0.5}, "start: expected a value of 1 or more"),
+    ({"outlier_transition": ((0.9, 0.2), (0.5, 0.5))}, "outlier_transition: expected"),
+    ({"outlier_transition": (0.9, 0.1)}, r"outlier_transition: expected \(2, 2\), received \(2,\)"),
+    ({"outlier_shares": (0.6, 0.3, 0.2)}, "outlier_shares: expected"),
+    ({"outlier_shares": (0.6, 0.4)}, "outlier_shares: expected one for each of outlier_sizes"),
+    ({"outlier_sizes": (0.9, 4.0, 100.0)}, "outlier_sizes: expected a value above 1"),
+    ({"noise_levels": (-1.0, 10.0)}, "noise_levels: expected"),
+    ({"noise_levels": 3.0}, "noise_levels: expected several, received 3"),
+    ({"jump_factors": 300.0}, "jump_factors: expected several, received 300"),
+    ({"jump_factors": (-1.0,)}, "jump_factors: expected a value above 0"),
+    ({"self_transition": (0.5, 0.5, 0.5, 1.5)}, r"self_transition: expected a value in \[0, 1\]"),
+    ({"self_transition": (0.5, 0.5, 0.5)}, r"self_transition: expected \(..., 4\), received \(3,\)"),
+    ({"self_transition": 0.9}, r"self_transition: expected \(..., 4\), received \(\)"),
+    ({"restart": (0.5, 0.3, 0.2)}, r"restart: expected \(..., 4\), received \(3,\)"),
+    ({"restart": (0.5, 0.3, 0.2, 0.1)}, "restart: expected"),
+    ({"restart": (0.5, 0.3, 0.3, -0.1)}, "restart: expected"),
+    ({"prior_outlier": 2.0}, r"prior_outlier: expected a value in \[0, 1\]"),
+    ({"prior_inflation": 0.5}, "prior_inflation: expected a value of 1 or more"),
     ({"lag": 2}, "lag: expected 0 or 1 steps, received 2"),
     ({"rule": fifth_degree}, "rule: expected one without negative weights"),
     ({"rule": "ckf"}, "rule: expected torchfra.gaussian.third_degree or the like"),
@@ -77,8 +88,16 @@ def test_models_that_do_not_fit_are_named(motion, sensor, said):
 
 
 def test_regimes_of_other_motions_are_refused():
-    regimes = Regimes(2, levels=(0.1, 30.0), jumps=(200.0,), stay=VALUES["stay"], renew=VALUES["renew"])
-    outliers = Outliers([[0, 1]], chain=VALUES["qualities"], sizes=(9.0,), shares=(1.0,))
+    regimes = Regimes(
+        2,
+        noise_levels=(0.1, 30.0),
+        jump_factors=(200.0,),
+        self_transition=VALUES["self_transition"],
+        restart=VALUES["restart"],
+    )
+    outliers = Outliers(
+        [[0, 1]], outlier_transition=VALUES["outlier_transition"], outlier_sizes=(9.0,), outlier_shares=(1.0,)
+    )
     with pytest.raises(ValueError, match=r"regimes: expected those of 1 motions, received of 2"):
         GPB(MOTION, SENSORS["position"], regimes=regimes, outliers=outliers)
 

@@ -112,7 +112,7 @@ def test_other_motions_of_a_bank_may_begin_so_that_less_is_known_the_longer_a_ga
 
 
 def test_a_poor_start_is_not_forgotten_before_the_first_measurement():
-    f = presets.gpb(MOTIONS["one motion"], SENSOR, poor=0.3)
+    f = presets.gpb(MOTIONS["one motion"], SENSOR, prior_outlier=0.3)
     state, _ = f.step(f.init(start("one motion")), NOTHING)
     assert state.log_weights[..., 1, :].exp().sum(-1) == pytest.approx(0.3)
 

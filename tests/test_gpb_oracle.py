@@ -22,9 +22,12 @@ from torchfra.types import Gaussian
 
 STEPS = 14
 VALUES = {
-    "qualities": ((0.9, 0.1), (0.6, 0.4)), "sizes": (9.0, 400.0, 1e6), "shares": (0.6, 0.3, 0.1), "poor": 0.3,
-    "start": 50.0,
-}  # fmt: skip
+    "outlier_transition": ((0.9, 0.1), (0.6, 0.4)),
+    "outlier_sizes": (9.0, 400.0, 1e6),
+    "outlier_shares": (0.6, 0.3, 0.1),
+    "prior_outlier": 0.3,
+    "prior_inflation": 50.0,
+}
 """None of them a default, so that the tests hold whatever those are."""
 
 
@@ -104,8 +107,10 @@ def carried(motion, dt, u=None):
 
 
 def expected(case, motions, regimes, prior=PRIOR):
-    qualities = oracle.Qualities(case.blocks, np.array(VALUES["qualities"]), VALUES["sizes"], VALUES["shares"])
-    call = (VALUES["poor"], VALUES["start"])
+    qualities = oracle.Qualities(
+        case.blocks, np.array(VALUES["outlier_transition"]), VALUES["outlier_sizes"], VALUES["outlier_shares"]
+    )
+    call = (VALUES["prior_outlier"], VALUES["prior_inflation"])
     return oracle.gpb(
         case.z, prior.mean.numpy(), prior.covariance.numpy(), motions, case.model, regimes, qualities, *call
     )
@@ -113,7 +118,7 @@ def expected(case, motions, regimes, prior=PRIOR):
 
 def regimes(stay, renew, levels, jumps=(200.0,), motions=1):
     """Options of the preset, and regimes of the oracle: levels of the first motion, other motions, jumps."""
-    options = {"levels": levels, "jumps": jumps, "stay": stay, "renew": renew}
+    options = {"noise_levels": levels, "jump_factors": jumps, "self_transition": stay, "restart": renew}
     count, others = len(levels), motions - 1
     stay, renew = ([*x[:count], *[x[count]] * others, *x[count + 1 :]] for x in (stay, renew))
     renew[count : count + others] = [x / others for x in renew[count : count + others]]

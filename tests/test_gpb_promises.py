@@ -78,16 +78,16 @@ def test_time_steps_may_differ_per_step_and_per_track(name):
 
 def batches():
     """Two values of everything."""
-    even = {k: tensor([VALUES[k], 0.8 * VALUES[k]]) for k in ("poor", "start")}
+    even = {k: tensor([VALUES[k], 0.8 * VALUES[k]]) for k in ("prior_outlier", "prior_inflation")}
     vectors = {
         k: torch.stack([tensor(v), 0.9 * tensor(v)])
         for k, v in VALUES.items()
-        if k in ("levels", "sizes", "jumps", "stay")
+        if k in ("noise_levels", "outlier_sizes", "jump_factors", "self_transition")
     }
     simplexes = {
-        "qualities": tensor([VALUES["qualities"], ((0.9, 0.1), (0.5, 0.5))]),
-        "shares": tensor([VALUES["shares"], (0.2, 0.3, 0.5)]),
-        "renew": tensor([VALUES["renew"], (0.2, 0.2, 0.5, 0.1)]),
+        "outlier_transition": tensor([VALUES["outlier_transition"], ((0.9, 0.1), (0.5, 0.5))]),
+        "outlier_shares": tensor([VALUES["outlier_shares"], (0.2, 0.3, 0.5)]),
+        "restart": tensor([VALUES["restart"], (0.2, 0.2, 0.5, 0.1)]),
     }
     return even | vectors | simplexes
 
@@ -191,9 +191,12 @@ def test_a_state_may_be_a_single_number():
 
 
 NEVER = {
-    "no outliers": ({"qualities": ((1.0, 0.0), (1.0, 0.0))}, {"qualities": ((1 - 1e-15, 1e-15), (1 - 1e-15, 1e-15))}),
-    "no poor start": ({"poor": 0.0}, {"poor": 1e-15}),
-    "no other regime": ({"renew": (1.0, *[0.0] * 5)}, {"renew": (1 - 5e-15, *[1e-15] * 5)}),
+    "no outliers": (
+        {"outlier_transition": ((1.0, 0.0), (1.0, 0.0))},
+        {"outlier_transition": ((1 - 1e-15, 1e-15), (1 - 1e-15, 1e-15))},
+    ),
+    "no poor start": ({"prior_outlier": 0.0}, {"prior_outlier": 1e-15}),
+    "no other regime": ({"restart": (1.0, *[0.0] * 5)}, {"restart": (1 - 5e-15, *[1e-15] * 5)}),
 }
 """Probabilities of 0, and nearly so."""
 

@@ -218,7 +218,9 @@ def test_a_bank_covers_99_percent_of_the_steps(sensor):
 @pytest.mark.slow
 def test_a_bank_that_leaves_its_calm_more_easily_does():
     truth, stay = flight(), (0.98, 0.98, 0.925, 0.969, 0.99924, 0.00413)
-    e = presets.gpb(aircraft(), SENSORS["bearings"], stay=stay)(measured(SENSORS["bearings"], truth), start(truth))
+    e = presets.gpb(aircraft(), SENSORS["bearings"], self_transition=stay)(
+        measured(SENSORS["bearings"], truth), start(truth)
+    )
     assert (nees(e, truth) < BOUND).double().mean() > COVERED["one motion"]
 
 
@@ -271,9 +273,17 @@ def test_bursts_of_four_measurements_at_ten_sigma(sensor, motion):
 
 @pytest.mark.slow
 def test_covariances_are_honest_where_targets_do_what_it_believes():
-    known = {"levels": (1.0, 100.0), "stay": (0.94, 0.8, 0.5, 0.1), "renew": (5 / 9, 4 / 9 - 2e-9, 1e-9, 1e-9),
-             "qualities": ((0.97, 0.03), (0.4, 0.6)), "sizes": (100.0,), "shares": (1.0,), "grows": False, "poor": 1e-6,
-             "start": 1.0}  # fmt: skip
+    known = {
+        "noise_levels": (1.0, 100.0),
+        "self_transition": (0.94, 0.8, 0.5, 0.1),
+        "restart": (5 / 9, 4 / 9 - 2e-9, 1e-9, 1e-9),
+        "outlier_transition": ((0.97, 0.03), (0.4, 0.6)),
+        "outlier_sizes": (100.0,),
+        "outlier_shares": (1.0,),
+        "adaptive_largest_size": False,
+        "prior_outlier": 1e-6,
+        "prior_inflation": 1.0,
+    }
     scenario = regimes()
     tracks = scenario.simulate(runs=200, seed=4242)
     e = presets.gpb(scenario.motion, scenario.sensor, **known)(tracks.z, tracks.prior)

@@ -256,11 +256,12 @@ def test_values_of_other_tracks_are_named(shape, fits):
             g.step(g.init(prior), z[:, 0])
 
 
-@pytest.mark.parametrize("value", ["poor", "start"])
+@pytest.mark.parametrize("value", ["prior_outlier", "prior_inflation"])
 def test_a_grid_of_values_is_a_grid_of_tracks_whichever_value_it_is(value):
-    values = {"poor": torch.tensor([[0.1], [0.2], [0.3]]), "start": torch.tensor([[10.0], [100.0], [300.0]])}[
-        value
-    ].double()
+    values = {
+        "prior_outlier": torch.tensor([[0.1], [0.2], [0.3]]),
+        "prior_inflation": torch.tensor([[10.0], [100.0], [300.0]]),
+    }[value].double()
     z = torch.randn(2, 4, 2, generator=torch.Generator().manual_seed(0)).double()
     prior = Gaussian(torch.zeros(2, 4).double(), torch.eye(4).double())
     whole = presets.gpb(ConstantVelocity(1.0), Position(2.0), **{value: values})(z, prior).mean

@@ -23,9 +23,16 @@ STD, STEPS, VOLUME = 2.0, 12, 400.0
 TURN = CoordinatedTurn(0.3, 0.5)
 PAIR = Bank([ConstantVelocity(0.05), TURN])
 GPB = {
-    "levels": (0.1, 30.0), "jumps": (200.0,), "stay": (0.9, 0.8, 0.7, 0.1), "renew": (0.5, 0.3, 0.15, 0.05),
-    "qualities": ((0.9, 0.1), (0.6, 0.4)), "sizes": (9.0, 400.0), "shares": (0.6, 0.4), "poor": 0.3, "start": 50.0,
-}  # fmt: skip
+    "noise_levels": (0.1, 30.0),
+    "jump_factors": (200.0,),
+    "self_transition": (0.9, 0.8, 0.7, 0.1),
+    "restart": (0.5, 0.3, 0.15, 0.05),
+    "outlier_transition": ((0.9, 0.1), (0.6, 0.4)),
+    "outlier_sizes": (9.0, 400.0),
+    "outlier_shares": (0.6, 0.4),
+    "prior_outlier": 0.3,
+    "prior_inflation": 50.0,
+}
 INNER = {
     "imm": (presets.imm_srckf, PAIR),
     "vsimm": (presets.vsimm_srckf, aircraft(4.0)),
@@ -120,14 +127,18 @@ def test_gpb_of_two_targets_is_that_of_plain_loops():
     )  # fmt: skip
     F, SQ = carried(motion)
     # One motion: its two levels, and the jump after the second of them.
-    stay, renew = (np.delete(GPB[name], 2) for name in ("stay", "renew"))
+    stay, renew = (np.delete(GPB[name], 2) for name in ("self_transition", "restart"))
     odds = renew / renew.sum()
     chain = regimes.renewing_chain(list(stay), list(odds))
-    r = regimes.Regimes([0, 0], list(GPB["levels"]), list(GPB["jumps"]), chain, np.eye(3), odds, 1)
-    q = regimes.Qualities([[0, 1]], np.array(GPB["qualities"]), list(GPB["sizes"]), list(GPB["shares"]))
+    r = regimes.Regimes([0, 0], list(GPB["noise_levels"]), list(GPB["jump_factors"]), chain, np.eye(3), odds, 1)
+    q = regimes.Qualities(
+        [[0, 1]], np.array(GPB["outlier_transition"]), list(GPB["outlier_sizes"]), list(GPB["outlier_shares"])
+    )
     model = oracles.Model(F, SQ, STD * np.eye(2), lambda x, k: x[:2], np.zeros(2))
     targets = [
-        joint_models.regimes(mean, P, [regimes.carried(F, SQ)], model, r, q, GPB["poor"], GPB["start"])
+        joint_models.regimes(
+            mean, P, [regimes.carried(F, SQ)], model, r, q, GPB["prior_outlier"], GPB["prior_inflation"]
+        )
         for mean, P in zip(prior.mean.numpy(), prior.covariance.numpy(), strict=True)
     ]
     truth = joint_models.follow(z.numpy(), targets, PD=0.9, density=2.0 / VOLUME, gate=15.0, diffuse=False)
@@ -214,7 +225,7 @@ def test_a_filter_runs_on_the_measurements_in_gates_alone(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "learn"), [
-    ("imm", ("transition", "detection", "q")), ("gpb", ("stay", "detection", "probability")),
+    ("imm", ("transition", "detection", "q")), ("gpb", ("self_transition", "detection", "probability")),
 ])  # fmt: skip
 def test_gradients_are_those_of_finite_differences(name, learn):
     f = around(name, learn=learn, temperature=0.1)
@@ -231,7 +242,7 @@ def test_values_may_differ_between_targets():
     z, prior = crowd(), start("imm", (0.0, 0.0), (0.0, 5e4))
     for name, options, values in (
         ("imm", {"initial": tensor([[0.9, 0.1], [0.2, 0.8]])}, "initial"),
-        ("gpb", {"poor": tensor([0.1, 0.6])}, "poor"),
+        ("gpb", {"prior_outlier": tensor([0.1, 0.6])}, "prior_outlier"),
     ):
         inner, motion = INNER[name]
         build = partial(presets.jpda, motion, Position(STD), clutter=Clutter(VOLUME, rate=1.0), detection=0.9)

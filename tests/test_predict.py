@@ -77,7 +77,7 @@ def test_another_sensor_sees_the_same_state(name):
 
 
 def test_gradients_flow_through_it_and_angles_stay_near_the_mean():
-    f = made("gpb", learn=("levels",))
+    f = made("gpb", learn=("noise_levels",))
     south = Gaussian(torch.tensor([0.0, -50.0, 0.0, 0.0], **F64), torch.eye(4, **F64))
     ahead = f.predict(f.init(south), 1.0, sensor=RADAR)
     close(ahead.measurement.mean[1].abs(), torch.tensor(torch.pi, **F64), 0.1)

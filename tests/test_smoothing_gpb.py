@@ -24,9 +24,19 @@ ROOT = torch.tensor([5.0, 5.0, 3.0, 3.0]).double().diag()
 def few():
     """Two levels, one size of outliers, no jumps, no poor start: of few steps all histories can be told."""
     return presets.gpb(
-        ConstantVelocity(1.0), Position(STD), levels=LEVELS, jumps=torch.zeros(0), grows=False, stay=STAY, renew=RENEW,
-        qualities=CHAIN, sizes=(SIZE,), shares=(1.0,), poor=1e-12, start=1.0,
-    )  # fmt: skip
+        ConstantVelocity(1.0),
+        Position(STD),
+        noise_levels=LEVELS,
+        jump_factors=torch.zeros(0),
+        adaptive_largest_size=False,
+        self_transition=STAY,
+        restart=RENEW,
+        outlier_transition=CHAIN,
+        outlier_sizes=(SIZE,),
+        outlier_shares=(1.0,),
+        prior_outlier=1e-12,
+        prior_inflation=1.0,
+    )
 
 
 def chains():
@@ -86,9 +96,18 @@ def test_hypotheses_that_are_all_alike_are_one(motions):
     one, z = ConstantVelocity(1.0), simulated(runs=4, steps=12)
     z[0, 3], z[1, -1] = nan, nan
     f = presets.gpb(
-        [ConstantVelocity(1.0) for _ in range(motions)], Position(STD), levels=(1.0, 1.0), jumps=(1e-9,), grows=False,
-        sizes=(1.0 + 1e-12,), shares=(1.0,), stay=(0.9, 0.5, 0.8, 0.1), renew=(0.4, 0.3, 0.2, 0.1), poor=0.1, start=1.0,
-    )  # fmt: skip
+        [ConstantVelocity(1.0) for _ in range(motions)],
+        Position(STD),
+        noise_levels=(1.0, 1.0),
+        jump_factors=(1e-9,),
+        adaptive_largest_size=False,
+        outlier_sizes=(1.0 + 1e-12,),
+        outlier_shares=(1.0,),
+        self_transition=(0.9, 0.5, 0.8, 0.1),
+        restart=(0.4, 0.3, 0.2, 0.1),
+        prior_outlier=0.1,
+        prior_inflation=1.0,
+    )
     prior = Gaussian(START, ROOT)
     smoothed, alone = f.smooth(z, prior), SRCKF(one, Position(STD)).smooth(z, prior)
     torch.testing.assert_close(smoothed.mean, alone.mean, rtol=0, atol=1e-4)
@@ -135,15 +154,15 @@ def test_a_compiled_filter_of_one_motion_smooths_as_one_that_is_not():
 def test_values_may_differ_by_track():
     jumps, z = torch.tensor([[[10.0]], [[1000.0]]]).double(), FILTERS["bank"]()[1]
     make = partial(presets.gpb, ConstantAcceleration(0.1), Position(STD))
-    together = make(jumps=jumps).smooth(z, Gaussian(PRIOR.mean.expand(2, 3, 6), PRIOR.scale_tril))
+    together = make(jump_factors=jumps).smooth(z, Gaussian(PRIOR.mean.expand(2, 3, 6), PRIOR.scale_tril))
     assert together.mean.shape == (2, 3, STEPS, 6)
     for i, values in enumerate(jumps[:, 0]):
-        alone = make(jumps=values).smooth(z, PRIOR)
+        alone = make(jump_factors=values).smooth(z, PRIOR)
         torch.testing.assert_close(together.mean[i], alone.mean, rtol=1e-7, atol=1e-7)
 
 
 def test_gradients_are_exact():
-    f = presets.gpb(ConstantAcceleration(0.1), Position(STD), learn=("levels", "stay"))
+    f = presets.gpb(ConstantAcceleration(0.1), Position(STD), learn=("noise_levels", "self_transition"))
     z = FILTERS["bank"]()[1][:1, :4]
 
     def smooth(z, mean):

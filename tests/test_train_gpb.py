@@ -51,9 +51,9 @@ def test_filters_of_a_motion_and_of_a_bank_have_the_same_values(training):
     motion, bank = training.filters
     assert len(motion.bank) == 1 < len(bank.bank)
     for f in (motion, bank):
-        assert f.poor is training.filter["poor"]
-        assert f.regimes.stay is training.filter["stay"]
-        assert f.outliers.chain is training.filter["qualities"]
+        assert f.prior_outlier is training.filter["prior_outlier"]
+        assert f.regimes.self_transition is training.filter["self_transition"]
+        assert f.outliers.outlier_transition is training.filter["outlier_transition"]
         assert sum(p is q for p in f.parameters() for q in training.parameters.values()) == len(training.config.start)
 
 
@@ -75,11 +75,14 @@ def test_tasks_with_other_places_of_the_sensor_have_another_filter():
 @pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_only_what_is_named_learns():
-    training = Regrets(settings("learn=stay,poor", "rivals=srckf"))
-    assert sorted(training.parameters) == ["poor.raw", "stay.raw"]
+    training = Regrets(settings("learn=self_transition,prior_outlier", "rivals=srckf"))
+    assert sorted(training.parameters) == ["prior_outlier.raw", "self_transition.raw"]
     before = training.preset()
     training.generation()
-    assert {name for name, value in training.preset().items() if value != before[name]} == {"stay", "poor"}
+    assert {name for name, value in training.preset().items() if value != before[name]} == {
+        "self_transition",
+        "prior_outlier",
+    }
 
 
 # ---------------------------------------------------------------- the loss
@@ -167,8 +170,8 @@ def test_what_was_learned_goes_into_the_preset(run):
     learned = result["values"]["learned"]
     for models in (scenario.motion, scenario.bank):
         f = presets.gpb(models, scenario.sensor, **result["preset"])
-        assert f.poor().item() == pytest.approx(learned["poor"])
-        assert f.outliers.sizes()[1].item() == pytest.approx(learned["sizes[1]"])
+        assert f.prior_outlier().item() == pytest.approx(learned["prior_outlier"])
+        assert f.outliers.outlier_sizes()[1].item() == pytest.approx(learned["outlier_sizes[1]"])
     assert learned.keys() == result["values"]["start"].keys()
 
 
@@ -182,7 +185,7 @@ def test_a_run_tells_each_tasks_best_rival_and_errors_before_and_after(run):
             for of in task[when].values():
                 assert of["regret"] == pytest.approx(of["rmse_position"] / best - 1)
     text = tune.report_text(result)
-    assert "levels = (" in text
+    assert "noise_levels = (" in text
     assert "best rival" in text
 
 
@@ -239,10 +242,10 @@ def test_several_processes_are_refused_as_the_loss_is_of_all_runs_together(monke
 
 def test_simulated_levels_and_outliers_come_as_often_as_their_chains_say():
     model = {
-        "levels": (0.1, 100.0),
-        "stay": (0.94, 0.8),
-        "renew": (0.5, 0.5),
-        "qualities": ((0.9, 0.1), (0.4, 0.6)),
+        "noise_levels": (0.1, 100.0),
+        "self_transition": (0.94, 0.8),
+        "restart": (0.5, 0.5),
+        "outlier_transition": ((0.9, 0.1), (0.4, 0.6)),
         "size": 1e6,
     }
     tracks = regimes(**model).simulate(512, 3)
@@ -260,8 +263,13 @@ def test_levels_chains_and_sizes_a_factor_three_off_are_found_again(tmp_path, mo
     fewer = ["batch=24", "iterations=350", "lr=0.4", "validate_every=350"]
     values = tune.tune(configured("recover_gpb", fewer), tmp_path, quiet=True)["values"]
     learned, known = values["learned"], values["known"]
-    for path in ("regimes.levels[1]", "qualities.sizes[0]", "qualities.chain[0,1]", "qualities.chain[1,0]"):
+    for path in (
+        "regimes.noise_levels[1]",
+        "outliers.outlier_sizes[0]",
+        "outliers.outlier_transition[0,1]",
+        "outliers.outlier_transition[1,0]",
+    ):
         assert abs(values["start"][path] / known[path] - 1) > 0.6, path
         assert learned[path] == pytest.approx(known[path], rel=0.15), path
-    for path in ("regimes.stay[0]", "regimes.stay[1]"):
+    for path in ("regimes.self_transition[0]", "regimes.self_transition[1]"):
         assert 1 - learned[path] == pytest.approx(1 - known[path], rel=0.15), path

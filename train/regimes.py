@@ -19,31 +19,31 @@ _ROOT = torch.tensor([1.0, 1.0, 1.0, 1.0, 0.1, 0.1], dtype=torch.float64).diag()
 
 
 def regimes(
-    levels: Sequence[float] = (1.0, 100.0),
-    stay: Sequence[float] = (0.94, 0.8),
-    renew: Sequence[float] = (5 / 9, 4 / 9),
-    qualities: Sequence[Sequence[float]] = ((0.97, 0.03), (0.4, 0.6)),
+    noise_levels: Sequence[float] = (1.0, 100.0),
+    self_transition: Sequence[float] = (0.94, 0.8),
+    restart: Sequence[float] = (5 / 9, 4 / 9),
+    outlier_transition: Sequence[Sequence[float]] = ((0.97, 0.03), (0.4, 0.6)),
     size: float = 100.0,
 ) -> Scenario:
     """Positions with errors of 1 m, every second for 200 s.
 
     Args:
-        levels: factors on the variance of the process noise, whose acceleration changes by 0.1 m/s^2 per step.
-        stay: self-transition probabilities of these; the first step has the first level.
-        renew: odds of the level after one that does not stay.
-        qualities: ``(2, 2)`` of clean and outlier; the first measurement is clean.
+        noise_levels: factors on the variance of the process noise, whose acceleration changes by 0.1 m/s^2 per step.
+        self_transition: self-transition probabilities of these; the first step has the first level.
+        restart: odds of the level after one that does not stay.
+        outlier_transition: ``(2, 2)`` of clean and outlier; the first measurement is clean.
         size: factor on the covariance of an outlier's noise.
     """
-    chain = np.diag(stay) + (1 - np.asarray(stay))[:, None] * np.asarray(renew)
+    chain = np.diag(self_transition) + (1 - np.asarray(self_transition))[:, None] * np.asarray(restart)
     motion, sensor, dt = ConstantAcceleration(Q), Position(STD), torch.tensor(DT, dtype=torch.float64)
     step, root = motion.transition(dt), motion.process_noise(dt)
-    scales = torch.tensor(levels, dtype=torch.float64).sqrt()
+    scales = torch.tensor(noise_levels, dtype=torch.float64).sqrt()
 
     def block(rng: np.random.Generator, numbers: Tensor) -> Tracks:
         start, noise = (torch.from_numpy(rng.standard_normal(shape)) for shape in ((BLOCK, 6), (BLOCK, STEPS, 2)))
         push = torch.from_numpy(rng.standard_normal((STEPS, BLOCK, root.shape[-1])))
         push = push * scales[_states(rng, chain)].mT.unsqueeze(-1)
-        outlier = _states(rng, qualities).unsqueeze(-1)
+        outlier = _states(rng, outlier_transition).unsqueeze(-1)
         state, path = start @ _ROOT, []
         for shock in push:
             state = state @ step.mT + shock @ root.mT
@@ -52,7 +52,13 @@ def regimes(
         z = truth[..., :2] + STD * noise * torch.where(outlier > 0, size**0.5, 1.0)
         return Tracks(truth, z, None, Gaussian(torch.zeros_like(start), _ROOT))
 
-    settings: dict[str, object] = {"levels": levels, "stay": stay, "renew": renew, "qualities": qualities, "size": size}
+    settings: dict[str, object] = {
+        "noise_levels": noise_levels,
+        "self_transition": self_transition,
+        "restart": restart,
+        "outlier_transition": outlier_transition,
+        "size": size,
+    }
     return Scenario("regimes", motion, sensor, Gaussian(torch.zeros_like(_ROOT[0]), _ROOT), DT, STEPS, block, settings)
 
 

@@ -28,8 +28,6 @@ POWER = 6
 """Of the ratios in the loss: a task far behind its best rival counts for more than what others are ahead."""
 AHEAD, BEHIND = 0.7, 12.0
 """Ratios beyond which nothing is gained or lost: in a task that is far ahead there is no need to get further."""
-PATHS = {"qualities": "qualities.chain", "stay": "regimes.stay"}
-"""Where a filter has the value of an argument of its preset, if it is not called the same."""
 
 
 class Regrets(Training):
@@ -82,7 +80,7 @@ class Regrets(Training):
         config = self.config
         f = scenario_filter(config.filter, copy.deepcopy(scenario), **config.options | config.start)
         for name in config.start:
-            ((path, hyper),) = named(f, (PATHS.get(name, name),)).items()
+            ((path, hyper),) = named(f, (name,)).items()
             if name not in values:
                 values[name] = hyper
                 if config.learn == ("all",) or name in config.learn:

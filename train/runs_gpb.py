@@ -45,9 +45,10 @@ def gpb() -> Config:
         tasks=(*tasks, *single, *unseen),
         learn=("all",),
         start={
-            "levels": [0.1, 1.0, 10.0, 100.0], "jumps": [3.7], "stay": [0.97, 0.97, 0.9, 0.8, 0.99, 0.1],
-            "renew": [0.3, 0.2, 0.15, 0.1, 0.249999, 1e-6], "qualities": [[0.98, 0.02], [0.7, 0.3]],
-            "sizes": [10.0, 100.0, 1600.0, 3e4], "shares": [0.5, 0.35, 0.149, 0.001], "poor": 0.25, "start": 340.0,
+            "noise_levels": [0.1, 1.0, 10.0, 100.0], "jump_factors": [3.7],
+            "self_transition": [0.97, 0.97, 0.9, 0.8, 0.99, 0.1], "restart": [0.3, 0.2, 0.15, 0.1, 0.249999, 1e-6],
+            "outlier_transition": [[0.98, 0.02], [0.7, 0.3]], "outlier_sizes": [10.0, 100.0, 1600.0, 3e4],
+            "outlier_shares": [0.5, 0.35, 0.149, 0.001], "prior_outlier": 0.25, "prior_inflation": 340.0,
         },
         batch=32,
         iterations=60,
@@ -86,28 +87,32 @@ def recover_gpb() -> Config:
     The likelihood of the measurements would tell sizes and the chain of outliers too, but not the levels and how long
     they stay: the filter merges the levels of a motion in each step, and a larger agile level makes up for that.
     """
-    known = {"levels": [1.0, 100.0], "regimes.stay": [0.94, 0.8, 0.5], "qualities.chain": [[0.97, 0.03], [0.4, 0.6]],
-             "sizes": [100.0]}  # fmt: skip
+    known = {
+        "noise_levels": [1.0, 100.0],
+        "regimes.self_transition": [0.94, 0.8, 0.5],
+        "outliers.outlier_transition": [[0.97, 0.03], [0.4, 0.6]],
+        "outlier_sizes": [100.0],
+    }
     return Config(
         name="recover_gpb",
         tasks=(Task("regimes"),),
         learn=tuple(known),
         filter="gpb",
         options={
-            "levels": [1.0, 100.0],
-            "jumps": [],
-            "grows": False,
-            "sizes": [100.0],
-            "shares": [1.0],
-            "renew": [0.5, 0.4, 0.1],
-            "stay": [0.94, 0.8, 0.5],
+            "noise_levels": [1.0, 100.0],
+            "jump_factors": [],
+            "adaptive_largest_size": False,
+            "outlier_sizes": [100.0],
+            "outlier_shares": [1.0],
+            "restart": [0.5, 0.4, 0.1],
+            "self_transition": [0.94, 0.8, 0.5],
         },
         teacher=known,
         start={
-            "levels": [3.0, 33.3],
-            "regimes.stay": [0.82, 0.4, 0.5],
-            "qualities.chain": [[0.91, 0.09], [0.8, 0.2]],
-            "sizes": [33.3],
+            "noise_levels": [3.0, 33.3],
+            "regimes.self_transition": [0.82, 0.4, 0.5],
+            "outliers.outlier_transition": [[0.91, 0.09], [0.8, 0.2]],
+            "outlier_sizes": [33.3],
         },
         loss="teacher",
         scale=1.0,

@@ -71,7 +71,7 @@ def chosen_cells(cells: dict[str, Cell], patterns: Sequence[str]) -> dict[str, C
 def as_stated() -> dict[str, dict[str, Any]]:
     """Options of cells whose truth is drawn from models, by name: models, manoeuvring index, outliers, what is off.
 
-    First where the models hold; then with outliers; then where filters are told another ``q`` or ``std``.  Steps take
+    First where the models hold; then with outliers; then where another ``q`` or ``std`` is stated.  Steps take
     0.1, 1 and 10 s in turns, which changes nothing for filters whose chains count steps.
     """
     motions, sensors = ("velocity", "acceleration", "turn", "bank"), ("bearings", "radar", "ranges")

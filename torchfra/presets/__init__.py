@@ -11,8 +11,8 @@ filter they are, or ``"all"``.  ``torchfra.hyper.summary(f)`` prints the names t
 - of the fading factors: ``weakening``, ``forgetting``, ``fading_max``, ``share``;
 - of the estimated measurement noise: ``forgetting``, ``confidence``;
 - of the feedback decision: ``gate``, ``preference``, ``plain``;
-- of ``gpb``: ``levels``, ``jumps``, ``stay``, ``renew``, ``chain`` (of the qualities), ``sizes``, ``shares``, ``poor``,
-  ``start``;
+- of ``gpb``: ``noise_levels``, ``jump_factors``, ``self_transition``, ``restart``, ``outlier_transition``,
+  ``outlier_sizes``, ``outlier_shares``, ``prior_outlier``, ``prior_inflation``;
 - of interacting models: ``stay``, one number, or ``transition``, whole rows, if it is given or named; ``initial``;
 - of those that change their set: ``transition``, ``unlikely``, ``principal``;
 - of association: ``detection``, ``gate.size``, ``probability``, ``volume``, ``rate``;

@@ -1,4 +1,4 @@
-"""The filter over regimes of the motion and qualities of the measurement."""
+"""The filter over regimes of the motion and outliers of the measurement."""
 
 from __future__ import annotations
 
@@ -18,33 +18,44 @@ from torchfra.sensors.base import Sensor
 
 @with_values
 def gpb(
-    motion: Motion | Sequence[Motion], sensor: Sensor, *, levels: Values = (0.00631, 1.0, 7.29, 37.0),
-    jumps: Values = (5.0,), stay: Values = (0.9986, 0.99949, 0.925, 0.969, 0.99924, 0.00413),
-    renew: Values = (0.0447, 0.323, 0.032, 0.00728, 0.59301877, 1.23e-06),
-    qualities: Values = ((0.99839, 0.00161), (0.958, 0.042)), sizes: Values = (7.17, 61.3, 3390.0, 83600.0),
-    shares: Values = (0.895585, 0.103, 0.000984, 0.000431), poor: Value = 0.0078, start: Value = 140.0,
-    grows: bool = True, lag: int = 0, rule: Callable[[int], Rule] = third_degree, values: str | None = None,
+    motion: Motion | Sequence[Motion],
+    sensor: Sensor,
+    *,
+    noise_levels: Values = (0.00631, 1.0, 7.29, 37.0),
+    jump_factors: Values = (5.0,),
+    self_transition: Values = (0.9986, 0.99949, 0.925, 0.969, 0.99924, 0.00413),
+    restart: Values = (0.0447, 0.323, 0.032, 0.00728, 0.59301877, 1.23e-06),
+    outlier_transition: Values = ((0.99839, 0.00161), (0.958, 0.042)),
+    outlier_sizes: Values = (7.17, 61.3, 3390.0, 83600.0),
+    outlier_shares: Values = (0.895585, 0.103, 0.000984, 0.000431),
+    prior_outlier: Value = 0.0078,
+    prior_inflation: Value = 140.0,
+    adaptive_largest_size: bool = True,
+    lag: int = 0,
+    rule: Callable[[int], Rule] = third_degree,
+    values: str | None = None,
     learn: Collection[str] = (),
-) -> GPB:  # fmt: skip
-    """The filter to reach for first: outliers, manoeuvres, jumps and a poor start as hypotheses of every step.
+) -> GPB:
+    """The filter to reach for first: outliers, manoeuvres, jumps and a poor prior as hypotheses of every step.
 
     Args:
         motion: how targets move; its regimes are its levels of process noise and a jump.  Of several motions of one
             state, or a ``Bank``, the first has these regimes, and each of the others is one more.
         sensor: what is measured; outliers come per block of its elements (``Sensor.blocks``).
-        levels: factors on the variance of the (first) motion's process noise, ascending: of calm, of the motion as it
-            is stated (1), and of agile ones.  Calm and agile are for motions that do not hold.
-        jumps: factors on the covariance of the position after a jump, per unit of the normalised innovation squared per
-            element.
-        stay: self-transition probabilities of the regimes: of each level, any other motion, each jump.
-        renew: odds of the regime that follows one that does not stay, in the same order; they sum to one, and other
+        noise_levels: factors on the variance of the (first) motion's process noise, ascending: of calm, of the motion
+            as it is stated (1), and of agile ones.  Calm and agile are for motions that do not hold.
+        jump_factors: factors on the covariance of the position after a jump, per unit of the normalised innovation
+            squared per element.
+        self_transition: self-transition probabilities of the regimes: of each level, any other motion, each jump.
+        restart: restart distribution: probabilities of the regime that follows one that ends, in the same order; other
             motions share theirs evenly.
-        qualities: ``(2, 2)`` probabilities ``[i, j] = P(now j | was i)`` of clean and outlier, for each block.
-        sizes: factors on the covariance of the measurement noise of outliers.
-        shares: of the outliers that have each size.
-        poor: probability that the prior is worth little.
-        start: factor on the prior's covariance then, but for parameters (``kinds`` of the motion).
-        grows: whether the last of the sizes grows to what a measurement asks for.
+        outlier_transition: ``(2, 2)`` probabilities ``[i, j] = P(now j | was i)`` of no outlier and outlier, for each
+            block.
+        outlier_sizes: factors on the covariance of the measurement noise of outliers.
+        outlier_shares: of the outliers that have each size.
+        prior_outlier: probability that the prior is far off.
+        prior_inflation: factor on the prior's covariance then, but for parameters (``kinds`` of the motion).
+        adaptive_largest_size: whether the last of the sizes grows to what a measurement asks for.
         lag: 0 for an estimate from the measurements so far, 1 for one that the next measurement has settled; the
             other is in ``Estimate.info``.
         rule: makes the points for a number of states.
@@ -67,7 +78,24 @@ def gpb(
     models = motion if isinstance(motion, Motion) else Bank(motion)
     check_models(models, sensor)
     count = len(models) if isinstance(models, Bank) else 1
-    regimes = Regimes(count, levels=levels, jumps=jumps, stay=stay, renew=renew)
-    doubts = Outliers(sensor.blocks, chain=qualities, sizes=sizes, shares=shares, grows=grows)
-    f = GPB(models, sensor, regimes=regimes, outliers=doubts, poor=poor, start=start, lag=lag, rule=rule)
+    regimes = Regimes(
+        count, noise_levels=noise_levels, jump_factors=jump_factors, self_transition=self_transition, restart=restart
+    )
+    outliers = Outliers(
+        sensor.blocks,
+        outlier_transition=outlier_transition,
+        outlier_sizes=outlier_sizes,
+        outlier_shares=outlier_shares,
+        adaptive_largest_size=adaptive_largest_size,
+    )
+    f = GPB(
+        models,
+        sensor,
+        regimes=regimes,
+        outliers=outliers,
+        prior_outlier=prior_outlier,
+        prior_inflation=prior_inflation,
+        lag=lag,
+        rule=rule,
+    )
     return with_learning(f, learn)

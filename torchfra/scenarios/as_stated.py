@@ -1,4 +1,4 @@
-"""Targets that move, and sensors that measure, as filters are told; or with noise that is stated wrongly."""
+"""Targets that move, and sensors that measure, as their stated models say; or with noise that is stated wrongly."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ def as_stated(
     q: float = 1.0,
     std: float = 1.0,
 ) -> Scenario:
-    """Tracks drawn from a filter's own models: prior, process noise and measurement noise are what filters are told.
+    """Tracks drawn from a filter's own models: prior, process noise and measurement noise are as stated to filters.
 
     Filters whose models hold have nothing to find out here, and must not be worse than a plain Kalman filter.  With
-    ``q`` or ``std`` other than 1 they are told values that many times as large as the true ones.
+    ``q`` or ``std`` other than 1 the stated values are that many times as large as the true ones.
 
     A position is measured to 1 m (across a line of sight, and along it), and targets cover 20 m in a step.
 
@@ -59,8 +59,8 @@ def as_stated(
         steps: measurements of a run.
         outliers: what is ten times larger in one of twenty measurements, of each device by itself: ``"covariance"`` or
             ``"std"``; in ``"bursts"`` the standard deviation of whole measurements, four steps in a row; or ``"none"``.
-        q: factor on the variance of the process noise that filters are told.
-        std: factor on the standard deviation of the measurement noise that they are told.
+        q: factor on the variance of the process noise that is stated.
+        std: factor on the standard deviation of the measurement noise that is stated.
 
     Raises:
         ValueError: an argument out of its range.
@@ -74,7 +74,7 @@ def as_stated(
     if steps < 1:
         raise ValueError(f"steps: expected 1 or more, received {steps}")
     variance = index * STD**2 / dt**4
-    truths, told = _motions(motion, variance, dt), _motions(motion, q * variance, dt)
+    truths, stated = _motions(motion, variance, dt), _motions(motion, q * variance, dt)
     real, sensed = _sensor(sensor, STD), _sensor(sensor, std * STD)
     speed, size = STD / dt, truths[0].size
     spread = torch.tensor([3 * STD, speed, 0.1 * speed / dt][: truths[0].orders]).double().repeat_interleave(2)
@@ -99,10 +99,10 @@ def as_stated(
 
     settings: dict[str, object] = {"motion": motion, "sensor": sensor, "index": index, "outliers": outliers, "q": q,
                                    "std": std}  # fmt: skip
-    bank = Bank(told) if len(told) > 1 else None
+    bank = Bank(stated) if len(stated) > 1 else None
     law = _law(root, truths, real, seconds, outliers, steps)
     prior = Gaussian(mean, root)
-    return Scenario("as-stated", told[0], sensed, prior, dt, steps, block, settings, bank, limit=LIMIT, law=law)
+    return Scenario("as-stated", stated[0], sensed, prior, dt, steps, block, settings, bank, limit=LIMIT, law=law)
 
 
 def _motions(name: str, q: float, dt: float) -> list[Motion]:
@@ -143,7 +143,7 @@ def _law(root: Tensor, truths: list[Motion], sensor: Sensor, seconds: Tensor, ou
     """The law of the truth; None of a bank, whose motions follow each other at random."""
     if len(truths) > 1:
         return None
-    told = (burst_information(steps) if outliers == "bursts"
+    known = (burst_information(steps) if outliers == "bursts"
             else mixed_information(outliers, SIZE, SHARE, len(sensor.blocks[0])))  # fmt: skip
     std = sensor.measurement_noise(torch.zeros(sensor.size, dtype=torch.float64)).std
-    return Law(root, truths[0], sensor, std, truths[0].process_noise(seconds), told)
+    return Law(root, truths[0], sensor, std, truths[0].process_noise(seconds), known)

@@ -87,15 +87,15 @@ class GPB(GaussianFilter[GPBState]):
 
     ``Estimate.nis`` and the innovation are those of the Gaussian with the moments of all predictions, with the noise as
     the sensor states it; ``log_likelihood`` is that of the mixture.  Before the first step there are two beliefs too:
-    the prior as given, and the same widened, should it be poor.
+    the prior as given, and the same widened, should it be far off.
 
     Args:
         motion: how targets move; a ``Bank`` of several.
         sensor: what is measured; ``Sensor.blocks`` says which elements come from the same device.
         regimes: the Markov chain of the motion, of as many motions as the bank has.
         outliers: the Markov chain of outliers, of the sensor's blocks.
-        poor: probability that the prior is worth little.
-        start: factor on the prior's covariance then, but for parameters (``kinds`` of the motion).
+        prior_outlier: probability that the prior is far off.
+        prior_inflation: factor on the prior's covariance then, but for parameters (``kinds`` of the motion).
         lag: 0 for the filtered estimate, 1 for the one that the next measurement has settled; the other is in ``info``.
         rule: from a number of states to the rule that carries a Gaussian through a function.
 
@@ -116,8 +116,8 @@ class GPB(GaussianFilter[GPBState]):
         *,
         regimes: Regimes,
         outliers: Outliers,
-        poor: Value = 0.25,
-        start: Value = 340.0,
+        prior_outlier: Value = 0.25,
+        prior_inflation: Value = 340.0,
         lag: int = 0,
         rule: Callable[[int], Rule] = third_degree,
     ) -> None:
@@ -131,8 +131,8 @@ class GPB(GaussianFilter[GPBState]):
             raise ValueError(f"regimes: expected those of {len(self.bank)} motions, received of {regimes.motions}")
         outliers.check(sensor)
         self.regimes, self.outliers, self.lag = regimes, outliers, lag
-        self.poor = Hyper(poor, constraints.unit_interval, name="poor")
-        self.start = Hyper(start, constraints.greater_than_eq(1.0), name="start")
+        self.prior_outlier = Hyper(prior_outlier, constraints.unit_interval, name="prior_outlier")
+        self.prior_inflation = Hyper(prior_inflation, constraints.greater_than_eq(1.0), name="prior_inflation")
 
     @property
     def slow_to_compile(self) -> bool:  # type: ignore[override]  # of this bank, not of the class
@@ -149,11 +149,11 @@ class GPB(GaussianFilter[GPBState]):
     def begin(self, belief: Gaussian) -> GPBState:
         """The state of a belief: as it is, and widened, for every motion; what is known of parameters stays."""
         mean, root = belief
-        poor = self.poor(mean)
-        log_prior = in_front(torch.stack([torch.log1p(-poor), poor.log()], -1), mean.dim() + 1)
-        log_weight = log_prior + self.regimes.restart(mean[None, ..., 0]).log()[None, :, None]
+        far_off = self.prior_outlier(mean)
+        log_prior = in_front(torch.stack([torch.log1p(-far_off), far_off.log()], -1), mean.dim() + 1)
+        log_weight = log_prior + self.regimes.restart_distribution(mean[None, ..., 0]).log()[None, :, None]
         widened = torch.tensor([kind != "parameter" for kind in self.motion.kinds], device=mean.device)
-        factor = torch.where(widened, self.start(mean).sqrt()[..., None], 1.0)[..., None]
+        factor = torch.where(widened, self.prior_inflation(mean).sqrt()[..., None], 1.0)[..., None]
         both = tree.stack([belief, Gaussian(mean, factor * root)], OUTLIER)
         every = Hypotheses(
             Gaussian(*(x[:, None, None].expand(2, len(self.bank), 1, *x.shape[1:]) for x in both)),

@@ -25,30 +25,37 @@ class Outliers(nn.Module):
 
     Args:
         blocks: numbers of the elements of each block: those of a device fail together.
-        chain: ``(..., 2, 2)``, ``chain[i, j] = P(now j | was i)`` of clean and outlier, rows that sum to one.
-        sizes: ``(..., C)`` by which an outlier's measurement noise is multiplied, as a covariance.
-        shares: ``(..., C)`` of the outliers that have each size, which sum to one.
-        grows: whether the last size grows to the mean square error of a block, in units of its noise, where that is
-            larger: outliers of any size are then as likely as others of that kind.
+        outlier_transition: ``(..., 2, 2)``, ``[i, j] = P(now j | was i)`` of no outlier and outlier; rows sum to one.
+        outlier_sizes: ``(..., C)`` by which an outlier's measurement noise is multiplied, as a covariance.
+        outlier_shares: ``(..., C)`` of the outliers that have each size, which sum to one.
+        adaptive_largest_size: whether the last size grows to the mean square error of a block, in units of its noise,
+            where that is larger: outliers of any size are then as likely as others of that kind.
 
     Raises:
         ValueError: shapes that do not go together, values out of their range or that do not sum to one.
     """
 
     def __init__(
-        self, blocks: Sequence[Sequence[int]], *, chain: Values, sizes: Values, shares: Values, grows: bool = True
+        self,
+        blocks: Sequence[Sequence[int]],
+        *,
+        outlier_transition: Values,
+        outlier_sizes: Values,
+        outlier_shares: Values,
+        adaptive_largest_size: bool = True,
     ) -> None:
         super().__init__()
-        self.grows = grows
-        chain, sizes, shares = (torch.as_tensor(x, dtype=torch.float64) for x in (chain, sizes, shares))
-        if chain.shape[-2:] != (2, 2):
-            raise ValueError(f"qualities: expected (2, 2), received {tuple(chain.shape)}")
+        self.adaptive_largest_size = adaptive_largest_size
+        given = outlier_transition, outlier_sizes, outlier_shares
+        transition, sizes, shares = (torch.as_tensor(x, dtype=torch.float64) for x in given)
+        if transition.shape[-2:] != (2, 2):
+            raise ValueError(f"outlier_transition: expected (2, 2), received {tuple(transition.shape)}")
         if sizes.shape[-1:] != shares.shape[-1:]:
-            raise ValueError(f"shares: expected one for each of the sizes, received {tuple(shares.shape)}")
+            raise ValueError(f"outlier_shares: expected one for each of outlier_sizes, received {tuple(shares.shape)}")
         self.blocks = tuple(tuple(block) for block in blocks)
-        self.chain = Hyper(chain, constraints.simplex, event_dim=2, name="qualities")
-        self.sizes = Hyper(sizes, constraints.greater_than(1.0), event_dim=1, name="sizes")
-        self.shares = Hyper(shares, constraints.simplex, event_dim=1, name="shares")
+        self.outlier_transition = Hyper(transition, constraints.simplex, event_dim=2, name="outlier_transition")
+        self.outlier_sizes = Hyper(sizes, constraints.greater_than(1.0), event_dim=1, name="outlier_sizes")
+        self.outlier_shares = Hyper(shares, constraints.simplex, event_dim=1, name="outlier_shares")
 
     def check(self, sensor: Sensor) -> None:
         """Checks that the blocks are those of a sensor.
@@ -88,7 +95,7 @@ class Outliers(nn.Module):
             Logs ``(2, 1, 2, ...)`` of the probability that the next step has no outlier or some, after one without and
             with some, and ``(1, 1, 2, ..., B)`` of each block that it is one if any is.
         """
-        chain = self.chain(outlier)
+        chain = self.outlier_transition(outlier)
         begins, goes_on = chain[..., 0, 1].unsqueeze(-1), chain[..., 1, 1].unsqueeze(-1)
         now = torch.stack([begins.expand_as(outlier), begins + outlier * (goes_on - begins)])[None, None]
         none = torch.log1p(-now).sum(-1)
@@ -125,7 +132,7 @@ class Outliers(nn.Module):
         log_mode, prior = before
         mean, root = predicted.belief.mean[..., :reads], predicted.belief.scale_tril[..., :reads, :reads]
         rank, eye = mean.dim() - 1, torch.eye(reads, dtype=root.dtype, device=root.device)
-        sizes, log_shares = in_front(self.sizes(mean), rank), in_front(self.shares(mean).log(), rank)
+        sizes, log_shares = in_front(self.outlier_sizes(mean), rank), in_front(self.outlier_shares(mean).log(), rank)
         sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])  # of no outlier, and of outliers
         belief, log_density, outliers = (
             Gaussian(torch.zeros_like(mean), eye.expand_as(root)),
@@ -159,7 +166,7 @@ class Outliers(nn.Module):
 
     def adapted(self, sizes: Tensor, residual: Tensor, missing: Tensor) -> Tensor:
         """Sizes ``(C, ...)`` of the noise, the last one as large as a residual ``(..., m)`` asks for, if it grows."""
-        if not self.grows:
+        if not self.adaptive_largest_size:
             return sizes
         asked = residual.square().sum(-1) / (1 - missing).sum(-1).clamp_min(1.0)
         last = torch.maximum(sizes[-1:], asked)

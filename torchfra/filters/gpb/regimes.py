@@ -49,25 +49,28 @@ class Regimes(nn.Module):
 
     Args:
         motions: their number, ``K``.
-        levels: ``(..., L)`` by which the variance of the first motion's process noise is multiplied, ascending.
-        jumps: ``(..., J)`` times the normalised innovation squared per element: by so much, at least 1, the covariance
-            of the predicted position is multiplied; its correlations stay.
-        stay: self-transition probabilities by kind.
-        renew: restart distribution by kind, which sums to one; other motions share theirs evenly.
+        noise_levels: ``(..., L)`` by which the variance of the first motion's process noise is multiplied, ascending.
+        jump_factors: ``(..., J)`` times the normalised innovation squared per element: by so much, at least 1, the
+            covariance of the predicted position is multiplied; its correlations stay.
+        self_transition: self-transition probabilities by kind.
+        restart: restart distribution by kind, which sums to one; other motions share theirs evenly.
 
     Raises:
         ValueError: shapes that do not go together, values that are out of their range or do not sum to one.
     """
 
-    def __init__(self, motions: int, *, levels: Values, jumps: Values, stay: Values, renew: Values) -> None:
+    def __init__(
+        self, motions: int, *, noise_levels: Values, jump_factors: Values, self_transition: Values, restart: Values
+    ) -> None:
         super().__init__()
-        levels, jumps, stay, renew = (torch.as_tensor(x, dtype=torch.float64) for x in (levels, jumps, stay, renew))
-        for name, value in (("levels", levels), ("jumps", jumps)):
+        given = noise_levels, jump_factors, self_transition, restart
+        levels, jumps, stay, begins = (torch.as_tensor(x, dtype=torch.float64) for x in given)
+        for name, value in (("noise_levels", levels), ("jump_factors", jumps)):
             if value.dim() == 0:
                 raise ValueError(f"{name}: expected several, received {value.item():g}")
         self.motions, self.level_count, self.jump_count = motions, levels.shape[-1], jumps.shape[-1]
         kinds = self.level_count + 1 + self.jump_count
-        for name, value in (("stay", stay), ("renew", renew)):
+        for name, value in (("self_transition", stay), ("restart", begins)):
             if value.shape[-1:] != (kinds,):
                 raise ValueError(f"{name}: expected (..., {kinds}), received {tuple(value.shape)}")
         self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * self.jump_count
@@ -82,10 +85,10 @@ class Regimes(nn.Module):
             *range(self.level_count + 1, kinds),
         )
         """The kind of each regime."""
-        self.levels = Hyper(levels, event_dim=1, name="levels")
-        self.jumps = Hyper(jumps, event_dim=1, name="jumps")
-        self.stay = Hyper(stay, constraints.unit_interval, event_dim=1, name="stay")
-        self.renew = Hyper(renew, constraints.simplex, event_dim=1, name="renew")
+        self.noise_levels = Hyper(levels, event_dim=1, name="noise_levels")
+        self.jump_factors = Hyper(jumps, event_dim=1, name="jump_factors")
+        self.self_transition = Hyper(stay, constraints.unit_interval, event_dim=1, name="self_transition")
+        self.restart = Hyper(begins, constraints.simplex, event_dim=1, name="restart")
 
     @property
     def agile(self) -> int:
@@ -94,9 +97,9 @@ class Regimes(nn.Module):
 
     # ------------------------------------------------------------ the Markov chain
 
-    def restart(self, like: Tensor) -> Tensor:
+    def restart_distribution(self, like: Tensor) -> Tensor:
         """The restart distribution ``(R, ...)``, which sums to one, for ``like (R, ...)``."""
-        odds = self._by_regime(self.renew(like), like.dim() - 1)
+        odds = self._by_regime(self.restart(like), like.dim() - 1)
         others = torch.tensor([float(self.motions - 1) if k else 1.0 for k in self.motion_of]).to(odds)
         odds = odds / others.reshape(-1, *(1,) * (odds.dim() - 1))
         return odds / odds.sum(0)  # one motion has no others
@@ -113,7 +116,7 @@ class Regimes(nn.Module):
             dt: ``(...)`` seconds.
             measured: ``(...)`` whether anything is.
         """
-        stay, restart = self._by_regime(self.stay(like), like.dim() - 1), self.restart(like)
+        stay, restart = self._by_regime(self.self_transition(like), like.dim() - 1), self.restart_distribution(like)
         other = torch.tensor([k > 0 for k in self.motion_of], device=like.device).reshape(-1, *(1,) * (like.dim() - 1))
         others = torch.where(other, restart, 0.0)
         share = others.sum(0)
@@ -159,7 +162,7 @@ class Regimes(nn.Module):
 
     def noise_factors(self, mean: Tensor) -> Tensor:
         """Factors ``(R, ...)`` on the root of the process noise, for ``mean (1, R or K, ..., n)``."""
-        levels = in_front(self.levels(mean).sqrt(), mean.dim() - 3)
+        levels = in_front(self.noise_levels(mean).sqrt(), mean.dim() - 3)
         ones = levels.new_ones(1, *levels.shape[1:])
         return torch.cat([levels, *[ones] * (self.motions - 1), *[levels[-1:]] * self.jump_count])
 
@@ -185,7 +188,7 @@ class Regimes(nn.Module):
 
     def _widths(self, mean: Tensor, nis: Tensor, position: slice) -> Tensor:
         """Factors ``(1, R, 2, ..., n, 1)`` on the rows of roots."""
-        jumps = in_front(self.jumps(mean), nis.dim() - 2).unsqueeze(0)
+        jumps = in_front(self.jump_factors(mean), nis.dim() - 2).unsqueeze(0)
         widths = self._of_jumps((jumps * nis).clamp(1.0, FURTHEST).sqrt(), 1.0)
         there = torch.zeros(mean.shape[-1], dtype=mean.dtype, device=mean.device)
         there[position] = 1.0
