@@ -265,3 +265,14 @@ def test_what_fixes_hardly_tell_of_sigma_is_said(count, dt, said):
     recording = Recording("ship", time, position, None, {}, source=Source(word="ship"))
     assert clean_tracks([recording])[0].found.doubt == said
     assert clean_tracks([recording], sigma=5.0)[0].found.doubt == ""
+
+
+def test_a_bank_of_ones_own_is_calm_while_its_stated_process_noise_holds():
+    rng = np.random.default_rng(3)
+    velocity = np.array([100.0, 20.0]) + np.cumsum(0.3 * rng.standard_normal((80, 2)), 0)
+    path = np.cumsum(velocity, 0)
+    recording = Recording("drifting", 1.7e9 + np.arange(80.0), path + 5 * rng.standard_normal(path.shape), None, {})
+    bank = Bank([ConstantVelocity(0.1, spectral=True, orders=3), CoordinatedTurn(0.2, q=0.1, orders=3)])
+    (of,) = clean_tracks([recording], bank=bank, sigma=5.0, smooth=False)
+    assert len(of.regimes) == of.regime.shape[1] == 4
+    assert of.manoeuvre[10:].mean() < 0.1

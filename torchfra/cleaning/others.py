@@ -98,12 +98,20 @@ def regimes_of(f: Filter, estimate: Estimate) -> tuple[tuple[str, ...], Tensor]:
         info = info.filtered.info if isinstance(info, SmoothInfo) else info
         weights = info.regimes if isinstance(info, GPBInfo) else getattr(info, "probabilities", None)
     motions = tuple(f.motion.names) if isinstance(f.motion, Bank) else ()
-    if isinstance(f, GPB):
+    if isinstance(f, GPB) and weights is not None:
         first, *others = motions
-        motions = f"calm {first}", f"agile {first}", *others, "jump"
+        motions, weights = (f"calm {first}", f"agile {first}", *others, "jump"), _calm_first(f, weights)
     if weights is None or not motions:
         return (), estimate.nis.new_zeros(*estimate.nis.shape, 0)
     return motions, weights
+
+
+def _calm_first(f: GPB, weights: Tensor) -> Tensor:
+    """Of regimes ``(..., R)`` those of the first motion up to its stated process noise, those above it, the others."""
+    levels = f.regimes.noise_levels()
+    own, others, jumps = weights.split((levels.shape[-1], f.regimes.motions - 1, f.regimes.jump_count), -1)
+    both = (torch.where(chosen, own, 0.0).sum(-1, keepdim=True) for chosen in (levels <= 1, levels > 1))
+    return torch.cat([*both, others, jumps.sum(-1, keepdim=True)], -1)
 
 
 def manoeuvre_of(regimes: Tensor) -> Tensor:
