@@ -30,10 +30,10 @@ import torch
 from torch import Tensor
 
 from torchfra import metrics, presets
-from torchfra.app.atomic_write import write_json
-from torchfra.app.command import add_json_option, check_files, check_list, exit_status, make_parser
-from torchfra.app.evaluate import versions
 from torchfra.association import ChiSquare, Clutter
+from torchfra.cli.atomic_write import write_json
+from torchfra.cli.command import add_json_option, check_files, check_list, exit_status, make_parser
+from torchfra.cli.evaluate import versions
 from torchfra.motion import Bank, ConstantVelocity
 from torchfra.sensors import Position
 from torchfra.tables import text_table
@@ -49,7 +49,7 @@ PEERS = {"stonesoup-jpda": "jpda", "stonesoup-mfa": "mfa"}
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the comparison; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    """Runs the comparison; returns its exit status: see ``torchfra.cli.command.exit_status``."""
     return exit_status("peers_targets", lambda: compare(checked(parser(), arguments)))
 
 

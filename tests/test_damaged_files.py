@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from torchfra import app, presets, state_files
-from torchfra.app import atomic_write, cli
+from torchfra import presets, state_files
 from torchfra.catalogue import learned_filter, make_scenario
+from torchfra.cli import atomic_write
+from torchfra.cli import checkpoints as library_checkpoints
+from torchfra.cli import main as cli
 from torchfra.hyper import hypers
 from train import checkpoints, tune
 from train.evolution import Evolution
@@ -233,7 +235,7 @@ def test_there_is_a_good_checkpoint_at_every_moment(tmp_path, monkeypatch):
         moments.append((tmp_path / "checkpoint.pt").exists())
         return atomic_write.write(path, fill)
 
-    for module in (checkpoints, app.checkpoints):
+    for module in (checkpoints, library_checkpoints):
         monkeypatch.setattr(module, "write", write)
     checkpoints.save(training, tmp_path)
     assert moments == [True] * 3

@@ -11,13 +11,13 @@ from matplotlib.text import Text
 from scipy.optimize import least_squares
 
 from torchfra import presets
-from torchfra.app import plotting
-from torchfra.app.evaluate import evaluate, flight, leaders, measure, results_of
-from torchfra.app.evaluate.fixes import deviations, fixes
-from torchfra.app.evaluate.flights import FAR, typical_run
-from torchfra.app.outputs.colours import APART
-from torchfra.app.plotting.labels import spread_apart
 from torchfra.catalogue import make_scenario, scenario_filters
+from torchfra.cli import plotting
+from torchfra.cli.evaluate import evaluate, flight, leaders, measure, results_of
+from torchfra.cli.evaluate.fixes import deviations, fixes
+from torchfra.cli.evaluate.flights import FAR, typical_run
+from torchfra.cli.outputs.colours import APART
+from torchfra.cli.plotting.labels import spread_apart
 from torchfra.readers import Recording
 from torchfra.scenarios import recorded
 

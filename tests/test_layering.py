@@ -16,12 +16,12 @@ LEVELS = [
     {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"kernel"}, {"filters"},
     {"register"}, {"stream"}, {"targets"}, {"testing"},
     {"presets"},
-    {"scenarios"}, {"catalogue"}, {"cleaning"}, {"app"}, {"adapters"}, {"fitting"}, {"__init__", "__main__"},
+    {"scenarios"}, {"catalogue"}, {"cleaning"}, {"cli"}, {"adapters"}, {"fitting"}, {"__init__", "__main__"},
 ]  # fmt: skip
 """Lower first: a module or package imports those below it, and within a package there is no circle."""
 APART = {("scenarios", "filters"), ("scenarios", "presets")}
 """The first never imports the second, although it lies below."""
-OPTIONAL = {"train": "nothing", "matplotlib": "app.plotting"}
+OPTIONAL = {"train": "nothing", "matplotlib": "cli.plotting"}
 """Packages from outside, and the one part of the library that may import them."""
 
 

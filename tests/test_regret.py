@@ -13,9 +13,9 @@ from regrets import cells, ratios, show, tuning
 from short_tracks import short
 
 from torchfra import metrics, presets, scenarios
-from torchfra.app import plotting
-from torchfra.app.evaluate import evaluate
 from torchfra.catalogue import filters_for, learned_filter, make_scenario
+from torchfra.cli import plotting
+from torchfra.cli.evaluate import evaluate
 
 pytestmark = pytest.mark.usefixtures("rough_figures")
 

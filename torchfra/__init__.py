@@ -20,9 +20,9 @@ from torchfra import (
     targets,
     testing,
 )
-from torchfra.app.clean import clean, track
-from torchfra.app.compare import compare
-from torchfra.app.memory import keep_memory
+from torchfra.cli.clean import clean, track
+from torchfra.cli.compare import compare
+from torchfra.cli.memory import keep_memory
 from torchfra.fitting.from_tracks import fit
 from torchfra.hyper import Hyper, learnable, summary
 from torchfra.presets.values import values

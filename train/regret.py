@@ -12,10 +12,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
-from torchfra.app import distributed
-from torchfra.app.evaluate import evaluate
-from torchfra.app.progress import progress_bar
 from torchfra.catalogue import filters_for, scenario_filter
+from torchfra.cli import distributed
+from torchfra.cli.evaluate import evaluate
+from torchfra.cli.progress import progress_bar
 from torchfra.filters import Filter
 from torchfra.hyper import Hyper, named
 from torchfra.scenarios import Scenario

@@ -11,8 +11,8 @@ from typing import Any, cast
 import numpy as np
 import torch
 
-from torchfra.app.evaluate import evaluate, versions
-from torchfra.app.progress import progress_bar
+from torchfra.cli.evaluate import evaluate, versions
+from torchfra.cli.progress import progress_bar
 from torchfra.filters import Filter
 from torchfra.hyper import natural_values
 from torchfra.tables import text_table

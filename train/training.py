@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from torchfra import losses
-from torchfra.app import distributed
+from torchfra.cli import distributed
 from torchfra.filters import Filter
 from torchfra.hyper import named, natural_values
 from torchfra.scenarios import Scenario

@@ -13,9 +13,9 @@ import torch
 
 from benchmarks.timing import Row, calls, timed
 from torchfra import presets
-from torchfra.app import plotting
 from torchfra.association import Clutter
 from torchfra.catalogue import make_scenario
+from torchfra.cli import plotting
 from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity
 from torchfra.sensors import Position
 from torchfra.types import Gaussian

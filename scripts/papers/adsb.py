@@ -9,7 +9,7 @@ import numpy as np
 
 from papers.experiment import Experiment, Figures, Filters, Results, Study, catalogue_filters, filtered
 from torchfra import presets
-from torchfra.app import plotting
+from torchfra.cli import plotting
 from torchfra.scenarios import Scenario
 from torchfra.tables import text_table
 

@@ -9,7 +9,7 @@ import torch
 
 from papers.experiment import Experiment, Figures, Filters, Results, Study, catalogue_filters, filtered
 from torchfra import presets
-from torchfra.app import plotting
+from torchfra.cli import plotting
 from torchfra.filters.alphabeta import AlphaBeta, AlphaBetaBank, gains
 from torchfra.scenarios import Scenario
 from torchfra.tables import text_table

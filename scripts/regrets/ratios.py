@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchfra import metrics
-from torchfra.app.evaluate import run
-from torchfra.app.progress import progress_bar
+from torchfra.cli.evaluate import run
+from torchfra.cli.progress import progress_bar
 from torchfra.filters import Filter
 from torchfra.scenarios import Scenario
 from torchfra.types import Estimate

@@ -12,7 +12,7 @@ from torch import Tensor
 from regrets.ratios import RESAMPLES, Errors, draws
 from regrets.show import interval, metres, regret
 from torchfra import metrics
-from torchfra.app.progress import progress_bar
+from torchfra.cli.progress import progress_bar
 from torchfra.filters import Filter
 from torchfra.scenarios import Scenario
 from torchfra.tables import text_table

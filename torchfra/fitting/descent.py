@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchfra.app import distributed
+from torchfra.cli import distributed
 from torchfra.fitting.bounded import bounded, falling
 from torchfra.fitting.data import Batch
 from torchfra.fitting.errors import KINDS as KINDS_OF_ERRORS

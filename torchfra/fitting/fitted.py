@@ -11,9 +11,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchfra.app.atomic_write import write_json
-from torchfra.app.evaluate import versions
-from torchfra.app.pictures import picture_form
+from torchfra.cli.atomic_write import write_json
+from torchfra.cli.evaluate import versions
+from torchfra.cli.pictures import picture_form
 from torchfra.filters import Filter
 from torchfra.fitting.again import Bootstrap, Profile, bootstrap, profile
 from torchfra.fitting.data import Batch
@@ -169,7 +169,7 @@ class Fitted:
         """
         if path is not None:
             picture_form(path)
-        from torchfra.app import plotting
+        from torchfra.cli import plotting
 
         title = f"fit by {self.settings.loss}, seed {self.settings.seed}"
         figure = plotting.learning_curve(self.rows, self.start, title)

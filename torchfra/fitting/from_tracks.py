@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from torchfra import losses, state_files
-from torchfra.app import checkpoints, distributed
-from torchfra.app.progress import progress_bar
+from torchfra.cli import checkpoints, distributed
+from torchfra.cli.progress import progress_bar
 from torchfra.filters import Filter
 from torchfra.fitting.data import Batch, Source, batch_of
 from torchfra.fitting.descent import Descent, Settings, key_of, starting_points
