@@ -35,9 +35,9 @@ from benchmarks.training import training
 
 from torchfra import keep_memory
 from torchfra.catalogue import SCENARIOS, track_filters
-from torchfra.cli.atomic_write import write_json
 from torchfra.cli.command import add_json_option, check_files, check_list, exit_status, make_parser
-from torchfra.cli.evaluate import versions
+from torchfra.running.atomic_write import write_json
+from torchfra.running.versions import versions
 
 BEARINGS = [name for name in SCENARIOS if name.startswith("bearings")]
 KINDS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {

@@ -22,7 +22,6 @@ from regrets.cells import Cell, all_cells, chosen_cells
 
 import torchfra
 from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, make_scenario
-from torchfra.cli.atomic_write import write_json
 from torchfra.cli.command import (
     add_json_option,
     add_quiet_option,
@@ -32,9 +31,10 @@ from torchfra.cli.command import (
     exit_status,
     make_parser,
 )
-from torchfra.cli.evaluate import versions
-from torchfra.cli.jobs import add_jobs_option, check_jobs, finished
-from torchfra.cli.progress import progress_bar
+from torchfra.running.atomic_write import write_json
+from torchfra.running.jobs import add_jobs_option, check_jobs, finished
+from torchfra.running.progress import progress_bar
+from torchfra.running.versions import versions
 from torchfra.tables import formed_table, significant
 
 Found = dict[str, Any]

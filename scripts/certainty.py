@@ -19,12 +19,12 @@ from torch import Tensor
 
 import torchfra
 from torchfra import Gaussian, presets
-from torchfra.cli.atomic_write import write_json
 from torchfra.cli.command import add_json_option, add_quiet_option, check_files, exit_status, make_parser
-from torchfra.cli.evaluate import versions
-from torchfra.cli.jobs import add_jobs_option, check_jobs, finished
-from torchfra.cli.progress import progress_bar
 from torchfra.motion import ConstantVelocity
+from torchfra.running.atomic_write import write_json
+from torchfra.running.jobs import add_jobs_option, check_jobs, finished
+from torchfra.running.progress import progress_bar
+from torchfra.running.versions import versions
 from torchfra.sensors import Position
 from torchfra.tables import text_table
 

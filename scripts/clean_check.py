@@ -40,11 +40,11 @@ from cleaning.show import bounds_table, cases_table, table
 from cleaning.truths import KINDS, truths
 
 from torchfra.cleaning import Cleaned
-from torchfra.cli.atomic_write import write_json
 from torchfra.cli.command import Failures, add_json_option, add_quiet_option, check_files, exit_status, make_parser
-from torchfra.cli.evaluate import versions
-from torchfra.cli.progress import progress_bar
 from torchfra.readers.recording import Recording
+from torchfra.running.atomic_write import write_json
+from torchfra.running.progress import progress_bar
+from torchfra.running.versions import versions
 
 Cleaner = Callable[[Sequence[Recording]], Sequence[Cleaned]]
 TOGETHER = 64
@@ -100,7 +100,7 @@ def check(options: argparse.Namespace) -> None:
     if options.plot is not None:
         from cleaning.picture import picture  # matplotlib takes long to import
 
-        from torchfra.cli import plotting
+        from torchfra import plotting
 
         title = f"{len(found)} cases of {options.runs} runs, seed {options.seed}; green is what must be reached"
         with failures.of("plot"):

@@ -22,11 +22,11 @@ import torch
 from torch import Tensor
 
 from torchfra.catalogue import SCENARIOS, scenario_filter, track_filters
-from torchfra.cli.atomic_write import write_text
 from torchfra.cli.command import IncompleteError, check_folder, check_list, exit_status, make_parser
 from torchfra.filters import Filter
 from torchfra.filters.exported import export
 from torchfra.kernel import build
+from torchfra.running.atomic_write import write_text
 from torchfra.scenarios import Scenario
 from torchfra.tables import printable
 from torchfra.types import Gaussian

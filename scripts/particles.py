@@ -24,7 +24,6 @@ import torch
 from torch import Tensor
 
 from torchfra import metrics, presets, scenarios
-from torchfra.cli.atomic_write import write_json
 from torchfra.cli.command import (
     Failures,
     add_json_option,
@@ -34,13 +33,14 @@ from torchfra.cli.command import (
     exit_status,
     make_parser,
 )
-from torchfra.cli.evaluate import versions
-from torchfra.cli.progress import progress_bar
 from torchfra.filters import GPB
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.gaussian.model import propagate
 from torchfra.gaussian.update import correct, density, down_weight, innovation
 from torchfra.linalg.triangular import apply
+from torchfra.running.atomic_write import write_json
+from torchfra.running.progress import progress_bar
+from torchfra.running.versions import versions
 from torchfra.scenarios import Tracks
 from torchfra.sensors import Position
 from torchfra.tables import text_table

@@ -31,10 +31,10 @@ from torch import Tensor
 
 from torchfra import metrics, presets
 from torchfra.association import ChiSquare, Clutter
-from torchfra.cli.atomic_write import write_json
 from torchfra.cli.command import add_json_option, check_files, check_list, exit_status, make_parser
-from torchfra.cli.evaluate import versions
 from torchfra.motion import Bank, ConstantVelocity
+from torchfra.running.atomic_write import write_json
+from torchfra.running.versions import versions
 from torchfra.sensors import Position
 from torchfra.tables import text_table
 from torchfra.targets import SPRT, Deletion, Targets, TwoPoint

@@ -36,7 +36,6 @@ from regrets.show import not_finite, panels, summary, summary_lines, table
 from regrets.tuning import specialists
 
 from torchfra.catalogue import FILTERS, filters_for, learned_filter, scenario_filters, track_filters
-from torchfra.cli.atomic_write import write_json
 from torchfra.cli.command import (
     Failures,
     add_json_option,
@@ -47,10 +46,13 @@ from torchfra.cli.command import (
     make_parser,
 )
 from torchfra.cli.compare_command import WORTHWHILE
-from torchfra.cli.compiling import add_compile_option, choose, compiled, reporters
-from torchfra.cli.evaluate import run, versions
-from torchfra.cli.progress import progress_bar
+from torchfra.cli.compiling import add_compile_option, choose, reporters
+from torchfra.evaluation import run
+from torchfra.evaluation.compiling import compiled
 from torchfra.filters import Filter
+from torchfra.running.atomic_write import write_json
+from torchfra.running.progress import progress_bar
+from torchfra.running.versions import versions
 from torchfra.scenarios import Scenario
 
 USUAL_STEPS = 100
@@ -147,7 +149,7 @@ def gains(options: argparse.Namespace) -> None:
         with failures.of("json"):
             write_json(options.json, {**head, "cells": results})
     if options.plot is not None:
-        from torchfra.cli import plotting  # matplotlib takes long to import
+        from torchfra import plotting  # matplotlib takes long to import
 
         runs = smoothed.one_run(filters[names[-1]], scenario, options.seed)
         with failures.of("plot"):
@@ -211,7 +213,7 @@ def write(
         with failures.of("json"):
             write_json(options.json, {**head, "summary": of, "cells": results})
     if options.figure is not None:
-        from torchfra.cli import plotting  # matplotlib takes long to import
+        from torchfra import plotting  # matplotlib takes long to import
 
         title = f"{options.runs} runs, seed {options.seed}"
         with failures.of("figure"):

@@ -26,9 +26,8 @@ from pathlib import Path
 from papers import adsb, alphabeta, bearings, clutter, huber
 from papers.experiment import Experiment, Study
 
+from torchfra import plotting
 from torchfra.catalogue import learned_filter, make_scenario, track_filters
-from torchfra.cli import plotting
-from torchfra.cli.atomic_write import write_json
 from torchfra.cli.command import (
     Failures,
     add_json_option,
@@ -39,7 +38,8 @@ from torchfra.cli.command import (
     exit_status,
     make_parser,
 )
-from torchfra.cli.evaluate import evaluate, not_finite, report
+from torchfra.evaluation import evaluate, not_finite, report
+from torchfra.running.atomic_write import write_json
 
 EXPERIMENTS: dict[str, Experiment] = (
     bearings.EXPERIMENTS | adsb.EXPERIMENTS | huber.EXPERIMENTS | alphabeta.EXPERIMENTS | clutter.EXPERIMENTS

@@ -23,7 +23,6 @@ from torch import Tensor
 
 from torchfra import metrics, presets, scenarios
 from torchfra.association import ChiSquare
-from torchfra.cli.atomic_write import write_json
 from torchfra.cli.command import (
     add_json_option,
     add_quiet_option,
@@ -33,8 +32,9 @@ from torchfra.cli.command import (
     exit_status,
     make_parser,
 )
-from torchfra.cli.evaluate import versions
-from torchfra.cli.plotting import save
+from torchfra.plotting import save
+from torchfra.running.atomic_write import write_json
+from torchfra.running.versions import versions
 from torchfra.tables import text_table
 from torchfra.targets import Deletion, Merging, Targets, TwoPoint, collect
 

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from torchfra.cli.atomic_write import write_json
 from torchfra.cli.command import add_json_option, add_quiet_option, check_files, exit_status, make_parser
 from torchfra.readers import Recording, flyable, read, resample
 from torchfra.readers.columns import Array
+from torchfra.running.atomic_write import write_json
 from torchfra.tables import text_table
 
 DT, MAX_GAP, SHORTEST, NEAR = 5.0, 30.0, 21, 30.0

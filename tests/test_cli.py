@@ -10,11 +10,10 @@ import torch
 from matplotlib.figure import Figure
 from short_tracks import STEPS
 
-from torchfra import presets
+from torchfra import plotting, presets
 from torchfra.catalogue import make_scenario
 from torchfra.cli import main as cli
-from torchfra.cli import plotting
-from torchfra.cli.evaluate import evaluate
+from torchfra.evaluation import evaluate
 from torchfra.kernel import build
 
 pytestmark = pytest.mark.usefixtures("rough_figures")
@@ -33,7 +32,7 @@ def noisy_track(tmp_path):
 
 
 def test_too_few_runs_for_the_processes_are_refused(monkeypatch):
-    monkeypatch.setattr("torchfra.cli.distributed.size", lambda: 3)
+    monkeypatch.setattr("torchfra.running.distributed.size", lambda: 3)
     with pytest.raises(ValueError, match=r"^runs: expected 3 or more, one for each of 3 processes, received 2$"):
         evaluate(make_scenario("bearings-outliers"), ["ukf"], runs=2)
     with pytest.raises(ValueError, match=r"^chunk: expected 1 or more, received 0$"):
@@ -306,7 +305,7 @@ def test_bad_arguments_are_answered_with_one_line_and_code_2(
 
 
 def test_a_file_that_cannot_be_finished_leaves_the_old_one_as_it_was(tmp_path):
-    from torchfra.cli.atomic_write import write
+    from torchfra.running.atomic_write import write
 
     path = tmp_path / "a.txt"
     path.write_text("old")

@@ -11,10 +11,10 @@ import torch
 
 from torchfra import presets, state_files
 from torchfra.catalogue import learned_filter, make_scenario
-from torchfra.cli import atomic_write
-from torchfra.cli import checkpoints as library_checkpoints
 from torchfra.cli import main as cli
 from torchfra.hyper import hypers
+from torchfra.running import atomic_write
+from torchfra.running import checkpoints as library_checkpoints
 from train import checkpoints, tune
 from train.evolution import Evolution
 from train.runs import configured

@@ -10,14 +10,13 @@ from hypothesis import strategies as st
 from matplotlib.text import Text
 from scipy.optimize import least_squares
 
-from torchfra import presets
+from torchfra import plotting, presets
 from torchfra.catalogue import make_scenario, scenario_filters
-from torchfra.cli import plotting
-from torchfra.cli.evaluate import evaluate, flight, leaders, measure, results_of
-from torchfra.cli.evaluate.fixes import deviations, fixes
-from torchfra.cli.evaluate.flights import FAR, typical_run
-from torchfra.cli.outputs.colours import APART
-from torchfra.cli.plotting.labels import spread_apart
+from torchfra.cleaning.outputs.colours import APART
+from torchfra.evaluation import evaluate, flight, leaders, measure, results_of
+from torchfra.evaluation.fixes import deviations, fixes
+from torchfra.evaluation.flights import FAR, typical_run
+from torchfra.plotting.labels import spread_apart
 from torchfra.readers import Recording
 from torchfra.scenarios import recorded
 

@@ -18,9 +18,9 @@ import regret
 import reproduce
 import time_stamps
 
-from torchfra.cli import atomic_write
 from torchfra.cli import main as cli
-from torchfra.cli.atomic_write import check, write, write_json, write_text
+from torchfra.running import atomic_write
+from torchfra.running.atomic_write import check, write, write_json, write_text
 from train import tune
 
 pytestmark = pytest.mark.usefixtures("rough_figures")

@@ -9,7 +9,7 @@ import torch
 
 from torchfra import metrics, presets, readers, scenarios
 from torchfra.catalogue import filters_for, scenario_filters
-from torchfra.cli.evaluate import evaluate
+from torchfra.evaluation import evaluate
 from torchfra.motion import ConstantAcceleration, ConstantVelocity
 from torchfra.sensors import Ranges
 from torchfra.types import Gaussian

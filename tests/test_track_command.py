@@ -10,7 +10,7 @@ from cleaned_tracks import straight
 from torchfra import readers
 from torchfra.cleaning import clean_tracks
 from torchfra.cli import main as cli
-from torchfra.cli.outputs.plan import MOST_PICTURES, plan
+from torchfra.cli.plan import MOST_PICTURES, plan
 
 QUICK = ["--filter", "srckf", "--sigma", "25", "--q", "1", "--bank", "aircraft", "--no-compile"]
 

@@ -14,8 +14,8 @@ from torch import Tensor
 
 from torchfra import readers, scenarios
 from torchfra.catalogue import make_scenario
-from torchfra.cli import distributed
 from torchfra.cli.loading import is_place, load_scenario
+from torchfra.running import distributed
 from torchfra.scenarios import Scenario
 from torchfra.types import Gaussian
 from train.config import Config, Task

@@ -13,11 +13,11 @@ from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from torchfra.catalogue import filters_for, scenario_filter
-from torchfra.cli import distributed
-from torchfra.cli.evaluate import evaluate
-from torchfra.cli.progress import progress_bar
+from torchfra.evaluation import evaluate
 from torchfra.filters import Filter
 from torchfra.hyper import Hyper, named
+from torchfra.running import distributed
+from torchfra.running.progress import progress_bar
 from torchfra.scenarios import Scenario
 from train.batches import Batch, simulate, task_scenario
 from train.config import Config

@@ -29,13 +29,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchfra import plotting
 from torchfra.catalogue import FILTERS
-from torchfra.cli import distributed, plotting
-from torchfra.cli.atomic_write import write_json
 from torchfra.cli.command import Failures, check_files, check_folder, exit_status, make_parser
 from torchfra.fitting.bounded import bounded, falling
 from torchfra.hyper import hypers
 from torchfra.kernel.build import CompileError
+from torchfra.running import distributed
+from torchfra.running.atomic_write import write_json
 from torchfra.tables import printable
 from train import checkpoints
 from train.batches import Batch, simulate

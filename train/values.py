@@ -27,13 +27,13 @@ import torch
 
 import torchfra
 from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, scenario_filter
-from torchfra.cli.atomic_write import write_json
 from torchfra.cli.command import add_quiet_option, add_runs_options, check_files, exit_status, make_parser
-from torchfra.cli.evaluate import versions
-from torchfra.cli.jobs import add_jobs_option, check_jobs, finished
-from torchfra.cli.progress import progress_bar
 from torchfra.filters import Filter
 from torchfra.presets.values import FILE, made_with
+from torchfra.running.atomic_write import write_json
+from torchfra.running.jobs import add_jobs_option, check_jobs, finished
+from torchfra.running.progress import progress_bar
+from torchfra.running.versions import versions
 from torchfra.scenarios import Scenario
 from train.batches import task_scenario
 from train.config import Task

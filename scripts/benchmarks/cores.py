@@ -14,7 +14,7 @@ from benchmarks.clock import first_call, one_pass
 from benchmarks.timing import Row, System, timed
 from torchfra import keep_memory
 from torchfra.catalogue import make_scenario, scenario_filter
-from torchfra.cli.evaluate import run
+from torchfra.evaluation import run
 
 
 def cores(options: argparse.Namespace) -> list[Row]:

@@ -17,7 +17,7 @@ import torch
 from benchmarks.clock import one_pass
 from benchmarks.timing import Row, calls, timed
 from torchfra.catalogue import make_scenario, scenario_filter, track_filters
-from torchfra.cli.evaluate import run
+from torchfra.evaluation import run
 from torchfra.filters import Filter
 from torchfra.filters.compiled import Compiled
 from torchfra.kernel.build import load

@@ -12,10 +12,9 @@ import numpy as np
 import torch
 
 from benchmarks.timing import Row, calls, timed
-from torchfra import presets
+from torchfra import plotting, presets
 from torchfra.association import Clutter
 from torchfra.catalogue import make_scenario
-from torchfra.cli import plotting
 from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity
 from torchfra.sensors import Position
 from torchfra.types import Gaussian

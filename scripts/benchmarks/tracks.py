@@ -14,7 +14,7 @@ from benchmarks.elsewhere import Peer, start_peers
 from benchmarks.timing import Row, System, calls, timed
 from torchfra import presets
 from torchfra.catalogue import FILTERS, make_scenario, scenario_filter
-from torchfra.cli.evaluate import run
+from torchfra.evaluation import run
 from torchfra.scenarios import Scenario, Tracks
 
 

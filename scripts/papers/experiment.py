@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from torchfra.catalogue import scenario_filters
-from torchfra.cli.evaluate import run
+from torchfra.evaluation import run
 from torchfra.filters import Filter
 from torchfra.scenarios import Scenario, Tracks
 from torchfra.types import Estimate

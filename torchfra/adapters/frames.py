@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from torchfra.cleaning import Cleaned
-from torchfra.cli.clean import PREFIX, clean
-from torchfra.cli.outputs.table import columns, united
+from torchfra.cleaning.clean import PREFIX, clean
+from torchfra.cleaning.outputs.table import columns, united
 from torchfra.motion.base import Motion
 from torchfra.types import Estimate
 

@@ -1,1 +1,1 @@
-"""The command line: evaluation, figures, files.  The library below does not import it."""
+"""The command line: commands, their options, pages.  The library does not import it."""

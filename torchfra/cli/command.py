@@ -9,10 +9,8 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from torchfra.cli import atomic_write, distributed, home  # noqa: F401  # home: before anything looks for one
-from torchfra.cli.memory import keep_memory
-from torchfra.kernel.build import CompileError
-from torchfra.readers.bounded import MAX_BYTES
+from torchfra.running import atomic_write, home  # noqa: F401  # home: before anything looks for one
+from torchfra.running.memory import keep_memory
 from torchfra.tables import printable
 
 _STATUS = """exit status: 0; 1 if a part of the work failed or a result is not finite, and the rest is done; 2 if an
@@ -37,12 +35,6 @@ def add_json_option(parser: argparse.ArgumentParser) -> None:
 def add_quiet_option(parser: argparse.ArgumentParser) -> None:
     """Adds ``--quiet``."""
     parser.add_argument("--quiet", action="store_true", help="no progress bar, and print nothing but errors")
-
-
-def add_bound_option(add: Callable[..., object], default: int | None = MAX_BYTES) -> None:
-    """Adds ``--max-bytes N`` by a parser's ``add_argument``; without a ``default`` one sees whether it was given."""
-    about = f"text that a file may hold, unpacked: a row counts for 64 or more (default: {MAX_BYTES})"
-    add("--max-bytes", type=int, default=default, metavar="N", help=about)
 
 
 def add_runs_options(parser: argparse.ArgumentParser, runs: int, seed: int = 0) -> None:
@@ -180,13 +172,15 @@ def message(error: Exception) -> str | None:
     if isinstance(error, OSError) and error.strerror is not None:
         reason = "file not found" if isinstance(error, FileNotFoundError) else error.strerror.lower()
         return reason if error.filename is None else f"{reason}: {error.filename}"
+    from torchfra.kernel.build import CompileError  # imports torch, which takes long and which no help needs
+
     known = (ValueError, OSError, ImportError, CompileError, NotImplementedError)
     return str(error) if isinstance(error, known) else None
 
 
 def _complain(program: str, *messages: str) -> None:
-    """A line on standard error for each message; of several processes the first one's."""
-    if distributed.rank() == 0:
+    """A line on standard error for each message; of the processes of ``torchrun`` the first one's."""
+    if os.environ.get("RANK", "0") == "0":
         for said in messages:
             print(f"{program}: error: {printable(' '.join(said.split()), _LONGEST)}", file=sys.stderr)
 

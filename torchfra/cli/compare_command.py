@@ -5,15 +5,17 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from torchfra.catalogue import filters_for, learned_filter, scan_filters, track_filters
-from torchfra.cli import distributed
-from torchfra.cli.atomic_write import write_json
 from torchfra.cli.command import Failures, add_json_option, add_quiet_option, check_files
-from torchfra.cli.compare import bound_of
 from torchfra.cli.compiling import add_compile_option, choose, reporters
-from torchfra.cli.evaluate import (
+from torchfra.cli.loading import load_filters, load_module
+from torchfra.cli.sources import RANGES, add_source_options, scenario_of
+from torchfra.cli.track_command import FILES
+from torchfra.comparison.comparing import bound_of
+from torchfra.comparison.comparison import Comparison
+from torchfra.comparison.comparison_table import FORMS, table_form
+from torchfra.evaluation import (
     BASELINE,
     Result,
     check_limit,
@@ -26,14 +28,11 @@ from torchfra.cli.evaluate import (
     results_of,
     table,
 )
-from torchfra.cli.evaluate.comparison import Comparison
-from torchfra.cli.evaluate.comparison_table import FORMS, table_form
-from torchfra.cli.loading import load_filters, load_module
-from torchfra.cli.pictures import picture_form
-from torchfra.cli.running_metrics import RunningMetrics
-from torchfra.cli.sources import RANGES, add_source_options, scenario_of
-from torchfra.cli.track_command import FILES
+from torchfra.evaluation.running_metrics import RunningMetrics
 from torchfra.filters import Filter
+from torchfra.running import distributed
+from torchfra.running.atomic_write import write_json
+from torchfra.running.pictures import picture_form
 from torchfra.scenarios import Scenario
 from torchfra.tables import printable
 
@@ -53,18 +52,15 @@ WORTHWHILE = 100_000
 """Steps of all runs together from which compiling takes no longer than it saves."""
 
 
-def add_to(commands: Any) -> None:
-    """Adds the command to a parser's subparsers."""
-    command = commands.add_parser(
-        "compare",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        help="run a batch of tracks through several filters",
-        description="Run many tracks through several filters: one table, and one figure with a flight on a map, the\n"
+def add_to(command: argparse.ArgumentParser) -> None:
+    """Adds what the command is about, its options and its work to its parser."""
+    command.description = (
+        "Run many tracks through several filters: one table, and one figure with a flight on a map, the\n"
         "errors of all runs, and errors over time.  The tracks are recorded ones seen by a simulated sensor (FILE),\n"
         "those of a scenario, or recorded together with ranges from anchors.\n\n"
-        f"{FILES}\n\n{RANGES}",
-        epilog=_EXAMPLES,
+        f"{FILES}\n\n{RANGES}"
     )
+    command.epilog = _EXAMPLES
     add = command.add_argument
     add_source_options(add)
     names = f"{', '.join(track_filters())}, of clutter-* {', '.join(scan_filters())}"
@@ -214,7 +210,7 @@ def _draw(
     options: argparse.Namespace, scenario: Scenario, results: dict[str, Result], metrics: Mapping[str, RunningMetrics],
     filters: Mapping[str, Filter], shown: Sequence[str], title: str,
 ) -> None:  # fmt: skip
-    from torchfra.cli import plotting  # matplotlib takes long to import
+    from torchfra import plotting  # matplotlib takes long to import
 
     on_map = {name: filters[name] for name in shown[:MOST_ON_MAP]}
     errors = [metrics[name].errors() for name in shown[:2]]

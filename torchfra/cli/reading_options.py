@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Callable
 from dataclasses import fields
 
+from torchfra.readers.bounded import MAX_BYTES
 from torchfra.readers.told import Told
 
 _ABOUT = {
@@ -35,3 +36,9 @@ def add_reading_options(add: Callable[..., object]) -> None:
 def reading_of(options: argparse.Namespace) -> dict[str, str | None]:
     """What the options say, as keywords of ``readers.read``."""
     return {name: getattr(options, name) for name in READING}
+
+
+def add_bound_option(add: Callable[..., object], default: int | None = MAX_BYTES) -> None:
+    """Adds ``--max-bytes N`` by a parser's ``add_argument``; without a ``default`` one sees whether it was given."""
+    about = f"text that a file may hold, unpacked: a row counts for 64 or more (default: {MAX_BYTES})"
+    add("--max-bytes", type=int, default=default, metavar="N", help=about)

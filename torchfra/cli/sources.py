@@ -8,9 +8,8 @@ from typing import Any
 
 from torchfra import readers, scenarios
 from torchfra.catalogue import SCENARIOS, make_scenario
-from torchfra.cli.command import add_bound_option
 from torchfra.cli.loading import is_place, load_scenario
-from torchfra.cli.reading_options import READING, add_reading_options
+from torchfra.cli.reading_options import READING, add_bound_option, add_reading_options
 from torchfra.scenarios import Scenario
 
 RANGES = """Recorded ranges (--ranges) are folders, each and those below it one recording, or the files of one: ranges

@@ -9,16 +9,16 @@ from typing import Any
 
 from torchfra import readers
 from torchfra.catalogue import track_filters
-from torchfra.cleaning import DEFAULT, Cleaned, check_settings, clean_tracks
-from torchfra.cli import distributed, outputs
-from torchfra.cli.atomic_write import write_json
-from torchfra.cli.command import Failures, add_bound_option, add_json_option, add_quiet_option, check_files
+from torchfra.cleaning import DEFAULT, Cleaned, check_settings, clean_tracks, outputs
+from torchfra.cli import page
+from torchfra.cli import plan as plans
+from torchfra.cli.command import Failures, add_json_option, add_quiet_option, check_files
 from torchfra.cli.compiling import add_compile_option, choose, reporters
-from torchfra.cli.outputs import page
-from torchfra.cli.outputs import plan as plans
-from torchfra.cli.progress import progress_bar
-from torchfra.cli.reading_options import add_reading_options, reading_of
+from torchfra.cli.reading_options import add_bound_option, add_reading_options, reading_of
 from torchfra.readers import Recording
+from torchfra.running import distributed
+from torchfra.running.atomic_write import write_json
+from torchfra.running.progress import progress_bar
 from torchfra.tables import printable
 
 FILES = """FILE holds one or several recorded tracks: CSV with a header (any delimiter; AIS logs and state vectors of
@@ -47,15 +47,9 @@ WORTHWHILE = 5_000
 """Steps of the longest tracks that take an interpreted filter about as long as compiling it."""
 
 
-def add_to(commands: Any) -> None:
-    """Adds the command to a parser's subparsers."""
-    command = commands.add_parser(
-        "track",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        help="clean a recorded track",
-        description=_ABOUT,
-        epilog=_EXAMPLES,
-    )
+def add_to(command: argparse.ArgumentParser) -> None:
+    """Adds what the command is about, its options and its work to its parser."""
+    command.description, command.epilog = _ABOUT, _EXAMPLES
     add = command.add_argument
     add("file", metavar="FILE", type=Path)
     endings = ", ".join(outputs.FORMATS)
@@ -186,7 +180,7 @@ def _draw(
 ) -> None:
     """The pictures and the page."""
     if files.pictures or files.overview is not None:
-        from torchfra.cli import plotting  # matplotlib takes long to import
+        from torchfra import plotting  # matplotlib takes long to import
 
         for recording, path in progress_bar(files.pictures.items(), "picture", not options.quiet):
             if (cleaned := results.get(recording)) is not None:
