@@ -34,10 +34,10 @@ from benchmarks.tracks import tracks
 from benchmarks.training import training
 
 from torchfra import keep_memory
-from torchfra.app.atomic_write import write_json
-from torchfra.app.command import add_json_option, check_files, check_list, exit_status, make_parser
-from torchfra.app.evaluate import versions
 from torchfra.catalogue import SCENARIOS, track_filters
+from torchfra.cli.command import add_json_option, check_files, check_list, exit_status, make_parser
+from torchfra.running.atomic_write import write_json
+from torchfra.running.versions import versions
 
 BEARINGS = [name for name in SCENARIOS if name.startswith("bearings")]
 KINDS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
@@ -52,7 +52,7 @@ KINDS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the benchmark; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    """Runs the benchmark; returns its exit status: see ``torchfra.cli.command.exit_status``."""
     return exit_status("benchmark", lambda: benchmark(checked(parser(), arguments)))
 
 

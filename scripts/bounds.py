@@ -21,8 +21,8 @@ import torch
 from regrets.cells import Cell, all_cells, chosen_cells
 
 import torchfra
-from torchfra.app.atomic_write import write_json
-from torchfra.app.command import (
+from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, make_scenario
+from torchfra.cli.command import (
     add_json_option,
     add_quiet_option,
     add_runs_options,
@@ -31,17 +31,17 @@ from torchfra.app.command import (
     exit_status,
     make_parser,
 )
-from torchfra.app.evaluate import versions
-from torchfra.app.jobs import add_jobs_option, check_jobs, finished
-from torchfra.app.progress import progress_bar
-from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, make_scenario
+from torchfra.running.atomic_write import write_json
+from torchfra.running.jobs import add_jobs_option, check_jobs, finished
+from torchfra.running.progress import progress_bar
+from torchfra.running.versions import versions
 from torchfra.tables import formed_table, significant
 
 Found = dict[str, Any]
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Prints the table; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    """Prints the table; returns its exit status: see ``torchfra.cli.command.exit_status``."""
     p = make_parser(__doc__)
     p.add_argument("--cells", metavar="A,B", default="*", help="names, or patterns such as '2-*' (default: all)")
     p.add_argument("--filters", metavar="A,B", help="those of them that go with a cell (default: all)")

@@ -19,12 +19,12 @@ from torch import Tensor
 
 import torchfra
 from torchfra import Gaussian, presets
-from torchfra.app.atomic_write import write_json
-from torchfra.app.command import add_json_option, add_quiet_option, check_files, exit_status, make_parser
-from torchfra.app.evaluate import versions
-from torchfra.app.jobs import add_jobs_option, check_jobs, finished
-from torchfra.app.progress import progress_bar
+from torchfra.cli.command import add_json_option, add_quiet_option, check_files, exit_status, make_parser
 from torchfra.motion import ConstantVelocity
+from torchfra.running.atomic_write import write_json
+from torchfra.running.jobs import add_jobs_option, check_jobs, finished
+from torchfra.running.progress import progress_bar
+from torchfra.running.versions import versions
 from torchfra.sensors import Position
 from torchfra.tables import text_table
 
@@ -36,7 +36,7 @@ OFF = 3.0
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Prints the table; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    """Prints the table; returns its exit status: see ``torchfra.cli.command.exit_status``."""
     p = make_parser(__doc__)
     p.add_argument("--fits", type=int, default=200, metavar="N", help="(default: 200)")
     p.add_argument("--tracks", type=int, default=36, metavar="N", help="of each fit, 30 %% held out (default: 36)")

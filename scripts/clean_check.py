@@ -39,12 +39,12 @@ from cleaning.measured import GHOSTS, Case, Measured, measured
 from cleaning.show import bounds_table, cases_table, table
 from cleaning.truths import KINDS, truths
 
-from torchfra.app.atomic_write import write_json
-from torchfra.app.command import Failures, add_json_option, add_quiet_option, check_files, exit_status, make_parser
-from torchfra.app.evaluate import versions
-from torchfra.app.progress import progress_bar
 from torchfra.cleaning import Cleaned
+from torchfra.cli.command import Failures, add_json_option, add_quiet_option, check_files, exit_status, make_parser
 from torchfra.readers.recording import Recording
+from torchfra.running.atomic_write import write_json
+from torchfra.running.progress import progress_bar
+from torchfra.running.versions import versions
 
 Cleaner = Callable[[Sequence[Recording]], Sequence[Cleaned]]
 TOGETHER = 64
@@ -52,7 +52,7 @@ TOGETHER = 64
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Prints the tables; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    """Prints the tables; returns its exit status: see ``torchfra.cli.command.exit_status``."""
     return exit_status("clean_check", lambda: check(parser().parse_args(arguments)))
 
 
@@ -100,7 +100,7 @@ def check(options: argparse.Namespace) -> None:
     if options.plot is not None:
         from cleaning.picture import picture  # matplotlib takes long to import
 
-        from torchfra.app import plotting
+        from torchfra import plotting
 
         title = f"{len(found)} cases of {options.runs} runs, seed {options.seed}; green is what must be reached"
         with failures.of("plot"):

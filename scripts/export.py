@@ -21,12 +21,12 @@ from tempfile import TemporaryDirectory
 import torch
 from torch import Tensor
 
-from torchfra.app.atomic_write import write_text
-from torchfra.app.command import IncompleteError, check_folder, check_list, exit_status, make_parser
 from torchfra.catalogue import SCENARIOS, scenario_filter, track_filters
+from torchfra.cli.command import IncompleteError, check_folder, check_list, exit_status, make_parser
 from torchfra.filters import Filter
 from torchfra.filters.exported import export
 from torchfra.kernel import build
+from torchfra.running.atomic_write import write_text
 from torchfra.scenarios import Scenario
 from torchfra.tables import printable
 from torchfra.types import Gaussian
@@ -37,7 +37,7 @@ FLAGS = "-O2 -std=c++17 -march=native -fno-math-errno -fno-trapping-math"
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the example; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    """Runs the example; returns its exit status: see ``torchfra.cli.command.exit_status``."""
     p = make_parser(__doc__)
     p.add_argument("--filter", default="srckf", help=f"one of {', '.join(track_filters())} (default: srckf)")
     p.add_argument("--scenario", default="bearings-outliers", choices=sorted(SCENARIOS),

@@ -24,8 +24,7 @@ import torch
 from torch import Tensor
 
 from torchfra import metrics, presets, scenarios
-from torchfra.app.atomic_write import write_json
-from torchfra.app.command import (
+from torchfra.cli.command import (
     Failures,
     add_json_option,
     add_quiet_option,
@@ -34,12 +33,13 @@ from torchfra.app.command import (
     exit_status,
     make_parser,
 )
-from torchfra.app.evaluate import versions
-from torchfra.app.progress import progress_bar
 from torchfra.filters import GPB
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.gaussian.update import correct, density, down_weight, innovation
 from torchfra.linalg.triangular import apply
+from torchfra.running.atomic_write import write_json
+from torchfra.running.progress import progress_bar
+from torchfra.running.versions import versions
 from torchfra.scenarios import Tracks
 from torchfra.sensors import Position
 from torchfra.tables import text_table
@@ -193,7 +193,7 @@ def compare(f: GPB, tracks: Tracks, count: int, seed: int, *, progress: bool) ->
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Prints the table; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    """Prints the table; returns its exit status: see ``torchfra.cli.command.exit_status``."""
     p = make_parser(__doc__)
     p.add_argument("--particles", type=int, default=2000, metavar="N", help="histories kept (default: 2000)")
     add_runs_options(p, 20, seed=3)

@@ -30,11 +30,11 @@ import torch
 from torch import Tensor
 
 from torchfra import metrics, presets
-from torchfra.app.atomic_write import write_json
-from torchfra.app.command import add_json_option, check_files, check_list, exit_status, make_parser
-from torchfra.app.evaluate import versions
 from torchfra.association import ChiSquare, Clutter
+from torchfra.cli.command import add_json_option, check_files, check_list, exit_status, make_parser
 from torchfra.motion import Bank, ConstantVelocity
+from torchfra.running.atomic_write import write_json
+from torchfra.running.versions import versions
 from torchfra.sensors import Position
 from torchfra.tables import text_table
 from torchfra.targets import SPRT, Deletion, Targets, TwoPoint
@@ -49,7 +49,7 @@ PEERS = {"stonesoup-jpda": "jpda", "stonesoup-mfa": "mfa"}
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the comparison; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    """Runs the comparison; returns its exit status: see ``torchfra.cli.command.exit_status``."""
     return exit_status("peers_targets", lambda: compare(checked(parser(), arguments)))
 
 

@@ -36,8 +36,8 @@ from regrets.ratios import KINDS, RESAMPLES, both_kinds, errors
 from regrets.show import not_finite, panels, summary, summary_lines, table
 from regrets.tuning import specialists
 
-from torchfra.app.atomic_write import write_json
-from torchfra.app.command import (
+from torchfra.catalogue import FILTERS, filters_for, learned_filter, scenario_filters, track_filters
+from torchfra.cli.command import (
     Failures,
     add_json_option,
     add_quiet_option,
@@ -46,12 +46,14 @@ from torchfra.app.command import (
     exit_status,
     make_parser,
 )
-from torchfra.app.compare_command import WORTHWHILE
-from torchfra.app.compiling import add_compile_option, choose, compiled, reporters
-from torchfra.app.evaluate import run, versions
-from torchfra.app.progress import progress_bar
-from torchfra.catalogue import FILTERS, filters_for, learned_filter, scenario_filters, track_filters
+from torchfra.cli.compare_command import WORTHWHILE
+from torchfra.cli.compiling import add_compile_option, choose, reporters
+from torchfra.evaluation import run
+from torchfra.evaluation.compiling import compiled
 from torchfra.filters import Filter
+from torchfra.running.atomic_write import write_json
+from torchfra.running.progress import progress_bar
+from torchfra.running.versions import versions
 from torchfra.scenarios import Scenario
 
 USUAL_STEPS = 100
@@ -59,7 +61,7 @@ USUAL_STEPS = 100
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Prints the tables; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    """Prints the tables; returns its exit status: see ``torchfra.cli.command.exit_status``."""
 
     def run() -> None:
         options = parser().parse_args(arguments)
@@ -148,7 +150,7 @@ def gains(options: argparse.Namespace) -> None:
         with failures.of("json"):
             write_json(options.json, {**head, "cells": results})
     if options.plot is not None:
-        from torchfra.app import plotting  # matplotlib takes long to import
+        from torchfra import plotting  # matplotlib takes long to import
 
         runs = smoothed.one_run(filters[names[-1]], scenario, options.seed)
         with failures.of("plot"):
@@ -212,7 +214,7 @@ def write(
         with failures.of("json"):
             write_json(options.json, {**head, "summary": of, "cells": results})
     if options.figure is not None:
-        from torchfra.app import plotting  # matplotlib takes long to import
+        from torchfra import plotting  # matplotlib takes long to import
 
         title = f"{options.runs} runs, seed {options.seed}"
         with failures.of("figure"):

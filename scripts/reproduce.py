@@ -26,9 +26,9 @@ from pathlib import Path
 from papers import adsb, alphabeta, bearings, clutter, huber
 from papers.experiment import Experiment, Study
 
-from torchfra.app import plotting
-from torchfra.app.atomic_write import write_json
-from torchfra.app.command import (
+from torchfra import plotting
+from torchfra.catalogue import learned_filter, make_scenario, track_filters
+from torchfra.cli.command import (
     Failures,
     add_json_option,
     add_quiet_option,
@@ -38,8 +38,8 @@ from torchfra.app.command import (
     exit_status,
     make_parser,
 )
-from torchfra.app.evaluate import evaluate, not_finite, report
-from torchfra.catalogue import learned_filter, make_scenario, track_filters
+from torchfra.evaluation import evaluate, not_finite, report
+from torchfra.running.atomic_write import write_json
 
 EXPERIMENTS: dict[str, Experiment] = (
     bearings.EXPERIMENTS | adsb.EXPERIMENTS | huber.EXPERIMENTS | alphabeta.EXPERIMENTS | clutter.EXPERIMENTS
@@ -48,7 +48,7 @@ _SCENARIO_OPTIONS = ("outliers", "truth_noise", "initial", "turns", "radar", "no
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs an experiment; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    """Runs an experiment; returns its exit status: see ``torchfra.cli.command.exit_status``."""
     return exit_status("reproduce", lambda: experiment(parser().parse_args(arguments)))
 
 

@@ -22,8 +22,8 @@ from many_targets.worlds import World, crowd, recorded, swiss_traffic
 from torch import Tensor
 
 from torchfra import metrics, presets, scenarios
-from torchfra.app.atomic_write import write_json
-from torchfra.app.command import (
+from torchfra.association import ChiSquare
+from torchfra.cli.command import (
     add_json_option,
     add_quiet_option,
     add_runs_options,
@@ -32,9 +32,9 @@ from torchfra.app.command import (
     exit_status,
     make_parser,
 )
-from torchfra.app.evaluate import versions
-from torchfra.app.plotting import save
-from torchfra.association import ChiSquare
+from torchfra.plotting import save
+from torchfra.running.atomic_write import write_json
+from torchfra.running.versions import versions
 from torchfra.tables import text_table
 from torchfra.targets import Deletion, Merging, Targets, TwoPoint, collect
 
@@ -48,7 +48,7 @@ AT_ONCE, PART = 20, 10
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Prints the tables; returns the exit status: see ``torchfra.app.command.exit_status``."""
+    """Prints the tables; returns the exit status: see ``torchfra.cli.command.exit_status``."""
     p = make_parser(__doc__)
     add_runs_options(p, 200, 7)
     p.add_argument("--what", default=",".join(WHAT), metavar="A,B", help=f"out of {', '.join(WHAT)} (default: all)")

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from torchfra.app.atomic_write import write_json
-from torchfra.app.command import add_json_option, add_quiet_option, check_files, exit_status, make_parser
+from torchfra.cli.command import add_json_option, add_quiet_option, check_files, exit_status, make_parser
 from torchfra.readers import Recording, flyable, read, resample
 from torchfra.readers.columns import Array
+from torchfra.running.atomic_write import write_json
 from torchfra.tables import text_table
 
 DT, MAX_GAP, SHORTEST, NEAR = 5.0, 30.0, 21, 30.0
@@ -27,7 +27,7 @@ QUANTILES = (0.5, 0.9, 0.99, 1.0)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Prints the table; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    """Prints the table; returns its exit status: see ``torchfra.cli.command.exit_status``."""
     p = make_parser(__doc__)
     p.add_argument("files", metavar="FILE", nargs="+", type=Path, help="recorded tracks")
     add_json_option(p)

@@ -8,8 +8,8 @@ import torch
 from oracles.bounds import from_shocks, mixture_information, whole_trajectory
 
 from torchfra import catalogue, metrics, presets, scenarios
-from torchfra.app.evaluate import measure
 from torchfra.catalogue import scenario_filters
+from torchfra.evaluation import measure
 from torchfra.motion import ConstantAcceleration, ConstantVelocity
 from torchfra.scenarios import Law, Scenario, bound
 from torchfra.scenarios.base import BLOCK

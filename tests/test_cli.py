@@ -10,10 +10,10 @@ import torch
 from matplotlib.figure import Figure
 from short_tracks import STEPS
 
-from torchfra import presets
-from torchfra.app import cli, plotting
-from torchfra.app.evaluate import evaluate
+from torchfra import plotting, presets
 from torchfra.catalogue import make_scenario
+from torchfra.cli import main as cli
+from torchfra.evaluation import evaluate
 from torchfra.kernel import build
 
 pytestmark = pytest.mark.usefixtures("rough_figures")
@@ -32,7 +32,7 @@ def noisy_track(tmp_path):
 
 
 def test_too_few_runs_for_the_processes_are_refused(monkeypatch):
-    monkeypatch.setattr("torchfra.app.distributed.size", lambda: 3)
+    monkeypatch.setattr("torchfra.running.distributed.size", lambda: 3)
     with pytest.raises(ValueError, match=r"^runs: expected 3 or more, one for each of 3 processes, received 2$"):
         evaluate(make_scenario("bearings-outliers"), ["ukf"], runs=2)
     with pytest.raises(ValueError, match=r"^chunk: expected 1 or more, received 0$"):
@@ -71,14 +71,14 @@ def test_commands_compile_when_it_is_worthwhile_and_say_so(noisy_track, tmp_path
         calls.append((wanted, worthwhile))
         return False
 
-    monkeypatch.setattr("torchfra.app.compare_command.choose", choose)
-    monkeypatch.setattr("torchfra.app.track_command.choose", choose)
-    monkeypatch.setattr("torchfra.app.compare_command.WORTHWHILE", 10 * STEPS)
+    monkeypatch.setattr("torchfra.cli.compare_command.choose", choose)
+    monkeypatch.setattr("torchfra.cli.track_command.choose", choose)
+    monkeypatch.setattr("torchfra.cli.compare_command.WORTHWHILE", 10 * STEPS)
     assert compare(tmp_path, "--runs", "9", "--quiet") == 0
     assert compare(tmp_path, "--runs", "10", "--no-compile", "--quiet") == 0
     track_it = ["track", str(noisy_track), "--no-plots", "--quiet", "--out", str(tmp_path / "out")]
     assert cli.main(track_it) == 0
-    monkeypatch.setattr("torchfra.app.track_command.WORTHWHILE", 80)
+    monkeypatch.setattr("torchfra.cli.track_command.WORTHWHILE", 80)
     assert cli.main([*track_it, "--filter", "fra", "--compile"]) == 0
     assert cli.main([*track_it, "--filter", "imm_srckf"]) == 0
     assert cli.main(track_it) == 0
@@ -89,7 +89,7 @@ def test_commands_compile_when_it_is_worthwhile_and_say_so(noisy_track, tmp_path
 @pytest.mark.usefixtures("short_tracks")
 def test_without_a_compiler_commands_run_interpreted_unless_told_to_compile(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("CXX", "/no/such/compiler")
-    monkeypatch.setattr("torchfra.app.compare_command.WORTHWHILE", 1)
+    monkeypatch.setattr("torchfra.cli.compare_command.WORTHWHILE", 1)
     assert compare(tmp_path, "--runs", "5") == 0
     said = capsys.readouterr().out
     assert said.startswith("filters run interpreted (expected a C++ compiler, /no/such/compiler does not run")
@@ -105,7 +105,7 @@ def test_a_filter_without_a_kernel_runs_interpreted_beside_compiled_ones(tmp_pat
         raise build.CompileError("compile: too large")
 
     monkeypatch.setattr(presets.ukf(*models()).__class__, "compile", refuse)
-    monkeypatch.setattr("torchfra.app.compare_command.WORTHWHILE", 1)
+    monkeypatch.setattr("torchfra.cli.compare_command.WORTHWHILE", 1)
     assert compare(tmp_path, "--runs", "5") == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("compiled kernels (g++")
@@ -305,7 +305,7 @@ def test_bad_arguments_are_answered_with_one_line_and_code_2(
 
 
 def test_a_file_that_cannot_be_finished_leaves_the_old_one_as_it_was(tmp_path):
-    from torchfra.app.atomic_write import write
+    from torchfra.running.atomic_write import write
 
     path = tmp_path / "a.txt"
     path.write_text("old")

@@ -16,10 +16,13 @@ import pytest
 import reproduce
 import torch
 
-from torchfra.app import cli, home, plotting, track_command
-from torchfra.app.command import exit_status, message
-from torchfra.app.outputs.plan import unused
+from torchfra import plotting
 from torchfra.cleaning import clean_tracks
+from torchfra.cli import main as cli
+from torchfra.cli import track_command
+from torchfra.cli.command import exit_status, message
+from torchfra.cli.plan import unused
+from torchfra.running import home
 from torchfra.tables import printable, text_table
 from train import tune
 
@@ -198,7 +201,7 @@ def test_a_recording_without_any_finite_estimate_gives_no_warning(tmp_path, caps
 
 @pytest.mark.slow
 def test_a_filter_whose_result_is_not_finite_is_said_and_shows_in_the_exit_status(tmp_path, capsys, monkeypatch):
-    from torchfra.app.evaluate import runs
+    from torchfra.evaluation import runs
 
     monkeypatch.setattr(runs, "run", spoiled(runs.run))
     arguments = [*COMPARE, "--runs", "3", "--figure", str(tmp_path / "f.png"), "--json", str(tmp_path / "r.json")]
@@ -299,7 +302,7 @@ def test_an_option_that_does_nothing_with_a_scenario_is_refused(capsys):
 
 @pytest.mark.parametrize("option", ["figure", "print"])
 def test_a_figure_in_no_known_form_is_refused_before_any_work(option, monkeypatch, capsys):
-    monkeypatch.setattr("torchfra.app.compare_command.scenario_of", None)
+    monkeypatch.setattr("torchfra.cli.compare_command.scenario_of", None)
     assert cli.main([*COMPARE, f"--{option}", "x.docx"]) == 2
     assert f"{option}: expected a file that ends in .pdf, .svg, .png, received x.docx" in capsys.readouterr().err
 
@@ -311,7 +314,7 @@ def test_ctrl_c_ends_quietly(tmp_path, monkeypatch, capsys):
     def interrupted(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("torchfra.app.evaluate.runs.run", interrupted)
+    monkeypatch.setattr("torchfra.evaluation.runs.run", interrupted)
     assert cli.main([*COMPARE, "--runs", "2", "--figure", str(tmp_path / "f.png")]) == 130
     assert capsys.readouterr() == ("", "")
     assert list(tmp_path.iterdir()) == []

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from torchfra import scenarios
-from torchfra.app.cli import main
-from torchfra.app.evaluate import evaluate, table
 from torchfra.catalogue import filters_for, learned_filter, scan_filters, scenario_filters
+from torchfra.cli.main import main
 from torchfra.coordinates import from_cartesian
+from torchfra.evaluation import evaluate, table
 
 pytestmark = pytest.mark.usefixtures("rough_figures")
 

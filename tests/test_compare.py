@@ -7,9 +7,9 @@ import pytest
 import torch
 
 import torchfra
-from torchfra.app import cli
-from torchfra.app.evaluate import divergence_limit, evaluate
-from torchfra.app.evaluate.comparison import Comparison
+from torchfra.cli import main as cli
+from torchfra.comparison.comparison import Comparison
+from torchfra.evaluation import divergence_limit, evaluate
 from torchfra.metrics.statistics import mean_interval, signed_rank
 
 SCENARIO = torchfra.scenarios.bearings_outliers(initial="truth")
@@ -101,7 +101,7 @@ def test_the_figure_is_drawn_for_print_in_vectors_and_the_same_each_time(compari
 
 
 def test_a_figure_in_no_known_form_is_refused_before_it_is_drawn(comparison, tmp_path, monkeypatch):
-    monkeypatch.setattr("torchfra.app.plotting.printed", None)
+    monkeypatch.setattr("torchfra.plotting.printed", None)
     with pytest.raises(ValueError, match=r"path: expected a file that ends in \.pdf, \.svg, \.png, received x\.docx"):
         comparison.plot("x.docx")
 

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from torchfra import app, presets, state_files
-from torchfra.app import atomic_write, cli
+from torchfra import presets, state_files
 from torchfra.catalogue import learned_filter, make_scenario
+from torchfra.cli import main as cli
 from torchfra.hyper import hypers
+from torchfra.running import atomic_write
+from torchfra.running import checkpoints as library_checkpoints
 from train import checkpoints, tune
 from train.evolution import Evolution
 from train.runs import configured
@@ -233,7 +235,7 @@ def test_there_is_a_good_checkpoint_at_every_moment(tmp_path, monkeypatch):
         moments.append((tmp_path / "checkpoint.pt").exists())
         return atomic_write.write(path, fill)
 
-    for module in (checkpoints, app.checkpoints):
+    for module in (checkpoints, library_checkpoints):
         monkeypatch.setattr(module, "write", write)
     checkpoints.save(training, tmp_path)
     assert moments == [True] * 3

@@ -19,8 +19,8 @@ import pytest
 import torch
 
 from torchfra import register
-from torchfra.app import cli
 from torchfra.catalogue import make_scenario, scenario_filters
+from torchfra.cli import main as cli
 from train import tune, values
 
 pytestmark = pytest.mark.usefixtures("short_tracks", "rough_figures")  # with which code and commands run as well
@@ -381,7 +381,7 @@ def test_the_demo_compares_recorded_tracks(tmp_path, monkeypatch):
 
 def test_command_lines_are_read_from_blocks_and_sentences():
     text = (
-        "Run `torchfra compare --scenario\ngrowth`, see `torchfra.app` or `scripts/regret.py`.\n\n"
+        "Run `torchfra compare --scenario\ngrowth`, see `torchfra.cli` or `scripts/regret.py`.\n\n"
         "    bash scripts/demo.sh    # the demo\n    make all\n\n"
         "```sh\npython scripts/reproduce.py growth \\\n    --runs 3\n```\n\n```python\ntorchfra = 1\n```\n"
     )

@@ -10,14 +10,13 @@ from hypothesis import strategies as st
 from matplotlib.text import Text
 from scipy.optimize import least_squares
 
-from torchfra import presets
-from torchfra.app import plotting
-from torchfra.app.evaluate import evaluate, flight, leaders, measure, results_of
-from torchfra.app.evaluate.fixes import deviations, fixes
-from torchfra.app.evaluate.flights import FAR, typical_run
-from torchfra.app.outputs.colours import APART
-from torchfra.app.plotting.labels import spread_apart
+from torchfra import plotting, presets
 from torchfra.catalogue import make_scenario, scenario_filters
+from torchfra.cleaning.outputs.colours import APART
+from torchfra.evaluation import evaluate, flight, leaders, measure, results_of
+from torchfra.evaluation.fixes import deviations, fixes
+from torchfra.evaluation.flights import FAR, typical_run
+from torchfra.plotting.labels import spread_apart
 from torchfra.readers import Recording
 from torchfra.scenarios import recorded
 

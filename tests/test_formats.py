@@ -10,7 +10,7 @@ import numpy as np
 import pymap3d
 import pytest
 
-from torchfra.app.cli import main
+from torchfra.cli.main import main
 from torchfra.readers import read
 
 START = 1_600_000_000  # 2020-09-13T12:26:40Z

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from torchfra.app.jobs import check_jobs, finished
+from torchfra.running.jobs import check_jobs, finished
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from torchfra.app.compiling import compiled
+from torchfra.evaluation.compiling import compiled
 from torchfra.kernel import build, cache, workplace
 from torchfra.kernel.build import CompileError
 
@@ -381,7 +381,7 @@ def test_an_interruption_ends_compilations_in_other_threads(folder, tmp_path, ma
         raise KeyboardInterrupt
 
     monkeypatch.setenv("CXX", str(script))
-    monkeypatch.setattr("torchfra.app.compiling.progress_bar", interrupted)
+    monkeypatch.setattr("torchfra.evaluation.compiling.progress_bar", interrupted)
     started = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         compiled({"srckf": make("srckf")}, lambda f: f(tracks.z, tracks.prior, u=tracks.u))

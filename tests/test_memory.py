@@ -8,7 +8,7 @@ import sys
 import pytest
 
 import torchfra
-from torchfra.app import memory
+from torchfra.running import memory
 
 SCRIPT = """
 import ctypes, importlib.util, sys

@@ -18,8 +18,9 @@ import regret
 import reproduce
 import time_stamps
 
-from torchfra.app import atomic_write, cli
-from torchfra.app.atomic_write import check, write, write_json, write_text
+from torchfra.cli import main as cli
+from torchfra.running import atomic_write
+from torchfra.running.atomic_write import check, write, write_json, write_text
 from train import tune
 
 pytestmark = pytest.mark.usefixtures("rough_figures")
@@ -208,7 +209,7 @@ def test_an_output_that_cannot_be_written_is_found_before_any_work(make, tmp_pat
     def work(*arguments, **options):
         raise AssertionError("there was work")
 
-    for module in ("torchfra.app.compare_command.scenario_of", "torchfra.readers.read", "time_stamps.read",
+    for module in ("torchfra.cli.compare_command.scenario_of", "torchfra.readers.read", "time_stamps.read",
                    "regret.chosen_cells", "particles.cells", "reproduce.evaluate",
                    "train.tune.Training"):  # fmt: skip
         monkeypatch.setattr(module, work)
@@ -243,7 +244,7 @@ def test_a_run_finds_before_it_begins_that_a_file_cannot_be_written(name, tmp_pa
 
 
 def test_one_target_whose_table_cannot_be_written_is_found_before_any_work(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("torchfra.app.track_command.clean_tracks", None)
+    monkeypatch.setattr("torchfra.cli.track_command.clean_tracks", None)
     (tmp_path / "flight.csv").write_text("t,x,y\n0,0,0\n1,1,1\n")
     for ending in ("csv", "meta.json", "png"):
         out = tmp_path / ending

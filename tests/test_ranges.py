@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from torchfra import metrics, presets, readers, scenarios
-from torchfra.app.evaluate import evaluate
 from torchfra.catalogue import filters_for, scenario_filters
+from torchfra.evaluation import evaluate
 from torchfra.motion import ConstantAcceleration, ConstantVelocity
 from torchfra.sensors import Ranges
 from torchfra.types import Gaussian

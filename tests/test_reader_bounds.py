@@ -9,7 +9,7 @@ import zlib
 import numpy as np
 import pytest
 
-from torchfra.app.cli import main
+from torchfra.cli.main import main
 from torchfra.readers import read, read_ranges
 from torchfra.readers.bounded import LONGEST_ROW
 

@@ -12,10 +12,9 @@ import torch
 from regrets import cells, ratios, show, tuning
 from short_tracks import short
 
-from torchfra import metrics, presets, scenarios
-from torchfra.app import plotting
-from torchfra.app.evaluate import evaluate
+from torchfra import metrics, plotting, presets, scenarios
 from torchfra.catalogue import filters_for, learned_filter, make_scenario
+from torchfra.evaluation import evaluate
 
 pytestmark = pytest.mark.usefixtures("rough_figures")
 

@@ -6,8 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchfra.app.evaluate import evaluate
-from torchfra.app.running_metrics import RunningMedian, RunningMetrics
+from torchfra.evaluation import evaluate
+from torchfra.evaluation.running_metrics import RunningMedian, RunningMetrics
 from torchfra.scenarios import bearings_outliers
 from torchfra.types import Estimate
 

@@ -8,9 +8,9 @@ import pytest
 from cleaned_tracks import straight
 
 from torchfra import readers
-from torchfra.app import cli
-from torchfra.app.outputs.plan import MOST_PICTURES, plan
 from torchfra.cleaning import clean_tracks
+from torchfra.cli import main as cli
+from torchfra.cli.plan import MOST_PICTURES, plan
 
 QUICK = ["--filter", "srckf", "--sigma", "25", "--q", "1", "--bank", "aircraft", "--no-compile"]
 
@@ -73,7 +73,7 @@ def test_a_folder_has_a_table_of_each_target_and_a_file_one_of_all(two_flights, 
 
 
 def test_the_input_is_never_written_to(flight, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("torchfra.app.track_command.clean_tracks", None)
+    monkeypatch.setattr("torchfra.cli.track_command.clean_tracks", None)
     before = flight.read_bytes()
     for options in (["--out", str(tmp_path)], ["--out", str(flight)], ["--out", "new", "--json", str(flight)]):
         assert cli.main(["track", str(flight), *options]) == 2
@@ -141,6 +141,6 @@ def test_help_teaches_by_examples_that_run(capsys, flight, tmp_path, monkeypatch
     said = capsys.readouterr().out
     examples = [line.split("#")[0].split()[1:] for line in said.splitlines() if line.startswith("  torchfra track")]
     assert len(examples) >= 5
-    monkeypatch.setattr("torchfra.app.track_command.run", lambda options: None)
+    monkeypatch.setattr("torchfra.cli.track_command.run", lambda options: None)
     for words in examples:
         assert cli.main(words) == 0

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from cleaned_tracks import geodetic, straight
 
-from torchfra.app.outputs import FORMATS, MAPS, check_format, geojson, gpx, kml
-from torchfra.app.outputs.kml import GX, KML
+from torchfra.cleaning.outputs import FORMATS, MAPS, check_format, geojson, gpx, kml
+from torchfra.cleaning.outputs.kml import GX, KML
 from torchfra.geodesy import to_geodetic
 
 
@@ -100,7 +100,7 @@ def test_strange_names_and_steps_that_failed_do_no_harm(ending):
 
 
 def test_a_format_that_needs_a_package_that_is_not_there_is_refused_by_name(monkeypatch):
-    monkeypatch.setattr("torchfra.app.outputs.formats.find_spec", lambda name: None)
+    monkeypatch.setattr("torchfra.cleaning.outputs.formats.find_spec", lambda name: None)
     for ending, package in ((".gpx", "gpxpy"), (".parquet", "pyarrow")):
         with pytest.raises(ImportError, match=rf"^out: \{ending} needs {package}: pip install"):
             check_format(ending)

@@ -11,7 +11,7 @@ from cleaned_tracks import straight
 
 pytest.importorskip("plotly", reason="needs plotly")
 
-from torchfra.app.outputs import page
+from torchfra.cli import page
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 

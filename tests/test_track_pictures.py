@@ -8,11 +8,11 @@ from cleaned_tracks import straight
 from matplotlib.colors import to_rgb
 from matplotlib.text import Text
 
-from torchfra.app import plotting
-from torchfra.app.outputs.colours import APART, BLUE, GREY, ORANGE, RED, REGIMES
-from torchfra.app.outputs.view import MOST_STD, view
-from torchfra.app.plotting.style import line_styles
+from torchfra import plotting
 from torchfra.cleaning import Segment
+from torchfra.cleaning.outputs.colours import APART, BLUE, GREY, ORANGE, RED, REGIMES
+from torchfra.cleaning.outputs.view import MOST_STD, view
+from torchfra.plotting.style import line_styles
 
 
 def panels(figure):

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from cleaned_tracks import DAY, FOUND, geodetic, straight
 
-from torchfra.app import outputs
-from torchfra.app.outputs import csv_table, parquet
-from torchfra.app.outputs.course import course
-from torchfra.app.outputs.summary import line, settings_line, summary
-from torchfra.app.outputs.table import UNITS, columns
+from torchfra.cleaning import outputs
+from torchfra.cleaning.outputs import csv_table, parquet
+from torchfra.cleaning.outputs.course import course
+from torchfra.cleaning.outputs.summary import line, settings_line, summary
+from torchfra.cleaning.outputs.table import UNITS, columns
 from torchfra.geodesy import to_geodetic
 from torchfra.readers.recording import Source
 

@@ -13,7 +13,7 @@ from two_processes import forked, run_in_two
 
 import torchfra
 from torchfra import presets, scenarios
-from torchfra.app import cli
+from torchfra.cli import main as cli
 from torchfra.types import Gaussian
 from train import checkpoints, tune
 from train.batches import Batch, simulate

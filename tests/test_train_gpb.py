@@ -7,7 +7,7 @@ import torch
 from short_tracks import STEPS, short
 
 from torchfra import metrics, presets, scenarios
-from torchfra.app import distributed
+from torchfra.running import distributed
 from train import checkpoints, tune
 from train.batches import simulate
 from train.evolution import Evolution

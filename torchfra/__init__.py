@@ -1,33 +1,11 @@
-"""Robust, adaptive tracking of manoeuvring targets: batched, differentiable square-root filters for PyTorch."""
+"""Robust, adaptive tracking of manoeuvring targets: batched, differentiable square-root filters for PyTorch.
 
-from torchfra import (
-    adaptive,
-    association,
-    coordinates,
-    filters,
-    gaussian,
-    linalg,
-    losses,
-    metrics,
-    motion,
-    presets,
-    readers,
-    register,
-    robust,
-    scenarios,
-    sensors,
-    stream,
-    targets,
-    testing,
-)
-from torchfra.app.clean import clean, track
-from torchfra.app.compare import compare
-from torchfra.app.memory import keep_memory
-from torchfra.fitting.from_tracks import fit
-from torchfra.hyper import Hyper, learnable, summary
-from torchfra.presets.values import values
-from torchfra.testing.models import check_model
-from torchfra.types import Cause, Estimate, Failure, Gaussian, Innovation
+Modules load when they are first named: ``torchfra.presets`` loads what a filter needs, ``torchfra.readers`` what reads
+files, and so on.
+"""
+
+from typing import TYPE_CHECKING, Any
+
 from torchfra.version import __version__ as __version__
 
 __all__ = [
@@ -37,14 +15,18 @@ __all__ = [
     "Gaussian",
     "Hyper",
     "Innovation",
+    "adapters",
     "adaptive",
     "association",
     "check_model",
     "clean",
+    "cleaning",
     "compare",
     "coordinates",
+    "evaluation",
     "filters",
     "fit",
+    "fitting",
     "gaussian",
     "keep_memory",
     "learnable",
@@ -52,6 +34,7 @@ __all__ = [
     "losses",
     "metrics",
     "motion",
+    "plotting",
     "presets",
     "readers",
     "register",
@@ -65,3 +48,69 @@ __all__ = [
     "track",
     "values",
 ]
+
+if TYPE_CHECKING:
+    from torchfra import (
+        adapters,
+        adaptive,
+        association,
+        cleaning,
+        coordinates,
+        evaluation,
+        filters,
+        fitting,
+        gaussian,
+        linalg,
+        losses,
+        metrics,
+        motion,
+        plotting,
+        presets,
+        readers,
+        register,
+        robust,
+        scenarios,
+        sensors,
+        stream,
+        targets,
+        testing,
+    )
+    from torchfra.cleaning.clean import clean, track
+    from torchfra.comparison.comparing import compare
+    from torchfra.fitting.from_tracks import fit
+    from torchfra.hyper import Hyper, learnable, summary
+    from torchfra.presets.values import values
+    from torchfra.running.memory import keep_memory
+    from torchfra.testing.models import check_model
+    from torchfra.types import Cause, Estimate, Failure, Gaussian, Innovation
+else:
+    _MODULES = {
+        "types": ("Cause", "Estimate", "Failure", "Gaussian", "Innovation"),
+        "hyper": ("Hyper", "learnable", "summary"),
+        "presets.values": ("values",),
+        "testing.models": ("check_model",),
+        "fitting.from_tracks": ("fit",),
+        "cleaning.clean": ("clean", "track"),
+        "comparison.comparing": ("compare",),
+        "running.memory": ("keep_memory",),
+    }
+    _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+    """Where the functions and classes are that ``torchfra`` has by itself."""
+
+    def __getattr__(name: str) -> Any:
+        """A function or class of ``__all__``, or any module of the package, loaded when it is first named."""
+        from importlib import import_module
+
+        if name in _MODULE_OF:
+            found = getattr(import_module(f"torchfra.{_MODULE_OF[name]}"), name)
+            return globals().setdefault(name, found)
+        if not name.startswith("_"):
+            try:
+                return import_module(f"torchfra.{name}")
+            except ModuleNotFoundError as error:
+                if error.name != f"torchfra.{name}":
+                    raise
+        raise AttributeError(f"module 'torchfra' has no attribute {name!r}")
+
+    def __dir__() -> list[str]:
+        return [*__all__, "__version__"]

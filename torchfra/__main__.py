@@ -2,6 +2,6 @@
 
 import sys
 
-from torchfra.app.cli import main
+from torchfra.cli.main import main
 
 sys.exit(main())

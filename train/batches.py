@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from torchfra import readers, scenarios
-from torchfra.app import distributed
-from torchfra.app.loading import is_place, load_scenario
 from torchfra.catalogue import make_scenario
+from torchfra.cli.loading import is_place, load_scenario
+from torchfra.running import distributed
 from torchfra.scenarios import Scenario
 from torchfra.types import Gaussian
 from train.config import Config, Task

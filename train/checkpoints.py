@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from torchfra import state_files
-from torchfra.app import checkpoints
-from torchfra.app.atomic_write import write, write_text
-from torchfra.app.checkpoints import OtherSettingsError
+from torchfra.running import checkpoints
+from torchfra.running.atomic_write import write, write_text
+from torchfra.running.checkpoints import OtherSettingsError
 from train.training import Training
 
 _BEST: dict[str, type] = {"score": float, "iteration": int, "filter": dict}
@@ -53,7 +53,7 @@ def save(training: Training, out: Path) -> None:
 
 
 def load(training: Training, out: Path) -> bool:
-    """Continues from the newest checkpoint that can be read; whether there was one: see ``app.checkpoints.load``."""
+    """Continues from the newest checkpoint that can be read; whether there was one; see ``checkpoints.load``."""
     return checkpoints.load(out / NEWEST, lambda path: _continue(training, _read(path, training)), "train")
 
 

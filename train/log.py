@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from torchfra.app import distributed
-from torchfra.app.progress import progress_bar
+from torchfra.running import distributed
+from torchfra.running.progress import progress_bar
 from torchfra.tables import printable
 from train.config import Config
 

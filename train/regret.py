@@ -12,12 +12,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
-from torchfra.app import distributed
-from torchfra.app.evaluate import evaluate
-from torchfra.app.progress import progress_bar
 from torchfra.catalogue import filters_for, scenario_filter
+from torchfra.evaluation import evaluate
 from torchfra.filters import Filter
 from torchfra.hyper import Hyper, named
+from torchfra.running import distributed
+from torchfra.running.progress import progress_bar
 from torchfra.scenarios import Scenario
 from train.batches import Batch, simulate, task_scenario
 from train.config import Config

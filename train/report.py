@@ -11,10 +11,11 @@ from typing import Any, cast
 import numpy as np
 import torch
 
-from torchfra.app.evaluate import evaluate, versions
-from torchfra.app.progress import progress_bar
+from torchfra.evaluation import evaluate
 from torchfra.filters import Filter
 from torchfra.hyper import natural_values
+from torchfra.running.progress import progress_bar
+from torchfra.running.versions import versions
 from torchfra.tables import text_table
 from train.batches import simulate
 from train.filters import make_filter, set_temperature

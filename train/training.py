@@ -11,9 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from torchfra import losses
-from torchfra.app import distributed
 from torchfra.filters import Filter
 from torchfra.hyper import named, natural_values
+from torchfra.running import distributed
 from torchfra.scenarios import Scenario
 from torchfra.types import Estimate
 from train.batches import Batch, task_scenario

@@ -29,13 +29,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchfra.app import distributed, plotting
-from torchfra.app.atomic_write import write_json
-from torchfra.app.command import Failures, check_files, check_folder, exit_status, make_parser
+from torchfra import plotting
 from torchfra.catalogue import FILTERS
+from torchfra.cli.command import Failures, check_files, check_folder, exit_status, make_parser
 from torchfra.fitting.bounded import bounded, falling
 from torchfra.hyper import hypers
 from torchfra.kernel.build import CompileError
+from torchfra.running import distributed
+from torchfra.running.atomic_write import write_json
 from torchfra.tables import printable
 from train import checkpoints
 from train.batches import Batch, simulate
@@ -202,7 +203,7 @@ def _write(training: Training, start: dict[str, float], result: dict[str, Any], 
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the command; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    """Runs the command; returns its exit status: see ``torchfra.cli.command.exit_status``."""
     parser = make_parser(__doc__, "python -m train.tune")
     parser.add_argument("run", metavar="RUN", help=f"one of {', '.join(RUNS)}")
     parser.add_argument("changes", metavar="KEY=VALUE", nargs="*", help="fields of train.config.Config")

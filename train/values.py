@@ -26,14 +26,14 @@ from typing import NamedTuple
 import torch
 
 import torchfra
-from torchfra.app.atomic_write import write_json
-from torchfra.app.command import add_quiet_option, add_runs_options, check_files, exit_status, make_parser
-from torchfra.app.evaluate import versions
-from torchfra.app.jobs import add_jobs_option, check_jobs, finished
-from torchfra.app.progress import progress_bar
 from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, scenario_filter
+from torchfra.cli.command import add_quiet_option, add_runs_options, check_files, exit_status, make_parser
 from torchfra.filters import Filter
 from torchfra.presets.values import FILE, made_with
+from torchfra.running.atomic_write import write_json
+from torchfra.running.jobs import add_jobs_option, check_jobs, finished
+from torchfra.running.progress import progress_bar
+from torchfra.running.versions import versions
 from torchfra.scenarios import Scenario
 from train.batches import task_scenario
 from train.config import Task
@@ -65,7 +65,7 @@ SOURCES = {
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the command; returns its exit status: see ``torchfra.app.command.exit_status``."""
+    """Runs the command; returns its exit status: see ``torchfra.cli.command.exit_status``."""
     parser = make_parser(__doc__, "python -m train.values")
     parser.add_argument("--take", metavar="DIR", type=Path, nargs="+", default=[], help="what runs have written")
     parser.add_argument("--out", metavar="FILE", type=Path, default=FILE, help="where to write (default: the package)")

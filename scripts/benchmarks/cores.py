@@ -13,8 +13,8 @@ import torch
 from benchmarks.clock import first_call, one_pass
 from benchmarks.timing import Row, System, timed
 from torchfra import keep_memory
-from torchfra.app.evaluate import run
 from torchfra.catalogue import make_scenario, scenario_filter
+from torchfra.evaluation import run
 
 
 def cores(options: argparse.Namespace) -> list[Row]:

@@ -16,8 +16,8 @@ import torch
 
 from benchmarks.clock import one_pass
 from benchmarks.timing import Row, calls, timed
-from torchfra.app.evaluate import run
 from torchfra.catalogue import make_scenario, scenario_filter, track_filters
+from torchfra.evaluation import run
 from torchfra.filters import Filter
 from torchfra.filters.compiled import Compiled
 from torchfra.kernel.build import load

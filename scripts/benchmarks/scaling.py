@@ -12,8 +12,7 @@ import numpy as np
 import torch
 
 from benchmarks.timing import Row, calls, timed
-from torchfra import presets
-from torchfra.app import plotting
+from torchfra import plotting, presets
 from torchfra.association import Clutter
 from torchfra.catalogue import make_scenario
 from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from benchmarks.clock import PASS, WARM, first_call, one_pass
-from torchfra.app.progress import progress_bar
+from torchfra.running.progress import progress_bar
 from torchfra.tables import text_table
 
 Row = dict[str, Any]

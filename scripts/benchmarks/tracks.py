@@ -13,8 +13,8 @@ import torch
 from benchmarks.elsewhere import Peer, start_peers
 from benchmarks.timing import Row, System, calls, timed
 from torchfra import presets
-from torchfra.app.evaluate import run
 from torchfra.catalogue import FILTERS, make_scenario, scenario_filter
+from torchfra.evaluation import run
 from torchfra.scenarios import Scenario, Tracks
 
 

@@ -22,7 +22,7 @@ PAGES = {
     "torchfra/stream/README.md": "streaming", "torchfra/targets/README.md": "targets",
     "torchfra/cleaning/README.md": "cleaning", "torchfra/kernel/README.md": "performance",
     "scripts/examples": "gallery/examples/index", "torchfra/fitting/README.md": "fitting",
-    "torchfra/app/evaluate/README.md": "comparing",
+    "torchfra/comparison/README.md": "comparing",
     "torchfra/adapters/README.md": "adapters",
 }  # fmt: skip
 """The page that includes a file which others link to."""

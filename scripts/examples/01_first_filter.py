@@ -47,7 +47,7 @@ def main(arguments: list[str] | None = None) -> None:
     print(f"largest normalised innovation squared: {estimate.nis[0].max():.0f} at step {estimate.nis[0].argmax() + 1}")
 
     if options.plot:
-        from torchfra.app import plotting  # needs matplotlib, so only here
+        from torchfra import plotting  # needs matplotlib, so only here
 
         paths = {name.split(",")[0]: estimate.mean[0] for name, estimate in estimates.items()}
         print(plotting.save(plotting.tracks(tracks.truth[0], paths, "run 0", tracks.u), options.plot))

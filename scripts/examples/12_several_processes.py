@@ -14,7 +14,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 import torchfra
 from torchfra import losses, presets, scenarios
-from torchfra.app.distributed import rank, share, team
+from torchfra.running.distributed import rank, share, team
 from torchfra.scenarios import Scenario
 
 

@@ -8,8 +8,7 @@ from typing import Any
 import torch
 
 from papers.experiment import Experiment, Figures, Filters, Results, Study, catalogue_filters, filtered
-from torchfra import presets
-from torchfra.app import plotting
+from torchfra import plotting, presets
 from torchfra.filters.alphabeta import AlphaBeta, AlphaBetaBank, gains
 from torchfra.scenarios import Scenario
 from torchfra.tables import text_table

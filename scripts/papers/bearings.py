@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from papers.experiment import Experiment, Figures, Results, Study, catalogue_filters, filtered
-from torchfra.app import plotting
-from torchfra.app.evaluate import table
+from torchfra import plotting
+from torchfra.evaluation import table
 
 GATE = 5.991
 """Normalised innovations squared above it are drawn as abnormal: the 95 % point of chi-square with two elements."""

@@ -12,10 +12,10 @@ import torch
 
 from papers import scans
 from papers.experiment import Experiment, Figures, Filters, Results, Study, catalogue_filters
-from torchfra.app import plotting
-from torchfra.app.progress import progress_bar
+from torchfra import plotting
 from torchfra.association import Euclidean
 from torchfra.catalogue import scenario_filter
+from torchfra.running.progress import progress_bar
 from torchfra.scenarios import Scenario
 from torchfra.tables import text_table
 

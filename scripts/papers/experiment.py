@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from torchfra.app.evaluate import run
 from torchfra.catalogue import scenario_filters
+from torchfra.evaluation import run
 from torchfra.filters import Filter
 from torchfra.scenarios import Scenario, Tracks
 from torchfra.types import Estimate

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from papers.experiment import Experiment, Figures, Results, Study, catalogue_filters
-from torchfra.app import plotting
-from torchfra.app.evaluate import evaluate
+from torchfra import plotting
 from torchfra.catalogue import make_scenario
+from torchfra.evaluation import evaluate
 from torchfra.scenarios import Scenario
 from torchfra.tables import text_table
 

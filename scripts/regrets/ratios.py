@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchfra import metrics
-from torchfra.app.evaluate import run
-from torchfra.app.progress import progress_bar
+from torchfra.evaluation import run
 from torchfra.filters import Filter
+from torchfra.running.progress import progress_bar
 from torchfra.scenarios import Scenario
 from torchfra.types import Estimate
 

@@ -12,8 +12,8 @@ from torch import Tensor
 from regrets.ratios import RESAMPLES, Errors, draws
 from regrets.show import interval, metres, regret
 from torchfra import metrics
-from torchfra.app.progress import progress_bar
 from torchfra.filters import Filter
+from torchfra.running.progress import progress_bar
 from torchfra.scenarios import Scenario
 from torchfra.tables import text_table
 from torchfra.types import Estimate

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchfra import metrics
-from torchfra.app.evaluate import run
+from torchfra.evaluation import run
 from torchfra.filters import Filter
 from torchfra.hyper import Hyper, hypers
 from torchfra.scenarios import Scenario, Tracks

@@ -10,9 +10,9 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from torchfra.app.clean import PREFIX, clean
-from torchfra.app.outputs.table import columns, united
 from torchfra.cleaning import Cleaned
+from torchfra.cleaning.clean import PREFIX, clean
+from torchfra.cleaning.outputs.table import columns, united
 from torchfra.motion.base import Motion
 from torchfra.types import Estimate
 

@@ -11,12 +11,12 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchfra.app import distributed
 from torchfra.fitting.bounded import bounded, falling
 from torchfra.fitting.data import Batch
 from torchfra.fitting.errors import KINDS as KINDS_OF_ERRORS
 from torchfra.fitting.objective import Objective
 from torchfra.hyper import one_of
+from torchfra.running import distributed
 
 KINDS: dict[str, type] = {"key": str, "iteration": int, "raw": torch.Tensor, "optimiser": dict, "best": torch.Tensor,
                           "scores": torch.Tensor, "since": int, "rows": list}  # fmt: skip

@@ -11,9 +11,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchfra.app.atomic_write import write_json
-from torchfra.app.evaluate import versions
-from torchfra.app.pictures import picture_form
 from torchfra.filters import Filter
 from torchfra.fitting.again import Bootstrap, Profile, bootstrap, profile
 from torchfra.fitting.data import Batch
@@ -22,6 +19,9 @@ from torchfra.fitting.errors import Certainty
 from torchfra.fitting.judging import HeldOutComparison, Judged, judged
 from torchfra.fitting.newton import Sums
 from torchfra.fitting.objective import Objective
+from torchfra.running.atomic_write import write_json
+from torchfra.running.pictures import picture_form
+from torchfra.running.versions import versions
 from torchfra.tables import text_table
 
 QUANTITIES = {
@@ -169,7 +169,7 @@ class Fitted:
         """
         if path is not None:
             picture_form(path)
-        from torchfra.app import plotting
+        from torchfra import plotting
 
         title = f"fit by {self.settings.loss}, seed {self.settings.seed}"
         figure = plotting.learning_curve(self.rows, self.start, title)

@@ -10,8 +10,6 @@ import torch
 from torch import Tensor
 
 from torchfra import losses, state_files
-from torchfra.app import checkpoints, distributed
-from torchfra.app.progress import progress_bar
 from torchfra.filters import Filter
 from torchfra.fitting.data import Batch, Source, batch_of
 from torchfra.fitting.descent import Descent, Settings, key_of, starting_points
@@ -22,6 +20,8 @@ from torchfra.fitting.newton import Sums, minimised
 from torchfra.fitting.objective import Objective, Own
 from torchfra.fitting.preparing import compiled, copied, objective_of
 from torchfra.fitting.vector import Vector
+from torchfra.running import checkpoints, distributed
+from torchfra.running.progress import progress_bar
 
 FEWEST = 4
 """Tracks of a fit."""

@@ -65,7 +65,7 @@ class Scenario:
         conversion: from estimates in the motion's coordinates to ``[position, velocity]`` in Cartesian ones, which are
             the truth's; None if the motion's coordinates are the truth's.
         limit: position error, root mean square over time, above which a run has diverged, m; None for one that follows
-            the scale of the scenario (``torchfra.app.evaluate.divergence_limit``).
+            the scale of the scenario (``torchfra.evaluation.divergence_limit``).
         recordings: where measurements are recorded, what the runs are called; after the last comes the first again.
         law: how the targets truly move and are measured, where that is known; what ``scenarios.bound`` needs.
     """

@@ -11,8 +11,8 @@ from torch.nn.functional import pad
 
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
+from torchfra.numbers import real
 from torchfra.targets.assignment import scipy
-from torchfra.targets.numbers import real
 from torchfra.targets.places import from_cartesian, known_components
 from torchfra.targets.state import Unexplained, joined, rows
 from torchfra.types import Gaussian

@@ -13,11 +13,11 @@ from torch import Tensor, nn
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.lost_tracks import log_miss
 from torchfra.gaussian.inputs import Measurements, Time
+from torchfra.numbers import real, whole
 from torchfra.targets.births import Birth, Newborn, OnePoint
 from torchfra.targets.checks import check_filter, check_parts, check_scan, check_scans
 from torchfra.targets.clusters import Group
 from torchfra.targets.merging import Merging
-from torchfra.targets.numbers import real, whole
 from torchfra.targets.others import around, others
 from torchfra.targets.places import known_components, place, to_cartesian
 from torchfra.targets.records import collect

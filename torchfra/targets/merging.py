@@ -9,8 +9,8 @@ from torch import Tensor, nn
 
 from torchfra.linalg.triangular import hstack, tria, whiten
 from torchfra.motion.base import Motion
+from torchfra.numbers import real
 from torchfra.targets.clusters import Group
-from torchfra.targets.numbers import real
 from torchfra.targets.state import Track
 from torchfra.types import Gaussian
 

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from torchfra.targets.numbers import real, whole
+from torchfra.numbers import real, whole
 from torchfra.targets.state import Track
 
 

@@ -6,7 +6,7 @@
 import numpy as np
 
 import torchfra
-from torchfra.app import plotting
+from torchfra import plotting
 
 rng = np.random.default_rng(0)
 time = np.arange(0.0, 300.0, 2.0)

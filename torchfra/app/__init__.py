@@ -1,1 +1,0 @@
-"""The command line: evaluation, figures, files.  The library below does not import it."""

@@ -1,8 +1,0 @@
-"""What ``torchfra track`` gives back: tables, tracks for maps, what belongs to them, and a line for people."""
-
-from torchfra.app.outputs.formats import FORMATS, MAPS, check_format, write
-from torchfra.app.outputs.metadata import metadata
-from torchfra.app.outputs.summary import line, settings_line, summary
-from torchfra.app.outputs.table import columns
-
-__all__ = ["FORMATS", "MAPS", "check_format", "columns", "line", "metadata", "settings_line", "summary", "write"]

@@ -1,0 +1,153 @@
+"""``torchfra.clean`` and ``torchfra.track``: tracks from files, tables and arrays, cleaned by one call."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchfra.cleaning import DEFAULT, Cleaned, clean_tracks
+from torchfra.cleaning.outputs.table import columns
+from torchfra.motion.bank import Bank
+from torchfra.readers import MAX_BYTES, Recording, read
+from torchfra.readers.reading import read_sheet
+from torchfra.readers.sheets import Sheet
+
+PREFIX = "clean_"
+"""In front of the names of columns that are added to a table."""
+_LEFT_OUT = ("row", "id", "time", "seconds")
+"""Columns of an output that a table of one's own has already."""
+
+
+def clean(
+    data: Any,
+    *,
+    filter: str = DEFAULT,
+    bank: str | Bank | None = None,
+    sigma: float | None = None,
+    q: float | None = None,
+    smooth: bool = True,
+    dt: float | None = None,
+    repair: bool = True,
+    compile: bool = False,
+    max_bytes: int = MAX_BYTES,
+    **words: Any,
+) -> Any:
+    """Cleans tracks: where targets were and how sure that is, which fixes are wrong, and what was flown.
+
+    Args:
+        data: the path of a file; a pandas ``DataFrame``; ``(time (k,), position (k, d))``, seconds or moments, and
+            metres in 2 or 3 dimensions, NaN where missing; or recordings of ``torchfra.readers.read``.
+        filter: its name, out of ``catalogue.track_filters()``.
+        bank: of what targets: ``"aircraft"``, ``"ship"``, ``"vehicle"`` or ``"person"``, or a ``Bank`` of motions; None
+            chooses by the data.
+        sigma: standard deviation of a fix per axis, m; where fixes have their own, a factor on those.  None finds it.
+        q: density of the process noise per second, m^2/s^3.  None finds it.
+        smooth: whether each estimate knows the fixes after it.
+        dt: seconds; also estimates at every multiple of it after the first fix; not of a ``DataFrame``.
+        repair: whether fixes of aircraft whose time stamps are off by seconds are first put in place, where tracks show
+            it: see ``cleaning.clean_tracks``.
+        compile: whether to run compiled, which pays for long tracks; needs a C++ compiler.
+        max_bytes: of text that a file may hold.
+        words: columns by name, such as ``time="when", lat="breite"``, and how they are written: see
+            ``readers.told.Told``.
+
+    Returns:
+        For a ``DataFrame`` a copy with its index and columns, and new columns ``clean_latitude`` or ``clean_x``, ...,
+        ``clean_speed``, ``clean_outlier``, ``clean_flag`` and others, in the units of the input; rows that hold no fix,
+        or one at the time of another, have NaN there.  For arrays a ``Cleaned``, and for a path or recordings a list
+        of them, one for each target.
+
+    Raises:
+        ValueError: the data cannot be understood, or a value is out of its range.
+        ImportError: what reads a file is not installed.
+        CompileError: (a ``RuntimeError``) with ``compile``, if there is no C++ compiler.
+    """
+    settings: dict[str, Any] = {"filter": filter, "bank": bank, "sigma": sigma, "q": q, "smooth": smooth, "dt": dt,
+                                "repair": repair, "compile": compile}  # fmt: skip
+    if isinstance(data, str | Path):
+        return clean_tracks(read(data, max_bytes=max_bytes, **words), **settings)
+    if _is_frame(data):
+        if dt is not None:
+            raise ValueError(f"dt: expected None for a DataFrame, whose rows are kept, received {dt}")
+        recordings = read_sheet(_sheet_of_frame(data), "DataFrame", max_bytes=max_bytes, **words)
+        return _joined(data, clean_tracks(recordings, **settings))
+    if isinstance(data, Sequence) and data and all(isinstance(one, Recording) for one in data):
+        return clean_tracks(data, **settings)
+    (cleaned,) = clean_tracks(read_sheet(_sheet_of_arrays(data), "data", max_bytes=max_bytes, **words), **settings)
+    return cleaned
+
+
+def track(data: Any, **settings: Any) -> Any:
+    """As ``clean``, on line: every estimate knows only the fixes before and at its step."""
+    return clean(data, **{"smooth": False, **settings})
+
+
+# ---------------------------------------------------------------- tables
+
+
+def _is_frame(data: Any) -> bool:
+    """Whether it is a ``DataFrame``; pandas is not imported for it."""
+    pandas = sys.modules.get("pandas")
+    return pandas is not None and isinstance(data, pandas.DataFrame)
+
+
+def _sheet_of_frame(frame: Any) -> Sheet:
+    """The columns of a table; its index too where that tells the time and no column does."""
+    table = {str(name): frame.iloc[:, i] for i, name in enumerate(frame.columns)}
+    if len(table) < frame.shape[1]:
+        raise ValueError("data: expected every column once, received several of the same name")
+    if taken := [name for name in table if name.startswith(PREFIX)]:
+        raise ValueError(f"data: expected columns that are not cleaned yet, received {taken[0]}")
+    if frame.index.inferred_type == "datetime64" and (name := str(frame.index.name or "time")) not in table:
+        table[name] = frame.index.to_series()
+    return Sheet([*table], [(len(frame), lambda name: _cells(table[name]))])
+
+
+def _cells(column: Any) -> Any:
+    """A column of a table as an array; text as objects."""
+    kind = sys.modules["pandas"].api.types
+    if kind.is_datetime64_any_dtype(column.dtype):
+        return column.to_numpy(dtype="datetime64[ns]")
+    if kind.is_numeric_dtype(column.dtype) and not kind.is_bool_dtype(column.dtype):
+        return column.to_numpy(dtype=np.float64, na_value=np.nan)
+    return [None if missing else cell for cell, missing in zip(column.tolist(), column.isna().tolist(), strict=True)]
+
+
+def _joined(frame: Any, several: Sequence[Cleaned]) -> Any:
+    """A copy of a table with new columns."""
+    new: dict[str, NDArray[Any]] = {}
+    for cleaned in several:
+        table = columns(cleaned)
+        for name, values in table.items():
+            if name not in _LEFT_OUT and not name.startswith(("raw_", "cov_")):
+                empty = np.full(len(frame), np.nan) if values.dtype.kind == "f" else np.full(len(frame), "", object)
+                new.setdefault(PREFIX + name, empty)[table["row"]] = values
+    pandas = sys.modules["pandas"]
+    return pandas.concat([frame, pandas.DataFrame(new, index=frame.index)], axis=1)
+
+
+# ---------------------------------------------------------------- arrays
+
+
+def _sheet_of_arrays(data: Any) -> Sheet:
+    """Times and positions.
+
+    Raises:
+        ValueError: it is no pair of times and positions.
+    """
+    if not isinstance(data, tuple | list) or len(data) != 2:
+        raise ValueError(
+            f"data: expected a path, a DataFrame, recordings or (time, position), received {type(data).__name__}"
+        )
+    time, position = np.asarray(data[0]), np.asarray(data[1], dtype=np.float64)
+    if time.ndim != 1 or position.ndim != 2 or position.shape[0] != len(time) or position.shape[1] not in (2, 3):
+        raise ValueError(
+            f"data: expected time (k,) and position (k, 2) or (k, 3), received {time.shape}, {position.shape}"
+        )
+    table = {"t": time, **{axis: position[:, i] for i, axis in enumerate("xyz"[: position.shape[1]])}}
+    return Sheet([*table], [(len(time), table.__getitem__)])

@@ -1,0 +1,44 @@
+"""Tables as comma-separated text."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchfra.cleaning import Cleaned
+from torchfra.cleaning.outputs.table import columns, united
+
+_DIGITS = {"latitude": 8, "longitude": 8, "outlier": 4, "manoeuvre": 4, "regime": 4}
+"""Behind the point, by the words of a column's name; others have three."""
+
+
+def encode(results: Sequence[Cleaned]) -> bytes:
+    """The rows of all targets under one header; an empty cell is a number that is not known."""
+    table, text = united([columns(cleaned) for cleaned in results]), io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table)
+    writer.writerows(zip(*(_cells(name, values) for name, values in table.items()), strict=True))
+    return text.getvalue().encode(errors="backslashreplace")
+
+
+def _cells(name: str, values: NDArray[Any]) -> list[str]:
+    if values.dtype.kind in "iu":
+        return ["" if name == "row" and v < 0 else str(v) for v in values.tolist()]
+    if values.dtype.kind != "f":
+        return [str(v).replace("\0", r"\x00") for v in values.tolist()]  # csv of Python 3.10 writes and reads none
+    form = _form(name)
+    cells = [form % v for v in values.tolist()]
+    for i in np.flatnonzero(~np.isfinite(values)):
+        cells[i] = ""
+    return cells
+
+
+def _form(name: str) -> str:
+    if name.startswith("cov_"):
+        return "%.6g"
+    return f"%.{max((_DIGITS.get(word, 3) for word in name.split('_')), default=3)}f"

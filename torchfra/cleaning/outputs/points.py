@@ -1,0 +1,87 @@
+"""A cleaned track as the formats of maps take it."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchfra.cleaning import Cleaned, Segment
+from torchfra.cleaning.outputs.table import columns
+from torchfra.cleaning.outputs.times import dates
+from torchfra.geodesy import Origin, to_geodetic
+from torchfra.readers.columns import Array
+from torchfra.readers.recording import Recording
+
+ATTRIBUTES = ("row", "seconds", "speed", "course", "climb", "std_along", "std_across", "std_up",
+              "outlier", "manoeuvre", "flag")  # fmt: skip
+"""Columns of the table that each point of a map keeps, as far as there are."""
+
+
+class Points(NamedTuple):
+    """Of one target, each ``(T,)`` of the steps whose estimate is finite."""
+
+    name: str
+    place: Array
+    """``(T, 2 or 3)`` longitude and latitude in degrees, altitude in m."""
+    dates: list[str] | None
+    """UTC, ISO 8601; None where the times of the input are no dates."""
+    attributes: dict[str, list[Any]]
+    """By name of ``ATTRIBUTES``; None is not known."""
+    rejected: Array
+    """``(K, 2 or 3)`` fixes that are outliers, where they were recorded."""
+    rejected_rows: list[int]
+    """Their rows of the input."""
+    manoeuvres: list[tuple[Segment, NDArray[np.intp]]]
+    """Each with the numbers of its steps."""
+
+
+def points(cleaned: Cleaned) -> Points:
+    """A track in degrees.
+
+    Raises:
+        ValueError: the recording has x and y without an origin.
+    """
+    origin = origin_of(cleaned.recording)
+    good, rejected = ~cleaned.failed, cleaned.flag == "outlier"
+    table, at = columns(cleaned), np.flatnonzero(good)
+    stamps = dates(cleaned)
+    attributes = {name: _known(name, table[name][good]) for name in ATTRIBUTES if name in table}
+    number = np.cumsum(good) - 1
+    manoeuvres = [
+        (segment, number[at[(cleaned.time[at] >= segment.begin) & (cleaned.time[at] <= segment.end)]])
+        for segment in cleaned.segments
+    ]
+    return Points(
+        cleaned.recording.name,
+        _place(cleaned.position[good], origin),
+        None if stamps is None else [stamps[i] for i in at],
+        attributes,
+        _place(cleaned.raw[rejected], origin),
+        table["row"][rejected].tolist(),
+        manoeuvres,
+    )
+
+
+def origin_of(recording: Recording) -> Origin:
+    """Where on the earth a track is.
+
+    Raises:
+        ValueError: it has x and y without an origin.
+    """
+    if recording.origin is None:
+        name = recording.source.name or recording.name
+        raise ValueError(f"out: maps need latitudes and longitudes, and {name} has x and y: take .csv or .parquet")
+    return recording.origin
+
+
+def _place(position: Array, origin: Origin) -> Array:
+    latitude, longitude, altitude = to_geodetic(position, origin)
+    return np.stack([longitude, latitude, altitude][: position.shape[1]], 1)
+
+
+def _known(name: str, values: NDArray[Any]) -> list[Any]:
+    if values.dtype.kind == "f":
+        return [round(v, 4) if np.isfinite(v) else None for v in values.tolist()]
+    return [None if name == "row" and v < 0 else v for v in values.tolist()]

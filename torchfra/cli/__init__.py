@@ -1,0 +1,1 @@
+"""The command line: commands, their options, pages.  The library does not import it."""

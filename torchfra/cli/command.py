@@ -1,0 +1,199 @@
+"""What the commands of this package have in common: options, errors in one line, exit status."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from torchfra.running import atomic_write, home  # noqa: F401  # home: before anything looks for one
+from torchfra.running.memory import keep_memory
+from torchfra.tables import printable
+
+_STATUS = """exit status: 0; 1 if a part of the work failed or a result is not finite, and the rest is done; 2 if an
+argument or a file was wrong; 130 after Ctrl-C; 141 if what reads the output has closed it"""
+_LONGEST = 1000
+"""Characters of an error message."""
+_NO_MEMORY = ("can't allocate memory", "out of memory", "Storage size calculation overflowed")
+"""Parts of the messages with which torch says so."""
+
+
+def make_parser(description: str | None, program: str | None = None) -> argparse.ArgumentParser:
+    """A parser whose help keeps the lines of the description as they are, and says what the exit status means."""
+    form = argparse.RawDescriptionHelpFormatter
+    return argparse.ArgumentParser(program, description=description, epilog=_STATUS, formatter_class=form)
+
+
+def add_json_option(parser: argparse.ArgumentParser) -> None:
+    """Adds ``--json FILE``."""
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the results as JSON")
+
+
+def add_quiet_option(parser: argparse.ArgumentParser) -> None:
+    """Adds ``--quiet``."""
+    parser.add_argument("--quiet", action="store_true", help="no progress bar, and print nothing but errors")
+
+
+def add_runs_options(parser: argparse.ArgumentParser, runs: int, seed: int = 0) -> None:
+    """Adds ``--runs M`` and ``--seed S`` with these defaults."""
+    parser.add_argument("--runs", type=int, default=runs, metavar="M", help=f"Monte-Carlo runs (default: {runs})")
+    parser.add_argument(
+        "--seed", type=int, default=seed, metavar="S", help=f"seed of the random numbers (default: {seed})"
+    )
+
+
+def check_list(parser: argparse.ArgumentParser, option: str, value: str, known: Collection[str]) -> None:
+    """Ends the program with a message unless ``value`` is a comma-separated list of known names."""
+    unknown = [name for name in value.split(",") if name not in known]
+    if unknown:
+        parser.error(f"--{option}: expected names out of {', '.join(known)}, received {', '.join(unknown)}")
+
+
+# ---------------------------------------------------------------- outputs
+
+
+def check_files(outputs: Mapping[str, Path | None], inputs: Sequence[str | Path] = ()) -> None:
+    """Checks, before any work, that output files can be written.
+
+    Args:
+        outputs: by option; None where it is not given.
+        inputs: files that are read, none of which may be written to.
+
+    Raises:
+        OSError: one cannot be written.
+        ValueError: one is an input, or two are the same.
+    """
+    known = {os.path.realpath(path): f"the input {path}" for path in inputs}
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        atomic_write.check(path)
+        place = os.path.realpath(path)
+        if place in known and (path.is_file() or not path.exists()):
+            raise ValueError(f"{option}: expected a file of its own, received {known[place]}")
+        known[place] = f"{path}, as for {option}"
+
+
+def check_folder(option: str, path: Path | None) -> None:
+    """Checks, before any work, that files can be written below a folder, which need not exist yet.
+
+    Raises:
+        OSError: they cannot.
+        ValueError: it is a file, or below one.
+    """
+    if path is None:
+        return
+    for place in (path, *path.parents):
+        if place.is_file():
+            raise ValueError(f"{option}: expected a folder, received the file {place}")
+    atomic_write.check(path / "output")
+
+
+# ---------------------------------------------------------------- what went wrong
+
+
+class IncompleteError(Exception):
+    """The work is done, but for parts that failed: a message for each."""
+
+
+class Failures:
+    """Parts of the work that failed while the others went on."""
+
+    def __init__(self) -> None:
+        self.messages: list[str] = []
+
+    @contextmanager
+    def of(self, part: str) -> Iterator[None]:
+        """Keeps an error of this part."""
+        try:
+            yield
+        except BrokenPipeError:
+            raise
+        except Exception as error:
+            self.messages.append(f"{part}: {message(error) or f'{type(error).__name__}: {error}'}")
+
+    def end(self) -> None:
+        """Ends the work.
+
+        Raises:
+            IncompleteError: a part failed.
+        """
+        if self.messages:
+            raise IncompleteError(*self.messages)
+
+
+def exit_status(program: str, work: Callable[[], object]) -> int:
+    """Runs ``work``, with memory kept for reuse.
+
+    Args:
+        program: name in front of an error message.
+        work: what the command does, from its arguments on; under ``torchrun`` in every process.
+
+    Returns:
+        0; 1 after a line on standard error for each part of the work that failed, or result that is not finite, where
+        the rest is done; 2 after one line if an argument or a file was wrong; 130 after Ctrl-C; 141 if what reads the
+        output has closed it.
+    """
+    keep_memory()
+    if hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a name may have letters that a terminal has not
+    try:
+        try:
+            work()
+        finally:
+            _flush()
+    except IncompleteError as failures:
+        _complain(program, *failures.args)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        _discard_output()
+        return 141
+    except Exception as error:
+        said = message(error)
+        if said is None:
+            raise
+        _discard_output()
+        _complain(program, said)
+        return 2
+    return 0
+
+
+def message(error: Exception) -> str | None:
+    """What a user reads of an error; None of an error in the program itself."""
+    if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and any(x in str(error) for x in _NO_MEMORY)):
+        return f"not enough memory: {error}"
+    if isinstance(error, OverflowError):
+        return f"a number is too large: {error}"
+    if isinstance(error, OSError) and error.strerror is not None:
+        reason = "file not found" if isinstance(error, FileNotFoundError) else error.strerror.lower()
+        return reason if error.filename is None else f"{reason}: {error.filename}"
+    from torchfra.kernel.build import CompileError  # imports torch, which takes long and which no help needs
+
+    known = (ValueError, OSError, ImportError, CompileError, NotImplementedError)
+    return str(error) if isinstance(error, known) else None
+
+
+def _complain(program: str, *messages: str) -> None:
+    """A line on standard error for each message; of the processes of ``torchrun`` the first one's."""
+    if os.environ.get("RANK", "0") == "0":
+        for said in messages:
+            print(f"{program}: error: {printable(' '.join(said.split()), _LONGEST)}", file=sys.stderr)
+
+
+def _flush() -> None:
+    if sys.stdout is not None:  # it may be closed from the start
+        sys.stdout.flush()
+
+
+def _discard_output() -> None:
+    """Keeps Python from trying to write the rest of the output when it ends."""
+    try:
+        _flush()
+    except (OSError, ValueError):
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

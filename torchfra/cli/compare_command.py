@@ -1,0 +1,229 @@
+"""``torchfra compare``: runs many tracks through several filters."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from torchfra.catalogue import filters_for, learned_filter, scan_filters, track_filters
+from torchfra.cli.command import Failures, add_json_option, add_quiet_option, check_files
+from torchfra.cli.compiling import add_compile_option, choose, reporters
+from torchfra.cli.loading import load_filters, load_module
+from torchfra.cli.sources import RANGES, add_source_options, scenario_of
+from torchfra.cli.track_command import FILES
+from torchfra.comparison.comparing import bound_of
+from torchfra.comparison.comparison import Comparison
+from torchfra.comparison.comparison_table import FORMS, table_form
+from torchfra.evaluation import (
+    BASELINE,
+    Result,
+    check_limit,
+    flight,
+    leaders,
+    measure,
+    not_finite,
+    recordings_table,
+    report,
+    results_of,
+    table,
+)
+from torchfra.evaluation.running_metrics import RunningMetrics
+from torchfra.filters import Filter
+from torchfra.running import distributed
+from torchfra.running.atomic_write import write_json
+from torchfra.running.pictures import picture_form
+from torchfra.scenarios import Scenario
+from torchfra.tables import printable
+
+_EXAMPLES = """examples:
+  torchfra compare flights/*.json.gz --sensor radar --json radar.json
+  torchfra compare --scenario bearings-outliers --runs 500 --filters srckf,rmckf,fra
+  torchfra compare --ranges walks --json walks.json
+  torchfra compare --ranges a1.csv a2.csv a3.csv a4.csv --anchors anchors.csv --reference path.csv --dt 0.2
+  torchfra compare --scenario bearings-outliers --runs 200 --table errors.tex --print errors.pdf
+  torchfra compare --scenario mine.py:figure_eight --filters gpb,mine.py:my_filter
+  torchfra compare --scenario bearings-outliers --runs 1000000 --filters srckf
+  torchrun --nproc-per-node 2 -m torchfra compare --scenario bearings-outliers --runs 10000"""
+
+MOST_SHOWN, MOST_ON_MAP = 5, 3
+"""Filters whose errors are drawn over time, and estimates on the map."""
+WORTHWHILE = 100_000
+"""Steps of all runs together from which compiling takes no longer than it saves."""
+
+
+def add_to(command: argparse.ArgumentParser) -> None:
+    """Adds what the command is about, its options and its work to its parser."""
+    command.description = (
+        "Run many tracks through several filters: one table, and one figure with a flight on a map, the\n"
+        "errors of all runs, and errors over time.  The tracks are recorded ones seen by a simulated sensor (FILE),\n"
+        "those of a scenario, or recorded together with ranges from anchors.\n\n"
+        f"{FILES}\n\n{RANGES}"
+    )
+    command.epilog = _EXAMPLES
+    add = command.add_argument
+    add_source_options(add)
+    names = f"{', '.join(track_filters())}, of clutter-* {', '.join(scan_filters())}"
+    add("--filters", metavar="A,B", help=f"out of {names} (default: all), or module:function, file.py:function")
+    own = "run this module or file first: filters and scenarios that it registers are known by their names"
+    add("--import", dest="modules", metavar="MODULE", action="append", default=[], help=own)
+    learned = "also the filter NAME (default: fra) with values that training wrote, as 'learned'"
+    add("--learned", metavar="[NAME=]FILE", help=learned)
+    add(
+        "--runs",
+        type=int,
+        metavar="M",
+        help="tracks (default: 100; of files each window once, of ranges each recording)",
+    )
+    add("--seed", type=int, default=0, metavar="S", help="seed of the random numbers (default: 0)")
+    add_compile_option(command, f"for {WORTHWHILE:,} steps or more of all tracks together")
+    scale = "position error above which a run has diverged, m (default: the scenario's, or one by its scale)"
+    add("--limit", type=float, metavar="M", help=scale)
+    add("--figure", type=Path, metavar="FILE", help="PNG, PDF or SVG (default: compare-SCENARIO.png)")
+    add("--table", type=Path, metavar="FILE", help=f"intervals, tests and the bound, by its ending: {', '.join(FORMS)}")
+    add(
+        "--print", dest="printed", type=Path, metavar="FILE", help="PDF, SVG or PNG a column wide: errors and the bound"
+    )
+    best = f"the first of them, {BASELINE} and the best others"
+    add("--show", metavar="A,B", help=f"filters to draw over time, the first {MOST_ON_MAP} on a map (default: {best})")
+    add("--flight", type=int, metavar="N", help="number of the run to draw on a map (default: a typical one)")
+    add_json_option(command)
+    add_quiet_option(command)
+    command.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Runs the command; under ``torchrun`` in every process, of which the first writes."""
+    inputs = _inputs(options)
+    check_limit(options.limit)
+    check_files(_outputs(options), inputs)
+    for module in options.modules:
+        load_module(module, "import")
+    scenario, runs = scenario_of(options)
+    options.figure = options.figure or Path(f"compare-{scenario.name}.png")
+    check_files(_outputs(options), inputs)
+    filters = _filters(options, scenario)
+    first = distributed.rank() == 0
+    quiet = options.quiet or not first
+    tell, fallback = reporters(options.compile, quiet)
+    shown = _shown(options, filters, scenario, runs)
+    metrics = measure(
+        scenario,
+        filters,
+        runs=runs,
+        seed=options.seed,
+        compile=choose(options.compile, runs * scenario.steps >= WORTHWHILE, tell),
+        fallback=fallback,
+        progress=not quiet,
+    )
+    if first:
+        _write(options, scenario, runs, metrics, filters, shown)
+
+
+def _filters(options: argparse.Namespace, scenario: Scenario) -> dict[str, Filter]:
+    """Those to compare, by name."""
+    names = filters_for(scenario) if options.filters is None else [name for name in options.filters.split(",") if name]
+    made = load_filters(names, scenario)
+    if options.learned is None:
+        return made
+    name, equals, _ = options.learned.rpartition("=")
+    learned = learned_filter(_learned_file(options), scenario, name if equals else "fra")
+    return made | {"learned": learned}
+
+
+def _outputs(options: argparse.Namespace) -> dict[str, Path | None]:
+    """The files that are written, by option.
+
+    Raises:
+        ValueError: a name that does not end as one of a table, or of a figure.
+    """
+    if options.table is not None:
+        table_form(options.table)
+    for option, path in (("figure", options.figure), ("print", options.printed)):
+        if path is not None:
+            picture_form(path, option)
+    return {"json": options.json, "figure": options.figure, "table": options.table, "print": options.printed}
+
+
+def _learned_file(options: argparse.Namespace) -> str:
+    return str(options.learned.rpartition("=")[2])
+
+
+def _inputs(options: argparse.Namespace) -> list[str | Path]:
+    """The files that are read."""
+    paths = [*options.files, *(options.ranges or []), options.anchors, options.reference]
+    learned = [] if options.learned is None else [_learned_file(options)]
+    return [path for path in paths if path is not None] + learned
+
+
+def _shown(
+    options: argparse.Namespace, filters: Mapping[str, Filter], scenario: Scenario, runs: int
+) -> list[str] | None:
+    """The filters whose errors are drawn over time, in the order of the user; None to choose them by the results."""
+    if options.flight is not None and not 0 <= options.flight < runs:
+        raise ValueError(f"flight: expected the number of a run, 0 to {runs - 1}, received {options.flight}")
+    if options.flight is not None and scenario.motion.dims < 2:
+        raise ValueError(f"flight: goes with positions in two dimensions or more, not with {scenario.name}")
+    if options.show is None:
+        return None
+    names = [name for name in dict.fromkeys(options.show.split(",")) if name]
+    if not 1 <= len(names) <= MOST_SHOWN or not all(name in filters for name in names):
+        known = ", ".join(filters)
+        raise ValueError(f"show: expected 1 to {MOST_SHOWN} names out of {known}, received {options.show}")
+    return names
+
+
+def _write(
+    options: argparse.Namespace, scenario: Scenario, runs: int, metrics: Mapping[str, RunningMetrics],
+    filters: Mapping[str, Filter], shown: Sequence[str] | None,
+) -> None:  # fmt: skip
+    results, failures = results_of(metrics, filters, scenario, runs, options.limit), Failures()
+    least = bound_of(scenario, runs, options.seed) if _wanted(options) else None
+    comparison = Comparison(scenario, runs, options.seed, results, metrics, least)
+    title = _title(scenario, runs, options.seed)
+    if not options.quiet:
+        numbers = recordings_table(results, scenario) if scenario.recordings else table(results)
+        print(f"{title}\n{numbers}", flush=True)  # whatever becomes of the files
+        if _wanted(options):
+            print(f"\n{comparison}", flush=True)
+    if options.json is not None:
+        with failures.of("json"):
+            write_json(options.json, report(scenario, results, runs=runs, seed=options.seed))
+    if options.table is not None:
+        with failures.of("table"):
+            comparison.save(options.table)
+    if options.printed is not None:
+        with failures.of("print"):
+            comparison.plot(options.printed)
+    with failures.of("figure"):
+        _draw(options, scenario, results, metrics, filters, shown or leaders(results, MOST_SHOWN), title)
+    failures.messages += not_finite(results)
+    failures.end()
+
+
+def _wanted(options: argparse.Namespace) -> bool:
+    """Whether intervals, tests and the bound are asked for."""
+    return options.table is not None or options.printed is not None
+
+
+def _draw(
+    options: argparse.Namespace, scenario: Scenario, results: dict[str, Result], metrics: Mapping[str, RunningMetrics],
+    filters: Mapping[str, Filter], shown: Sequence[str], title: str,
+) -> None:  # fmt: skip
+    from torchfra import plotting  # matplotlib takes long to import
+
+    on_map = {name: filters[name] for name in shown[:MOST_ON_MAP]}
+    errors = [metrics[name].errors() for name in shown[:2]]
+    limit = next(iter(results.values()))["limit"]
+    mapped = flight(scenario, on_map, errors, options.seed, options.flight)
+    plotting.save(plotting.comparison(results, shown, scenario.dt, limit, title, mapped), options.figure)
+    if not options.quiet:
+        print(f"figure: {printable(str(options.figure))}")
+
+
+def _title(scenario: Scenario, runs: int, seed: int) -> str:
+    """What was tracked, and how often."""
+    if scenario.recordings:
+        return f"{scenario.name}: {runs} of {len(scenario.recordings)} recordings, up to {scenario.steps} steps"
+    settings = ", ".join(f"{key} {value}" for key, value in scenario.settings.items() if isinstance(value, str))
+    return f"{scenario.name}: {runs} runs of {scenario.steps} steps, seed {seed}, {settings}"

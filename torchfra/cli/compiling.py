@@ -1,0 +1,56 @@
+"""Which filters of a command run as compiled kernels."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+from torchfra.cleaning.others import Fallback
+from torchfra.evaluation.compiling import brief
+from torchfra.kernel.build import CompileError, compiler
+
+
+def add_compile_option(parser: argparse.ArgumentParser, default: str) -> None:
+    """Adds ``--compile`` and ``--no-compile``; ``default`` says when filters compile without either."""
+    text = f"run compiled kernels; each takes seconds to compile, once (default: {default}, if there is a C++ compiler)"
+    parser.add_argument("--compile", action=argparse.BooleanOptionalAction, help=text)
+
+
+def reporters(wanted: bool | None, quiet: bool) -> tuple[Callable[[str], None], Fallback | None]:
+    """``tell`` and ``fallback`` of a command: they print lines, unless ``quiet``.
+
+    There is no fallback where compiled kernels are wanted: a filter without one is then an error.
+    """
+
+    def tell(line: str) -> None:
+        if not quiet:
+            print(line, flush=True)
+
+    def fallback(name: str, reason: str) -> None:
+        tell(f"{name} runs interpreted ({reason})")
+
+    return tell, None if wanted else fallback
+
+
+def choose(wanted: bool | None, worthwhile: bool, tell: Callable[[str], None]) -> bool:
+    """Whether a command compiles its filters.
+
+    Args:
+        wanted: by the user: True, False, or None for what is best.
+        worthwhile: whether there is so much to compute that compiling, which takes seconds per filter, saves time.
+        tell: called with a line for the user.
+
+    Raises:
+        CompileError: it is wanted, and there is no compiler.
+    """
+    if wanted is False or (wanted is None and not worthwhile):
+        return False
+    try:
+        name = compiler()
+    except CompileError as error:
+        if wanted:
+            raise
+        tell(f"filters run interpreted ({brief(error)})")
+        return False
+    tell(f"compiled kernels ({name}); --no-compile runs without")
+    return True

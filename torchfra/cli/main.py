@@ -1,0 +1,48 @@
+"""The ``torchfra`` command."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
+
+from torchfra.cli.command import exit_status, make_parser
+from torchfra.version import __version__
+
+COMMANDS = {"track": "clean a recorded track", "compare": "run a batch of tracks through several filters"}
+"""What each command does, in a line; its options and its work are in ``torchfra.cli.NAME_command``."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command.
+
+    Args:
+        arguments: of the command line; None for those of this process.
+
+    Returns:
+        The exit status: see ``command.exit_status``.
+    """
+    parser = make_parser("Robust, adaptive tracking of manoeuvring targets.", "torchfra")
+    parser.add_argument("--version", action="version", version=f"torchfra {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Command)
+    for name, about in COMMANDS.items():
+        commands.add_parser(name, help=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+
+    def work() -> None:
+        options = parser.parse_args(arguments)
+        from torchfra.running import distributed  # imports torch, which takes long and which no help needs
+
+        with distributed.team():
+            options.run(options)
+
+    return exit_status("torchfra", work)
+
+
+class _Command(argparse.ArgumentParser):
+    """The parser of one command, whose module is imported when it is the one that is called."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Adds the options of the command, then parses."""
+        import_module(f"torchfra.cli.{self.prog.split()[-1]}_command").add_to(self)
+        return super().parse_known_args(args, namespace)

@@ -1,0 +1,103 @@
+"""Which file holds which targets."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from torchfra.cleaning.outputs.formats import beside, check_format
+from torchfra.cleaning.outputs.summary import LONGEST_NAME
+from torchfra.cli.command import check_files
+from torchfra.readers import Recording
+
+MOST_PICTURES = 20
+"""Targets of a file of which each has a picture unless told otherwise."""
+
+
+class Plan(NamedTuple):
+    """The files of one call."""
+
+    tables: dict[Path, list[Recording]]
+    """The targets of each table."""
+    pictures: dict[Recording, Path]
+    """One for each target, or none."""
+    overview: Path | None
+    """A picture of several targets."""
+
+    def paths(self) -> Iterator[Path]:
+        """All files."""
+        for path in self.tables:
+            yield path
+            yield beside(path)
+        yield from self.pictures.values()
+        if self.overview is not None:
+            yield self.overview
+
+
+def ending_of(out: Path, form: str | None) -> tuple[bool, str]:
+    """Whether ``out`` is one file for all targets, and the ending of tables.
+
+    Raises:
+        ValueError: a file of another format, a format that is not known, or one beside the name of a file.
+        ImportError: the package that writes the format is missing.
+    """
+    ending = "" if out.is_dir() else out.suffix.lower()
+    if ending and form is not None:
+        raise ValueError(f"format: goes with a folder as --out, received the file {out}")
+    one = ending != ""
+    check_format(ending if one else f".{form or 'csv'}")
+    return one, ending if one else f".{form or 'csv'}"
+
+
+def plan(recordings: Sequence[Recording], out: Path, form: str | None = None, plots: bool | None = None) -> Plan:
+    """Files for all targets: a table of all if ``out`` has the ending of one, or else a folder with a table of each.
+
+    Args:
+        recordings: one or more.
+        out: a file or a folder.
+        form: of the tables in a folder, ``"csv"`` unless told otherwise.
+        plots: whether each target has a picture, and several an overview; None draws no more than ``MOST_PICTURES``
+            targets, and the overview.
+
+    Raises:
+        ValueError: a format that does not go with the recordings.
+    """
+    one, ending = ending_of(out, form)
+    check_format(ending, recordings)
+    folder, several = (out.parent if one else out), len(recordings) > 1
+    used = {"overview"} if several else set()
+    names = {recording: unused(recording.name, used) for recording in recordings}
+    if one:  # pictures lie beside the table
+        names = {recording: f"{out.stem}-{name}" if several else out.stem for recording, name in names.items()}
+    tables = {out: list(recordings)} if one else {folder / f"{name}{ending}": [r] for r, name in names.items()}
+    drawn = plots if plots is not None else len(recordings) <= MOST_PICTURES
+    pictures = {recording: folder / f"{name}.png" for recording, name in names.items()} if drawn else {}
+    overview = folder / (f"{out.stem}.png" if one else "overview.png") if several and plots is not False else None
+    return Plan(tables, pictures, overview)
+
+
+def check_plan(files: Plan, inputs: Sequence[Path], **others: Path | None) -> None:
+    """Checks, before any work, that all files can be written and that none is an input.
+
+    Args:
+        files: from ``plan``.
+        inputs: files that are read.
+        others: more outputs, by option.
+
+    Raises:
+        OSError: one cannot be written.
+        ValueError: one is an input, or two are the same.
+    """
+    check_files(others | {f"out, {path.name}": path for path in files.paths()}, inputs)
+
+
+def unused(name: str, used: set[str]) -> str:
+    """A file name, without its ending, that no other target of this call has, not even where case does not count."""
+    name = re.sub(r"[^\w.-]+", "_", name).encode()[:LONGEST_NAME].decode(errors="ignore").strip("_.") or "track"
+    number, candidate = 2, name
+    while candidate.casefold() in used:
+        number, candidate = number + 1, f"{name}-{number}"
+    used.add(candidate.casefold())
+    return candidate

@@ -1,0 +1,194 @@
+"""``torchfra track``: cleans recorded tracks."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from torchfra import readers
+from torchfra.catalogue import track_filters
+from torchfra.cleaning import DEFAULT, Cleaned, check_settings, clean_tracks, outputs
+from torchfra.cli import page
+from torchfra.cli import plan as plans
+from torchfra.cli.command import Failures, add_json_option, add_quiet_option, check_files
+from torchfra.cli.compiling import add_compile_option, choose, reporters
+from torchfra.cli.reading_options import add_bound_option, add_reading_options, reading_of
+from torchfra.readers import Recording
+from torchfra.running import distributed
+from torchfra.running.atomic_write import write_json
+from torchfra.running.progress import progress_bar
+from torchfra.tables import printable
+
+FILES = """FILE holds one or several recorded tracks: CSV with a header (any delimiter; AIS logs and state vectors of
+OpenSky among it), JSON, GPX, KML, GeoJSON, NMEA 0183, Parquet or Feather, gzipped or not. Columns are found by their
+names; what was taken is said, and the options for reading name others."""
+
+_ABOUT = f"""Clean a recorded track: where the target was and how sure that is, which fixes are wrong, and which
+manoeuvres it flew. Writes a table (and NAME.meta.json beside it, with all that is no row) and a picture.
+
+{FILES}"""
+
+_EXAMPLES = f"""examples:
+  torchfra track flight.csv                          # out/flight.csv and out/flight.png; the noise is found
+  torchfra track flight.csv --out clean.parquet      # one table of all targets: {", ".join(outputs.FORMATS)}
+  torchfra track flights.csv --format gpx            # out/NAME.gpx for each target
+  torchfra track walk.csv --sigma 5 --bank person    # what is known need not be found
+  torchfra track log.csv --time when --lat breite --lon laenge --delimiter ";" --decimal ,
+  torchfra track flight.csv --no-smooth --filter vsimm_srckf    # what a filter on line would have said
+  torchfra track flight.csv --dt 1 --html flight.html           # also every second, and a page to look around in
+
+A row of the table is a fix: its row in the input (from 0), its time as the input has it, the recorded and the cleaned
+position in the input's own coordinates, speed, course, climb, standard deviations along and across the course,
+probabilities of an outlier and of a manoeuvre, a flag, and the covariance."""
+
+WORTHWHILE = 5_000
+"""Steps of the longest tracks that take an interpreted filter about as long as compiling it."""
+
+
+def add_to(command: argparse.ArgumentParser) -> None:
+    """Adds what the command is about, its options and its work to its parser."""
+    command.description, command.epilog = _ABOUT, _EXAMPLES
+    add = command.add_argument
+    add("file", metavar="FILE", type=Path)
+    endings = ", ".join(outputs.FORMATS)
+    add("--out", type=Path, default=Path("out"), metavar="PATH",
+        help=f"a file for all targets ({endings}) or a folder for one of each (default: out)")  # fmt: skip
+    add("--format", metavar="NAME", choices=[ending[1:] for ending in outputs.FORMATS],
+        help=f"of the tables in a folder: {endings.replace('.', '')} (default: csv)")  # fmt: skip
+    add("--plots", action=argparse.BooleanOptionalAction,
+        help=f"a picture of each target (default: of {plans.MOST_PICTURES} targets or less)")  # fmt: skip
+    add("--html", type=Path, metavar="FILE", help="write a page with pictures to look around in; needs plotly")
+    _add_cleaning(command.add_argument_group("cleaning").add_argument)
+    add_reading_options(command.add_argument_group("reading").add_argument)
+    add_compile_option(command, f"for {WORTHWHILE:,} steps or more")
+    add_bound_option(add)
+    add_json_option(command)
+    add_quiet_option(command)
+    command.set_defaults(run=run)
+
+
+def _add_cleaning(add: Callable[..., object]) -> None:
+    add("--bank", metavar="NAME", help="of what targets: aircraft, ship, vehicle, person (default: by the data)")
+    add("--sigma", type=float, metavar="M", help="std of a fix per axis, m; of fixes that have their own, a factor "
+        "(default: found from the data)")  # fmt: skip
+    add("--q", type=float, help="density of the process noise, m^2/s^3 (default: found from the data)")
+    add("--filter", default=DEFAULT, metavar="NAME", help=f"one of {', '.join(track_filters())} (default: {DEFAULT})")
+    add("--no-smooth", action="store_true", help="use only the fixes before and at each step, as a filter on line")
+    add("--no-repair", action="store_true", help="leave the fixes of aircraft where they are, although their time "
+        "stamps seem to be off by seconds")  # fmt: skip
+    add("--dt", type=float, metavar="S", help="also estimate every S seconds between the fixes")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Runs the command; in the first process alone, which is enough for a file."""
+    if distributed.rank():
+        return
+    others = {"json": options.json, "html": options.html}
+    check_files(others, [options.file])
+    plans.ending_of(options.out, options.format)
+    if options.html is not None:
+        page.check_script()
+    check_settings(options.filter, dt=options.dt, sigma=options.sigma, q=options.q, bank=options.bank)
+    words: dict[str, Any] = reading_of(options)
+    recordings = readers.read(options.file, max_bytes=options.max_bytes, **words)
+    files = plans.plan(recordings, options.out, options.format, options.plots)
+    plans.check_plan(files, [options.file], **others)
+    tell, _ = reporters(options.compile, options.quiet)
+    for said in dict.fromkeys(said for recording in recordings for said in recording.source.said):
+        tell(printable(said))
+    failures = Failures()
+    results = _cleaned(recordings, options, failures)
+    if not results:
+        failures.end()
+    _write(results, files, options, failures)
+    _draw(results, files, options, failures)
+    if options.json is not None:
+        with failures.of("json"):
+            write_json(options.json, outputs.metadata(list(results.values()), _settings(options)))
+    failures.end()
+
+
+def _settings(options: argparse.Namespace) -> dict[str, Any]:
+    return {key: getattr(options, key) for key in ("filter", "bank", "sigma", "q", "no_smooth", "no_repair", "dt")}
+
+
+def _cleaned(
+    recordings: Sequence[Recording], options: argparse.Namespace, failures: Failures
+) -> dict[Recording, Cleaned]:
+    """The targets that could be cleaned."""
+    tell, fallback = reporters(options.compile, options.quiet)
+    compile = choose(options.compile, max(len(recording.time) for recording in recordings) >= WORTHWHILE, tell)
+    results = clean_tracks(
+        recordings, filter=options.filter, bank=options.bank, sigma=options.sigma, q=options.q,
+        smooth=not options.no_smooth, dt=options.dt, compile=compile, fallback=fallback,
+        repair=not options.no_repair,
+    )  # fmt: skip
+    done = {}
+    for cleaned in results:
+        if not cleaned.found.failure:
+            done[cleaned.recording] = cleaned
+        elif len(recordings) == 1:
+            raise ValueError(cleaned.found.failure)
+        else:
+            with failures.of(printable(cleaned.recording.name)):
+                raise ValueError(cleaned.found.failure)
+    return done
+
+
+def _write(
+    results: dict[Recording, Cleaned], files: plans.Plan, options: argparse.Namespace, failures: Failures
+) -> None:
+    """The tables, and a line for each target."""
+    tell, _ = reporters(options.compile, options.quiet)
+    ways = {outputs.settings_line(cleaned.found) for cleaned in results.values()}
+    shared = _said(list(results.values()))
+    for said in [*ways, *shared] if len(ways) == 1 else shared:
+        tell(printable(said))
+    for path, recordings in progress_bar(files.tables.items(), "table", not options.quiet):
+        of = [results[recording] for recording in recordings if recording in results]
+        if not of:
+            continue
+        for cleaned in of:
+            way = "" if len(ways) == 1 else f"; {outputs.settings_line(cleaned.found)}"
+            tell(f"{outputs.line(cleaned)}{way} -> {printable(str(path))}")
+        with failures.of(printable(of[0].recording.name if len(of) == 1 else path.name)):
+            outputs.write(of, path, _settings(options))
+        for cleaned in of:
+            with failures.of(printable(cleaned.recording.name)):
+                _check(cleaned)
+
+
+def _said(results: Sequence[Cleaned]) -> list[str]:
+    """What there is to say of all targets alike."""
+    return [said for said in results[0].found.said if all(said in cleaned.found.said for cleaned in results)]
+
+
+def _check(cleaned: Cleaned) -> None:
+    """Checks that all estimates are numbers.
+
+    Raises:
+        ValueError: one is not.
+    """
+    if failed := int(cleaned.failed.sum()):
+        raise ValueError(f"NaN or infinity in {failed} of {len(cleaned.time)} steps")
+
+
+def _draw(
+    results: dict[Recording, Cleaned], files: plans.Plan, options: argparse.Namespace, failures: Failures
+) -> None:
+    """The pictures and the page."""
+    if files.pictures or files.overview is not None:
+        from torchfra import plotting  # matplotlib takes long to import
+
+        for recording, path in progress_bar(files.pictures.items(), "picture", not options.quiet):
+            if (cleaned := results.get(recording)) is not None:
+                with failures.of(printable(recording.name)):
+                    plotting.save(plotting.cleaned(cleaned), path)
+        if files.overview is not None:
+            with failures.of("overview"):
+                plotting.save(plotting.overview(list(results.values())), files.overview)
+    if options.html is not None:
+        with failures.of("html"):
+            page.write(list(results.values()), options.html)

@@ -1,0 +1,6 @@
+"""Filters compared as a paper would: errors with intervals, paired tests, the bound, a table and a figure."""
+
+from torchfra.comparison.comparing import compare
+from torchfra.comparison.comparison import Comparison
+
+__all__ = ["Comparison", "compare"]

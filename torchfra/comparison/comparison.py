@@ -1,0 +1,204 @@
+"""Filters compared as a paper would: intervals, paired tests, consistency, and how far the bound is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from torch import Tensor
+
+from torchfra.comparison.comparison_table import errors_row, formed, last_row, likelihood_row, table_form, told_p
+from torchfra.evaluation.results import Result, report
+from torchfra.evaluation.running_metrics import RunningMetrics
+from torchfra.metrics.statistics import LEVEL, holm, signed_rank
+from torchfra.running.atomic_write import write, write_json
+from torchfra.running.pictures import picture_form
+from torchfra.scenarios import Bound, Scenario
+from torchfra.tables import significant
+
+ERROR, LIKELIHOOD = "rmse_position", "log_likelihood"
+
+
+class Test(NamedTuple):
+    """Whether two filters are alike on the same runs."""
+
+    one: str
+    other: str
+    p: float
+    """Two-sided, of Wilcoxon's signed-rank test."""
+    corrected: float
+    """By Holm's method, for all pairs."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What ``torchfra.compare`` returns; as text, a table.
+
+    Where the truth of no step is known, filters are compared by the log likelihood of the measurements.
+    """
+
+    scenario: Scenario
+    runs: int
+    seed: int
+    results: dict[str, Result]
+    """The figures of each filter, ``Result``."""
+    metrics: Mapping[str, RunningMetrics]
+    """What they are of: a number for each run, among others."""
+    bound: Bound | None
+    """Of the errors; None where it is not known."""
+
+    @property
+    def by(self) -> str:
+        """What filters are compared by: ``"rmse_position"`` of a run, or its ``"log_likelihood"``."""
+        known = any(bool((~self.metrics[name].errors().isnan()).any()) for name in self.results)
+        return ERROR if known else LIKELIHOOD
+
+    def of_runs(self, name: str) -> Tensor:
+        """A number ``(runs,)`` for each run of a filter, by which it is compared: of several targets the mean."""
+        values = self.metrics[name].runs(self.by)
+        return values.view(self.runs, -1).mean(-1)
+
+    @cached_property
+    def best(self) -> str:
+        """The filter with the smallest mean error, or the largest mean log likelihood."""
+        sign = 1 if self.by == ERROR else -1
+        means = {name: sign * float(self.of_runs(name).nanmean()) for name in self.results}
+        return min(means, key=lambda name: math.inf if math.isnan(means[name]) else means[name])
+
+    def tests(self) -> list[Test]:
+        """A paired test of each two filters."""
+        return list(self._tests)
+
+    @cached_property
+    def _tests(self) -> list[Test]:
+        values = {name: self.of_runs(name).numpy() for name in self.results}
+        pairs = list(combinations(values, 2))
+        p = [signed_rank(values[one], values[other]) for one, other in pairs]
+        return [Test(*pair, raw, corrected) for pair, raw, corrected in zip(pairs, p, holm(p), strict=True)]
+
+    def p(self, one: str, other: str) -> float:
+        """The corrected p of two filters; 1 of a filter with itself.
+
+        Raises:
+            ValueError: a name that was not compared.
+        """
+        for name in (one, other):
+            self._known(name)
+        return next((test.corrected for test in self._tests if {test.one, test.other} == {one, other}), 1.0)
+
+    def _known(self, name: str) -> None:
+        if name not in self.results:
+            raise ValueError(f"filter: expected one of {', '.join(self.results)}, received {name!r}")
+
+    def efficiency(self, name: str) -> float:
+        """The bound as a share of the error, both RMS over the runs and means over time; NaN without one.
+
+        Raises:
+            ValueError: a name that was not compared.
+        """
+        self._known(name)
+        if self.bound is None or self.by != ERROR:
+            return math.nan
+        least = self.bound.rmse(self.scenario.truth_position).nanmean().item()
+        return float(least / self.results[name]["mean_rmse_position"])
+
+    def table(self, form: str = "text") -> str:
+        """A line for each filter: means with 95 % intervals and so on; the best, and those as good, are bold.
+
+        Args:
+            form: ``"text"``, ``"csv"``, ``"latex"`` (for ``booktabs``) or ``"markdown"``.
+
+        Raises:
+            ValueError: another form.
+        """
+        rows, good = {}, set()
+        for name, of in self.results.items():
+            p = self.p(name, self.best)
+            figures = errors_row(of, self.scenario.quantities) if self.by == ERROR else likelihood_row(of)
+            said = "best" if name == self.best else told_p(p)
+            rows[name] = figures | last_row(of, self.efficiency(name), said)
+            if name == self.best or p >= 1 - LEVEL:
+                good.add(name)
+        return formed(form, rows, good, self.caption())
+
+    def to_latex(self) -> str:
+        """The table for LaTeX with the package ``booktabs``."""
+        return self.table("latex")
+
+    def to_markdown(self) -> str:
+        """The table for Markdown."""
+        return self.table("markdown")
+
+    def to_csv(self) -> str:
+        """The table for spreadsheets: half widths of intervals are columns of their own."""
+        return self.table("csv")
+
+    def save(self, path: str | Path) -> Path:
+        """Writes the table by the ending of the file, ``.txt``, ``.csv``, ``.tex`` or ``.md``; all of it as ``.json``.
+
+        Raises:
+            ValueError: a name that ends in none of these.
+            OSError: it cannot be written.
+        """
+        path = Path(path)
+        if path.suffix == ".json":
+            write_json(path, report(self.scenario, self.results, runs=self.runs, seed=self.seed))
+            return path
+        text = self.table(table_form(path)).rstrip("\n") + "\n"
+        return write(path, lambda file: file.write(text.encode()))
+
+    def plot(self, path: str | Path | None = None, *, width: float = 3.5) -> Any:
+        """Errors over time with the bound, and the means with their intervals, for print: a matplotlib figure.
+
+        Args:
+            path: where to write it: PDF, SVG or PNG by the ending; None for nowhere.
+            width: of the figure, inches: 3.5 is a column.
+
+        Raises:
+            ValueError: a name that ends otherwise, or no truth to compare with.
+            OSError: it cannot be written.
+        """
+        if path is not None:
+            picture_form(path)
+        from torchfra import plotting  # matplotlib takes long to import
+
+        if self.by != ERROR:
+            raise ValueError("plot: expected tracks with truth, as errors are drawn, received none")
+        bound = None if self.bound is None else self.bound.rmse(self.scenario.truth_position).tolist()
+        figure = plotting.printed(self.results, self.scenario.dt, bound, width=width)
+        if path is not None:
+            plotting.save(figure, path)
+        return figure
+
+    def caption(self) -> str:
+        """What the table holds, in sentences."""
+        what = "RMSE of the position in a run" if self.by == ERROR else "log likelihood of a measurement"
+        said = [
+            f"{self.scenario.name}: {self.runs} runs, seed {self.seed}",
+            f"{what}: mean +- 95 % (Student)",
+            f"p: against the best, Wilcoxon signed rank on the runs, Holm for {len(self._tests)} of them",
+            *self._honest(),
+        ]
+        if self.by == ERROR:
+            said.append(f"diverged: above {significant(self.results[self.best]['limit'])} m")
+        if self.bound is not None and self.by == ERROR:
+            least = self.bound.rmse(self.scenario.truth_position).nanmean().item()
+            said.append(f"{self.bound}: {significant(least)} m, mean over time; in the table its share of the error")
+        return ". ".join(said) + "."
+
+    def _honest(self) -> list[str]:
+        """What ANEES and ANIS are of an honest filter."""
+        of, said = self.results[self.best], []
+        for key, what in (("anees", "ANEES per component"), ("anis", "ANIS per element")):
+            if key in of and not math.isnan(of[key][0]):
+                low, high = of[f"{key}_bounds"]
+                said.append(f"{what}: 1 of an honest filter, of 95 % of its steps {low:.3f} to {high:.3f}")
+        return said
+
+    def __str__(self) -> str:
+        return f"{self.table()}\n" + "\n".join(self.caption().split(". "))

@@ -1,0 +1,27 @@
+"""Monte-Carlo evaluation: runs of a scenario through filters, and what is written and printed of them."""
+
+from torchfra.evaluation.flights import Flight, flight
+from torchfra.evaluation.limits import check_limit, divergence_limit
+from torchfra.evaluation.recordings import recordings_table
+from torchfra.evaluation.results import BASELINE, Result, leaders, not_finite, report, table
+from torchfra.evaluation.runs import evaluate, measure, results_of, run
+from torchfra.evaluation.sureness import sureness
+
+__all__ = [
+    "BASELINE",
+    "Flight",
+    "Result",
+    "check_limit",
+    "divergence_limit",
+    "evaluate",
+    "flight",
+    "leaders",
+    "measure",
+    "not_finite",
+    "recordings_table",
+    "report",
+    "results_of",
+    "run",
+    "sureness",
+    "table",
+]

@@ -1,0 +1,69 @@
+"""Several filters compiled at once."""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+
+import torch
+
+from torchfra.cleaning.others import Fallback
+from torchfra.filters import Filter
+from torchfra.kernel.build import CompileError, stop
+from torchfra.motion.bank import Bank
+from torchfra.running.progress import progress_bar
+
+
+def compiled(
+    filters: Mapping[str, Filter],
+    first_call: Callable[[Filter], object],
+    *,
+    fallback: Fallback | None = None,
+    progress: bool = False,
+) -> dict[str, Filter]:
+    """Shallow copies of filters that run as compiled kernels; compiles several at once.
+
+    Args:
+        filters: by name.
+        first_call: calls a filter in the way it will be called, so that its kernel is made.
+        fallback: called for each filter that has no kernel, or one that is slow to compile, which is then returned as
+            it is; with None they are all compiled, and one without a kernel raises the error.
+        progress: whether to show a bar.
+
+    Raises:
+        CompileError, NotImplementedError: a filter has no kernel, and there is no ``fallback``.
+    """
+
+    def attempt(f: Filter) -> Filter | CompileError | NotImplementedError:
+        if fallback is not None and f.slow_to_compile:
+            return CompileError("its kernel takes long to compile; --compile makes it")
+        try:
+            with torch.no_grad():  # which holds for this thread only
+                g = copy.copy(f).compile()
+                first_call(g)
+        except (CompileError, NotImplementedError) as error:
+            return error
+        return g
+
+    order = sorted(filters, key=lambda name: not isinstance(filters[name].motion, Bank))  # what takes longest first
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        made = pool.map(attempt, [filters[name] for name in order])
+        try:
+            attempts = dict(zip(order, progress_bar(made, "kernel", progress), strict=True))
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            stop()
+            raise
+    for name, f in attempts.items():
+        if not isinstance(f, Filter):
+            if fallback is None:
+                raise f
+            fallback(name, brief(f))
+    return {name: f if isinstance(f := attempts[name], Filter) else filters[name] for name in filters}
+
+
+def brief(error: Exception) -> str:
+    """Why a filter does not run compiled, in one line."""
+    return " ".join(str(error).removeprefix("compile: ").split())

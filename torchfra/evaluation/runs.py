@@ -1,0 +1,175 @@
+"""Many runs of a scenario through many filters: one dictionary of figures for each."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from torchfra.catalogue import reference_filter, scenario_filters
+from torchfra.cleaning.others import Fallback
+from torchfra.evaluation.compiling import compiled
+from torchfra.evaluation.limits import check_limit, divergence_limit
+from torchfra.evaluation.results import Result
+from torchfra.evaluation.running_metrics import RunningMetrics
+from torchfra.evaluation.sureness import sureness
+from torchfra.filters.base import Filter
+from torchfra.running import distributed
+from torchfra.running.progress import progress_bar
+from torchfra.scenarios import Scenario, Tracks
+from torchfra.types import Estimate
+
+MOST_RUNS = 10**9
+"""More would take years, and more memory than there is."""
+_FIRST = 5
+"""Steps of a first call that is not timed."""
+
+
+def evaluate(
+    scenario: Scenario,
+    filters: Sequence[str] | Mapping[str, Filter],
+    *,
+    runs: int,
+    seed: int = 0,
+    limit: float | None = None,
+    chunk: int = 1000,
+    compile: bool = False,
+    fallback: Fallback | None = None,
+    progress: bool = False,
+) -> dict[str, Result]:
+    """Runs of a scenario through filters; under ``torchrun`` the processes share the runs.
+
+    Args:
+        scenario: what is tracked.
+        filters: names of ``catalogue.FILTERS``, or filters by any names.
+        runs: how many.
+        seed: of the random numbers; every filter sees the same runs.
+        limit: a run diverges when its position error, root mean square over time, is above this, m; None for
+            ``scenario.limit``, and where that is None for ``divergence_limit``.
+        chunk: runs that are filtered at once; bounds the memory, which does not grow with ``runs`` but for one number
+            per run, filter and metric.
+        compile: whether to run compiled (``Filter.compile``); needs a C++ compiler.
+        fallback: called with the name of each filter that cannot be compiled and the reason; that filter then runs
+            interpreted.  None raises the error.
+        progress: whether to show a bar.
+
+    Returns:
+        For each filter its ``Result``; in every process that of all runs.
+
+    Raises:
+        ValueError: an unknown filter, fewer runs than processes, or a limit that is not above 0.
+        CompileError: ``compile`` without ``fallback``, and there is no compiler or a filter has no kernel.
+    """
+    check_limit(limit)
+    metrics = measure(
+        scenario, filters, runs=runs, seed=seed, chunk=chunk, compile=compile, fallback=fallback, progress=progress
+    )
+    return results_of(metrics, filters, scenario, runs, limit)
+
+
+def measure(
+    scenario: Scenario,
+    filters: Sequence[str] | Mapping[str, Filter],
+    *,
+    runs: int,
+    seed: int = 0,
+    chunk: int = 1000,
+    compile: bool = False,
+    fallback: Fallback | None = None,
+    progress: bool = False,
+    reference: bool = True,
+) -> dict[str, RunningMetrics]:
+    """What ``evaluate`` sums up: the metrics of the filters, and of the reference for run times, with an error per run.
+
+    Arguments and errors are those of ``evaluate``, and ``reference``: whether that one runs too.
+    """
+    if not isinstance(filters, Mapping):
+        filters = scenario_filters(filters, scenario)
+    timed = (scenario_filters([reference_filter(scenario)], scenario) if reference else {}) | dict(filters)
+    _check(runs, chunk)
+    if compile:
+        one = scenario.simulate(1, seed)
+        timed = compiled(timed, lambda f: run(f, scenario, one), fallback=fallback, progress=progress)
+    return _merged(_accumulate(scenario, timed, distributed.share(runs), seed, chunk, progress))
+
+
+def results_of(
+    metrics: Mapping[str, RunningMetrics],
+    names: Iterable[str],
+    scenario: Scenario,
+    runs: int,
+    limit: float | None = None,
+) -> dict[str, Result]:
+    """The ``Result`` of each named filter, from what ``measure`` returned of so many runs.
+
+    Other arguments are those of ``evaluate``.
+    """
+    reference = metrics.get(reference_filter(scenario), next(iter(metrics.values()))).seconds
+    limit = divergence_limit(scenario) if limit is None else limit
+
+    def result(of: RunningMetrics) -> Result:
+        times = {
+            "microseconds": of.seconds / (runs * scenario.steps) * 1e6,
+            "relative_time": of.seconds / reference,
+        }
+        each = {"rmse_of_runs": of.errors().tolist()} if scenario.recordings else {}
+        return of.summary(limit) | times | each | sureness(of) | {"limit": limit}
+
+    return {name: result(metrics[name]) for name in names}
+
+
+def _check(runs: int, chunk: int) -> None:
+    if runs < (processes := distributed.size()):
+        each = f", one for each of {processes} processes" if processes > 1 else ""
+        raise ValueError(f"runs: expected {processes} or more{each}, received {runs}")
+    if runs > MOST_RUNS:
+        raise ValueError(f"runs: expected at most {MOST_RUNS:,}, of each of which there is an error, received {runs:,}")
+    if chunk < 1:
+        raise ValueError(f"chunk: expected 1 or more, received {chunk}")
+
+
+def run(f: Filter, scenario: Scenario, tracks: Tracks) -> Estimate:
+    """The tracks of a scenario through one filter, in the coordinates of the truth."""
+    estimate: Estimate = f(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt)
+    return scenario.cartesian(estimate)
+
+
+def _accumulate(
+    scenario: Scenario, filters: Mapping[str, Filter], share: range, seed: int, chunk: int, progress: bool
+) -> dict[str, RunningMetrics]:
+    """Metrics of the runs of this process."""
+    metrics = {name: RunningMetrics(scenario.quantities) for name in filters}
+    with torch.no_grad():
+        first_call = scenario.simulate(min(len(share), chunk), seed)
+        for f in filters.values():  # not timed: it allocates memory, and gets compiled filters ready for tracks so long
+            run(f, scenario, _beginning(first_call) if f._kernels is None else first_call)
+        for first in progress_bar(share[::chunk], f"{chunk} runs", progress):
+            tracks = scenario.simulate(min(chunk, share.stop - first), seed, first=first)
+            for name, f in filters.items():
+                start = time.perf_counter()
+                estimate = run(f, scenario, tracks)
+                metrics[name].add(estimate, tracks.truth, time.perf_counter() - start, _single(tracks.z))
+                del estimate  # before the next one is made
+    return metrics
+
+
+def _beginning(tracks: Tracks) -> Tracks:
+    """The first steps, each of which an interpreted filter computes as it computes all others."""
+    u = tracks.u if tracks.u is None else tracks.u[..., :_FIRST, :]
+    return tracks._replace(truth=tracks.truth[..., :_FIRST, :], z=tracks.z[:, :_FIRST], u=u)
+
+
+def _single(z: Tensor) -> Tensor | None:
+    """Measurements of single targets; None of scans, whose innovations are of no measurement alone."""
+    return z if z.dim() == 3 else None
+
+
+def _merged(metrics: dict[str, RunningMetrics]) -> dict[str, RunningMetrics]:
+    """Metrics of the runs of all processes."""
+    first, *others = distributed.gathered(metrics)
+    for other in others:
+        for name, of in other.items():
+            first[name].merge(of)
+    return first

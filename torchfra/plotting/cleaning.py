@@ -1,0 +1,163 @@
+"""A cleaned track: where it was, how it moved, and what was thought of its fixes."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+
+from torchfra.cleaning import Cleaned
+from torchfra.cleaning.outputs.colours import BLACK, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
+from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, view
+from torchfra.plotting.labels import SIZE, Array, beside, in_free_places, show
+from torchfra.plotting.style import TITLE, finish, lay_out, without_box, words
+
+_MANY = 50
+"""Rejected fixes whose marks are small, so that the path is seen."""
+_LETTERS = 76
+"""Of the name of a manoeuvre, that are as wide as a panel."""
+_MOST_LISTED = 3
+"""Fixes beyond the edge of the map whose distance is written there."""
+
+
+def cleaned(of: Cleaned) -> Figure:
+    """A track on a map, and its speed, altitude, innovations and regimes over time.
+
+    A rejected fix is drawn where it was recorded; one that is far off is listed at the edge of the map, which shows the
+    track.  Manoeuvres are shaded, and what the track is sure to is a band.  The axes are labelled ``"map"``,
+    ``"speed"``, ``"altitude"`` (of a track in space), ``"innovation"`` and ``"regimes"`` (of a filter that has some).
+    """
+    shown = view(of)
+    rows = ["speed", *(["altitude"] if shown.altitude else []), "innovation", *(["regimes"] if shown.regimes else [])]
+    figure = Figure(figsize=(12, 7), layout="constrained")
+    panels = figure.subplot_mosaic([["map", row] for row in rows], width_ratios=[1.15, 1])
+    _draw_map(panels["map"], shown)
+    _draw_band(panels["speed"], shown, shown.speed, "speed, m/s")
+    if shown.altitude is not None:
+        _draw_band(panels["altitude"], shown, shown.altitude, "altitude, m")
+    _draw_innovations(panels["innovation"], shown)
+    if shown.regimes:
+        _draw_regimes(panels["regimes"], shown)
+    _finish_time([panels[row] for row in rows], shown)
+    figure.suptitle(words(shown.title, TITLE))
+    seen = show(panels["map"], *shown.window)  # about: the layout needs the numbers at its axes, and room above the map
+    panels["map"].set_title(" " if beyond(shown, *seen)[2] else "", fontsize=SIZE, loc="left")
+    lay_out(figure)  # labels are put where there is room, which the layout decides
+    figure.set_layout_engine("none")
+    _label_map(panels["map"], shown)
+    return figure
+
+
+def _draw_map(axes: Axes, of: View) -> None:
+    good = np.isfinite(of.sides).all((1, 2))
+    edges = of.sides[good]
+    quads = np.stack([edges[:-1, 0], edges[1:, 0], edges[1:, 1], edges[:-1, 1]], 1)
+    axes.add_collection(PolyCollection(list(quads), facecolor=PALE_BLUE, edgecolor=PALE_BLUE, linewidth=0.5, zorder=1))
+    for begin, end in of.shades():
+        part = of.path[(of.time >= begin) & (of.time <= end)]
+        axes.plot(*part.T, color=ORANGE, linewidth=5, alpha=0.6, solid_capstyle="butt", zorder=2)
+    axes.plot(*of.recorded[~of.rejected].T, linestyle="none", marker=".", markersize=3, color=GREY, zorder=3)
+    axes.plot(*of.path.T, color=BLUE, linewidth=1.3, zorder=4)
+    size = 6 if of.rejected.sum() < _MANY else 3.5
+    axes.plot(*of.recorded[of.rejected].T, linestyle="none", marker="x", markersize=size, color=RED, zorder=3.5)
+    axes.set(xlabel=f"east, {of.unit}", ylabel=f"north, {of.unit}")
+    finish(axes)
+
+
+def _label_map(axes: Axes, of: View) -> None:
+    """Names what is on the map, and lists at its edge what is beyond, once the figure has its layout."""
+    low, high = show(axes, *of.window)
+    edge, way, said = beyond(of, low, high)
+    for (x, y), (dx, dy) in zip(edge, way, strict=True):
+        axes.plot(x, y, marker=(3, 0, np.degrees(np.arctan2(dy, dx)) - 90), markersize=7, color=RED, clip_on=False,
+                  linestyle="none", zorder=6)  # fmt: skip
+    if said:
+        more = f" and {len(said) - _MOST_LISTED:,} more" if len(said) > _MOST_LISTED else ""
+        listed = ", ".join(said[:_MOST_LISTED]) + more
+        axes.set_title(f"rejected beyond the edge: {listed}", fontsize=SIZE, color=RED, loc="left")
+    points = {"cleaned": of.path, "recorded": of.recorded[~of.rejected], "rejected": of.recorded[of.rejected]}
+    turns = [of.path[(of.time >= begin) & (of.time <= end)] for begin, end in of.shades()]
+    if turns:
+        points["manoeuvre"] = np.concatenate(turns)
+    finite = {name: places[np.isfinite(places).all(1)] for name, places in points.items()}
+    colours = {"cleaned": BLUE, "recorded": DARK, "rejected": RED, "manoeuvre": BROWN}
+    in_free_places(axes, {name: places for name, places in finite.items() if len(places)}, colours)
+
+
+def _draw_band(axes: Axes, of: View, band: Band, label: str) -> None:
+    """A quantity with its band; limits are those of the band where it is sure, and of what was recorded nearby."""
+    low, high = band.mean - SURE * band.std, band.mean + SURE * band.std
+    axes.fill_between(of.time, low, high, color=PALE_BLUE, linewidth=0)
+    axes.plot(of.time, band.mean, color=BLUE, linewidth=1.2)
+    low_end, high_end = band.limits()
+    limits = (low_end if band.recorded is not None else max(low_end, 0.0), high_end)
+    if band.recorded is not None:
+        for mask, mark, colour in ((~of.rejected, ".", GREY), (of.rejected, "x", RED)):
+            axes.plot(of.time[mask], band.recorded[mask], mark, markersize=3 if mark == "." else 5, color=colour,
+                      zorder=1 if mark == "." else 3)  # fmt: skip
+        _note_beyond(axes, band.recorded[of.rejected], limits)
+    axes.set(ylabel=label, ylim=limits)
+
+
+def _note_beyond(axes: Axes, values: Array, limits: tuple[float, float]) -> None:
+    """How many rejected values are not on an axis, beside it."""
+    if count := int(((values < limits[0]) | (values > limits[1])).sum()):
+        axes.set_title(f"{count:,} rejected beyond the axis", fontsize=SIZE - 1, color=RED, loc="right", pad=2)
+
+
+def _draw_innovations(axes: Axes, of: View) -> None:
+    """Innovations in standard deviations, rejected fixes apart; those beyond the axis at its edge."""
+    top = MOST_STD
+    for mask, mark, colour in ((~of.rejected, ".", DARK), (of.rejected, "x", RED)):
+        inside = mask & (of.innovation <= top)
+        axes.plot(of.time[inside], of.innovation[inside], mark, markersize=3 if mark == "." else 5, color=colour)
+    over = of.innovation > top
+    if over.any():
+        colours = np.where(of.rejected[over], RED, DARK)
+        axes.scatter(
+            of.time[over], np.full(over.sum(), top), s=25, marker="^", c=list(colours), clip_on=False, zorder=3
+        )
+        most = np.nanmax(of.innovation)
+        axes.set_title(f"{over.sum():,} beyond, up to {most:,.0f}", fontsize=SIZE - 1, loc="right", pad=4)
+    axes.axhline(1.0, color=BLACK, linewidth=0.8, linestyle=":")
+    axes.annotate("as expected", (1.0, 1.0), (3, 0), xycoords=("axes fraction", "data"), textcoords="offset points",
+                  fontsize=SIZE - 1, va="center", annotation_clip=False)  # fmt: skip
+    axes.set(ylabel="innovation, std", ylim=(0, top))
+
+
+def _draw_regimes(axes: Axes, of: View) -> None:
+    names = list(of.regimes)
+    colours = [*REGIMES[: len(names) - 1], DARK] if names[-1] == "others" else list(REGIMES[: len(names)])
+    axes.stackplot(of.time, np.nan_to_num(np.array(list(of.regimes.values()))), colors=colours, linewidth=0)
+    beside(axes, dict(zip(names, colours, strict=True)))
+    axes.set(ylabel="probability", ylim=(0, 1))
+
+
+def _finish_time(rows: list[Axes], of: View) -> None:
+    """Shades the manoeuvres, and gives all panels the same time."""
+    end = of.time[-1] if of.time[-1] > 0 else 1.0
+    for axes in rows:
+        axes.set_xlim(0, end)
+        if axes.get_label() != "regimes":
+            for begin, last in of.shades():
+                axes.axvspan(begin, last, color=ORANGE, alpha=0.22, linewidth=0, zorder=0)
+            finish(axes)
+        without_box(axes)
+    for axes in rows[:-1]:
+        axes.tick_params(labelbottom=False)
+    rows[-1].set(xlabel=of.clock)
+    _name_manoeuvres(rows[0], of, end)
+
+
+def _name_manoeuvres(axes: Axes, of: View, end: float) -> None:
+    """What each manoeuvre was, above its shade, in two rows and as far as names do not touch."""
+    taken = [0.0, 0.0]
+    for begin, last, kind in of.manoeuvres:
+        half, middle = 0.5 * len(kind) / _LETTERS, 0.5 * (begin + last) / end
+        middle = min(max(middle, half), 1 - half)
+        row = 0 if middle - half >= taken[0] else 1
+        if middle - half >= taken[row]:
+            axes.annotate(kind, (middle, 1.0), (0, 3 + 10 * row), xycoords="axes fraction", textcoords="offset points",
+                          ha="center", fontsize=SIZE - 1.5, color=BROWN, annotation_clip=False)  # fmt: skip
+            taken[row] = middle + half + 0.01

@@ -1,0 +1,118 @@
+"""What a comparison of filters says, in one figure: a flight on a map, all runs of every filter, errors over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from torchfra.cleaning.outputs.colours import APART, GREY
+from torchfra.evaluation import Flight
+from torchfra.plotting.labels import SIZE, Array, at_ends
+from torchfra.plotting.maps import draw_map, label_map
+from torchfra.plotting.style import TITLE, finish, lay_out, plain_ticks, without_box, words
+
+_ROW = 0.27
+"""Height of a filter's row, inches."""
+_BEYOND = 2.0
+"""How far the axes go beyond the error at which a run has diverged, at most, as a factor."""
+
+
+def comparison(
+    results: Mapping[str, Mapping[str, Any]], shown: Sequence[str], dt: float, limit: float, title: str,
+    flight: Flight | None = None,
+) -> Figure:  # fmt: skip
+    """Filters compared: one flight, the errors of all runs, and those of some filters over time.
+
+    The axes are labelled ``"map"`` (where there is a flight), ``"runs"`` and ``"time"``.
+
+    Args:
+        results: from ``torchfra.evaluation.evaluate``.
+        shown: names of those whose errors are shown over time, as many as there are colours in ``style.APART`` or less.
+        dt: seconds per step.
+        limit: position error above which a run has diverged, m.
+        title: of the figure.
+        flight: for the map; the filters of its estimates are among ``shown``.
+    """
+    colours = dict(zip(shown, APART, strict=False))
+    height = max(4.5 if flight is None else 7.0, 1.6 + _ROW * len(results))
+    figure = Figure(figsize=(11.5, height), layout="constrained")
+    if flight is None:
+        panels = figure.subplot_mosaic([["time", "runs"]], width_ratios=[1.2, 1])
+    else:
+        places: list[Any] = [["map", "runs"], ["time", "runs"]]
+        panels = figure.subplot_mosaic(places, width_ratios=[1.2, 1], height_ratios=[1.55, 1])
+        draw_map(panels["map"], flight, colours)
+    _draw_runs(panels["runs"], results, limit, colours)
+    ends = _draw_time(panels["time"], results, dt, limit, colours)
+    figure.suptitle(words(title, TITLE))
+    lay_out(figure)  # labels are put where there is room, which the layout decides
+    at_ends(panels["time"], ends, colours)
+    lay_out(figure)
+    if flight is not None:
+        label_map(panels["map"], flight, colours)
+    return figure
+
+
+def _draw_runs(axes: Axes, results: Mapping[str, Mapping[str, Any]], limit: float, colours: Mapping[str, str]) -> None:
+    """A row for each filter, the best on top: median, 5 to 95 % and worst of its runs, and how many diverged."""
+    names = sorted(results, key=lambda name: _infinite(results[name]["median_track_rmse"]), reverse=True)
+    keys = ("p05_track_rmse", "median_track_rmse", "p95_track_rmse", "worst_track")
+    values = np.array([[_infinite(results[name][key]) for key in keys] for name in names])
+    low, high = _limits(values, limit)
+    inside = np.clip(values, low, high)
+    for row, (name, (least, median, most, worst)) in enumerate(zip(names, inside, strict=True)):
+        colour = colours.get(name, GREY)
+        axes.plot([most, worst], [row, row], color=colour, linewidth=1)
+        axes.plot([least, most], [row, row], color=colour, linewidth=6, alpha=0.45, solid_capstyle="butt")
+        axes.plot(worst, row, marker="|" if values[row, 3] <= high else ">", color=colour, markersize=6, clip_on=False)
+        axes.plot(median, row, "o", color=colour, markersize=5, clip_on=False)
+        if lost := results[name]["diverged"]:
+            axes.annotate(f"{lost} lost", (1.0, row), (6, 0), xycoords=("axes fraction", "data"),
+                          textcoords="offset points", va="center", fontsize=SIZE, color="black")  # fmt: skip
+    if low < limit < high:
+        axes.axvline(limit, color="black", linestyle=":", linewidth=1)
+    axes.set_yticks(range(len(names)), map(words, names))
+    for label, name in zip(axes.get_yticklabels(), names, strict=True):
+        label.set(color=colours.get(name, "black"), fontweight="bold" if name in colours else "normal")
+    axes.set(xscale="log", xlim=(low, high), ylim=(-0.6, len(names) - 0.4), xlabel="RMSE of the position in a run, m")
+    axes.set_title(f"all runs: median, 5 to 95 %, worst; lost: over {limit:g} m", fontsize=10)
+    axes.tick_params(axis="y", length=0)
+    plain_ticks(axes.xaxis)
+    axes.grid(axis="x", alpha=0.25)
+    without_box(axes)
+
+
+def _draw_time(
+    axes: Axes, results: Mapping[str, Mapping[str, Any]], dt: float, limit: float, colours: Mapping[str, str]
+) -> dict[str, float]:
+    """A line for each of the filters in ``colours``; returns the height of its end by name."""
+    curves = {name: np.array(results[name]["rmse_position"], dtype=float) for name in colours}
+    low, high = _limits(np.array(list(curves.values())), limit)
+    steps = max(len(curve) for curve in curves.values())
+    axes.set(yscale="log", ylim=(low, high), xlim=(0, dt * steps), xlabel="time, s", ylabel="RMSE of the position, m")
+    for name, curve in reversed(curves.items()):
+        axes.plot(dt * np.arange(1, len(curve) + 1), curve, color=colours[name], linewidth=1.4)
+    plain_ticks(axes.yaxis)
+    axes.set_title("over time, all runs", fontsize=10)
+    finish(axes)
+    known = {name: curve[~np.isnan(curve)] for name, curve in curves.items()}
+    return {name: curve[-1] if len(curve) else high for name, curve in known.items()}
+
+
+def _infinite(value: float) -> float:
+    """NaN as infinity: what is not known is as bad as it can be."""
+    return np.inf if np.isnan(value) else value
+
+
+def _limits(values: Array, limit: float) -> tuple[float, float]:
+    """Limits of a logarithmic axis around what informs: no further than some way beyond where runs have diverged."""
+    known = values[(values > 0) & (values <= limit)]
+    low, high = (known.min(), known.max()) if len(known) else (limit, limit)
+    beyond = values[values > limit]
+    if len(beyond):
+        high = max(high, min(beyond.max(), _BEYOND * limit, 10 * high))
+    return low / 1.15, high * 1.15

@@ -1,0 +1,1 @@
+"""What long runs share: files written whole, checkpoints, several processes, progress bars, memory."""

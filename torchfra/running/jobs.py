@@ -1,0 +1,64 @@
+"""Work of many independent parts, on all processors: a process for each, of one thread."""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from itertools import starmap
+from typing import Any, TypeVar
+
+import torch
+
+from torchfra.running.memory import keep_memory
+
+T = TypeVar("T")
+
+
+def add_jobs_option(parser: argparse.ArgumentParser) -> None:
+    """Adds ``--jobs N``."""
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes that share the work (default: 1)")
+
+
+def check_jobs(jobs: int) -> None:
+    """Checks how many processes are asked for.
+
+    Raises:
+        ValueError: fewer than 1.
+    """
+    if jobs < 1:
+        raise ValueError(f"jobs: expected 1 or more, received {jobs}")
+
+
+def finished(work: Callable[..., T], parts: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[tuple[int, T]]:
+    """Calls ``work`` with the arguments of each part; with one job here, one after the other.
+
+    Args:
+        work: a function of a module, as other processes import it by its name.
+        parts: arguments; those of the longest first, so that all processes end together.
+        jobs: how many processes share them, each of one thread.
+
+    Yields:
+        The number of a part and what it returned, as soon as it is done.
+
+    Raises:
+        Exception: what ``work`` raises first; parts that have not begun are left out.
+    """
+    if jobs == 1:
+        yield from enumerate(starmap(work, parts))
+        return
+    spawn = multiprocessing.get_context("spawn")  # a fork would copy the threads of torch in any state
+    pool = ProcessPoolExecutor(min(jobs, max(len(parts), 1)), spawn, initializer=_alone)
+    try:
+        numbers = {pool.submit(work, *part): number for number, part in enumerate(parts)}
+        for future in as_completed(numbers):
+            yield numbers[future], future.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _alone() -> None:
+    """A process has one thread, as there are others."""
+    torch.set_num_threads(1)
+    keep_memory()
