@@ -14,7 +14,7 @@ from torchfra import presets
 from torchfra.app import cli, plotting
 from torchfra.app.evaluate import evaluate
 from torchfra.catalogue import make_scenario
-from torchfra.kernel import build
+from torchfra.compiler import build
 
 pytestmark = pytest.mark.usefixtures("rough_figures")
 

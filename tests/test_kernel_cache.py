@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from torchfra.app.compiling import compiled
-from torchfra.kernel import build, cache, workplace
-from torchfra.kernel.build import CompileError
+from torchfra.compiler import build, cache, workplace
+from torchfra.compiler.build import CompileError
 
 SOURCE = """
 #include <cstdint>

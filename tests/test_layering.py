@@ -13,7 +13,7 @@ LIBRARY, RECIPES = Path(torchfra.__file__).parent, Path(train.__file__).parent
 LEVELS = [
     {"version"}, {"tables"}, {"angles"}, {"tree"}, {"linalg"}, {"types"}, {"hyper"}, {"state_files"}, {"coordinates"},
     {"geodesy"}, {"readers"}, {"losses"}, {"metrics"},
-    {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"kernel"}, {"filters"},
+    {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"compiler"}, {"filters"},
     {"register"}, {"stream"}, {"targets"}, {"testing"},
     {"presets"},
     {"scenarios"}, {"catalogue"}, {"cleaning"}, {"app"}, {"adapters"}, {"fitting"}, {"__init__", "__main__"},

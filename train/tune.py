@@ -35,8 +35,8 @@ from torchfra.app.command import Failures, check_files, check_folder, exit_statu
 from torchfra.catalogue import FILTERS
 from torchfra.fitting.bounded import bounded, falling
 from torchfra.hyper import hypers
-from torchfra.kernel.build import CompileError
 from torchfra.tables import printable
+from torchfra.types import CompileError
 from train import checkpoints
 from train.batches import Batch, simulate
 from train.config import Config

@@ -11,9 +11,9 @@ from pathlib import Path
 
 from torchfra.app import atomic_write, distributed, home  # noqa: F401  # home: before anything looks for one
 from torchfra.app.memory import keep_memory
-from torchfra.kernel.build import CompileError
 from torchfra.readers.bounded import MAX_BYTES
 from torchfra.tables import printable
+from torchfra.types import CompileError
 
 _STATUS = """exit status: 0; 1 if a part of the work failed or a result is not finite, and the rest is done; 2 if an
 argument or a file was wrong; 130 after Ctrl-C; 141 if what reads the output has closed it"""

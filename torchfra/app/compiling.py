@@ -13,8 +13,8 @@ import torch
 from torchfra.app.progress import progress_bar
 from torchfra.cleaning.others import Fallback
 from torchfra.filters import Filter
-from torchfra.kernel.build import CompileError, compiler, stop
 from torchfra.motion.bank import Bank
+from torchfra.types import CompileError
 
 
 def add_compile_option(parser: argparse.ArgumentParser, default: str) -> None:
@@ -52,6 +52,8 @@ def choose(wanted: bool | None, worthwhile: bool, tell: Callable[[str], None]) -
     """
     if wanted is False or (wanted is None and not worthwhile):
         return False
+    from torchfra.compiler.build import compiler  # only where it is needed
+
     try:
         name = compiler()
     except CompileError as error:
@@ -101,6 +103,8 @@ def compiled(
             attempts = dict(zip(order, progress_bar(made, "kernel", progress), strict=True))
         except KeyboardInterrupt:
             pool.shutdown(wait=False, cancel_futures=True)
+            from torchfra.compiler.build import stop
+
             stop()
             raise
     for name, f in attempts.items():

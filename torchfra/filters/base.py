@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Any, Generic
 
 import torch
 from torch import Tensor
-from typing_extensions import TypeVar
+from typing_extensions import Self, TypeVar
 
 from torchfra.filters.checks import check_lengths, check_models, check_step
-from torchfra.filters.compiling import Compilable
+from torchfra.filters.engine import INTERPRETED, Engine
 from torchfra.filters.failures import diagnosed
 from torchfra.filters.fusion import fused
-from torchfra.filters.loop import run
 from torchfra.filters.other_sensors import HasViews, SensorViews
 from torchfra.filters.precision import in_full_precision
 from torchfra.filters.records import Kept, Record
@@ -31,7 +29,7 @@ Mix = Callable[[Gaussian], Gaussian]
 S = TypeVar("S", default=Any)  # the states of a filter
 
 
-class Filter(Compilable, HasViews, Smoother, Generic[S]):
+class Filter(HasViews, Smoother, Generic[S]):
     """Abstract: ``TrackFilter`` for tracks of one target, ``ScanFilter`` for scans of several.
 
     A subclass gives ``begin`` and ``advance``.  Nothing of a track stays in it; it runs where ``z`` is, in its dtype.
@@ -48,10 +46,15 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
     """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
     instants = True
     """Whether a step may take no time, as that to a second measurement at the same instant."""
+    annealed: tuple[str, ...] = ()
+    """Attributes that are plain numbers and may change between calls, such as a temperature that is lowered."""
+    slow_to_compile = False  # some ten seconds or more: commands compile such a filter only when told to
+    engine: Engine
+    """What runs its steps: see ``compile``."""
 
     def __init__(self, motion: Motion | None = None, sensor: Sensor | None = None) -> None:
         super().__init__()
-        self._kernels, self._views = None, SensorViews()
+        self.engine, self._views = INTERPRETED, SensorViews()
         if motion is not None and sensor is not None:
             check_models(motion, sensor)
             self.motion, self.sensor = motion, sensor
@@ -121,12 +124,7 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
         """
         if sensor is not None and sensor is not self.sensor:
             return self.with_sensor(sensor).step(state, z, dt=dt, u=u, std=std, noise=noise)
-        measurements = Measurements(z, dt, u, std, noise)
-        frame = partial(self._frame, state, measurements)
-        if (kernels := self.kernels_for(z)) is not None:
-            compiled: tuple[S, Innovation] = kernels.step(self, state, measurements, frame)
-            return compiled
-        return self.observe(state, frame())
+        return self.engine.step(self, state, Measurements(z, dt, u, std, noise))
 
     @in_full_precision
     def forward(
@@ -179,6 +177,34 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
     if TYPE_CHECKING:  # what torch types as a call that may return anything
         __call__ = forward
 
+    def compile(self, *args: Any, **options: Any) -> Self:  # type: ignore[override]  # torch's own returns None
+        """From here on run as compiled kernels, on CPU or GPU: same results (to rounding), same gradients.
+
+        It needs a C++ compiler (what ``CXX`` names, or ``g++``, ``clang++``, zig), on a GPU torch's own NVRTC, and some
+        seconds for a form of call that no earlier process has compiled.  Gradients are of first order.  Under
+        ``torch.compile`` and in transforms of ``torch.func`` the filter runs as without.
+        ``torchfra/compiler/README.md`` has the details.
+
+        Args:
+            args: with any argument this is ``nn.Module.compile``, and so ``torch.compile``, instead:
+                ``f.compile(backend="inductor")``.
+            options: likewise.
+
+        Returns:
+            The filter itself.
+
+        Raises:
+            CompileError: (a ``RuntimeError``) when a kernel is needed and there is no compiler.
+            NotImplementedError: then too, if the filter does what kernels cannot.
+        """
+        if args or options:
+            super().compile(*args, **options)
+        else:
+            from torchfra.compiler.engine import Compiled
+
+            self.engine = Compiled(INTERPRETED)
+        return self
+
     def keep(self, state: S, frame: Frame, past: bool = False) -> tuple[S, Kept]:
         """One step on a prepared frame: the next state, and what the estimate (and the way back) needs of it."""
         state, record = self.advance(state, frame)
@@ -194,33 +220,20 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
         self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
         past: bool = False,
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
-        """The estimate of whole tracks, and where there will be a way back the last state and what steps have kept."""
-        kernels, cut = self.kernels_for(measurements.z), checkpoint or truncate
-        done = None if kernels is None else kernels.ready(self, measurements, prior, past, cut)
-        if done is None:
-            batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
-            mean, root = (x.to(measurements.z) for x in prior)
-            begun = self.init(Gaussian(mean.expand((*batch, self.motion.size)), root))
-            done = self._pass(begun, measurements, len(batch), checkpoint, truncate, past)
-            if kernels is not None:
-                kernels.get_ready(self, begun, measurements, prior, past, cut)
-        if isinstance(done, Estimate):
-            return diagnosed(self, done, measurements, prior), None, None
-        state, kept = done
-        belief, info = self.finish(state, kept.belief, kept.info)
-        estimate = Estimate(*belief, kept.nis, kept.log_likelihood, info)
-        return diagnosed(self, estimate, measurements, prior), state, kept.past
+        """The estimate of whole tracks, and for a backward pass the last state and what steps have kept."""
+        estimate, state, kept = self.engine.forward(self, measurements, prior, checkpoint, truncate, past)
+        return diagnosed(self, estimate, measurements, prior), state, kept
 
-    def _pass(
-        self, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
-        past: bool,
-    ) -> Any:  # fmt: skip
-        """The state after all steps, and what is kept of each."""
-        if (kernels := self.kernels_for(measurements.z)) is not None:
-            return kernels.forward(self, state, measurements, checkpoint, truncate, past)
-        frames, log_norm = self._frames(measurements, rank)
-        state, record = run(self.advance, state, frames, rank, checkpoint, truncate, past)
-        return state, Kept(record.belief, *self._scores(record, log_norm.movedim(0, -1)), record.info, record.past)
+    def begun(self, measurements: Measurements, prior: Gaussian) -> tuple[S, int]:
+        """The state before the first measurement of whole tracks, and its batch dimensions; all is checked."""
+        batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
+        mean, root = (x.to(measurements.z) for x in prior)
+        return self.init(Gaussian(mean.expand((*batch, self.motion.size)), root)), len(batch)
+
+    def estimate_of(self, state: S, kept: Kept) -> Estimate:
+        """The estimate of whole tracks, from the last state and what is kept of all steps."""
+        belief, info = self.finish(state, kept.belief, kept.info)
+        return Estimate(*belief, kept.nis, kept.log_likelihood, info)
 
     def _frame(self, state: Any, measurements: Measurements) -> Frame:
         """The frame of a single step, checked."""

@@ -22,10 +22,9 @@ from torchfra.filters.interaction import (
     held,
     interaction,
 )
-from torchfra.filters.records import Record
-from torchfra.filters.smoothing import BackwardStep, Told
+from torchfra.filters.records import Record, Smoothed
 from torchfra.filters.tracks import TrackFilter
-from torchfra.gaussian.inputs import Frame
+from torchfra.gaussian.inputs import BackwardStep, Frame
 from torchfra.gaussian.mixture import models_first, repeated
 from torchfra.hyper import Hyper, Value, hypers
 from torchfra.motion.bank import Bank
@@ -62,7 +61,6 @@ class MultipleModelFilter(TrackFilter[S]):
     """
 
     keeps_past = True
-    kernels_back = True
 
     def __init__(self, inner: Filter) -> None:
         super().__init__()
@@ -132,16 +130,16 @@ class MultipleModelFilter(TrackFilter[S]):
         inner = self.inner.needed_ahead(past.inner)
         return past._replace(inner=inner, log_weights=None)  # type: ignore[arg-type]  # which nothing reads
 
-    def last(self, past: ModelsPast) -> tuple[Models, Told]:
+    def last(self, past: ModelsPast) -> tuple[Models, Smoothed]:
         """The last step, which no later measurement speaks of."""
         models = Models(past.inner.belief, past.log_weights)
         return models, together(models, past.active, self.motion)
 
-    def smooth_step(self, step: BackwardStep, after: Models) -> tuple[Models, Told]:
+    def smooth_step(self, step: BackwardStep, after: Models) -> tuple[Models, Smoothed]:
         """One step back, of all models."""
         if after.log_weights.dim() > step.past.log_weights.dim():
             each = [self.smooth_step(step, one) for one in tree.unbind(after, len(after.log_weights))]
-            several: tuple[Models, Told] = tree.stack(each, 0)
+            several: tuple[Models, Smoothed] = tree.stack(each, 0)
             return several
         matrix, frame = self.matrix_back(step, after.log_weights)
         models = smooth_step(self.inner, BackwardStep(step.past, step.ahead.inner, frame, step.carried), matrix, after)

@@ -107,7 +107,7 @@ class SensorViews:
         if view is None or any(f._modules[name] is not part for name, part in view.replaced.items()):
             check_models(f.motion, sensor)
             parts = f.parts_for(sensor)
-            view = sharing(f, mixed(View, f.__class__), _kernels=None, **parts)
+            view = sharing(f, mixed(View, f.__class__), engine=f.engine.another(), **parts)
             view.__dict__.update(home=f, replaced={name: f._modules[name] for name in parts if name != "sensor"})
             if len(self._views) == _VIEWS:
                 self._views.pop(next(iter(self._views)))
@@ -118,8 +118,8 @@ class SensorViews:
                 view._modules[name] = part.with_sensor(sensor)
             else:
                 share(part, view._modules[name])
-        if (f._kernels is None) != (view._kernels is None):
-            view._kernels = None if f._kernels is None else type(f._kernels)()
+        if type(f.engine) is not type(view.engine):
+            view.engine = f.engine.another()
         return view
 
 

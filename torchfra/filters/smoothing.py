@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from torchfra import tree
 from torchfra.filters.checks import check_lengths
+from torchfra.filters.engine import Engine
 from torchfra.filters.fusion import fused
-from torchfra.filters.loop import scan
 from torchfra.filters.precision import in_full_precision
-from torchfra.gaussian.inputs import Frame, Measurements, Time
+from torchfra.filters.records import Smoothed
+from torchfra.gaussian.inputs import BackwardStep as BackwardStep
+from torchfra.gaussian.inputs import Measurements, Time
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.types import Estimate, Gaussian
+
+Told = Smoothed
 
 
 class SmoothInfo(NamedTuple):
@@ -34,29 +36,6 @@ class SmoothInfo(NamedTuple):
     state and the next was not positive definite and was repaired."""
 
 
-class Told(NamedTuple):
-    """What a step of the way back says of the state it has come to."""
-
-    belief: Gaussian
-    probabilities: Tensor | None = None
-    outlier: Tensor | None = None
-    repaired: Tensor | None = None
-
-
-class BackwardStep(NamedTuple):
-    """What a step of the way back starts from: two steps of the past, and the frame that led from one to the other."""
-
-    past: Any
-    ahead: Any
-    frame: Frame
-    carried: Any
-    """The past that the step was predicted from: without a gradient where that of the way forward was cut after it.
-
-    What comes later is known by how it has changed a prediction.  If one of the two had a gradient and the other not,
-    that of their difference would be of the size of its rounding error.
-    """
-
-
 class Smoother(nn.Module):
     """Abstract, a part of ``Filter``: smoothed estimates of whole tracks.
 
@@ -67,11 +46,8 @@ class Smoother(nn.Module):
     keeps_past = False
     """Whether the way back needs more of a step than an estimate holds of it."""
 
-    kernels_back = False
-    """Whether the way back can run as a kernel."""
-
     if TYPE_CHECKING:  # of Filter
-        kernels_for: Callable[[Tensor], Any]
+        engine: Engine
         motion: Motion
         scans: bool
 
@@ -79,7 +55,6 @@ class Smoother(nn.Module):
             self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None, past: bool
         ) -> tuple[Estimate, Any, Any]: ...
         def _batch(self, measurements: Measurements, prior: Gaussian) -> torch.Size: ...
-        def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]: ...
 
     @in_full_precision
     def smooth(
@@ -135,14 +110,11 @@ class Smoother(nn.Module):
         measurements = Measurements(z, dt, u, std, noise)
         filtered, past = f._filtered(measurements, prior, checkpoint, truncate, estimate)
         rank = filtered.mean.dim() - 2
-        if self.kernels_back and (kernels := self.kernels_for(z)) is not None:
-            told: Told = kernels.back(self, past, measurements, rank, lag, truncate)
-        else:
-            frames, _ = f._frames(measurements, rank)
-            *steps, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(frames))
-            told = sweep(self, [*steps, self.decided(last)], frames, rank, checkpoint, lag, truncate)
-        info = SmoothInfo(filtered, told.probabilities, told.outlier, told.repaired)
-        return Estimate(*told.belief, filtered.nis, filtered.log_likelihood, info)
+        every = self.engine.backward(
+            self, past, measurements, rank, lambda: f._frames(measurements, rank)[0], checkpoint, lag, truncate
+        )
+        info = SmoothInfo(filtered, every.probabilities, every.outlier, every.repaired)
+        return Estimate(*every.belief, filtered.nis, filtered.log_likelihood, info)
 
     def check_smooths(self) -> None:
         """Raises a ``NotImplementedError`` that says why, of a filter that cannot be smoothed."""
@@ -173,11 +145,11 @@ class Smoother(nn.Module):
         """What smoothing a step reads of the past of the step after it; all other fields are None."""
         return past
 
-    def last(self, past: Any) -> tuple[Any, Told]:
+    def last(self, past: Any) -> tuple[Any, Smoothed]:
         """The state of the way back at its first step, the last of the track, and what it says of that."""
         raise TypeError(f"{type(self).__name__} needs a past, a last and a smooth_step to smooth")
 
-    def smooth_step(self, step: BackwardStep, after: Any) -> tuple[Any, Told]:
+    def smooth_step(self, step: BackwardStep, after: Any) -> tuple[Any, Smoothed]:
         """One step back: the next state from that ``after`` the step, and what it says.
 
         States may have one more dimension in front of the batch, of several states for the same past.
@@ -210,52 +182,3 @@ class Smoother(nn.Module):
         if estimate is None or self.keeps_past:
             estimate, state, steps = self._forth(measurements, prior, checkpoint, truncate, self.keeps_past)
         return estimate, self.past(Gaussian(estimate.mean, estimate.scale_tril), estimate.info, state, steps)
-
-
-def sweep(
-    f: Smoother, past: Any, frames: Sequence[Frame], rank: int, checkpoint: int | None, lag: int | None,
-    truncate: int | None = None,
-) -> Told:  # fmt: skip
-    """What the way back says of all steps, stacked over time behind ``rank`` batch dimensions.
-
-    Args:
-        f: takes the steps.
-        past: of each step.
-        frames: one for each step.
-        rank: batch dimensions.
-        checkpoint: steps between states that are kept for gradients.
-        lag: steps after which measurements are no longer looked at; None for all there are.
-        truncate: steps after which gradients of the way forward were cut.
-    """
-    carried = [tree.detach(x) if truncate and k % truncate == 0 else x for k, x in enumerate(past, 1)]
-    steps = [BackwardStep(*of) for of in zip(past[:-1], past[1:], frames[1:], carried[:-1], strict=True)]
-    state, end = f.last(past[-1])
-    if lag is None:
-        smooth_step = partial(_back, f)
-    else:
-        smooth_step, state = partial(_lagged, f), tree.stack([state] * lag, 0)
-    _, told = scan(smooth_step, state, steps[::-1], checkpoint)
-    every: Told = tree.stack([*told[::-1], end], rank)
-    return every
-
-
-def _back(f: Smoother, after: Any, step: BackwardStep) -> tuple[Any, Told]:
-    return f.smooth_step(step, after)
-
-
-def _lagged(f: Smoother, window: Any, step: BackwardStep) -> tuple[Any, Told]:
-    """One step back of several states: ``window[l]`` knows the measurements up to ``l`` steps later.
-
-    What the newest of them has not decided yet is taken as it was at the step itself.
-    """
-    ahead = f.fresh(step.ahead)
-    if ahead is step.ahead:
-        before, told = f.smooth_step(step, window)
-    else:
-        before, told = f.smooth_step(step._replace(ahead=ahead), tree.map_tensors(lambda x: x[:1], window))
-        if len(tree.flatten(window)[0]) > 1:
-            older, told = f.smooth_step(step, tree.map_tensors(lambda x: x[1:], window))
-            before = tree.map_tensors(lambda *xs: torch.cat(xs), before, older)
-    now, _ = f.last(f.fresh(step.past))
-    window = tree.map_tensors(lambda x, older: torch.cat([x.unsqueeze(0), older[:-1]]), now, before)
-    return window, tree.map_tensors(lambda x: x[-1], told)

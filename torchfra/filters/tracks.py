@@ -13,10 +13,9 @@ from torchfra.filters.ahead import Ahead, look_ahead
 from torchfra.filters.base import Filter, S
 from torchfra.filters.checks import check_state
 from torchfra.filters.precision import in_full_precision
-from torchfra.filters.records import Record, scores
-from torchfra.filters.smoothing import BackwardStep, Told
+from torchfra.filters.records import Record, Smoothed, scores
 from torchfra.gaussian.cubature import third_degree
-from torchfra.gaussian.inputs import Frame, Measurements, Time, make_frames
+from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements, Time, make_frames
 from torchfra.gaussian.model import Carried, compare, predict, propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.smoothing import reverse
@@ -101,7 +100,6 @@ class GaussianFilter(TrackFilter[S]):
         rule: from a number of states to the rule (``torchfra.gaussian``).
     """
 
-    kernels_back = True
     fading: NoFading
 
     def __init__(self, motion: Motion, sensor: Sensor, rule: Callable[[int], Rule] = third_degree) -> None:
@@ -155,23 +153,23 @@ class GaussianFilter(TrackFilter[S]):
         """The fading factor."""
         return past._replace(belief=None, fresh=None)  # type: ignore[arg-type]  # which nothing reads
 
-    def last(self, past: Past) -> tuple[Gaussian, Told]:
+    def last(self, past: Past) -> tuple[Gaussian, Smoothed]:
         """The last step, which no later measurement speaks of."""
         repaired = torch.zeros_like(past.belief.mean[..., 0], dtype=torch.bool) if self._may_repair else None
-        return past.belief, Told(past.belief, repaired=repaired)
+        return past.belief, Smoothed(past.belief, repaired=repaired)
 
-    def smooth_step(self, step: BackwardStep, after: Gaussian) -> tuple[Gaussian, Told]:
+    def smooth_step(self, step: BackwardStep, after: Gaussian) -> tuple[Gaussian, Smoothed]:
         """One step back: Rauch, Tung & Striebel (1965) through the prediction as it was made."""
         ahead = self.carry(step.past.belief, step.frame, step.ahead.factor)
         told = self.reverse(step.past.belief, ahead, after)
         return told.belief, told
 
-    def reverse(self, belief: Gaussian, ahead: Carried, after: Gaussian) -> Told:
+    def reverse(self, belief: Gaussian, ahead: Carried, after: Gaussian) -> Smoothed:
         """A ``belief`` that was carried ``ahead``, smoothed by the smoothed one ``after`` the step."""
         step = reverse(belief, ahead)
         mean, root = step(after, self.motion.difference)
         repaired = None if step.repaired is None else step.repaired.expand(mean.shape[:-1])
-        return Told(Gaussian(self.motion.canonical(mean), root), repaired=repaired)
+        return Smoothed(Gaussian(self.motion.canonical(mean), root), repaired=repaired)
 
     def carry(self, belief: Gaussian, frame: Frame, factor: Tensor | None) -> Carried:
         """A belief carried over a step, with the fading factor ``(...)`` that was chosen."""

@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.safe import safe_divide
-from torchfra.linalg.tracing import has_tangents, is_elementary, is_traced, written_once
+from torchfra.linalg.tracing import batchwise, has_tangents, is_elementary, is_traced
 
 
 def tria(a: Tensor, *, padded: bool = False) -> Tensor:
@@ -92,7 +92,7 @@ _SMALL = 16
 """Number of rows up to which a loop over rows, which a compiler can fuse, is faster than a call of LAPACK."""
 
 
-@written_once(2)
+@batchwise(2)
 def _orthogonalise(a: Tensor) -> Tensor:
     """Modified Gram-Schmidt: in exact arithmetic the same root as that of Householder reflections."""
     columns, rest = [], a[..., a.shape[-2] :]

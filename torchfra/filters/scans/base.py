@@ -10,10 +10,9 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.filters.base import Filter, S
 from torchfra.filters.gpb import GPB
-from torchfra.filters.records import Record
-from torchfra.filters.smoothing import BackwardStep, Told
+from torchfra.filters.records import Record, Smoothed
 from torchfra.filters.tracks import Past
-from torchfra.gaussian.inputs import Frame, Measurements, Whole, make_frames
+from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements, Whole, make_frames
 from torchfra.hyper import hypers
 from torchfra.linalg.tracing import is_traced
 from torchfra.sensors.base import Sensor
@@ -37,7 +36,7 @@ class ScanFilter(Filter[S]):
     """
 
     scans = True
-    keeps_past = kernels_back = True
+    keeps_past = True
     one_sensor = "gate and clutter are of the elements of one sensor"
     inner: Any
 
@@ -100,12 +99,12 @@ class ScanFilter(Filter[S]):
         """What the way back needs: of each target its beliefs, in which associations stay as they were."""
         return ScanPast(self.inner.past(belief, info, None, None), steps)
 
-    def last(self, past: ScanPast) -> tuple[Gaussian, Told]:
+    def last(self, past: ScanPast) -> tuple[Gaussian, Smoothed]:
         """The last scan, which no later one speaks of."""
-        last: tuple[Gaussian, Told] = self.inner.last(past.inner)
+        last: tuple[Gaussian, Smoothed] = self.inner.last(past.inner)
         return last
 
-    def smooth_step(self, step: BackwardStep, after: Gaussian) -> tuple[Gaussian, Told]:
+    def smooth_step(self, step: BackwardStep, after: Gaussian) -> tuple[Gaussian, Smoothed]:
         """One scan back, of each target for itself."""
         belief, factor = tree.insert_batch_dimension(step.past.inner.belief), step.ahead.inner.factor
         ahead = self.inner.carry(belief, step.frame, None if factor is None else factor.unsqueeze(-1))
@@ -115,5 +114,5 @@ class ScanFilter(Filter[S]):
         ahead = ahead._replace(spread=spread, process_noise=noise, subtracted=subtracted)
         told = self.inner.reverse(belief, ahead, tree.insert_batch_dimension(after))
         repaired = None if told.repaired is None else told.repaired.squeeze(-1)
-        told = Told(tree.remove_batch_dimension(told.belief), repaired=repaired)
+        told = Smoothed(tree.remove_batch_dimension(told.belief), repaired=repaired)
         return told.belief, told
