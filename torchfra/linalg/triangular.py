@@ -140,7 +140,7 @@ def eliminated(a: Tensor, count: int, rounding: float) -> tuple[Tensor, Tensor, 
 def _norms(a: Tensor) -> Tensor:
     """Euclidean norms of rows, ``(..., n, 1)``, scaled as in LAPACK so that no square over- or underflows."""
     if is_elementary():
-        norms: Tensor = torch.linalg.vector_norm(a, dim=-1, keepdim=True)  # kernels scale where it is needed
+        norms: Tensor = torch.linalg.vector_norm(a, dim=-1, keepdim=True)  # entry by entry it scales where it is needed
         return norms
     largest = torch.linalg.vector_norm(a, ord=torch.inf, dim=-1, keepdim=True)
     norms = largest * torch.linalg.vector_norm(safe_divide(a, largest), dim=-1, keepdim=True)
