@@ -42,8 +42,8 @@ class Given(NamedTuple):
         return _lower(tree.map_tensors(lambda x: torch.ones(x.shape[rank:], dtype=x.dtype), self.state))
 
     def advance(self, f: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any, Any]:
-        """One step back of one track: see ``smooth_step``."""
-        return smooth_step(f, self.like, after, data)
+        """One step back of one track: see ``retreat``."""
+        return retreat(f, self.like, after, data)
 
 
 def cut(past: Any, rank: int, truncate: int) -> Any:
@@ -100,7 +100,7 @@ def given(f: Any, past: Any, carried: Any, measurements: Measurements, rank: int
 
     Args:
         f: the filter.
-        past: ``(..., T, ...)``: see ``Smoother.past``.
+        past: ``(..., T, ...)``: see ``Filter.past``.
         carried: likewise: see ``BackwardStep``; None for the same.
         measurements: of the forward pass.
         rank: dimensions of the batch.
@@ -131,7 +131,7 @@ def _lower(x: Any) -> Any:
     return type(x)(*parts) if hasattr(x, "_fields") else tuple(parts)
 
 
-def smooth_step(f: Any, like: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any, Any]:
+def retreat(f: Any, like: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any, Any]:
     """One step back of one track; at the last step, where it begins, what that says."""
     leaves = iter([x for name, x in data.items() if name.startswith("past")])
     past, ahead, carried = _lower(tree.unflatten(like, leaves))
@@ -139,6 +139,6 @@ def smooth_step(f: Any, like: Any, after: Any, data: dict[str, Tensor]) -> tuple
     models = motion.transition(dt) if motion.linear else None, motion.shift(dt, u)
     noise = motion.process_noise(dt), motion.adaptation(dt)
     frame = Frame(None, None, None, dt, u, *models, *noise)  # type: ignore[arg-type]  # nothing is measured
-    stepped = f.smooth_step(BackwardStep(past, ahead, frame, past if carried is None else carried), after)
+    stepped = f.retreat(BackwardStep(past, ahead, frame, past if carried is None else carried), after)
     begun_or_stepped: tuple[Any, Any] = tree.where(data["last"] > 0, f.last(past), stepped)
     return begun_or_stepped

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from torchfra.compiler import traced
-from torchfra.compiler.backward import Given, smooth_step
+from torchfra.compiler.backward import Given, retreat
 from torchfra.compiler.copies import frozen
 from torchfra.compiler.program import Program
 from torchfra.compiler.run import Kernels, has_gradient
@@ -143,7 +143,7 @@ class Version:
             double = x.dtype == torch.float64 != dtype  # read as it is: to convert it would take longer than to filter
             inputs[value.path] = Input(x.shape[rank:], False, True, double)
             shapes.append(batch + x.shape[rank:])
-        key = (smooth_step if back else advance, dtype, targets, tuple(inputs.items()))
+        key = (retreat if back else advance, dtype, targets, tuple(inputs.items()))
         if key not in self.kernels:
             begin = back.begin if back else partial(traced.begin, targets=targets)
             with torch.inference_mode(False):  # in which torch does not take operations apart

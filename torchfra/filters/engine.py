@@ -56,7 +56,7 @@ class Engine(Protocol):
 
         Args:
             f: the filter.
-            past: see ``Smoother.past``.
+            past: see ``Filter.past``.
             measurements: of the forward pass.
             rank: batch dimensions.
             frames: makes those of the forward pass.
@@ -74,7 +74,8 @@ class Interpreted:
 
     def step(self, f: Any, state: Any, measurements: Measurements) -> tuple[Any, Innovation]:
         """The state after one measurement, and its innovation."""
-        return f.observe(state, f._frame(state, measurements))
+        stepped: tuple[Any, Innovation] = f.observe(state, f._frame(state, measurements))
+        return stepped
 
     def once(self, f: Any, function: Function, state: Any, measurements: Measurements) -> tuple[Any, Any]:
         """What ``function(f, state, frame)`` gives for one measurement."""
@@ -90,8 +91,8 @@ class Interpreted:
         state, records = scan(f.advance, state, frames, checkpoint, truncate)
         needed = [r._replace(residual=None, evidence=None, past=r.past if past else None) for r in records]
         stacked = tree.stack(needed, rank)
-        scores = f._scores(stacked, log_norm.movedim(0, -1))
-        return state, Kept(stacked.belief, *scores, stacked.info, stacked.past)
+        nis, log_likelihood = f._scores(stacked, log_norm.movedim(0, -1))
+        return state, Kept(stacked.belief, nis, log_likelihood, stacked.info, stacked.past)
 
     def forward(
         self, f: Any, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
@@ -180,16 +181,16 @@ def sweep(
     steps = [BackwardStep(*of) for of in zip(past[:-1], past[1:], frames[1:], carried[:-1], strict=True)]
     state, end = f.last(past[-1])
     if lag is None:
-        smooth_step = partial(_back, f)
+        back = partial(_back, f)
     else:
-        smooth_step, state = partial(_lagged, f), tree.stack([state] * lag, 0)
-    _, smoothed = scan(smooth_step, state, steps[::-1], checkpoint)
+        back, state = partial(_lagged, f), tree.stack([state] * lag, 0)
+    _, smoothed = scan(back, state, steps[::-1], checkpoint)
     every: Smoothed = tree.stack([*smoothed[::-1], end], rank)
     return every
 
 
 def _back(f: Any, after: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
-    stepped: tuple[Any, Smoothed] = f.smooth_step(step, after)
+    stepped: tuple[Any, Smoothed] = f.retreat(step, after)
     return stepped
 
 
@@ -200,11 +201,11 @@ def _lagged(f: Any, window: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
     """
     ahead = f.fresh(step.ahead)
     if ahead is step.ahead:
-        before, smoothed = f.smooth_step(step, window)
+        before, smoothed = f.retreat(step, window)
     else:
-        before, smoothed = f.smooth_step(step._replace(ahead=ahead), tree.map_tensors(lambda x: x[:1], window))
+        before, smoothed = f.retreat(step._replace(ahead=ahead), tree.map_tensors(lambda x: x[:1], window))
         if len(tree.flatten(window)[0]) > 1:
-            older, smoothed = f.smooth_step(step, tree.map_tensors(lambda x: x[1:], window))
+            older, smoothed = f.retreat(step, tree.map_tensors(lambda x: x[1:], window))
             before = tree.map_tensors(lambda *xs: torch.cat(xs), before, older)
     now, _ = f.last(f.fresh(step.past))
     window = tree.map_tensors(lambda x, older: torch.cat([x.unsqueeze(0), older[:-1]]), now, before)

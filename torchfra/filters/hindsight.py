@@ -76,7 +76,7 @@ def together(models: Models, active: Tensor | None, motion: Motion) -> Smoothed:
     return Smoothed(belief, weights if active is None else (weights.unsqueeze(-2) @ active).squeeze(-2))
 
 
-def smooth_step(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Models:
+def retreat(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Models:
     """One step back, for every model before it and every model after.
 
     What comes after the step, measured by the model after it, is the measurement that makes of that model's prediction

@@ -49,6 +49,17 @@ class Smoothed(NamedTuple):
     repaired: Tensor | None = None
 
 
+class Past(NamedTuple):
+    """What the backward pass needs of a step; ``(..., T, ...)`` of a whole track."""
+
+    belief: Gaussian
+    """As it was carried on."""
+    factor: Tensor | None
+    """``(...)`` fading factor of the prediction that led to it."""
+    fresh: tuple[Gaussian, Tensor] | None = None
+    """Both as they were at the step itself, of a filter that decides late."""
+
+
 def scores(normalised: Tensor, root: Tensor, log_norm: Tensor, log_density: Tensor | None) -> tuple[Tensor, Tensor]:
     """Normalised innovation squared and log density ``(...)``, constants and the units of the noise included."""
     nis = normalised.square().sum(-1)
