@@ -4,7 +4,7 @@
     python scripts/export.py --filter fra --inputs std --precision single
     python scripts/export.py --filter gpb --scenario adsb-turns --tracks 1000
 
-For a filter of your own call torchfra.filters.exported.export, which returns the texts of the files.
+For a filter of your own call torchfra.compiler.export.export, which returns the texts of the files.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from torch import Tensor
 
 from torchfra.catalogue import SCENARIOS, scenario_filter, track_filters
 from torchfra.cli.command import IncompleteError, check_folder, check_list, exit_status, make_parser
+from torchfra.compiler import build
+from torchfra.compiler.export import export
 from torchfra.filters import Filter
-from torchfra.filters.exported import export
-from torchfra.kernel import build
 from torchfra.running.atomic_write import write_text
 from torchfra.scenarios import Scenario
 from torchfra.tables import printable

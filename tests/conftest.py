@@ -14,8 +14,8 @@ import torch
 from short_tracks import short
 
 from torchfra import presets, scenarios
-from torchfra.filters.compiled import Compiled
-from torchfra.kernel import compilers
+from torchfra.compiler import compilers
+from torchfra.compiler.engine import Compiled
 
 gc.disable()  # while modules are imported and tests are collected, of which nothing is garbage
 
@@ -91,8 +91,8 @@ def seeded():
 def prepared(monkeypatch):
     """How often tracks had to be checked and prepared."""
     seen = []
-    forward = Compiled.forward
-    monkeypatch.setattr(Compiled, "forward", lambda *given: seen.append(1) or forward(*given))
+    forward = Compiled.scan
+    monkeypatch.setattr(Compiled, "scan", lambda *given: seen.append(1) or forward(*given))
     return seen
 
 

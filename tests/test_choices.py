@@ -2,10 +2,10 @@
 
 import torch
 
-from torchfra.kernel.choices import with_choices_last
-from torchfra.kernel.expressions import Expressions
-from torchfra.kernel.program import Program
-from torchfra.kernel.source import Port, Scan
+from torchfra.compiler.choices import with_choices_last
+from torchfra.compiler.expressions import Expressions
+from torchfra.compiler.program import Program
+from torchfra.compiler.source import Port, Scan
 
 
 def step():

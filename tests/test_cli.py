@@ -13,8 +13,8 @@ from short_tracks import STEPS
 from torchfra import plotting, presets
 from torchfra.catalogue import make_scenario
 from torchfra.cli import main as cli
+from torchfra.compiler import build
 from torchfra.evaluation import evaluate
-from torchfra.kernel import build
 
 pytestmark = pytest.mark.usefixtures("rough_figures")
 

@@ -11,13 +11,13 @@ from one_graph import ONE_GRAPH
 from torch import nn
 
 from torchfra import Hyper, learnable, presets, scenarios
+from torchfra.compiler import build, run
+from torchfra.compiler.entries import Entries, as_entries
+from torchfra.compiler.expressions import Expressions
+from torchfra.compiler.program import Program, batch_first
+from torchfra.compiler.source import Port, Scan
+from torchfra.compiler.step import Input, Step
 from torchfra.filters import SRCKF
-from torchfra.kernel import build, run
-from torchfra.kernel.entries import Entries, as_entries
-from torchfra.kernel.expressions import Expressions
-from torchfra.kernel.program import Program, batch_first
-from torchfra.kernel.source import Port, Scan
-from torchfra.kernel.step import Input, Step
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Bearings, Position, Sensor
 from torchfra.types import Gaussian

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from torchfra.kernel import build, cache, compilers, plain_workplace
-from torchfra.kernel.compilers import CompileError, Compiler
+from torchfra.compiler import build, cache, compilers, plain_workplace
+from torchfra.compiler.compilers import CompileError, Compiler
 
 ZIG = f"{sys.executable} -m ziglang c++"
 needs_zig = pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="pip install ziglang")

@@ -16,9 +16,9 @@ import pytest
 import torch
 
 from torchfra import presets, scenarios
-from torchfra.kernel import build, cuda, step
-from torchfra.kernel.compilers import CompileError
-from torchfra.kernel.source import Scan
+from torchfra.compiler import build, cuda, step
+from torchfra.compiler.compilers import CompileError
+from torchfra.compiler.source import Scan
 from torchfra.types import Gaussian
 
 BEFORE = """

@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from torchfra.kernel.divisions import with_quotients
-from torchfra.kernel.expressions import Expressions
-from torchfra.kernel.run import Kernels
-from torchfra.kernel.step import Input, Step
+from torchfra.compiler.divisions import with_quotients
+from torchfra.compiler.expressions import Expressions
+from torchfra.compiler.run import Kernels
+from torchfra.compiler.step import Input, Step
 
 TINY = 1e-310
 

@@ -15,7 +15,7 @@ def test_every_filter_of_a_scenario_is_traced(scenario):
     tracks = scenario.simulate(runs=1, seed=0)
     for name in filters_for(scenario):
         f = scenario_filter(name, scenario).compile()
-        _, plan, _ = f._kernels._plan(f, f.init(tracks.prior), Measurements(tracks.z, 1.0, tracks.u), False)
+        _, plan, _ = f.engine._plan(f, f.init(tracks.prior), Measurements(tracks.z, 1.0, tracks.u), False)
         assert len(plan.kernels.step.forwards().live()) > 50, name
 
 

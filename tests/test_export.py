@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from torchfra import presets
-from torchfra.filters import exported
-from torchfra.kernel.build import CompileError
+from torchfra.compiler import export as exported
+from torchfra.compiler.build import CompileError
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
 

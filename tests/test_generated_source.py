@@ -12,10 +12,10 @@ import torch
 
 import torchfra
 from torchfra import presets
-from torchfra.filters.exported import export
-from torchfra.kernel import build, names, origin
-from torchfra.kernel.expressions import Expressions
-from torchfra.kernel.step import Input, Step
+from torchfra.compiler import build, names, origin
+from torchfra.compiler.export import export
+from torchfra.compiler.expressions import Expressions
+from torchfra.compiler.step import Input, Step
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
 
@@ -52,7 +52,7 @@ def test_comments_name_lines_of_functions_that_exist_and_none_of_the_tracing(sou
     origins = set(ORIGIN.findall(source))
     assert {"gaussian/update.py", "linalg/triangular.py", Path(__file__).name} <= {file for file, *_ in origins}
     for file, line, name in sorted(origins):
-        assert not file.startswith("kernel/")
+        assert not file.startswith("compiler/")
         path = Path(__file__) if file == Path(__file__).name else LIBRARY / file
         tree = ast.walk(ast.parse(path.read_text()))
         spans = [range(f.lineno, f.end_lineno + 1) for f in tree if getattr(f, "name", None) == name]

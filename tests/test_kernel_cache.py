@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
+from torchfra.compiler import build, cache, workplace
+from torchfra.compiler.build import CompileError
 from torchfra.evaluation.compiling import compiled
-from torchfra.kernel import build, cache, workplace
-from torchfra.kernel.build import CompileError
 
 SOURCE = """
 #include <cstdint>

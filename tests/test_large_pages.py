@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from torchfra.kernel import pages
+from torchfra.compiler import pages
 
 ENABLED = Path("/sys/kernel/mm/transparent_hugepage/enabled")
 SMAPS = Path("/proc/self/smaps")

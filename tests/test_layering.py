@@ -13,7 +13,7 @@ LIBRARY, RECIPES = Path(torchfra.__file__).parent, Path(train.__file__).parent
 LEVELS = [
     {"version"}, {"tables"}, {"angles"}, {"numbers"}, {"tree"}, {"linalg"}, {"types"}, {"hyper"}, {"state_files"},
     {"running"}, {"coordinates"}, {"geodesy"}, {"readers"}, {"losses"}, {"metrics"},
-    {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"kernel"}, {"filters"},
+    {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"compiler"}, {"filters"},
     {"register"}, {"stream"}, {"targets"}, {"testing"},
     {"presets"},
     {"scenarios"}, {"catalogue"}, {"cleaning"}, {"adapters"}, {"evaluation"}, {"plotting"}, {"comparison"}, {"fitting"},

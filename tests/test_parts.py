@@ -4,9 +4,9 @@ import pytest
 import torch
 from test_regions import make_small, scan_of
 
-from torchfra.kernel import build, cache, parts
-from torchfra.kernel.compilers import CompileError
-from torchfra.kernel.program import Program
+from torchfra.compiler import build, cache, parts
+from torchfra.compiler.compilers import CompileError
+from torchfra.compiler.program import Program
 
 
 @pytest.fixture

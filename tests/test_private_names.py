@@ -12,24 +12,24 @@ import torchfra
 LIBRARY = Path(torchfra.__file__).parent
 PRIVATE = {
     "torch._C._functorch.is_functorch_wrapped_tensor": "linalg/tracing.py knows by it whether a transform is at work",
-    "torch._C._functorch.peek_interpreter_stack": "filters/compiled.py does not run kernels inside a transform",
-    "torch._C._disabled_torch_function_impl": "kernel/entries.py sees operations, not functions",
-    "torch._decomp.decomposition_table": "kernel/operations.py takes apart operations that it does not know",
-    "torch._ops.OpOverload": "kernel/operations.py finds the operations that write in place",
-    "torch.utils._pytree.tree_flatten": "kernel/entries.py and kernel/moves.py look for entries among arguments",
-    "torch.utils._pytree.tree_map": "kernel/moves.py moves the numbers of entries",
-    "torch.Tensor._make_wrapper_subclass": "kernel/entries.py makes a tensor without memory",
-    "torch.Tensor._is_zerotensor": "kernel/entries.py and program.py know zeros of forward-mode differentiation",
+    "torch._C._functorch.peek_interpreter_stack": "compiler/engine.py does not run kernels inside a transform",
+    "torch._C._disabled_torch_function_impl": "compiler/entries.py sees operations, not functions",
+    "torch._decomp.decomposition_table": "compiler/operations.py takes apart operations that it does not know",
+    "torch._ops.OpOverload": "compiler/operations.py finds the operations that write in place",
+    "torch.utils._pytree.tree_flatten": "compiler/entries.py and compiler/moves.py look for entries among arguments",
+    "torch.utils._pytree.tree_map": "compiler/moves.py moves the numbers of entries",
+    "torch.Tensor._make_wrapper_subclass": "compiler/entries.py makes a tensor without memory",
+    "torch.Tensor._is_zerotensor": "compiler/entries.py and program.py know zeros of forward-mode differentiation",
     "torch.autograd.forward_ad._current_level": "kernels and tria know by it whether derivatives go forwards",
     "torch._neg_view": "testing/results.py makes a tensor that is negated late",
-    "torch.ops.aten.mul.Tensor._schema": "kernel/operations.py names the operation in place",
-    "torch.ops.aten.mul.Tensor._overloadname": "kernel/operations.py names the operation in place",
+    "torch.ops.aten.mul.Tensor._schema": "compiler/operations.py names the operation in place",
+    "torch.ops.aten.mul.Tensor._overloadname": "compiler/operations.py names the operation in place",
 }
 """Names without which something does not work, and what."""
 GUARDED = {
-    "torch._C._dynamo.guards": "kernel/guards.py has a slower check of its own, pages.py empty_strided",
-    "torch._C._autograd._top_saved_tensors_default_hooks": "kernel/guards.py: calls with a gradient do not get ready",
-    "torch._C._current_autograd_node": "kernel/origin.py then names no line in comments of gradients",
+    "torch._C._dynamo.guards": "compiler/guards.py has a slower check of its own, pages.py empty_strided",
+    "torch._C._autograd._top_saved_tensors_default_hooks": "compiler/guards.py: calls with a gradient do not get ready",
+    "torch._C._current_autograd_node": "compiler/origin.py then names no line in comments of gradients",
     "torch.autograd._get_sequence_nr": "likewise",
     "torch._dynamo": "association/events.py only marks a function for torch.compile",
 }
@@ -75,7 +75,7 @@ def test_private_names_are_found_however_they_are_written():
 def test_without_torchs_guard_a_ready_step_is_checked_by_the_slower_one(monkeypatch):
     import importlib
 
-    from torchfra.filters.compiled import step as ready_step
+    from torchfra.compiler import single_steps as ready_step
 
     x = torch.zeros(2, 3)
     monkeypatch.setattr(importlib, "import_module", lambda name: (_ for _ in ()).throw(ImportError(name)))
@@ -89,7 +89,7 @@ def test_without_torchs_guard_a_ready_step_is_checked_by_the_slower_one(monkeypa
     (torch.autograd, "_get_sequence_nr", "nothing"), (torch._C, "_current_autograd_node", "test_private_names"),
 ])  # fmt: skip
 def test_without_torchs_numbers_of_operations_a_comment_names_the_line_alone(monkeypatch, owner, name, begins):
-    from torchfra.kernel import origin
+    from torchfra.compiler import origin
 
     monkeypatch.setattr(origin, "_DIFFERENTIATED", begins)  # where a way back begins
     monkeypatch.delattr(owner, name)

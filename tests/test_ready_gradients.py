@@ -9,9 +9,9 @@ from short_tracks import alone
 from torch.autograd.graph import saved_tensors_hooks
 from torch.utils.checkpoint import checkpoint
 
+from torchfra.compiler import guards, run
+from torchfra.compiler.engine import tracks as tracks_module
 from torchfra.filters import SRCKF
-from torchfra.filters.compiled import tracks as tracks_module
-from torchfra.kernel import guards, run
 from torchfra.tree import flatten
 from torchfra.types import Gaussian
 

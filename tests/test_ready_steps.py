@@ -5,9 +5,11 @@ import copy
 import pytest
 import torch
 
-from torchfra.filters.compiled import Compiled
-from torchfra.kernel import guards
-from torchfra.tree import flatten, flattener, unflattener
+from torchfra.compiler import guards
+from torchfra.compiler.engine import Compiled
+from torchfra.compiler.trees import flattener, unflattener
+from torchfra.filters.engine import INTERPRETED
+from torchfra.tree import flatten
 from torchfra.types import Gaussian
 
 
@@ -146,7 +148,7 @@ def test_a_gradient_flows_through_a_step_that_is_ready_without_one(ready):
     f, state, given = ready
     z = given["z"].clone().requires_grad_()
     slope = torch.autograd.grad(f.step(state, z, u=given["u"])[0].belief.mean.sum(), z)[0]
-    f._kernels = None
+    f.engine = INTERPRETED
     close([torch.autograd.grad(f.step(state, z, u=given["u"])[0].belief.mean.sum(), z)[0]], [slope])
 
 

@@ -9,7 +9,8 @@ import pytest
 import torch
 from short_tracks import alone
 
-from torchfra.kernel import program
+from torchfra.compiler import program
+from torchfra.filters.engine import INTERPRETED
 from torchfra.tree import flatten
 from torchfra.types import Cause, Gaussian
 
@@ -131,7 +132,7 @@ def test_a_gradient_flows_through_tracks_that_are_ready_without_one(ready):
     slopes = []
     for _ in range(2):
         slopes.append(torch.autograd.grad(f(**given | {"z": z}).mean.sum(), z)[0])
-        f._kernels = None
+        f.engine = INTERPRETED
     close(*[(slope,) for slope in slopes])
 
 
@@ -229,7 +230,7 @@ def test_many_tracks_are_ready_once_they_have_come_often(make, tracks, prepared,
 def test_a_form_that_is_remembered_holds_no_memory_of_results(make, tracks):
     fast, given = make("srckf").compile(), alone(tracks)
     fast(**given)
-    (known,) = fast._kernels._versions[0].tracks._known.values()
+    (known,) = fast.engine._versions[0].tracks._known.values()
     assert all(x.is_meta for x in known[0]._whole._ready.like)
 
 

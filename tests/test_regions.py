@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_compile import both, close
 
-from torchfra.kernel import schedule
-from torchfra.kernel.expressions import ZERO, Expressions, Routine
-from torchfra.kernel.frame import frame, needs
-from torchfra.kernel.merges import with_merged
-from torchfra.kernel.program import Program
-from torchfra.kernel.schedule import Piece, cut, pieces
-from torchfra.kernel.source import Port, Scan
+from torchfra.compiler import schedule
+from torchfra.compiler.expressions import ZERO, Expressions, Routine
+from torchfra.compiler.frame import frame, needs
+from torchfra.compiler.merges import with_merged
+from torchfra.compiler.program import Program
+from torchfra.compiler.schedule import Piece, cut, pieces
+from torchfra.compiler.source import Port, Scan
 
 OPERATORS = {
     "add": operator.add, "sub": operator.sub, "mul": operator.mul, "neg": operator.neg, "abs": abs, "max": max,

@@ -9,12 +9,12 @@ from test_compile import close
 from torch.autograd import forward_ad
 
 from torchfra import Gaussian, presets
-from torchfra.kernel import step
-from torchfra.kernel.entries import Entries, entry_ids
-from torchfra.kernel.expressions import Expressions, Routine
-from torchfra.kernel.routines import called_for_each
-from torchfra.kernel.schedule import cut
-from torchfra.kernel.source import Scan
+from torchfra.compiler import step
+from torchfra.compiler.entries import Entries, entry_ids
+from torchfra.compiler.expressions import Expressions, Routine
+from torchfra.compiler.routines import called_for_each
+from torchfra.compiler.schedule import cut
+from torchfra.compiler.source import Scan
 from torchfra.linalg.tracing import elementary
 from torchfra.linalg.triangular import _orthogonalise
 from torchfra.motion import Bank, ConstantVelocity

@@ -146,6 +146,17 @@ def test_compiled_it_is_the_same_and_so_are_its_gradients():
     close(*found, 1e-8)
 
 
+def test_a_compiled_filter_that_knows_tracks_of_the_same_shapes_still_asks_which_sensor_measured():
+    """A call that comes again takes a short cut, which is of one sensor."""
+    f, z, coarse = made("srckf"), measured().nan_to_num(), Position(50.0)
+    expected = f(z, prior_of(f), sensors=[GPS, coarse, GPS], which=WHICH).mean
+    f.compile()
+    with torch.no_grad():
+        for _ in range(3):
+            f(z, prior_of(f))
+        close(f(z, prior_of(f), sensors=[GPS, coarse, GPS], which=WHICH).mean, expected)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["fra", "gpb"])
 def test_kernels_of_another_sensor_have_the_states_of_the_filter(name):

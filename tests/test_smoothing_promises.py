@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from torchfra import Gaussian, presets, scenarios
-from torchfra.filters import compiled
+from torchfra.compiler import backward
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
 
@@ -149,7 +149,7 @@ def test_a_compiled_filter_smooths_as_one_that_is_not(make, tracks, options):
 @pytest.mark.parametrize("options", [{}, {"dt": 0.5 + torch.rand(4, 1).double()}])
 def test_with_a_lag_a_compiled_filter_that_decides_late_smooths_as_one_that_is_not(make, tracks, options, monkeypatch):
     """Also where not all windows are taken at once."""
-    monkeypatch.setattr(compiled.back, "_AT_ONCE", 80)
+    monkeypatch.setattr(backward, "_AT_ONCE", 80)
     f, fast, z = make("fra"), make("fra").compile(), tracks.z.clone()
     z[:, 7] += 0.4
     for lag in (1, 4, 11):

@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch.autograd import forward_ad
 
-from torchfra.kernel.expressions import Expressions
-from torchfra.kernel.tangents import _CONSTANT, _SLOPES, tangents
+from torchfra.compiler.expressions import Expressions
+from torchfra.compiler.tangents import _CONSTANT, _SLOPES, tangents
 
 
 def along(f, name, tracks):

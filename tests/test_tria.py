@@ -8,11 +8,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import torchfra.kernel.operations  # noqa: F401  # fills the rules of entries
-from torchfra.kernel.entries import Entries, as_entries
-from torchfra.kernel.expressions import Expressions
-from torchfra.kernel.program import Program, batch_first
-from torchfra.kernel.source import Port, Scan
+import torchfra.compiler.operations  # noqa: F401  # fills the rules of entries
+from torchfra.compiler.entries import Entries, as_entries
+from torchfra.compiler.expressions import Expressions
+from torchfra.compiler.program import Program, batch_first
+from torchfra.compiler.source import Port, Scan
 from torchfra.linalg import gram_pinv, hstack, safe_divide, safe_log, safe_sqrt, tria, tria_beside, whiten
 from torchfra.linalg.tracing import elementary
 from torchfra.linalg.triangular import eliminated

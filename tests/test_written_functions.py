@@ -5,9 +5,9 @@ import math
 import pytest
 import torch
 
-from torchfra.kernel.expressions import Expressions
-from torchfra.kernel.program import Program, batch_first
-from torchfra.kernel.source import Port, Scan
+from torchfra.compiler.expressions import Expressions
+from torchfra.compiler.program import Program, batch_first
+from torchfra.compiler.source import Port, Scan
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=str)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from torchfra import presets, scenarios
-from torchfra.kernel.pages import LEAST, PAST, rows_of_tracks
+from torchfra.compiler.pages import LEAST, PAST, rows_of_tracks
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])

@@ -187,3 +187,7 @@ class Estimate(NamedTuple):
     def to_distribution(self) -> torch.distributions.MultivariateNormal:
         """The estimate as a distribution over states, one per track and step."""
         return torch.distributions.MultivariateNormal(self.mean, scale_tril=self.scale_tril, validate_args=False)
+
+
+class CompileError(RuntimeError):
+    """A filter was to run compiled, and there is no compiler, or it failed."""

@@ -34,10 +34,10 @@ from torchfra.catalogue import FILTERS
 from torchfra.cli.command import Failures, check_files, check_folder, exit_status, make_parser
 from torchfra.fitting.bounded import bounded, falling
 from torchfra.hyper import hypers
-from torchfra.kernel.build import CompileError
 from torchfra.running import distributed
 from torchfra.running.atomic_write import write_json
 from torchfra.tables import printable
+from torchfra.types import CompileError
 from train import checkpoints
 from train.batches import Batch, simulate
 from train.config import Config

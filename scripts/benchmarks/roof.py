@@ -17,15 +17,15 @@ import torch
 from benchmarks.clock import one_pass
 from benchmarks.timing import Row, calls, timed
 from torchfra.catalogue import make_scenario, scenario_filter, track_filters
+from torchfra.compiler.build import load
+from torchfra.compiler.engine import Compiled
+from torchfra.compiler.expressions import Expressions
+from torchfra.compiler.program import Program
+from torchfra.compiler.schedule import conditions, regions
+from torchfra.compiler.source import SCALARS, Port, Scan
+from torchfra.compiler.statements import template
 from torchfra.evaluation import run
 from torchfra.filters import Filter
-from torchfra.filters.compiled import Compiled
-from torchfra.kernel.build import load
-from torchfra.kernel.expressions import Expressions
-from torchfra.kernel.program import Program
-from torchfra.kernel.schedule import conditions, regions
-from torchfra.kernel.source import SCALARS, Port, Scan
-from torchfra.kernel.statements import template
 from torchfra.tree import map_tensors
 
 ROUNDS, LANES = 20_000, 2048
@@ -124,7 +124,7 @@ class Work(NamedTuple):
 
 def work(f: Filter) -> Work:
     """What a compiled filter that has run computes at each step, for every track: what few need is left out."""
-    compiled: Compiled = f.__dict__["_kernels"]
+    compiled: Compiled = f.__dict__["engine"]
     scan = next(x for x in compiled._versions[0].kernels.values() if x.step.repeated).step.forwards()
     step = scan.step()
     nodes, live = step.book.nodes, [i for i in step.live if i in step.varying and step.book.nodes[i][0] != "input"]

@@ -20,7 +20,7 @@ PAGES = {
     "README.md": "start", "CHANGELOG.md": "changelog", "train/README.md": "learning",
     "scripts/results/README.md": "results", "torchfra/filters/README.md": "choosing",
     "torchfra/stream/README.md": "streaming", "torchfra/targets/README.md": "targets",
-    "torchfra/cleaning/README.md": "cleaning", "torchfra/kernel/README.md": "performance",
+    "torchfra/cleaning/README.md": "cleaning", "torchfra/compiler/README.md": "performance",
     "scripts/examples": "gallery/examples/index", "torchfra/fitting/README.md": "fitting",
     "torchfra/comparison/README.md": "comparing",
     "torchfra/adapters/README.md": "adapters",

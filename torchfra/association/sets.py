@@ -1,4 +1,4 @@
-"""Joint association of a few targets by recursion over sets of them: exact, without events, as kernels sum."""
+"""Joint association of a few targets by recursion over sets of them: exact, without a list of events."""
 
 from __future__ import annotations
 

@@ -12,11 +12,10 @@ from torchfra.catalogue import FILTERS, make_filter
 from torchfra.cleaning.batches import Steps, padded
 from torchfra.filters import GPB, AlphaBetaInfo, Filter, FRAInfo, GPBInfo
 from torchfra.filters.smoothing import SmoothInfo
-from torchfra.kernel.build import CompileError
 from torchfra.motion.bank import Bank, aircraft
 from torchfra.motion.polynomial import ConstantVelocity
 from torchfra.sensors.position import Position
-from torchfra.types import Estimate, Gaussian
+from torchfra.types import CompileError, Estimate, Gaussian
 
 GATE = {2: 13.816, 3: 16.266}
 """Normalised innovation squared that one good fix in 1000 exceeds, by dimensions of space (chi-square)."""

@@ -172,7 +172,7 @@ def message(error: Exception) -> str | None:
     if isinstance(error, OSError) and error.strerror is not None:
         reason = "file not found" if isinstance(error, FileNotFoundError) else error.strerror.lower()
         return reason if error.filename is None else f"{reason}: {error.filename}"
-    from torchfra.kernel.build import CompileError  # imports torch, which takes long and which no help needs
+    from torchfra.types import CompileError  # imports torch, which takes long and which no help needs
 
     known = (ValueError, OSError, ImportError, CompileError, NotImplementedError)
     return str(error) if isinstance(error, known) else None

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from torchfra.cleaning.others import Fallback
 from torchfra.evaluation.compiling import brief
-from torchfra.kernel.build import CompileError, compiler
+from torchfra.types import CompileError
 
 
 def add_compile_option(parser: argparse.ArgumentParser, default: str) -> None:
@@ -45,6 +45,8 @@ def choose(wanted: bool | None, worthwhile: bool, tell: Callable[[str], None]) -
     """
     if wanted is False or (wanted is None and not worthwhile):
         return False
+    from torchfra.compiler.build import compiler  # only where it is needed
+
     try:
         name = compiler()
     except CompileError as error:

@@ -11,9 +11,9 @@ import torch
 
 from torchfra.cleaning.others import Fallback
 from torchfra.filters import Filter
-from torchfra.kernel.build import CompileError, stop
 from torchfra.motion.bank import Bank
 from torchfra.running.progress import progress_bar
+from torchfra.types import CompileError
 
 
 def compiled(
@@ -54,6 +54,8 @@ def compiled(
             attempts = dict(zip(order, progress_bar(made, "kernel", progress), strict=True))
         except KeyboardInterrupt:
             pool.shutdown(wait=False, cancel_futures=True)
+            from torchfra.compiler.build import stop
+
             stop()
             raise
     for name, f in attempts.items():

@@ -16,6 +16,7 @@ from torchfra.evaluation.results import Result
 from torchfra.evaluation.running_metrics import RunningMetrics
 from torchfra.evaluation.sureness import sureness
 from torchfra.filters.base import Filter
+from torchfra.filters.engine import INTERPRETED
 from torchfra.running import distributed
 from torchfra.running.progress import progress_bar
 from torchfra.scenarios import Scenario, Tracks
@@ -144,7 +145,7 @@ def _accumulate(
     with torch.no_grad():
         first_call = scenario.simulate(min(len(share), chunk), seed)
         for f in filters.values():  # not timed: it allocates memory, and gets compiled filters ready for tracks so long
-            run(f, scenario, _beginning(first_call) if f._kernels is None else first_call)
+            run(f, scenario, _beginning(first_call) if f.engine is INTERPRETED else first_call)
         for first in progress_bar(share[::chunk], f"{chunk} runs", progress):
             tracks = scenario.simulate(min(chunk, share.stop - first), seed, first=first)
             for name, f in filters.items():

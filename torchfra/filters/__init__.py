@@ -10,12 +10,10 @@ from torchfra.filters.fixed_lag import FixedLag, FixedLagState
 from torchfra.filters.fra import FRA
 from torchfra.filters.gpb import GPB, GPBInfo, GPBState, Outliers, Regimes
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
-from torchfra.filters.scans.base import ScanFilter
 from torchfra.filters.scans.hypotheses import JPDAInfo, JPDAState
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.smoothing import SmoothInfo
 from torchfra.filters.srckf import SRCKF, Info, State
-from torchfra.filters.tracks import GaussianFilter, TrackFilter
 from torchfra.filters.vsimm import VSIMM, VSIMMInfo, VSIMMState
 
 __all__ = [
@@ -36,7 +34,6 @@ __all__ = [
     "FixedLagState",
     "GPBInfo",
     "GPBState",
-    "GaussianFilter",
     "IMMInfo",
     "IMMState",
     "Info",
@@ -44,10 +41,8 @@ __all__ = [
     "JPDAState",
     "Outliers",
     "Regimes",
-    "ScanFilter",
     "SmoothInfo",
     "State",
-    "TrackFilter",
     "VSIMMInfo",
     "VSIMMState",
 ]

@@ -15,7 +15,7 @@ from torchfra.types import Gaussian
 
 
 class Ahead(NamedTuple):
-    """What is expected, of all hypotheses together: see ``TrackFilter.predict``."""
+    """What is expected, of all hypotheses together: see ``Filter.predict``."""
 
     belief: Gaussian
     """``(..., n)`` of the state."""

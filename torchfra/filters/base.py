@@ -1,60 +1,231 @@
-"""What every filter is: a pure ``step``, and ``forward`` over whole tracks."""
+"""What every filter is: three functions that it gives, and all that comes from them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Any, Generic
 
 import torch
-from torch import Tensor
-from typing_extensions import TypeVar
+from torch import Tensor, nn
+from typing_extensions import Self, TypeVar
 
-from torchfra.filters.checks import check_lengths, check_models, check_step
-from torchfra.filters.compiling import Compilable
+from torchfra.adaptive.fading import NoFading
+from torchfra.filters.ahead import Ahead, look_ahead
+from torchfra.filters.checks import check_lengths, check_models, check_state, check_step
+from torchfra.filters.engine import INTERPRETED, Engine
 from torchfra.filters.failures import diagnosed
 from torchfra.filters.fusion import fused
-from torchfra.filters.loop import run
-from torchfra.filters.other_sensors import HasViews, SensorViews
+from torchfra.filters.other_sensors import SensorViews
 from torchfra.filters.precision import in_full_precision
-from torchfra.filters.records import Kept, Record
-from torchfra.filters.smoothing import Smoother
+from torchfra.filters.records import Kept, Past, Record, Smoothed, scores
+from torchfra.filters.smoothing import SmoothInfo
 from torchfra.gaussian.arguments import check, check_belief
-from torchfra.gaussian.inputs import Frame, Measurements, Time, batch_rank, with_values
+from torchfra.gaussian.cubature import third_degree
+from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements, Time, batch_rank, make_frames, with_values
+from torchfra.gaussian.model import Carried, compare, predict, propagate
+from torchfra.gaussian.rules import Rule
+from torchfra.gaussian.smoothing import reverse
+from torchfra.gaussian.update import innovation
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
-from torchfra.types import Estimate, Gaussian, Innovation
+from torchfra.types import Estimate, Gaussian, Innovation, Prediction, Whitened
 
 Mix = Callable[[Gaussian], Gaussian]
 S = TypeVar("S", default=Any)  # the states of a filter
 
 
-class Filter(Compilable, HasViews, Smoother, Generic[S]):
-    """Abstract: ``TrackFilter`` for tracks of one target, ``ScanFilter`` for scans of several.
+class Filter(nn.Module, Generic[S]):
+    """Abstract: what every filter is, by two functions that a subclass gives, and a third to be smoothed.
 
-    A subclass gives ``begin`` and ``advance``.  Nothing of a track stays in it; it runs where ``z`` is, in its dtype.
+    ::
+
+        begin(belief) -> state                           a named tuple, or another, with a ``belief``
+        advance(state, frame) -> state, Record           one step on a prepared frame
+        retreat(step, after) -> state, Smoothed          one step of the backward pass
+
+    From these come ``step``, ``forward``, ``smooth`` with or without a lag, ``FixedLag``, ``predict``, other sensors,
+    streams, batches, gradients, ``torch.func.vmap``, fitting and ``compile``.  To write them there are ``predicted``
+    and ``compare``, which carry a Gaussian through motion and sensor by a rule.  ``retreat`` is
+    Rauch-Tung-Striebel's unless a filter has another.
+
+    ``advance`` is pure and takes any batch: choices are ``torch.where``, the state that goes in is not changed.
+    Nothing of a track stays in a filter; it runs where ``z`` is, in its dtype.
 
     Args:
-        motion: how targets move; None for a filter around another one, whose models are its own.
-        sensor: what is measured; likewise.
+        motion: how targets move, a linear one is carried exactly, without points; None for a filter around another one,
+            whose models are its own.
+        sensor: what is measured; None likewise.
+        rule: from a number of states to the rule that carries a Gaussian through a function (``torchfra.gaussian``).
 
     Raises:
-        ValueError: the sensor reads more components than the motion's state has.
+        ValueError: the sensor reads more components than the motion's state has, or the rule is none.
     """
 
     scans = False
     """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
     instants = True
     """Whether a step may take no time, as that to a second measurement at the same instant."""
+    mixes = False
+    """Whether ``advance`` starts from what its ``mix`` makes of a belief, as filters inside of ``IMM`` have to."""
+    keeps_past = False
+    """Whether the backward pass needs more of a step than an estimate holds of it."""
+    one_sensor: str | None = None
+    """Why there may be no other sensor; None where there may."""
+    annealed: tuple[str, ...] = ()
+    """Attributes that are plain numbers and may change between calls, such as a temperature that is lowered."""
+    slow_to_compile = False  # some ten seconds or more: commands compile such a filter only when told to
+    given: tuple[Sensor, ...] = ()
+    """The sensor that its own is a copy of, where it has copied that: it is its own too."""
+    engine: Engine
+    """What runs its steps: see ``compile``."""
+    motion: Motion
+    sensor: Sensor
+    fading: NoFading
 
-    def __init__(self, motion: Motion | None = None, sensor: Sensor | None = None) -> None:
+    def __init__(
+        self, motion: Motion | None = None, sensor: Sensor | None = None, rule: Callable[[int], Rule] = third_degree
+    ) -> None:
         super().__init__()
-        self._kernels, self._views = None, SensorViews()
-        if motion is not None and sensor is not None:
-            check_models(motion, sensor)
-            self.motion, self.sensor = motion, sensor
+        self.engine, self._views = INTERPRETED, SensorViews()
+        if motion is None or sensor is None:
+            return
+        check_models(motion, sensor)
+        if not callable(rule):
+            raise ValueError(f"rule: expected torchfra.gaussian.third_degree or the like, received {rule!r}")
+        self.motion, self.sensor = motion, sensor
+        self.motion_rule = rule(motion.size)
+        self.sensor_rule = self.motion_rule.marginal(sensor.reads)
+
+    # ------------------------------------------------------------ what a filter gives
+
+    def begin(self, belief: Gaussian) -> S:
+        """The state that a belief of full batch and triangular root makes; it has a ``belief``."""
+        raise TypeError(f"{type(self).__name__} needs a begin")
+
+    def advance(self, state: S, frame: Frame, mix: Mix | None = None) -> tuple[S, Record]:
+        """One step on a prepared frame: the next state and what to keep of the step.
+
+        ``mix``, if there is one, makes another belief of the one that the step starts from: interacting models do.
+        """
+        raise TypeError(f"{type(self).__name__} needs an advance")
+
+    def retreat(self, step: BackwardStep, after: Any) -> tuple[Any, Smoothed]:
+        """One step of the backward pass: the next state of it from that ``after`` the step, and what it says.
+
+        This one is Rauch, Tung & Striebel (1965) through the prediction as it was made.  States may have one more
+        dimension in front of the batch, of several states for the same past.
+        """
+        ahead = self.carry(step.past.belief, step.frame, step.ahead.factor)
+        smoothed = self.reverse(step.past.belief, ahead, after)
+        return smoothed.belief, smoothed
+
+    # ------------------------------------------------------------ what a filter may give besides
+
+    def finish(self, state: Any, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
+        """Beliefs ``(..., T, ...)`` and info of a sequence that ended in ``state``.
+
+        A filter that decides late puts its last decisions here.
+        """
+        return belief, info
+
+    def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
+        """Its parts, by name, that are others around another sensor.
+
+        Raises:
+            ValueError: there may be no other.
+        """
+        if self.one_sensor is not None:
+            raise ValueError(f"sensor: expected None, as {self.one_sensor}, received {sensor.describe()}")
+        return {"sensor": sensor, "sensor_rule": self.motion_rule.marginal(sensor.reads)}  # type: ignore[dict-item]
+
+    def unremembered(self, state: Any) -> Any:
+        """A state without what it remembers of measurements, for a measurement of this filter's sensor."""
+        return state
+
+    def remembering(self, state: Any, before: Any) -> Any:
+        """A state after a measurement of another sensor, with what the one ``before`` remembers."""
+        return state
+
+    def predict_hypotheses(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
+        """The only hypothesis of the state after a step, and the log of its weight."""
+        belief = self.predicted(state.belief, frame).belief
+        mean, root = (x.unsqueeze(0) for x in belief)
+        return Gaussian(mean, root), torch.zeros_like(mean[..., 0])
+
+    def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
+        """What is measured, less what hypotheses ``(K, ..., n)`` expect: ``(K, ..., m)`` in units of the noise."""
+        whitened = self.compare(beliefs, frame)
+        return Gaussian(whitened.residual, innovation(whitened)[0])
+
+    def check_smooths(self) -> None:
+        """Raises a ``NotImplementedError`` that says why, of a filter that cannot be smoothed."""
+
+    def check_smooths_several(self) -> None:
+        """Raises a ``NotImplementedError`` that says why, of a filter that cannot be smoothed over several sensors."""
+
+    def past(self, belief: Gaussian, info: Any, state: Any, steps: Any) -> Any:
+        """What the backward pass needs: a tree of ``(..., T, ...)`` tensors.
+
+        Args:
+            belief: of ``forward``.
+            info: of ``forward``.
+            state: after the last step; None of a filter that keeps no past.
+            steps: ``Record.past`` of all steps; None likewise.
+        """
+        return Past(belief, getattr(info, "fading", None))
+
+    def fresh(self, past: Any) -> Any:
+        """The past of a step as it was at the step itself, before a later measurement decided anything of it."""
+        return past if past.fresh is None else Past(*past.fresh)
+
+    def decided(self, past: Any) -> Any:
+        """The past of a last step, of which no later measurement will decide anything."""
+        return past._replace(fresh=None)
+
+    def needed_ahead(self, past: Any) -> Any:
+        """What ``retreat`` reads of the past of the step after it, here the fading factor; the rest is None."""
+        return past._replace(belief=None, fresh=None)
+
+    def last(self, past: Any) -> tuple[Any, Smoothed]:
+        """Where the backward pass begins: its state at the last step, and what it says of that."""
+        repaired = torch.zeros_like(past.belief.mean[..., 0], dtype=torch.bool) if self._may_repair else None
+        return past.belief, Smoothed(past.belief, repaired=repaired)
+
+    # ------------------------------------------------------------ what it has to work with
+
+    @property
+    def signed(self) -> bool:
+        """Whether some weights of the rule are negative, so that covariances may need repair."""
+        return self.motion_rule.signed or self.sensor_rule.signed
+
+    def predicted(self, belief: Gaussian, frame: Frame) -> Prediction:
+        """The belief one step later."""
+        return predict(self.motion, self.motion_rule, belief, frame)
+
+    def compare(self, belief: Gaussian, frame: Frame) -> Whitened:
+        """The measurement against a predicted belief."""
+        return compare(self.sensor, self.sensor_rule, belief, frame)
+
+    def reverse(self, belief: Gaussian, ahead: Carried, after: Gaussian) -> Smoothed:
+        """A ``belief`` that was carried ``ahead``, smoothed by the smoothed one ``after`` the step."""
+        step = reverse(belief, ahead)
+        mean, root = step(after, self.motion.difference)
+        repaired = None if step.repaired is None else step.repaired.expand(mean.shape[:-1])
+        return Smoothed(Gaussian(self.motion.canonical(mean), root), repaired=repaired)
+
+    def carry(self, belief: Gaussian, frame: Frame, factor: Tensor | None) -> Carried:
+        """A belief carried over a step, with the fading factor ``(...)`` that was chosen."""
+        ahead = propagate(self.motion, self.motion_rule, belief, frame)
+        return ahead if factor is None else ahead._replace(spread=self.fading.stretch(ahead.spread, factor))
+
+    @property
+    def _may_repair(self) -> bool:
+        """Whether a step back may have to repair a covariance."""
+        return self.motion_rule.signed and not self.motion.linear
+
+    # ------------------------------------------------------------ what it gets
 
     @in_full_precision
     def init(self, prior: Gaussian) -> S:
@@ -71,24 +242,6 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
         batch = broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * self._rank())
         mean = mean.resolve_neg().expand((*batch, n))  # torch makes no new tensor like one that is marked as negated
         return self.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # eq. (7)
-
-    def begin(self, belief: Gaussian) -> S:
-        """The state that a belief of full batch and triangular root makes; it has a ``belief``."""
-        raise TypeError(f"{type(self).__name__} needs a begin")
-
-    def advance(self, state: S, frame: Frame, mix: Mix | None = None) -> tuple[S, Record]:
-        """One step on a prepared frame: the next state and what to keep of the step.
-
-        ``mix``, if there is one, makes another belief of the one that the step starts from: interacting models do.
-        """
-        raise TypeError(f"{type(self).__name__} needs an advance")
-
-    def finish(self, state: Any, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
-        """Beliefs ``(..., T, ...)`` and info of a sequence that ended in ``state``.
-
-        A filter that decides late puts its last decisions here.
-        """
-        return belief, info
 
     @in_full_precision
     def step(
@@ -121,12 +274,7 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
         """
         if sensor is not None and sensor is not self.sensor:
             return self.with_sensor(sensor).step(state, z, dt=dt, u=u, std=std, noise=noise)
-        measurements = Measurements(z, dt, u, std, noise)
-        frame = partial(self._frame, state, measurements)
-        if (kernels := self.kernels_for(z)) is not None:
-            compiled: tuple[S, Innovation] = kernels.step(self, state, measurements, frame)
-            return compiled
-        return self.observe(state, frame())
+        return self.engine.step(self, state, Measurements(z, dt, u, std, noise))
 
     @in_full_precision
     def forward(
@@ -179,6 +327,144 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
     if TYPE_CHECKING:  # what torch types as a call that may return anything
         __call__ = forward
 
+    @in_full_precision
+    def smooth(
+        self,
+        z: Tensor,
+        prior: Gaussian,
+        *,
+        dt: Time = 1.0,
+        u: Tensor | None = None,
+        std: Tensor | None = None,
+        noise: Tensor | None = None,
+        truncate: int | None = None,
+        checkpoint: int | None = None,
+        lag: int | None = None,
+        estimate: Estimate | None = None,
+        sensors: Sequence[Sensor] | None = None,
+        which: Tensor | Sequence[int] | None = None,
+    ) -> Estimate:
+        """Whole tracks, each step by the measurements before and after it: Rauch-Tung-Striebel after the filter.
+
+        What the filter has settled on stays: weights of measurements and estimates of their noise are in the beliefs
+        that it carried on, fading factors widen the predictions as they did.  (How Huber's regression weighs the
+        prediction is not known to the way back.)
+
+        Args:
+            z: as of ``forward``, like all others that are not below.
+            prior: likewise.
+            dt: likewise.
+            u: likewise.
+            std: likewise.
+            noise: likewise.
+            truncate: steps after which gradients of the way forward flow no further back; nor do those of predictions
+                on the way back.
+            checkpoint: steps between states that are kept for gradients, both ways.
+            lag: measurements up to so many steps later count for the estimate of a step; None for all there are.
+            estimate: what ``forward`` gave for the same arguments, so that it need not run again; of several models,
+                if it was told ``past=True``: else an estimate does not hold what each knew, and they run all the same.
+            sensors: as of ``forward``.
+            which: likewise.
+
+        Returns:
+            Smoothed beliefs in the shapes of ``forward``; ``nis`` and ``log_likelihood`` are those of the filter, and
+            ``info`` is a ``SmoothInfo``.
+
+        Raises:
+            ValueError: as of ``forward``; ``lag`` below 1, or an estimate of other tracks.
+            NotImplementedError: constant gains, which do not say how states follow from each other; ``GPB`` over
+                several sensors, as its way back is of one sensor's outliers; ``JPDA`` around several models.
+        """
+        f: Any = self if sensors is None and which is None else fused(self, sensors, which)
+        f.check_smooths()
+        check_lengths(lag=lag, truncate=truncate, checkpoint=checkpoint)
+        measurements = Measurements(z, dt, u, std, noise)
+        filtered, past = f._filtered(measurements, prior, checkpoint, truncate, estimate)
+        rank = filtered.mean.dim() - 2
+        every = self.engine.backward(
+            self, past, measurements, rank, lambda: f._frames(measurements, rank)[0], checkpoint, lag, truncate
+        )
+        info = SmoothInfo(filtered, every.probabilities, every.outlier, every.repaired)
+        return Estimate(*every.belief, filtered.nis, filtered.log_likelihood, info)
+
+    @in_full_precision
+    def predict(self, state: Any, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None) -> Ahead:
+        """What is expected after ``dt`` seconds, without a measurement; it runs interpreted.
+
+        Of several models or hypotheses it has the moments.  ``FRA`` looks ahead from its provisional estimate, ``GPB``
+        counts on manoeuvres that may begin.
+
+        Args:
+            state: from ``init`` or ``step``; it is not changed.
+            dt: seconds from there, 0 or more, a number or ``(...)``.
+            u: ``(..., k)`` what the models need to know then.
+            sensor: whose measurement is expected, if it is not the filter's own.
+
+        Returns:
+            The state's mean and root, and those of a measurement.
+
+        Raises:
+            ValueError: a shape or a value that does not fit.
+        """
+        f = self.with_sensor(sensor)
+        check_state(f, state)
+        mean = state.belief.mean
+        nothing = mean.new_full((*mean.shape[:-1], f.sensor.size), torch.nan)
+        return look_ahead(f, state, f._frame(state, Measurements(nothing, dt, u)))
+
+    @property
+    def home(self) -> Any:
+        """The filter that this is a view of: itself, unless ``with_sensor`` has made it."""
+        return self
+
+    def with_sensor(self, sensor: Sensor | None) -> Self:
+        """The same filter around another sensor: motion, hyperparameters and states are those of this filter.
+
+        It is made once for each sensor, and compiled if this filter is; what changes in this filter it takes over when
+        it is next asked for.  What this filter remembers of measurements is of its own sensor: another's is judged by
+        itself.
+
+        Args:
+            sensor: reads at most the states that the motion has; None for the filter's own.
+
+        Raises:
+            ValueError: something else, or a filter that is of one sensor, with the reason.
+        """
+        if sensor is None or sensor is self.sensor or any(sensor is x for x in self.given):
+            return self
+        view: Self = self._views(self, sensor)
+        return view
+
+    def compile(self, *args: Any, **options: Any) -> Self:  # type: ignore[override]  # torch's own returns None
+        """From here on run as compiled kernels, on CPU or GPU: same results (to rounding), same gradients.
+
+        It needs a C++ compiler (what ``CXX`` names, or ``g++``, ``clang++``, zig), on a GPU torch's own NVRTC, and some
+        seconds for a form of call that no earlier process has compiled.  Gradients are of first order.  Under
+        ``torch.compile`` and in transforms of ``torch.func`` the filter runs as without.
+        ``torchfra/compiler/README.md`` has the details.
+
+        Args:
+            args: with any argument this is ``nn.Module.compile``, and so ``torch.compile``, instead:
+                ``f.compile(backend="inductor")``.
+            options: likewise.
+
+        Returns:
+            The filter itself.
+
+        Raises:
+            CompileError: (a ``RuntimeError``) when a kernel is needed and there is no compiler.
+            NotImplementedError: then too, if the filter does what kernels cannot.
+        """
+        if args or options:
+            super().compile(*args, **options)
+        else:
+            from torchfra.compiler.engine import Compiled
+
+            self.engine = Compiled(INTERPRETED)
+        return self
+
+    # ------------------------------------------------------------ how
+
     def keep(self, state: S, frame: Frame, past: bool = False) -> tuple[S, Kept]:
         """One step on a prepared frame: the next state, and what the estimate (and the way back) needs of it."""
         state, record = self.advance(state, frame)
@@ -194,33 +480,20 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
         self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
         past: bool = False,
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
-        """The estimate of whole tracks, and where there will be a way back the last state and what steps have kept."""
-        kernels, cut = self.kernels_for(measurements.z), checkpoint or truncate
-        done = None if kernels is None else kernels.ready(self, measurements, prior, past, cut)
-        if done is None:
-            batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
-            mean, root = (x.to(measurements.z) for x in prior)
-            begun = self.init(Gaussian(mean.expand((*batch, self.motion.size)), root))
-            done = self._pass(begun, measurements, len(batch), checkpoint, truncate, past)
-            if kernels is not None:
-                kernels.get_ready(self, begun, measurements, prior, past, cut)
-        if isinstance(done, Estimate):
-            return diagnosed(self, done, measurements, prior), None, None
-        state, kept = done
-        belief, info = self.finish(state, kept.belief, kept.info)
-        estimate = Estimate(*belief, kept.nis, kept.log_likelihood, info)
-        return diagnosed(self, estimate, measurements, prior), state, kept.past
+        """The estimate of whole tracks, and for a backward pass the last state and what steps have kept."""
+        estimate, state, kept = self.engine.forward(self, measurements, prior, checkpoint, truncate, past)
+        return diagnosed(self, estimate, measurements, prior), state, kept
 
-    def _pass(
-        self, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
-        past: bool,
-    ) -> Any:  # fmt: skip
-        """The state after all steps, and what is kept of each."""
-        if (kernels := self.kernels_for(measurements.z)) is not None:
-            return kernels.forward(self, state, measurements, checkpoint, truncate, past)
-        frames, log_norm = self._frames(measurements, rank)
-        state, record = run(self.advance, state, frames, rank, checkpoint, truncate, past)
-        return state, Kept(record.belief, *self._scores(record, log_norm.movedim(0, -1)), record.info, record.past)
+    def begun(self, measurements: Measurements, prior: Gaussian) -> tuple[S, int]:
+        """The state before the first measurement of whole tracks, and its batch dimensions; all is checked."""
+        batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
+        mean, root = (x.to(measurements.z) for x in prior)
+        return self.init(Gaussian(mean.expand((*batch, self.motion.size)), root)), len(batch)
+
+    def estimate_of(self, state: S, kept: Kept) -> Estimate:
+        """The estimate of whole tracks, from the last state and what is kept of all steps."""
+        belief, info = self.finish(state, kept.belief, kept.info)
+        return Estimate(*belief, kept.nis, kept.log_likelihood, info)
 
     def _frame(self, state: Any, measurements: Measurements) -> Frame:
         """The frame of a single step, checked."""
@@ -239,12 +512,42 @@ class Filter(Compilable, HasViews, Smoother, Generic[S]):
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
         """A frame for each step, and the log norms of the measurement noise, time first."""
-        raise TypeError(f"{type(self).__name__} needs a _frames: see TrackFilter and ScanFilter")
+        return make_frames(measurements, self.motion, self.sensor, rank)
 
     def _scores(self, record: Record, log_norm: Tensor) -> tuple[Tensor, Tensor]:
         """Normalised innovation squared and log likelihood."""
-        raise TypeError(f"{type(self).__name__} needs a _scores: see TrackFilter and ScanFilter")
+        return scores(record.normalised, record.root, log_norm, record.density)
 
     def innovation_of(self, record: Record, frame: Frame) -> Innovation:
         """What the measurement of a step said, in its own units."""
-        raise TypeError(f"{type(self).__name__} needs an innovation_of: see TrackFilter and ScanFilter")
+        noise = frame.measurement_noise
+        assert record.residual is not None
+        residual, root = noise.colour(record.residual.unsqueeze(-1)).squeeze(-1), noise.colour(record.root)
+        return Innovation(residual, root, *self._scores(record, noise.log_norm))
+
+    def _remembered(
+        self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None
+    ) -> Estimate:
+        """The filtered estimate, which holds its past."""
+        self.check_smooths()
+        estimate, past = self._filtered(measurements, prior, checkpoint, truncate, None)
+        return estimate._replace(past=past)
+
+    def _filtered(
+        self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
+        estimate: Estimate | None,
+    ) -> tuple[Estimate, Any]:  # fmt: skip
+        """The filtered estimate, and what the way back needs of it."""
+        state = steps = None
+        if estimate is not None:
+            z = measurements.z
+            targets, length = prior.mean.shape[-1 - self.scans : -1], z.shape[-2 - self.scans]
+            expected = (*self._batch(measurements, prior), *targets, length, self.motion.size)
+            if estimate.mean.shape != expected:
+                received = tuple(estimate.mean.shape)
+                raise ValueError(f"estimate: expected one of these tracks, {expected}, received {received}")
+            if estimate.past:
+                return estimate._replace(past=()), estimate.past
+        if estimate is None or self.keeps_past:
+            estimate, state, steps = self._forth(measurements, prior, checkpoint, truncate, self.keeps_past)
+        return estimate, self.past(Gaussian(estimate.mean, estimate.scale_tril), estimate.info, state, steps)

@@ -10,9 +10,9 @@ from torch import Tensor, nn
 from torchfra import tree
 from torchfra.filters.base import Filter
 from torchfra.filters.checks import check_lengths
+from torchfra.filters.engine import sweep
 from torchfra.filters.fusion import joined
-from torchfra.filters.records import Record
-from torchfra.filters.smoothing import Told, sweep
+from torchfra.filters.records import Record, Smoothed
 from torchfra.gaussian.inputs import Frame, Measurements, Time
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Innovation
@@ -34,7 +34,7 @@ class FixedLagState(NamedTuple):
     """Of the filter."""
     window: tuple[WindowStep, ...] = ()
     """The steps up to ``lag`` back, the newest last."""
-    told: Told | None = None
+    told: Smoothed | None = None
     """Of the first step of the window, from the measurements so far: see ``lagged``."""
 
     @property
@@ -99,7 +99,7 @@ class FixedLag(nn.Module):
         inner, record, step = remember(f, state.inner, Measurements(z, dt, u, std, noise))
         window = (*state.window, step)[-self.lag - 1 :]
         told, rank = go_back(self.filter, inner, window), inner.belief.mean.dim() - 1
-        first: Told = tree.map_tensors(lambda x: x.select(rank, 0), told)
+        first: Smoothed = tree.map_tensors(lambda x: x.select(rank, 0), told)
         return FixedLagState(inner, window, first), f.innovation_of(record, step.frame)
 
 
@@ -110,7 +110,7 @@ def remember(f: Filter, state: Any, measurements: Measurements) -> tuple[Any, Re
     return state, record, WindowStep(record.belief, record.info, record.past if f.keeps_past else None, frame)
 
 
-def go_back(f: Filter, inner: Any, window: Sequence[WindowStep]) -> Told:
+def go_back(f: Filter, inner: Any, window: Sequence[WindowStep]) -> Smoothed:
     """What is told of all steps of a window that ends in the filter's state ``inner``, time behind the batch."""
     rank = inner.belief.mean.dim() - 1
     steps = [tree.map_tensors(lambda x: x.unsqueeze(rank), step[:3]) for step in window]

@@ -12,12 +12,11 @@ from torch.nn.functional import logsigmoid
 
 from torchfra import tree
 from torchfra.adaptive.fading import Fading, Memory
-from torchfra.filters.base import Mix
+from torchfra.filters.base import Filter, Mix
 from torchfra.filters.branches import UNDECIDED, Branches, FRAInfo, FRAState, Kept, Step, best, chosen
 from torchfra.filters.checks import check_sides
-from torchfra.filters.records import Record
+from torchfra.filters.records import Past, Record
 from torchfra.filters.soft import Soft
-from torchfra.filters.tracks import GaussianFilter, Past
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import moment_match
@@ -31,7 +30,7 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Prediction, Whitened
 
 
-class FRA(Soft, GaussianFilter[FRAState]):
+class FRA(Soft, Filter[FRAState]):
     """Feedback-decision robust adaptive filter.
 
     A step whose normalised innovation squared is above the gate is abnormal, be it an outlier or a manoeuvre.  There

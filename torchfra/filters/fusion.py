@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torch.nn.functional import pad
 
 from torchfra import tree
+from torchfra.filters.engine import Interpreted
 from torchfra.filters.other_sensors import mixed, sharing
 from torchfra.filters.records import Kept
 from torchfra.gaussian.arguments import check
@@ -66,21 +67,25 @@ class Fused:
         parts = (_part(measurements, steps, self.views[k].sensor.size) for k, steps in every.items())
         return [(*each, part) for each, part in zip(every.items(), parts, strict=True)]
 
-    def _pass(
-        self, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
+
+class Stretches(Interpreted):
+    """Runs a ``Fused`` filter: stretches of steps of one sensor, each by the engine of its view."""
+
+    def scan(
+        self, f: Any, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
         past: bool,
     ) -> tuple[Any, Kept]:  # fmt: skip
-        """The state after all steps and what is kept of each: by stretches of steps of one sensor."""
-        steps = len(self.which)
-        changes = {k for k in range(1, steps) if self.which[k] != self.which[k - 1]}
+        """The state after all steps and what is kept of each."""
+        steps = len(f.which)
+        changes = {k for k in range(1, steps) if f.which[k] != f.which[k - 1]}
         bounds = sorted({0, steps} | changes | set(range(0, steps, truncate or steps)))
         kept = []
         for first, last in pairwise(bounds):
             if truncate and first and first % truncate == 0:
                 state = tree.detach(state)
-            view = self.views[self.which[first]]
+            view = f.views[f.which[first]]
             part = _part(measurements, list(range(first, last)), view.sensor.size)
-            state, more = view._pass(state, part, rank, checkpoint, None, past)
+            state, more = view.engine.scan(view, state, part, rank, checkpoint, None, past)
             kept.append(tree.map_tensors(lambda x: x.narrow(rank, 0, last - first), more))  # noqa: B023  # it runs now
         return state, joined(kept, rank)
 
@@ -101,7 +106,7 @@ def fused(f: Any, sensors: Sequence[Sensor] | None, which: Any) -> Any:
     count = len(sensors)
     if not isinstance(numbers, Sequence) or not all(_is_number(k, count) for k in numbers):
         raise ValueError(f"which: expected (T,) whole numbers from 0 to {count - 1}, received {which}")
-    new = sharing(f, mixed(Fused, f.__class__))
+    new = sharing(f, mixed(Fused, f.__class__), engine=Stretches())
     new.__dict__.update(home=f, views=[f.with_sensor(sensor) for sensor in sensors], which=[int(k) for k in numbers])
     return new
 

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.smoothing import BackwardStep, Told
+from torchfra.filters.records import Smoothed
 from torchfra.gaussian.future import future
+from torchfra.gaussian.inputs import BackwardStep
 from torchfra.gaussian.mixture import models_first, moment_match, repeated, without_failed
 from torchfra.gaussian.model import adapted, canonical
 from torchfra.linalg.triangular import apply
@@ -67,15 +68,15 @@ def remembered(inner: Any, state: Any, steps: ModelsStep) -> ModelsPast:
     return ModelsPast(swapped(inner.past(belief, info, None, None)), steps.log_weights, steps.active)
 
 
-def together(models: Models, active: Tensor | None, motion: Motion) -> Told:
+def together(models: Models, active: Tensor | None, motion: Motion) -> Smoothed:
     """All models as one belief, and their probabilities, 0 of those that are not ``active``."""
     belief = moment_match(models_first(models.belief), models.log_weights.movedim(-1, 0), motion.angles)
     belief = canonical(motion, belief)
     weights = models.log_weights.exp()
-    return Told(belief, weights if active is None else (weights.unsqueeze(-2) @ active).squeeze(-2))
+    return Smoothed(belief, weights if active is None else (weights.unsqueeze(-2) @ active).squeeze(-2))
 
 
-def smooth_step(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Models:
+def retreat(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Models:
     """One step back, for every model before it and every model after.
 
     What comes after the step, measured by the model after it, is the measurement that makes of that model's prediction

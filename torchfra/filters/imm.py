@@ -12,7 +12,7 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.base import Filter, Mix, S
-from torchfra.filters.hindsight import Models, ModelsPast, ModelsStep, remembered, smooth_step, together
+from torchfra.filters.hindsight import Models, ModelsPast, ModelsStep, remembered, retreat, together
 from torchfra.filters.interaction import (
     as_stay,
     as_transition,
@@ -22,10 +22,8 @@ from torchfra.filters.interaction import (
     held,
     interaction,
 )
-from torchfra.filters.records import Record
-from torchfra.filters.smoothing import BackwardStep, Told
-from torchfra.filters.tracks import TrackFilter
-from torchfra.gaussian.inputs import Frame
+from torchfra.filters.records import Record, Smoothed
+from torchfra.gaussian.inputs import BackwardStep, Frame
 from torchfra.gaussian.mixture import models_first, repeated
 from torchfra.hyper import Hyper, Value, hypers
 from torchfra.motion.bank import Bank
@@ -51,7 +49,7 @@ class IMMInfo(NamedTuple):
     """``(..., T, K)`` of the models."""
 
 
-class MultipleModelFilter(TrackFilter[S]):
+class MultipleModelFilter(Filter[S]):
     """Abstract: a filter around another that runs all models of a ``Bank`` in one batched call.
 
     Args:
@@ -62,7 +60,6 @@ class MultipleModelFilter(TrackFilter[S]):
     """
 
     keeps_past = True
-    kernels_back = True
 
     def __init__(self, inner: Filter) -> None:
         super().__init__()
@@ -101,7 +98,7 @@ class MultipleModelFilter(TrackFilter[S]):
     def predict_hypotheses(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
         """A hypothesis ``(K, ..., n)`` of the state after a step for each model, and logs of their weights."""
         log_weights, interact, frame = self.lead(state, frame)
-        belief = self.inner.predicted(interact(state.inner.belief), frame).belief  # type: ignore[operator]
+        belief = self.inner.predicted(interact(state.inner.belief), frame).belief
         return models_first(belief), log_weights.movedim(-1, 0)
 
     def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
@@ -132,19 +129,19 @@ class MultipleModelFilter(TrackFilter[S]):
         inner = self.inner.needed_ahead(past.inner)
         return past._replace(inner=inner, log_weights=None)  # type: ignore[arg-type]  # which nothing reads
 
-    def last(self, past: ModelsPast) -> tuple[Models, Told]:
+    def last(self, past: ModelsPast) -> tuple[Models, Smoothed]:
         """The last step, which no later measurement speaks of."""
         models = Models(past.inner.belief, past.log_weights)
         return models, together(models, past.active, self.motion)
 
-    def smooth_step(self, step: BackwardStep, after: Models) -> tuple[Models, Told]:
+    def retreat(self, step: BackwardStep, after: Models) -> tuple[Models, Smoothed]:
         """One step back, of all models."""
         if after.log_weights.dim() > step.past.log_weights.dim():
-            each = [self.smooth_step(step, one) for one in tree.unbind(after, len(after.log_weights))]
-            several: tuple[Models, Told] = tree.stack(each, 0)
+            each = [self.retreat(step, one) for one in tree.unbind(after, len(after.log_weights))]
+            several: tuple[Models, Smoothed] = tree.stack(each, 0)
             return several
         matrix, frame = self.matrix_back(step, after.log_weights)
-        models = smooth_step(self.inner, BackwardStep(step.past, step.ahead.inner, frame, step.carried), matrix, after)
+        models = retreat(self.inner, BackwardStep(step.past, step.ahead.inner, frame, step.carried), matrix, after)
         return models, together(models, step.past.active, self.motion)
 
 

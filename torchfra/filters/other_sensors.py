@@ -6,66 +6,14 @@ from functools import lru_cache
 from typing import Any
 
 from torch import nn
-from typing_extensions import Self
 
 from torchfra.filters.checks import check_models
 from torchfra.gaussian.inputs import Frame
-from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
 _VIEWS = 32
 """How many sensors a filter keeps views for: who makes a new one for every step pays for it."""
-
-
-class HasViews(nn.Module):
-    """Abstract, a part of ``Filter``: views of it around other sensors.
-
-    A filter gives ``parts_for``, and one that remembers measurements ``unremembered`` and ``remembering``.
-    """
-
-    one_sensor = "this filter is made for one sensor"
-    """Why there may be no other sensor, where there may be none."""
-    given: tuple[Sensor, ...] = ()
-    """The sensor that its own is a copy of, where it has copied that: it is its own too."""
-    motion: Motion
-    sensor: Sensor
-    _views: SensorViews
-
-    @property
-    def home(self) -> Any:
-        """The filter that this is a view of: itself, unless ``with_sensor`` has made it."""
-        return self
-
-    def with_sensor(self, sensor: Sensor | None) -> Self:
-        """The same filter around another sensor: motion, hyperparameters and states are those of this filter.
-
-        It is made once for each sensor, and compiled if this filter is; what changes in this filter it takes over when
-        it is next asked for.  What this filter remembers of measurements is of its own sensor: another's is judged by
-        itself.
-
-        Args:
-            sensor: reads at most the states that the motion has; None for the filter's own.
-
-        Raises:
-            ValueError: something else, or a filter that is of one sensor, with the reason.
-        """
-        if sensor is None or sensor is self.sensor or any(sensor is x for x in self.given):
-            return self
-        view: Self = self._views(self, sensor)
-        return view
-
-    def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
-        """Its parts, by name, that are others around another sensor."""
-        raise ValueError(f"sensor: expected None, as {self.one_sensor}, received {sensor.describe()}")
-
-    def unremembered(self, state: Any) -> Any:
-        """A state without what it remembers of measurements, for a measurement of this filter's sensor."""
-        return state
-
-    def remembering(self, state: Any, before: Any) -> Any:
-        """A state after a measurement of another sensor, with what the one ``before`` remembers."""
-        return state
 
 
 class View:
@@ -107,19 +55,19 @@ class SensorViews:
         if view is None or any(f._modules[name] is not part for name, part in view.replaced.items()):
             check_models(f.motion, sensor)
             parts = f.parts_for(sensor)
-            view = sharing(f, mixed(View, f.__class__), _kernels=None, **parts)
+            view = sharing(f, mixed(View, f.__class__), engine=f.engine.another(), **parts)
             view.__dict__.update(home=f, replaced={name: f._modules[name] for name in parts if name != "sensor"})
             if len(self._views) == _VIEWS:
                 self._views.pop(next(iter(self._views)))
         self._views[id(sensor)] = view
         share(f, view)
         for name, part in view.replaced.items():
-            if isinstance(part, HasViews):
+            if hasattr(part, "with_sensor"):
                 view._modules[name] = part.with_sensor(sensor)
             else:
                 share(part, view._modules[name])
-        if (f._kernels is None) != (view._kernels is None):
-            view._kernels = None if f._kernels is None else type(f._kernels)()
+        if type(f.engine) is not type(view.engine):
+            view.engine = f.engine.another()
         return view
 
 

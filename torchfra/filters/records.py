@@ -1,4 +1,4 @@
-"""What a step leaves behind besides its state, and what of that goes into an estimate."""
+"""What a step leaves behind besides its state, forwards and backwards, and what of that goes into an estimate."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Record(NamedTuple):
     evidence: Tensor | None = None
     """``(...)`` log density of the residual under the noise that the filter has assumed after down-weighting it."""
     past: Any = None
-    """What the way back needs of the step, where an estimate does not hold it."""
+    """What the backward pass needs of the step, where an estimate does not hold it."""
 
 
 class Kept(NamedTuple):
@@ -38,6 +38,26 @@ class Kept(NamedTuple):
     info: Any
     past: Any = None
     """What smoothing needs of the step; None unless it was asked for."""
+
+
+class Smoothed(NamedTuple):
+    """What a step of the backward pass says of the state it has come to."""
+
+    belief: Gaussian
+    probabilities: Tensor | None = None
+    outlier: Tensor | None = None
+    repaired: Tensor | None = None
+
+
+class Past(NamedTuple):
+    """What the backward pass needs of a step; ``(..., T, ...)`` of a whole track."""
+
+    belief: Gaussian
+    """As it was carried on."""
+    factor: Tensor | None
+    """``(...)`` fading factor of the prediction that led to it."""
+    fresh: tuple[Gaussian, Tensor] | None = None
+    """Both as they were at the step itself, of a filter that decides late."""
 
 
 def scores(normalised: Tensor, root: Tensor, log_norm: Tensor, log_density: Tensor | None) -> tuple[Tensor, Tensor]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 class Soft:
     """Mixed into a filter: a ``temperature``, 0 for hard choices and above for soft ones, to train by."""
 
-    kernel_numbers: tuple[str, ...] = ("heat",)
+    annealed: tuple[str, ...] = ("heat",)
     heat: float
     soft: bool
 

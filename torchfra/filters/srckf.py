@@ -9,10 +9,9 @@ from torch import Tensor, nn
 
 from torchfra.adaptive.fading import Memory, NoFading
 from torchfra.adaptive.noise import NoiseMemory, NominalNoise, SageHusa
-from torchfra.filters.base import Mix
+from torchfra.filters.base import Filter, Mix
 from torchfra.filters.checks import check_sides
 from torchfra.filters.records import Record
-from torchfra.filters.tracks import GaussianFilter
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.model import add_counts, canonical, repairs
@@ -48,7 +47,7 @@ class Info(NamedTuple):
     """``(..., T, m)`` estimated variances of the measurement noise, as multiples of the nominal ones."""
 
 
-class SRCKF(GaussianFilter[State]):
+class SRCKF(Filter[State]):
     """Square-root cubature Kalman filter, optionally robust to outliers and adaptive to manoeuvres.
 
     Args:

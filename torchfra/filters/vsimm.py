@@ -15,8 +15,7 @@ from torchfra.filters.base import Filter, Mix
 from torchfra.filters.imm import MultipleModelFilter
 from torchfra.filters.interaction import PER_MODEL, cycle, for_each_model, held, interaction
 from torchfra.filters.records import Record
-from torchfra.filters.smoothing import BackwardStep
-from torchfra.gaussian.inputs import Frame
+from torchfra.gaussian.inputs import BackwardStep, Frame
 from torchfra.gaussian.mixture import repeated
 from torchfra.hyper import Hyper, Value
 from torchfra.types import Gaussian

@@ -12,6 +12,7 @@ from torch.func import functional_call
 
 from torchfra import losses
 from torchfra.filters import Filter
+from torchfra.filters.engine import INTERPRETED
 from torchfra.filters.srckf import SRCKF
 from torchfra.fitting.data import Batch
 from torchfra.fitting.vector import Vector
@@ -64,10 +65,10 @@ class Objective:
             self.call.one_step.compile()
 
     def interpret(self) -> None:
-        """From here on it runs without kernels."""
+        """From here on it runs interpreted."""
         for part in (self.filter, self.call.one_step):
             if part is not None:
-                part._kernels = None
+                part.engine = INTERPRETED
 
     @property
     def name(self) -> str:

@@ -14,8 +14,8 @@ from torchfra.fitting.data import Batch, Source
 from torchfra.fitting.objective import NEEDS_TRUTH, Objective, Own
 from torchfra.fitting.vector import Vector
 from torchfra.hyper import named, provide
-from torchfra.kernel.build import CompileError
 from torchfra.scenarios.base import Scenario
+from torchfra.types import CompileError
 
 F = TypeVar("F", bound=Filter)
 

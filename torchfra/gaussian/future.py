@@ -12,7 +12,7 @@ from torchfra.gaussian.model import Carried
 from torchfra.gaussian.rules import Difference
 from torchfra.gaussian.smoothing import invertible
 from torchfra.linalg.gram import downdate, gram_information
-from torchfra.linalg.tracing import written_once
+from torchfra.linalg.tracing import batchwise
 from torchfra.linalg.triangular import apply, hstack, tria_beside
 from torchfra.tree import event_ranks
 from torchfra.types import Gaussian
@@ -51,7 +51,7 @@ class Future(NamedTuple):
         return _told(self.slope, self.value, gap, ahead.spread, ahead.process_noise, *subtracted)
 
 
-@written_once(2, 1, 1, 2, 2, 2)
+@batchwise(2, 1, 1, 2, 2, 2)
 def _told(slope: Tensor, value: Tensor, gap: Tensor, spread: Tensor, noise: Tensor, *subtracted: Tensor) -> Told:
     """``Future.told`` of beliefs that lie ``gap`` beyond the origin."""
     n = slope.shape[-1]

@@ -90,6 +90,20 @@ class Frame(NamedTuple):
     """How shift and process noise follow the state."""
 
 
+class BackwardStep(NamedTuple):
+    """What a step of the backward pass starts from: two steps of the past, and the frame between them."""
+
+    past: Any
+    ahead: Any
+    frame: Frame
+    carried: Any
+    """The past that the step was predicted from: without a gradient where that of the forward pass was cut after it.
+
+    What comes later is known by how it has changed a prediction.  If one of the two had a gradient and the other not,
+    that of their difference would be of the size of its rounding error.
+    """
+
+
 def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank: int) -> tuple[list[Frame], Tensor]:
     """One frame for each step of ``z (..., T, m)``, and the log norms of their measurement noise, ``(T, ...)``.
 

@@ -101,7 +101,7 @@ class SigmaPoints(nn.Module):
         turn = torch.linalg.qr((points @ root).mT, mode="complete").Q
         root = root @ turn
         root[:, : len(points)] *= (points @ root).diagonal().sign()
-        root = torch.where(root.abs() < 1e-14 * root.abs().max(), 0.0, root)  # kernels leave out what is zero
+        root = torch.where(root.abs() < 1e-14 * root.abs().max(), 0.0, root)  # rounding: exactly zero
         ordered: Tensor = root.roll(-len(points), 1)
         return ordered
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from torchfra.linalg.safe import safe_divide
-from torchfra.linalg.tracing import is_elementary, written_once
+from torchfra.linalg.tracing import batchwise, is_elementary
 from torchfra.linalg.triangular import tria
 
 
@@ -40,7 +40,7 @@ def gram_sqrt(h: Tensor) -> Tensor:
     return _of_gram(h, u, power, sigma, power > 0, slope)
 
 
-@written_once(2)
+@batchwise(2)
 def gram_information(h: Tensor) -> tuple[Tensor, Tensor]:
     """What makes of ``N(0, I)`` the belief ``N(w, H H^T)``: a measurement ``root x + N(0, I)`` of value ``weight w``.
 
@@ -133,7 +133,7 @@ def _left_singular(h: Tensor) -> tuple[Tensor, Tensor]:
     return rotations.mT, h.square().sum(-1)
 
 
-@written_once(2, 2)
+@batchwise(2, 2)
 def _rotated(h: Tensor, rotations: Tensor) -> tuple[Tensor, Tensor]:
     """The rows of ``h (..., m, d)`` after a rotation of each pair that makes it orthogonal; ``rotations`` go along."""
     d = h.shape[-1]

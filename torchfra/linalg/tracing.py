@@ -34,10 +34,10 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 @contextmanager
 def elementary(caller: Callable[..., Any] | None = None) -> Iterator[None]:
-    """Inside this context, decompositions run as loops of elementary arithmetic, which ``torchfra.kernel`` records.
+    """Inside this context, decompositions run as loops of elementary arithmetic, entry by entry.
 
     Args:
-        caller: runs functions marked ``written_once``; called with the function, its ranks and its tensors.
+        caller: runs functions marked ``batchwise``; called with the function, its ranks and its tensors.
     """
     tokens = _elementary.set(True), _caller.set(caller)
     try:
@@ -47,10 +47,10 @@ def elementary(caller: Callable[..., Any] | None = None) -> Iterator[None]:
         _caller.reset(tokens[1])
 
 
-def written_once(*ranks: int) -> Callable[[F], F]:
-    """Decorates a function of tensors that does the same for each entry of the batch: a large kernel has its code once.
+def batchwise(*ranks: int) -> Callable[[F], F]:
+    """Declares that a function of tensors does the same for each entry of the batch, as NumPy's ``gufunc`` does.
 
-    Every result has the whole batch.
+    Every result has the whole batch.  Inside of ``elementary`` its caller runs it.
 
     Args:
         ranks: how many dimensions the event has in each of its arguments, the last of which may be left out.

@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.safe import safe_divide
-from torchfra.linalg.tracing import has_tangents, is_elementary, is_traced, written_once
+from torchfra.linalg.tracing import batchwise, has_tangents, is_elementary, is_traced
 
 
 def tria(a: Tensor, *, padded: bool = False) -> Tensor:
@@ -92,7 +92,7 @@ _SMALL = 16
 """Number of rows up to which a loop over rows, which a compiler can fuse, is faster than a call of LAPACK."""
 
 
-@written_once(2)
+@batchwise(2)
 def _orthogonalise(a: Tensor) -> Tensor:
     """Modified Gram-Schmidt: in exact arithmetic the same root as that of Householder reflections."""
     columns, rest = [], a[..., a.shape[-2] :]
@@ -140,7 +140,7 @@ def eliminated(a: Tensor, count: int, rounding: float) -> tuple[Tensor, Tensor, 
 def _norms(a: Tensor) -> Tensor:
     """Euclidean norms of rows, ``(..., n, 1)``, scaled as in LAPACK so that no square over- or underflows."""
     if is_elementary():
-        norms: Tensor = torch.linalg.vector_norm(a, dim=-1, keepdim=True)  # kernels scale where it is needed
+        norms: Tensor = torch.linalg.vector_norm(a, dim=-1, keepdim=True)  # entry by entry it scales where it is needed
         return norms
     largest = torch.linalg.vector_norm(a, ord=torch.inf, dim=-1, keepdim=True)
     norms = largest * torch.linalg.vector_norm(safe_divide(a, largest), dim=-1, keepdim=True)

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchfra.filters.tracks import TrackFilter
+from torchfra.filters.base import Filter
 from torchfra.hyper import one_of
 from torchfra.sensors.base import Sensor
 
@@ -24,7 +24,7 @@ def check_sensors(filter: Any, sensors: Mapping[str, Sensor] | None) -> dict[str
     Raises:
         ValueError: no filter of tracks, no sensors, names that are none, or a sensor that the filter cannot have.
     """
-    if not isinstance(filter, TrackFilter):
+    if not isinstance(filter, Filter) or filter.scans:
         raise ValueError(f"filter: expected one of tracks, as presets.gpb makes, received {type(filter).__name__}")
     if sensors is None:
         return {OWN: filter.sensor}

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import torch
 
 from torchfra.filters.ahead import Ahead
+from torchfra.filters.base import Filter
 from torchfra.filters.fixed_lag import go_back, remember
-from torchfra.filters.tracks import TrackFilter
 from torchfra.gaussian.arguments import check_belief
 from torchfra.sensors.base import Sensor
 from torchfra.stream.arguments import check_counts, seconds
@@ -71,7 +71,7 @@ class Tracker:
 
     def __init__(
         self,
-        filter: TrackFilter,
+        filter: Filter,
         prior: Gaussian,
         *,
         time: float = 0.0,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 
+from torchfra.filters.engine import INTERPRETED
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.srckf import SRCKF
 from torchfra.targets.checks import check_filter
@@ -27,7 +28,7 @@ def others(filter: JPDA, sensors: Mapping[str, JPDA] | None) -> dict[str, JPDA]:
         if isinstance(filter.inner, SRCKF) and not filter.inner.fading.plain:
             raise ValueError("sensors: expected none beside fading factors, which remember measurements of one sensor")
         made[name] = around(filter, copy.deepcopy(other))
-        made[name]._kernels = None
+        made[name].engine = INTERPRETED
     return made
 
 

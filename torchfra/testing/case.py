@@ -14,12 +14,11 @@ from torch import Tensor
 from torchfra.association.clutter import Clutter
 from torchfra.filters.base import Filter
 from torchfra.hyper import learnable
-from torchfra.kernel.build import CompileError
 from torchfra.motion.bank import aircraft
 from torchfra.motion.polynomial import ConstantAcceleration
 from torchfra.register import FILTERS, made
 from torchfra.sensors.position import Position
-from torchfra.types import Estimate, Gaussian
+from torchfra.types import CompileError, Estimate, Gaussian
 
 F = TypeVar("F", bound=Callable[..., None])
 TRACKS, STEPS = 3, 6

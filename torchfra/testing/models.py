@@ -15,7 +15,6 @@ from torchfra.filters.base import Filter
 from torchfra.filters.checks import check_models
 from torchfra.filters.imm import IMM
 from torchfra.filters.srckf import SRCKF
-from torchfra.kernel.build import CompileError, compiler
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
@@ -27,7 +26,7 @@ from torchfra.testing.expectations import as_large_as
 from torchfra.testing.lines import line_of_error, told, with_line
 from torchfra.testing.part import Part, parts_of
 from torchfra.testing.parts import checks_of
-from torchfra.types import Gaussian
+from torchfra.types import CompileError, Gaussian
 
 TYPICAL = {
     "position": (100.0, 10.0), "velocity": (3.0, 1.0), "angle": (0.1, 0.05), "rate": (0.1, 0.05),
@@ -161,6 +160,8 @@ def _in_a_filter(
     way = {"eager": "in a filter", "compiled": "in a compiled filter"}
     without: tuple[Outcome, ...] = ()
     if compiled:
+        from torchfra.compiler.build import compiler  # only here: without it nothing of the compiler is loaded
+
         try:
             compiler()
         except CompileError as error:

@@ -8,9 +8,8 @@ import torch
 from torch import Tensor
 
 from torchfra.filters.alphabeta.axes import axis_roots, full_root
-from torchfra.filters.base import S
+from torchfra.filters.base import Filter, S
 from torchfra.filters.records import Record
-from torchfra.filters.tracks import TrackFilter
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value, one_of
 from torchfra.linalg.triangular import hstack, tria
@@ -21,7 +20,7 @@ from torchfra.sensors.position import Position
 from torchfra.types import Gaussian
 
 
-class ConstantGainFilter(TrackFilter[S]):
+class ConstantGainFilter(Filter[S]):
     """Abstract: a filter of positions, axis by axis."""
 
     instants = False

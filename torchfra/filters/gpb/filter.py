@@ -10,8 +10,7 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 
 from torchfra import tree
-from torchfra.filters.base import Mix
-from torchfra.filters.checks import check_models
+from torchfra.filters.base import Filter, Mix
 from torchfra.filters.gpb import smoothing
 from torchfra.filters.gpb.hypotheses import (
     BEFORE,
@@ -31,11 +30,9 @@ from torchfra.filters.gpb.slopes import by_points_or_slope, exactly
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, Step
 from torchfra.filters.interaction import for_each_model
 from torchfra.filters.other_sensors import sharing
-from torchfra.filters.records import Record
-from torchfra.filters.smoothing import BackwardStep, Told
-from torchfra.filters.tracks import GaussianFilter
+from torchfra.filters.records import Record, Smoothed
 from torchfra.gaussian.cubature import third_degree
-from torchfra.gaussian.inputs import Frame, Measurements
+from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
 from torchfra.gaussian.mixture import matched
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import innovation
@@ -62,7 +59,7 @@ class Mixing(NamedTuple):
         return weight * self.own + (weight * self.common).sum(MOTION, keepdim=True) * self.origin
 
 
-class GPB(GaussianFilter[GPBState]):
+class GPB(Filter[GPBState]):
     """Generalised pseudo-Bayes over regimes of the motion and outliers of the measurement.
 
     A step's regime is a Markov chain: a level of the process noise or a jump of a motion, and the other motions of a
@@ -121,7 +118,6 @@ class GPB(GaussianFilter[GPBState]):
         lag: int = 0,
         rule: Callable[[int], Rule] = third_degree,
     ) -> None:
-        check_models(motion, sensor)
         super().__init__(motion if isinstance(motion, Bank) else Bank([motion]), sensor, rule)
         if lag not in (0, 1):
             raise ValueError(f"lag: expected 0 or 1 steps, received {lag!r}")
@@ -296,30 +292,30 @@ class GPB(GaussianFilter[GPBState]):
             "with presets.srckf or fra, or a bank of motions around them"
         )
 
-    def past(self, belief: Gaussian, info: Any, state: Any, steps: GPBPast) -> GPBPast:  # type: ignore[override]
+    def past(self, belief: Gaussian, info: Any, state: Any, steps: GPBPast) -> GPBPast:
         """What is known of all hypotheses after each step."""
         return steps
 
-    def fresh(self, past: GPBPast) -> GPBPast:  # type: ignore[override]
+    def fresh(self, past: GPBPast) -> GPBPast:
         """The same: nothing is decided later."""
         return past
 
-    decided = fresh  # type: ignore[assignment]
+    decided = fresh
 
-    def needed_ahead(self, past: GPBPast) -> GPBPast:  # type: ignore[override]
+    def needed_ahead(self, past: GPBPast) -> GPBPast:
         """How far off the measurement was, if there was any."""
         return GPBPast(None, None, None, past.nis, past.measured)  # type: ignore[arg-type]  # nothing reads the others
 
-    def last(self, past: GPBPast) -> tuple[GPBPast, Told]:  # type: ignore[override]
+    def last(self, past: GPBPast) -> tuple[GPBPast, Smoothed]:
         """The last step, which no later measurement speaks of."""
         return past, smoothing.smoothed(self, past)
 
-    def smooth_step(self, step: BackwardStep, after: GPBPast) -> tuple[GPBPast, Told]:  # type: ignore[override]
+    def retreat(self, step: BackwardStep, after: GPBPast) -> tuple[GPBPast, Smoothed]:
         """One step back, of all hypotheses."""
         if after.outlier.dim() > step.past.outlier.dim():
-            several: tuple[GPBPast, Told] = tree.stack(
-                [self.smooth_step(step, x) for x in tree.unbind(after, len(after.outlier))], 0
+            several: tuple[GPBPast, Smoothed] = tree.stack(
+                [self.retreat(step, x) for x in tree.unbind(after, len(after.outlier))], 0
             )
             return several
-        before = smoothing.smooth_step(self, step, after)
+        before = smoothing.retreat(self, step, after)
         return before, smoothing.smoothed(self, before)

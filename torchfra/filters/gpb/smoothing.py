@@ -22,8 +22,9 @@ from torchfra.filters.gpb.hypotheses import (
 from torchfra.filters.gpb.states import GPBPast
 from torchfra.filters.hindsight import inside
 from torchfra.filters.interaction import for_each_model
-from torchfra.filters.smoothing import BackwardStep, Told
+from torchfra.filters.records import Smoothed
 from torchfra.gaussian.future import future
+from torchfra.gaussian.inputs import BackwardStep
 from torchfra.gaussian.mixture import log_sum, without_failed
 from torchfra.gaussian.model import adapted
 from torchfra.types import Gaussian
@@ -32,16 +33,16 @@ MOTION_BEFORE, AXES = 3, 4
 """One more axis of hypotheses: the motion or the regime of the step before."""
 
 
-def smoothed(f: Any, past: GPBPast) -> Told:
+def smoothed(f: Any, past: GPBPast) -> Smoothed:
     """All hypotheses together, and the probabilities of regimes and outliers."""
     belief, log_weight = from_state(past.hypotheses, past.log_weights, (BEFORE, MOTION))
     roots = (0.5 * f.regimes.log_by_motion(log_weight)).exp()
     weights = past.log_weights.exp()
     outlier = weights[..., 1, :].sum(-1, keepdim=True) * past.measured.unsqueeze(-1) * past.outlier
-    return Told(estimate(belief, roots, f.motion), weights.sum(-2), outlier)
+    return Smoothed(estimate(belief, roots, f.motion), weights.sum(-2), outlier)
 
 
-def smooth_step(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
+def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     """One step back: hypotheses of the step before meet those of the step.
 
     As in ``torchfra.filters.hindsight``: what comes later is the measurement that makes of a prediction its smoothed

@@ -98,7 +98,7 @@ def gated_first(inside: Tensor) -> Tensor:
     K is what the fullest gate holds; all of them where code is traced.
     """
     if is_elementary():
-        return torch.arange(inside.shape[-1]).expand(inside.shape)  # kernels take all, in any order
+        return torch.arange(inside.shape[-1]).expand(inside.shape)  # all of them, in any order
     order = inside.to(torch.int8).sort(dim=-1, descending=True, stable=True)[1]
     if is_traced(inside) or inside.numel() == 0:
         return order

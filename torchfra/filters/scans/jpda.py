@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,9 +17,9 @@ from torchfra.association.events import check_exact
 from torchfra.association.gates import Candidates, Gate
 from torchfra.association.joint import associate
 from torchfra.filters.base import Filter, Mix
-from torchfra.filters.records import Record
+from torchfra.filters.gpb import GPB
+from torchfra.filters.records import Past, Record, Smoothed
 from torchfra.filters.scans.apart import core, measured, missed, together, widened
-from torchfra.filters.scans.base import ScanFilter
 from torchfra.filters.scans.combined import learned, update, widen
 from torchfra.filters.scans.hypotheses import (
     JPDAInfo,
@@ -32,13 +32,24 @@ from torchfra.filters.scans.lost_tracks import log_miss, missed_scans, search, w
 from torchfra.filters.scans.merging import check_merges
 from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import SRCKF, State
-from torchfra.gaussian.inputs import Frame
+from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements, Whole, make_frames
 from torchfra.gaussian.update import density, innovation
 from torchfra.hyper import Hyper, Value, hypers
-from torchfra.types import Gaussian
+from torchfra.linalg.tracing import is_traced
+from torchfra.sensors.base import Sensor
+from torchfra.types import Gaussian, Innovation
 
 
-class JPDA(Soft, ScanFilter[JPDAState]):
+class ScanPast(NamedTuple):
+    """What the way back needs of a scan; ``(..., N, T, ...)`` of a whole sequence."""
+
+    inner: Past
+    """Of the targets' filters."""
+    searched: Tensor
+    """``(..., N)`` how often the covariance of a target that seemed lost has been quadrupled."""
+
+
+class JPDA(Soft, Filter[JPDAState]):
     """Joint probabilistic data association around a filter of one target.
 
     Each target's update is the Gaussian with the moments of all that may have happened: that it was missed, or that any
@@ -79,6 +90,11 @@ class JPDA(Soft, ScanFilter[JPDAState]):
     weighted by their probabilities, which is our reading; Chen & Tugnait (2001), "Tracking of Multiple Maneuvering
     Targets in Clutter Using IMM/JPDA Filtering and Fixed-Lag Smoothing", of several models.
     """
+
+    scans = True
+    keeps_past = True
+    one_sensor = "gate and clutter are of the elements of one sensor"
+    inner: Any
 
     def __init__(
         self,
@@ -230,3 +246,86 @@ class JPDA(Soft, ScanFilter[JPDAState]):
                 f"JPDA around {name}: the way back of {name} weighs its models by measurements that are known to be "
                 "the target's; smooth a JPDA around an SRCKF"
             )
+
+    def past(self, belief: Gaussian, info: Any, state: Any, steps: Tensor) -> ScanPast:
+        """What the way back needs: of each target its beliefs, in which associations stay as they were."""
+        return ScanPast(self.inner.past(belief, info, None, None), steps)
+
+    def fresh(self, past: ScanPast) -> ScanPast:
+        """The past as it is: no later scan decides anything of it."""
+        return past
+
+    decided = needed_ahead = fresh
+
+    def last(self, past: ScanPast) -> tuple[Gaussian, Smoothed]:
+        """The last scan, which no later one speaks of."""
+        last: tuple[Gaussian, Smoothed] = self.inner.last(past.inner)
+        return last
+
+    def retreat(self, step: BackwardStep, after: Gaussian) -> tuple[Gaussian, Smoothed]:
+        """One scan back, of each target for itself."""
+        belief, factor = tree.insert_batch_dimension(step.past.inner.belief), step.ahead.inner.factor
+        ahead = self.inner.carry(belief, step.frame, None if factor is None else factor.unsqueeze(-1))
+        times = 2 ** (step.ahead.searched - step.past.searched).clamp_min(0.0)[..., None, None, None]
+        spread, noise = times * ahead.spread, times * ahead.process_noise
+        subtracted = None if ahead.subtracted is None else times * ahead.subtracted
+        ahead = ahead._replace(spread=spread, process_noise=noise, subtracted=subtracted)
+        told = self.inner.reverse(belief, ahead, tree.insert_batch_dimension(after))
+        repaired = None if told.repaired is None else told.repaired.squeeze(-1)
+        told = Smoothed(tree.remove_batch_dimension(told.belief), repaired=repaired)
+        return told.belief, told
+
+    def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
+        """The batch of scenes, checked; targets are no part of it."""
+        batch = super()._batch(measurements, prior, name)
+        if isinstance(self.inner, GPB):
+            self.inner.outliers.check_noise("noise", measurements.noise)
+        count = prior.mean.shape[-2]
+        for path, hyper in hypers(self).items():
+            if hyper.batch_rank and hyper.raw.shape[-1 - hyper.event_dim] not in (1, count):
+                shape = tuple(hyper.raw.shape)
+                raise ValueError(
+                    f"{path}: expected a value for each of {count} targets or one for all, received {shape}"
+                )
+        return batch
+
+    def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
+        """A frame of measurements ``(..., 1, J)`` for each step, and the log norms of the noise, time first."""
+        z, dt, u, std, noise = measurements
+        z = z.transpose(-3, -2).unsqueeze(-4)
+        std = std if std is None else std.transpose(-3, -2).unsqueeze(-4)
+        noise = noise if noise is None else noise.transpose(-4, -3).unsqueeze(-5)
+        dt = dt.unsqueeze(-2).unsqueeze(-2) if isinstance(dt, Tensor) and dt.dim() > 1 else dt
+        u = u.unsqueeze(-3).unsqueeze(-3) if u is not None and u.dim() > 2 else u
+        frames, log_norm = make_frames(Measurements(z, dt, u, std, noise), self.motion, self.sensor, rank + 1)
+        if not self.whole(measurements):
+            return frames, log_norm
+        unit = self.sensor.measurement_noise(torch.zeros_like(frames[0].z[..., :1, :]))
+        return [frame._replace(measurement_noise=unit) for frame in frames], log_norm
+
+    def whole(self, measurements: Measurements) -> bool:
+        """Whether measurements are complete or missing, and all have the same noise: then they share their gains."""
+        z, _, _, std, noise = measurements
+        if isinstance(measurements, Whole):
+            return True
+        own = type(self.sensor).measurement_noise is not Sensor.measurement_noise
+        if own or std is not None or noise is not None or is_traced(z):
+            return False
+        missing = z.isnan()
+        return bool((missing == missing[..., :1]).all())
+
+    def _scores(self, record: Record, log_norm: Tensor) -> tuple[Tensor, Tensor]:
+        """Normalised innovation squared of the combined innovation, and log density of the scan."""
+        assert record.density is not None
+        return record.normalised.square().sum(-1), record.density
+
+    def innovation_of(self, record: Record, frame: Frame) -> Innovation:
+        """The combined innovation, its root, and what they say of the scan."""
+        assert record.residual is not None
+        return Innovation(record.residual, record.root, *self._scores(record, frame.measurement_noise.log_norm))
+
+    def for_each_target(self, measurements: Measurements) -> Measurements:
+        """Measurements for the way back of targets: time steps and ``u`` of scenes have a dimension for targets."""
+        dt, u = measurements.dt, measurements.u
+        dt = dt.unsqueeze(-2) if isinstance(dt, Tensor) and dt.dim() > 1 else dt
+        return measurements._replace(dt=dt, u=u.unsqueeze(-3) if u is not None and u.dim() > 2 else u)

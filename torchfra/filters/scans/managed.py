@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
+from torchfra.filters.engine import INTERPRETED
 from torchfra.filters.scans.apart import missed, widened
 from torchfra.filters.scans.hypotheses import JPDAState
 from torchfra.filters.scans.jpda import JPDA
@@ -24,17 +25,14 @@ def stepped(
     f: JPDA, function: Callable[[JPDA, JPDAState, Frame], tuple[JPDAState, Any]], state: JPDAState,
     measurements: Measurements,
 ) -> tuple[JPDAState, Any]:  # fmt: skip
-    """A ``function`` of this module on a checked scan ``z (C, J, m)``, as a kernel if the filter has some.
+    """A ``function`` of this module on a checked scan ``z (C, J, m)``.
 
-    Kernels sum over all events of a scan: where clusters may be too large for that, they do not run.
+    Only an interpreted step can look for clusters: where a scan may be too large to sum over all its events as one, it
+    is interpreted.
     """
     targets, count = state.belief.mean.shape[-2], measurements.z.shape[-2]
     small = targets == 1 or (targets <= f.exact[0] and count <= f.exact[1])
-    if small and (kernels := f.kernels_for(measurements.z)) is not None:
-        done: tuple[JPDAState, Any] = kernels.once(f, function, state, measurements)
-        return done
-    (frame,), _ = f._frames(measurements.as_track(scans=True), state.belief.mean.dim() - 1)
-    return function(f, state, frame)
+    return (f.engine if small else INTERPRETED).once(f, function, state, measurements)
 
 
 def among(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, tuple[Tensor, Tensor]]:

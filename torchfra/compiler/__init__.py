@@ -1,0 +1,15 @@
+"""From a filter's step to machine code: ``README.md`` beside this file begins with a page that says how.
+
+- A filter: ``engine`` is what it holds once it is compiled; ``version`` the filter as it is at the moment, while it is
+  ``unchanged``; ``traced`` and ``backward`` what is traced of it; ``single_steps`` and ``whole_tracks`` calls of a form
+  that is known; ``export`` for use without torch.
+- Trace: ``step`` (backwards too), ``tangents`` (derivatives forwards), ``ends`` and ``ends_back`` (both ends of a
+  track); on ``entries`` with the rules of ``entrywise``, ``reductions`` and ``moves``, put together in ``operations``;
+  ``routines``, ``refusals``, ``origin``, ``copies``, ``trees``.
+- Simplify: ``expressions``, ``choices``, ``divisions``.
+- Write: ``source`` by ``writer`` and ``statements``, in the order of ``schedule`` and ``merges``, in places of
+  ``frame``, with ``access`` and ``names``; ``parts``; ``standalone`` for use without torch.
+- Compile: ``build`` with ``compilers``, ``workplace`` (on Windows ``plain_workplace``), ``cache``; ``cuda`` for GPUs.
+- Run: ``program`` one loop, ``run`` all of a step, ``whole`` and ``learning`` calls that come again and again;
+  ``guards``, ``pages``.
+"""

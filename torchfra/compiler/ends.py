@@ -1,0 +1,175 @@
+"""Around the steps of whole tracks: the first state, from a prior, and what the last step leaves open."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra.compiler.entries import Entries, as_entries, entry_ids
+from torchfra.compiler.expressions import Expressions
+from torchfra.compiler.refusals import refusals_of
+from torchfra.compiler.source import Port, Scan
+from torchfra.compiler.statements import threaded
+from torchfra.compiler.step import Step, carried
+from torchfra.linalg.tracing import elementary
+from torchfra.tree import flatten, map_tensors, unflatten
+
+PRIOR = ("mean of the prior", "root of the prior")
+LAST = "state after the last step"
+"""Names that no input has, whose names are paths."""
+
+
+class Both(NamedTuple):
+    """Both ends of a track, on entries of one book."""
+
+    book: Expressions
+    inputs: dict[str, Entries]
+    prior: list[Entries]
+    begun: list[Entries]
+    after: tuple[Entries, ...]
+    steps: Any
+    """The records of two steps."""
+    made: Any
+    """What becomes of them."""
+
+
+_LOOKS = 3, 0, 1
+"""Numbers of the tensors that say whether all is finite: the scores of all steps, others of the last."""
+
+
+class Ends:
+    """The two ends of a track, traced once like the step between them.
+
+    Args:
+        step: one of many.
+        begin: the state before the first, from the module and the mean and any root of a prior.
+        finish: what becomes of the records of all steps, from the module, the state after the last and the records.
+        size: of a state.
+        each: whole numbers that every track is given besides.
+
+    Raises:
+        NotImplementedError: an operation that kernels do not have; or ``finish`` does more than to end what is late.
+    """
+
+    def __init__(
+        self, step: Step, begin: Callable[..., Any], finish: Callable[[Any, Any, Any], Any], size: int,
+        each: Sequence[int] = (),
+    ) -> None:  # fmt: skip
+        self.step, self._ways, self._size, self.each = step, (begin, finish), size, each
+        at = self.traced()
+        begun, self.made = [entry_ids(x) for x in at.begun], at.made
+        self._book, self.values = at.book, [k for k, kind in enumerate(step.inputs.values(), len(begun)) if kind.value]
+        self.sizes, self.same = list(map(len, begun)), list(map(begun.index, begun))
+        self._begun = [ids if k == same else [] for k, (ids, same) in enumerate(zip(begun, self.same, strict=True))]
+        steps = [entry_ids(as_entries(at.book, x)) for x in flatten(at.steps)]
+        self._matched(steps, 2 * len(self.sizes) + len(at.inputs))
+        values = [entry_ids(x) if step.inputs[name].value else [] for name, x in at.inputs.items()]
+        nothing: list[list[int]] = [[]]
+        states = [entry_ids(x) for x in at.after]
+        self._reads = [*nothing * len(states), *values, *states, *nothing * len(steps)]
+        self._prior = list(map(entry_ids, at.prior))
+
+    def traced(self, *differentiable: str) -> Both:
+        """Both ends on entries of a new book, which have derivatives in what is named.
+
+        That is inputs by name, those of the ``PRIOR``, and ``LAST``, the state after the last step.
+        """
+        book, step = Expressions(), self.step
+        inputs, (begin, finish) = step.unknown(book), self._ways
+        prior = [Entries.inputs(book, (self._size,) * event, step.dtype) for event in (1, 2)]
+        after = carried(book, step.zero, step.dtype)
+        for name, tensors in [
+            *((n, [x]) for n, x in inputs.items()),
+            (PRIOR[0], prior[:1]),
+            (PRIOR[1], prior[1:]),
+            (LAST, after),
+        ]:
+            for x in tensors if name in differentiable else ():
+                x.requires_grad_()
+        module = step.copy_with(inputs)
+        steps = map_tensors(partial(self._two_steps, book), step.record)
+        with refusals_of(type(module).__name__), elementary(), torch.set_grad_enabled(bool(differentiable)):
+            begun = [as_entries(book, x) for x in flatten(begin(module, *prior))]
+            made = finish(module, unflatten(step.state, iter(after)), steps)
+        return Both(book, inputs, prior, begun, after, steps, made)
+
+    def _two_steps(self, book: Expressions, like: Tensor) -> Tensor:
+        """Unknown, of two steps."""
+        unknown = Entries.inputs(book, (2, *like.shape), self.step.dtype)
+        return unknown < 0 if like.dtype == torch.bool else unknown
+
+    def _matched(self, steps: Sequence[list[int]], first: int) -> None:
+        """Finds which leaf of the records each tensor is that is made, and what ends those that come a step late.
+
+        Args:
+            steps: entries of the leaves, of two steps.
+            first: the number of the port of the first leaf.
+
+        Raises:
+            NotImplementedError: a tensor is none of the leaves.
+        """
+        halves = [_halves(ids) for ids in steps]
+        self.places: list[int] = []
+        self.settled: dict[int, tuple[list[int], bool]] = {}
+        for x in flatten(self.made):
+            now, then = _halves(entry_ids(as_entries(self._book, x)))
+            place = next((k for k, half in enumerate(halves) if now and now in half), None)
+            if place is None or (now == halves[place][0]) != (then == halves[place][1]):
+                raise NotImplementedError("compile: finish does more than to end what comes late")
+            if now == halves[place][1]:
+                self.settled[first + place] = then, x.dtype == torch.bool
+            self.places.append(place)
+
+    def source(self, narrow: bool, remembered: int = 0) -> str:
+        """The translation unit, whose function is ``whole``.
+
+        Args:
+            narrow: as of ``Scan.source``.
+            remembered: how many more tensors the steps write behind their records.
+        """
+        step, states = self.step, len(self.sizes)
+        nothing: list[list[int]] = [[]]
+        double = [*[False] * states, *(x.double for x in step.inputs.values())]
+        reads = [
+            _port(ids, double=any(double[k : k + 1]))
+            for k, ids in enumerate([*self._reads, *nothing * remembered, *self._prior])
+        ]
+        after = states + len(step.inputs)
+        first = after + states
+        last = [_port(ids, truth=truth) for ids, truth in self.settled.values()]
+        begin = Scan(self._book, [], [], reads, list(map(_port, self._begun)), dtype=step.dtype)
+        finish = Scan(self._book, [], [], reads, [*[_port([])] * len(reads), *last], dtype=step.dtype)
+        (head, started), (_, finished) = begin.parts(narrow, "begin"), finish.parts(narrow, "finish")
+        looked = [first + self.places[k] for k in _LOOKS]
+        made, prior, end = flatten(self.made), len(reads) - 2, len(reads) + len(last)
+        given = [range(prior, len(reads)), range(states, after), range(first, prior), range(end, end + len(self.each))]
+        words: dict[str, Iterable[Any]] = {
+            "STATES": [*range(states), *range(after, first)],
+            "GIVEN": itertools.chain(*given),
+            "SETTLED": [*self.settled, -1],
+            "SIZES": [*(1 if port.truth else "sizeof(Scalar)" for port in last), 0],
+            "LOOKS": (2 * port + (port in self.settled) for port in looked),
+            "NUMBERS": (made[k].numel() // 2 for k in _LOOKS),
+            "EACH": [*self.each, 0],
+            "AFTER": [after],
+            "LAST": [len(reads)],
+            "PORTS": [end + len(self.each)],
+        }
+        text = threaded("ends.cpp")
+        for word, numbers in words.items():
+            text = text.replace(word, ", ".join(map(str, numbers)))
+        return f"{head}{started}{finished}{text}"
+
+
+def _halves(ids: list[int]) -> tuple[list[int], list[int]]:
+    """Entries of the first of two steps, and of the second."""
+    return ids[: len(ids) // 2], ids[len(ids) // 2 :]
+
+
+def _port(ids: list[int], truth: bool = False, double: bool = False) -> Port:
+    return Port(ids, torch.Size([len(ids)]), truth=truth, double=double)

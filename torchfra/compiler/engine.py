@@ -1,0 +1,223 @@
+"""The engine of a compiled filter, whose step runs as one kernel over all tracks and steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from torchfra.compiler import traced
+from torchfra.compiler.backward import Given, cut, given, of_windows, windows
+from torchfra.compiler.guards import hooked
+from torchfra.compiler.program import BUILDING
+from torchfra.compiler.run import has_gradient
+from torchfra.compiler.single_steps import Data, check_changing, is_ordinary, number
+from torchfra.compiler.source import SCALARS
+from torchfra.compiler.version import Plan, Version
+from torchfra.compiler.whole_tracks import form_of, seconds_of
+from torchfra.gaussian.arguments import check_seconds
+from torchfra.gaussian.inputs import Frame, Measurements
+from torchfra.linalg.tracing import has_tangents, is_traced
+from torchfra.tree import flatten, map_tensors
+from torchfra.types import Estimate, Gaussian, Innovation
+
+_VERSIONS = 4
+"""How many are remembered: a filter may go back and forth, between soft decisions and hard ones say."""
+_FORMS = 64
+"""How many forms of a single step are remembered."""
+
+
+class Compiled:
+    """Kernels of a filter, one set for each form of call; they are made when first needed.
+
+    Hyperparameters, parameters, ``kernel_numbers`` and data are read when a kernel runs.  All else is part of it: when
+    an attribute, a buffer or a part of the filter has been replaced, or a tensor has changed, there are other kernels.
+    (A list or dictionary that changes inside is not noticed.)
+    """
+
+    def __init__(self, otherwise: Any) -> None:
+        """``otherwise`` is the engine that runs what kernels do not take."""
+        self._otherwise, self._versions = otherwise, list[Version]()
+
+    def __reduce__(self) -> tuple[type[Compiled], tuple[Any]]:
+        return Compiled, (self._otherwise,)  # kernels are no part of a copy
+
+    def another(self) -> Compiled:
+        """An engine of the same kind for another filter: kernels are of one."""
+        return Compiled(self._otherwise)
+
+    def _now(self, f: nn.Module) -> Version:
+        """The kernels that hold for the filter as it is; the version used last comes first."""
+        if self._versions and self._versions[0].holds():
+            return self._versions[0]
+        with BUILDING:
+            held = next((version for version in self._versions if version.holds()), None) or Version(f)
+            others = [version for version in self._versions if version is not held]
+            self._versions = [held, *others[: _VERSIONS - 1]]
+        return held
+
+    @staticmethod
+    def takes(z: Any) -> bool:
+        """Whether kernels can work on it: on the CPU or NVIDIA's GPUs, not inside ``torch.compile`` or a transform."""
+        return (
+            isinstance(z, Tensor)
+            and (z.is_cpu or (z.is_cuda and torch.version.hip is None))
+            and z.dtype in SCALARS
+            and not is_traced()
+            and torch._C._functorch.peek_interpreter_stack() is None
+            and not (has_tangents() and torch.is_grad_enabled())
+        )
+
+    def forward(
+        self, f: Any, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
+        past: bool,
+    ) -> tuple[Estimate, Any, Any]:  # fmt: skip
+        """Whole tracks from their prior: the estimate, and for a backward pass the last state and what is kept."""
+        if not self.takes(measurements.z):
+            whole: tuple[Estimate, Any, Any] = self._otherwise.forward(
+                f, measurements, prior, checkpoint, truncate, past
+            )
+            return whole
+        cut = checkpoint or truncate
+        done = self._ready(f, measurements, prior, past, cut)
+        if done is None:
+            begun, rank = f.begun(measurements, prior)
+            done = self.scan(f, begun, measurements, rank, checkpoint, truncate, past)
+            self._get_ready(f, begun, measurements, prior, past, cut)
+        if isinstance(done, Estimate):
+            return done, None, None
+        state, kept = done
+        return f.estimate_of(state, kept), state, kept.past
+
+    def _ready(self, f: Any, measurements: Measurements, prior: Gaussian, past: bool, cut: int | None) -> Any:
+        """The estimate, or what ``scan`` gives for the state of a prior; None unless a call of this form is known.
+
+        ``cut``: steps after which gradients end or steps are computed again, if there are any.
+
+        Raises:
+            ValueError: the time steps or the noise have a bad value.
+        """
+        if not self._versions or not isinstance(prior, Gaussian) or has_tangents():
+            return None
+        now, form = self._now(f), form_of(measurements, past, cut is None and not hooked())
+        return now.tracks(f, form, prior, measurements, now.read)
+
+    def _get_ready(
+        self, f: Any, state: Any, measurements: Measurements, prior: Gaussian, past: bool, cut: int | None
+    ) -> None:
+        """Makes later calls of ``forward`` like this one ready, if that is worth it; ``state`` is that of the prior."""
+        plain = cut is None and not hooked()
+        form, z, now = form_of(measurements, past, plain), measurements.z, self._now(f)
+        given = [z, *prior, *(x for x in measurements[1:] if isinstance(x, Tensor)), *now.read()]
+        shapes = z.dtype, z.shape, *(x.shape for x in prior)
+        if f.home is f and not f.scans and now.tracks.due((form, shapes), z.shape[:-1].numel(), has_gradient(given)):
+            now, plan, data = self._plan(f, state, measurements, past)
+            now.get_tracks_ready(form, plan, prior, state, data, past, plain)
+
+    def scan(
+        self, f: Any, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
+        past: bool,
+    ) -> tuple[Any, Any]:  # fmt: skip
+        """The state after whole tracks that have been checked, and what ``f.keep`` keeps of each step."""
+        if not self.takes(measurements.z):
+            scanned: tuple[Any, Any] = self._otherwise.scan(f, state, measurements, rank, checkpoint, truncate, past)
+            return scanned
+        now, plan, data = self._plan(f, state, measurements, past)
+        steps, rank = measurements.z.shape[-2 - f.scans], len(plan.batch)
+        state, kept = now.run(plan, steps, state, data, checkpoint, truncate)
+        # The batch is that of scenes: time comes behind the targets of each.
+        return state, map_tensors(lambda x: x.movedim(rank, rank + 1), kept) if f.scans else kept
+
+    def _plan(self, f: Any, state: Any, measurements: Measurements, past: bool) -> tuple[Version, Plan, Data]:
+        """The kernels that hold for the filter, what this form of call comes to, and its data."""
+        data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
+        keep, timed = traced.Keep(past, _whole(f, measurements)), (True, measurements.varying_dt, True, True, True)
+        with BUILDING:
+            return now, now.plan(keep, state, data, timed), data
+
+    def backward(
+        self, f: Any, past: Any, measurements: Measurements, rank: int, frames: Callable[[], Sequence[Frame]],
+        checkpoint: int | None, lag: int | None, truncate: int | None,
+    ) -> Any:  # fmt: skip
+        """The backward pass over a ``past``, time behind ``rank`` batch dimensions."""
+        if not self.takes(measurements.z):
+            return self._otherwise.backward(f, past, measurements, rank, frames, checkpoint, lag, truncate)
+        measurements = f.for_each_target(measurements) if f.scans else measurements
+        carried = cut(past, rank, truncate) if truncate and has_gradient(flatten(past)) else None
+        if lag is None or lag >= flatten(past)[0].shape[rank] - 1:
+            return self._back(f, given(f, past, carried, measurements, rank))
+        every = windows(f, past, carried, measurements, rank, lag)
+        parts = [self._back(f, given(f, *part, rank + 1)._replace(windows=True)) for part in every]
+        return of_windows(parts, rank, lag)
+
+    def _back(self, f: Any, back: Given) -> Any:
+        now = self._now(f)
+        data, timed = list(back.data.values()), list(back.timed.values())
+        with BUILDING:
+            plan = now.plan(back.advance, back.state, data, timed, back)
+        return now.run(plan, back.steps, back.state, data, back=back)[1]
+
+    def once(
+        self, f: Any, function: Callable[[Any, Any, Frame], Any], state: Any, measurements: Measurements
+    ) -> tuple[Any, Any]:
+        """What ``function(f, state, frame)`` gives for one measurement or scan that has been checked."""
+        if not self.takes(measurements.z):
+            done: tuple[Any, Any] = self._otherwise.once(f, function, state, measurements)
+            return done
+        data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
+        with BUILDING:
+            plan = now.plan(traced.Once(function, _whole(f, measurements)), state, data, (False,) * 5)
+        return now.run(plan, 1, state, data)
+
+    def step(self, f: Any, state: Any, measurements: Measurements) -> tuple[Any, Innovation]:
+        """The state after one measurement, and its innovation.
+
+        Shapes are checked unless a call of the same shapes has passed before.
+        """
+        if not self.takes(measurements.z):
+            stepped: tuple[Any, Innovation] = self._otherwise.step(f, state, measurements)
+            return stepped
+        z, dt, u, std, noise = measurements
+        if not isinstance(dt, (Tensor, float, int)):
+            f._frame(state, measurements)
+        now = self._now(f)
+        data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype, f.instants), u, std, noise)
+        checked = not isinstance(dt, Tensor) and std is None and noise is None
+        whole = _whole(f, measurements)
+        done = now.ready[whole](state, data, now.read(), None if checked else f.instants)
+        return self._prepare(f, now, state, measurements, data, whole) if done is None else done
+
+    @staticmethod
+    def _prepare(
+        f: Any, now: Version, state: Any, measurements: Measurements, data: Data, whole: bool
+    ) -> tuple[Any, Innovation]:
+        """The same where no step is ready, which then becomes ready if it can."""
+        tensors = (*data, *flatten(state), *now.read())
+        form = (type(state), whole, *((x.shape, x.dtype) if isinstance(x, Tensor) else type(x) for x in tensors))
+        plan = now.steps.get(form)
+        if plan is None:
+            f._frame(state, measurements)
+            with BUILDING:
+                if len(now.steps) == _FORMS:
+                    now.steps.clear()
+                plan = now.steps[form] = now.plan(traced.Observe(whole), state, data, (False,) * 5)
+        else:
+            check_changing(data, f.instants)
+        now.get_ready(plan, state, data, whole)
+        return now.run(plan, 1, state, data)
+
+
+def _whole(f: Any, measurements: Measurements) -> bool:
+    return bool(f.scans and f.whole(measurements))
+
+
+@lru_cache(maxsize=64)
+def _seconds(dt: float, dtype: torch.dtype, instants: bool) -> Tensor:
+    """A time step that has been checked."""
+    seconds = number(dt, dtype)
+    if not is_ordinary(seconds, dtype):
+        check_seconds(dt, dtype, instants)
+    return seconds

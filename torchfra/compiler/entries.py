@@ -1,0 +1,117 @@
+"""A tensor whose entries are expressions: torch code that runs on it writes its own arithmetic down, entry by entry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra.compiler.expressions import Expressions
+
+Rule = Callable[[Expressions, Any, Any, Any], Any]
+"""From the expressions, the operation of torch, its arguments and its keywords to what the operation returns."""
+
+RULES: dict[Any, Rule] = {}
+"""How each operation of torch acts on entries; ``operations`` fills it."""
+
+
+class Entries(Tensor):
+    """A tensor of expressions.
+
+    Args:
+        book: where the expressions are written.
+        ids: int64, the numbers of the entries' expressions.  Views share them, so that a write in place reaches the
+            tensor that is viewed, as in torch.
+        dtype: of the tensor they stand for.
+    """
+
+    book: Expressions
+    ids: Tensor
+
+    @staticmethod
+    def __new__(cls, book: Expressions, ids: Tensor, dtype: torch.dtype) -> Entries:  # noqa: D102
+        made: Entries = Tensor._make_wrapper_subclass(
+            cls, ids.shape, strides=ids.stride(), storage_offset=ids.storage_offset(), dtype=dtype
+        )
+        made.book, made.ids = book, ids
+        return made
+
+    def __init__(self, book: Expressions, ids: Tensor, dtype: torch.dtype) -> None:
+        pass
+
+    @classmethod
+    def inputs(cls, book: Expressions, shape: Sequence[int], dtype: torch.dtype) -> Entries:
+        """A tensor whose values are not known."""
+        return from_numbers(book, [book.input() for _ in range(torch.Size(shape).numel())], shape, dtype)
+
+    @classmethod
+    def constants(cls, book: Expressions, tensor: Tensor) -> Entries:
+        """A tensor whose values are known.
+
+        Raises:
+            NotImplementedError: it has a gradient.
+        """
+        if tensor.requires_grad:
+            raise NotImplementedError(
+                "compile: a tensor with a gradient is neither parameter nor buffer of the filter: register it as one"
+            )
+        zeros = tensor._is_zerotensor() or tensor.is_meta  # what forward-mode differentiation leaves out
+        values = [0.0] * tensor.numel() if zeros else tensor.detach().cpu().flatten().tolist()
+        return from_numbers(book, [book.constant(float(v)) for v in values], tensor.shape, tensor.dtype)
+
+    def __repr__(self, *, tensor_contents: Any = None) -> str:  # type: ignore[override]
+        return f"Entries({self.ids.tolist()})"
+
+    __torch_function__ = torch._C._disabled_torch_function_impl  # type: ignore[assignment]
+
+    @classmethod
+    def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:  # type: ignore[override]
+        kwargs = kwargs or {}
+        book = next(x.book for x in leaves((*args, *kwargs.values())) if isinstance(x, Entries))
+        rule = RULES.get(func)
+        if rule is None:
+            raise unsupported(func, "it is not among them")
+        book.here = book.origins.here()
+        return rule(book, func, args, kwargs)
+
+
+def leaves(arguments: Iterable[Any]) -> Iterator[Any]:
+    """The arguments of an operation, and in place of lists what is in them."""
+    for x in arguments:
+        if isinstance(x, list | tuple):
+            yield from leaves(x)
+        else:
+            yield x
+
+
+def each(function: Callable[[Any], Any], x: Any) -> Any:
+    """What a function gives for an argument or a result of an operation; a list for each in a list."""
+    return [each(function, y) for y in x] if isinstance(x, list | tuple) else function(x)
+
+
+def as_entries(book: Expressions, x: Any) -> Entries:
+    """A tensor or a number as entries; entries stay as they are."""
+    if isinstance(x, Entries):
+        return x
+    return Entries.constants(book, x if isinstance(x, Tensor) else torch.tensor(x, dtype=torch.float64))
+
+
+def entry_ids(x: Entries) -> list[int]:
+    """The numbers of the entries' expressions, in order."""
+    ids: list[int] = x.ids.flatten().tolist()
+    return ids
+
+
+def from_numbers(book: Expressions, numbers: Sequence[Any], shape: Sequence[int], dtype: torch.dtype) -> Entries:
+    """Entries from the numbers of their expressions, in a (nested) list."""
+    return Entries(book, torch.tensor(numbers, dtype=torch.int64).reshape(tuple(shape)), dtype)
+
+
+def unsupported(operation: Any, reason: str) -> NotImplementedError:
+    """The error for an operation that kernels do not have: which one, and what to do."""
+    return NotImplementedError(
+        f"compile: {operation} cannot become part of a kernel ({reason}): write the step with sums, products, "
+        "elementary functions, reductions, triangular solutions and torch.where, or leave compile() out"
+    )

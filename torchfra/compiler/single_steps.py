@@ -1,0 +1,122 @@
+"""A single step of a compiled filter, made ready once for each form of call, so that a call does little but run it."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from functools import lru_cache
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra.compiler.guards import guard
+from torchfra.compiler.program import Ready
+from torchfra.compiler.trees import flattener, unflattener
+from torchfra.gaussian.arguments import PRECISIONS, check_values
+from torchfra.gaussian.inputs import Measurements, Time
+
+Data = tuple[Tensor, Tensor, Tensor | None, Tensor | None, Tensor | None]
+"""``z``, ``dt``, ``u``, ``std``, ``noise`` of a step."""
+_FORMS = 64
+"""How many forms are remembered."""
+_RANGES = {dtype: (torch.finfo(dtype).tiny, torch.finfo(dtype).max) for dtype in PRECISIONS}
+"""From the least normal number on to the largest, in each precision."""
+
+
+class ReadyStep:
+    """A step for tensors of one form.
+
+    Args:
+        ready: the kernel.
+        state: one like those to come.
+        tensors: what the kernel reads: the leaves of the state, data, values.
+        made: the state and the record that the kernel writes, of one track.
+    """
+
+    def __init__(self, ready: Ready, state: Any, tensors: Sequence[Tensor], made: Any) -> None:
+        self.run, self.made = ready, unflattener(made)
+        self._leaves = flattener(state)
+        self._fit = guard(tensors)
+
+    def tensors(self, state: Any, others: Sequence[Tensor]) -> tuple[Tensor, ...] | None:
+        """What the kernel reads; None for tensors of another form."""
+        try:
+            leaves = self._leaves(state)
+        except (IndexError, TypeError):  # another structure
+            return None
+        if leaves is None:
+            return None
+        tensors = (*leaves, *others)
+        return tensors if self._fit(*tensors) else None
+
+
+class ReadySteps:
+    """All that have been made ready."""
+
+    def __init__(self) -> None:
+        self._known: dict[Hashable, list[ReadyStep]] = {}
+
+    def __call__(
+        self, state: Any, data: Data, values: Sequence[Tensor], instants: bool | None
+    ) -> tuple[Any, Any] | None:
+        """The next state and the record of the step; None where no step is ready.
+
+        Args:
+            state: before the step.
+            data: of the step.
+            values: what the filter holds.
+            instants: whether ``dt`` may be 0, to check what comes with the measurement; None where that is good.
+
+        Raises:
+            ValueError: the time step or the noise has a bad value.
+        """
+        steps = self._known.get(_kind(state, data), ())
+        others = [*(x for x in data if x is not None), *values] if steps else values
+        for step in steps:
+            tensors = step.tensors(state, others)
+            if tensors is not None:
+                if instants is not None:
+                    check_changing(data, instants)
+                made: tuple[Any, Any] = step.made(step.run(tensors))
+                return made
+        return None
+
+    def add(self, step: ReadyStep, state: Any, data: Data) -> None:
+        """Remembers a step; all others are forgotten when there are too many."""
+        if sum(map(len, self._known.values())) >= _FORMS:
+            self._known = {}
+        kind = _kind(state, data)
+        self._known[kind] = [step, *self._known.get(kind, ())]
+
+
+def _kind(state: Any, data: Data) -> Hashable:
+    _, _, u, std, noise = data
+    return type(state), u is None, std is None, noise is None, torch.is_grad_enabled()
+
+
+@lru_cache(maxsize=64)
+def number(value: float, dtype: torch.dtype = torch.float64) -> Tensor:
+    """A number as a tensor that nobody changes, and that may be saved for a gradient wherever it was first needed."""
+    with torch.inference_mode(False):
+        return torch.tensor(value, dtype=dtype)
+
+
+def check_changing(data: Data, instants: bool) -> None:
+    """Checks the values that come with each measurement.
+
+    Raises:
+        ValueError: one is bad.
+    """
+    z, dt, _, std, noise = data
+    if noise is not None or not all(x is None or is_ordinary(x, z.dtype) for x in (dt, std)):
+        check_values(Measurements(*data).as_track(), instants)
+
+
+def is_ordinary(x: Time, dtype: torch.dtype) -> bool:
+    """Whether a few time steps or deviations are good beyond doubt, seen without arithmetic on tensors."""
+    least, most = _RANGES[dtype]
+    if not isinstance(x, Tensor):
+        return least <= x <= most
+    if x.dim() > 1 or x.numel() > 16:
+        return False
+    return all(least <= value <= most for value in x.reshape(-1).tolist())

@@ -1,0 +1,160 @@
+"""C++ for a loop over time whose step is expressions: one track, or blocks of them side by side in vector registers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from torchfra.compiler.access import Access, Step
+from torchfra.compiler.choices import with_choices_last
+from torchfra.compiler.divisions import with_quotients
+from torchfra.compiler.expressions import ZERO, Expressions
+from torchfra.compiler.pages import PAST
+from torchfra.compiler.parts import are_in, opened
+from torchfra.compiler.statements import file, template, threaded
+from torchfra.compiler.writer import Writer
+
+SCALARS = {torch.float64: "double", torch.float32: "float"}
+"""The dtypes that kernels compute in, and what C++ calls them."""
+THREADS = 32
+"""Of a block on a GPU: few, as each holds the values of a step in registers."""
+_LONG = 6000
+"""Expressions of a function there, about, where it is slower to put values aside and no slower to compile."""
+
+
+@dataclass
+class Port:
+    """A tensor that a kernel reads or writes: the expressions of its entries, for one track (and one step)."""
+
+    ids: list[int]
+    shape: torch.Size
+    """Of the entries of a track (and step)."""
+    timed: bool = False
+    """Whether each step has its own entries."""
+    packed: bool = False
+    """Whether the same entry of neighbouring tracks lies side by side, as in what kernels write."""
+    truth: bool = False
+    """Whether it holds truth values."""
+    late: bool = False
+    """Whether there is room behind the last step, for what nothing later says of it."""
+    double: bool = False
+    """Whether it is read in double precision, whatever the arithmetic is in."""
+
+
+@dataclass
+class Scan:
+    """A loop over time.
+
+    Args:
+        book: the expressions.
+        carry: what goes from step to step, before a step; entries that are 0 stay 0.
+        after: the same after the step.
+        reads: what else a step reads.
+        writes: what each step writes.
+        backwards: from the last step to the first.
+        dtype: of the arithmetic.
+
+    The kernel reads ``carry`` and ``reads``, and writes ``after`` (once) and ``writes``, in this order.
+    """
+
+    book: Expressions
+    carry: list[Port]
+    after: list[Port]
+    reads: list[Port]
+    writes: list[Port]
+    backwards: bool = False
+    dtype: torch.dtype = torch.float64
+
+    def live(self) -> list[int]:
+        """The expressions that are needed, in an order in which they can be computed."""
+        return self.book.needed([*self._carried().values(), *(i for port in self.writes for i in port.ids)])
+
+    def source(self, narrow: bool = False) -> str:
+        """The translation unit, whose function is ``run``.
+
+        Args:
+            narrow: whether for one track, in numbers; or for many, in vectors.
+        """
+        run = threaded("run.cpp").replace("MANY_BYTES", str(PAST))
+        return "".join((*self._parts(Writer(self.step(), narrow), narrow, apart=True), run))
+
+    def cuda(self) -> str:
+        """The same for a GPU: one thread for each track, whose tensors come as an argument by value."""
+        writer = Writer(self.step(), True, _LONG)
+        counts = {
+            "INPUTS": len(self.carry + self.reads),
+            "OUTPUTS": len(self.after + self.writes),
+            "THREADS": THREADS,
+            "BLOCKS": 16 if writer.guarded > 0.5 else 8,
+        }
+        run = file("cuda.cpp")
+        for word, count in counts.items():
+            run = run.replace(word, str(count))
+        return "".join((*self._parts(writer, True), run))
+
+    def parts(self, narrow: bool, name: str = "step") -> tuple[str, str]:
+        """What any scan of this dtype needs, and the namespace of this one, whose function is ``block``."""
+        return self._parts(Writer(self.step(), narrow), narrow, name)
+
+    def _parts(self, writer: Writer, narrow: bool, name: str = "step", apart: bool = False) -> tuple[str, str]:
+        head, block = (text.replace("SCALAR", SCALARS[self.dtype]) for text in template(narrow))
+        block = block.replace("TIME", "steps - 1 - k" if self.backwards else "k").replace("NAME", name)
+        for word, text in writer.texts(apart).items():
+            block = block.replace(word, text)
+        return (opened(head), opened(block)) if are_in(block) else (head, block)
+
+    def step(self) -> Step:
+        """The step as its writer needs it, without what it need not compute each time."""
+        carry = [(i, p, e) for p, port in enumerate(self.carry) for e, i in enumerate(port.ids)]
+        live = self.live()
+        varying, stores, same = self._varying(live), self._stores(), self._same(live)
+        carried = {i: j for i, j in self._carried().items() if i not in same}
+        ends = [*carried.values(), *(i for i, _ in stores)]
+        book, live = with_choices_last(*with_quotients(self.book, live, varying, ends), varying, ends)
+        return Step(
+            book,
+            live,
+            varying.intersection(live),
+            carried,
+            {i: Access(f"in[{p}]", "Scalar", "get", e) for i, p, e in carry if i in carried},
+            self._loads(),
+            stores,
+            [(same.get(i, i), Access(f"out[{p}]", "Scalar", "put", e)) for i, p, e in carry],
+        )
+
+    def _carried(self) -> dict[int, int]:
+        """What goes from step to step, with what takes its place after the step."""
+        pairs = zip(self.carry, self.after, strict=True)
+        return {i: j for old, new in pairs for i, j in zip(old.ids, new.ids, strict=True) if i != ZERO}
+
+    def _same(self, live: Sequence[int]) -> dict[int, int]:
+        """What no step reads and what after each step is the same: it is not carried itself."""
+        read, carried = set(live), self._carried()
+        others = {j: i for i, j in sorted(carried.items(), key=lambda pair: pair[0] in read)}
+        return {i: others[j] for i, j in carried.items() if i not in read and others[j] != i}
+
+    def _varying(self, live: Sequence[int]) -> set[int]:
+        """The expressions that change from step to step; all others are computed once, before the loop."""
+        ports = [*self.carry, *(port for port in self.reads if port.timed)]
+        varying = {i for port in ports for i in port.ids if i != ZERO}
+        for number in live:
+            if varying.intersection(self.book.nodes[number][1]):
+                varying.add(number)
+        return varying
+
+    def _loads(self) -> dict[int, Access]:
+        return {
+            i: Access(f"in[{p}]", "double" if port.double else "Scalar", "load" if port.packed else "get", e)
+            for p, port in enumerate(self.reads, len(self.carry))
+            for e, i in enumerate(port.ids)
+            if i != ZERO
+        }
+
+    def _stores(self) -> list[tuple[int, Access]]:
+        return [
+            (i, Access(f"out[{p}]", "bool" if port.truth else "Scalar", "mark" if port.truth else "write", e))
+            for p, port in enumerate(self.writes, len(self.carry))
+            for e, i in enumerate(port.ids)
+        ]

@@ -1,0 +1,251 @@
+"""A filter's step as expressions: traced once for one track, forwards and backwards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
+from typing import Any, NamedTuple, TypeVar
+
+import torch
+from torch import Tensor, nn
+
+import torchfra.compiler.operations  # noqa: F401  fills the table of operations that Entries look up
+from torchfra.compiler.copies import frozen, put_in_place
+from torchfra.compiler.entries import Entries, as_entries, entry_ids
+from torchfra.compiler.expressions import ZERO, Expressions, TooManyError
+from torchfra.compiler.names import give
+from torchfra.compiler.refusals import gradient_refusals_of, refusals_of
+from torchfra.compiler.routines import called_for_each
+from torchfra.compiler.source import Port, Scan
+from torchfra.compiler.tangents import tangent
+from torchfra.compiler.trees import late
+from torchfra.linalg.tracing import elementary
+from torchfra.tree import flatten, paths, unflatten
+
+_MOST = 110_000
+"""A step of more expressions calls routines: it compiles in half the time and runs 1.2 times as long."""
+T = TypeVar("T")
+Caller = Callable[..., Any] | None
+"""How functions marked ``batchwise`` are run; None: like any other."""
+Advance = Callable[[Any, Any, dict[str, Any]], tuple[Any, Any]]
+"""From a module, its state and its inputs by name to the next state and the record of the step."""
+
+
+class Input(NamedTuple):
+    """An input of a step, for one track."""
+
+    shape: torch.Size
+    timed: bool
+    """Whether each step has its own value."""
+    value: bool
+    """Whether it is a parameter, a buffer or a number of the module (its name is then the path), and not data."""
+    double: bool = False
+    """Whether it is given in double precision to a step in single precision."""
+
+
+class Trace(NamedTuple):
+    """One step of one track, written down as expressions; nothing changes it."""
+
+    book: Expressions
+    """All expressions of the step."""
+    before: tuple[Entries, ...]
+    """Leaves of the state before the step."""
+    inputs: dict[str, Entries]
+    after: tuple[Entries, ...]
+    """Leaves of the state after the step."""
+    record: Any
+    """What the step returned besides the state: tuples of tensors."""
+    kept: tuple[Entries, ...]
+    """Leaves of the record."""
+
+
+class Step:
+    """One step of a filter for one track.
+
+    Every trace runs on a copy of the module of its own, so that several threads may trace the same step.
+
+    Args:
+        module: the filter; nobody may change it from here on (see ``frozen``).
+        begin: the state before the first step, from a module whose values are entries of a book, and that book.
+        advance: one step.
+        inputs: what each step reads besides the state, by name.
+        dtype: of all numbers.
+        repeated: whether it is one of many steps, so that records have time in front; or the only one.
+        last_first: whether it runs from the last step to the first.
+
+    Raises:
+        NotImplementedError: the step uses an operation that kernels do not have.
+    """
+
+    def __init__(
+        self,
+        module: nn.Module,
+        begin: Callable[[nn.Module, Expressions], Any],
+        advance: Advance,
+        inputs: Mapping[str, Input],
+        dtype: torch.dtype,
+        repeated: bool = True,
+        last_first: bool = False,
+    ) -> None:
+        self.module, self._advance, self.inputs = module, advance, inputs
+        self.dtype, self.repeated, self.last_first, self._large = dtype, repeated, last_first, False
+        with refusals_of(type(module).__name__), elementary(), torch.no_grad():
+            book = Expressions()
+            self.state = begin(self.copy_with(self.unknown(book)), book)
+        leaves = flatten(self.state)
+        if not all(x.is_floating_point() for x in leaves):
+            raise NotImplementedError(f"state: kernels carry floating point numbers, received {self.state}")
+        self.zero, self._plain = self._always_zero([as_entries(Expressions(), x.detach()).ids == ZERO for x in leaves])
+        self.record = self._plain.record
+
+    def unknown(self, book: Expressions) -> dict[str, Entries]:
+        """All inputs, of one track."""
+        return {name: Entries.inputs(book, x.shape, self.dtype) for name, x in self.inputs.items()}
+
+    def copy_with(self, inputs: Mapping[str, Entries]) -> nn.Module:
+        """A copy of the module that has these values: they may differ between tracks, and be set to others later."""
+        module = frozen(self.module)
+        for name in (name for name, kind in self.inputs.items() if kind.value):
+            put_in_place(module, name, inputs[name])
+        return module
+
+    def _always_zero(self, zero: list[Tensor]) -> tuple[list[Tensor], Trace]:
+        """The entries of the state that are 0 before the first step and stay 0, and a trace that knows it."""
+        while True:
+            trace = self._traced(partial(self._trace, zero))
+            self._large = bool(trace.book.calls)
+            still = [z & (after.ids == ZERO) for z, after in zip(zero, trace.after, strict=True)]
+            if all(map(torch.equal, still, zero)):
+                return zero, trace
+            zero = still
+
+    def _traced(self, make: Callable[[Expressions, Caller], T]) -> T:
+        """``make`` with a new book: without routines if at most ``_MOST`` expressions result, else with them."""
+        if not self._large:
+            with suppress(TooManyError):
+                return make(Expressions(_MOST), None)
+        return make(Expressions(), called_for_each)
+
+    def _trace(
+        self, zero: Sequence[Tensor], book: Expressions, caller: Caller = None, differentiable: bool = False
+    ) -> Trace:
+        before, inputs = carried(book, zero, self.dtype), self.unknown(book)
+        if differentiable:
+            for x in (*before, *inputs.values()):
+                x.requires_grad_()
+        module = self.copy_with(inputs)
+        data = {name: inputs[name] for name, kind in self.inputs.items() if not kind.value}
+        name = type(module).__name__
+        with refusals_of(name), elementary(caller), torch.set_grad_enabled(differentiable):
+            state, record = self._advance(module, unflatten(self.state, iter(before)), data)
+        after, kept = (tuple(as_entries(book, x) for x in flatten(tree)) for tree in (state, record))
+        for kind, leaves in (("", before), ("next.", after)):
+            _name(book, [kind + path for path in _paths(self.state, "state")], leaves)
+        _name(book, list(inputs), list(inputs.values()))
+        _name(book, _paths(record, "record"), kept)
+        if [x.shape for x in after] != [x.shape for x in zero]:
+            raise ValueError(f"state: expected a step to keep its form {self.state}, received {state}")
+        return Trace(book, before, inputs, after, record, kept)
+
+    def forwards(self, remembers: bool = False) -> Scan:
+        """Filters: reads the inputs, writes the record of each step; with ``remembers`` the state before it as well."""
+        ports = self._kept_ports(self._plain)
+        return self._scan(self._plain, ports + (_nonzero_ports(self._plain.before) if remembers else []))
+
+    def _kept_ports(self, trace: Trace) -> list[Port]:
+        ports = _ports(trace.kept, timed=self.repeated)
+        for port, is_late in zip(ports, late(trace.record), strict=True):
+            port.late = is_late and self.repeated
+        return ports
+
+    def trajectory(self) -> Scan:
+        """Filters again: writes the state before each step."""
+        return self._scan(self._plain, _nonzero_ports(self._plain.before))
+
+    def tangent(self, along: Sequence[str]) -> Scan:
+        """Filters, and carries derivatives along a direction of the state and of these inputs: see ``tangents``."""
+        whole = self._trace(self.zero, Expressions()) if self._large else self._plain
+        return tangent(
+            self._scan(whole, self._kept_ports(whole)), [k for k, name in enumerate(self.inputs) if name in along]
+        )
+
+    def _scan(self, trace: Trace, writes: list[Port]) -> Scan:
+        before, after = _ports(trace.before), _ports(trace.after)
+        return Scan(trace.book, before, after, self._reads(trace), writes, self.last_first, self.dtype)
+
+    def _reads(self, trace: Trace) -> list[Port]:
+        inputs = self.inputs.items()
+        return [Port(entry_ids(trace.inputs[name]), x.shape, x.timed, double=x.double) for name, x in inputs]
+
+    def backwards(self, graded: Sequence[bool], needed: Sequence[str]) -> Scan:
+        """The adjoint, which runs the other way.
+
+        Reads the inputs, the state before each step and the gradients of the record, where ``graded``.  Carries the
+        gradients of the state and of the ``needed`` inputs without time, and writes those of the inputs with time.
+        """
+        of = f"{type(self.module).__name__}, gradient of {', '.join(['the state', *needed])}"
+        adjoint = partial(self._traced, partial(self._adjoint, graded, needed))
+        with gradient_refusals_of(of, adjoint):
+            return adjoint()
+
+    def _adjoint(self, graded: Sequence[bool], needed: Sequence[str], book: Expressions, caller: Caller) -> Scan:
+        trace = self._trace(self.zero, book, caller, differentiable=True)
+        states = len(trace.before)
+        after = carried(book, self.zero, self.dtype)
+        kept = [x for x, wanted in zip(trace.kept, graded, strict=True) if wanted]
+        grads = [Entries.inputs(book, x.shape, self.dtype) for x in kept]
+        sources = [*trace.before, *(trace.inputs[name] for name in needed)]
+        with elementary(caller):
+            pulled = pullback(book, [*trace.after, *kept], [*after, *grads], sources)
+        stays = [g for g, name in zip(pulled[states:], needed, strict=True) if not self.inputs[name].timed]
+        timed = [g for g, name in zip(pulled[states:], needed, strict=True) if self.inputs[name].timed]
+        sums = [Entries.inputs(book, g.shape, self.dtype) for g in stays]
+        _name(book, [f"gradient.{path}" for path in _paths(self.state, "state")], after)
+        _name(book, [f"gradient.{name}" for name in needed if not self.inputs[name].timed], sums)
+        totals = [as_entries(book, a + b) for a, b in zip(sums, stays, strict=True)]
+        return Scan(
+            book,
+            _ports([*after, *sums]),
+            _ports(pulled[:states] + totals),
+            self._reads(trace) + _nonzero_ports(trace.before) + _ports(grads, timed=self.repeated),
+            _ports(timed, timed=True),
+            backwards=not self.last_first,
+            dtype=self.dtype,
+        )
+
+
+def carried(book: Expressions, zero: Sequence[Tensor], dtype: torch.dtype) -> tuple[Entries, ...]:
+    """What goes from step to step: unknown, but for the entries that are always 0."""
+    new = [Entries.inputs(book, z.shape, dtype).ids for z in zero]
+    return tuple(Entries(book, torch.where(z, ZERO, ids), dtype) for z, ids in zip(zero, new, strict=True))
+
+
+def pullback(
+    book: Expressions, outputs: Sequence[Entries], gradients: Sequence[Entries], sources: Sequence[Entries]
+) -> list[Entries]:
+    """Gradients of the sources, from those of the outputs."""
+    follows = [(x, g) for x, g in zip(outputs, gradients, strict=True) if x.requires_grad]
+    ends, pulls = zip(*follows, strict=True)
+    pulled = torch.autograd.grad(ends, sources, pulls, allow_unused=True)
+    return [as_entries(book, torch.zeros(x.shape) if g is None else g) for x, g in zip(sources, pulled, strict=True)]
+
+
+def _paths(tree: Any, whole: str) -> list[str]:
+    """Where the tensors of a tree are, for their names."""
+    return [f"{whole}.{path}".rstrip(".") if path[:4] in ("", "part") else path for path, _ in paths(tree)]
+
+
+def _name(book: Expressions, names: Sequence[str], tensors: Sequence[Entries]) -> None:
+    for name, x in zip(names, tensors, strict=True):
+        give(book, name, entry_ids(x), x.dim() == 0)
+
+
+def _ports(tensors: Sequence[Entries], *, timed: bool = False) -> list[Port]:
+    return [Port(entry_ids(x), x.shape, timed, truth=x.dtype == torch.bool) for x in tensors]
+
+
+def _nonzero_ports(tensors: Sequence[Entries]) -> list[Port]:
+    """Ports without the entries that are always 0."""
+    parts = [[i for i in entry_ids(x) if i != ZERO] for x in tensors]
+    return [Port(part, torch.Size([len(part)]), timed=True, packed=True) for part in parts]

@@ -1,0 +1,87 @@
+"""What kernels take down of a filter: its first state and its step, of one track."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra import tree
+from torchfra.compiler.ends import Ends
+from torchfra.compiler.entries import Entries
+from torchfra.compiler.expressions import Expressions
+from torchfra.compiler.step import Step
+from torchfra.gaussian.inputs import Frame, Measurements, Whole
+from torchfra.linalg.triangular import tria
+from torchfra.types import Cause, Estimate, Gaussian
+
+
+def begin(f: Any, book: Expressions, targets: Sequence[int] = ()) -> Any:
+    """The state before the first measurement, of scans that of so many ``targets``."""
+    n, dtype = f.motion.size, torch.float64
+    root = Entries.inputs(book, (*targets, n, n), dtype).ids.tril()
+    state = f.begin(Gaussian(Entries.inputs(book, (*targets, n), dtype), Entries(book, root, dtype)))
+    if f.home is f:
+        return state
+    # Steps of a view never change this memory, so that tracing would take it for constant zeros: it is unknown.
+    return f.remembering(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
+
+
+def ends(step: Step) -> Ends:
+    """From a prior with any root to the first state, and from what has been kept of each step to an estimate."""
+
+    def start(f: Any, mean: Tensor, root: Tensor) -> Any:
+        return f.begin(Gaussian(mean, tria(root)))
+
+    def finish(f: Any, state: Any, kept: Any) -> Estimate:
+        estimate: Estimate = f.estimate_of(state, kept)
+        return estimate
+
+    f: Any = step.module
+    return Ends(step, start, finish, f.motion.size, (-1, int(Cause.NONE)))
+
+
+@dataclass(frozen=True)
+class Keep:
+    """One step of ``forward``: ``past`` with what the way back needs, ``whole`` of scans that are."""
+
+    past: bool = False
+    whole: bool = False
+
+    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
+        """The next state, and what is kept."""
+        return f.keep(state, _frame(f, data, self.whole), past=self.past)
+
+
+@dataclass(frozen=True)
+class Observe:
+    """One step of ``step``, of scans that are ``whole`` or not."""
+
+    whole: bool = False
+
+    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
+        """The next state, and the innovation."""
+        return f.observe(state, _frame(f, data, self.whole))
+
+
+@dataclass(frozen=True)
+class Once:
+    """One step by a function of the filter, a state and a frame, of scans that are ``whole`` or not."""
+
+    function: Callable[[Any, Any, Frame], Any]
+    whole: bool = False
+
+    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
+        """What the function gives."""
+        return self.function(f, state, _frame(f, data, self.whole))
+
+
+def _frame(f: Any, data: dict[str, Tensor], whole: bool) -> Frame:
+    """The frame of one step of one track, or scene."""
+    measurements = Measurements(**data).as_track(scans=f.scans)
+    (frame,), _ = f._frames(Whole(*measurements) if whole else measurements, int(f.scans))
+    made: Frame = frame
+    return made

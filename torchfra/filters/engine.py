@@ -1,0 +1,212 @@
+"""How a filter runs: its step over time, forwards and backwards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, Protocol
+
+import torch
+
+from torchfra import tree
+from torchfra.filters.records import Kept, Smoothed
+from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
+from torchfra.types import Estimate, Gaussian, Innovation
+
+Function = Callable[[Any, Any, Frame], tuple[Any, Any]]
+"""From a filter, its state and a frame to the next state and what is said of the step."""
+
+
+class Engine(Protocol):
+    """What runs the steps of one filter.  A filter holds one and asks it; ``Filter.compile`` gives it another."""
+
+    def step(self, f: Any, state: Any, measurements: Measurements) -> tuple[Any, Innovation]:
+        """The state after one measurement, and its innovation; shapes and values are checked."""
+
+    def once(self, f: Any, function: Function, state: Any, measurements: Measurements) -> tuple[Any, Any]:
+        """What ``function(f, state, frame)`` gives for one measurement that has been checked."""
+
+    def scan(
+        self, f: Any, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
+        past: bool,
+    ) -> tuple[Any, Kept]:  # fmt: skip
+        """The state after all steps, and what ``f.keep`` keeps of each, time behind ``rank`` batch dimensions.
+
+        Args:
+            f: the filter.
+            state: before the first step.
+            measurements: of all steps, checked.
+            rank: batch dimensions.
+            checkpoint: steps between states that are kept for gradients; the steps between are computed again.
+            truncate: steps after which gradients flow no further back.
+            past: whether to keep what the backward pass needs.
+        """
+
+    def forward(
+        self, f: Any, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
+        past: bool,
+    ) -> tuple[Estimate, Any, Any]:  # fmt: skip
+        """Whole tracks from their prior: the estimate, and for a backward pass the last state and what is kept."""
+
+    def backward(
+        self, f: Any, past: Any, measurements: Measurements, rank: int, frames: Callable[[], Sequence[Frame]],
+        checkpoint: int | None, lag: int | None, truncate: int | None,
+    ) -> Smoothed:  # fmt: skip
+        """The backward pass over a ``past``, time behind ``rank`` batch dimensions.
+
+        Args:
+            f: the filter.
+            past: see ``Filter.past``.
+            measurements: of the forward pass.
+            rank: batch dimensions.
+            frames: makes those of the forward pass.
+            checkpoint: steps between states that are kept for gradients.
+            lag: steps after which measurements are no longer looked at; None for all there are.
+            truncate: steps after which gradients of the forward pass were cut.
+        """
+
+    def another(self) -> Engine:
+        """An engine of the same kind for another filter."""
+
+
+class Interpreted:
+    """Runs a filter in Python, one step after the other."""
+
+    def step(self, f: Any, state: Any, measurements: Measurements) -> tuple[Any, Innovation]:
+        """The state after one measurement, and its innovation."""
+        stepped: tuple[Any, Innovation] = f.observe(state, f._frame(state, measurements))
+        return stepped
+
+    def once(self, f: Any, function: Function, state: Any, measurements: Measurements) -> tuple[Any, Any]:
+        """What ``function(f, state, frame)`` gives for one measurement."""
+        (frame,), _ = f._frames(measurements.as_track(scans=f.scans), state.belief.mean.dim() - 1)
+        return function(f, state, frame)
+
+    def scan(
+        self, f: Any, state: Any, measurements: Measurements, rank: int, checkpoint: int | None,
+        truncate: int | None, past: bool,
+    ) -> tuple[Any, Kept]:  # fmt: skip
+        """The state after all steps, and what is kept of each."""
+        frames, log_norm = f._frames(measurements, rank)
+        state, records = scan(f.advance, state, frames, checkpoint, truncate)
+        needed = [r._replace(residual=None, evidence=None, past=r.past if past else None) for r in records]
+        stacked = tree.stack(needed, rank)
+        nis, log_likelihood = f._scores(stacked, log_norm.movedim(0, -1))
+        return state, Kept(stacked.belief, nis, log_likelihood, stacked.info, stacked.past)
+
+    def forward(
+        self, f: Any, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
+        past: bool,
+    ) -> tuple[Estimate, Any, Any]:  # fmt: skip
+        """Whole tracks from their prior."""
+        state, rank = f.begun(measurements, prior)
+        state, kept = self.scan(f, state, measurements, rank, checkpoint, truncate, past)
+        return f.estimate_of(state, kept), state, kept.past
+
+    def backward(
+        self, f: Any, past: Any, measurements: Measurements, rank: int, frames: Callable[[], Sequence[Frame]],
+        checkpoint: int | None, lag: int | None, truncate: int | None,
+    ) -> Smoothed:  # fmt: skip
+        """The backward pass."""
+        steps = frames()
+        *earlier, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(steps))
+        return sweep(f, [*earlier, f.decided(last)], steps, rank, checkpoint, lag, truncate)
+
+    def another(self) -> Engine:
+        """This one: it holds nothing of a filter."""
+        return self
+
+    def __reduce__(self) -> str | tuple[Any, ...]:
+        return "INTERPRETED"  # a copy of a filter has the same
+
+
+INTERPRETED = Interpreted()
+"""The engine of every filter that has not been compiled."""
+
+
+def scan(
+    step: Callable[[Any, Any], tuple[Any, Any]],
+    state: Any,
+    inputs: Sequence[Any],
+    checkpoint: int | None,
+    truncate: int | None = None,
+) -> tuple[Any, list[Any]]:
+    """The state after all steps, and what each has left behind.
+
+    Args:
+        step: from the state before it and its input.
+        state: before the first.
+        inputs: one for each step.
+        checkpoint: steps between states that are kept for gradients, where the steps between are computed again.
+        truncate: steps after which gradients flow no further back.
+    """
+
+    def stretch(state: Any, first: int, last: int) -> tuple[Any, list[Any]]:
+        records = []
+        for k in range(first, last):
+            if truncate is not None and k and k % truncate == 0:
+                state = tree.detach(state)
+            state, record = step(state, inputs[k])
+            records.append(record)
+        return state, records
+
+    if checkpoint is None or not torch.is_grad_enabled():
+        return stretch(state, 0, len(inputs))
+    from torch.utils.checkpoint import checkpoint as recompute  # before torch 2.11 it imports half of torch's compiler
+
+    records: list[Any] = []
+    for first in range(0, len(inputs), checkpoint):
+        last = min(first + checkpoint, len(inputs))
+        state, more = recompute(stretch, state, first, last, use_reentrant=False)
+        records += more
+    return state, records
+
+
+def sweep(
+    f: Any, past: Any, frames: Sequence[Frame], rank: int, checkpoint: int | None, lag: int | None,
+    truncate: int | None = None,
+) -> Smoothed:  # fmt: skip
+    """What the backward pass gives for all steps, stacked over time behind ``rank`` batch dimensions.
+
+    Args:
+        f: takes the steps.
+        past: of each step.
+        frames: one for each step.
+        rank: batch dimensions.
+        checkpoint: steps between states that are kept for gradients.
+        lag: steps after which measurements are no longer looked at; None for all there are.
+        truncate: steps after which gradients of the forward pass were cut.
+    """
+    carried = [tree.detach(x) if truncate and k % truncate == 0 else x for k, x in enumerate(past, 1)]
+    steps = [BackwardStep(*of) for of in zip(past[:-1], past[1:], frames[1:], carried[:-1], strict=True)]
+    state, end = f.last(past[-1])
+    if lag is None:
+        back = partial(_back, f)
+    else:
+        back, state = partial(_lagged, f), tree.stack([state] * lag, 0)
+    _, smoothed = scan(back, state, steps[::-1], checkpoint)
+    every: Smoothed = tree.stack([*smoothed[::-1], end], rank)
+    return every
+
+
+def _back(f: Any, after: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
+    stepped: tuple[Any, Smoothed] = f.retreat(step, after)
+    return stepped
+
+
+def _lagged(f: Any, window: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
+    """One step back of several states: ``window[l]`` knows the measurements up to ``l`` steps later.
+
+    What the newest of them has not decided yet is taken as it was at the step itself.
+    """
+    ahead = f.fresh(step.ahead)
+    if ahead is step.ahead:
+        before, smoothed = f.retreat(step, window)
+    else:
+        before, smoothed = f.retreat(step._replace(ahead=ahead), tree.map_tensors(lambda x: x[:1], window))
+        if len(tree.flatten(window)[0]) > 1:
+            older, smoothed = f.retreat(step, tree.map_tensors(lambda x: x[1:], window))
+            before = tree.map_tensors(lambda *xs: torch.cat(xs), before, older)
+    now, _ = f.last(f.fresh(step.past))
+    window = tree.map_tensors(lambda x, older: torch.cat([x.unsqueeze(0), older[:-1]]), now, before)
+    return window, tree.map_tensors(lambda x: x[-1], smoothed)
