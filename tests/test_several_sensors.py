@@ -305,7 +305,7 @@ def test_filters_that_are_of_one_sensor_say_why():
         ValueError, match="sensor: expected None, as gate and clutter are of the elements of one sensor"
     ):
         f.step(f.init(prior_of(f)), z, sensor=RADAR)
-    with pytest.raises(NotImplementedError, match="GPB: hypotheses of outliers are of one sensor on the way back"):
+    with pytest.raises(NotImplementedError, match="GPB: hypotheses of outliers are of one sensor in the backward pass"):
         made("gpb").smooth(measured(), prior_of(f), dt=DT, sensors=SENSORS, which=WHICH)
 
 
