@@ -1,55 +1,103 @@
-"""Importing the package imports torch, itself and no more: what is slow or optional is imported when it is used."""
+"""What is imported when: nothing before it is named, for a filter what filters need, what is slow when it is used."""
 
 import importlib
+import os
 import pkgutil
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 import torchfra
 
-CODE = """
+LIBRARY, TESTS = Path(torchfra.__file__).parent, Path(__file__).parent
+CORE = {
+    "adaptive", "angles", "association", "coordinates", "filters", "gaussian", "hyper", "linalg", "motion", "presets",
+    "robust", "sensors", "tables", "tree", "types", "version",
+}  # fmt: skip
+"""The parts of the package that a filter needs."""
+FILTER = """
+motion, sensor = torchfra.motion.ConstantVelocity(1.0, 2), torchfra.sensors.Position(torch.tensor([3.0, 3.0]), dims=2)
+prior = torchfra.Gaussian(torch.zeros(4), 10 * torch.eye(4))
+f = torchfra.presets.{preset}(motion, sensor)
+assert f.smooth(torch.ones(5, 2), prior).mean.isfinite().all()
+"""
+CODE = f"""
 import runpy, sys
-import torch
-before = set(sys.modules)
-
-def new():
-    found = set(sys.modules) - before
-    here = set(sys.stdlib_module_names) | {"torchfra", "torch", "numpy"}
-    others = {name for name in found if name.split(".")[0] not in here}
-    slow = {name for name in found if name.startswith(("torch._dynamo", "torch._inductor", "torch.distributed"))}
-    print("new:", *sorted(others | slow))
-
 import torchfra
-new()
+
+def loaded():
+    print("loaded:", *(name for name in sys.modules if name.split(".")[0] in ("torch", "numpy", "torchfra")))
+
+loaded()
 sys.argv = ["torchfra", "--help"]
 try:
     runpy.run_module("torchfra", run_name="__main__")
 except SystemExit as end:
     assert not end.code
-new()
-scenario = torchfra.scenarios.bearings_outliers()
-tracks = scenario.simulate(2, 0)
-f = torchfra.presets.srckf(scenario.motion, scenario.sensor)
-f(tracks.z[:, :3], tracks.prior, u=tracks.u[:3])
-print("new:", *{"sympy", "torch._dynamo"} & (set(sys.modules) - before))
-f.compile()(tracks.z[:, :3], tracks.prior, u=tracks.u[:3])
-print("new:", *(["torch._dynamo"] if "torch._dynamo" in sys.modules else []))
+loaded()
+import torch
+before = set(sys.modules)
+torchfra.presets
+here = set(sys.stdlib_module_names) | {{"torchfra", "torch", "numpy"}}
+slow = ("torch._dynamo", "torch._inductor", "torch.distributed")
+print("loaded:", *(name for name in set(sys.modules) - before
+                   if name.split(".")[0] not in here or name.startswith(slow)))
+{FILTER.format(preset="srckf")}
+print("loaded:", *{{"sympy", "torch._dynamo"}} & (set(sys.modules) - before))
+loaded()
+f.compile()(torch.ones(5, 2), prior)
+print("loaded:", *(["torch._dynamo"] if "torch._dynamo" in sys.modules else []))
 """
 
 
 @pytest.fixture(scope="module")
 def imported():
-    """What one process has imported after each of four steps."""
+    """What one process has imported after each of six steps."""
     done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True)
-    return [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("new:")]
+    return [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("loaded:")]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("step", [0, 1], ids=["the package", "its command"])
-def test_nothing_but_torch_and_itself_is_imported(step, imported):
-    assert imported[step] == []
+def test_importing_the_package_imports_nothing_but_its_version(imported):
+    assert imported[0] == ["torchfra.version", "torchfra"]
+
+
+def test_the_help_of_the_command_needs_neither_torch_nor_numpy(imported):
+    assert "torchfra.cli.main" in imported[1]
+    assert [name for name in imported[1] if not name.startswith("torchfra")] == []
+
+
+def test_filters_import_nothing_but_torch_and_the_package(imported):
+    assert imported[2] == []
+
+
+def test_a_filter_runs_without_symbolic_algebra_and_the_compiler_of_torch(imported):
+    assert imported[3] == []
+
+
+def test_a_filter_loads_what_filters_need_and_nothing_else(imported):
+    command = set(imported[1])  # which the help has loaded
+    parts = {name.split(".")[1] for name in set(imported[4]) - command if name.startswith("torchfra.")}
+    assert parts == CORE - {"tables", "version"}  # and those two
+
+
+def test_a_compiled_srckf_runs_without_the_compiler_of_torch(imported):
+    assert imported[5] == []
+
+
+# ---------------------------------------------------------------- names
+
+
+def test_every_name_at_the_top_is_there_and_is_shown():
+    assert {*torchfra.__all__, "__version__"} == set(dir(torchfra))
+    assert [name for name in dir(torchfra) if not hasattr(torchfra, name)] == []
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'torchfra' has no attribute 'preset'"):
+        torchfra.preset  # noqa: B018
 
 
 def test_no_function_hides_a_package_so_that_what_is_inside_can_be_imported():
@@ -64,12 +112,45 @@ def test_no_function_hides_a_package_so_that_what_is_inside_can_be_imported():
         assert getattr(importlib.import_module(above), last) is package, name
 
 
-def test_a_filter_runs_without_symbolic_algebra_and_the_compiler_of_torch(imported):
-    assert imported[2] == []
+# ---------------------------------------------------------------- a room that is gone
 
 
-def test_a_compiled_srckf_runs_without_the_compiler_of_torch(imported):
-    assert imported[3] == []
+@pytest.fixture(scope="module")
+def core(tmp_path_factory):
+    """Runs Python beside copies of the tests and of the package; no part of it is left but those that filters need."""
+    root = tmp_path_factory.mktemp("core")
+    for folder in (LIBRARY, TESTS):
+        shutil.copytree(folder, root / folder.name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(TESTS.parent / "pyproject.toml", root)
+    gone = [path for path in (root / "torchfra").iterdir() if path.stem not in CORE | {"__init__", "py"}]
+    for path in gone:
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    assert {"cleaning", "cli", "fitting", "readers", "scenarios", "stream", "targets"} <= {path.stem for path in gone}
+
+    def run(*arguments):
+        environment = os.environ | {"PYTHONPATH": str(root)}
+        return subprocess.run(
+            [sys.executable, *arguments], cwd=root, env=environment, capture_output=True, text=True, check=False
+        )
+
+    return run
+
+
+def test_filters_run_where_every_part_that_they_do_not_need_is_deleted(core):
+    lines = "".join(FILTER.format(preset=preset) for preset in ("gpb", "fra", "hghckf", "iaukf"))
+    done = core("-c", f"import torch, torchfra{lines}print(torchfra.presets.jpda, torchfra.__file__)")
+    assert done.returncode == 0, done.stderr
+    assert str(LIBRARY) not in done.stdout
+
+
+@pytest.mark.slow
+def test_tests_of_filters_pass_where_every_part_that_they_do_not_need_is_deleted(core):
+    files = [f"tests/test_{name}.py" for name in ("camera", "own_sides", "predict")]
+    done = core("-m", "pytest", "--noconftest", "-p", "no:cacheprovider", *files)
+    assert done.returncode == 0, done.stdout
+
+
+# ---------------------------------------------------------------- systems
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Imports of the library run downwards only, and its parts are small."""
+"""Imports of the library run downwards only, and matplotlib is imported by what draws alone."""
 
 import ast
 import importlib.util

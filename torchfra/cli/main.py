@@ -11,7 +11,7 @@ from torchfra.cli.command import exit_status, make_parser
 from torchfra.version import __version__
 
 COMMANDS = {"track": "clean a recorded track", "compare": "run a batch of tracks through several filters"}
-"""What each command does, in a line; its options and its work are in ``torchfra.cli.NAME_command``."""
+"""What each command does, in a line; its options and its work are in a module beside this, ``track_command`` say."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
