@@ -1,16 +1,30 @@
 #!/usr/bin/env bash
-# Lint, types and tests, in an environment of their own.  Arguments go to pytest.
+# Lint, types and tests, in an environment of their own.  Other arguments go to pytest.
+what=
 for argument; do
   case $argument in
     -h | --help)
-      echo "usage: bash scripts/test.sh [ARGUMENT ...]    arguments go to pytest"
-      echo "All tests take a quarter of an hour on two cores; -m 'not slow' leaves out those of more than a second: five minutes."
+      echo "usage: bash scripts/test.sh [--quick | --all] [ARGUMENT ...]    arguments go to pytest"
+      echo "What has to pass before a commit, in five minutes on two cores; --quick: a core, in half a minute; --all: every test."
       exit ;;
+    --quick | --all)
+      [ -z "$what" ] || { echo "test: expected one of --quick and --all, received both or one twice" >&2; exit 2; }
+      what=$argument ;;
   esac
 done
+arguments=()
+for argument; do [[ $argument = --quick || $argument = --all ]] || arguments+=("$argument"); done
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh" dev
 ruff check .
 ruff format --check .
-mypy --strict
+case $what in
+  --quick)
+    # Square roots and their gradients, and filters against what is written in numpy from their papers alone.
+    arguments=(-m "not slow" tests/test_{tria,oracles,gpb_oracle,imm,states}.py "${arguments[@]}") ;;
+  --all) mypy --strict ;;
+  *)
+    mypy --strict
+    arguments=(-m "not slow" "${arguments[@]}") ;;
+esac
 # One worker for each core, which takes over tests of another where it has none left, and one thread for each worker.
-OMP_NUM_THREADS=1 pytest -n auto --dist worksteal "$@"
+OMP_NUM_THREADS=1 pytest -n auto --dist worksteal "${arguments[@]}"

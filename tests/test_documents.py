@@ -6,6 +6,7 @@ import functools
 import importlib.util
 import io
 import json
+import os
 import pkgutil
 import re
 import shlex
@@ -28,6 +29,7 @@ pytestmark = pytest.mark.usefixtures("short_tracks", "rough_figures")  # with wh
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = [
     ROOT / "README.md",
+    ROOT / ".github/CONTRIBUTING.md",
     *(p for d in ("torchfra", "train", "scripts") for p in sorted((ROOT / d).rglob("README.md"))),
 ]
 NAMES = [str(path.relative_to(ROOT)) for path in DOCUMENTS]
@@ -35,7 +37,9 @@ WORDS = 1200
 """The most that README.md may have."""
 
 STARTS = ("python scripts/", "python -m train.", "python -m torchfra", "torchfra ", "torchrun ", "bash scripts/")
-SETUP = ("pip install ", "python -m pip install ", "git clone ", "cd ", "python3 -m venv ", "source ")
+SETUP = (
+    "pip install ", "python -m pip install ", "pre-commit install", "git clone ", "cd ", "python3 -m venv ", "source ",
+)  # fmt: skip
 """Commands that prepare a machine, which are not run here."""
 
 SMALL = {
@@ -313,7 +317,8 @@ def understood(line, flights):
     words = shlex.split(line)
     if "train.tune" in words:  # of torchrun, one process: two are in test_train.py
         assert words[0] in ("python", "torchrun")
-        assert words[0] == "python" or shutil.which("torchrun")
+        beside = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"  # the environment need not be active
+        assert words[0] == "python" or shutil.which("torchrun", path=beside)
         words = words[words.index("train.tune") + 1 :]
         return tune.main, [w.replace("RUN", "fra_bearings") for w in small_training(words, flights)], False
     if words[:3] == ["python", "-m", "torchfra"]:

@@ -17,7 +17,8 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 WORK = ROOT / "out" / "docs-work"
 PAGES = {
-    "README.md": "start", "CHANGELOG.md": "changelog", "train/README.md": "learning",
+    "README.md": "start", "CHANGELOG.md": "changelog", ".github/CONTRIBUTING.md": "contributing",
+    "train/README.md": "learning",
     "scripts/results/README.md": "results", "torchfra/filters/README.md": "choosing",
     "torchfra/stream/README.md": "streaming", "torchfra/targets/README.md": "targets",
     "torchfra/cleaning/README.md": "cleaning", "torchfra/compiler/README.md": "performance",
@@ -26,7 +27,9 @@ PAGES = {
     "torchfra/adapters/README.md": "adapters",
 }  # fmt: skip
 """The page that includes a file which others link to."""
-SECTIONS = {"#smoothing": "smoothing", "#your-own-motion": "models", "#your-own-sensor": "models"}
+SECTIONS = {
+    "#smoothing": "smoothing", "#your-own-motion": "models", "#your-own-sensor": "models", "#your-own-weight": "models",
+}  # fmt: skip
 """Sections of the filters' file that have a page of their own."""
 
 
