@@ -10,6 +10,7 @@ from torchfra.filters.fixed_lag import FixedLag, FixedLagState
 from torchfra.filters.fra import FRA
 from torchfra.filters.gpb import GPB, GPBInfo, GPBState, Qualities, Regimes
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
+from torchfra.filters.records import Record, Smoothed
 from torchfra.filters.scans.hypotheses import JPDAInfo, JPDAState
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.smoothing import SmoothInfo
@@ -40,8 +41,10 @@ __all__ = [
     "JPDAInfo",
     "JPDAState",
     "Qualities",
+    "Record",
     "Regimes",
     "SmoothInfo",
+    "Smoothed",
     "State",
     "VSIMMInfo",
     "VSIMMState",
