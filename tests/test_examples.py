@@ -32,8 +32,8 @@ def numbers(pattern, text):
     return [float(x) for match in re.findall(pattern, text) for x in ([match] if isinstance(match, str) else match)]
 
 
-def test_there_are_twelve_numbered_examples_of_80_lines_or_fewer():
-    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 13)]
+def test_the_examples_are_numbered_and_have_80_lines_or_fewer():
+    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 14)]
     assert all(len(path.read_text().splitlines()) <= 80 for path in EXAMPLES.values())
 
 
@@ -166,3 +166,14 @@ def test_two_processes_learn_what_one_learns(capsys, tmp_path):
     run_in_two(example.main, small, tmp_path / "out")
     assert numbers(r" ([\d.]+)", (tmp_path / "out").read_text()) == pytest.approx(alone, rel=1e-6)
     assert len(alone) == 4
+
+
+def test_a_filter_of_three_functions_smooths_lags_learns_and_compiles(capsys):
+    load("13_own_filter").main()
+    text = capsys.readouterr().out
+    error = dict(re.findall(r"(\S.*?) +position RMSE +([\d.]+) m", text))
+    assert error["own"] == error["vmap"] == error["compiled"]
+    plain, own, smoothed, lag, learned = (float(error[k]) for k in ("srckf", "own", "smoothed", "lag of 5", "learned"))
+    assert max(smoothed, lag) < 0.7 * own < 0.6 * plain
+    assert learned <= own
+    assert float(text.split()[-1]) < 1e-9

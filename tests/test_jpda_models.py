@@ -319,7 +319,7 @@ def test_what_cannot_be_followed_is_named_with_its_reason():
         (
             presets.alphabeta,
             ConstantVelocity(1.0),
-            "expected an SRCKF of one motion, IMM or VSIMM of several",
+            "expected an SRCKF of one motion, IMM of several",
         ),
         (SRCKF, PAIR, "expected an SRCKF of one motion"),
     ):

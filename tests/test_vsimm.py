@@ -46,7 +46,7 @@ def test_sets_are_those_of_the_rule_for_every_set_and_many_probabilities():
     for first in itertools.permutations(range(5), 3):
         mu = g.dirichlet([0.3] * 3, 20)
         active = torch.eye(5, dtype=torch.float64)[list(first)].expand(20, 3, 5)
-        chosen, goes_on = f.choose(active, torch.from_numpy(mu).log())
+        chosen, goes_on = f.subset.choose(active, torch.from_numpy(mu).log())
         for k in range(20):
             expected = oracles.likely_set(dict(zip(first, mu[k], strict=True)), 3, 0.05, 0.5, CALLS)
             found = chosen[k].argmax(-1).tolist()
@@ -83,7 +83,7 @@ def between(f, was, now):
     """The transition between two sets, given by models in their places."""
     eye = torch.eye(5, dtype=torch.float64)
     goes_on = torch.tensor([float(model in now) for model in was], dtype=torch.float64)
-    return f.matrix(eye[list(was)], eye[list(now)], goes_on)
+    return f.subset.matrix(f.transition, eye[list(was)], eye[list(now)], goes_on)
 
 
 def test_the_whole_bank_as_set_is_an_imm():
@@ -152,12 +152,12 @@ def test_what_does_not_fit_is_named():
     with pytest.raises(ValueError, match="neighbours, first: expected both, or a Bank that has them"):
         presets.vsimm_srckf(bank(), SENSOR)
     with pytest.raises(ValueError, match="neighbours: expected one list for each of 5"):
-        make(neighbours=[[1], [0]])
+        make(neighbours=[[1], [0]], first=(0, 1))
     with pytest.raises(ValueError, match="neighbours: expected numbers from 0 to 4"):
         make(neighbours=[[1, 7], [2], [3], [4], [0]])
     with pytest.raises(ValueError, match="neighbours: expected at most 2 for each"):
         make(neighbours=[[1, 2, 3], [2], [3], [4], [0]])
-    with pytest.raises(ValueError, match="first: expected 2 to 5 different models"):
+    with pytest.raises(ValueError, match="first: expected 2 to 5 of the models in neighbours"):
         make(first=(0, 0, 1))
     with pytest.raises(ValueError, match="0 <= unlikely < principal < 1"):
         make(unlikely=0.6)

@@ -10,11 +10,12 @@ from torchfra.filters.fixed_lag import FixedLag, FixedLagState
 from torchfra.filters.fra import FRA
 from torchfra.filters.gpb import GPB, GPBInfo, GPBState, Outliers, Regimes
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
+from torchfra.filters.likely_models import LikelyModels
+from torchfra.filters.records import Record, Smoothed
 from torchfra.filters.scans.hypotheses import JPDAInfo, JPDAState
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.smoothing import SmoothInfo
 from torchfra.filters.srckf import SRCKF, Info, State
-from torchfra.filters.vsimm import VSIMM, VSIMMInfo, VSIMMState
 
 __all__ = [
     "FRA",
@@ -22,7 +23,6 @@ __all__ = [
     "IMM",
     "JPDA",
     "SRCKF",
-    "VSIMM",
     "Ahead",
     "AlphaBeta",
     "AlphaBetaBank",
@@ -39,10 +39,11 @@ __all__ = [
     "Info",
     "JPDAInfo",
     "JPDAState",
+    "LikelyModels",
     "Outliers",
+    "Record",
     "Regimes",
     "SmoothInfo",
+    "Smoothed",
     "State",
-    "VSIMMInfo",
-    "VSIMMState",
 ]

@@ -47,3 +47,9 @@ def _together(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] = ()
     if len(log_weights) > 1:
         return moment_match(beliefs, log_weights, angles)
     return Gaussian(beliefs.mean[0], beliefs.scale_tril[0])
+
+
+def only(belief: Gaussian) -> tuple[Gaussian, Tensor]:
+    """A belief ``(..., n)`` as the only hypothesis ``(1, ..., n)``, and the log of its weight."""
+    mean, root = (x.unsqueeze(0) for x in belief)
+    return Gaussian(mean, root), torch.zeros_like(mean[..., 0])

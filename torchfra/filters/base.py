@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from typing_extensions import Self, TypeVar
 
 from torchfra.adaptive.fading import NoFading
-from torchfra.filters.ahead import Ahead, look_ahead
+from torchfra.filters.ahead import Ahead, look_ahead, only
 from torchfra.filters.checks import check_lengths, check_models, check_state, check_step
 from torchfra.filters.engine import INTERPRETED, Engine
 from torchfra.filters.failures import diagnosed
@@ -104,10 +104,11 @@ class Filter(nn.Module, Generic[S]):
         """The state that a belief of full batch and triangular root makes; it has a ``belief``."""
         raise TypeError(f"{type(self).__name__} needs a begin")
 
-    def advance(self, state: S, frame: Frame, mix: Mix | None = None) -> tuple[S, Record]:
+    def advance(self, state: S, frame: Frame) -> tuple[S, Record]:
         """One step on a prepared frame: the next state and what to keep of the step.
 
-        ``mix``, if there is one, makes another belief of the one that the step starts from: interacting models do.
+        A filter that says ``mixes`` has one more argument, ``mix``: what makes another belief of the one that the step
+        starts from, as interacting models do.
         """
         raise TypeError(f"{type(self).__name__} needs an advance")
 
@@ -148,11 +149,10 @@ class Filter(nn.Module, Generic[S]):
         """A state after a measurement of another sensor, with what the one ``before`` remembers."""
         return state
 
-    def predict_hypotheses(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
-        """The only hypothesis of the state after a step, and the log of its weight."""
-        belief = self.predicted(state.belief, frame).belief
-        mean, root = (x.unsqueeze(0) for x in belief)
-        return Gaussian(mean, root), torch.zeros_like(mean[..., 0])
+    def predict_hypotheses(self, state: S, frame: Frame) -> tuple[Gaussian, Tensor]:
+        """Hypotheses ``(K, ..., n)`` of the state after a step with nothing measured, and logs of their weights."""
+        _, record = self.advance(state, frame)
+        return only(self.finish(state, record.belief, None)[0])
 
     def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """What is measured, less what hypotheses ``(K, ..., n)`` expect: ``(K, ..., m)`` in units of the noise."""
@@ -174,7 +174,7 @@ class Filter(nn.Module, Generic[S]):
             state: after the last step; None of a filter that keeps no past.
             steps: ``Record.past`` of all steps; None likewise.
         """
-        return Past(belief, getattr(info, "fading", None))
+        return Past(belief, None, info=info)
 
     def fresh(self, past: Any) -> Any:
         """The past of a step as it was at the step itself, before a later measurement decided anything of it."""
@@ -215,8 +215,8 @@ class Filter(nn.Module, Generic[S]):
         repaired = None if step.repaired is None else step.repaired.expand(mean.shape[:-1])
         return Smoothed(Gaussian(self.motion.canonical(mean), root), repaired=repaired)
 
-    def carry(self, belief: Gaussian, frame: Frame, factor: Tensor | None) -> Carried:
-        """A belief carried over a step, with the fading factor ``(...)`` that was chosen."""
+    def carry(self, belief: Gaussian, frame: Frame, factor: Tensor | None = None) -> Carried:
+        """A belief carried over a step, with the fading factor ``(...)`` that was chosen, if any."""
         ahead = propagate(self.motion, self.motion_rule, belief, frame)
         return ahead if factor is None else ahead._replace(spread=self.fading.stretch(ahead.spread, factor))
 
@@ -405,7 +405,10 @@ class Filter(nn.Module, Generic[S]):
 
         Raises:
             ValueError: a shape or a value that does not fit.
+            NotImplementedError: of a filter of scans.
         """
+        if self.scans:
+            raise NotImplementedError(f"{type(self).__name__} has no predict: in a scan many measurements are expected")
         f = self.with_sensor(sensor)
         check_state(f, state)
         mean = state.belief.mean

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Collection
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 
 from torchfra import tree
-from torchfra.filters.base import Filter, Mix, S
+from torchfra.filters.base import Filter, Mix
 from torchfra.filters.hindsight import Models, ModelsPast, ModelsStep, remembered, retreat, together
 from torchfra.filters.interaction import (
     as_stay,
@@ -22,6 +23,7 @@ from torchfra.filters.interaction import (
     held,
     interaction,
 )
+from torchfra.filters.likely_models import LikelyModels, of_active
 from torchfra.filters.records import Record, Smoothed
 from torchfra.gaussian.inputs import BackwardStep, Frame
 from torchfra.gaussian.mixture import models_first, repeated
@@ -40,28 +42,61 @@ class IMMState(NamedTuple):
     """Of their filters, whose batch ends in the models: ``(..., K)``."""
     log_weights: Tensor
     """``(..., K)`` logs of the models' probabilities."""
+    active: Tensor | None = None
+    """``(..., A, K)`` one in each row: which models run, where A of the bank do; above they then stand for K."""
 
 
 class IMMInfo(NamedTuple):
     """Per step and track."""
 
     probabilities: Tensor
-    """``(..., T, K)`` of the models."""
+    """``(..., T, K)`` of the models, 0 of those that do not run."""
+    active: Tensor | None = None
+    """``(..., T, K)`` bool: the models that run, where not all do."""
 
 
-class MultipleModelFilter(Filter[S]):
-    """Abstract: a filter around another that runs all models of a ``Bank`` in one batched call.
+class IMM(Filter[IMMState]):
+    """Interacting multiple models over any filter of this package, in the log domain and in square-root form.
 
     Args:
-        inner: that other; a copy of it runs here, with the copy's motion and sensor.
+        inner: a filter around a ``Bank`` of K motions, of which a copy runs here; all K run in one batched call.
+        transition: ``(K, K)``, ``transition[i, j] = P(now j | was i)``, rows that sum to one; it learns as
+            ``transition``, row by row on the simplex.
+        stay: instead, of two models or more: the self-transition probability of every model, from ``1 / K`` to below 1;
+            the others share the rest evenly.  It learns as ``stay``, one number, and takes less time, the less the more
+            models there are.
+        initial: ``(K,)`` probabilities before the first step; all the same if None.
+        subset: which models run, where not all do, which needs a ``transition`` above 0 and linear motions; None for
+            all.  Those that run share a row out: a model that goes on keeps its self-transition probability, and the
+            rest (of one that goes, all) is divided in proportion.
+
+    The models are the last dimension of the inner filter's batch; its hyperparameters are those of a track, or of all.
+
+    A robust filter judges its models under the noise that it has assumed after down-weighting: or one outlier would
+    decide which model holds.
+
+    ``Estimate.nis`` and the innovation are those of the Gaussian with the moments of all models' predictions,
+    ``log_likelihood`` is that of their mixture.
 
     Raises:
-        ValueError: it has no bank, or is one whose models cannot be mixed from outside: ``GPB``, another of these.
+        ValueError: no bank, or a filter whose models cannot be mixed from outside (``GPB``, another of these);
+            ``transition`` and ``stay`` both or neither, a matrix that is no transition, a model that can never be
+            reached, or a ``stay`` out of its range; a subset of other models, or beside what does not go with it.
+
+    Source: Blom & Bar-Shalom (1988); Du & Zhang (2020), eqs. (5)-(11).  Differs: no probability has a floor.
     """
 
     keeps_past = True
 
-    def __init__(self, inner: Filter) -> None:
+    transition: Hyper | None
+    """None if the filter was made with ``stay``."""
+    stay: Hyper | None
+    """None if the filter was made with ``transition``."""
+
+    def __init__(
+        self, inner: Filter, *, transition: Value | None = None, stay: Value | None = None,
+        initial: Value | None = None, subset: LikelyModels | None = None,
+    ) -> None:  # fmt: skip
         super().__init__()
         if not isinstance(inner.motion, Bank) or not getattr(inner, "mixes", False):
             received = f"{type(inner).__name__} around {type(inner.motion).__name__}"
@@ -72,6 +107,19 @@ class MultipleModelFilter(Filter[S]):
             if part is not self.inner.motion and part is not self.inner.sensor:
                 for hyper in hypers(part).values():
                     hyper.shared_dims = 1  # all models share the values of their track
+        count = len(self.motion)
+        if (transition is None) == (stay is None):
+            received = "neither" if stay is None else "both"
+            raise ValueError(f"transition, stay: expected one of the two, received {received}")
+        if subset is not None:
+            subset.check(self.motion, transition, initial)
+        initial = torch.full((count,), 1 / count, dtype=torch.float64) if initial is None else torch.as_tensor(initial)
+        if initial.shape[-1:] != (count,):
+            raise ValueError(f"initial: expected ({count},), received {tuple(initial.shape)}")
+        self.transition = None if transition is None else as_transition(count, transition)
+        self.stay = None if stay is None else as_stay(count, stay)
+        self.initial = None if subset else Hyper(initial.double(), constraints.simplex, event_dim=1, name="initial")
+        self.subset = subset
 
     @property
     def motion(self) -> Bank:  # type: ignore[override]
@@ -91,13 +139,71 @@ class MultipleModelFilter(Filter[S]):
         """A state whose models remember what those of the one ``before`` do."""
         return state._replace(inner=self.inner.remembering(state.inner, before.inner))
 
-    def lead(self, state: Any, frame: Frame) -> tuple[Tensor, Mix, Frame]:
-        """Logs ``(..., K)`` of the models' probabilities in a step, what mixes them for it, and its frame for each."""
-        raise TypeError(f"{type(self).__name__} needs a lead to predict")
+    def begin(self, belief: Gaussian) -> IMMState:
+        """The state of a belief: the same for each model."""
+        batch = belief.mean.shape[:-1]
+        if self.subset is not None:
+            active = self.subset.begin(belief.mean)
+            count = active.shape[-2]
+            even = belief.mean.new_full((*batch, count), -math.log(count))
+            return IMMState(belief, self.inner.begin(repeated(belief, count)), even, active)
+        count = len(self.motion)
+        assert self.initial is not None
+        initial = self.initial(belief.mean).log().expand((*batch, count))
+        return IMMState(belief, self.inner.begin(repeated(belief, count)), initial)
+
+    def advance(self, state: IMMState, frame: Frame, mix: Mix | None = None) -> tuple[IMMState, Record]:
+        """One step; ``mix`` is not looked at, as this filter mixes itself."""
+        predicted, interact, frame, active = self.lead(state, frame)
+        inner, log_weights, record = cycle(self.inner, state.inner, predicted, interact, frame)
+        info = IMMInfo(log_weights.exp())
+        if active is not None:
+            info = IMMInfo((info.probabilities.unsqueeze(-2) @ active).squeeze(-2), active.sum(-2) > 0)
+        record = record._replace(info=info, past=record.past._replace(active=active))
+        return IMMState(record.belief, inner, log_weights, active), record
+
+    def lead(self, state: IMMState, frame: Frame) -> tuple[Tensor, Mix, Frame, Tensor | None]:
+        """Logs ``(..., K)`` of the models' probabilities in a step, what mixes them, frames, and which models run."""
+        before, motion = state.log_weights, self.motion
+        if self.subset is not None:
+            active, matrix = self.subset(state.active, before, frame.dt, self.transition)
+            return *interaction(before, matrix, motion), of_active(for_each_model(frame), active), active
+        if self.stay is None:
+            interacting = interaction(before, held(self.matrix(before).log(), frame.dt), motion)
+        else:
+            interacting = even_interaction(state, self.stay(), frame.dt, motion)
+        return *interacting, for_each_model(frame), None
+
+    def matrix(self, like: Tensor | None = None) -> Tensor:
+        """The transition ``(..., K, K)``, ``[was, now]``, with the dtype and on the device of ``like`` if not None."""
+        if self.transition is not None:
+            return self.transition(like)  # type: ignore[no-any-return]
+        assert self.stay is not None
+        stay, count = self.stay()[..., None, None], len(self.motion)
+        same = torch.eye(count, dtype=torch.bool, device=stay.device)
+        matrix = torch.where(same, stay, (1 - stay) / (count - 1))
+        return matrix if like is None else matrix.to(like)
+
+    def have_rows(self) -> None:
+        """Makes a ``transition`` of ``stay``, in place, whose rows can learn."""
+        if self.stay is not None:
+            shared, self.stay.shared_dims = self.stay.shared_dims, 0
+            self.transition = as_transition(len(self.motion), self.matrix().detach())
+            self.transition.shared_dims, self.stay = shared, None
+
+    def provide(self, names: Collection[str]) -> None:
+        """Has rows if their name is among these."""
+        if "transition" in names:
+            self.have_rows()
+
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
+        if f"{prefix}transition.raw" in state_dict:
+            self.have_rows()
+        super()._load_from_state_dict(state_dict, prefix, *args)
 
     def predict_hypotheses(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
         """A hypothesis ``(K, ..., n)`` of the state after a step for each model, and logs of their weights."""
-        log_weights, interact, frame = self.lead(state, frame)
+        log_weights, interact, frame, _ = self.lead(state, frame)
         belief = self.inner.predicted(interact(state.inner.belief), frame).belief
         return models_first(belief), log_weights.movedim(-1, 0)
 
@@ -109,7 +215,12 @@ class MultipleModelFilter(Filter[S]):
 
     def matrix_back(self, step: BackwardStep, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
-        raise TypeError(f"{type(self).__name__} needs a matrix_back to smooth")
+        if self.subset is None:
+            return held(self.matrix(like).log(), step.frame.dt), for_each_model(step.frame)
+        was, now = step.past.active, step.ahead.active
+        goes_on = (was * now).sum(-1)  # a model that goes on keeps its place
+        matrix = held(self.subset.matrix(self.transition, was, now, goes_on).log(), step.frame.dt)
+        return matrix, of_active(for_each_model(step.frame), now)
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: ModelsStep) -> ModelsPast:
         """What every model knew at each step."""
@@ -143,104 +254,3 @@ class MultipleModelFilter(Filter[S]):
         matrix, frame = self.matrix_back(step, after.log_weights)
         models = retreat(self.inner, BackwardStep(step.past, step.ahead.inner, frame, step.carried), matrix, after)
         return models, together(models, step.past.active, self.motion)
-
-
-class IMM(MultipleModelFilter[IMMState]):
-    """Interacting multiple models over any filter of this package, in the log domain and in square-root form.
-
-    Args:
-        inner: a filter around a ``Bank`` of K motions, of which a copy runs here; all K run in one batched call.
-        transition: ``(K, K)``, ``transition[i, j] = P(now j | was i)``, rows that sum to one; it learns as
-            ``transition``, row by row on the simplex.
-        stay: instead, of two models or more: the self-transition probability of every model, from ``1 / K`` to below 1;
-            the others share the rest evenly.  It learns as ``stay``, one number, and takes less time, the less the more
-            models there are.
-        initial: ``(K,)`` probabilities before the first step; all the same if None.
-
-    The models are the last dimension of the inner filter's batch; its hyperparameters are those of a track, or of all.
-
-    A robust filter judges its models under the noise that it has assumed after down-weighting: or one outlier would
-    decide which model holds.
-
-    ``Estimate.nis`` and the innovation are those of the Gaussian with the moments of all models' predictions,
-    ``log_likelihood`` is that of their mixture.
-
-    Raises:
-        ValueError: no bank, ``transition`` and ``stay`` both or neither, a matrix that is no transition, a model that
-            can never be reached, or a ``stay`` out of its range.
-
-    Source: Blom & Bar-Shalom (1988); Du & Zhang (2020), eqs. (5)-(11).  Differs: no probability has a floor.
-    """
-
-    transition: Hyper | None
-    """None if the filter was made with ``stay``."""
-    stay: Hyper | None
-    """None if the filter was made with ``transition``."""
-
-    def __init__(
-        self, inner: Filter, *, transition: Value | None = None, stay: Value | None = None,
-        initial: Value | None = None,
-    ) -> None:  # fmt: skip
-        super().__init__(inner)
-        count = len(self.motion)
-        if (transition is None) == (stay is None):
-            received = "neither" if stay is None else "both"
-            raise ValueError(f"transition, stay: expected one of the two, received {received}")
-        initial = torch.full((count,), 1 / count, dtype=torch.float64) if initial is None else torch.as_tensor(initial)
-        if initial.shape[-1:] != (count,):
-            raise ValueError(f"initial: expected ({count},), received {tuple(initial.shape)}")
-        self.transition = None if transition is None else as_transition(count, transition)
-        self.stay = None if stay is None else as_stay(count, stay)
-        self.initial = Hyper(initial.double(), constraints.simplex, event_dim=1, name="initial")
-
-    def begin(self, belief: Gaussian) -> IMMState:
-        """The state of a belief: the same for each model."""
-        count = len(self.motion)
-        initial = self.initial(belief.mean).log().expand((*belief.mean.shape[:-1], count))
-        return IMMState(belief, self.inner.begin(repeated(belief, count)), initial)
-
-    def advance(self, state: IMMState, frame: Frame, mix: Mix | None = None) -> tuple[IMMState, Record]:
-        """One step; ``mix`` is not looked at, as this filter mixes itself."""
-        inner, log_weights, record = cycle(self.inner, state.inner, *self.lead(state, frame))
-        record = record._replace(info=IMMInfo(log_weights.exp()))
-        return IMMState(record.belief, inner, log_weights), record
-
-    def lead(self, state: Any, frame: Frame) -> tuple[Tensor, Mix, Frame]:
-        """Logs ``(..., K)`` of the models' probabilities in a step, what mixes them for it, and its frame for each."""
-        before, motion = state.log_weights, self.motion
-        if self.stay is None:
-            interacting = interaction(before, held(self.matrix(before).log(), frame.dt), motion)
-        else:
-            interacting = even_interaction(state, self.stay(), frame.dt, motion)
-        return *interacting, for_each_model(frame)
-
-    def matrix(self, like: Tensor | None = None) -> Tensor:
-        """The transition ``(..., K, K)``, ``[was, now]``, with the dtype and on the device of ``like`` if not None."""
-        if self.transition is not None:
-            return self.transition(like)  # type: ignore[no-any-return]
-        assert self.stay is not None
-        stay, count = self.stay()[..., None, None], len(self.motion)
-        same = torch.eye(count, dtype=torch.bool, device=stay.device)
-        matrix = torch.where(same, stay, (1 - stay) / (count - 1))
-        return matrix if like is None else matrix.to(like)
-
-    def have_rows(self) -> None:
-        """Makes a ``transition`` of ``stay``, in place, whose rows can learn."""
-        if self.stay is not None:
-            shared, self.stay.shared_dims = self.stay.shared_dims, 0
-            self.transition = as_transition(len(self.motion), self.matrix().detach())
-            self.transition.shared_dims, self.stay = shared, None
-
-    def provide(self, names: Collection[str]) -> None:
-        """Has rows if their name is among these."""
-        if "transition" in names:
-            self.have_rows()
-
-    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
-        if f"{prefix}transition.raw" in state_dict:
-            self.have_rows()
-        super()._load_from_state_dict(state_dict, prefix, *args)
-
-    def matrix_back(self, step: BackwardStep, like: Tensor) -> tuple[Tensor, Frame]:
-        """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
-        return held(self.matrix(like).log(), step.frame.dt), for_each_model(step.frame)

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.distributions import constraints
 
 from torchfra import tree
-from torchfra.filters.base import Filter, Mix
+from torchfra.filters.base import Mix
 from torchfra.filters.hindsight import ModelsStep
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
@@ -26,7 +26,7 @@ PER_MODEL = ("transition", "shift", "process_noise", "adaptation")
 """Of a frame, what a ``Bank`` gives for each model."""
 
 
-def cycle(inner: Filter, state: Any, predicted: Tensor, interact: Mix, frame: Frame) -> tuple[Any, Tensor, Record]:
+def cycle(inner: Any, state: Any, predicted: Tensor, interact: Mix, frame: Frame) -> tuple[Any, Tensor, Record]:
     """Filtering, probabilities and fusion, eqs. (9)-(11), of models that interact.
 
     Args:

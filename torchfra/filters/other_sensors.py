@@ -29,10 +29,10 @@ class View:
         """The state of a belief."""
         return self.home.begin(belief)
 
-    def advance(self, state: Any, frame: Frame, mix: Any = None) -> tuple[Any, Any]:
+    def advance(self, state: Any, frame: Frame, *mix: Any) -> tuple[Any, Any]:
         """One step, with a state that remembers nothing."""
         parent: Any = super()
-        after, record = parent.advance(parent.unremembered(state), frame, mix)
+        after, record = parent.advance(parent.unremembered(state), frame, *mix)
         return parent.remembering(after, state), record
 
     def with_sensor(self, sensor: Sensor | None) -> Any:

@@ -58,6 +58,8 @@ class Past(NamedTuple):
     """``(...)`` fading factor of the prediction that led to it."""
     fresh: tuple[Gaussian, Tensor] | None = None
     """Both as they were at the step itself, of a filter that decides late."""
+    info: Any = None
+    """What the estimate says of the step, for a ``retreat`` that reads it."""
 
 
 def scores(normalised: Tensor, root: Tensor, log_norm: Tensor, log_density: Tensor | None) -> tuple[Tensor, Tensor]:

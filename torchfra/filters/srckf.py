@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torch import Tensor, nn
 
 from torchfra.adaptive.fading import Memory, NoFading
 from torchfra.adaptive.noise import NoiseMemory, NominalNoise, SageHusa
+from torchfra.filters.ahead import only
 from torchfra.filters.base import Filter, Mix
 from torchfra.filters.checks import check_sides
-from torchfra.filters.records import Record
+from torchfra.filters.records import Past, Record
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.model import add_counts, canonical, repairs
@@ -126,11 +127,19 @@ class SRCKF(Filter[State]):
         """A state with the innovations that the one ``before`` remembers."""
         return state._replace(fading=before.fading)
 
+    def predict_hypotheses(self, state: State, frame: Frame) -> tuple[Gaussian, Tensor]:
+        """The only hypothesis of the state after a step, and the log of its weight."""
+        return only(self.predicted(state.belief, frame).belief)
+
     def predict_innovation(self, state: State, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """What is measured, less what hypotheses ``(K, ..., n)`` expect, by the noise as it is known."""
         whitened = self.compare(beliefs, frame)
         root, _ = innovation(self.noise.known(whitened, state.noise, frame.seen))
         return Gaussian(whitened.residual, self.noise.nominal(root, state.noise, frame.seen))
+
+    def past(self, belief: Gaussian, info: Info, state: Any, steps: Any) -> Past:
+        """What the backward pass needs: beliefs, and the fading factors that were chosen."""
+        return Past(belief, info.fading)
 
     def advance(self, state: State, frame: Frame, mix: Mix | None = None) -> tuple[State, Record]:
         """One step; equation numbers of Wang et al. (2021)."""

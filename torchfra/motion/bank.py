@@ -28,7 +28,7 @@ class Bank(Motion):
     Args:
         models: motions of the same state: of the same size and angles, and of kinds that do not contradict each other.
         neighbours: for each model the numbers of those that become active when it is likely, where only a few models
-            run at a time (``filters.VSIMM``).
+            run at a time (``filters.LikelyModels``).
         first: the numbers of the models that are active first there.
 
     Raises:

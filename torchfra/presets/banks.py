@@ -9,7 +9,7 @@ import torch
 
 from torchfra.filters.base import Filter
 from torchfra.filters.imm import IMM
-from torchfra.filters.vsimm import VSIMM
+from torchfra.filters.likely_models import LikelyModels
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.rules import Rule
 from torchfra.hyper import Value
@@ -143,19 +143,19 @@ def vsimm_srckf(
     models: Models, sensor: Sensor, *, inner: Inner = srckf, neighbours: Sequence[Sequence[int]] | None = None,
     first: Sequence[int] | None = None, stay: float = 0.95, transition: Value | None = None, unlikely: Value = 0.05,
     principal: Value = 0.5, values: str | None = None, learn: Collection[str] = (),
-) -> VSIMM:  # fmt: skip
+) -> IMM:  # fmt: skip
     """Interacting models of which a few run at a time: three of five in the paper.  Source: Du & Zhang (2020).
 
     Args:
         models: motions of one state, or a ``Bank`` of them.
         sensor: what is measured.
         inner: the filter of each model, ``(motion, sensor) -> Filter``: a preset, or a ``functools.partial`` of one.
-        neighbours: of each model, those that it may call; the bank's if None (the paper has none): ``filters.VSIMM``.
-        first: models that run at first; the bank's if None: ``filters.VSIMM``.
+        neighbours: of each model, those that it may call, see ``filters.LikelyModels``; the bank's if None.
+        first: models that run at first; the bank's if None: ``filters.LikelyModels``.
         stay: self-transition probability of every model; the others share the rest evenly.
-        transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.VSIMM``.
-        unlikely: probability below which a model is left out: ``filters.VSIMM``.
-        principal: probability above which a model calls its neighbours: ``filters.VSIMM``.
+        transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
+        unlikely: probability below which a model is left out: ``filters.LikelyModels``.
+        principal: probability above which a model calls its neighbours: ``filters.LikelyModels``.
         values: name of a set of learned values for what is not given: ``torchfra.values()``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
@@ -169,9 +169,8 @@ def vsimm_srckf(
     if neighbours is None or first is None:
         raise ValueError("neighbours, first: expected both, or a Bank that has them, received none")
     matrix = _transition(len(bank), stay, transition)
-    f = VSIMM(inner(bank, sensor), neighbours=neighbours, first=first, transition=matrix, unlikely=unlikely,
-              principal=principal)  # fmt: skip
-    return with_learning(f, learn)
+    subset = LikelyModels(neighbours, first, unlikely=unlikely, principal=principal)
+    return with_learning(IMM(inner(bank, sensor), transition=matrix, subset=subset), learn)
 
 
 def _bank(models: Models) -> Bank:

@@ -7,8 +7,6 @@ from collections.abc import Collection
 from typing import TypeVar
 
 from torchfra.filters.base import Filter
-from torchfra.filters.imm import MultipleModelFilter
-from torchfra.filters.scans.jpda import JPDA
 from torchfra.hyper import learnable, named, provide
 
 F = TypeVar("F", bound=Filter)
@@ -26,8 +24,8 @@ def with_learning(f: F, names: Collection[str]) -> F:
     """
     provide(f, names)
     inner: Filter = f
-    while isinstance(inner, MultipleModelFilter | JPDA):
-        inner = inner.inner
+    while isinstance(around := getattr(inner, "inner", None), Filter):
+        inner = around
     chosen = {id(hyper) for hyper in named(f, names).values() if not hyper.raw.requires_grad}
     for part in ("motion", "sensor"):
         model = getattr(inner, part)

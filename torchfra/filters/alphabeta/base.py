@@ -56,12 +56,6 @@ class ConstantGainFilter(Filter[S]):
         components: tuple[Tensor, ...] = mean.unflatten(-1, (self.motion.orders, self.motion.dims)).unbind(-2)
         return components
 
-    def predict_hypotheses(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
-        """The state after a step with nothing measured, and the log of its weight."""
-        _, record = self.advance(state, frame)
-        belief, _ = self.finish(state, record.belief, None)
-        return Gaussian(*(x.unsqueeze(0) for x in belief)), torch.zeros_like(belief.mean[..., 0]).unsqueeze(0)
-
     def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """What is measured, less what hypotheses ``(K, ..., n)`` expect: ``(K, ..., m)`` in units of the noise."""
         mean, root = (x[..., : self.sensor.size, :] for x in (beliefs.mean.unsqueeze(-1), beliefs.scale_tril))

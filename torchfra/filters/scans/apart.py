@@ -10,7 +10,7 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.association.clusters import Association
 from torchfra.filters.base import Filter
-from torchfra.filters.imm import IMMState, MultipleModelFilter
+from torchfra.filters.imm import IMM, IMMState
 from torchfra.filters.interaction import pooled
 from torchfra.filters.records import Record
 from torchfra.filters.scans.hypotheses import chosen, gated_first
@@ -35,7 +35,7 @@ class Pairs(NamedTuple):
 
 def core(inner: Filter) -> Any:
     """The filter that holds measurements against a Gaussian: that of the models, where there are several."""
-    return inner.inner if isinstance(inner, MultipleModelFilter) else inner
+    return inner.inner if isinstance(inner, IMM) else inner
 
 
 def missed(inner: Filter, state: Any, frame: Frame, sensor: Sensor) -> tuple[Any, Record]:
@@ -77,7 +77,7 @@ def widened(inner: Filter, state: Any, times: Tensor) -> Any:
         return Gaussian(x.mean, factor * x.scale_tril)
 
     state = on_beliefs(wider, state)
-    if isinstance(state, IMMState):
+    if isinstance(state, IMMState) and state.active is None:
         state = state._replace(belief=pooled(state.inner.belief, state.log_weights, inner.motion))
     return state
 

@@ -63,7 +63,7 @@ class JPDA(Soft, Filter[JPDAState]):
 
     Args:
         inner: an ``SRCKF``, plain, robust, with fading factors or an estimate of the noise, which learn from the
-            combined innovation; an ``IMM`` or ``VSIMM`` of it without such an estimate; a ``GPB``, whose jumps and last
+            combined innovation; an ``IMM`` of it without such an estimate; a ``GPB``, whose jumps and last
             size of outliers grow with a measurement, so that a far one counts somewhat more than a density would.
             Copies of it, gate and clutter run here.
             Hyperparameters may differ between targets, ``(N,)``, and between scenes, ``(B, 1)`` or ``(B, N)``.

@@ -11,9 +11,8 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.filters.base import Filter
 from torchfra.filters.gpb import GPB, GPBState
-from torchfra.filters.imm import IMMState, MultipleModelFilter
+from torchfra.filters.imm import IMM, IMMState
 from torchfra.filters.srckf import SRCKF, State
-from torchfra.filters.vsimm import VSIMMState
 from torchfra.gaussian.mixture import log_sum, moment_match
 from torchfra.types import Gaussian
 
@@ -24,8 +23,8 @@ def check_merges(inner: Filter) -> None:
     Raises:
         ValueError: they cannot.
     """
-    around = isinstance(inner, MultipleModelFilter)
-    core = inner.inner if isinstance(inner, MultipleModelFilter) else inner
+    around = isinstance(inner, IMM)
+    core = inner.inner if isinstance(inner, IMM) else inner
     if isinstance(core, SRCKF):
         if around and core.noise.adapt != "never":
             raise ValueError(
@@ -39,7 +38,7 @@ def check_merges(inner: Filter) -> None:
     what = type(inner).__name__ + (f" of {type(core).__name__}" if around else f" of {core.motion.describe()}")
     why = " (FRA decides about a measurement by the next one, and neither is known to be the target's)"
     raise ValueError(
-        f"inner: expected an SRCKF of one motion, IMM or VSIMM of several, or a GPB, received {what}"
+        f"inner: expected an SRCKF of one motion, IMM of several, or a GPB, received {what}"
         f"{why if type(core).__name__ == 'FRA' else ''}"
     )
 
@@ -55,7 +54,7 @@ def merged(inner: Filter, states: Any, log_weights: Tensor) -> Any:
     """
     if isinstance(inner, GPB):
         return _of_regimes(inner, states, log_weights)
-    if isinstance(inner, MultipleModelFilter):
+    if isinstance(inner, IMM):
         return _of_models(inner, states, log_weights)
     belief = moment_match(states.belief, log_weights, inner.motion.angles)
     return State(belief, *averaged(states[1:], log_weights))
@@ -90,15 +89,15 @@ def on_beliefs(function: Callable[[Any], Any], trees: Any) -> Any:
     return function(trees)
 
 
-def _of_models(inner: MultipleModelFilter, states: Any, log_weights: Tensor) -> IMMState | VSIMMState:
+def _of_models(inner: IMM, states: Any, log_weights: Tensor) -> IMMState:
     """Each model by its share of each hypothesis: the probability of both together is what counts."""
     after, shares = _shared(_joint(log_weights.unsqueeze(-1), states.log_weights), log_weights.unsqueeze(-1))
-    every: IMMState | VSIMMState = states._replace(
+    every: IMMState = states._replace(
         belief=moment_match(states.belief, log_weights, inner.motion.angles),
         inner=merged(inner.inner, states.inner, shares),
         log_weights=after,
     )
-    if isinstance(every, VSIMMState):
+    if every.active is not None:
         return every._replace(active=every.active[0])  # chosen before the measurement: the same for all
     return every
 
