@@ -116,9 +116,10 @@ def expected(case, motions, regimes, prior=PRIOR):
     )
 
 
-def regimes(stay, renew, levels, jumps=(200.0,), motions=1):
-    """Options of the preset, and regimes of the oracle: levels of the first motion, other motions, jumps."""
-    options = {"noise_levels": levels, "jump_factors": jumps, "self_transition": stay, "restart": renew}
+def regimes(stay, renew, levels, jumps=(200.0,), motions=1, manoeuvres=()):
+    """Options of the preset, and regimes of the oracle: levels, other motions, manoeuvres, jumps."""
+    options = {"noise_levels": levels, "manoeuvre_factors": manoeuvres, "jump_factors": jumps, "self_transition": stay,
+               "restart": renew}  # fmt: skip
     count, others = len(levels), motions - 1
     stay, renew = ([*x[:count], *[x[count]] * others, *x[count + 1 :]] for x in (stay, renew))
     renew[count : count + others] = [x / others for x in renew[count : count + others]]
@@ -127,7 +128,7 @@ def regimes(stay, renew, levels, jumps=(200.0,), motions=1):
     silent = oracle.silent_chain(stay, list(odds), range(count, count + others)) if others else np.eye(len(stay))
     factors = [*levels, *[1.0] * others]
     which = [0] * count + list(range(1, motions))
-    return options | VALUES, oracle.Regimes(which, factors, list(jumps), chain, silent, odds, count - 1)
+    return options | VALUES, oracle.Regimes(which, factors, list(jumps), chain, silent, odds, count - 1, manoeuvres)
 
 
 TWO = ((0.9, 0.8, 0.7, 0.1), (0.5, 0.3, 0.15, 0.05), (0.1, 30.0))
@@ -254,3 +255,15 @@ def test_a_bank_with_one_level_two_jumps_and_time_steps_of_their_own(sensor):
     dt = np.linspace(0.4, 1.7, STEPS)
     f = presets.gpb(motions, case.sensor, **options)
     same(f(tensor(case.z), PRIOR, dt=tensor(dt)), expected(case, [carried(m, dt) for m in motions], r))
+
+
+# ---------------------------------------------------------------- manoeuvres
+
+
+@pytest.mark.parametrize("motions", [1, 3])
+def test_a_manoeuvre_is_as_large_as_the_measurement_asks_for(motions):
+    case, stay, renew = position(), (0.8, 0.7, 0.6, 0.3, 0.1), (0.3, 0.3, 0.2, 0.15, 0.05)
+    options, r = regimes(stay, renew, (0.1, 1.0), (200.0,), motions, (3.0,))
+    each = bank() if motions == 3 else [ConstantAcceleration(0.05)]
+    f = presets.gpb(each, case.sensor, **options)
+    same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0) for motion in each], r))

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from torchfra import presets
+from torchfra.presets.regimes import MANOEUVRES
 from train.config import Config, Task
 
 SINGLE = ("bearings-outliers", "ranges-outliers")
@@ -70,12 +71,12 @@ def gpb_bearings() -> Config:
     kinds.append(Task("bearings-manoeuvre"))
     tasks = [_task(kind, outliers="std", truth_noise=noise) for kind in kinds for noise in (0.0, 0.01)]
     tasks += [_task(kind, outliers=outliers) for kind in kinds[1:] for outliers in ("covariance", "bursts")]
-    arguments = inspect.signature(presets.gpb).parameters
+    defaults = {name: of.default for name, of in inspect.signature(presets.gpb).parameters.items()} | MANOEUVRES["some"]
     return replace(
         gpb(),
         name="gpb_bearings",
         tasks=(*tasks, *(replace(task, models="motion", weight=0.5) for task in tasks)),
-        start={name: arguments[name].default for name in gpb().start},
+        start={name: defaults[name] for name in gpb().start},
         iterations=40,
         lr=0.2,
     )

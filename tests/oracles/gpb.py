@@ -37,11 +37,12 @@ class Regimes(NamedTuple):
     silent: Array  # (R,R) the same in a step without any measurement
     first: Array  # (R,) probabilities before the first step
     home: int
+    manoeuvres: tuple[float, ...] = ()  # times that NIS: factors on the home level's factor on Q; after the levels
 
     @property
     def all_motions(self) -> list[int]:
-        """Of levels and jumps."""
-        return self.motions + [self.motions[self.home]] * len(self.jumps)
+        """Of levels, manoeuvres and jumps."""
+        return self.motions + [self.motions[self.home]] * (len(self.manoeuvres) + len(self.jumps))
 
 
 class Qualities(NamedTuple):
@@ -108,20 +109,26 @@ def predicted(mixed: Beliefs, motions: list[Carry], regimes: Regimes, k: int) ->
 
 
 def jumped(
-    ahead: Beliefs, regimes: Regimes, position: slice, z: Array, model: Model, k: int
-) -> tuple[Beliefs, list[float]]:
-    """After every jump, which is as wide as the measurement asks for, between 1 and FURTHEST; how much rarer it is."""
+    ahead: Beliefs, mixed: Beliefs, motions: list[Carry], regimes: Regimes, position: slice, z: Array, model: Model,
+    k: int,
+) -> tuple[Beliefs, Array]:  # fmt: skip
+    """Manoeuvres and jumps, as wide as the measurement asks for, up to FURTHEST; (2, M + J) how much rarer."""
     after, rarer = {}, []
     for q in QUALITIES:
         mean, P = ahead[q, range(len(regimes.levels))[regimes.home]]
         m = read((mean, P), z, model, k)
         far = fit(m.e, m.Pzz)[0] / max(len(m.e), 1)
-        rarer.append(max(far / USUAL, 1.0))
-        for r, jump in enumerate(regimes.jumps, len(regimes.levels)):
+        count = len(regimes.manoeuvres)
+        rarer.append([max(far / 30.0, 1.0) ** 2] * count + [max(far / USUAL, 1.0)] * len(regimes.jumps))
+        motion, level = regimes.motions[regimes.home], regimes.levels[regimes.home]
+        for r, factor in enumerate(regimes.manoeuvres, len(regimes.levels)):
+            carried_mean, J, Q = motions[motion](*mixed[q, motion], k)
+            after[q, r] = carried_mean, J + level * min(max(factor * far, 1.0), FURTHEST) * Q
+        for r, jump in enumerate(regimes.jumps, len(regimes.levels) + count):
             widen = np.ones(len(mean))
             widen[position] = math.sqrt(min(max(jump * far, 1.0), FURTHEST))
             after[q, r] = mean, P * np.outer(widen, widen)
-    return after, rarer
+    return after, np.array(rarer)
 
 
 def told(belief: Belief, z: Array, block: list[int], model: Model, k: int, size: float) -> tuple[float, Array, Array]:
@@ -278,10 +285,10 @@ def step(
         log_pairs = c.log_regimes[:, :, None] + np.log(regimes.silent if nothing else regimes.chain)
     mixed, shares = interacted(c.beliefs, log_pairs, motion)
     ahead = predicted(mixed, motions, regimes, k)
-    after_jumps, rarer = jumped(ahead, regimes, position, z, model, k)
+    after_jumps, rarer = jumped(ahead, mixed, motions, regimes, position, z, model, k)
     ahead |= after_jumps
     chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(len(motion))] for q in QUALITIES])
-    chance[:, len(regimes.levels) :] -= np.log(rarer)[:, None]
+    chance[:, len(regimes.levels) :] -= np.log(rarer)
     every = hypotheses(ahead, chance, c.outlier, z, model, q, k)
     log_likelihood, (mean, P) = merged(every)
     every = [h._replace(log_weight=h.log_weight - log_likelihood) for h in every]

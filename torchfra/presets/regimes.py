@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from typing import Any
 
 from torchfra.filters.checks import check_models
 from torchfra.filters.gpb import GPB, Outliers, Regimes
@@ -15,16 +16,36 @@ from torchfra.presets.learning import with_learning
 from torchfra.presets.values import with_values
 from torchfra.sensors.base import Sensor
 
+MANOEUVRES: dict[str, dict[str, Any]] = {
+    "none": {
+        "noise_levels": (1.0,), "manoeuvre_factors": (), "jump_factors": (), "self_transition": (0.99949, 0.99924),
+        "restart": (0.35, 0.65),
+    },
+    "some": {
+        "noise_levels": (0.00631, 1.0, 7.29, 37.0), "manoeuvre_factors": (), "jump_factors": (5.0,),
+        "self_transition": (0.9986, 0.99949, 0.925, 0.969, 0.99924, 0.00413),
+        "restart": (0.0447, 0.323, 0.032, 0.00728, 0.59301877, 1.23e-06),
+    },
+    "hard": {
+        "noise_levels": (0.00631, 1.0, 7.29, 37.0), "manoeuvre_factors": (100.0,), "jump_factors": (5.0,),
+        "self_transition": (0.9986, 0.99949, 0.925, 0.969, 0.99924, 0.01, 0.00413),
+        "restart": (0.0447, 0.323, 0.032, 0.00728, 0.59291877, 1e-4, 1.23e-06),
+    },
+}  # fmt: skip
+"""What ``manoeuvres`` stands for: ``"some"`` was searched, ``"none"`` and ``"hard"`` are made from it by hand."""
+
 
 @with_values
 def gpb(
     motion: Motion | Sequence[Motion],
     sensor: Sensor,
     *,
-    noise_levels: Values = (0.00631, 1.0, 7.29, 37.0),
-    jump_factors: Values = (5.0,),
-    self_transition: Values = (0.9986, 0.99949, 0.925, 0.969, 0.99924, 0.00413),
-    restart: Values = (0.0447, 0.323, 0.032, 0.00728, 0.59301877, 1.23e-06),
+    manoeuvres: str = "some",
+    noise_levels: Values | None = None,
+    manoeuvre_factors: Values | None = None,
+    jump_factors: Values | None = None,
+    self_transition: Values | None = None,
+    restart: Values | None = None,
     outlier_transition: Values = ((0.99839, 0.00161), (0.958, 0.042)),
     outlier_sizes: Values = (7.17, 61.3, 3390.0, 83600.0),
     outlier_shares: Values = (0.895585, 0.103, 0.000984, 0.000431),
@@ -42,11 +63,17 @@ def gpb(
         motion: how targets move; its regimes are its levels of process noise and a jump.  Of several motions of one
             state, or a ``Bank``, the first has these regimes, and each of the others is one more.
         sensor: what is measured; outliers come per block of its elements (``Sensor.blocks``).
+        manoeuvres: what a target may do besides moving as the (first) motion says: ``"none"``, nothing; ``"some"``;
+            ``"hard"``, also turn much harder than its process noise allows, which takes some accuracy among outliers.
+            It stands for values of the five arguments that follow: ``MANOEUVRES`` in this file.
         noise_levels: factors on the variance of the (first) motion's process noise, ascending: of calm, of the motion
             as it is stated (1), and of agile ones.  Calm and agile are for motions that do not hold.
+        manoeuvre_factors: factors on the variance of the last level's process noise in a manoeuvre, per unit of the
+            normalised innovation squared per element.
         jump_factors: factors on the covariance of the position after a jump, per unit of the normalised innovation
             squared per element.
-        self_transition: self-transition probabilities of the regimes: of each level, any other motion, each jump.
+        self_transition: self-transition probabilities of the regimes: of each level, any other motion, each
+            manoeuvre, each jump.
         restart: restart distribution: probabilities of the regime that follows one that ends, in the same order; other
             motions share theirs evenly.
         outlier_transition: ``(2, 2)`` probabilities ``[i, j] = P(now j | was i)`` of no outlier and outlier, for each
@@ -63,8 +90,8 @@ def gpb(
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
     Raises:
-        ValueError: motions that do not mix, probabilities that do not sum to one, or blocks of the sensor that do not
-            cover its elements.
+        ValueError: motions that do not mix, an unknown word for ``manoeuvres``, probabilities that do not sum to one,
+            or blocks of the sensor that do not cover its elements.
 
     Example:
         >>> motion, sensor = torchfra.motion.ConstantVelocity(q=1.0), torchfra.sensors.Position(std=2.0)
@@ -78,9 +105,13 @@ def gpb(
     models = motion if isinstance(motion, Motion) else Bank(motion)
     check_models(models, sensor)
     count = len(models) if isinstance(models, Bank) else 1
-    regimes = Regimes(
-        count, noise_levels=noise_levels, jump_factors=jump_factors, self_transition=self_transition, restart=restart
-    )
+    if manoeuvres not in MANOEUVRES:
+        raise ValueError(f"manoeuvres: expected one of {', '.join(MANOEUVRES)}, received {manoeuvres!r}")
+    given = {
+        "noise_levels": noise_levels, "manoeuvre_factors": manoeuvre_factors, "jump_factors": jump_factors,
+        "self_transition": self_transition, "restart": restart,
+    }  # fmt: skip
+    regimes = Regimes(count, **MANOEUVRES[manoeuvres] | {name: x for name, x in given.items() if x is not None})
     outliers = Outliers(
         sensor.blocks,
         outlier_transition=outlier_transition,

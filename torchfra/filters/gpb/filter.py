@@ -62,20 +62,20 @@ class Mixing(NamedTuple):
 class GPB(Filter[GPBState]):
     """Generalised pseudo-Bayes over regimes of the motion and outliers of the measurement.
 
-    A step's regime is a Markov chain: a level of the process noise or a jump of a motion, and the other motions of a
-    bank.  Whether what each block of the sensor's elements measures is an outlier, of one of some sizes, is a Markov
-    chain too.  Every combination is a hypothesis with a prediction, an update and a likelihood.  After a step they are
-    merged into one Gaussian for each motion and for whether the step had an outlier in any block; these two are kept
-    apart until the next measurement has said which of them was right.  So nothing is decided by a gate, and all is
-    smooth: the next measurement weighs an outlier against a manoeuvre.  Over steps without any measurement, however
-    many, both are carried on, and the first motion keeps its regime.
+    A step's regime is a Markov chain: a level of the process noise, a manoeuvre or a jump of a motion, and the other
+    motions of a bank.  Whether what each block of the sensor's elements measures is an outlier, of one of some sizes,
+    is a Markov chain too.  Every combination is a hypothesis with a prediction, an update and a likelihood.  After a
+    step they are merged into one Gaussian for each motion and for whether the step had an outlier in any block; these
+    two are kept apart until the next measurement has said which of them was right.  So nothing is decided by a gate,
+    and all is smooth: the next measurement weighs an outlier against a manoeuvre.  Over steps without any measurement,
+    however many, both are carried on, and the first motion keeps its regime.
 
     With ``o`` for an outlier in the step, ``r`` for its regime, ``k`` for the regime's motion, and a prime for the step
     before, a step is:
 
     1. ``c(r, o') = sum over r' of P(r | r') P(r', o')``: regimes go on or begin.
     2. ``x(k, o')``: the beliefs of all motions, mixed as they give way to ``k``.
-    3. ``x-(r, o')``: predicted by the regime, of a jump as wide as the measurement asks for.
+    3. ``x-(r, o')``: predicted by the regime, of a manoeuvre or a jump as wide as the measurement asks for.
     4. ``x(o, r, o')``, ``L(o, r, o')``: updated, and how likely the measurement is.
     5. ``P(o, r, o' | z) = L(o, r, o') P(o | o') c(r, o') / L``, with ``L`` the sum of all.
     6. ``x(o, k)``: merged over the regimes of a motion and what was before; ``P(r, o)`` their sum.
@@ -196,21 +196,20 @@ class GPB(Filter[GPBState]):
         return matched(two, safe_sqrt(torch.stack([mixing.own, mixing.common])), self.motion.angles), mixing
 
     def predict_regimes(self, mixed: Gaussian, log_weight: Tensor, frame: Frame) -> tuple[Hypotheses, Tensor]:
-        """Predictions of all regimes, and the NIS per element ``(1, 1, 2, ...)`` of what jumps start from.
+        """Predictions of all regimes, and the NIS per element ``(1, 1, 2, ...)`` of the agile level.
 
         Args:
             mixed: ``(1, K, 2, ...)`` of each motion.
             log_weight: ``(1, R, 2, ...)`` of the regimes, before it is known how far off the measurement is.
             frame: of the step.
         """
-        regimes = self.regimes
-        level = regimes.predictions(carry(self.bank, self.motion_rule, mixed, for_each_model(frame)))
-        agile = Gaussian(*(x[:, regimes.agile : regimes.agile + 1] for x in level))
+        ahead = carry(self.bank, self.motion_rule, mixed, for_each_model(frame))
+        agile = self.regimes.agile_prediction(ahead)
         _, normalised = innovation(self.compare(self.read(agile), frame))
         nis = normalised.square().sum(-1) / frame.seen.sum(-1).clamp_min(1.0)
         nis = torch.where(frame.dt == 0, 0.0, nis)  # over no time nothing jumps
-        widened = regimes.widened(level, nis, self.motion.position)
-        return Hypotheses(widened, regimes.rarer(log_weight, nis)), nis
+        predicted = self.regimes.predictions(ahead, nis, self.motion.position)
+        return Hypotheses(predicted, self.regimes.rarer(log_weight, nis)), nis
 
     def update(self, predicted: Hypotheses, frame: Frame, before: tuple[Tensor, Tensor]) -> tuple[Hypotheses, Tensor]:
         """Hypotheses after the measurement: see ``Outliers.update``."""

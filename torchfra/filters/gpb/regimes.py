@@ -18,9 +18,9 @@ from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian
 
 FURTHEST = 1e5
-"""Largest factor of a jump on the covariance, however far off the measurement is."""
-USUAL = 1000.0
-"""Normalised innovation squared per element up to which all jumps have the same odds."""
+"""Largest factor of a jump or a manoeuvre on the covariance, however far off the measurement is."""
+USUAL_JUMP, USUAL_MANOEUVRE = 1000.0, 30.0
+"""Normalised innovation squared per element up to which all jumps, and all manoeuvres, have the same odds."""
 
 
 class Moves(NamedTuple):
@@ -37,13 +37,14 @@ class Moves(NamedTuple):
 
 
 class Regimes(nn.Module):
-    """How a step may go: a Markov chain over motions, levels of their process noise, and jumps.
+    """How a step may go: a Markov chain over motions, levels of their process noise, manoeuvres and jumps.
 
-    The first motion comes at ``L`` levels, the others of a bank as they are, and ``J`` jumps widen the first motion's
-    prediction at its last level, as far as the measurement asks for. In this order they are the ``R = L + (K - 1) + J``
-    regimes. A regime goes on with a probability of its own; else the next one is drawn from the restart distribution,
-    whatever was before. Values are given by kind, ``(..., L + 1 + J)``: each level, any other motion, each jump; so
-    they fit banks of any size.
+    The first motion comes at ``L`` levels, the others of a bank as they are. ``M`` manoeuvres have as much more process
+    noise than the first motion's last level as the measurement asks for, ``J`` jumps widen the position of its
+    prediction in the same way. In this order they are the ``R = L + (K - 1) + M + J`` regimes. A regime goes on with a
+    probability of its own; else the next one is drawn from the restart distribution, whatever was before. Values are
+    given by kind, ``(..., L + 1 + M + J)``: each level, any other motion, each manoeuvre, each jump; so they fit banks
+    of any size.
 
     Tensors of regimes have the axes of ``Hypotheses``.
 
@@ -54,26 +55,31 @@ class Regimes(nn.Module):
             covariance of the predicted position is multiplied; its correlations stay.
         self_transition: self-transition probabilities by kind.
         restart: restart distribution by kind, which sums to one; other motions share theirs evenly.
+        manoeuvre_factors: ``(..., M)`` times the normalised innovation squared per element: by so much, at least 1, the
+            variance of the last level's process noise is multiplied.  A manoeuvre of more than some standard deviations
+            is the rarer the larger it is: what is far off once is an outlier.
 
     Raises:
         ValueError: shapes that do not go together, values that are out of their range or do not sum to one.
     """
 
     def __init__(
-        self, motions: int, *, noise_levels: Values, jump_factors: Values, self_transition: Values, restart: Values
-    ) -> None:
+        self, motions: int, *, noise_levels: Values, jump_factors: Values, self_transition: Values, restart: Values,
+        manoeuvre_factors: Values = (),
+    ) -> None:  # fmt: skip
         super().__init__()
-        given = noise_levels, jump_factors, self_transition, restart
-        levels, jumps, stay, begins = (torch.as_tensor(x, dtype=torch.float64) for x in given)
-        for name, value in (("noise_levels", levels), ("jump_factors", jumps)):
+        given = noise_levels, manoeuvre_factors, jump_factors, self_transition, restart
+        levels, manoeuvres, jumps, stay, begins = (torch.as_tensor(x, dtype=torch.float64) for x in given)
+        for name, value in (("noise_levels", levels), ("manoeuvre_factors", manoeuvres), ("jump_factors", jumps)):
             if value.dim() == 0:
                 raise ValueError(f"{name}: expected several, received {value.item():g}")
-        self.motions, self.level_count, self.jump_count = motions, levels.shape[-1], jumps.shape[-1]
-        kinds = self.level_count + 1 + self.jump_count
+        self.motions, self.level_count = motions, levels.shape[-1]
+        self.manoeuvre_count, self.jump_count = manoeuvres.shape[-1], jumps.shape[-1]
+        kinds = self.level_count + 1 + self.manoeuvre_count + self.jump_count
         for name, value in (("self_transition", stay), ("restart", begins)):
             if value.shape[-1:] != (kinds,):
                 raise ValueError(f"{name}: expected (..., {kinds}), received {tuple(value.shape)}")
-        self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * self.jump_count
+        self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * (kinds - self.level_count - 1)
         """The number of each regime's motion."""
         self.regimes_of = tuple(
             tuple(r for r, k in enumerate(self.motion_of) if k == motion) for motion in range(motions)
@@ -86,13 +92,16 @@ class Regimes(nn.Module):
         )
         """The kind of each regime."""
         self.noise_levels = Hyper(levels, event_dim=1, name="noise_levels")
+        self.manoeuvre_factors = None
+        if self.manoeuvre_count:
+            self.manoeuvre_factors = Hyper(manoeuvres, event_dim=1, name="manoeuvre_factors")
         self.jump_factors = Hyper(jumps, event_dim=1, name="jump_factors")
         self.self_transition = Hyper(stay, constraints.unit_interval, event_dim=1, name="self_transition")
         self.restart = Hyper(begins, constraints.simplex, event_dim=1, name="restart")
 
     @property
     def agile(self) -> int:
-        """The number of the first motion's last level, after which jumps come."""
+        """The number of the first motion's last level, from which manoeuvres and jumps start."""
         return self.level_count - 1
 
     # ------------------------------------------------------------ the Markov chain
@@ -107,7 +116,7 @@ class Regimes(nn.Module):
     def chain(self, like: Tensor, dt: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
         """Self-transition probabilities ``(R, ...)`` in a step, and the restart distribution ``(R, ...)``.
 
-        No level and no jump begins where nothing is measured, or what measurements have told of them would be
+        No level, manoeuvre or jump begins where nothing is measured, or what measurements have told of them would be
         forgotten over steps without one.  Other motions do: the longer a gap is, the less is known.  Over 0 seconds
         every regime goes on.
 
@@ -141,55 +150,61 @@ class Regimes(nn.Module):
         return safe_log(same * stay + restart.unsqueeze(2) * (1 - stay))
 
     def rarer(self, log_weight: Tensor, nis: Tensor) -> Tensor:
-        """Log weights ``(..., R, 2, ...)`` with odds of jumps that fall with their size: so far off are outliers.
+        """Log weights ``(..., R, 2, ...)`` with odds of jumps and manoeuvres that fall with their size.
 
         Args:
             log_weight: before it is known how far off the measurement is.
-            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element of what jumps start from.
+            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, of the agile level.
         """
-        return log_weight - self._of_jumps((nis / USUAL).clamp_min(1.0).log(), 0.0)
+        manoeuvre, jump = ((nis / usual).clamp_min(1.0).log() for usual in (USUAL_MANOEUVRE, USUAL_JUMP))
+        return log_weight - self._of_kinds(0.0, 2 * manoeuvre, jump)
 
     # ------------------------------------------------------------ predictions
 
-    def predictions(self, ahead: Carried) -> Gaussian:
-        """Of every regime the prediction ``(1, R, 2, ..., n)``; a jump's is that of the agile level, not widened yet.
+    def agile_prediction(self, ahead: Carried) -> Gaussian:
+        """Of the first motion's last level, ``(1, 1, 2, ..., n)``, from each motion's ``(1, K, 2, ...)``."""
+        noise = self.noise_levels(ahead.mean)[..., -1].sqrt()[..., None, None] * ahead.process_noise[:, :1]
+        return Gaussian(ahead.mean[:, :1], tria(hstack(ahead.spread[:, :1], noise)))
+
+    def predictions(self, ahead: Carried, nis: Tensor, position: slice) -> Gaussian:
+        """Of every regime the prediction ``(1, R, 2, ..., n)``.
+
+        A manoeuvre or a jump that is wider than what is measured asks for would never be contradicted where little can
+        be told from the measurement, or nothing at all, and widen the estimate without bound.
 
         Args:
             ahead: ``(1, K, 2, ...)`` of each motion.
-        """
-        noise = self.noise_factors(ahead.mean)[..., None, None] * self.of_motions(ahead.process_noise)
-        return Gaussian(self.of_motions(ahead.mean), tria(hstack(self.of_motions(ahead.spread), noise)))
-
-    def noise_factors(self, mean: Tensor) -> Tensor:
-        """Factors ``(R, ...)`` on the root of the process noise, for ``mean (1, R or K, ..., n)``."""
-        levels = in_front(self.noise_levels(mean).sqrt(), mean.dim() - 3)
-        ones = levels.new_ones(1, *levels.shape[1:])
-        return torch.cat([levels, *[ones] * (self.motions - 1), *[levels[-1:]] * self.jump_count])
-
-    def widened(self, predicted: Gaussian, nis: Tensor, position: slice) -> Gaussian:
-        """Predictions ``(1, R, 2, ..., n)`` with those of jumps as wide as they are.
-
-        A jump that is wider than what is measured asks for would never be contradicted where little can be told from
-        the measurement, or nothing at all, and widen the estimate without bound.
-
-        Args:
-            predicted: from ``predictions``.
-            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element of what jumps start from.
+            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, of the agile level.
             position: which components of a state are its position.
         """
-        mean, root = predicted
-        return Gaussian(mean, self._widths(mean, nis, position) * root)  # scaled rows of a lower root: still one
+        noise = self._noise_factors(ahead.mean, nis) * self.of_motions(ahead.process_noise)
+        root = tria(hstack(self.of_motions(ahead.spread), noise))
+        widths = self._widths(ahead.mean, nis, position)
+        return Gaussian(self.of_motions(ahead.mean), widths * root)  # scaled rows of a lower root: still one
 
     def carried(self, ahead: Carried, nis: Tensor, position: slice) -> Carried:
-        """The parts of ``widened(predictions(ahead))``."""
+        """The parts of ``predictions``."""
         widths = self._widths(ahead.mean, nis, position)
-        noise = self.noise_factors(ahead.mean)[..., None, None] * self.of_motions(ahead.process_noise)
+        noise = self._noise_factors(ahead.mean, nis) * self.of_motions(ahead.process_noise)
         return Carried(self.of_motions(ahead.mean), widths * self.of_motions(ahead.spread), widths * noise, None)
+
+    def _noise_factors(self, mean: Tensor, nis: Tensor) -> Tensor:
+        """Factors ``(1, R, 2, ..., 1, 1)`` on the root of the process noise."""
+        rank = nis.dim() - 2
+        levels = in_front(self.noise_levels(mean), rank).unsqueeze(0)
+        manoeuvres = []
+        if self.manoeuvre_factors is not None:
+            levels = levels.expand(1, self.level_count, *nis.shape[2:])
+            asked = in_front(self.manoeuvre_factors(mean), rank).unsqueeze(0) * nis
+            manoeuvres = [levels[:, -1:] * asked.clamp(1.0, FURTHEST)]
+        others = [torch.ones_like(levels[:, :1])] * (self.motions - 1)
+        every = torch.cat([levels, *others, *manoeuvres, *[levels[:, -1:]] * self.jump_count], MOTION)
+        return every.sqrt()[..., None, None]
 
     def _widths(self, mean: Tensor, nis: Tensor, position: slice) -> Tensor:
         """Factors ``(1, R, 2, ..., n, 1)`` on the rows of roots."""
         jumps = in_front(self.jump_factors(mean), nis.dim() - 2).unsqueeze(0)
-        widths = self._of_jumps((jumps * nis).clamp(1.0, FURTHEST).sqrt(), 1.0)
+        widths = self._of_kinds(1.0, torch.ones_like(nis), (jumps * nis).clamp(1.0, FURTHEST).sqrt())
         there = torch.zeros(mean.shape[-1], dtype=mean.dtype, device=mean.device)
         there[position] = 1.0
         return (1 + (widths.unsqueeze(-1) - 1) * there).unsqueeze(-1)
@@ -216,15 +231,17 @@ class Regimes(nn.Module):
         return Hypotheses(belief, torch.cat([one.log_weight for one in motions], MOTION))
 
     def _by_regime(self, kinds: Tensor, rank: int) -> Tensor:
-        """Values by kind ``(..., L + 1 + J)`` as ``(R, ...)`` of so many dimensions behind the first."""
+        """Values by kind ``(..., L + 1 + M + J)`` as ``(R, ...)`` of so many dimensions behind the first."""
         values = in_front(kinds, rank)
         return torch.stack([values[kind] for kind in self.kind_of])
 
-    def _of_jumps(self, jumps: Tensor, others: float) -> Tensor:
-        """Values ``(1, 1 or J, 2, ...)`` of jumps, and ``others`` of all regimes but these, ``(1, R, 2, ...)``."""
-        jumps = jumps.expand(1, self.jump_count, *jumps.shape[2:])
-        rest = jumps.new_full((1, len(self.motion_of) - self.jump_count, *jumps.shape[2:]), others)
-        return torch.cat([rest, jumps], MOTION)
+    def _of_kinds(self, others: float, manoeuvres: Tensor, jumps: Tensor) -> Tensor:
+        """Values ``(1, R, 2, ...)``: of manoeuvres and jumps ``(1, 1 or M, 2, ...)``, and of all others."""
+        batch = jumps.shape[2:]
+        manoeuvres = manoeuvres.expand(1, self.manoeuvre_count, *batch)
+        jumps = jumps.expand(1, self.jump_count, *batch)
+        rest = jumps.new_full((1, self.level_count + self.motions - 1, *batch), others)
+        return torch.cat([rest, manoeuvres, jumps], MOTION)
 
 
 def in_front(values: Tensor, rank: int) -> Tensor:

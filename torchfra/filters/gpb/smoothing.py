@@ -64,8 +64,7 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     carried = from_state(step.carried.hypotheses, step.carried.log_weights, (BEFORE, MOTION), AXES)
     mixed, _ = f.mix(carried.belief, regimes.moves(carried.log_weight, frame.dt, measured))
     frame = adapted(for_each_model(frame), models_last(mixed).mean)  # as the filter has adapted it
-    predicted = regimes.predictions(carry(f.bank, f.motion_rule, mixed, frame))
-    predicted = regimes.widened(predicted, nis, f.motion.position)
+    predicted = regimes.predictions(carry(f.bank, f.motion_rule, mixed, frame), nis, f.motion.position)
     to_step = Hypotheses(predicted, log_sum(prior_of_carried, MOTION_BEFORE).unsqueeze(MOTION_BEFORE))
     news = future(regimes.merged(to_step, f.motion.angles).belief, later.belief, difference)
     news = tree.map_tensors(regimes.of_motions, news)  # (2, R, 1, 1, ...)

@@ -61,7 +61,6 @@ class GPBPast(NamedTuple):
     outlier: Tensor
     """Likewise."""
     nis: Tensor
-    """``(..., 2)`` normalised innovation squared per element of what jumps started from, without and with an outlier
-    before."""
+    """``(..., 2)`` normalised innovation squared per element of the agile level, without and with an outlier before."""
     measured: Tensor
     """``(...)`` 1 where anything was, else 0."""
