@@ -28,7 +28,7 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
     },
     "hard": {
         "noise_levels": (0.00631, 1.0, 7.29, 37.0), "manoeuvre_factors": (100.0,), "jump_factors": (5.0,),
-        "self_transition": (0.9986, 0.99949, 0.925, 0.969, 0.99924, 0.01, 0.00413),
+        "self_transition": (0.9986, 0.99949, 0.925, 0.969, 0.99924, 0.1, 0.00413),
         "restart": (0.0447, 0.323, 0.032, 0.00728, 0.59291877, 1e-4, 1.23e-06),
     },
 }  # fmt: skip

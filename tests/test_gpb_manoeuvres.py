@@ -1,0 +1,93 @@
+"""What a target may do is one word: gpb then counts on no manoeuvres, on some or on hard ones."""
+
+import math
+
+import pytest
+import torch
+
+from torchfra import presets
+from torchfra.metrics import nees, rmse
+from torchfra.motion import ConstantVelocity, CoordinatedTurn
+from torchfra.scenarios import as_stated
+from torchfra.sensors import Position
+from torchfra.types import Gaussian
+
+STD, STEPS, RUNS = 10.0, 80, 20
+PRIOR = Gaussian(torch.tensor([0.0, 0, 40, 0]).double(), torch.diag(torch.tensor([STD, STD, 3, 3]).double()))
+
+
+def turn(outliers=0.0):
+    """40 m/s and a half turn at 10 deg/s, by fixes of 10 m, some of which may be 100 m off."""
+    rng = torch.Generator().manual_seed(5)
+    rate = torch.zeros(STEPS, dtype=torch.float64)
+    rate[40:58] = math.radians(10.0)
+    heading = rate.cumsum(0)
+    truth = (40 * torch.stack([heading.cos(), heading.sin()], -1)).cumsum(0).expand(RUNS, -1, -1)
+    noise = torch.randn(truth.shape, dtype=torch.float64, generator=rng)
+    wrong = torch.rand(RUNS, STEPS, 1, dtype=torch.float64, generator=rng) < outliers
+    return truth, truth + STD * torch.where(wrong, 10.0, 1.0) * noise
+
+
+def gpb(manoeuvres, motion=None, **options):
+    return presets.gpb(motion or ConstantVelocity(0.1, spectral=True), Position(STD), manoeuvres=manoeuvres, **options)
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.05])
+def test_a_hard_turn_of_one_motion_is_not_taken_for_outliers(outliers):
+    truth, z = turn(outliers)
+    error = {word: (gpb(word)(z, PRIOR).mean[..., :2] - truth).norm(dim=-1) for word in ("some", "hard")}
+    assert error["hard"].square().mean() < 0.5 * error["some"].square().mean()
+    assert error["hard"][:, 60:].median() < 2 * STD
+
+
+def test_smoothed_a_hard_turn_is_nearer_than_filtered():
+    truth, z = turn()
+    smoothed = gpb("hard").smooth(z, PRIOR)
+    filtered, later = (rmse(e.mean, truth, slice(0, 2)).square().mean() for e in (smoothed.info.filtered, smoothed))
+    assert later < 0.7 * filtered
+
+
+@pytest.mark.parametrize("word", ["none", "hard"])
+def test_where_the_model_holds_each_is_a_kalman_filter(word):
+    scenario = as_stated("velocity", index=0.1, steps=60)
+    tracks = scenario.simulate(100, 11)
+    f = presets.gpb(scenario.motion, scenario.sensor, manoeuvres=word)
+    found, plain = (g(tracks.z, tracks.prior) for g in (f, presets.srckf(scenario.motion, scenario.sensor)))
+    errors = [rmse(e.mean, tracks.truth, scenario.position)[20:].mean() for e in (found, plain)]
+    assert errors[0] < 1.02 * errors[1]
+    assert 0.9 < nees(found, tracks.truth)[:, 20:].mean() / 4 < 1.1
+
+
+def test_with_none_a_target_moves_as_it_is_stated_to_and_outliers_are_still_found():
+    _, z = turn()
+    z = z.clone()
+    z[:, 20] += 300
+    e = gpb("none")(z[:, :30], PRIOR)
+    assert e.info.regimes.shape[-1] == 1
+    assert (e.info.outlier[:, 20] > 0.99).all()
+
+
+def test_what_is_given_wins_over_the_word():
+    f = gpb("none", noise_levels=(2.0,))
+    assert f.regimes.noise_levels().tolist() == [2.0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("motions", [1, 2])
+def test_compiled_hard_manoeuvres_are_the_same_with_the_same_gradients(motions):
+    bank = [ConstantVelocity(0.1, orders=3, spectral=True), CoordinatedTurn(0.2, q=0.1, orders=3)][:motions]
+    prior = Gaussian(torch.zeros(6).double(), torch.diag(torch.tensor([10, 10, 40, 40, 1, 1]).double()))
+    z, found = turn(0.05)[1][:3, 36:46], []
+    for compiled in (False, True):
+        f = presets.gpb(bank, Position(STD), manoeuvres="hard", learn=("manoeuvre_factors", "noise_levels"))
+        f = f.compile() if compiled else f
+        e = f.smooth(z - z[:, :1], prior)
+        (e.mean.square().sum() + e.info.filtered.mean.square().sum()).backward()
+        found.append([e.mean, e.covariance, e.info.outlier, *(p.grad for p in f.parameters())])
+    for one, other in zip(*found, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-7, atol=1e-9 * float(one.detach().abs().max()))
+
+
+def test_an_unknown_word_is_an_error():
+    with pytest.raises(ValueError, match="manoeuvres: expected one of none, some, hard, received 'wild'"):
+        gpb("wild")
