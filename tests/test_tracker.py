@@ -310,7 +310,7 @@ def test_with_an_origin_single_precision_keeps_a_metre_at_six_million(name, away
 def test_what_cannot_be_smoothed_says_so_before_another_sensor_has_measured():
     t = tracker(made("gpb"))
     t.update(1.0, [101.0, 80.0], "gps")
-    with pytest.raises(NotImplementedError, match="of one sensor on the way back"):
+    with pytest.raises(NotImplementedError, match="of one sensor in the backward pass"):
         t.smoothed()
 
 
