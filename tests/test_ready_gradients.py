@@ -10,7 +10,7 @@ from torch.autograd.graph import saved_tensors_hooks
 from torch.utils.checkpoint import checkpoint
 
 from torchfra.compiler import guards, run
-from torchfra.compiler.engine import tracks as tracks_module
+from torchfra.compiler import whole_tracks as tracks_module
 from torchfra.filters import SRCKF
 from torchfra.tree import flatten
 from torchfra.types import Gaussian
