@@ -152,7 +152,7 @@ def test_a_step_that_calls_routines_too(monkeypatch):
 
 
 def source_of(name, monkeypatch, **options):
-    """The last kernel that a filter needs: the way back, if it learns."""
+    """The last kernel that a filter needs: the gradient pass, if it learns."""
     f, tracks = of_kind(name, **options)
     found = []
     monkeypatch.setattr(Scan, "source", lambda scan, narrow=False: found.append(scan.cuda()) or "")

@@ -91,7 +91,7 @@ def test_without_torchs_guard_a_ready_step_is_checked_by_the_slower_one(monkeypa
 def test_without_torchs_numbers_of_operations_a_comment_names_the_line_alone(monkeypatch, owner, name, begins):
     from torchfra.compiler import origin
 
-    monkeypatch.setattr(origin, "_DIFFERENTIATED", begins)  # where a way back begins
+    monkeypatch.setattr(origin, "_DIFFERENTIATED", begins)  # where a gradient pass begins
     monkeypatch.delattr(owner, name)
     origins = origin.Origins()
     assert (lambda: origins.here())().startswith("test_private_names.py:")

@@ -81,7 +81,7 @@ def innovation_nll(estimate: Estimate) -> Tensor:
     """Negative log density of each measurement under its prediction.  It needs no truth: for recorded tracks.
 
     Where the model is linear its gradient is, to rounding, the one made of smoothed moments (Fisher's identity), so
-    that a loss of smoothed estimates would add nothing but the way back.
+    that a loss of smoothed estimates would add nothing but the backward pass.
 
     Source: the prediction error decomposition, Schweppe (1965); Cappe, Moulines & Ryden (2005), section 10.1, for
     the identity.

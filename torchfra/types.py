@@ -168,7 +168,7 @@ class Estimate(NamedTuple):
     failure: Failure | None = None
     """When and why tracks have failed; None for an estimate that no filter has made."""
     past: Any = ()
-    """What the way back needs, where ``forward`` was asked to keep it: see ``smooth(estimate=)``."""
+    """What the backward pass needs, where ``forward`` was asked to keep it: see ``smooth(estimate=)``."""
 
     @property
     def covariance(self) -> Tensor:

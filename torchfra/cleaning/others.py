@@ -11,7 +11,7 @@ from torch import Tensor
 from torchfra.catalogue import FILTERS, make_filter
 from torchfra.cleaning.batches import Steps, padded
 from torchfra.filters import GPB, AlphaBetaInfo, Filter, FRAInfo, GPBInfo
-from torchfra.filters.smoothing import SmoothInfo
+from torchfra.filters.records import SmoothInfo
 from torchfra.motion.bank import Bank, aircraft
 from torchfra.motion.polynomial import ConstantVelocity
 from torchfra.sensors.position import Position

@@ -1,4 +1,4 @@
-"""The way back through both ends of a track: gradients of the last state, and of the prior."""
+"""The gradient pass through both ends of a track: gradients of the last state, and of the prior."""
 
 from __future__ import annotations
 

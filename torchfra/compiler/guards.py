@@ -26,7 +26,7 @@ def guard(tensors: Sequence[Tensor]) -> Callable[..., bool]:
 
 
 def hooked() -> bool:
-    """Whether what is saved for a way back may come back otherwise: stored elsewhere, or computed anew.
+    """Whether what is saved for a gradient pass may come back otherwise: stored elsewhere, or computed anew.
 
     True also where torch does not tell.
     """
@@ -40,5 +40,5 @@ def _form(x: Tensor) -> Hashable:
 
 
 def savable(x: Tensor) -> Tensor:
-    """The tensor, or a copy of one that was made in inference mode, which autograd saves for no way back."""
+    """The tensor, or a copy of one that was made in inference mode, which autograd saves for no gradient pass."""
     return x.clone() if x.is_inference() else x

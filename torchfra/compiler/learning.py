@@ -17,9 +17,10 @@ from torchfra.compiler.source import Port
 from torchfra.compiler.whole import Whole
 
 Compiler = Callable[..., Program | None]
-"""From ``"after"``, ``"backwards"`` or ``"begin"`` and the arguments of what makes it to a part of the way back."""
+"""From ``"after"``, ``"backwards"`` or ``"begin"``, and the arguments of what makes it, to a part of the gradient
+pass."""
 _WAYS = 8
-"""Ways back that are remembered for records that have gradients, which may lie in memory in several ways."""
+"""Gradient passes that are remembered for records that have gradients, which may lie in memory in several ways."""
 
 
 class Learning:
@@ -57,7 +58,7 @@ class Learning:
         self.needs_of_prior = tuple(name for name in self.needed if name not in inputs)
         self.stay = tuple(name for name in needed if not inputs[name].timed)
         self.timed = tuple(name for name in needed if inputs[name].timed)
-        # Now, not in the midst of a way back, is the time to find out what cannot be done.
+        # Now, not in the midst of a gradient pass, is the time to find out what cannot be done.
         compiler("begin", self.stay, self.needs_of_prior)
         after_back(ends, self.stay, [k for k in self.late if self.like[k].is_floating_point()])
 
@@ -108,7 +109,7 @@ class _Learned(torch.autograd.Function):
 
 
 class _Way:
-    """The way back for gradients of one form, of the records ``graded``: through the end, the steps, the beginning."""
+    """The gradient pass of one form, of the records ``graded``: through the end, the steps, the beginning."""
 
     def __init__(self, of: Learning, graded: dict[int, Tensor]) -> None:
         self._of, self.fit, kinds = of, guard([*graded.values()]), of.ends.step.inputs

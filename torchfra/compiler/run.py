@@ -27,7 +27,7 @@ from torchfra.tree import flatten, unflatten
 
 _CPU = torch.device("cpu")
 _REMEMBERED = 1 << 26
-"""Bytes of states at most that wait for the way back where no checkpoints are asked for; more are computed anew."""
+"""Most bytes of states that wait for the gradient pass where no checkpoints are asked for; others are made anew."""
 
 
 class Kernels:
@@ -98,13 +98,13 @@ class Kernels:
             return None
 
     def _way_back(self, kind: str, *how: Any) -> Program | None:
-        """A part of the way back of whole tracks on the CPU: see ``Learning``."""
+        """A part of the gradient pass of whole tracks on the CPU: see ``Learning``."""
         around: dict[str, Callable[..., Scan | None]] = {"after": after_back, "begin": begin_back}
         make = partial(around[kind], self._ends) if kind in around else getattr(self.step, kind)
         return self._compiled((kind, _CPU, False, *how), partial(make, *how))
 
     def remembers(self, batch: torch.Size, steps: int) -> bool:
-        """Whether the states before so many steps are few enough to be kept for the way back."""
+        """Whether the states before so many steps are few enough to be kept for the gradient pass."""
         size = sum(int((~zero).sum()) for zero in self.step.zero) * self.step.dtype.itemsize
         return size * steps * batch.numel() <= _REMEMBERED
 
@@ -124,8 +124,8 @@ class Kernels:
             steps: how many.
             state: before the first.
             inputs: in the order of the step's own.
-            checkpoint: steps between states that wait for the way back, where the others are computed anew; None for
-                all if they are few, else for one every sqrt(T) steps.
+            checkpoint: steps between states that wait for the gradient pass, where the others are computed anew; None
+                for all if they are few, else for one every sqrt(T) steps.
             truncate: steps after which gradients flow no further back.
         """
         if has_tangents():
@@ -163,7 +163,7 @@ def has_gradient(tensors: Iterable[Tensor]) -> bool:
 class _Run(torch.autograd.Function):
     """Runs stretches of steps, from each of ``starts`` to the next.
 
-    The states between wait for the way back if they are remembered, else each stretch is computed anew.
+    The states between wait for the gradient pass if they are remembered, else each stretch is computed anew.
     """
 
     @staticmethod

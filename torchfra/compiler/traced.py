@@ -46,7 +46,7 @@ def ends(step: Step) -> Ends:
 
 @dataclass(frozen=True)
 class Keep:
-    """One step of ``forward``: ``past`` with what the way back needs, ``whole`` of scans that are."""
+    """One step of ``forward``: ``past`` with what the backward pass needs, ``whole`` of scans that are."""
 
     past: bool = False
     whole: bool = False

@@ -30,7 +30,7 @@ class Whole:
         function: of these, as compiled by ``load``.
         prior: mean and root, of all tracks or of one that stands for all.
         rank: batch dimensions of what is written.
-        remembers: whether ``states``, the first and the last, are kept for a way back.
+        remembers: whether ``states``, the first and the last, are kept for a gradient pass.
     """
 
     made: Any

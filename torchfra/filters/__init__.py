@@ -11,10 +11,9 @@ from torchfra.filters.fra import FRA
 from torchfra.filters.gpb import GPB, GPBInfo, GPBState, Outliers, Regimes
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
 from torchfra.filters.likely_models import LikelyModels
-from torchfra.filters.records import Record, Smoothed
+from torchfra.filters.records import Record, Smoothed, SmoothInfo
 from torchfra.filters.scans.hypotheses import JPDAInfo, JPDAState
 from torchfra.filters.scans.jpda import JPDA
-from torchfra.filters.smoothing import SmoothInfo
 from torchfra.filters.srckf import SRCKF, Info, State
 
 __all__ = [

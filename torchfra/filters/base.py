@@ -17,8 +17,7 @@ from torchfra.filters.failures import diagnosed
 from torchfra.filters.fusion import fused
 from torchfra.filters.other_sensors import SensorViews
 from torchfra.filters.precision import in_full_precision
-from torchfra.filters.records import Kept, Past, Record, Smoothed, scores
-from torchfra.filters.smoothing import SmoothInfo
+from torchfra.filters.records import Kept, Past, Record, Smoothed, SmoothInfo, scores
 from torchfra.gaussian.arguments import check, check_belief
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements, Time, batch_rank, make_frames, with_values
@@ -304,7 +303,7 @@ class Filter(nn.Module, Generic[S]):
             std: like ``z``: standard deviations of the measurement noise, instead of the sensor's.
             noise: like ``z`` with one more ``m``: roots of the noise covariances, instead of the sensor's.
             truncate: steps after which gradients flow no further back (truncated back-propagation); None for all.
-            checkpoint: steps between states that are kept for the way back, which computes the steps between anew:
+            checkpoint: steps between states that are kept for the backward pass, which computes the steps between anew:
                 less memory for more time.  None keeps everything, after ``compile`` no more than 64 MiB.
             sensors: where steps have several: ``z (..., T, m)`` has the elements of the largest, NaN behind those
                 of a smaller; ``std`` and ``noise`` likewise, and so has ``info`` what it says of elements.
@@ -348,7 +347,7 @@ class Filter(nn.Module, Generic[S]):
 
         What the filter has settled on stays: weights of measurements and estimates of their noise are in the beliefs
         that it carried on, fading factors widen the predictions as they did.  (How Huber's regression weighs the
-        prediction is not known to the way back.)
+        prediction is not known to the backward pass.)
 
         Args:
             z: as of ``forward``, like all others that are not below.
@@ -357,8 +356,8 @@ class Filter(nn.Module, Generic[S]):
             u: likewise.
             std: likewise.
             noise: likewise.
-            truncate: steps after which gradients of the way forward flow no further back; nor do those of predictions
-                on the way back.
+            truncate: steps after which gradients of the forward pass flow no further back; nor do those of predictions
+                on the backward pass.
             checkpoint: steps between states that are kept for gradients, both ways.
             lag: measurements up to so many steps later count for the estimate of a step; None for all there are.
             estimate: what ``forward`` gave for the same arguments, so that it need not run again; of several models,
@@ -373,7 +372,7 @@ class Filter(nn.Module, Generic[S]):
         Raises:
             ValueError: as of ``forward``; ``lag`` below 1, or an estimate of other tracks.
             NotImplementedError: constant gains, which do not say how states follow from each other; ``GPB`` over
-                several sensors, as its way back is of one sensor's outliers; ``JPDA`` around several models.
+                several sensors, as its backward pass is of one sensor's outliers; ``JPDA`` around several models.
         """
         f: Any = self if sensors is None and which is None else fused(self, sensors, which)
         f.check_smooths()
@@ -469,7 +468,7 @@ class Filter(nn.Module, Generic[S]):
     # ------------------------------------------------------------ how
 
     def keep(self, state: S, frame: Frame, past: bool = False) -> tuple[S, Kept]:
-        """One step on a prepared frame: the next state, and what the estimate (and the way back) needs of it."""
+        """One step on a prepared frame: the next state, and what the estimate (and the backward pass) needs of it."""
         state, record = self.advance(state, frame)
         nis, log_likelihood = self._scores(record, frame.measurement_noise.log_norm)
         return state, Kept(record.belief, nis, log_likelihood, record.info, record.past if past else None)
@@ -540,7 +539,7 @@ class Filter(nn.Module, Generic[S]):
         self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
         estimate: Estimate | None,
     ) -> tuple[Estimate, Any]:  # fmt: skip
-        """The filtered estimate, and what the way back needs of it."""
+        """The filtered estimate, and what the backward pass needs of it."""
         state = steps = None
         if estimate is not None:
             z = measurements.z

@@ -13,7 +13,6 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.base import Filter, Mix
-from torchfra.filters.hindsight import Models, ModelsPast, ModelsStep, remembered, retreat, together
 from torchfra.filters.interaction import (
     as_stay,
     as_transition,
@@ -24,6 +23,7 @@ from torchfra.filters.interaction import (
     interaction,
 )
 from torchfra.filters.likely_models import LikelyModels, of_active
+from torchfra.filters.model_smoothing import Models, ModelsPast, ModelsStep, remembered, retreat, together
 from torchfra.filters.records import Record, Smoothed
 from torchfra.gaussian.inputs import BackwardStep, Frame
 from torchfra.gaussian.mixture import models_first, repeated

@@ -10,7 +10,7 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.base import Mix
-from torchfra.filters.hindsight import ModelsStep
+from torchfra.filters.model_smoothing import ModelsStep
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, shared, wide, without_failed

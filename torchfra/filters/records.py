@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from torch import Tensor
 
 from torchfra.gaussian.update import density
-from torchfra.types import Gaussian
+from torchfra.types import Estimate, Gaussian
 
 
 class Record(NamedTuple):
@@ -47,6 +47,20 @@ class Smoothed(NamedTuple):
     probabilities: Tensor | None = None
     outlier: Tensor | None = None
     repaired: Tensor | None = None
+
+
+class SmoothInfo(NamedTuple):
+    """What a smoother says besides its beliefs."""
+
+    filtered: Estimate
+    """What the filter said."""
+    probabilities: Tensor | None = None
+    """``(..., T, K)`` of the models of a bank, or ``(..., T, R)`` of the regimes of ``GPB``."""
+    outlier: Tensor | None = None
+    """``(..., T, B)`` of each block of ``GPB`` that it was an outlier."""
+    repaired: Tensor | None = None
+    """``(..., T)`` bool, of rules with negative weights and motions that are not linear: the joint covariance of this
+    state and the next was not positive definite and was repaired."""
 
 
 class Past(NamedTuple):

@@ -18,7 +18,7 @@ from torchfra.tree import event_ranks
 from torchfra.types import Gaussian
 
 
-class Told(NamedTuple):
+class Updated(NamedTuple):
     """Beliefs after a measurement, in units of their roots before: ``N(0, I)`` where the measurement says nothing."""
 
     belief: Gaussian
@@ -38,8 +38,8 @@ class Future(NamedTuple):
     value: Tensor
     """``(..., n)``."""
 
-    def told(self, ahead: Carried, difference: Difference = torch.sub) -> Told:
-        """What this says of beliefs ``(..., n)`` that are carried as far as its state, in units of their roots.
+    def update(self, ahead: Carried, difference: Difference = torch.sub) -> Updated:
+        """Beliefs ``(..., n)`` that are carried as far as this state, updated by it, in units of their roots before.
 
         What does not follow a belief is noise here, ``N = I + slope Q slope^T``, and often that of many beliefs: in
         units of it, ``N^-1/2 value = A u + N(0, I)`` for ``u ~ N(0, I)``.  ``tria([[I, A^T], [0, e^T]]) = [[R, 0],
@@ -48,12 +48,12 @@ class Future(NamedTuple):
         """
         gap = difference(ahead.mean, self.origin)
         subtracted = () if ahead.subtracted is None else (ahead.subtracted,)
-        return _told(self.slope, self.value, gap, ahead.spread, ahead.process_noise, *subtracted)
+        return _update(self.slope, self.value, gap, ahead.spread, ahead.process_noise, *subtracted)
 
 
 @batchwise(2, 1, 1, 2, 2, 2)
-def _told(slope: Tensor, value: Tensor, gap: Tensor, spread: Tensor, noise: Tensor, *subtracted: Tensor) -> Told:
-    """``Future.told`` of beliefs that lie ``gap`` beyond the origin."""
+def _update(slope: Tensor, value: Tensor, gap: Tensor, spread: Tensor, noise: Tensor, *subtracted: Tensor) -> Updated:
+    """``Future.update`` of beliefs that lie ``gap`` beyond the origin."""
     n = slope.shape[-1]
     rest = spread.shape[-1] - n
     noise = hstack(noise, spread[..., :rest]) if rest else noise
@@ -68,7 +68,7 @@ def _told(slope: Tensor, value: Tensor, gap: Tensor, spread: Tensor, noise: Tens
     lower = tria_beside(pad(eye.diagonal(), (0, 1)), rows)
     left = torch.linalg.solve_triangular(lower[..., :n, :n].mT, eye, upper=True)
     fit = -0.5 * lower[..., n, n].square() - _log_det(lower[..., :n, :n]) - _log_det(root)
-    return Told(Gaussian(apply(left, lower[..., n, :n]), left), fit)
+    return Updated(Gaussian(apply(left, lower[..., n, :n]), left), fit)
 
 
 def _log_det(root: Tensor) -> Tensor:

@@ -144,17 +144,17 @@ class Outliers(nn.Module):
             share, gone = prior[..., b], missing[..., list(block)]
             so_far = Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril) if b else Gaussian(mean, root)
             rows, cross, left, residual = _in_space_of(_of_block(compare(so_far), block), belief)
-            told, log_told = sequential(rows[-1:], residual[-1:], self.adapted(sizes, residual[-1:], gone), gone)
-            none, log_none = _entry(told, 0), log_told[0]
+            updated, log_updated = sequential(rows[-1:], residual[-1:], self.adapted(sizes, residual[-1:], gone), gone)
+            none, log_none = _entry(updated, 0), log_updated[0]
             if b:  # with and without outliers have the first block's prediction in common alone
                 first, log_first = sequential(rows[:1], residual[:1], sizes[:1], gone)
                 none, log_none = _entry(first, 0), log_first[0]
             joint = torch.cat(
-                [(log_told[0] + torch.log1p(-share)).unsqueeze(0), log_told[1:] + share.log() + log_shares]
+                [(log_updated[0] + torch.log1p(-share)).unsqueeze(0), log_updated[1:] + share.log() + log_shares]
             )
             first_size = int(only)  # if some block is an outlier and there is no other, this one is
             roots, log_some = shared(joint[first_size:])
-            some = matched(Gaussian(told.mean[first_size:], told.scale_tril[first_size:]), roots)
+            some = matched(Gaussian(updated.mean[first_size:], updated.scale_tril[first_size:]), roots)
             both = Gaussian(*(torch.cat(x) for x in zip(none, some, strict=True)))
             spread = cross @ both.scale_tril
             spread = spread if left is None else hstack(spread, left)

@@ -20,8 +20,8 @@ from torchfra.filters.gpb.hypotheses import (
     to_state,
 )
 from torchfra.filters.gpb.states import GPBPast
-from torchfra.filters.hindsight import inside
 from torchfra.filters.interaction import for_each_model
+from torchfra.filters.model_smoothing import inside
 from torchfra.filters.records import Smoothed
 from torchfra.gaussian.future import future
 from torchfra.gaussian.inputs import BackwardStep
@@ -45,9 +45,9 @@ def smoothed(f: Any, past: GPBPast) -> Smoothed:
 def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     """One step back: hypotheses of the step before meet those of the step.
 
-    As in ``torchfra.filters.hindsight``: what comes later is the measurement that makes of a prediction its smoothed
+    As in ``filters.model_smoothing``: what comes later is the measurement that makes of a prediction its smoothed
     belief, here for each motion of the step with and without an outlier in it.  Beliefs of the regimes of one motion
-    have been merged, so that of those later measurements tell what their Markov chain passes on.
+    have been merged, so that later measurements say of those what their Markov chain passes on.
 
     Args:
         f: the filter.
@@ -72,14 +72,14 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     # Every motion before, carried by every regime, meets it.
     every = Gaussian(*(x.expand(x.shape[0], regimes.motions, *x.shape[2:]) for x in before.belief))
     ahead = regimes.carried(carry(f.bank, f.motion_rule, every, frame), nis, f.motion.position)
-    each, fit = news.told(ahead, difference)  # (2, R, 2, K, ...)
+    each, fit = news.update(ahead, difference)  # (2, R, 2, K, ...)
     joint = prior + regimes.of_motions(without_failed(fit), MOTION_BEFORE)  # (2, R, 2, R, ...)
     total = log_sum(log_sum(joint, MOTION_BEFORE), BEFORE)[:, :, None, None]
     none = total == -torch.inf  # nothing leads there
     joint = without_failed(torch.where(none, -torch.inf, joint - torch.where(none, 0.0, total))) + later.log_weight
-    told = Hypotheses(each, regimes.log_by_motion(joint, MOTION_BEFORE)).merged(OUTLIER, MOTION).belief
+    updated = Hypotheses(each, regimes.log_by_motion(joint, MOTION_BEFORE)).merged(OUTLIER, MOTION).belief
     log_weight = log_sum(log_sum(joint, MOTION), OUTLIER)[None, None]
-    now = Hypotheses(inside(before.belief, told), log_weight)
+    now = Hypotheses(inside(before.belief, updated), log_weight)
     hypotheses, log_weights = to_state(now, (BEFORE, MOTION_BEFORE), AXES)
     result: GPBPast = step.past._replace(hypotheses=hypotheses, log_weights=log_weights)
     return result

@@ -41,7 +41,7 @@ from torchfra.types import Gaussian, Innovation
 
 
 class ScanPast(NamedTuple):
-    """What the way back needs of a scan; ``(..., N, T, ...)`` of a whole sequence."""
+    """What the backward pass needs of a scan; ``(..., N, T, ...)`` of a whole sequence."""
 
     inner: Past
     """Of the targets' filters."""
@@ -243,12 +243,12 @@ class JPDA(Soft, Filter[JPDAState]):
         if not isinstance(self.inner, SRCKF):
             name = type(self.inner).__name__
             raise NotImplementedError(
-                f"JPDA around {name}: the way back of {name} weighs its models by measurements that are known to be "
-                "the target's; smooth a JPDA around an SRCKF"
+                f"JPDA around {name}: the backward pass of {name} weighs its models by measurements that are known to "
+                "be the target's; smooth a JPDA around an SRCKF"
             )
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: Tensor) -> ScanPast:
-        """What the way back needs: of each target its beliefs, in which associations stay as they were."""
+        """What the backward pass needs: of each target its beliefs, in which associations stay as they were."""
         return ScanPast(self.inner.past(belief, info, None, None), steps)
 
     def fresh(self, past: ScanPast) -> ScanPast:
@@ -325,7 +325,7 @@ class JPDA(Soft, Filter[JPDAState]):
         return Innovation(record.residual, record.root, *self._scores(record, frame.measurement_noise.log_norm))
 
     def for_each_target(self, measurements: Measurements) -> Measurements:
-        """Measurements for the way back of targets: time steps and ``u`` of scenes have a dimension for targets."""
+        """Measurements for the backward pass of targets: time steps and ``u`` of scenes have one more dimension."""
         dt, u = measurements.dt, measurements.u
         dt = dt.unsqueeze(-2) if isinstance(dt, Tensor) and dt.dim() > 1 else dt
         return measurements._replace(dt=dt, u=u.unsqueeze(-3) if u is not None and u.dim() > 2 else u)

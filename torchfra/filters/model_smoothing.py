@@ -1,4 +1,4 @@
-"""The way back of interacting models: what comes later as a measurement of every model before."""
+"""Smoothing by interacting models: what comes later is a measurement of every model before."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from torchfra.types import Gaussian
 
 
 class ModelsStep(NamedTuple):
-    """What interacting models keep of a step for the way back."""
+    """What interacting models keep of a step for the backward pass."""
 
     belief: Gaussian
     """``(..., K)`` of each model."""
@@ -31,7 +31,7 @@ class ModelsStep(NamedTuple):
 
 
 class ModelsPast(NamedTuple):
-    """What the way back needs of a step; ``(..., T, K)`` of a whole track."""
+    """What the backward pass needs of a step; ``(..., T, K)`` of a whole track."""
 
     inner: Any
     """Of the models' filters."""
@@ -97,17 +97,17 @@ def retreat(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Mo
     predicted, _ = inner.carry(mixed, frame, step.ahead.factor).belief()
     difference = inner.motion.difference
     later = future(predicted, after.belief, difference)
-    each, fit = later.told(inner.carry(before, frame, step.ahead.factor), difference)
+    each, fit = later.update(inner.carry(before, frame, step.ahead.factor), difference)
     joint = without_failed((share + without_failed(fit).movedim(0, -2)).log_softmax(-2))
     joint = joint + after.log_weights.unsqueeze(-2)
     log_weights = joint.logsumexp(-1)
     back = Gaussian(each.mean.movedim(-2, 0), each.scale_tril.movedim(-3, 0))  # (now, was, ...)
-    told = moment_match(back, (joint - log_weights.unsqueeze(-1)).movedim((-1, -2), (0, 1)))
-    told = Gaussian(told.mean.movedim(0, -2), told.scale_tril.movedim(0, -3))
-    return Models(inside(step.past.inner.belief, told), log_weights)
+    updated = moment_match(back, (joint - log_weights.unsqueeze(-1)).movedim((-1, -2), (0, 1)))
+    updated = Gaussian(updated.mean.movedim(0, -2), updated.scale_tril.movedim(0, -3))
+    return Models(inside(step.past.inner.belief, updated), log_weights)
 
 
-def inside(belief: Gaussian, told: Gaussian) -> Gaussian:
-    """A belief ``(..., n)`` after what has been ``told`` of it in units of its root."""
+def inside(belief: Gaussian, updated: Gaussian) -> Gaussian:
+    """A belief ``(..., n)`` that is ``updated`` in units of its root."""
     mean, root = belief
-    return Gaussian(mean + apply(root, told.mean), root @ told.scale_tril)  # lower roots: so is their product
+    return Gaussian(mean + apply(root, updated.mean), root @ updated.scale_tril)  # lower roots: so is their product
