@@ -53,6 +53,7 @@ def test_robust_and_adaptive_filters_pay_a_known_price_where_the_models_hold(nam
     assert found < PRICES[name] * plain
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag", [0, 1])
 def test_gpb_smoothed_or_settled_is_a_kalman_filter_too(lag):
     scenario, of = tracks(MODELS[0])
@@ -67,6 +68,7 @@ def test_gpb_smoothed_or_settled_is_a_kalman_filter_too(lag):
             assert errors[0] < 1.02 * errors[1]
 
 
+@pytest.mark.slow
 def test_gpb_with_a_bank_is_a_kalman_filter_where_only_its_first_motion_is_flown():
     scenario, _ = tracks({"index": 0.1})
     bank = as_stated("bank", index=0.1).bank

@@ -8,6 +8,7 @@ import pytest
 import torch
 from conftest import STEPS
 from one_graph import ONE_GRAPH
+from short_tracks import SMALL_GPB
 from torch import nn
 
 from torchfra import Hyper, learnable, presets, scenarios
@@ -75,7 +76,7 @@ def test_what_a_filter_begins_with_may_differ_between_tracks(make, tracks, scena
     poor = torch.linspace(0.1, 0.4, len(tracks.z), dtype=torch.float64)
     chances = torch.stack([poor, 1 - 2 * poor, poor], -1)
     bank = presets.imm_srckf(scenario.bank, scenario.sensor, initial=chances)
-    for f in (make("gpb", prior_outlier=poor, prior_inflation=1 / poor), bank):
+    for f in (make("gpb", prior_outlier=poor, prior_inflation=1 / poor, **SMALL_GPB), bank):
         close(*both(f, tracks.z, tracks.prior, u=tracks.u))
 
 

@@ -14,6 +14,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from short_tracks import SMALL_GPB
 
 from torchfra import presets, scenarios
 from torchfra.compiler import build, cuda, step
@@ -125,6 +126,7 @@ def compare(name, dtype, monkeypatch, **options):
 # ---------------------------------------------------------------- the same results
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
 @pytest.mark.parametrize("name", ["srckf", "alphabeta"])
 def test_a_loop_over_threads_gives_what_the_filter_gives(name, dtype, monkeypatch):
@@ -134,8 +136,7 @@ def test_a_loop_over_threads_gives_what_the_filter_gives(name, dtype, monkeypatc
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "options", "dtype"), [
     ("fra", {"learn": "all", "temperature": 1.0}, torch.float64),
-    ("fra", {"learn": "all", "temperature": 1.0}, torch.float32),
-    ("gpb", {"learn": ("levels",)}, torch.float64), ("imm_srckf", {}, torch.float64),
+    ("gpb", SMALL_GPB | {"learn": ("noise_levels",)}, torch.float64), ("imm_srckf", {}, torch.float64),
 ])  # fmt: skip
 def test_filters_of_several_branches_too(name, options, dtype, monkeypatch):
     compare(name, dtype, monkeypatch, **options)

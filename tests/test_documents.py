@@ -69,6 +69,7 @@ SMALL = {
 """Options by the beginning of a command, the longest that fits: always these, and these where the line has none."""
 SMALL_TRAINING = ["iterations=1", "batch=2", "validation_runs=2", "test_runs=2", "compile=false", "search={}"]
 HELP_ONLY = {
+    "scripts/examples/": "run by test_examples.py",
     "scripts/export.py": "compiles a program for each filter: run by test_export.py",
     "scripts/benchmark.py --what training": "compiles four filters with gradients: run by test_scripts.py",
     "scripts/benchmark.py --what roof": "compiles every filter: run by test_scripts.py",

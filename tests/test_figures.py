@@ -118,6 +118,7 @@ def test_no_error_breaks_the_figure(error, others, tmp_path):
     assert plotting.save(figure, tmp_path / "f.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_a_filter_that_failed_leaves_the_map_of_the_others(bearings):
     _, results, mapped = bearings
     nothing = torch.full_like(mapped.truth, torch.nan)
@@ -129,6 +130,7 @@ def test_a_filter_that_failed_leaves_the_map_of_the_others(bearings):
     assert "rsrckf" not in named
 
 
+@pytest.mark.slow
 def test_one_run_of_one_filter_makes_a_figure(tmp_path):
     scenario = make_scenario("bearings-outliers")
     filters = scenario_filters(["srckf"], scenario)

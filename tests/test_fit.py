@@ -98,6 +98,7 @@ def test_what_a_preset_makes_learnable_is_learned_without_naming_it(data):
     assert set(torchfra.fit(f, {"z": data["z"], "prior": PRIOR}, **QUICK).learned) == {"sensor.std"}
 
 
+@pytest.mark.slow
 def test_compiled_and_interpreted_find_the_same(data):
     short = {"z": data["z"][:20, :8], "prior": PRIOR}
     one, other = (torchfra.fit(start(), short, learn=("std",), iterations=0, compile=c) for c in (True, False))

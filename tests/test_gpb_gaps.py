@@ -4,6 +4,7 @@ import copy
 
 import pytest
 import torch
+from short_tracks import SMALL_GPB
 
 from torchfra import presets
 from torchfra.association import Clutter, Euclidean
@@ -67,6 +68,7 @@ LATE = pytest.mark.xfail(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [1, 3])
 @pytest.mark.parametrize("jump", [10.0, pytest.param(20.0, marks=LATE)])
 def test_a_target_that_turns_is_found_again_on_a_finer_grid_of_time_too(jump, rows):
@@ -117,6 +119,7 @@ def test_a_poor_start_is_not_forgotten_before_the_first_measurement():
     assert state.log_weights[..., 1, :].exp().sum(-1) == pytest.approx(0.3)
 
 
+@pytest.mark.slow
 def test_what_is_not_measured_is_no_outlier():
     _, z, prior = tracks(20.0)
     z[:, 10] += 300
@@ -146,6 +149,7 @@ def test_a_step_of_no_time_without_a_measurement_changes_nothing(motion):
 # ---------------------------------------------------------------- later
 
 
+@pytest.mark.slow
 @LATE
 def test_smoothed_it_is_as_near_the_truth():
     truth, z, prior = tracks(20.0)
@@ -158,9 +162,9 @@ def test_smoothed_it_is_as_near_the_truth():
 def test_compiled_it_is_the_same_and_gradients_are_finite():
     _, z, prior = tracks(20.0)
     every = padded(z[:4, 15:26], 1)
-    f = presets.gpb(MOTIONS["one motion"], SENSOR, learn="all")
+    f = presets.gpb(MOTIONS["one motion"], SENSOR, learn="all", **SMALL_GPB)
     found = []
-    for g in (f, presets.gpb(MOTIONS["one motion"], SENSOR, learn="all").compile()):
+    for g in (f, copy.deepcopy(f).compile()):
         e = g.smooth(every, Gaussian(prior.mean[:4], prior.scale_tril), dt=0.5)
         (e.mean.square().mean() + e.log_likelihood.mean()).backward()
         found.append((e.mean.detach(), e.info.outlier.detach(), *(p.grad for p in g.parameters())))
@@ -184,7 +188,7 @@ def test_smoothed_gradients_are_finite_however_far_off_a_measurement_is(motion, 
 def test_compiled_they_are_finite_too():
     z = torch.zeros(2, 9, 2, dtype=torch.float64)
     z[:, 3], z[:, 5] = 1000.0, torch.nan
-    f, found = presets.gpb(MOTIONS["one motion"], SENSOR, learn="all"), []
+    f, found = presets.gpb(MOTIONS["one motion"], SENSOR, learn="all", **SMALL_GPB), []
     for g in (f, copy.deepcopy(f).compile()):
         e = g.smooth(z, start("one motion"))
         (e.mean.square().mean() + e.log_likelihood.mean()).backward()

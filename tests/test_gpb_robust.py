@@ -70,8 +70,14 @@ def still_open(request):
         request.applymarker(pytest.mark.xfail(strict=True, reason=OPEN[request.node.name]))
 
 
-every_motion = pytest.mark.parametrize("motion", MOTIONS)
-every_sensor = pytest.mark.parametrize("sensor", SENSORS)
+def some_slow(names, slow):
+    """All of them; what is of these is slow.  One estimate is of all tests of a motion and a sensor."""
+    return [pytest.param(name, id=name, marks=pytest.mark.slow if name in slow else ()) for name in names]
+
+
+SLOW_SENSORS = ("radar", "ranges")
+every_motion = pytest.mark.parametrize("motion", some_slow(MOTIONS, ["bank"]))
+every_sensor = pytest.mark.parametrize("sensor", some_slow(SENSORS, SLOW_SENSORS))
 
 
 def flight():
@@ -201,7 +207,6 @@ def check(motion, sensor, case, since):
     return e, truth, usual
 
 
-@pytest.mark.slow
 @every_motion
 @every_sensor
 def test_nothing_is_wrong(sensor, motion):
@@ -209,6 +214,7 @@ def test_nothing_is_wrong(sensor, motion):
     assert (e.mean - truth)[:, 20:, :2].norm(dim=-1).square().mean().sqrt() < 1.1 * usual
 
 
+@pytest.mark.slow
 @every_sensor
 def test_a_bank_covers_99_percent_of_the_steps(sensor):
     truth, _, _, e = estimates("bank", sensor)[nothing]
@@ -242,6 +248,7 @@ def test_a_start_that_is_three_kilometres_off(sensor, motion):
     check(motion, sensor, poor_start, 0)
 
 
+@pytest.mark.slow
 @every_motion
 @pytest.mark.parametrize("wrong", HALF)
 def test_half_of_the_elements_wrong_for_a_minute(wrong, motion):
@@ -252,7 +259,7 @@ def test_half_of_the_elements_wrong_for_a_minute(wrong, motion):
 
 
 @every_motion
-@pytest.mark.parametrize("sensor", CASES[elsewhere])
+@pytest.mark.parametrize("sensor", some_slow(CASES[elsewhere], SLOW_SENSORS))
 def test_one_fix_that_is_thousands_of_kilometres_off(sensor, motion):
     e, truth, usual = check(motion, sensor, elsewhere, 120)
     assert (nees(e, truth)[:, 120] < 25).all()

@@ -21,6 +21,7 @@ def test_it_is_that_of_a_function_whose_second_derivatives_are_known():
     assert x.tolist() == [0.3, -1.2]
 
 
+@pytest.mark.slow
 def test_of_a_compiled_filter_it_is_that_of_the_filter(make, tracks):
     found = []
     for compiled in (False, True):

@@ -46,6 +46,7 @@ def test_products_of_gauss_and_hermite_are_exact_in_each_component(order, n):
         assert integral(rule, n, powers) == pytest.approx(moment(powers), rel=1e-11, abs=1e-10)
 
 
+@pytest.mark.slow
 def test_the_rule_of_degree_five_is_not_exact_in_degree_six():
     assert integral(fifth_degree(5), 5, (6,)) == pytest.approx(9)  # not 15
 

@@ -52,6 +52,7 @@ def test_each_part_is_taken_once_and_none_has_much_more_to_do_than_another(cores
     assert len(parts.shares(parts.together(functions), cores)) == 1
 
 
+@pytest.mark.slow
 def test_a_part_that_does_not_compile_is_named_with_its_compiler(large, monkeypatch):
     monkeypatch.setattr(build, "_cores", lambda: 2)
     monkeypatch.setenv("CXXFLAGS", "-O0 -Dpiece1=1")

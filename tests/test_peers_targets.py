@@ -16,6 +16,7 @@ def compared(tmp_path, *arguments):
     return {row["tracker"]: row for row in json.loads(path.read_text())["rows"]}
 
 
+@pytest.mark.slow
 def test_filters_of_torchfra_follow_the_targets_and_the_table_says_how_well(tmp_path, capsys):
     rows = compared(tmp_path, "--trackers", "srckf,imm,gpb")
     assert list(rows) == ["srckf", "imm", "gpb"]

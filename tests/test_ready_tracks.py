@@ -50,6 +50,7 @@ def test_results_are_new_each_time(ready):
     assert all(map(torch.equal, flatten(f(**given)), kept))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [1, 2])
 def test_one_step_says_what_the_first_of_many_says(make, tracks, steps):
     f = make("fra")

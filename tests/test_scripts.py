@@ -116,15 +116,13 @@ def test_reproduce_writes_the_errors_of_the_reentry(tmp_path):
 @pytest.mark.slow
 def test_reproduce_writes_errors_by_target_and_association_probabilities(tmp_path, capsys):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path)]
-    names = ["--filters", "ukf_jpda_paper,iaukf_jpda_paper,iaukf_jpda_safe"]
+    names = ["--filters", "ukf_jpda_paper,iaukf_jpda_safe"]
     assert (
         reproduce.main(["clutter-crossing", "--runs", "4", "--noise-scale", "4", "--clutter", "4", *names, *out]) == 0
     )
     result = json.loads((tmp_path / "r.json").read_text())
     assert result["settings"]["noise_scale"] == 4
-    wanted = {
-        f"{name} {gate} m" for name in ("ukf_jpda_paper", "iaukf_jpda_paper", "iaukf_jpda_safe") for gate in (100, 150)
-    }
+    wanted = {f"{name} {gate} m" for name in ("ukf_jpda_paper", "iaukf_jpda_safe") for gate in (100, 150)}
     assert result["scans"].keys() == result["associations"].keys() == wanted
     of = result["scans"]["iaukf_jpda_safe 100 m"]
     assert len(of["rmse_range"]) == 2
@@ -203,8 +201,6 @@ def test_the_benchmark_times_eager_and_compiled_filters(tmp_path, capsys):
     assert result["versions"]["torch"] == torch.__version__
     assert result["settings"]["threads"] == torch.get_num_threads()
     assert "first call" in capsys.readouterr().out
-    assert benchmark.main(["--what", "positions", "--batch", "300", "--passes", "1", "--modes", "eager"]) == 0
-    assert "alphabeta, three gains, eager" in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -226,13 +222,12 @@ def test_the_benchmark_of_the_roof_says_how_far_filters_are_from_what_the_machin
 @pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_the_benchmark_of_training_says_time_and_peak_memory(tmp_path):
-    arguments = ["--what", "training", "--filters", "fra", "--batch", "4", "--passes", "1", "--json"]
+    arguments = ["--what", "training", "--filters", "srckf", "--batch", "4", "--passes", "1", "--json"]
     assert benchmark.main([*arguments, str(tmp_path / "b.json")]) == 0
     rows = {row["system"]: row for row in json.loads((tmp_path / "b.json").read_text())["rows"]}
-    for kind in ("fra", "fra, soft"):
-        plain, fast = rows[f"{kind}, torch.linalg.qr"], rows[f"{kind}, compiled"]
-        assert fast["median"] < plain["median"] / 4
-        assert (fast["peak_mib"] is None) == (plain["peak_mib"] is None)
+    plain, fast = rows["srckf, torch.linalg.qr"], rows["srckf, compiled"]
+    assert fast["median"] < plain["median"] / 4
+    assert (fast["peak_mib"] is None) == (plain["peak_mib"] is None)
 
 
 def test_plain_qr_is_the_same_filter(make, tracks):

@@ -138,6 +138,7 @@ def test_values_may_differ_by_track(make, tracks):
         close([x[i] for x in smoothed[:2]], f.smooth(tracks.z, tracks.prior, u=tracks.u))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{"lag": 3}, {"dt": DT}, {"dt": DT, "lag": 3}])
 def test_a_compiled_filter_smooths_as_one_that_is_not(make, tracks, options):
     f, fast = make("rsrckf"), make("rsrckf").compile()

@@ -175,6 +175,7 @@ def test_what_was_learned_goes_into_the_preset(run):
     assert learned.keys() == result["values"]["start"].keys()
 
 
+@pytest.mark.slow
 def test_a_run_tells_each_tasks_best_rival_and_errors_before_and_after(run):
     result, out = run
     assert json.loads((out / "results.json").read_text()) == json.loads(json.dumps(result))

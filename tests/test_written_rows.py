@@ -7,6 +7,7 @@ from torchfra import presets, scenarios
 from torchfra.compiler.pages import LEAST, PAST, rows_of_tracks
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
 def test_many_tracks_and_some_of_them_have_the_same_estimates_to_the_bit(dtype):
     scenario = scenarios.bearings_outliers()
