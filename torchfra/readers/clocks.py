@@ -162,7 +162,7 @@ def _told_clock(name: str, form: str, head: Head) -> Clock:
 
 
 def _numeric(name: str, values: NDArray[np.float64], told: Told) -> Clock:
-    """The unit of numbers: by the name's end, or by their size since 1970; or seconds since a start.
+    """The unit of numbers: by the end of the name if it can be, or by their size since 1970; or seconds since a start.
 
     Raises:
         ValueError: the name means times since 1970, and these are not.
@@ -171,10 +171,13 @@ def _numeric(name: str, values: NDArray[np.float64], told: Told) -> Clock:
     for form, per_second in PER_SECOND.items():
         fits = (values >= YEAR_1980 * per_second) & (values < _YEAR_2286 * per_second)
         fitting[form] = (fits.sum(), fits[:1].any())
+    ending = unit(name)
+    if ending in PER_SECOND and len(values) and np.abs(values).max() < _YEAR_2286 * PER_SECOND[ending]:
+        fitting = {ending: fitting[ending]}  # 1.2e9 us are 1200 s, although as seconds they are of 2008
     form = max(fitting, key=lambda form: fitting[form])
     if fitting[form][1] or (fitting[form][0] and early.mean() < _FEW):
         return Clock((name,), _unit_kind(form, True), form, True)
-    if (ending := unit(name)) in PER_SECOND and ending is not None:
+    if ending in PER_SECOND:
         return Clock((name,), _unit_kind(ending, False), ending, False)
     if told.time is None and plain(name) in SINCE_1970 and len(values) > 1:
         least, most = values.min(), values.max()

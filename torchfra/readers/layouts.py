@@ -32,9 +32,15 @@ _FLIGHT_LEVEL = 100 * METRES["ft"]
 _LENGTHS = {
     1.0: "metres", METRES["ft"]: "feet", 1e-3: "millimetres", _FLIGHT_LEVEL: "flight levels (hundreds of feet)",
 }  # fmt: skip
+_SEVERAL = 5
+"""Least rows of a value, in the mean, of a column that may say which target a row is of."""
 _WHOLE = re.compile(r"[+-]?[0-9]+")
 _AUTOPILOT = 1e-7
 """Degrees in the numbers of autopilots, whose altitudes are in millimetres."""
+_SEMICIRCLE = 180 / 2**31
+"""Degrees in the numbers of FIT files, of watches and bicycle computers."""
+_SEMICIRCLES = {"position_lat", "position_long"}
+"""Names that coordinates have in FIT files."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +54,8 @@ class Layout:
     """Columns of standard deviations, one for all axes or one for each."""
     clock: Clock
     source: Source
+    unread: tuple[str, ...] = ()
+    """Columns that may say which target a row is of, where none is known to: the likeliest first."""
 
     @property
     def degrees(self) -> bool:
@@ -94,7 +102,8 @@ def layout_of(head: Head, told: Told, name: str) -> Layout:
     public |= dict(zip(("date", "time")[-len(clock.columns) :], clock.columns, strict=True))
     public |= dict(zip(["sigma"], noise.columns, strict=False))
     source = Source(name, public, clock.form, length, word, lines)
-    return Layout(wanted, columns, tuple(noise.columns), clock, source)
+    unread_ids = () if "id" in columns else _parting(head, clock, [*ignored, *unused])
+    return Layout(wanted, columns, tuple(noise.columns), clock, source, unread_ids)
 
 
 def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
@@ -156,6 +165,15 @@ def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
     return taken
 
 
+def _parting(head: Head, clock: Clock, names: Sequence[str]) -> tuple[str, ...]:
+    """Those of the columns that may say which target a row is of, the one whose values part equal times first."""
+    times = list(zip(*(_texts(head, [name]) for name in clock.columns), strict=False))
+    cells = {name: _texts(head, [name]) for name in names}
+    several = [name for name, values in cells.items() if len(times) == len(values) > _SEVERAL * len(set(values))]
+    pairs = {name: len(set(zip(times, cells[name], strict=True))) for name in several}
+    return tuple(sorted(several, key=lambda name: (-pairs[name], len(set(cells[name])))))
+
+
 def _counts(name: str, head: Head) -> bool:
     """Whether a column numbers the rows instead of naming targets."""
     if plain(name) not in COUNTERS:
@@ -188,6 +206,7 @@ def _length(columns: Mapping[str, str], told: Told, word: str, head: Head) -> fl
     if plain(columns.get("altitude", "")) in FLIGHT_LEVELS:
         return _FLIGHT_LEVEL
     autopilot = _is_whole(head, columns.get("latitude"), 7) and _is_whole(head, columns.get("altitude"), 1)
+    autopilot = autopilot and columns["latitude"].lower() not in _SEMICIRCLES
     return 1e-3 if autopilot else METRES["ft" if feet else "m"]
 
 
@@ -201,7 +220,10 @@ def _kind(role: str, column: str, head: Head, length: float, word: str) -> Kind 
         return Kind(unit=length)
     limit = _LIMITS[role]
     kind = Kind(f"degrees within +-{limit:g}", limit=limit, absent=_ABSENT[role] if word == "ship" else np.nan)
-    return replace(kind, limit=limit / _AUTOPILOT, unit=_AUTOPILOT) if _is_whole(head, column, 7) else kind
+    if not _is_whole(head, column, 7):
+        return kind
+    degrees = _SEMICIRCLE if column.lower() in _SEMICIRCLES else _AUTOPILOT
+    return replace(kind, limit=limit / degrees, unit=degrees)
 
 
 def _has_commas(head: Head, columns: Mapping[str, str]) -> bool:
@@ -221,6 +243,8 @@ def _said(columns: Mapping[str, str], length: float, told: Told, wanted: Wanted)
     how = "" if "latitude" in columns else f", in {unit_said}"
     if any(kind is not None and kind.unit == _AUTOPILOT for kind in wanted.values()):
         how = ", in 1e-7 degrees"
+    elif any(kind is not None and kind.unit == _SEMICIRCLE for kind in wanted.values()):
+        how = ", in semicircles (180 / 2^31 degrees)"
     lines = [f"position: {', '.join(places)}{how}"]
     if "altitude" in columns:
         lines.append(

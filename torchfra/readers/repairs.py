@@ -14,6 +14,8 @@ from torchfra.readers.columns import Array, grouped
 from torchfra.readers.layouts import Layout
 from torchfra.readers.tables import Table
 
+_MANY = 0.1
+"""Share of rows with another position at the time of another row, from which on they are of several targets."""
 PLURALS = {"aircraft": "aircraft", "ship": "ships"}
 """Of what targets are called; all others end in s."""
 
@@ -87,7 +89,7 @@ class _Columns:
         self.update = column("update")
         self.noise = [table.column(name) for name in layout.noise]
         self.may_be_held = layout.source.word == "aircraft"
-        self.dated = layout.clock.since_1970
+        self.dated, self.unread = layout.clock.since_1970, layout.unread
 
     def rows_to_keep(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], Counter[str]]:
         """Which of the rows of a target to keep, in order of time, and the count of the repairs."""
@@ -105,6 +107,7 @@ class _Columns:
         time = self.time[index]
         repairs["rows put in time order"] = int((time < np.maximum.accumulate(time)).sum())
         index = index[np.argsort(time, kind="stable")]
+        self._check_same_times(index)
         index = keep(index, np.diff(self.time[index], prepend=-math.inf) > 0, "duplicate times dropped")
         if not self.may_be_held:
             return index, repairs
@@ -112,6 +115,24 @@ class _Columns:
         for column in (self.first, self.second, self.update):
             moved |= np.diff(np.nan_to_num(column[index], nan=1e16), prepend=2e16) != 0
         return keep(index, moved, "held positions dropped"), repairs
+
+    def _check_same_times(self, index: NDArray[np.intp]) -> None:
+        """Refuses rows of several targets in one: many have the time of another row and another position.
+
+        Raises:
+            ValueError: there are such rows, and columns that may say whose they are.
+        """
+        same = np.diff(self.time[index], prepend=-math.inf) == 0
+        moved = np.zeros(len(index), dtype=bool)
+        for column in (self.first, self.second):
+            moved[1:] |= np.diff(column[index]) != 0
+        count = int((same & moved).sum())
+        if self.unread and count > _MANY * len(index):
+            others = f" or --id {self.unread[1]}" if len(self.unread) > 1 else ""
+            raise ValueError(
+                f"{count} of {len(index)} rows have other positions at the same times as others, as rows of several "
+                f"targets do: say which column tells them apart, --id {self.unread[0]}{others}"
+            )
 
     def heights(self, index: NDArray[np.intp], repairs: Counter[str]) -> Array | None:
         """Altitudes with the missing ones filled; None if all are missing."""

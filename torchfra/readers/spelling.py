@@ -17,7 +17,7 @@ UNITS = {
 NAMES = {
     "time": ("t", "time", "timestamp", "datetime", "dateandtime", "basedatetime", "utc", "timeutc", "datetimeutc",
              "utctime", "dateutc", "timestamputc", "receivedtime", "unixtime", "unix", "epoch", "unixtimestamp",
-             "gpstime", "stamp", "elapsed", "elapsedtime", "timeelapsed", "timeboot", "timesinceboot", "bootms",
+             "gpstime", "itow", "stamp", "elapsed", "elapsedtime", "timeelapsed", "timeboot", "timesinceboot", "bootms",
              "timeunix", "zeitstempel", "datumuhrzeit", "datumzeit", "zeit", "uhrzeit", "horodatage", "datetheure",
              "dateheure", "temps", "heure", "fechahora", "fechayhora", "tiempo", "hora", "seconds", "sec", "secs", "ms",
              "date", "datum", "fecha", "ts"),
@@ -32,7 +32,10 @@ NAMES = {
                  "flightlevel", "fl", "hohe", "hoehe", "altitud", "altura", "hauteur"),
     "id": ("icao24", "icao", "hex", "mmsi", "trackid", "tracknumber", "targetid", "objectid", "vesselid", "shipid",
            "flightid", "deviceid", "vehicleid", "individuallocalidentifier", "tagid", "uavid", "droneid", "target",
-           "object", "vessel", "ship", "vehicle", "device", "individual", "trip", "tripid", "imo", "id", "name"),
+           "object", "vessel", "ship", "vehicle", "device", "individual", "trip", "tripid", "imo", "playerid", "player",
+           "animalid", "animal", "birdid", "bird", "collarid", "busid", "bus", "boatid", "boat", "imei", "userid",
+           "user", "entityid", "entity", "agentid", "agent", "riderid", "rider", "runnerid", "runner", "bib", "uuid",
+           "id", "name"),
     "call": ("callsign", "vesselname", "shipname", "name"),
     "update": ("lastposition", "lastposupdate"),
     "sigma": ("sigma", "std", "stddev", "sd", "sigmaxy", "accuracy", "horizontalaccuracy", "accuracyhorizontal",
@@ -49,7 +52,7 @@ FLIGHT_LEVELS = {"flightlevel", "fl", "modec", "modecaltitude"}
 """Names of altitudes in hundreds of feet."""
 SHIPS = {"mmsi", "imo", "shiptype", "vesseltype", "typeofmobile", "vesselname", "shipname"}
 """Names of columns that only these have; ships have a callsign too."""
-COUNTERS = {"id", "name", "objectid", "target", "object", "trip", "tripid"}
+COUNTERS = {"id", "name", "objectid", "target", "object", "trip", "tripid", "uuid", "entityid", "user", "userid"}
 """Names that may number the rows instead of the targets."""
 
 
@@ -66,6 +69,8 @@ def plain(name: str) -> str:
 def unit(name: str) -> str | None:
     """What the end of a name says of its unit: one of ``UNITS``."""
     words = _words(name)
+    if "".join(words) == "itow":  # the time of the GPS week, as receivers of u-blox give it
+        return "ms"
     return UNITS.get(words[-1]) if len(words) > 1 else {"ms": "ms"}.get(words[0] if words else "")
 
 
