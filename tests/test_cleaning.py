@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import torchfra
 from torchfra.cleaning import check_settings, clean_tracks
 from torchfra.cleaning.kinds import kind_of
 from torchfra.motion import ConstantVelocity, CoordinatedTurn
@@ -276,3 +277,25 @@ def test_a_bank_of_ones_own_is_calm_while_its_stated_process_noise_holds():
     (of,) = clean_tracks([recording], bank=bank, sigma=5.0, smooth=False)
     assert len(of.regimes) == of.regime.shape[1] == 4
     assert of.manoeuvre[10:].mean() < 0.1
+
+
+@pytest.mark.parametrize("where", [slice(0, 3), slice(50, 60), slice(117, 120)])
+def test_arrays_keep_their_length_where_positions_are_missing(where):
+    rng = np.random.default_rng(8)
+    path = np.stack([30.0 * np.arange(120), 5.0 * np.arange(120)], 1)
+    z = path + 5 * rng.standard_normal(path.shape)
+    z[where] = np.nan
+    of = torchfra.clean((np.arange(120.0), z))
+    assert of.position.shape == path.shape
+    assert np.linalg.norm(of.position - path, axis=1).max() < 25
+    assert (of.outlier[where] == 0).all()
+
+
+def test_a_missing_altitude_is_not_the_one_before():
+    rng = np.random.default_rng(9)
+    path = np.stack([30.0 * np.arange(120), 5.0 * np.arange(120), 10.0 * np.arange(120)], 1)
+    z = path + 3 * rng.standard_normal(path.shape)
+    z[60:70, 2] = np.nan
+    of = torchfra.clean((np.arange(120.0), z))
+    assert of.position.shape == path.shape
+    assert np.abs(of.position - path)[60:70].max() < 15

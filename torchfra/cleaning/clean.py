@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,7 @@ def clean(
         return _joined(data, clean_tracks(recordings, **settings))
     if isinstance(data, Sequence) and data and all(isinstance(one, Recording) for one in data):
         return clean_tracks(data, **settings)
-    (cleaned,) = clean_tracks(read_sheet(_sheet_of_arrays(data), "data", max_bytes=max_bytes, **words), **settings)
+    (cleaned,) = clean_tracks([_recording_of_arrays(data, max_bytes, words)], **settings)
     return cleaned
 
 
@@ -134,11 +135,11 @@ def _joined(frame: Any, several: Sequence[Cleaned]) -> Any:
 # ---------------------------------------------------------------- arrays
 
 
-def _sheet_of_arrays(data: Any) -> Sheet:
-    """Times and positions.
+def _recording_of_arrays(data: Any, max_bytes: int, words: dict[str, Any]) -> Recording:
+    """The track of times and positions; where a position is NaN it has a step too, without a fix.
 
     Raises:
-        ValueError: it is no pair of times and positions.
+        ValueError: it is no pair of times and positions, or these cannot be read.
     """
     if not isinstance(data, tuple | list) or len(data) != 2:
         raise ValueError(
@@ -149,5 +150,14 @@ def _sheet_of_arrays(data: Any) -> Sheet:
         raise ValueError(
             f"data: expected time (k,) and position (k, 2) or (k, 3), received {time.shape}, {position.shape}"
         )
+    missing = np.isnan(position)
+    known = np.where(missing.any(1), -1, np.arange(len(time)))
+    last = np.maximum.accumulate(known)  # of each row, that of the last whole position; else of the first
+    if (known >= 0).any():
+        position = np.where(missing, position[np.where(last < 0, (known >= 0).argmax(), last)], position)
     table = {"t": time, **{axis: position[:, i] for i, axis in enumerate("xyz"[: position.shape[1]])}}
-    return Sheet([*table], [(len(time), table.__getitem__)])
+    sheet = Sheet([*table], [(len(time), table.__getitem__)])
+    (recording,) = read_sheet(sheet, "data", max_bytes=max_bytes, **words)
+    assert recording.row is not None
+    gone = missing[recording.row][:, : recording.position.shape[1]]
+    return replace(recording, position=np.where(gone, np.nan, recording.position))
