@@ -307,7 +307,7 @@ def all_learned(result):
     start, after = result["values"]["start"], result["values"]["learned"]
     searched = set(result["config"]["search"])
     return result["left_out"] == 0 and all(
-        after[path] != value for path, value in start.items() if path not in searched
+        after[path] != value for path, value in start.items() if path.rpartition(".")[2] not in searched
     )
 
 
