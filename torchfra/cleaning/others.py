@@ -106,11 +106,13 @@ def regimes_of(f: Filter, estimate: Estimate) -> tuple[tuple[str, ...], Tensor]:
 
 
 def _calm_first(f: GPB, weights: Tensor) -> Tensor:
-    """Of regimes ``(..., R)`` those of the first motion up to its stated process noise, those above it, the others."""
-    levels = f.regimes.noise_levels()
-    own, others, jumps = weights.split((levels.shape[-1], f.regimes.motions - 1, f.regimes.jump_count), -1)
-    both = (torch.where(chosen, own, 0.0).sum(-1, keepdim=True) for chosen in (levels <= 1, levels > 1))
-    return torch.cat([*both, others, jumps.sum(-1, keepdim=True)], -1)
+    """Of regimes ``(..., R)`` those of the first motion up to its stated process noise, those above, others, jumps."""
+    regimes, levels = f.regimes, f.regimes.noise_levels()
+    sizes = regimes.level_count, regimes.motions - 1, regimes.manoeuvre_count, regimes.jump_count
+    own, others, manoeuvres, jumps = weights.split(sizes, -1)
+    calm, agile = (torch.where(chosen, own, 0.0).sum(-1, keepdim=True) for chosen in (levels <= 1, levels > 1))
+    agile = agile + manoeuvres.sum(-1, keepdim=True)
+    return torch.cat([calm, agile, others, jumps.sum(-1, keepdim=True)], -1)
 
 
 def manoeuvre_of(regimes: Tensor) -> Tensor:

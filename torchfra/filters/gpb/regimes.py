@@ -1,4 +1,4 @@
-"""Regimes of a motion: levels of its process noise, the other motions of a bank, and jumps."""
+"""Regimes of a motion: levels of its process noise, the other motions of a bank, manoeuvres and jumps."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ class Regimes(nn.Module):
         self_transition: self-transition probabilities by kind.
         restart: restart distribution by kind, which sums to one; other motions share theirs evenly.
         manoeuvre_factors: ``(..., M)`` times the normalised innovation squared per element: by so much, at least 1, the
-            variance of the last level's process noise is multiplied.  A manoeuvre of more than some standard deviations
-            is the rarer the larger it is: what is far off once is an outlier.
+            variance of the last level's process noise is multiplied.  Beyond five standard deviations a manoeuvre is
+            the rarer the larger it is: what is far off once is an outlier.
 
     Raises:
         ValueError: shapes that do not go together, values that are out of their range or do not sum to one.
