@@ -149,13 +149,18 @@ def _routine(
     return made
 
 
+def called_by(book: Expressions, live: Iterable[int]) -> list[Routine]:
+    """All routines that these expressions call; each before those that call it."""
+    found: dict[str, Routine] = {}
+    for routine in {book.calls[i].name: book.calls[i] for i in live if i in book.calls}.values():
+        found |= {inner.name: inner for inner in called_by(routine.book, routine.live)}
+        found[routine.name] = routine
+    return list(found.values())
+
+
 def texts(book: Expressions, live: Iterable[int]) -> dict[str, list[str]]:
     """By name and arguments, the lines of all routines that these expressions call; each before those that call it."""
-    found: dict[str, list[str]] = {}
-    for routine in {book.calls[i].name: book.calls[i] for i in live if i in book.calls}.values():
-        found |= texts(routine.book, routine.live)
-        found[f"{routine.name}(const V* a, V* r)"] = _lines(routine)
-    return found
+    return {f"{routine.name}(const V* a, V* r)": _lines(routine) for routine in called_by(book, live)}
 
 
 def _lines(routine: Routine) -> list[str]:
