@@ -178,7 +178,8 @@ def _atan2(y: Number, x: Number) -> Number:
 
 def _split(code: Code) -> tuple[int, float, float, float]:
     """Binary digits of a number behind the first; ln(2) in two parts, whole multiples of the first of which are exact;
-    and a number that rounds what is added to it, which is in the last bits of the sum."""
+    and a number that rounds what is added to it, which is in the last bits of the sum.
+    """
     if code.lanes.bits == 64:
         return 52, float.fromhex("0x1.62e42feep-1"), float.fromhex("0x1.a39ef35793c76p-33"), 1.5 * 2.0**52
     return 23, float.fromhex("0x1.62e4p-1"), float.fromhex("0x1.7f7d1cf79abcap-20"), 1.5 * 2.0**23
@@ -199,7 +200,9 @@ def _exp(x: Number) -> Number:
         kind, bits = code.numbers, "i8" if code.lanes.bits == 64 else "i16"
         name = f"llvm.x86.avx512.mask.scalef.p{'d' if code.lanes.bits == 64 else 's'}.512"
         zero = "zeroinitializer"
-        return Number(code, code.call(kind, name, (kind, p.name), (kind, k.name), (kind, zero), (bits, "-1"), ("i32", "4")))
+        return Number(
+            code, code.call(kind, name, (kind, p.name), (kind, k.name), (kind, zero), (bits, "-1"), ("i32", "4"))
+        )
     power = shifted.whole() - code.number(whole).whole()
     half = power >> 1  # in halves: the power alone may be out of range
 

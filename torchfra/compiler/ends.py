@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -12,10 +12,11 @@ from torch import Tensor
 
 from torchfra.compiler.entries import Entries, as_entries, entry_ids
 from torchfra.compiler.expressions import Expressions
+from torchfra.compiler.processor import lanes_of
 from torchfra.compiler.refusals import refusals_of
 from torchfra.compiler.source import Port, Scan
-from torchfra.compiler.statements import threaded
 from torchfra.compiler.step import Step, carried
+from torchfra.compiler.whole_native import Look, Places, whole
 from torchfra.linalg.tracing import elementary
 from torchfra.tree import flatten, map_tensors, unflatten
 
@@ -125,11 +126,10 @@ class Ends:
                 self.settled[first + place] = then, x.dtype == torch.bool
             self.places.append(place)
 
-    def source(self, narrow: bool, remembered: int = 0) -> str:
-        """The translation unit, whose function is ``whole``.
+    def source(self, remembered: int = 0) -> str:
+        """The module, whose function is ``whole``.
 
         Args:
-            narrow: as of ``Scan.source``.
             remembered: how many more tensors the steps write behind their records.
         """
         step, states = self.step, len(self.sizes)
@@ -144,26 +144,20 @@ class Ends:
         last = [_port(ids, truth=truth) for ids, truth in self.settled.values()]
         begin = Scan(self._book, [], [], reads, list(map(_port, self._begun)), dtype=step.dtype)
         finish = Scan(self._book, [], [], reads, [*[_port([])] * len(reads), *last], dtype=step.dtype)
-        (head, started), (_, finished) = begin.parts(narrow, "begin"), finish.parts(narrow, "finish")
-        looked = [first + self.places[k] for k in _LOOKS]
         made, prior, end = flatten(self.made), len(reads) - 2, len(reads) + len(last)
         given = [range(prior, len(reads)), range(states, after), range(first, prior), range(end, end + len(self.each))]
-        words: dict[str, Iterable[Any]] = {
-            "STATES": [*range(states), *range(after, first)],
-            "GIVEN": itertools.chain(*given),
-            "SETTLED": [*self.settled, -1],
-            "SIZES": [*(1 if port.truth else "sizeof(Scalar)" for port in last), 0],
-            "LOOKS": (2 * port + (port in self.settled) for port in looked),
-            "NUMBERS": (made[k].numel() // 2 for k in _LOOKS),
-            "EACH": [*self.each, 0],
-            "AFTER": [after],
-            "LAST": [len(reads)],
-            "PORTS": [end + len(self.each)],
-        }
-        text = threaded("ends.cpp")
-        for word, numbers in words.items():
-            text = text.replace(word, ", ".join(map(str, numbers)))
-        return f"{head}{started}{finished}{text}"
+        lanes = lanes_of(step.dtype)
+        places = Places(
+            [*range(states), *range(after, first)],
+            list(itertools.chain(*given)),
+            [(port, 1 if late.truth else step.dtype.itemsize) for port, late in zip(self.settled, last, strict=True)],
+            [
+                Look(first + self.places[k], first + self.places[k] in self.settled, made[k].numel() // 2, k == _LOOKS[0])
+                for k in _LOOKS
+            ],
+            self.each, after, len(reads), end + len(self.each),
+        )  # fmt: skip
+        return whole(lanes, begin.native(lanes, "begin_"), finish.native(lanes, "finish_"), places)
 
 
 def _halves(ids: list[int]) -> tuple[list[int], list[int]]:

@@ -34,7 +34,11 @@ def gathered(
         code.do("ret void")
         return [code.text()], code.declared
     tables = {kind: f"{name.format(kind)}" for kind in ("taken", "passed", "given")}
-    texts = [_table(tables["taken"], taken), _table(tables["passed"], [k - own for k in passed]), _table(tables["given"], given)]
+    texts = [
+        _table(tables["taken"], taken),
+        _table(tables["passed"], [k - own for k in passed]),
+        _table(tables["given"], given),
+    ]
     guarded = _guarded(lanes, name, place, value, tables, len(taken), len(passed), own)
     flush = _flush(lanes, name, tables["given"], len(given))
     return [*texts, guarded.text(), flush.text()], guarded.declared | flush.declared
@@ -183,7 +187,7 @@ def _guarded(
     code.store(whole, code.new(f"add {whole} {rank}, {counts}"), at, lanes.size)
     code.store("i64", code.op("add", sources, "1"), sources_at)
     took = code.call(bits, f"llvm.ctpop.{bits}", (bits, now))
-    after = code.op("add", count, code.new(f'zext {bits} {took} to i64'))
+    after = code.op("add", count, code.new(f"zext {bits} {took} to i64"))
     code.store("i64", after, count_at)
     left = code.new(f"xor {bits} {now}, -1")
     code.do(f"%rest = and {bits} %waiting, {left}")

@@ -106,6 +106,10 @@ class Code:
         """The address of a number of a type, counted from a start."""
         return start if number == 0 else self.new(f"getelementptr inbounds {type}, ptr {start}, i64 {number}")
 
+    def field(self, type: str, start: str, number: int, at: str | int = 0) -> str:
+        """The address of a field of a structure, ``at`` which place in a row of them."""
+        return self.new(f"getelementptr inbounds {type}, ptr {start}, i64 {at}, i32 {number}")
+
     def load(self, type: str, address: str, align: int = 8) -> str:
         """What lies there."""
         return self.new(f"load {type}, ptr {address}, align {align}")

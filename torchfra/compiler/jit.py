@@ -1,71 +1,96 @@
-"""From instructions of LLVM to functions: compiled in this process by llvmlite, and kept on disk."""
+"""From instructions of LLVM to a function: compiled in this process by llvmlite, and kept on disk."""
 
 from __future__ import annotations
 
 import ctypes
 import hashlib
 import threading
-import time
-from functools import lru_cache
 from typing import Any
 
 import torch
-import llvmlite.binding as llvm
+
+from torchfra.compiler import cache
 from torchfra.compiler.elementary_functions import address
-from torchfra.compiler.instructions import Lanes
+from torchfra.compiler.llvm import binding
+from torchfra.compiler.processor import features
+from torchfra.types import CompileError as CompileError
 
-_LOCK = threading.Lock()
+compiled = 0
+"""How many kernels this process has compiled."""
+
+_LEVEL = 1
+"""Of optimisation: more of it takes 1.4 times as long, for kernels that are no faster."""
+_loaded: dict[str, Any] = {}
+"""By key, what holds the code of a kernel: as long as the process, since its functions may be called at any time."""
+_LOADING = threading.Lock()
 
 
-@lru_cache(maxsize=1)
-def _ready():
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    llvm.initialize_native_asmparser()
+def load(source: str) -> Any:
+    """The function ``run`` of a module.
+
+    It is compiled by LLVM, unless an earlier process has done so: objects are kept in ``TORCHFRA_CACHE``, or
+    ``~/.cache/torchfra`` (see ``cache``).
+
+    Raises:
+        CompileError: llvmlite is not installed, or what it makes cannot be loaded.
+    """
+    return _function(source, "run", None, [*[ctypes.c_int64] * 2, ctypes.c_int, *[ctypes.c_void_p] * 2])
 
 
-@lru_cache(maxsize=1)
-def _features():
-    return llvm.get_host_cpu_features()
+def load_whole(source: str) -> Any:
+    """Likewise the function ``whole`` of whole tracks.
 
-def registers():
-    f = _features()
-    if all(f.get(x) for x in ("avx512f", "avx512bw", "avx512dq", "avx512vl")): return "avx512"
-    return "avx2" if f.get("avx2") and f.get("fma") else ""
+    Raises:
+        CompileError: likewise.
+    """
+    arguments = [ctypes.c_void_p, *[ctypes.c_int64] * 2, ctypes.c_int, *[ctypes.c_void_p] * 3, ctypes.c_int64]
+    return _function(source, "whole", ctypes.c_int, arguments)
 
-def lanes(dtype, narrow=False):
-    kind = registers()
-    size = {"avx512": 64, "avx2": 32}.get(kind, 16)
-    return Lanes(1 if narrow else size // dtype.itemsize, dtype, kind)
 
-OPT=1
-_engines = []
-def compiled_object(text):
-    _ready()
-    t0=time.perf_counter()
-    module = llvm.parse_assembly(text)
-    t1=time.perf_counter()
-    target = llvm.Target.from_default_triple()
-    machine = target.create_target_machine(cpu=llvm.get_host_cpu_name(), features=_features().flatten(), opt=OPT, reloc="pic", codemodel="default", jit=True)
-    r= machine.emit_object(module)
-    import os
-    if os.environ.get("JITV"): print(f"   parse {t1-t0:.2f} emit {time.perf_counter()-t1:.2f} lines {text.count(chr(10))} bytes {len(r)}")
-    return r
+def _function(source: str, name: str, result: Any, arguments: list[Any]) -> Any:
+    llvm = binding()
+    words = source, str(_LEVEL), llvm.get_host_cpu_name(), features(), str(llvm.llvm_version_info), torch.__version__
+    key = hashlib.sha256("\n".join(words).encode()).hexdigest()[:32]
+    engine = _loaded.get(key)
+    if engine is None:
+        made = cache.read(f"{key}.o")
+        if made is None:
+            made = _compiled(source)
+            cache.write(f"{key}.o", made)
+        with _LOADING:
+            engine = _loaded.setdefault(key, _loaded.get(key) or _engine(source, made))
+    return ctypes.CFUNCTYPE(result, *arguments)(engine.get_function_address(name))
 
-def function(text, name, argtypes, restype):
-    data = compiled_object(text)
-    with _LOCK:
-        for line in text.splitlines():
-            if line.startswith("declare ") and "@llvm." not in line:
-                symbol = line.split("@")[1].split("(")[0]
-                llvm.add_symbol(symbol, address(symbol))
-        machine = llvm.Target.from_default_triple().create_target_machine(opt=OPT, reloc="pic", jit=True)
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-        engine.add_object_file(llvm.ObjectFileRef.from_data(data))
+
+def _machine() -> Any:
+    llvm = binding()
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=llvm.get_host_cpu_name(), features=features(), opt=_LEVEL, reloc="pic", codemodel="default", jit=True
+    )
+
+
+def _compiled(source: str) -> bytes:
+    """The object of a module."""
+    global compiled
+    try:
+        made: bytes = _machine().emit_object(binding().parse_assembly(source))
+    except RuntimeError as error:
+        raise CompileError(f"compile: no kernel from LLVM: {error}") from None
+    compiled += 1
+    return made
+
+
+def _engine(source: str, made: bytes) -> Any:
+    """What holds the code of an object, with the functions that it calls."""
+    llvm = binding()
+    for line in source.splitlines():
+        if line.startswith("declare ") and "@llvm." not in line:
+            name = line.split("@")[1].split("(")[0]
+            llvm.add_symbol(name, address(name))
+    try:
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
+        engine.add_object_file(llvm.ObjectFileRef.from_data(made))
         engine.finalize_object()
-        _engines.append(engine)
-        f = ctypes.CFUNCTYPE(restype, *argtypes)(engine.get_function_address(name))
-    return f
-
-def load(text):
-    return function(text, "run", [ctypes.c_int64, ctypes.c_int64, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p], None)
+    except RuntimeError as error:
+        raise CompileError(f"compile: no kernel from LLVM: {error}") from None
+    return engine

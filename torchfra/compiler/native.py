@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import groupby
 
 from torchfra.compiler.access import Access, Step
@@ -10,18 +10,14 @@ from torchfra.compiler.elementary_functions import applied
 from torchfra.compiler.expressions import Expressions
 from torchfra.compiler.frame import crossing
 from torchfra.compiler.gathering import gathered
-from torchfra.compiler.instructions import Code, Lanes, literal, phi
+from torchfra.compiler.instructions import Code, Lanes
 from torchfra.compiler.plan import Plan
 from torchfra.compiler.routines import Routine, called_by
 from torchfra.compiler.schedule import Condition, Piece
+from torchfra.compiler.tensor_entries import BLOCK, TensorEntries
 
-PORT = "{ ptr, i64, i64, i64 }"
-"""A tensor: where it is, and how far it is to the next track, the next step, the next entry."""
-BLOCK = "{ i64, i64, i64, i64, i8 }"
-"""A pack of tracks: the first, how many, the step, the step before it, whether what is written is too much for caches."""
 _ALWAYS = ("%s", "%aside", "%left", "%in", "%out", "%at")
 """What a function takes that is called for all tracks."""
-_BYTES = {"double": 8, "float": 4, "bool": 1}
 _OPERATORS = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq"}
 
@@ -48,6 +44,11 @@ class Native:
     def block(self) -> str:
         """The function of a block of tracks."""
         return f"{self._name}block"
+
+    @property
+    def written(self) -> int:
+        """Numbers that are written at each step of a track."""
+        return len(self._step.stores)
 
     def _function(self, name: str, args: Sequence[str], result: str = "void") -> Code:
         given = ", ".join(f"ptr noalias {arg}" for arg in args)
@@ -116,7 +117,9 @@ class Native:
         for number, access in stores:
             body.written(number, access)
         for number, place in self._frame.moves:
-            body.code.store(body.code.numbers, body.kept(number), body.code.at("%s", body.code.numbers, place), self.lanes.size)
+            body.code.store(
+                body.code.numbers, body.kept(number), body.code.at("%s", body.code.numbers, place), self.lanes.size
+            )
         self._done(body.code)
 
     def _last(self) -> None:
@@ -176,7 +179,14 @@ class Native:
             """What functions take of a pack."""
             places = code.at(s, f"[{own} x {code.numbers}]", p)
             unread_places = code.at(left, f"[{unread} x {code.numbers}]", p)
-            return {"%s": places, "%left": unread_places, "%at": code.at(at, BLOCK, p), "%aside": aside, "%in": "%in", "%out": "%out"}
+            return {
+                "%s": places,
+                "%left": unread_places,
+                "%at": code.at(at, BLOCK, p),
+                "%aside": aside,
+                "%in": "%in",
+                "%out": "%out",
+            }
 
         def call(name: str, args: Sequence[str], given: dict[str, str]) -> None:
             code.do(f"call void @{self._name}{name}({', '.join(f'ptr {given[arg]}' for arg in args)})")
@@ -192,7 +202,7 @@ class Native:
                 ("i64", "0"), ("i64", "0"), ("i8", code.new(f"select i1 {full}, i8 %past, i8 0")),
             ]  # fmt: skip
             for k, (type, value) in enumerate(fields):
-                code.store(type, value, code.new(f"getelementptr inbounds {BLOCK}, ptr {given['%at']}, i64 0, i32 {k}"))
+                code.store(type, value, code.field(BLOCK, given["%at"], k))
             call("begin", ("%s", "%left", "%in", "%at"), given)
             for k in range(len(self.plan.before)):
                 call(f"before{k}", ("%s", "%in", "%at"), given)
@@ -204,7 +214,7 @@ class Native:
             last = code.new(f"icmp eq i64 {next_step}, %steps")
             begun = code.new(f"icmp sgt i64 {k}, 0")
             with code.loop(packs) as p:
-                steps = [code.new(f"getelementptr inbounds {BLOCK}, ptr {at}, i64 {p}, i32 {field}") for field in (2, 3)]
+                steps = [code.field(BLOCK, at, field, p) for field in (2, 3)]
                 old = code.load("i64", steps[0])
                 code.store("i64", code.new(f"select i1 {begun}, i64 {old}, i64 {time}"), steps[1])
                 code.store("i64", time, steps[0])
@@ -234,7 +244,7 @@ class Native:
             given = of(p)
             with code.where(some):
                 call("last", ("%s", "%out", "%at"), given)
-            code.store("i64", "0", code.new(f"getelementptr inbounds {BLOCK}, ptr {at}, i64 {p}, i32 2"))
+            code.store("i64", "0", code.field(BLOCK, at, 2, p))
             call("end", ("%s", "%left", "%out", "%at"), given)
         self._done(code)
 
@@ -246,7 +256,7 @@ class _Body:
         self._of, self.code, self._book = of, code, book or of.plan.book
         self._frame = of.plan.frame
         self.known: dict[int, str] = {}
-        self._opened: dict[tuple[str, str, str], _Entries] = {}
+        self._opened: dict[tuple[str, str, str], TensorEntries] = {}
         self._piece: Piece | None = None
 
     def piece(self, piece: Piece, stored: set[int] | None) -> None:
@@ -366,10 +376,10 @@ class _Body:
             return self.code.at("%s", self.code.numbers, place)
         return self.code.at("%aside", self.code.numbers, place - own)
 
-    def _open(self, access: Access) -> _Entries:
+    def _open(self, access: Access) -> TensorEntries:
         key = access.port, access.type, access.step
         if key not in self._opened:
-            self._opened[key] = _Entries(self.code, access)
+            self._opened[key] = TensorEntries(self.code, access)
         return self._opened[key]
 
     def read(self, access: Access) -> str:
@@ -394,246 +404,3 @@ def code_of_truth(code: Code, value: str) -> str:
     whole = code.new(f"bitcast {code.numbers} {value} to {code.wholes}")
     zero = "0" if code.lanes.count == 1 else "zeroinitializer"
     return code.new(f"icmp ne {code.wholes} {whole}, {zero}")
-
-
-class _Entries:
-    """The entries of a tensor at a step, from the first track of a pack on."""
-
-    def __init__(self, code: Code, access: Access) -> None:
-        self._code = code
-        self._scalar = code.lanes.scalar if access.type == "Scalar" else access.type
-        self._bytes = _BYTES[self._scalar]
-        port, number = access.port[:-1].split("[")
-
-        def field(k: int) -> str:
-            where = code.new(f"getelementptr inbounds {PORT}, ptr %{port}, i64 {number}, i32 {k}")
-            return code.load("i64" if k else "ptr", where)
-
-        def of_block(k: int) -> str:
-            where = code.new(f"getelementptr inbounds {BLOCK}, ptr %at, i64 0, i32 {k}")
-            return code.load("i8" if k == 4 else "i64", where)
-
-        data, self._track, time, entry = map(field, range(4))
-        first, self._lanes, step = of_block(0), of_block(1), of_block(2 if access.step == "step" else 3)
-        a, b = code.op("mul", first, self._track), code.op("mul", step, time)
-        offset = code.op("mul", code.op("add", a, b), self._bytes)
-        self._first = code.at(data, "i8", offset)
-        self._step = code.op("mul", entry, self._bytes)
-        if port == "out" and code.lanes.count > 1:
-            self._some = code.new(f"icmp slt i64 {self._lanes}, {code.lanes.count}")
-            bits = code.new(f"trunc i64 {self._lanes} to i32")
-            power = code.new(f"shl i32 1, {bits}")
-            ones = code.new(f"sub i32 {power}, 1")
-            self._mask = code.new(f"trunc i32 {ones} to i{code.lanes.count}")
-            address = code.new(f"ptrtoint ptr {self._first} to i64")
-            odd = code.op("and", code.op("or", address, self._step), 63)
-            is_even = code.new(f"icmp eq i64 {odd}, 0")
-            even = code.new(f"zext i1 {is_even} to i8")
-            self._past = code.new(f"and i8 {of_block(4)}, {even}")
-        elif code.lanes.count > 1:
-            self._full = code.new(f"icmp sge i64 {self._lanes}, {code.lanes.count}")
-
-    def _at(self, entry: int) -> str:
-        if entry == 0:
-            return self._first
-        offset = self._step if entry == 1 else self._code.op("mul", self._step, entry)
-        return self._code.at(self._first, "i8", offset)
-
-    def get(self, entry: int) -> str:
-        """What lies anywhere: the last track stands for those beyond it."""
-        code, where = self._code, self._at(entry)
-        if code.lanes.count == 1:
-            value = code.load(self._scalar, where, self._bytes)
-        else:
-            value = code.call(
-                code.lanes.of(self._scalar), f"get_{self._scalar}", ("ptr", where), ("i64", self._track), ("i64", self._lanes)
-            )
-        return value if self._scalar == code.lanes.scalar else code.new(f"fptrunc {code.lanes.of('double')} {value} to {code.numbers}")
-
-    def load(self, entry: int) -> str:
-        """The same of tracks side by side."""
-        code = self._code
-        if code.lanes.count == 1:
-            return self.get(entry)
-        where = self._at(entry)
-        few, many, behind = (code.named(word) for word in ("few", "many", "behind"))
-        code.do(f"br i1 {self._full}, label %{many}, label %{few}, !prof !0")
-        code.start(many)
-        whole = code.load(code.numbers, where, self._bytes)
-        code.do(f"br label %{behind}")
-        code.start(few)
-        part = code.call(code.numbers, f"get_{self._scalar}", ("ptr", where), ("i64", self._track), ("i64", self._lanes))
-        code.do(f"br label %{behind}")
-        code.start(behind)
-        return phi(code, code.numbers, [(whole, many), (part, few)])
-
-    def write(self, entry: int, value: str) -> None:
-        """Puts numbers there, past the caches if it is said so: such a store does not read the line first."""
-        code, where = self._code, self._at(entry)
-        if code.lanes.count == 1:
-            code.store(code.numbers, value, where, self._bytes)
-        elif code.lanes.registers == "avx512":  # no branch in sight, behind which fewer values would stay in registers
-            plain = "vmovupd" if code.lanes.bits == 64 else "vmovups"
-            text = f"cmpb $$0, $2\\0A\\09je 1f\\0A\\09vmovntdq $1, $0\\0A\\09jmp 2f\\0A1:\\09{plain} $1, $0 {{$3}}\\0A2:"
-            wide = code.new(f"zext i{code.lanes.count} {self._mask} to i16") if code.lanes.count < 16 else self._mask
-            args = f"ptr elementtype({code.numbers}) {where}, {code.numbers} {value}, i8 {self._past}, i16 {wide}"
-            code.do(f'call void asm sideeffect "{text}", "=*m,v,q,^Yk,~{{flags}}"({args})')
-        else:
-            few, many, past, plain, behind = (code.named(w) for w in ("few", "many", "past", "plain", "behind"))
-            code.do(f"br i1 {self._some}, label %{few}, label %{many}, !prof !1")
-            code.start(few)
-            code.call("void", "put", ("ptr", where), (code.numbers, value), ("i64", self._lanes))
-            code.do(f"br label %{behind}")
-            code.start(many)
-            code.do(f"br i1 {code.new(f'icmp ne i8 {self._past}, 0')}, label %{past}, label %{plain}")
-            code.start(past)
-            code.do(f"store {code.numbers} {value}, ptr {where}, align {code.lanes.size}, !nontemporal !2")
-            code.do(f"br label %{behind}")
-            code.start(plain)
-            code.store(code.numbers, value, where, self._bytes)
-            code.do(f"br label %{behind}")
-            code.start(behind)
-
-    def mark(self, entry: int, value: str) -> None:
-        """Puts truth values there."""
-        code, where = self._code, self._at(entry)
-        bytes_ = code.new(f"zext {code.truths} {value} to {code.lanes.of('i8')}")
-        if code.lanes.count == 1:
-            code.store("i8", bytes_, where, 1)
-            return
-        type = code.lanes.of("i8")
-        mask = code.new(f"bitcast i{code.lanes.count} {self._mask} to {code.truths}")
-        code.call("void", f"llvm.masked.store.v{code.lanes.count}i8.p0", (type, bytes_), ("ptr", where), ("i32", "1"), (code.truths, mask))
-
-
-def common(lanes: Lanes) -> tuple[list[str], set[str]]:
-    """Functions that all kernels of such lanes call: their texts, and what they declare."""
-    texts, declared = list[str](), set[str]()
-    if lanes.count == 1:
-        return texts, declared
-    for scalar in dict.fromkeys((lanes.scalar, "double")):
-        kind = lanes.of(scalar)
-        code = Code(lanes, f"define internal {kind} @get_{scalar}(ptr %from, i64 %track, i64 %lanes)")
-        same = code.new("icmp eq i64 %track, 0")
-        with code.where(same):
-            one = code.load(scalar, "%from", _BYTES[scalar])
-            code.do(f"ret {kind} {code.spread(scalar, one)}")
-            code.start(code.named("unreached"))
-        last, value = code.op("sub", "%lanes", "1"), "poison"
-        for k in range(lanes.count):
-            number = code.call("i64", "llvm.smin.i64", ("i64", str(k)), ("i64", last))
-            each = code.load(scalar, code.at("%from", scalar, code.op("mul", number, "%track")), _BYTES[scalar])
-            value = code.new(f"insertelement {kind} {value}, {scalar} {each}, i64 {k}")
-        code.do(f"ret {kind} {value}")
-        texts.append(code.text())
-        declared |= code.declared
-    code = Code(lanes, f"define internal void @put(ptr %to, {code.numbers} %value, i64 %lanes)")
-    memory = code.place(code.numbers)
-    code.store(code.numbers, "%value", memory, lanes.size)
-    with code.loop("%lanes") as k:
-        one = code.load(lanes.scalar, code.at(memory, lanes.scalar, k), lanes.bits // 8)
-        code.store(lanes.scalar, one, code.at("%to", lanes.scalar, k), lanes.bits // 8)
-    code.do("ret void")
-    texts.append(code.text())
-    return texts, declared
-
-
-def shared_out(lanes: Lanes, block: str, packs: int, written: int, most: int) -> tuple[list[str], set[str]]:
-    """The function ``run`` of a kernel: blocks of tracks, shared by threads.
-
-    Args:
-        lanes: of a pack.
-        block: the function of a block.
-        packs: of a block at most.
-        written: numbers that are written at each step of a track.
-        most: bytes written by a call from which on they go past the caches.
-    """
-    width = lanes.count
-    one = Code(lanes, "define internal void @share(ptr %call, i64 %thread)")
-    tracks, steps, threads, ins, outs = (
-        one.load(type, one.new(f"getelementptr inbounds {CALL}, ptr %call, i64 0, i32 {k}"))
-        for k, type in enumerate(("i64", "i64", "i64", "ptr", "ptr"))
-    )
-    all_packs = one.op("sdiv", one.op("add", tracks, width - 1), width)
-    share = one.op("mul", threads, packs)
-    more = one.op("sub", one.op("add", all_packs, share), 1)
-    each = one.op("sdiv", more, share)
-    blocks = one.op("mul", each, threads)
-    size = one.op("mul", one.op("mul", tracks, steps), written * lanes.bits // 8)
-    is_past = one.new(f"icmp sge i64 {size}, {most}")
-    past = one.new(f"zext i1 {is_past} to i8")
-    start = one.op("mul", each, "%thread")
-    with one.loop(one.op("add", start, each), start) as k:
-        def edge(number: str) -> str:
-            return one.op("mul", one.op("sdiv", one.op("mul", all_packs, number), blocks), width)
-
-        first, behind = edge(k), edge(one.op("add", k, "1"))
-        last = one.call("i64", "llvm.smin.i64", ("i64", behind), ("i64", tracks))
-        with one.where(one.new(f"icmp slt i64 {first}, {last}")):
-            count = one.op("sub", last, first)
-            one.do(f"call void @{block}(ptr {ins}, ptr {outs}, i64 {steps}, i64 {first}, i64 {count}, i8 {past})")
-    if lanes.registers:
-        one.call("void", "llvm.x86.sse.sfence")  # all is there before the threads meet
-    one.do("ret void")
-    run = Code(lanes, "define void @run(i64 %tracks, i64 %steps, i32 %threads, ptr %in, ptr %out)", "nounwind")
-    with run.where(run.new("icmp eq i64 %tracks, 0")):
-        run.do("ret void")
-        run.start(run.named("unreached"))
-    call, count = run.place(CALL), run.new("sext i32 %threads to i64")
-    for k, (type, value) in enumerate((("i64", "%tracks"), ("i64", "%steps"), ("i64", count), ("ptr", "%in"), ("ptr", "%out"))):
-        run.store(type, value, run.new(f"getelementptr inbounds {CALL}, ptr {call}, i64 0, i32 {k}"))
-    on_threads(run, call, "%threads", "share")
-    run.do("ret void")
-    return [one.text(), *taken("share"), run.text()], one.declared | run.declared
-
-
-CALL = "{ i64, i64, i64, ptr, ptr, i64 }"
-"""Tracks, steps, threads, ports that are read and written, and how many shares have been taken."""
-
-
-def on_threads(code: Code, call: str, threads: str, share: str) -> None:
-    """Calls a function for the number of each thread, on as many threads."""
-    alone = code.new(f"icmp eq i32 {threads}, 1")
-    one, several, behind = (code.named(word) for word in ("one", "several", "behind"))
-    code.do(f"br i1 {alone}, label %{one}, label %{several}")
-    code.start(one)
-    code.do(f"call void @{share}(ptr {call}, i64 0)")
-    code.do(f"br label %{behind}")
-    code.start(several)
-    code.store("i64", "0", code.new(f"getelementptr inbounds {CALL}, ptr {call}, i64 0, i32 5"))
-    code.call("void", "GOMP_parallel", ("ptr", f"@{share}_taken"), ("ptr", call), ("i32", threads), ("i32", "0"))
-    code.do(f"br label %{behind}")
-    code.start(behind)
-
-
-def taken(share: str) -> list[str]:
-    """What each thread does: it takes the next share until there is none."""
-    return [
-        f"""define internal void @{share}_taken(ptr %call) nounwind {{
-entry:
-  %counter = getelementptr inbounds {CALL}, ptr %call, i64 0, i32 5
-  %all = getelementptr inbounds {CALL}, ptr %call, i64 0, i32 2
-  %threads = load i64, ptr %all
-  br label %next
-next:
-  %number = atomicrmw add ptr %counter, i64 1 monotonic
-  %more = icmp slt i64 %number, %threads
-  br i1 %more, label %share, label %done
-share:
-  call void @{share}(ptr %call, i64 %number)
-  br label %next
-done:
-  ret void
-}}
-"""
-    ]
-
-
-def module(texts: Iterable[str], declared: Iterable[str]) -> str:
-    """A module of these functions."""
-    tail = "!0 = !{!\"branch_weights\", i32 2000, i32 1}\n!1 = !{!\"branch_weights\", i32 1, i32 2000}\n!2 = !{i32 1}\n"
-    made = "\n".join(texts)
-    defined = {line.split("@", 1)[1].split("(", 1)[0] for line in made.splitlines() if line.startswith("define")}
-    needed = sorted(line for line in declared if line.split("@")[1].split("(")[0] not in defined)
-    return "\n".join([*needed, made, tail])
-

@@ -39,9 +39,7 @@ class Plan:
     def __init__(self, step: Step, narrow: bool, length: int | None = None) -> None:
         self._step, self.book = step, step.book
         live = [i for i in step.live if i not in self.book.values and i not in step.carried]
-        self.before = [
-            Piece(part, None) for part in cut(self.book, [i for i in live if i not in step.varying], length)
-        ]
+        self.before = [Piece(part, None) for part in cut(self.book, [i for i in live if i not in step.varying], length)]
         ends = [*step.carried.values(), *(i for i, _ in step.stores)]
         steps = pieces(self.book, [i for i in live if i in step.varying], ends, length)
         self.book, self.steps, self.merged = with_merged(self.book, steps)

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchfra.compiler import build, cuda
+from torchfra.compiler import cuda, jit
 from torchfra.compiler.pages import PAST, maker, rows_of_tracks
 from torchfra.compiler.source import Port, Scan
 
@@ -42,9 +42,9 @@ class Program:
         self._dtype, self._device = scan.dtype, device
         self._reads, self._timed, self._writes = scan.carry + scan.reads, scan.writes, scan.after + scan.writes
         with BUILDING:
-            source = scan.cuda() if device.type == "cuda" else scan.source(narrow or not build.wide())
+            source = scan.cuda() if device.type == "cuda" else scan.source(narrow)
         # Outside: several filters compile at the same time.
-        self._run = cuda.load(source, device) if device.type == "cuda" else build.load(source)
+        self._run = cuda.load(source, device) if device.type == "cuda" else jit.load(source)
 
     def __call__(self, batch: torch.Size, steps: int, tensors: Sequence[Tensor]) -> list[Tensor]:
         """Runs it.

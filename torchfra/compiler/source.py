@@ -11,9 +11,14 @@ from torchfra.compiler.access import Access, Step
 from torchfra.compiler.choices import with_choices_last
 from torchfra.compiler.divisions import with_quotients
 from torchfra.compiler.expressions import ZERO, Expressions
+from torchfra.compiler.instructions import Lanes
+from torchfra.compiler.native import Native
 from torchfra.compiler.pages import PAST
 from torchfra.compiler.parts import are_in, opened
-from torchfra.compiler.statements import file, template, threaded
+from torchfra.compiler.processor import lanes_of
+from torchfra.compiler.sharing import kernel, module
+from torchfra.compiler.statements import file, template
+from torchfra.compiler.tensor_entries import functions
 from torchfra.compiler.writer import Writer
 
 SCALARS = {torch.float64: "double", torch.float32: "float"}
@@ -71,14 +76,16 @@ class Scan:
         """The expressions that are needed, in an order in which they can be computed."""
         return self.book.needed([*self._carried().values(), *(i for port in self.writes for i in port.ids)])
 
-    def source(self, narrow: bool = False) -> str:
-        """The translation unit, whose function is ``run``.
+    def native(self, lanes: Lanes, name: str = "") -> Native:
+        """The functions of a block of tracks, in instructions; their names begin with ``name``."""
+        return Native(self.step(), lanes, self.backwards, name)
 
-        Args:
-            narrow: whether for one track, in numbers; or for many, in vectors.
-        """
-        run = threaded("run.cpp").replace("MANY_BYTES", str(PAST))
-        return "".join((*self._parts(Writer(self.step(), narrow), narrow, apart=True), run))
+    def source(self, narrow: bool = False) -> str:
+        """The module of LLVM, whose function is ``run``; ``narrow``: for one track, in numbers."""
+        lanes = lanes_of(self.dtype, narrow)
+        block, (common, declared) = self.native(lanes), functions(lanes)
+        run, more = kernel(lanes, block.block, block.plan.packs, block.written, PAST)
+        return module([*common, *block.texts, *run], declared | block.declared | more)
 
     def cuda(self) -> str:
         """The same for a GPU: one thread for each track, whose tensors come as an argument by value."""

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchfra.compiler import build
+from torchfra.compiler import jit
 from torchfra.compiler.ends import Ends
 from torchfra.compiler.pages import maker
 from torchfra.compiler.program import Ready, Strided, strided, threads
@@ -99,9 +99,9 @@ def load(ends: Ends, remembered: int = 0) -> Any:
     """The function of both ends, compiled, for steps that write so many more tensors than their records.
 
     Raises:
-        CompileError: see ``build.load``.
+        CompileError: see ``jit.load``.
     """
-    return build.load_whole(ends.source(not build.wide(), remembered))
+    return jit.load_whole(ends.source(remembered))
 
 
 _ROOMS = threading.local()
