@@ -1,20 +1,14 @@
 """What several test files share."""
 
-import contextlib
 import copy
 import gc
 import os
-import shutil
-import subprocess
-import time
-from pathlib import Path
 
 import pytest
 import torch
 from short_tracks import short
 
 from torchfra import presets, scenarios
-from torchfra.compiler import compilers
 from torchfra.compiler.engine import Compiled
 
 gc.disable()  # while modules are imported and tests are collected, of which nothing is garbage
@@ -113,48 +107,11 @@ def rough_figures(monkeypatch):
 
 @pytest.fixture(scope="session", autouse=True)
 def kernels(tmp_path_factory):
-    """Kernels of this session alone, compiled in a hurry: not optimised, and without what takes most of the time."""
+    """Kernels of this session alone."""
     with pytest.MonkeyPatch.context() as patch:
         folder = tmp_path_factory.getbasetemp()  # of one worker, where there are several
         folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "kernels"
         patch.setenv("TORCHFRA_CACHE", str(folder))
-        patch.setenv("CXXFLAGS", " ".join(("-O0", *hurried(folder))))
         yield
 
 
-HEADERS = """#include <math.h>
-#include <cstdint>
-#ifdef __AVX2__
-#include <immintrin.h>
-#endif
-"""
-"""What takes most of a compiler's time for a small kernel."""
-
-
-def hurried(folder):
-    """Options of g++ that save most of its time, as far as what they name can be made; the first worker makes it."""
-    done, header, library = (folder / name for name in ("done", "headers.h", "libtorch_cpu.so"))
-    gold = ["-fuse-ld=gold"] if compilers.find().family == "gcc" and shutil.which("ld.gold") else []
-    try:
-        folder.mkdir(mode=0o700)
-    except FileExistsError:
-        for _ in range(600):
-            if done.exists():
-                break
-            time.sleep(0.1)
-    else:
-        header.write_text(HEADERS)
-        compiler = compilers.find()
-        for kind, text, made, named in (
-            ("c++-header", header, f"{header}.gch", ["-c"]),
-            ("c++", os.devnull, library, [f"-Wl,-soname,{library.name}", *gold]),
-        ):
-            command = [*compiler.command, *compiler.flags(), "-O0", *named, "-x", kind, str(text), "-o", str(made)]
-            with contextlib.suppress(OSError):
-                subprocess.run(command, capture_output=True, check=False)
-        done.touch()
-    if Path(f"{header}.gch").exists():
-        yield f"-include {header}"  # parsed once
-    if library.exists():  # so the quick linker works as well, if there is one
-        # Empty, for torch's of that name, whose symbols take long to read.
-        yield " ".join((f"-L{folder} -Wl,--no-as-needed", *gold))

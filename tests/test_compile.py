@@ -12,7 +12,7 @@ from short_tracks import SMALL_GPB
 from torch import nn
 
 from torchfra import Hyper, learnable, presets, scenarios
-from torchfra.compiler import build, run
+from torchfra.compiler import jit, run
 from torchfra.compiler.entries import Entries, as_entries
 from torchfra.compiler.expressions import Expressions
 from torchfra.compiler.program import Program, batch_first
@@ -201,8 +201,8 @@ def test_a_gradient_of_a_gradient_is_refused(make, tracks):
 @pytest.mark.slow
 def test_kernels_are_made_once_for_a_form_of_call(make, tracks, monkeypatch):
     made = []
-    load = build.load
-    monkeypatch.setattr(build, "load", lambda source: made.append(source) or load(source))
+    load = jit.load
+    monkeypatch.setattr(jit, "load", lambda source: made.append(source) or load(source))
     f = make("fra", temperature=1.0).compile()
     with torch.no_grad():
         f(tracks.z, tracks.prior, u=tracks.u)
@@ -242,10 +242,10 @@ def test_what_changes_in_the_filter_changes_its_kernels(make, tracks):
 def test_the_disk_keeps_kernels_and_a_copy_of_a_filter_compiles_by_itself(make, tracks):
     f = make("srckf").compile()
     expected = f(tracks.z, tracks.prior, u=tracks.u).mean
-    count = build.compiled
+    count = jit.compiled
     for other in (copy.deepcopy(f), pickle.loads(pickle.dumps(f))):
         assert torch.equal(other(tracks.z, tracks.prior, u=tracks.u).mean, expected)
-    assert build.compiled == count
+    assert jit.compiled == count
     assert f.state_dict().keys() == make("srckf").state_dict().keys()
 
 
