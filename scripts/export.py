@@ -23,13 +23,12 @@ from torch import Tensor
 
 from torchfra.catalogue import SCENARIOS, scenario_filter, track_filters
 from torchfra.cli.command import IncompleteError, check_folder, check_list, exit_status, make_parser
-from torchfra.compiler import build
 from torchfra.compiler.export import export
 from torchfra.filters import Filter
 from torchfra.running.atomic_write import write_text
 from torchfra.scenarios import Scenario
 from torchfra.tables import printable
-from torchfra.types import Gaussian
+from torchfra.types import CompileError, Gaussian
 
 PRECISIONS = {"double": torch.float64, "single": torch.float32}
 FLAGS = "-O2 -std=c++17 -march=native -fno-math-errno -fno-trapping-math"
@@ -106,10 +105,13 @@ def compiled(files: dict[str, str], name: str, folder: Path) -> Path:
         (folder / file).write_text(text)
     program = folder / "example"
     flags = [*FLAGS.split(), *shlex.split(os.environ.get("CXXFLAGS", ""))]
-    command = [*shlex.split(build.compiler()), *flags, f"{name}.cpp", "example.cpp", "-o", str(program)]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    command = [*shlex.split(os.environ.get("CXX", "g++")), *flags, f"{name}.cpp", "example.cpp", "-o", str(program)]
+    try:
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise CompileError(f"export: expected a C++ compiler, {command[0]} does not run ({error}): set CXX") from None
     if done.returncode:
-        raise build.CompileError(f"export: {shlex.join(command)} failed:\n{done.stderr[-2000:]}")
+        raise CompileError(f"export: {shlex.join(command)} failed:\n{done.stderr[-2000:]}")
     return program
 
 

@@ -3,12 +3,14 @@
 import copy
 import gc
 import os
+import sys
 
 import pytest
 import torch
 from short_tracks import short
 
 from torchfra import presets, scenarios
+from torchfra.compiler import llvm
 from torchfra.compiler.engine import Compiled
 
 gc.disable()  # while modules are imported and tests are collected, of which nothing is garbage
@@ -105,6 +107,19 @@ def rough_figures(monkeypatch):
     monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda engine, figure: {})
 
 
+@pytest.fixture
+def no_compiler(monkeypatch):
+    """As where llvmlite is not installed."""
+    for function in (llvm.binding, llvm.is_installed, llvm.missing):
+        function.cache_clear()
+    for name in ("llvmlite", "llvmlite.binding"):
+        monkeypatch.setitem(sys.modules, name, None)
+    yield
+    monkeypatch.undo()
+    for function in (llvm.binding, llvm.is_installed, llvm.missing):
+        function.cache_clear()
+
+
 @pytest.fixture(scope="session", autouse=True)
 def kernels(tmp_path_factory):
     """Kernels of this session alone."""
@@ -113,5 +128,3 @@ def kernels(tmp_path_factory):
         folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "kernels"
         patch.setenv("TORCHFRA_CACHE", str(folder))
         yield
-
-

@@ -120,8 +120,7 @@ def test_a_broken_filter_is_found_and_named(f, name):
 
 
 @pytest.mark.slow
-def test_a_report_tells_what_passed_and_what_was_skipped_and_why(crossing, monkeypatch):
-    monkeypatch.setenv("CXX", "no-such-compiler")
+def test_a_report_tells_what_passed_and_what_was_skipped_and_why(crossing, no_compiler):
     names = ["it_maps_over_tracks", "no_tracks_are_no_error"]
     f, tracks = preset("jpda", None, crossing)
     report = check_filter(f, **tracks, only=names)

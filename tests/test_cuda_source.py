@@ -17,8 +17,7 @@ import torch
 from short_tracks import SMALL_GPB
 
 from torchfra import presets, scenarios
-from torchfra.compiler import build, cuda, step
-from torchfra.compiler.compilers import CompileError
+from torchfra.compiler import cuda, jit, step
 from torchfra.compiler.source import Scan
 from torchfra.types import Gaussian
 
@@ -157,7 +156,7 @@ def source_of(name, monkeypatch, **options):
     f, tracks = of_kind(name, **options)
     found = []
     monkeypatch.setattr(Scan, "source", lambda scan, narrow=False: found.append(scan.cuda()) or "")
-    monkeypatch.setattr(build, "load", lambda source: lambda *_: None)
+    monkeypatch.setattr(jit, "load", lambda source: lambda *_: None)
     mean = f.compile()(tracks.z, tracks.prior, u=tracks.u).mean
     if options:
         mean.square().sum().backward()
@@ -229,7 +228,7 @@ def test_the_driver_is_given_the_tensors_and_the_stream(driver, monkeypatch):
         slow = results(f, tracks)
         monkeypatch.setattr(cuda, "compiled", image)
         monkeypatch.setattr(Scan, "source", lambda scan, narrow=False: scan.cuda())
-        monkeypatch.setattr(build, "load", lambda source: cuda.load(source, torch.device("cuda", 0)))
+        monkeypatch.setattr(jit, "load", lambda source: cuda.load(source, torch.device("cuda", 0)))
         fast = results(f.compile(), tracks)
     for one, other in zip(slow, fast, strict=True):
         torch.testing.assert_close(other, one, rtol=1e-10, atol=1e-10, equal_nan=True)

@@ -10,9 +10,9 @@ import torch
 
 from torchfra import presets
 from torchfra.compiler import export as exported
-from torchfra.compiler.build import CompileError
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
+from torchfra.types import CompileError
 
 NAMES = ["CMakeLists.txt", "example.cpp", "filter.cpp", "filter.hpp"]
 

@@ -107,8 +107,7 @@ def test_compiled_and_interpreted_find_the_same(data):
     assert one.learned["sensor.std"] == pytest.approx(other.learned["sensor.std"], rel=1e-9)
 
 
-def test_a_filter_that_cannot_be_compiled_runs_interpreted_and_says_so(data, monkeypatch):
-    monkeypatch.setenv("CXX", "no-such-compiler")
+def test_a_filter_that_cannot_be_compiled_runs_interpreted_and_says_so(data, no_compiler):
     found = torchfra.fit(start(), {"z": data["z"][:8, :4], "prior": PRIOR}, learn=("std",), iterations=0)
     assert not found.compiled
     assert "interpreted" in found.notes[0]

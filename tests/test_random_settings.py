@@ -268,10 +268,8 @@ OPTIONS = st.fixed_dictionaries({
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PAIRS)
-def test_a_compiled_filter_says_what_the_filter_says(name, request, monkeypatch):
+def test_a_compiled_filter_says_what_the_filter_says(name, request):
     draws = request.config.getoption("--draws")
-    if not draws:
-        monkeypatch.setenv("CXXFLAGS", "-O0")  # compiles in half the time
     count, number = -(-(draws or DRAWS) // len(PAIRS)), st.integers(0, 2**31)
     of = settings(max_examples=count, derandomize=not draws, deadline=None, database=None,
                   suppress_health_check=list(HealthCheck))  # fmt: skip

@@ -185,9 +185,9 @@ def test_kernels_with_and_without_regions_say_the_same(tracks, monkeypatch):
     draw = torch.Generator().manual_seed(0)
     tensors = [torch.rand(tracks, *shape, dtype=torch.float64, generator=draw) * 4 - 2 for shape in ((3,), (5, 4))]
     whole = program(tracks)
-    assert "guarded(s" not in scan_of(7, 400).source()
+    assert "@guarded" not in scan_of(7, 400).source()
     make_small(monkeypatch.setattr)
-    assert scan_of(7, 400).source().count("guarded(s") > 3
+    assert scan_of(7, 400).source().count("@guarded") > 3
     parts = program(tracks)
     for a, b in zip(*(p(torch.Size([tracks]), 5, tensors) for p in (whole, parts)), strict=True):
         torch.testing.assert_close(a, b, rtol=1e-12, atol=1e-12)

@@ -400,8 +400,7 @@ def test_threshold_weakening_and_q_a_factor_three_off_are_found_again(tmp_path):
 
 
 @pytest.mark.slow
-def test_without_a_compiler_it_says_how_to_train_without(tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("CXX", "no-such-compiler")
+def test_without_a_compiler_it_says_how_to_train_without(tmp_path, capsys, no_compiler):
     assert train(tmp_path) == 2
     assert "compile=false trains without" in capsys.readouterr().err
     assert train(tmp_path, "compile=false", "iterations=1", "test_runs=0") == 0

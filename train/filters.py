@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 
+import torch
 from torch import nn
 
 from torchfra.catalogue import FILTERS, scenario_filter
@@ -35,6 +36,10 @@ def make_filter(config: Config, scenario: Scenario, values: Mapping[str, float],
         for hyper in named(f, (name,)).values():
             hyper.set(value, name)
     f = f.to(config.device)
+    if config.compile and torch.device(config.device).type == "cpu":
+        from torchfra.compiler.llvm import binding  # only where it is needed
+
+        binding()
     return f.compile() if config.compile else f
 
 

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
+from torchfra.compiler.build import load
 
 from benchmarks.clock import one_pass
 from benchmarks.timing import Row, calls, timed
 from torchfra.catalogue import make_scenario, scenario_filter, track_filters
-from torchfra.compiler.build import load
 from torchfra.compiler.engine import Compiled
 from torchfra.compiler.expressions import Expressions
 from torchfra.compiler.program import Program

@@ -66,7 +66,7 @@ def clean(
     Raises:
         ValueError: the data cannot be understood, or a value is out of its range.
         ImportError: what reads a file is not installed.
-        CompileError: (a ``RuntimeError``) with ``compile``, if there is no C++ compiler.
+        CompileError: (a ``RuntimeError``) with ``compile``, if llvmlite is not installed.
     """
     settings: dict[str, Any] = {"filter": filter, "bank": bank, "sigma": sigma, "q": q, "smooth": smooth, "dt": dt,
                                 "repair": repair, "compile": compile}  # fmt: skip

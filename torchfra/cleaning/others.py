@@ -65,6 +65,9 @@ def estimated(
         if not compile:
             return run(**given)  # type: ignore[arg-type]
         try:
+            from torchfra.compiler.llvm import binding  # only where it is needed
+
+            binding()
             g = copy.copy(f).compile()
             return (g.smooth if smooth else g)(**given)  # type: ignore[arg-type]
         except (CompileError, NotImplementedError) as error:

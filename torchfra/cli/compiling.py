@@ -12,7 +12,7 @@ from torchfra.types import CompileError
 
 def add_compile_option(parser: argparse.ArgumentParser, default: str) -> None:
     """Adds ``--compile`` and ``--no-compile``; ``default`` says when filters compile without either."""
-    text = f"run compiled kernels; each takes seconds to compile, once (default: {default}, if there is a C++ compiler)"
+    text = f"run compiled kernels; each takes seconds to compile, once (default: {default}, if llvmlite is installed)"
     parser.add_argument("--compile", action=argparse.BooleanOptionalAction, help=text)
 
 
@@ -41,18 +41,18 @@ def choose(wanted: bool | None, worthwhile: bool, tell: Callable[[str], None]) -
         tell: called with a line for the user.
 
     Raises:
-        CompileError: it is wanted, and there is no compiler.
+        CompileError: it is wanted, and llvmlite is not installed.
     """
     if wanted is False or (wanted is None and not worthwhile):
         return False
-    from torchfra.compiler.build import compiler  # only where it is needed
+    from torchfra.compiler.llvm import binding  # only where it is needed
 
     try:
-        name = compiler()
+        version = ".".join(map(str, binding().llvm_version_info))
     except CompileError as error:
         if wanted:
             raise
         tell(f"filters run interpreted ({brief(error)})")
         return False
-    tell(f"compiled kernels ({name}); --no-compile runs without")
+    tell(f"compiled kernels (LLVM {version}); --no-compile runs without")
     return True

@@ -7,9 +7,11 @@
   track); on ``entries`` with the rules of ``entrywise``, ``reductions`` and ``moves``, put together in ``operations``;
   ``routines``, ``refusals``, ``origin``, ``copies``, ``trees``.
 - Simplify: ``expressions``, ``choices``, ``divisions``.
-- Write: ``source`` by ``writer`` and ``statements``, in the order of ``schedule`` and ``merges``, in places of
-  ``frame``, with ``access`` and ``names``; ``parts``; ``standalone`` for use without torch.
-- Compile: ``build`` with ``compilers``, ``workplace`` (on Windows ``plain_workplace``), ``cache``; ``cuda`` for GPUs.
+- Plan: ``plan``, in the order of ``schedule`` and ``merges``, in places of ``frame``.
+- Write: ``source``; as instructions of LLVM by ``native`` (a step), ``tensor_entries``, ``elementary_functions``,
+  ``gathering`` (regions), ``sharing`` (threads) and ``whole_native`` (both ends), with ``instructions``; as C++ by
+  ``writer`` and ``statements``, with ``access`` and ``names``, for GPUs and, ``standalone``, for use without torch.
+- Compile: ``jit`` with ``llvm``, ``processor`` and ``cache``; ``cuda`` for GPUs.
 - Run: ``program`` one loop, ``run`` all of a step, ``whole`` and ``learning`` calls that come again and again;
   ``guards``, ``pages``.
 """

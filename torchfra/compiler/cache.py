@@ -1,13 +1,12 @@
-"""Compiled libraries on disk: in a folder that one user alone can write to, each with a digest of what was compiled.
+"""Compiled kernels on disk: in a folder that one user alone can write to, each with a digest of what was compiled.
 
-A library is code that runs with the rights of who loads it.  So none is loaded that another user could have put there
-or changed: the folder and the library belong to this user, and nobody else may write to them.  The digest finds what is
+A kernel is code that runs with the rights of who loads it.  So none is loaded that another user could have put there
+or changed: the folder and the file belong to this user, and nobody else may write to them.  The digest finds what is
 damaged; it keeps nobody out, as who may write to the folder may write a digest as well.
 """
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
 import os
 import secrets
@@ -18,7 +17,7 @@ from functools import lru_cache
 from pathlib import Path
 
 _DIGEST = 32
-"""Bytes at the end of a library, behind all that the loader reads: the SHA-256 of its name and what is before them."""
+"""Bytes at the end of a file: the SHA-256 of its name and what is before them."""
 _UNFINISHED, _ABANDONED = ".part", 60.0
 """End of the name of a file that is being written, and the age in seconds from which nobody writes it any more."""
 
@@ -27,44 +26,6 @@ _DESCRIPTORS = os.open in os.supports_dir_fd
 _BINARY: int = getattr(os, "O_BINARY", 0)  # Windows would otherwise change line ends
 Folder = int | Path
 """A folder: a descriptor where there are some, else its path."""
-
-_unkept: dict[str, ctypes.CDLL] = {}
-"""Libraries of this process that could not be kept."""
-
-
-def fetch(name: str) -> ctypes.CDLL | None:
-    """The library of this name; None unless it has been kept, undamaged, in a folder of this user alone.
-
-    Raises:
-        OSError: it cannot be loaded.
-    """
-    if name in _unkept:
-        return _unkept[name]
-    folder = _open()
-    if folder is None:
-        return None
-    try:
-        return _load(folder, name) if _is_intact(folder, name) else None
-    finally:
-        _close(folder)
-
-
-def keep(name: str, made: Path) -> ctypes.CDLL:
-    """The library that has been made; it is kept for other processes if it can be, otherwise there is a warning.
-
-    Raises:
-        OSError: it cannot be loaded.
-    """
-    folder = _open()
-    if folder is not None:
-        try:
-            obstacle = _store(folder, name, made.read_bytes())
-            if obstacle is None:
-                return _load(folder, name)
-            _warn(chosen(), obstacle)
-        finally:
-            _close(folder)
-    return _unkept.setdefault(name, ctypes.CDLL(str(made)))
 
 
 def read(name: str) -> bytes | None:
@@ -137,10 +98,6 @@ def _beside(folder: Folder, name: str) -> tuple[str, int | None]:
     return (name, folder) if isinstance(folder, int) else (str(folder / name), None)
 
 
-def _is_intact(folder: Folder, name: str) -> bool:
-    return _content(folder, name) is not None
-
-
 def _content(folder: Folder, name: str) -> bytes | None:
     """What has been kept under this name, if it is as it was, and nobody else may have written it."""
     path, beside = _beside(folder, name)
@@ -156,26 +113,17 @@ def _content(folder: Folder, name: str) -> bytes | None:
     return content if digest == _digest(name, content) else None
 
 
-def _digest(name: str, library: bytes) -> bytes:
-    return hashlib.sha256(name.encode() + library).digest()
+def _digest(name: str, content: bytes) -> bytes:
+    return hashlib.sha256(name.encode() + content).digest()
 
 
-def _load(folder: Folder, name: str) -> ctypes.CDLL:
-    """The library, through the descriptor where the system can.
-
-    ``dlopen`` knows libraries by their paths: those of two kernels differ by the name, whatever the descriptor.
-    """
-    opened = Path(f"/proc/self/fd/{folder}") if isinstance(folder, int) else folder
-    return ctypes.CDLL(str((opened if opened.exists() else Path(chosen()).expanduser().resolve()) / name))
-
-
-def _store(folder: Folder, name: str, library: bytes) -> str | None:
+def _store(folder: Folder, name: str, content: bytes) -> str | None:
     """Writes it, or says why it cannot; others see all of it or nothing, also after a loss of power."""
     unfinished, beside = _beside(folder, f"{secrets.token_hex(8)}{_UNFINISHED}")
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY
     try:
         with open(os.open(unfinished, flags, 0o600, dir_fd=beside), "wb") as file:
-            file.write(library + _digest(name, library))
+            file.write(content + _digest(name, content))
             file.flush()
             os.fsync(file.fileno())
             now = os.fstat(file.fileno()).st_mtime
@@ -207,6 +155,6 @@ def _warn(folder: str, reason: str) -> None:
     """Warns, once for each folder and reason."""
     text = (
         f"TORCHFRA_CACHE: expected a folder that you alone can write to, received {folder} ({reason}): kernels are "
-        "compiled in a temporary folder, and again by every process"
+        "compiled again by every process"
     )
     warnings.warn(text, RuntimeWarning, stacklevel=2)

@@ -18,15 +18,14 @@ from typing import Any
 import torch
 
 from torchfra.compiler import cache
-from torchfra.compiler.build import bare
-from torchfra.compiler.compilers import CompileError
 from torchfra.compiler.source import THREADS
+from torchfra.types import CompileError as CompileError
 
 _OPTIONS = ("--std=c++17", "--fmad=true")
 
 
 def load(source: str, device: torch.device) -> Callable[[int, int, int, int, int], None]:
-    """The kernel ``run`` of a translation unit, as a function with the arguments of ``build.load``'s.
+    """The kernel ``run`` of a translation unit, as a function with the arguments of ``jit.load``'s.
 
     Args:
         source: what ``Scan.cuda`` writes.
@@ -168,3 +167,8 @@ def _library(names: list[str], what: str, how: str) -> ctypes.CDLL:
         except OSError as error:
             reasons.append(str(error))
     raise CompileError(f"compile: expected {what} for filters on a GPU, found none ({'; '.join(reasons)}): {how}")
+
+
+def bare(source: str) -> str:
+    """A source without its lines of comments, which name lines of the step: what a kernel is known by."""
+    return "".join(line for line in source.splitlines(keepends=True) if not line.lstrip().startswith("//"))

@@ -1,4 +1,4 @@
-"""Elementary functions in instructions: those that steps call often are written where they are used, others are called."""
+"""Elementary functions in instructions: what steps call often is written where it is used, other functions are called."""
 
 from __future__ import annotations
 
@@ -177,8 +177,9 @@ def _atan2(y: Number, x: Number) -> Number:
 
 
 def _split(code: Code) -> tuple[int, float, float, float]:
-    """Binary digits of a number behind the first; ln(2) in two parts, whole multiples of the first of which are exact;
-    and a number that rounds what is added to it, which is in the last bits of the sum.
+    """Binary digits behind the first, ln(2) in two parts, and a number that rounds what is added to it.
+
+    Whole multiples of the first part are exact; what is rounded is in the last bits of the sum.
     """
     if code.lanes.bits == 64:
         return 52, float.fromhex("0x1.62e42feep-1"), float.fromhex("0x1.a39ef35793c76p-33"), 1.5 * 2.0**52

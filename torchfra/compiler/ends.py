@@ -152,8 +152,9 @@ class Ends:
             list(itertools.chain(*given)),
             [(port, 1 if late.truth else step.dtype.itemsize) for port, late in zip(self.settled, last, strict=True)],
             [
-                Look(first + self.places[k], first + self.places[k] in self.settled, made[k].numel() // 2, k == _LOOKS[0])
+                Look(port, port in self.settled, made[k].numel() // 2, always=k == _LOOKS[0])
                 for k in _LOOKS
+                for port in [first + self.places[k]]
             ],
             self.each, after, len(reads), end + len(self.each),
         )  # fmt: skip

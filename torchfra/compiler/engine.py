@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torchfra.compiler import traced
 from torchfra.compiler.backward import Given, cut, given, of_windows, windows
 from torchfra.compiler.guards import hooked
+from torchfra.compiler.llvm import is_installed
 from torchfra.compiler.program import BUILDING
 from torchfra.compiler.run import has_gradient
 from torchfra.compiler.single_steps import Data, check_changing, is_ordinary, number
@@ -64,7 +65,7 @@ class Compiled:
         """Whether kernels can work on it: on the CPU or NVIDIA's GPUs, not inside ``torch.compile`` or a transform."""
         return (
             isinstance(z, Tensor)
-            and (z.is_cpu or (z.is_cuda and torch.version.hip is None))
+            and ((z.is_cpu and is_installed()) or (z.is_cuda and torch.version.hip is None))
             and z.dtype in SCALARS
             and not is_traced()
             and torch._C._functorch.peek_interpreter_stack() is None

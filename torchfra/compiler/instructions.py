@@ -1,4 +1,4 @@
-"""Instructions of LLVM, written one after the other: values of all lanes of a pack of tracks, and what is done with them."""
+"""Instructions of LLVM, written one after the other, on values of all lanes of a pack of tracks."""
 
 from __future__ import annotations
 

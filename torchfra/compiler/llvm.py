@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
+import warnings
 from functools import lru_cache
 from typing import Any
 
@@ -10,6 +12,19 @@ from torchfra.types import CompileError
 
 INSTALL = "pip install 'torchfra[compiler]'"
 """What gives a machine a compiler."""
+
+
+@lru_cache(maxsize=1)
+def is_installed() -> bool:
+    """Whether this process can make kernels for the CPU."""
+    return importlib.util.find_spec("llvmlite") is not None
+
+
+@lru_cache(maxsize=1)
+def missing() -> None:
+    """Warns, once, that filters run interpreted."""
+    text = f"compile: llvmlite, which compiles kernels, is not installed: filters run interpreted on the CPU; {INSTALL}"
+    warnings.warn(text, RuntimeWarning, stacklevel=3)
 
 
 @lru_cache(maxsize=1)
@@ -24,7 +39,7 @@ def binding() -> Any:
     except ImportError as error:
         raise CompileError(
             f"compile: expected the package llvmlite, which compiles kernels ({error}): {INSTALL}; without compile() "
-            "the filter needs none"
+            "filters need none"
         ) from None
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()

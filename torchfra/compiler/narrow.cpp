@@ -12,7 +12,6 @@ LANES1(exp_, exp)
 LANES1(log_, log)
 
 namespace {
-constexpr int64_t W = 1;
 using V = Scalar;
 using M = bool;
 
@@ -25,10 +24,4 @@ INLINE void mark(const Entries<bool>& x, int64_t entry, M v) { *x[entry] = v; }
 INLINE V kept(M m) { return m; }
 INLINE M truth(V v) { return v != 0; }
 INLINE bool within(V a, Scalar least, Scalar most) { return !(a < least) & !(a > most); }
-template <int64_t PLACES, int64_t ASIDE, class First> INLINE void guarded(
-    V (*s)[PLACES], V (&)[ASIDE], int64_t, int place, bool value, void (*region)(V*), const Values&, const Values&, const Values&,
-    const First& first) {
-  first(0);
-  if (truth(s[0][place]) == value) region(s[0]);
-}
 }  // namespace

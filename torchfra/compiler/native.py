@@ -1,4 +1,4 @@
-"""A step as instructions of LLVM: its pieces as functions, the regions that gather tracks, and the loops around them."""
+"""A step as instructions of LLVM: its pieces as functions, and the loops around them."""
 
 from __future__ import annotations
 

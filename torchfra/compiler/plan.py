@@ -22,6 +22,7 @@ class Plan:
         length: expressions of a function, about; None for what suits a CPU.
 
     Attributes:
+        step: the step.
         book: the expressions.
         before: pieces that are computed once.
         steps: those of each step.
@@ -37,7 +38,7 @@ class Plan:
     """
 
     def __init__(self, step: Step, narrow: bool, length: int | None = None) -> None:
-        self._step, self.book = step, step.book
+        self.step, self.book = step, step.book
         live = [i for i in step.live if i not in self.book.values and i not in step.carried]
         self.before = [Piece(part, None) for part in cut(self.book, [i for i in live if i not in step.varying], length)]
         ends = [*step.carried.values(), *(i for i, _ in step.stores)]
@@ -58,14 +59,14 @@ class Plan:
     def _written_next(self) -> dict[int, int]:
         places, steps = self.frame.places, self.steps[self.steps.index(self._longest) :] if self._longest else []
         waiting = {i for piece in steps for i in piece.numbers} & {*self.merged.values()}
-        carried = self._step.carried.items()
+        carried = self.step.carried.items()
         return {new: old for old, new in carried if new in waiting and places[old] == places[new]}
 
     def _writes(self) -> dict[int, list[tuple[int, Access]]]:
         """Constants, and state of the step before, are spread over the longest piece: memory is never idle."""
         behind: dict[int, list[tuple[int, Access]]] = defaultdict(list)
         spread: list[tuple[int, Access]] = []
-        for number, access in self._step.stores:
+        for number, access in self.step.stores:
             if number in self.next:
                 spread.append((self.next[number], access._replace(step="before")))
             elif number in self.book.values and self._longest:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from torchfra.compiler.instructions import Code, Lanes
 
 CALL = "{ i64, i64, i64, ptr, ptr, i64 }"
-"""Tracks, steps, threads, two pointers (to ports that are read and written, say), and how many shares have been taken."""
+"""Tracks, steps, threads, two pointers (to ports that are read and written, say), and how many shares are taken."""
 
 
 def called(code: Code, values: Sequence[tuple[str, str]]) -> str:

@@ -1,4 +1,4 @@
-"""C++ for a loop over time whose step is expressions: one track, or blocks of them side by side in vector registers."""
+"""A loop over time whose step is expressions: as instructions of LLVM, or as C++."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torchfra.compiler.expressions import ZERO, Expressions
 from torchfra.compiler.instructions import Lanes
 from torchfra.compiler.native import Native
 from torchfra.compiler.pages import PAST
-from torchfra.compiler.parts import are_in, opened
+from torchfra.compiler.plan import Plan
 from torchfra.compiler.processor import lanes_of
 from torchfra.compiler.sharing import kernel, module
 from torchfra.compiler.statements import file, template
@@ -88,29 +88,29 @@ class Scan:
         return module([*common, *block.texts, *run], declared | block.declared | more)
 
     def cuda(self) -> str:
-        """The same for a GPU: one thread for each track, whose tensors come as an argument by value."""
-        writer = Writer(self.step(), True, _LONG)
+        """The same in C++ for a GPU: a thread for each track, whose tensors come as an argument by value."""
+        writer = Writer(Plan(self.step(), True, _LONG))
         counts = {
             "INPUTS": len(self.carry + self.reads),
             "OUTPUTS": len(self.after + self.writes),
             "THREADS": THREADS,
-            "BLOCKS": 16 if writer.guarded > 0.5 else 8,
+            "BLOCKS": 16 if writer.plan.guarded > 0.5 else 8,
         }
         run = file("cuda.cpp")
         for word, count in counts.items():
             run = run.replace(word, str(count))
-        return "".join((*self._parts(writer, True), run))
+        return "".join((*self._parts(writer, "step"), run))
 
-    def parts(self, narrow: bool, name: str = "step") -> tuple[str, str]:
-        """What any scan of this dtype needs, and the namespace of this one, whose function is ``block``."""
-        return self._parts(Writer(self.step(), narrow), narrow, name)
+    def parts(self, name: str) -> tuple[str, str]:
+        """In C++ for one track: what any scan of this dtype needs, and the namespace of this one with ``block``."""
+        return self._parts(Writer(Plan(self.step(), True)), name)
 
-    def _parts(self, writer: Writer, narrow: bool, name: str = "step", apart: bool = False) -> tuple[str, str]:
-        head, block = (text.replace("SCALAR", SCALARS[self.dtype]) for text in template(narrow))
+    def _parts(self, writer: Writer, name: str) -> tuple[str, str]:
+        head, block = (text.replace("SCALAR", SCALARS[self.dtype]) for text in template())
         block = block.replace("TIME", "steps - 1 - k" if self.backwards else "k").replace("NAME", name)
-        for word, text in writer.texts(apart).items():
+        for word, text in writer.texts().items():
             block = block.replace(word, text)
-        return (opened(head), opened(block)) if are_in(block) else (head, block)
+        return head, block
 
     def step(self) -> Step:
         """The step as its writer needs it, without what it need not compute each time."""

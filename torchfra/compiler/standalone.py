@@ -8,8 +8,10 @@ from typing import NamedTuple
 
 import torch
 
-from torchfra.compiler.build import is_large
 from torchfra.compiler.source import SCALARS, Scan
+
+_LARGE = 30_000
+"""Lines of a source from which a compiler had better optimise less: in half the time."""
 
 
 class Field(NamedTuple):
@@ -60,7 +62,7 @@ class Standalone(NamedTuple):
     def files(self) -> dict[str, str]:
         """The text of each file by its name."""
         source = self.source()
-        level = "-O1" if is_large(source) else "-O2"
+        level = "-O1" if source.count("\n") > _LARGE else "-O2"
         return {
             f"{self.name}.hpp": self.header(),
             f"{self.name}.cpp": source,
@@ -78,7 +80,7 @@ class Standalone(NamedTuple):
 
     def source(self) -> str:
         """The functions of the header."""
-        (head, begin), (_, advance) = self.begin.parts(True, "begin"), self.advance.parts(True, "advance")
+        (head, begin), (_, advance) = self.begin.parts("begin"), self.advance.parts("advance")
         parts = {
             "PRIOR": [_port(x, "") for x in self.prior],
             "BEGUN": [_port(x, "state.") for x in self.state],
@@ -160,14 +162,14 @@ namespace NAME {
 State init(const Scalar (&mean)[MEAN], const Scalar (&scale_tril)[ROOT]) {
   State state;
   const Port in[] = {PRIOR}, out[] = {BEGUN};
-  ::begin::block(in, out, 1, Block{0, 1, 0});
+  ::begin::block(in, out, 1, 0);
   return state;
 }
 
 Output step(State& state, const Input& input) {
   Output output;
   const Port in[] = {READ}, out[] = {WRITTEN};
-  ::advance::block(in, out, 1, Block{0, 1, 0});
+  ::advance::block(in, out, 1, 0);
   return output;
 }
 

@@ -69,15 +69,14 @@ def computed(book: Expressions, number: int) -> str:
 _OPERATORS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "eq": "=="}
 
 
-def function(head: str, lines: Iterable[str], kind: str = "NOINLINE") -> str:
+def function(head: str, lines: Iterable[str]) -> str:
     """A function without a result.
 
     Args:
         head: its name and arguments.
         lines: what it does.
-        kind: ``"NOINLINE"``, or ``"SHARED"`` if it is called from other parts.
     """
-    return f"{kind} void {head} {{\n{indented(lines, 2)}}}\n"
+    return f"NOINLINE void {head} {{\n{indented(lines, 2)}}}\n"
 
 
 def indented(lines: Iterable[str], indent: int) -> str:
@@ -85,17 +84,12 @@ def indented(lines: Iterable[str], indent: int) -> str:
     return "".join(f"{' ' * indent}{line}\n" for line in lines)
 
 
-@lru_cache(maxsize=2)
-def template(narrow: bool) -> tuple[str, str]:
-    """``template.cpp``, before its namespace and that, with ``narrow.cpp`` or ``wide.cpp`` in it."""
-    lanes = file("narrow.cpp" if narrow else "wide.cpp")
-    head, mark, block = file("template.cpp").replace("// LANES\n", lanes).partition("namespace {\nnamespace NAME {")
+@lru_cache(maxsize=1)
+def template() -> tuple[str, str]:
+    """``template.cpp``, before its namespace and that, with ``narrow.cpp`` in it."""
+    text = file("template.cpp").replace("// LANES\n", file("narrow.cpp"))
+    head, mark, block = text.partition("namespace {\nnamespace NAME {")
     return head, mark + block
-
-
-def threaded(name: str) -> str:
-    """A file of this folder, with ``threads.cpp`` in it."""
-    return file(name).replace("// THREADS\n", file("threads.cpp"))
 
 
 @lru_cache

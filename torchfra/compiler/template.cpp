@@ -7,29 +7,18 @@ using int64_t = long long;
 #include <cstdint>
 #endif
 
-// Functions that are called once for each track and step, the same where parts are compiled apart, those that are never called but
-// written where they are used, and tables of places: where and how; what is nearly always true.
+// Functions that are called once for each step, and those that are never called but written where they are used.
 #ifdef __CUDACC__
 #define NOINLINE static __device__ __noinline__
-#define EXPECT(x) (x)
 #define INLINE __device__ __forceinline__
-#define TABLE __device__ const short
-#elif defined(_MSC_VER)
+#else
+#ifdef _MSC_VER
 #define NOINLINE static __declspec(noinline)
-#define EXPECT(x) (x)
-#define SHARED __declspec(noinline)
 #define INLINE __forceinline
-#define TABLE constexpr short
 #else
 #define NOINLINE static __attribute__((noinline))
-#define EXPECT(x) __builtin_expect(x, 1)
-#define SHARED __attribute__((noinline, visibility("hidden")))
-#ifdef __OPTIMIZE__
 #define INLINE inline __attribute__((always_inline))
-#else  // what is not to be fast is to be compiled fast: calls are less to compile
-#define INLINE inline
 #endif
-#define TABLE constexpr short
 #endif
 
 namespace {
@@ -38,22 +27,17 @@ constexpr bool DOUBLE = sizeof(Scalar) == 8;
 
 // A tensor: where it is, and how far it is to the next track, the next step, the next entry.
 struct Port { char* data; int64_t track, time, entry; };
-// A block of tracks at a step, and the step ``before`` it; those beyond the last are the last once more.  ``past``: what is written
-// is too much for caches.
-struct Block { int64_t first, lanes, step; bool past = false; int64_t before = 0; };
+// A track at a step.
+struct Block { int64_t first, step; };
 
-// The entries of a tensor at a step, from the first track of a block on.
+// The entries of a tensor at a step, of one track.
 template <class T> struct Entries {
   T* first;
-  int64_t track, entry, lanes;
-  bool past;
+  int64_t entry;
   INLINE Entries(const Port& p, const Block& at, int64_t step)
-      : first(reinterpret_cast<T*>(p.data) + at.first * p.track + step * p.time), track(p.track), entry(p.entry), lanes(at.lanes),
-        past(at.past && (reinterpret_cast<int64_t>(first) | entry * int64_t(sizeof(T))) % 64 == 0) {}
+      : first(reinterpret_cast<T*>(p.data) + at.first * p.track + step * p.time), entry(p.entry) {}
   INLINE T* operator[](int64_t number) const { return first + number * entry; }
 };
-// Places of values: those that a region of a step takes from the rest of it, or those that it gives.
-struct Values { const short* places; int count; };
 }  // namespace
 
 // LANES
@@ -99,7 +83,7 @@ template <class... A> INLINE V sum_of_squares(const V& a, const V& b, const V& c
 // function is called, so that the values of a step stay in registers.
 template <class... A> INLINE V norm_(const A&... a) {
   const V squares = sum_of_squares(a...);
-  if (EXPECT(within(squares, LEAST, MOST))) return sqrt_(squares);
+  if (within(squares, LEAST, MOST)) return sqrt_(squares);
   const M small = squares < LEAST, large = squares > MOST;
   const V factor = small ? all(UP) : large ? all(DOWN) : all(1);
   const V norm = sqrt_(sum_of_squares(a * factor...)) / factor;
@@ -109,32 +93,19 @@ template <class... A> INLINE V norm_(const A&... a) {
 
 namespace {
 namespace NAME {
-constexpr int PLACES = SIZE;  // of values that go from piece to piece, side by side for each pack of tracks
-constexpr int ASIDE = PASSING;  // of those that no pack needs while the next one is computed: all have one place
-constexpr int LEFT = UNREAD;  // of values that are carried but that no step reads: before the last step all packs write to one place
-constexpr int64_t PACKS = MANY;  // at most, in a block of tracks
-constexpr int64_t WRITTEN = NUMBERS;  // at each step, of a track
+constexpr int PLACES = SIZE;  // of values that go from piece to piece
+constexpr int LEFT = UNREAD;  // of values that are carried but that no step reads
 // PIECES
-static INLINE void block(const Port* in, const Port* out, int64_t steps, const Block& tracks) {
-  V s[PACKS][PLACES], aside[ASIDE], left[PACKS][LEFT];
-  Block at[PACKS];
-  const int64_t packs = (tracks.lanes + W - 1) / W;
-  for (int64_t p = 0; p < packs; p++) {
-    const int64_t rest = tracks.lanes - p * W;
-    at[p] = Block{tracks.first + p * W, rest < W ? rest : W, 0, tracks.past && rest >= W};
-    // FIXED
-  }
+static INLINE void block(const Port* in, const Port* out, int64_t steps, int64_t track) {
+  V s[PLACES], left[LEFT];
+  Block at{track, 0};
+  // FIXED
   for (int64_t k = 0; k < steps; k++) {
-    const bool last = k + 1 == steps;
-    for (int64_t p = 0; p < packs; p++) {
-      at[p].before = k > 0 ? at[p].step : TIME;
-      at[p].step = TIME;
-    }
+    at.step = TIME;
     // STEP
   }
-  for (int64_t p = 0; p < packs; p++) {
-    // END
-  }
+  at.step = 0;
+  end(s, left, out, at);
 }
 }  // namespace NAME
 }  // namespace

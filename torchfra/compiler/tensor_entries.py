@@ -8,7 +8,7 @@ from torchfra.compiler.instructions import Code, Lanes, phi
 PORT = "{ ptr, i64, i64, i64 }"
 """A tensor: where it is, and how far it is to the next track, the next step, the next entry."""
 BLOCK = "{ i64, i64, i64, i64, i8 }"
-"""A pack of tracks: the first, how many, the step, the step before it, whether what is written is too much for caches."""
+"""A pack of tracks: the first, how many, the step, the one before, whether what is written is too much for caches."""
 _BYTES = {"double": 8, "float": 4, "bool": 1}
 
 

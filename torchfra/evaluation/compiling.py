@@ -28,19 +28,19 @@ def compiled(
     Args:
         filters: by name.
         first_call: calls a filter in the way it will be called, so that its kernel is made.
-        fallback: called for each filter that has no kernel, or one that is slow to compile, which is then returned as
-            it is; with None they are all compiled, and one without a kernel raises the error.
+        fallback: called for each filter that has no kernel, which is then returned as it is; with None one without a
+            kernel raises the error.
         progress: whether to show a bar.
 
     Raises:
         CompileError, NotImplementedError: a filter has no kernel, and there is no ``fallback``.
     """
+    from torchfra.compiler.llvm import binding  # only where it is needed
 
     def attempt(f: Filter) -> Filter | CompileError | NotImplementedError:
-        if fallback is not None and f.slow_to_compile:
-            return CompileError("its kernel takes long to compile; --compile makes it")
         try:
             with torch.no_grad():  # which holds for this thread only
+                binding()
                 g = copy.copy(f).compile()
                 first_call(g)
         except (CompileError, NotImplementedError) as error:
@@ -54,9 +54,6 @@ def compiled(
             attempts = dict(zip(order, progress_bar(made, "kernel", progress), strict=True))
         except KeyboardInterrupt:
             pool.shutdown(wait=False, cancel_futures=True)
-            from torchfra.compiler.build import stop
-
-            stop()
             raise
     for name, f in attempts.items():
         if not isinstance(f, Filter):

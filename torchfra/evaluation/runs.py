@@ -61,7 +61,7 @@ def evaluate(
 
     Raises:
         ValueError: an unknown filter, fewer runs than processes, or a limit that is not above 0.
-        CompileError: ``compile`` without ``fallback``, and there is no compiler or a filter has no kernel.
+        CompileError: ``compile`` without ``fallback``, and llvmlite is not installed or a filter has no kernel.
     """
     check_limit(limit)
     metrics = measure(

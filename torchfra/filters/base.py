@@ -74,7 +74,6 @@ class Filter(nn.Module, Generic[S]):
     """Why there may be no other sensor; None where there may."""
     annealed: tuple[str, ...] = ()
     """Attributes that are plain numbers and may change between calls, such as a temperature that is lowered."""
-    slow_to_compile = False  # some ten seconds or more: commands compile such a filter only when told to
     given: tuple[Sensor, ...] = ()
     """The sensor that its own is a copy of, where it has copied that: it is its own too."""
     engine: Engine
@@ -440,8 +439,9 @@ class Filter(nn.Module, Generic[S]):
     def compile(self, *args: Any, **options: Any) -> Self:  # type: ignore[override]  # torch's own returns None
         """From here on run as compiled kernels, on CPU or GPU: same results (to rounding), same gradients.
 
-        It needs a C++ compiler (what ``CXX`` names, or ``g++``, ``clang++``, zig), on a GPU torch's own NVRTC, and some
-        seconds for a form of call that no earlier process has compiled.  Gradients are of first order.  Under
+        It needs the package llvmlite (``pip install 'torchfra[compiler]'``), on a GPU torch's own NVRTC, and up to some
+        seconds for a form of call that no earlier process has compiled.  Without llvmlite there is one warning, and the
+        filter runs interpreted on the CPU.  Gradients are of first order.  Under
         ``torch.compile`` and in transforms of ``torch.func`` the filter runs as without.
         ``torchfra/compiler/README.md`` has the details.
 
@@ -454,14 +454,17 @@ class Filter(nn.Module, Generic[S]):
             The filter itself.
 
         Raises:
-            CompileError: (a ``RuntimeError``) when a kernel is needed and there is no compiler.
+            CompileError: (a ``RuntimeError``) when a kernel is needed and cannot be compiled.
             NotImplementedError: then too, if the filter does what kernels cannot.
         """
         if args or options:
             super().compile(*args, **options)
         else:
             from torchfra.compiler.engine import Compiled
+            from torchfra.compiler.llvm import is_installed, missing
 
+            if not is_installed():
+                missing()
             self.engine = Compiled(INTERPRETED)
         return self
 

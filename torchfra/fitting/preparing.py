@@ -90,12 +90,13 @@ def _error(f: Filter, tracks: Batch, where: dict[str, Any]) -> float:
 
 def compiled(objective: Objective, tracks: Batch, wanted: bool | None) -> tuple[list[str], bool]:
     """Compiles the filter where it can be; what is to be said, and whether it runs as kernels."""
-    f = objective.filter
     if wanted is False or not (tracks.z.is_cpu or tracks.z.is_cuda):
         return [], False
-    if wanted is None and f.slow_to_compile:
-        return ["the filter runs interpreted: its kernel takes long to compile; compile=True makes it"], False
+    from torchfra.compiler.llvm import binding  # only where it is needed
+
     try:
+        if tracks.z.is_cpu:
+            binding()
         objective.compile()
         objective.gradients(objective.vector.raw()[None, None], tracks.rows(slice(1)))
     except (CompileError, NotImplementedError) as error:

@@ -90,6 +90,12 @@ class Case:
         Raises:
             SkipCheck: there is no compiler.
         """
+        from torchfra.compiler.llvm import binding  # only where it is needed
+
+        try:
+            binding()
+        except CompileError as error:
+            raise SkipCheck(f"not compiled: {error}") from None
         compiled = replace(self, filter=copy.deepcopy(self.filter).compile(), eager=self, _kept={})
         try:
             compiled.estimate  # noqa: B018  the first call compiles

@@ -160,10 +160,10 @@ def _in_a_filter(
     way = {"eager": "in a filter", "compiled": "in a compiled filter"}
     without: tuple[Outcome, ...] = ()
     if compiled:
-        from torchfra.compiler.build import compiler  # only here: without it nothing of the compiler is loaded
+        from torchfra.compiler.llvm import binding  # only here: without it nothing of the compiler is loaded
 
         try:
-            compiler()
+            binding()
         except CompileError as error:
             compiled, without = False, (Outcome("all", way["compiled"], "skipped", str(error)),)
     with as_large_as(case.z, case.std):

@@ -131,11 +131,6 @@ class GPB(Filter[GPBState]):
         self.prior_inflation = Hyper(prior_inflation, constraints.greater_than_eq(1.0), name="prior_inflation")
 
     @property
-    def slow_to_compile(self) -> bool:  # type: ignore[override]  # of this bank, not of the class
-        """Whether its kernel takes some ten seconds or more: that of a bank of more than three motions."""
-        return len(self.bank) > 3
-
-    @property
     def bank(self) -> Bank:
         """The motions."""
         return self.motion  # type: ignore[return-value]
