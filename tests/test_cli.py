@@ -14,6 +14,7 @@ from torchfra import plotting, presets
 from torchfra.catalogue import make_scenario
 from torchfra.cli import main as cli
 from torchfra.evaluation import evaluate
+from torchfra.types import CompileError
 
 pytestmark = pytest.mark.usefixtures("rough_figures")
 

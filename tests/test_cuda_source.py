@@ -19,7 +19,7 @@ from short_tracks import SMALL_GPB
 from torchfra import presets, scenarios
 from torchfra.compiler import cuda, jit, step
 from torchfra.compiler.source import Scan
-from torchfra.types import Gaussian
+from torchfra.types import CompileError, Gaussian
 
 BEFORE = """
 #include <math.h>

@@ -1,4 +1,4 @@
-"""Elementary functions in instructions: what steps call often is written where it is used, other functions are called."""
+"""Elementary functions in instructions: what steps call often is written where it is used, others are called."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ def _instruction(code: Code, name: str, x: Number) -> Number:
 def _called(code: Code, name: str, args: Sequence[str]) -> str:
     """By SLEEF, which torch has inside for the registers of AVX; elsewhere by the mathematics of C, lane by lane."""
     lanes = code.lanes
-    if lanes.count > 1:
-        sleef = f"Sleef_{name}{'d' if lanes.bits == 64 else 'f'}{lanes.count}_u{_OFF.get(name, '10')}"
+    if lanes.width > 1:
+        sleef = f"Sleef_{name}{'d' if lanes.bits == 64 else 'f'}{lanes.width}_u{_OFF.get(name, '10')}"
         if address(sleef):
             return code.call(code.numbers, sleef, *((code.numbers, arg) for arg in args))
     function = name + ("f" if lanes.bits == 32 else "")
-    if lanes.count == 1:
+    if lanes.width == 1:
         return code.call(lanes.scalar, function, *((lanes.scalar, arg) for arg in args))
     result = "poison"
-    for k in range(lanes.count):
+    for k in range(lanes.width):
         each = [(lanes.scalar, code.new(f"extractelement {code.numbers} {arg}, i64 {k}")) for arg in args]
         value = code.call(lanes.scalar, function, *each)
         result = code.new(f"insertelement {code.numbers} {result}, {lanes.scalar} {value}, i64 {k}")
@@ -90,7 +90,7 @@ def _sum_of_squares(numbers: Sequence[Number]) -> Number:
             total = total + x * x
         return total
     a, b, c, d = numbers[:4]
-    four = (a * a + b * b) + (c * c + d * d)
+    four: Number = (a * a + b * b) + (c * c + d * d)
     return four + _sum_of_squares(numbers[4:]) if numbers[4:] else four
 
 
@@ -140,7 +140,7 @@ def _polynomial(of: Number, terms: Sequence[float]) -> Number:
     pairs = [terms[k] + terms[k + 1] * of if terms[k + 1 : k + 2] else terms[k] for k in range(0, len(terms), 2)]
     fours = [a + b * square if b is not None else a for a, b in _by_two(pairs)]
     fourth = square * square
-    total = fours[-1]
+    total: Number = fours[-1]
     for four in fours[-2::-1]:
         total = four + total * fourth
     return total
@@ -197,7 +197,7 @@ def _exp(x: Number) -> Number:
     k = shifted - whole
     r = (a - k * high) - k * low
     p = 1.0 + (r + r * r * _polynomial(r, [1 / math.factorial(n) for n in range(2, 14)]))
-    if code.lanes.registers == "avx512" and code.lanes.count > 1:
+    if code.lanes.registers == "avx512" and code.lanes.width > 1:
         kind, bits = code.numbers, "i8" if code.lanes.bits == 64 else "i16"
         name = f"llvm.x86.avx512.mask.scalef.p{'d' if code.lanes.bits == 64 else 's'}.512"
         zero = "zeroinitializer"

@@ -27,7 +27,7 @@ def gathered(
         given: those that it gives.
         own: how many places are a pack's own; the others are behind them.
     """
-    if lanes.count == 1:
+    if lanes.width == 1:
         code = Code(lanes, f"define internal void @{name.format('guarded')}(ptr %s)")
         with code.where(_truth(code, code.load(code.numbers, code.at("%s", code.numbers, place)), value)):
             code.do(f"call void @{name.format('region')}(ptr %s)")
@@ -51,7 +51,7 @@ def _table(name: str, places: Sequence[int]) -> str:
 
 def _truth(code: Code, number: str, value: bool) -> str:
     whole = code.new(f"bitcast {code.numbers} {number} to {code.wholes}")
-    zero = "0" if code.lanes.count == 1 else "zeroinitializer"
+    zero = "0" if code.lanes.width == 1 else "zeroinitializer"
     return code.new(f"icmp {'ne' if value else 'eq'} {code.wholes} {whole}, {zero}")
 
 
@@ -62,7 +62,7 @@ def _state(code: Code) -> tuple[str, str]:
 
 def _packs(code: Code, number: str) -> tuple[str, str, str]:
     """Of a waiting pack: where the address of its places is, its lanes, and their places in the region."""
-    width = code.lanes.count
+    width = code.lanes.width
     pointers, lanes = code.at("%state", "i64", 8), code.at("%state", "i64", 8 + width)
     return code.at(pointers, "ptr", number), code.at(lanes, "i64", number), code.at("%places", code.wholes, number)
 
@@ -87,9 +87,9 @@ def _moved(code: Code, kind: str) -> Callable[[str, str], str]:
             found = code.call("<8 x float>", "llvm.x86.avx2.permps", ("<8 x float>", floats), ("<8 x i32>", halves))
             return code.new(f"bitcast <8 x float> {found} to <4 x double>")
         result = "poison"
-        for k in range(lanes.count):
+        for k in range(lanes.width):
             which = code.new(f"extractelement {code.wholes} {index}, i64 {k}")
-            inside = code.new(f"and i{lanes.bits} {which}, {lanes.count - 1}")
+            inside = code.new(f"and i{lanes.bits} {which}, {lanes.width - 1}")
             one = code.new(f"extractelement {code.numbers} {value}, i{lanes.bits} {inside}")
             result = code.new(f"insertelement {code.numbers} {result}, {lanes.scalar} {one}, i64 {k}")
         return result
@@ -101,7 +101,7 @@ def _flush(lanes: Lanes, name: str, table: str, count: int) -> Code:
     code = Code(lanes, f"define internal void @{name.format('flush')}(ptr %together, ptr %state, ptr %places)")
     waiting, sources = _state(code)
     some = code.new(f"icmp sgt i64 {code.load('i64', waiting)}, 0")
-    moved, bits = _moved(code, "f"), f"i{lanes.count}"
+    moved, bits = _moved(code, "f"), f"i{lanes.width}"
     with code.where(some):
         code.do(f"call void @{name.format('region')}(ptr %together)")
         with code.loop(code.load("i64", sources)) as x:
@@ -133,7 +133,7 @@ def _guarded(
         lanes,
         f"define internal void @{name.format('guarded')}(ptr %s, ptr %aside, ptr %together, ptr %state, ptr %places)",
     )
-    width, bits = lanes.count, f"i{lanes.count}"
+    width, bits = lanes.width, f"i{lanes.width}"
     moved = _moved(code, "f")
     count_at, sources_at = _state(code)
     buffer = code.place(code.wholes)

@@ -16,12 +16,12 @@ class Lanes(NamedTuple):
     """How the tracks of a pack lie side by side in registers.
 
     Args:
-        count: of tracks; one is a number by itself.
+        width: how many; one is a number by itself.
         dtype: of the arithmetic.
         registers: ``"avx512"``, ``"avx2"`` or ``""`` for any others.
     """
 
-    count: int
+    width: int
     dtype: torch.dtype
     registers: str = ""
 
@@ -37,17 +37,17 @@ class Lanes(NamedTuple):
 
     def of(self, scalar: str) -> str:
         """The type of one such scalar in each lane."""
-        return scalar if self.count == 1 else f"<{self.count} x {scalar}>"
+        return scalar if self.width == 1 else f"<{self.width} x {scalar}>"
 
     @property
     def size(self) -> int:
         """Bytes of a number in each lane."""
-        return self.count * self.dtype.itemsize
+        return self.width * self.dtype.itemsize
 
     @property
     def suffix(self) -> str:
         """What the names of LLVM's functions of such numbers end in."""
-        return f"f{self.bits}" if self.count == 1 else f"v{self.count}f{self.bits}"
+        return f"f{self.bits}" if self.width == 1 else f"v{self.width}f{self.bits}"
 
 
 class Code:
@@ -159,7 +159,7 @@ class Code:
 
     def every(self, scalar: str, value: str | float) -> str:
         """The same constant in each lane."""
-        return value if self.lanes.count == 1 else f"splat ({scalar} {value})"  # type: ignore[return-value]
+        return value if self.lanes.width == 1 else f"splat ({scalar} {value})"  # type: ignore[return-value]
 
     def constant(self, value: float) -> str:
         """A number in each lane."""
@@ -167,28 +167,28 @@ class Code:
 
     def spread(self, scalar: str, value: str) -> str:
         """What one scalar is in each lane."""
-        if self.lanes.count == 1:
+        if self.lanes.width == 1:
             return value
         type = self.lanes.of(scalar)
         first = self.new(f"insertelement {type} poison, {scalar} {value}, i64 0")
-        return self.new(f"shufflevector {type} {first}, {type} poison, <{self.lanes.count} x i32> zeroinitializer")
+        return self.new(f"shufflevector {type} {first}, {type} poison, <{self.lanes.width} x i32> zeroinitializer")
 
     @cached_property
     def lane(self) -> str:
         """The number of each lane, as whole numbers."""
-        if self.lanes.count == 1:
+        if self.lanes.width == 1:
             return "0"
-        return f"<{', '.join(f'i{self.lanes.bits} {k}' for k in range(self.lanes.count))}>"
+        return f"<{', '.join(f'i{self.lanes.bits} {k}' for k in range(self.lanes.width))}>"
 
     def any(self, truth: str) -> str:
         """Whether it holds in a lane."""
-        if self.lanes.count == 1:
+        if self.lanes.width == 1:
             return truth
-        return self.new(f"icmp ne i{self.lanes.count} {self.which(truth)}, 0")
+        return self.new(f"icmp ne i{self.lanes.width} {self.which(truth)}, 0")
 
     def which(self, truth: str) -> str:
         """A bit for each lane."""
-        return truth if self.lanes.count == 1 else self.new(f"bitcast {self.truths} {truth} to i{self.lanes.count}")
+        return truth if self.lanes.width == 1 else self.new(f"bitcast {self.truths} {truth} to i{self.lanes.width}")
 
     def number(self, value: str | float) -> Number:
         """A value as a number to calculate with."""
@@ -315,7 +315,7 @@ class Whole:
     def negative(self) -> Truth:
         """Where it is below 0."""
         code = self.code
-        zero = "0" if code.lanes.count == 1 else "zeroinitializer"
+        zero = "0" if code.lanes.width == 1 else "zeroinitializer"
         return Truth(code, code.new(f"icmp slt {code.wholes} {self.name}, {zero}"))
 
     def number(self) -> Number:

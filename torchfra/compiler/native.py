@@ -7,12 +7,12 @@ from itertools import groupby
 
 from torchfra.compiler.access import Access, Step
 from torchfra.compiler.elementary_functions import applied
-from torchfra.compiler.expressions import Expressions
+from torchfra.compiler.expressions import Expressions, Routine
 from torchfra.compiler.frame import crossing
 from torchfra.compiler.gathering import gathered
 from torchfra.compiler.instructions import Code, Lanes
 from torchfra.compiler.plan import Plan
-from torchfra.compiler.routines import Routine, called_by
+from torchfra.compiler.routines import called_by
 from torchfra.compiler.schedule import Condition, Piece
 from torchfra.compiler.tensor_entries import BLOCK, TensorEntries
 
@@ -34,7 +34,7 @@ class Native:
 
     def __init__(self, step: Step, lanes: Lanes, backwards: bool = False, name: str = "") -> None:
         self._step, self.lanes, self._backwards, self._name = step, lanes, backwards, name
-        self.plan = Plan(step, lanes.count == 1)
+        self.plan = Plan(step, lanes.width == 1)
         self._book, self._frame = self.plan.book, self.plan.frame
         self.declared: set[str] = set()
         self.texts: list[str] = []
@@ -162,7 +162,7 @@ class Native:
     def _loops(self, calls: Sequence[tuple[Sequence[str], str | None]]) -> None:
         """The function of a block: the loop over time, in it that over the packs of tracks."""
         head = f"define internal void @{self.block}(ptr %in, ptr %out, i64 %steps, i64 %first, i64 %lanes, i8 %past)"
-        code, width = Code(self.lanes, head), self.lanes.count
+        code, width = Code(self.lanes, head), self.lanes.width
         own, unread, many = self._frame.own, self.plan.unread, self.plan.packs
         passing = max(1, self._frame.size - own)
         s, aside, left = (code.place(code.numbers, n) for n in (many * own, passing, many * unread))
@@ -201,11 +201,11 @@ class Native:
                 ("i64", code.new(f"select i1 {full}, i64 {width}, i64 {rest}")),
                 ("i64", "0"), ("i64", "0"), ("i8", code.new(f"select i1 {full}, i8 %past, i8 0")),
             ]  # fmt: skip
-            for k, (type, value) in enumerate(fields):
-                code.store(type, value, code.field(BLOCK, given["%at"], k))
+            for number, (type, value) in enumerate(fields):
+                code.store(type, value, code.field(BLOCK, given["%at"], number))
             call("begin", ("%s", "%left", "%in", "%at"), given)
-            for k in range(len(self.plan.before)):
-                call(f"before{k}", ("%s", "%in", "%at"), given)
+            for number in range(len(self.plan.before)):
+                call(f"before{number}", ("%s", "%in", "%at"), given)
         with code.loop("%steps") as k:
             time = k
             if self._backwards:
@@ -402,5 +402,5 @@ class _Body:
 def code_of_truth(code: Code, value: str) -> str:
     """Where a number in a place stands for true."""
     whole = code.new(f"bitcast {code.numbers} {value} to {code.wholes}")
-    zero = "0" if code.lanes.count == 1 else "zeroinitializer"
+    zero = "0" if code.lanes.width == 1 else "zeroinitializer"
     return code.new(f"icmp ne {code.wholes} {whole}, {zero}")

@@ -33,7 +33,7 @@ def kernel(lanes: Lanes, block: str, packs: int, written: int, most: int) -> tup
         written: numbers that are written at each step of a track.
         most: bytes written by a call from which on they go past the caches.
     """
-    width = lanes.count
+    width = lanes.width
     one = Code(lanes, "define internal void @share(ptr %call, i64 %thread)")
     tracks, steps, threads, reads, writes = fields(one)
     all_packs = one.op("sdiv", one.op("add", tracks, width - 1), width)

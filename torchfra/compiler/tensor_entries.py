@@ -33,19 +33,19 @@ class TensorEntries:
         offset = code.op("mul", code.op("add", a, b), self._bytes)
         self._first = code.at(data, "i8", offset)
         self._step = code.op("mul", entry, self._bytes)
-        if port == "out" and code.lanes.count > 1:
-            self._some = code.new(f"icmp slt i64 {self._lanes}, {code.lanes.count}")
+        if port == "out" and code.lanes.width > 1:
+            self._some = code.new(f"icmp slt i64 {self._lanes}, {code.lanes.width}")
             bits = code.new(f"trunc i64 {self._lanes} to i32")
             power = code.new(f"shl i32 1, {bits}")
             ones = code.new(f"sub i32 {power}, 1")
-            self._mask = code.new(f"trunc i32 {ones} to i{code.lanes.count}")
+            self._mask = code.new(f"trunc i32 {ones} to i{code.lanes.width}")
             address = code.new(f"ptrtoint ptr {self._first} to i64")
             odd = code.op("and", code.op("or", address, self._step), 63)
             is_even = code.new(f"icmp eq i64 {odd}, 0")
             even = code.new(f"zext i1 {is_even} to i8")
             self._past = code.new(f"and i8 {of_block(4)}, {even}")
-        elif code.lanes.count > 1:
-            self._full = code.new(f"icmp sge i64 {self._lanes}, {code.lanes.count}")
+        elif code.lanes.width > 1:
+            self._full = code.new(f"icmp sge i64 {self._lanes}, {code.lanes.width}")
 
     def _at(self, entry: int) -> str:
         if entry == 0:
@@ -56,7 +56,7 @@ class TensorEntries:
     def get(self, entry: int) -> str:
         """What lies anywhere: the last track stands for those beyond it."""
         code, where = self._code, self._at(entry)
-        if code.lanes.count == 1:
+        if code.lanes.width == 1:
             value = code.load(self._scalar, where, self._bytes)
         else:
             value = code.call(
@@ -75,7 +75,7 @@ class TensorEntries:
     def load(self, entry: int) -> str:
         """The same of tracks side by side."""
         code = self._code
-        if code.lanes.count == 1:
+        if code.lanes.width == 1:
             return self.get(entry)
         where = self._at(entry)
         few, many, behind = (code.named(word) for word in ("few", "many", "behind"))
@@ -94,14 +94,14 @@ class TensorEntries:
     def write(self, entry: int, value: str) -> None:
         """Puts numbers there, past the caches if it is said so: such a store does not read the line first."""
         code, where = self._code, self._at(entry)
-        if code.lanes.count == 1:
+        if code.lanes.width == 1:
             code.store(code.numbers, value, where, self._bytes)
         elif code.lanes.registers == "avx512":  # no branch in sight, behind which fewer values would stay in registers
             plain = "vmovupd" if code.lanes.bits == 64 else "vmovups"
             text = (
                 f"cmpb $$0, $2\\0A\\09je 1f\\0A\\09vmovntdq $1, $0\\0A\\09jmp 2f\\0A1:\\09{plain} $1, $0 {{$3}}\\0A2:"
             )
-            wide = code.new(f"zext i{code.lanes.count} {self._mask} to i16") if code.lanes.count < 16 else self._mask
+            wide = code.new(f"zext i{code.lanes.width} {self._mask} to i16") if code.lanes.width < 16 else self._mask
             args = f"ptr elementtype({code.numbers}) {where}, {code.numbers} {value}, i8 {self._past}, i16 {wide}"
             code.do(f'call void asm sideeffect "{text}", "=*m,v,q,^Yk,~{{flags}}"({args})')
         else:
@@ -124,14 +124,14 @@ class TensorEntries:
         """Puts truth values there."""
         code, where = self._code, self._at(entry)
         bytes_ = code.new(f"zext {code.truths} {value} to {code.lanes.of('i8')}")
-        if code.lanes.count == 1:
+        if code.lanes.width == 1:
             code.store("i8", bytes_, where, 1)
             return
         type = code.lanes.of("i8")
-        mask = code.new(f"bitcast i{code.lanes.count} {self._mask} to {code.truths}")
+        mask = code.new(f"bitcast i{code.lanes.width} {self._mask} to {code.truths}")
         code.call(
             "void",
-            f"llvm.masked.store.v{code.lanes.count}i8.p0",
+            f"llvm.masked.store.v{code.lanes.width}i8.p0",
             (type, bytes_),
             ("ptr", where),
             ("i32", "1"),
@@ -142,7 +142,7 @@ class TensorEntries:
 def functions(lanes: Lanes) -> tuple[list[str], set[str]]:
     """Functions that all kernels of such lanes call: their texts, and what they declare."""
     texts, declared = list[str](), set[str]()
-    if lanes.count == 1:
+    if lanes.width == 1:
         return texts, declared
     for scalar in dict.fromkeys((lanes.scalar, "double")):
         kind = lanes.of(scalar)
@@ -153,7 +153,7 @@ def functions(lanes: Lanes) -> tuple[list[str], set[str]]:
             code.do(f"ret {kind} {code.spread(scalar, one)}")
             code.start(code.named("unreached"))
         last, value = code.op("sub", "%lanes", "1"), "poison"
-        for k in range(lanes.count):
+        for k in range(lanes.width):
             number = code.call("i64", "llvm.smin.i64", ("i64", str(k)), ("i64", last))
             each = code.load(scalar, code.at("%from", scalar, code.op("mul", number, "%track")), _BYTES[scalar])
             value = code.new(f"insertelement {kind} {value}, {scalar} {each}, i64 {k}")
@@ -163,9 +163,9 @@ def functions(lanes: Lanes) -> tuple[list[str], set[str]]:
     code = Code(lanes, f"define internal void @put(ptr %to, {code.numbers} %value, i64 %lanes)")
     memory = code.place(code.numbers)
     code.store(code.numbers, "%value", memory, lanes.size)
-    with code.loop("%lanes") as k:
-        one = code.load(lanes.scalar, code.at(memory, lanes.scalar, k), lanes.bits // 8)
-        code.store(lanes.scalar, one, code.at("%to", lanes.scalar, k), lanes.bits // 8)
+    with code.loop("%lanes") as number:
+        one = code.load(lanes.scalar, code.at(memory, lanes.scalar, number), lanes.bits // 8)
+        code.store(lanes.scalar, one, code.at("%to", lanes.scalar, number), lanes.bits // 8)
     code.do("ret void")
     texts.append(code.text())
     return texts, declared

@@ -38,7 +38,7 @@ class Places(NamedTuple):
         each: whole numbers that are the same for all tracks; they come last.
         after: the first port that the steps write.
         last: the first of those of what is settled.
-        count: of ports.
+        ports: how many there are.
     """
 
     states: list[int]
@@ -48,7 +48,7 @@ class Places(NamedTuple):
     each: Sequence[int]
     after: int
     last: int
-    count: int
+    ports: int
 
 
 def whole(lanes: Lanes, begin: Native, finish: Native, at: Places) -> str:
@@ -79,8 +79,8 @@ def whole(lanes: Lanes, begin: Native, finish: Native, at: Places) -> str:
 def _run(lanes: Lanes, at: Places) -> Code:
     head = "ptr %run, i64 %tracks, i64 %steps, i32 %threads, ptr %like, ptr %places, ptr %room, i64 %begun"
     code = Code(lanes, f"define i32 @whole({head})", "nounwind")
-    ports, sound = code.place(PORT, at.count), code.place("i32")
-    for k in range(at.count):
+    ports, sound = code.place(PORT, at.ports), code.place("i32")
+    for k in range(at.ports):
         for field, type in enumerate(("ptr", "i64", "i64", "i64")):
             code.store(type, code.load(type, code.field(PORT, "%like", field, k)), code.field(PORT, ports, field, k))
     for k, port in enumerate(at.given):
@@ -111,7 +111,7 @@ def _run(lanes: Lanes, at: Places) -> Code:
 
 def _blocks(code: Code, of: Native, tracks: str, threads: str) -> tuple[str, str, int]:
     """The first track of a thread's share, the one behind it, and how many make a block."""
-    width = code.lanes.count
+    width = code.lanes.width
     packs = code.op("sdiv", code.op("add", tracks, width - 1), width)
 
     def edge(thread: str) -> str:
@@ -147,7 +147,7 @@ def _finished(lanes: Lanes, finish: Native, at: Places) -> Code:
     zero = literal(0.0, lanes.bits)
     code.store(code.numbers, code.constant(0.0), sums, lanes.size)
     code.store(lanes.scalar, zero, rest)
-    width, bytes_ = lanes.count, lanes.bits // 8
+    width, bytes_ = lanes.width, lanes.bits // 8
     final = code.op("sub", steps, 1)
     with code.loop(last, first, size) as k:
         count = _block(code, finish, k, last, size, ports)
@@ -169,8 +169,8 @@ def _finished(lanes: Lanes, finish: Native, at: Places) -> Code:
                     total = code.load(lanes.scalar, rest)
                     code.store(lanes.scalar, code.new(f"fadd {lanes.scalar} {total}, {one}"), rest)
     total = code.load(lanes.scalar, rest)
-    for k in range(width):
-        one = code.load(lanes.scalar, code.at(sums, lanes.scalar, k), bytes_)
+    for lane in range(width):
+        one = code.load(lanes.scalar, code.at(sums, lanes.scalar, lane), bytes_)
         total = code.new(f"fadd {lanes.scalar} {total}, {one}")
     nothing = code.new(f"fsub {lanes.scalar} {total}, {total}")
     with code.where(code.new(f"fcmp une {lanes.scalar} {nothing}, {zero}")):
