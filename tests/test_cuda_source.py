@@ -80,9 +80,27 @@ int cuGetErrorString(int status, const char** text) { *text = status == 1 ? "inv
 """A driver whose GPU is the CPU: modules are libraries, and the image of one is its path."""
 
 
+needs_gcc = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++")
+
+
 def emulated(source):
     """The source of a GPU's kernel, to be compiled for the CPU."""
     return BEFORE + source + AFTER
+
+
+def library(text, *flags):
+    """The path of a library of this C++."""
+    path = Path(tempfile.mkdtemp(dir=Path(os.environ["TORCHFRA_CACHE"]).parent)) / "image.so"
+    command = ["g++", "-x", "c++", "-", *flags, "-std=c++17", "-shared", "-fPIC", "-o", str(path)]
+    subprocess.run(command, input=text, text=True, check=True)
+    return path
+
+
+def on_the_cpu(source):
+    """The kernel of a GPU as a function on the CPU."""
+    run = ctypes.CDLL(str(library(emulated(source), "-O1"))).run
+    run.argtypes = [*[ctypes.c_int64] * 2, ctypes.c_int, *[ctypes.c_void_p] * 2]
+    return run
 
 
 def of_kind(name, **options):
@@ -115,7 +133,8 @@ def compare(name, dtype, monkeypatch, **options):
     f, tracks = of_kind(name, **options)
     tracks, fast = in_precision(tracks, dtype), copy.deepcopy(f).compile()
     slow = results(f, tracks, list(f.parameters()))
-    monkeypatch.setattr(Scan, "source", lambda scan, narrow=False: emulated(scan.cuda()))
+    monkeypatch.setattr(Scan, "source", lambda scan, narrow=False: scan.cuda())
+    monkeypatch.setattr(jit, "load", on_the_cpu)
     for one, other in zip(slow, results(fast, tracks, list(fast.parameters())), strict=True):
         scale = one.nan_to_num().abs().max()
         tolerance = 1e-12 if dtype == torch.float64 else 2e-3
@@ -125,6 +144,7 @@ def compare(name, dtype, monkeypatch, **options):
 # ---------------------------------------------------------------- the same results
 
 
+@needs_gcc
 @pytest.mark.slow
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
 @pytest.mark.parametrize("name", ["srckf", "alphabeta"])
@@ -132,6 +152,7 @@ def test_a_loop_over_threads_gives_what_the_filter_gives(name, dtype, monkeypatc
     compare(name, dtype, monkeypatch, **({"learn": ("q",)} if name == "srckf" else {}))
 
 
+@needs_gcc
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "options", "dtype"), [
     ("fra", {"learn": "all", "temperature": 1.0}, torch.float64),
@@ -141,6 +162,7 @@ def test_filters_of_several_branches_too(name, options, dtype, monkeypatch):
     compare(name, dtype, monkeypatch, **options)
 
 
+@needs_gcc
 @pytest.mark.slow
 def test_a_step_that_calls_routines_too(monkeypatch):
     monkeypatch.setattr(step, "_MOST", 10)
@@ -215,12 +237,10 @@ def driver(tmp_path, monkeypatch):
 def image(source, architecture):
     """Machine code of the CPU for a kernel, as its path."""
     assert architecture == "sm_90"
-    path = Path(tempfile.mkdtemp(dir=Path(os.environ["TORCHFRA_CACHE"]).parent)) / "image.so"
-    command = ["g++", "-x", "c++", "-", "-O0", "-std=c++17", "-shared", "-fPIC", "-o", str(path)]
-    subprocess.run(command, input=emulated(source), text=True, check=True)
-    return str(path).encode()
+    return str(library(emulated(source), "-O0")).encode()
 
 
+@needs_gcc
 def test_the_driver_is_given_the_tensors_and_the_stream(driver, monkeypatch):
     """All but the compiler and the driver itself is what runs on a GPU."""
     f, tracks = of_kind("srckf")
@@ -236,6 +256,7 @@ def test_the_driver_is_given_the_tensors_and_the_stream(driver, monkeypatch):
     assert driver.depth() == 0
 
 
+@needs_gcc
 def test_a_driver_that_refuses_is_quoted(driver, monkeypatch):
     monkeypatch.setattr(cuda, "compiled", lambda source, architecture: b"/no/such/image")
     with pytest.raises(CompileError, match=r"cuModuleLoadData of the CUDA driver failed \(status 200: other\)"):

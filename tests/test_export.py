@@ -14,6 +14,7 @@ from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
 from torchfra.types import CompileError
 
+needs_gcc = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++")
 NAMES = ["CMakeLists.txt", "example.cpp", "filter.cpp", "filter.hpp"]
 
 
@@ -21,6 +22,7 @@ def small():
     return presets.srckf(ConstantVelocity(0.1), Position(2.0))
 
 
+@needs_gcc
 @pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "tolerance"), [
     (["--filter", "srckf", "--inputs", "noise"], 1e-12),
@@ -41,6 +43,7 @@ def test_an_exported_step_gives_what_the_filter_gives(arguments, tolerance, tmp_
     )
 
 
+@needs_gcc
 @pytest.mark.slow
 def test_a_thousand_tracks_agree_to_rounding(tmp_path, capsys):
     assert export.main(["--filter", "srckf", "--tracks", "1000", "--out", str(tmp_path)]) == 0
@@ -48,6 +51,7 @@ def test_a_thousand_tracks_agree_to_rounding(tmp_path, capsys):
     assert float(said[1]) < 1e-12
 
 
+@needs_gcc
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="there is no cmake")
 def test_cmake_builds_the_files_and_the_program_runs(tmp_path):
@@ -63,6 +67,7 @@ def test_cmake_builds_the_files_and_the_program_runs(tmp_path):
     assert 0 < numbers[1] < 2
 
 
+@needs_gcc
 @pytest.mark.slow
 def test_the_example_says_what_is_wrong_with_its_input_and_fast_math_is_refused(tmp_path):
     for name, text in exported.export(small(), inputs="std").items():
@@ -124,6 +129,7 @@ def test_filters_without_a_step_of_one_track_are_refused(crossing):
         exported.export(presets.ukf_jpda(crossing.motion, crossing.sensor, clutter=crossing.clutter))
 
 
+@needs_gcc
 def test_a_folder_that_cannot_be_and_a_compiler_that_fails_are_named(tmp_path, monkeypatch, capsys):
     (tmp_path / "file").touch()
     monkeypatch.setattr(export, "export", None)
