@@ -1,5 +1,12 @@
-// What this machine can do at most, behind the head of every kernel: fused multiply-adds, and memory.
+// What this machine can do at most: fused multiply-adds, and memory.  SCALAR is the type of numbers, BYTES the size of registers.
+#include <cstdint>
+#ifdef __AVX__
+#include <immintrin.h>
+#endif
 namespace {
+typedef SCALAR V __attribute__((vector_size(BYTES)));
+using Scalar = SCALAR;
+struct Port { char* data; int64_t track, time, entry; };
 // 16 sums at once, as many as hide the time of one.
 template <class T> __attribute__((noinline)) T multiply_add(T x, int64_t times) {
   T sums[16];
@@ -32,7 +39,7 @@ extern "C" void run(int64_t tracks, int64_t steps, int threads, const Port* in, 
   if (steps == 0) to[0] = multiply_add(from[0], tracks);
 #pragma omp parallel for num_threads(threads) schedule(static)
   for (int64_t i = 0; i < (steps ? tracks : 0); i++) {
-    const V v = from[i & 1023] + all(1);
+    const V v = from[i & 1023] + Scalar(1);
     if (steps == 1) to[i] = v;
     else past_caches(to + i, v);
   }

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import argparse
 import copy
+import ctypes
+import os
+import subprocess
 from array import array
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
 
 import torch
-from torchfra.compiler.build import load
 
 from benchmarks.clock import one_pass
 from benchmarks.timing import Row, calls, timed
@@ -23,7 +26,6 @@ from torchfra.compiler.expressions import Expressions
 from torchfra.compiler.program import Program
 from torchfra.compiler.schedule import conditions, regions
 from torchfra.compiler.source import SCALARS, Port, Scan
-from torchfra.compiler.statements import template
 from torchfra.evaluation import run
 from torchfra.filters import Filter
 from torchfra.tree import map_tensors
@@ -51,10 +53,8 @@ class Machine(NamedTuple):
     @classmethod
     def measured(cls, dtype: torch.dtype, sizes: set[int]) -> Machine:
         """Measures it."""
-        function = load(
-            template(False)[0].replace("SCALAR", SCALARS[dtype]) + Path(__file__).with_suffix(".cpp").read_text()
-        )
-        width = 64 // dtype.itemsize if "AVX512" in torch.backends.cpu.get_cpu_capability() else 32 // dtype.itemsize
+        size = 64 if "AVX512" in torch.backends.cpu.get_cpu_capability() else 32
+        function, width = native(SCALARS[dtype], size), size // dtype.itemsize
         threads, source = torch.get_num_threads(), torch.full((1024 * width,), 0.5, dtype=dtype)
 
         def seconds(count: int, kind: int, out: torch.Tensor) -> float:
@@ -68,6 +68,18 @@ class Machine(NamedTuple):
             out = torch.zeros(size // dtype.itemsize // width * width + width, dtype=dtype)
             bandwidth[size] = size / min(seconds(len(out) // width - 1, kind, aligned(out)) for kind in (1, 2))
         return cls(operations, {op: cost(op, count, dtype) / threads for op, count in COSTLY.items()}, bandwidth)
+
+
+def native(scalar: str, size: int) -> Any:
+    """The function of ``roof.cpp`` for such numbers in registers of so many bytes."""
+    with TemporaryDirectory() as folder:
+        made = Path(folder) / "roof.so"
+        flags = f"-O2 -march=native -fopenmp -shared -fPIC -std=c++17 -w -DSCALAR={scalar} -DBYTES={size}"
+        command = [os.environ.get("CXX", "g++"), *flags.split(), str(Path(__file__).with_suffix(".cpp"))]
+        subprocess.run([*command, "-o", str(made)], check=True)
+        run = ctypes.CDLL(str(made)).run
+    run.argtypes = [*[ctypes.c_int64] * 2, ctypes.c_int, *[ctypes.c_void_p] * 2]
+    return run
 
 
 def aligned(x: torch.Tensor) -> torch.Tensor:

@@ -62,6 +62,31 @@ def _function(source: str, name: str, result: Any, arguments: list[Any]) -> Any:
     return ctypes.CFUNCTYPE(result, *arguments)(engine.get_function_address(name))
 
 
+def _instead(name: str) -> int:
+    """Where the function is that stands for one that neither torch nor the mathematics of C has here.
+
+    Raises:
+        CompileError: there is none.
+    """
+    if name != "GOMP_parallel":
+        raise CompileError(f"compile: expected the function {name} of this system's mathematics, found none")
+    return ctypes.cast(_PARALLEL, ctypes.c_void_p).value or 0
+
+
+def _on_threads(function: int, argument: int, threads: int, _: int) -> None:
+    """Calls a function on so many threads of Python, as ``GOMP_parallel`` of OpenMP does on its own."""
+    call = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(function)  # which lets other threads run meanwhile
+    others = [threading.Thread(target=call, args=(argument,)) for _ in range(threads - 1)]
+    for other in others:
+        other.start()
+    call(argument)
+    for other in others:
+        other.join()
+
+
+_PARALLEL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint, ctypes.c_uint)(_on_threads)
+
+
 def _machine() -> Any:
     llvm = binding()
     return llvm.Target.from_default_triple().create_target_machine(
@@ -86,7 +111,7 @@ def _engine(source: str, made: bytes) -> Any:
     for line in source.splitlines():
         if line.startswith("declare ") and "@llvm." not in line:
             name = line.split("@")[1].split("(")[0]
-            llvm.add_symbol(name, address(name))
+            llvm.add_symbol(name, address(name) or _instead(name))
     try:
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
         engine.add_object_file(llvm.ObjectFileRef.from_data(made))
