@@ -436,7 +436,7 @@ class Filter(nn.Module, Generic[S]):
         view: Self = self._views(self, sensor)
         return view
 
-    def compile(self, *args: Any, **options: Any) -> Self:  # type: ignore[override]  # torch's own returns None
+    def compile(self, *args: Any, wait: bool = True, **options: Any) -> Self:  # type: ignore[override]  # torch's own returns None
         """From here on run as compiled kernels, on CPU or GPU: same results (to rounding), same gradients.
 
         It needs the package llvmlite (``pip install 'torchfra[compiler]'``), on a GPU torch's own NVRTC, and up to some
@@ -446,7 +446,10 @@ class Filter(nn.Module, Generic[S]):
         ``torchfra/compiler/README.md`` has the details.
 
         Args:
-            args: with any argument this is ``nn.Module.compile``, and so ``torch.compile``, instead:
+            wait: whether the first call of a form waits for its kernels.  If not, it runs interpreted while a thread
+                compiles; later calls run compiled once that is done, and raise what it has raised.  Calls with
+                gradients always wait.
+            args: with any other argument this is ``nn.Module.compile``, and so ``torch.compile``, instead:
                 ``f.compile(backend="inductor")``.
             options: likewise.
 
@@ -462,10 +465,11 @@ class Filter(nn.Module, Generic[S]):
         else:
             from torchfra.compiler.engine import Compiled
             from torchfra.compiler.llvm import is_installed, missing
+            from torchfra.compiler.meanwhile import Meanwhile
 
             if not is_installed():
                 missing()
-            self.engine = Compiled(INTERPRETED)
+            self.engine = Compiled(INTERPRETED) if wait else Meanwhile(INTERPRETED)
         return self
 
     # ------------------------------------------------------------ how

@@ -1,0 +1,102 @@
+"""A filter that does not wait for its kernels answers at once, interpreted, and later by the kernels."""
+
+import copy
+import threading
+import time
+
+import pytest
+import torch
+from test_compile import close
+
+from torchfra import presets, scenarios
+from torchfra.compiler import jit
+from torchfra.types import CompileError
+
+
+@pytest.fixture
+def tracks():
+    return scenarios.bearings_outliers().simulate(runs=3, seed=0)
+
+
+@pytest.fixture
+def gate(monkeypatch):
+    """Lets kernels be compiled when it is set."""
+    opened, load = threading.Event(), jit.load
+
+    def wait(source):
+        assert opened.wait(60)
+        return load(source)
+
+    monkeypatch.setattr(jit, "load", wait)
+    yield opened
+    opened.set()
+
+
+def filters(**options):
+    scenario = scenarios.bearings_outliers()
+    f = presets.srckf(scenario.motion, scenario.sensor, **options)
+    return f, copy.deepcopy(f).compile(wait=False)
+
+
+def finished(f):
+    """Waits for the threads that compile."""
+    for made in f.engine._made.values():
+        made.exception(60)
+
+
+@torch.no_grad()
+def test_it_answers_interpreted_first_and_compiled_later(tracks, gate):
+    plain, f = filters()
+    expected = plain(tracks.z, tracks.prior, u=tracks.u)
+    first = f(tracks.z, tracks.prior, u=tracks.u)
+    assert torch.equal(first.mean, expected.mean)
+    gate.set()
+    finished(f)
+    later = f(tracks.z, tracks.prior, u=tracks.u)
+    close(later, expected)
+    assert not torch.equal(later.mean, expected.mean)  # another order of sums
+
+
+@torch.no_grad()
+def test_a_step_neither_waits_nor_sees_what_becomes_of_its_tensors(tracks, gate):
+    plain, f = filters()
+    state, z = f.init(tracks.prior), tracks.z[:, 0].clone()
+    expected = plain.step(state, z, u=tracks.u[0])
+    started = time.monotonic()
+    assert torch.equal(f.step(state, z, u=tracks.u[0])[0].belief.mean, expected[0].belief.mean)
+    assert time.monotonic() - started < 30  # it would wait a minute
+    z.fill_(torch.nan)
+    gate.set()
+    finished(f)
+    close(f.step(state, tracks.z[:, 0], u=tracks.u[0]), expected)
+
+
+def test_gradients_wait(tracks):
+    plain, f = filters(learn=("q",))
+    for one in (plain, f):
+        one(tracks.z, tracks.prior, u=tracks.u).log_likelihood.sum().backward()
+    assert not f.engine._made
+    close(*([p.grad for p in one.parameters()] for one in (plain, f)), tolerance=1e-9)
+
+
+@torch.no_grad()
+def test_what_the_thread_raises_is_raised_by_the_next_call(tracks, monkeypatch):
+    def refuse(source):
+        raise CompileError("compile: not today")
+
+    monkeypatch.setattr(jit, "load", refuse)
+    _, f = filters()
+    assert f(tracks.z, tracks.prior, u=tracks.u).mean.isfinite().all()
+    finished(f)
+    with pytest.raises(CompileError, match="not today"):
+        f(tracks.z, tracks.prior, u=tracks.u)
+
+
+def test_copies_have_no_kernels_yet(tracks):
+    _, f = filters()
+    with torch.no_grad():
+        f(tracks.z, tracks.prior, u=tracks.u)
+    again = copy.deepcopy(f)
+    assert type(again.engine) is type(f.engine)
+    assert not again.engine._made
+    finished(f)
