@@ -112,5 +112,7 @@ def _form(given: Any) -> Hashable:
         return given.dtype, given.device, given.dim(), given.dim() == 0 or given.shape[:-1].numel() == 1
     if isinstance(given, tuple | list):
         return type(given), tuple(map(_form, given))
-    itself: Hashable = given
-    return itself if given is None or isinstance(given, bool) or callable(given) else type(given)
+    if given is None or isinstance(given, bool) or callable(given):
+        itself: Hashable = given
+        return itself
+    return str(type(given))
