@@ -1,7 +1,11 @@
 """A kernel gives the same numbers in the registers of any processor, and on threads of any kind."""
 
 import copy
+import os
 import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 import torch
@@ -80,6 +84,35 @@ def test_without_openmp_threads_of_python_share_the_tracks(monkeypatch, tmp_path
 
 def counted(function, calls):
     return lambda *args: calls.append(1) or function(*args)
+
+
+CROWDED = """
+import ctypes, sys
+import torch
+from test_regions import scan_of
+from torchfra.compiler.program import Program
+
+libc = ctypes.CDLL(None)
+libc.mmap.restype = ctypes.c_void_p
+libc.mmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t, *[ctypes.c_int] * 3, ctypes.c_long]
+libc.munmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t]
+reserve = lambda size: libc.mmap(None, size, 0, 0x4022, -1, 0)
+reserve(4 << 30)
+for page in [reserve(4096) for _ in range(4000)][::2]:
+    libc.munmap(page, 4096)
+for tracks in range(3, 40):
+    reserve(4 << 30)
+    numbers = [torch.rand(tracks, *shape, dtype=torch.float64) for shape in ((3,), (5, 4))]
+    Program(scan_of(tracks, 60))(torch.Size([tracks]), 5, numbers)
+"""
+"""Kernels in an address space full of holes, where code and its constants lie further apart than 32 bits reach."""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for its address space")
+def test_code_and_its_constants_may_lie_far_apart(tmp_path):
+    environment = {**os.environ, "TORCHFRA_CACHE": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", CROWDED], cwd=Path(__file__).parent, env=environment, check=True)
 
 
 def test_a_kernel_needs_no_other_compiler(monkeypatch, tmp_path):

@@ -65,9 +65,9 @@ class Compiled:
         """Whether kernels can work on it: on the CPU or NVIDIA's GPUs, not inside ``torch.compile`` or a transform."""
         return (
             isinstance(z, Tensor)
-            and ((z.is_cpu and is_installed()) or (z.is_cuda and torch.version.hip is None))
             and z.dtype in SCALARS
             and not is_traced()
+            and ((z.is_cpu and is_installed()) or (z.is_cuda and torch.version.hip is None))
             and torch._C._functorch.peek_interpreter_stack() is None
             and not (has_tangents() and torch.is_grad_enabled())
         )

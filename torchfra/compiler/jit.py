@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import platform
 import threading
 from typing import Any
 
@@ -89,8 +90,12 @@ _PARALLEL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_ui
 
 def _machine() -> Any:
     llvm = binding()
+    # Where code and its constants lie in memory is not known before: on x86 addresses must be whole.  On ARM llvmlite
+    # keeps both together.
+    x86 = platform.machine().lower() in ("x86_64", "amd64")
+    reach = {"reloc": "static", "codemodel": "large"} if x86 else {"reloc": "pic", "codemodel": "default"}
     return llvm.Target.from_default_triple().create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=features(), opt=_LEVEL, reloc="pic", codemodel="default", jit=True
+        cpu=llvm.get_host_cpu_name(), features=features(), opt=_LEVEL, jit=True, **reach
     )
 
 
