@@ -187,8 +187,9 @@ def test_compare_runs_recorded_ranges_and_shows_the_error_on_each(walks, tmp_pat
     error = {name: of["rmse_of_runs"] for name, of in report["filters"].items()}
     assert error["rsrckf"][0] < error["rsrckf"][1] < 0.3 < error["srckf"][1]
     lines = capsys.readouterr().out.splitlines()
-    assert lines[:3] == [
-        "recorded-ranges: 2 of 2 recordings, up to 60 steps", f"1: {walks}/a", f"2: {walks}/b"
+    assert lines[:4] == [
+        "recorded-ranges: 2 of 2 recordings, up to 60 steps",
+        "srckf: 0.10 m, no run lost; best of the others: rsrckf, 0.01 m", f"1: {walks}/a", f"2: {walks}/b"
     ]  # fmt: skip
     (line,) = (line.split() for line in lines if line.startswith("srckf"))
     assert line[1:4] == [f"{x:.2f}" for x in (*error["srckf"], sum(error["srckf"]) / 2)]

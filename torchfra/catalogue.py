@@ -62,6 +62,22 @@ SCENARIOS.update({
 })  # fmt: skip
 
 
+WORDS = {
+    "gpb": "outliers and manoeuvres as hypotheses", "ukf": "unscented Kalman filter", "ekf": "extended Kalman filter",
+    "srckf": "square-root cubature Kalman filter", "rsrckf": "srckf with Huber weights",
+    "mr_ckf": "srckf with weights in three segments", "asrckf": "srckf with fading factors",
+    "rmckf": "Huber weights and fading factors", "ghckf": "fifth-degree cubature Kalman filter",
+    "hghckf1": "ghckf, robust by Huber regression", "hghckf2": "ghckf, robust by the innovation",
+    "hghckf": "hghckf2 that catches up", "iaukf": "ukf that estimates the noise",
+    "fra_srckf": "robust or adaptive, as published", "fra": "robust or adaptive, as the next decides",
+    "imm_srckf": "interacting motions", "imm_ckf": "imm_srckf", "imm": "interacting motions",
+    "vsimm_srckf": "interacting motions, a few at a time", "imm_fra": "interacting motions, each with fra",
+    "alphabeta": "switching constant gains", "ukf_jpda": "ukf with data association",
+    "iaukf_jpda": "iaukf with data association", "jpda": "joint probabilistic data association",
+}  # fmt: skip
+"""What the names of filters stand for, in a few words."""
+
+
 def track_filters() -> list[str]:
     """The filters of single targets that commands list."""
     return [name for name, entry in FILTERS.items() if entry.listed and not entry.scans]

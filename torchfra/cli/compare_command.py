@@ -20,6 +20,7 @@ from torchfra.evaluation import (
     Result,
     check_limit,
     flight,
+    headline,
     leaders,
     measure,
     not_finite,
@@ -77,6 +78,7 @@ def add_to(command: argparse.ArgumentParser) -> None:
     )
     add("--seed", type=int, default=0, metavar="S", help="seed of the random numbers (default: 0)")
     add_compile_option(command, f"for {WORTHWHILE:,} steps or more of all tracks together")
+    add("--all", action="store_true", help="a line for each filter, also for those with the same errors")
     scale = "position error above which a run has diverged, m (default: the scenario's, or one by its scale)"
     add("--limit", type=float, metavar="M", help=scale)
     add("--figure", type=Path, metavar="FILE", help="PNG, PDF or SVG (default: compare-SCENARIO.png)")
@@ -182,8 +184,8 @@ def _write(
     comparison = Comparison(scenario, runs, options.seed, results, metrics, least)
     title = _title(scenario, runs, options.seed)
     if not options.quiet:
-        numbers = recordings_table(results, scenario) if scenario.recordings else table(results)
-        print(f"{title}\n{numbers}", flush=True)  # whatever becomes of the files
+        numbers = recordings_table(results, scenario) if scenario.recordings else table(results, every=options.all)
+        print(f"{title}\n{headline(results, runs)}\n{numbers}", flush=True)  # whatever becomes of the files
         if _wanted(options):
             print(f"\n{comparison}", flush=True)
     if options.json is not None:

@@ -3,7 +3,7 @@
 from torchfra.evaluation.flights import Flight, flight
 from torchfra.evaluation.limits import check_limit, divergence_limit
 from torchfra.evaluation.recordings import recordings_table
-from torchfra.evaluation.results import BASELINE, Result, leaders, not_finite, report, table
+from torchfra.evaluation.results import BASELINE, Result, headline, leaders, not_finite, report, table
 from torchfra.evaluation.runs import evaluate, measure, results_of, run
 from torchfra.evaluation.sureness import sureness
 
@@ -15,6 +15,7 @@ __all__ = [
     "divergence_limit",
     "evaluate",
     "flight",
+    "headline",
     "leaders",
     "measure",
     "not_finite",

@@ -22,10 +22,10 @@ def recordings_table(results: dict[str, Result], scenario: Scenario) -> str:
     rows = [
         [name, *(_metres(error) for error in of["rmse_of_runs"]),
          _metres(sum(of["rmse_of_runs"]) / runs), _metres(of["median_error_position"]),
-         f"{100 * of['divergence_rate']:.0f}", f"{of['nees_position']:.2f}", f"{of['relative_time']:.2f}"]
+         f"{of['diverged']}", f"{of['nees_position']:.2f}", f"{of['microseconds']:.2f}"]
         for name, of in results.items()
     ]  # fmt: skip
-    header = ["RMSE m", *map(str, range(1, runs + 1)), "mean", "median m", "diverged %", "NEES", "time / UKF"]
+    header = ["RMSE m", *map(str, range(1, runs + 1)), "mean", "median m", "lost", "NEES", "us/step"]
     return "\n".join([*lines, text_table(header, rows)])
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchfra.catalogue import FILTERS
+from torchfra.catalogue import FILTERS, WORDS
 from torchfra.running.versions import versions
 from torchfra.scenarios import Scenario
 from torchfra.tables import text_table
@@ -35,13 +35,15 @@ _COLUMNS = (
     ("RMSE m/s", "mean_rmse_velocity", 2),
     ("median m", "median_error_position", 1),
     ("worst run m", "worst_track", 0),
-    ("diverged %", "divergence_rate", 2),
+    ("lost", "diverged", 0),
     ("NEES", "nees_position", 2),
-    ("time / UKF", "relative_time", 2),
+    ("us/step", "microseconds", 2),
 )
 """Title, key and least decimals of each column."""
 _POSITION = ("mean_rmse_position", "median_error_position", "worst_track")
 """Columns in metres."""
+_MEANS = ("mean_rmse_position", "mean_rmse_velocity", "worst_track")
+"""Columns that say nothing where a run is lost far away: its errors outweigh all others."""
 
 
 def report(scenario: Scenario, results: dict[str, Result], *, runs: int, seed: int) -> dict[str, Any]:
@@ -64,14 +66,56 @@ def report(scenario: Scenario, results: dict[str, Result], *, runs: int, seed: i
     }
 
 
-def table(results: dict[str, Result]) -> str:
-    """The results as text, one line per filter."""
+def table(results: dict[str, Result], *, every: bool = True) -> str:
+    """The results as text, one line per filter, with what its name stands for.
+
+    Where runs were lost so far away that the mean error is above the limit, the means are left out.
+
+    Args:
+        results: by the names of filters.
+        every: a line for each of them; if not, filters whose errors over time are the same, to a hundredth, share one.
+    """
     forms = [f".{_decimals(results, key, decimals)}f" for _, key, decimals in _COLUMNS]
-    rows = [
-        [name, *(_cell(result[key], key, form) for (_, key, _), form in zip(_COLUMNS, forms, strict=True))]
-        for name, result in results.items()
-    ]
-    return text_table(["filter", *(title for title, _, _ in _COLUMNS)], rows)
+    rows = []
+    for name, alike in (dict.fromkeys(results, ()) if every else families(results)).items():
+        result = results[name]
+        far = result["diverged"] and not result["mean_rmse_position"] <= result["limit"]
+        pairs = zip(_COLUMNS, forms, strict=True)
+        cells = ["-" if far and key in _MEANS else f"{result[key]:{form}}" for (_, key, _), form in pairs]
+        words = WORDS.get(name, "") + (f"; the same: {', '.join(alike)}" if alike else "")
+        rows.append([name, *cells, words])
+    align = f"<{'>' * len(_COLUMNS)}<"
+    return text_table(["filter", *(title for title, _, _ in _COLUMNS), "which is"], rows, align=align)
+
+
+def families(results: dict[str, Result]) -> dict[str, tuple[str, ...]]:
+    """Filters by the first of those with the same errors over time, to a hundredth."""
+    found: dict[str, tuple[str, ...]] = {}
+    for name, result in results.items():
+        first = next((other for other in found if _alike(result, results[other])), None)
+        if first is None:
+            found[name] = ()
+        else:
+            found[first] = (*found[first], name)
+    return found
+
+
+def headline(results: dict[str, Result], runs: int) -> str:
+    """In a sentence how far off the first filter is, beside the best of the others and the plain one."""
+    first, *others = results
+    lost = results[first]["diverged"]
+    words = f"{first}: {_metres(results[first])}, " + (f"{lost} of {runs} runs lost" if lost else "no run lost")
+    best = min(others, key=lambda name: _rank(results[name]["mean_rmse_position"]), default=None)
+    if best is not None:
+        words += f"; best of the others: {best}, {_metres(results[best])}"
+    if BASELINE in results and BASELINE not in (first, best):
+        words += f"; plain {BASELINE}: {_metres(results[BASELINE])}"
+    return words
+
+
+def _metres(result: Result) -> str:
+    error = result["mean_rmse_position"]
+    return f"{error:.{0 if error >= 10 else 2}f} m" if error < 1e6 else "more than 1000 km"
 
 
 def not_finite(results: dict[str, Result]) -> list[str]:
@@ -87,11 +131,6 @@ def _decimals(results: dict[str, Result], key: str, least: int) -> int:
     """How many decimals a column gets: more than ``least`` where errors of positions are below 10 m."""
     smallest = min(result[key] for result in results.values())
     return max(least, 2 if smallest >= 1 else 3) if key in _POSITION and smallest < 10 else least
-
-
-def _cell(value: float, key: str, form: str) -> str:
-    value *= 100 if key == "divergence_rate" else 1
-    return f"{value:{form}}" if value < 1e6 else f"{value:.0e}"
 
 
 def leaders(results: dict[str, Result], most: int = 5) -> list[str]:
