@@ -19,6 +19,7 @@ from torchfra.register import FilterEntry, made
 from torchfra.scenarios.base import Scenario
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.position import Position
+from torchfra.suggestions import meant
 
 FILTERS.update({
     "gpb": FilterEntry(presets.gpb, either=True, emphasised=True),
@@ -115,7 +116,8 @@ def check_names(names: Sequence[str], scenario: Scenario) -> None:
     known = scan_filters() if scans else track_filters()
     unknown = [name for name in names if name not in FILTERS or FILTERS[name].scans != scans]
     if unknown or not names:
-        raise ValueError(f"filters: expected names out of {', '.join(known)}, received {', '.join(unknown) or 'none'}")
+        received = f"{', '.join(unknown) or 'none'}{meant(unknown[0], known) if unknown else ''}"
+        raise ValueError(f"filters: expected names out of {', '.join(known)}, received {received}")
 
 
 def make_filter(name: str, motion: Motion, sensor: Sensor, bank: Bank | None = None, **options: Any) -> Filter:
@@ -132,7 +134,8 @@ def make_filter(name: str, motion: Motion, sensor: Sensor, bank: Bank | None = N
         ValueError: an unknown name, or a filter of several motions where there is no bank.
     """
     if name not in FILTERS or FILTERS[name].scans:
-        raise ValueError(f"filter: expected one of {', '.join(track_filters())}, received {name!r}")
+        known = track_filters()
+        raise ValueError(f"filter: expected one of {', '.join(known)}, received {name!r}{meant(name, known)}")
     entry = FILTERS[name]
     if entry.bank and bank is None:
         raise ValueError(f"filter: expected one of a single motion, as there is no bank of motions, received {name!r}")
@@ -224,7 +227,7 @@ def make_scenario(name: str, **options: Any) -> Scenario:
         ValueError: an unknown name, or an option that the scenario does not take.
     """
     if name not in SCENARIOS:
-        raise ValueError(f"scenario: expected one of {', '.join(SCENARIOS)}, received {name!r}")
+        raise ValueError(f"scenario: expected one of {', '.join(SCENARIOS)}, received {name!r}{meant(name, SCENARIOS)}")
     chosen = {key: value for key, value in options.items() if value is not None}
     for key in sorted(chosen.keys() - inspect.signature(SCENARIOS[name]).parameters.keys()):
         raise ValueError(f"{key}: {name} takes no such option, received {chosen[key]!r}")

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import constraints, transform_to
 
+from torchfra.suggestions import meant
 from torchfra.tables import text_table
 
 _HALF_OPEN = type(constraints.half_open_interval(0.0, 1.0))
@@ -26,7 +27,7 @@ def one_of(**choices: tuple[str, Collection[str]]) -> None:
     """
     for name, (value, allowed) in choices.items():
         if value not in allowed:
-            raise ValueError(f"{name}: expected one of {tuple(allowed)}, received {value!r}")
+            raise ValueError(f"{name}: expected one of {tuple(allowed)}, received {value!r}{meant(value, allowed)}")
 
 
 class Hyper(nn.Module):

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NoReturn
 
 from torchfra.running import atomic_write, home  # noqa: F401  # home: before anything looks for one
 from torchfra.running.memory import keep_memory
+from torchfra.suggestions import meant
 from torchfra.tables import printable
 
 _STATUS = """exit status: 0; 1 if a part of the work failed or a result is not finite, and the rest is done; 2 if an
@@ -21,10 +24,24 @@ _NO_MEMORY = ("can't allocate memory", "out of memory", "Storage size calculatio
 """Parts of the messages with which torch says so."""
 
 
+class Parser(argparse.ArgumentParser):
+    """A parser that suggests what may have been meant by a word that it does not know."""
+
+    def error(self, message: str) -> NoReturn:
+        """Ends the program with a message."""
+        wrong = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
+        known = self._option_string_actions
+        if wrong:
+            message += meant(wrong[1], re.split(r"[', ]+", wrong[2].strip("'")))
+        elif message.startswith("unrecognized arguments: "):
+            message += meant(message.split()[2].partition("=")[0], known)
+        super().error(message)
+
+
 def make_parser(description: str | None, program: str | None = None) -> argparse.ArgumentParser:
     """A parser whose help keeps the lines of the description as they are, and says what the exit status means."""
     form = argparse.RawDescriptionHelpFormatter
-    return argparse.ArgumentParser(program, description=description, epilog=_STATUS, formatter_class=form)
+    return Parser(program, description=description, epilog=_STATUS, formatter_class=form)
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +66,8 @@ def check_list(parser: argparse.ArgumentParser, option: str, value: str, known: 
     """Ends the program with a message unless ``value`` is a comma-separated list of known names."""
     unknown = [name for name in value.split(",") if name not in known]
     if unknown:
-        parser.error(f"--{option}: expected names out of {', '.join(known)}, received {', '.join(unknown)}")
+        received = f"{', '.join(unknown)}{meant(unknown[0], known)}"
+        parser.error(f"--{option}: expected names out of {', '.join(known)}, received {received}")
 
 
 # ---------------------------------------------------------------- outputs

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
-from torchfra.cli.command import exit_status, make_parser
+from torchfra.cli.command import Parser, exit_status, make_parser
 from torchfra.version import __version__
 
 COMMANDS = {"track": "clean a recorded track", "compare": "run a batch of tracks through several filters"}
@@ -39,10 +39,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return exit_status("torchfra", work)
 
 
-class _Command(argparse.ArgumentParser):
+class _Command(Parser):
     """The parser of one command, whose module is imported when it is the one that is called."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Adds the options of the command, then parses."""
         import_module(f"torchfra.cli.{self.prog.split()[-1]}_command").add_to(self)
-        return super().parse_known_args(args, namespace)
+        options, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return options, unknown

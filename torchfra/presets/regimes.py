@@ -15,6 +15,7 @@ from torchfra.motion.base import Motion
 from torchfra.presets.learning import with_learning
 from torchfra.presets.values import with_values
 from torchfra.sensors.base import Sensor
+from torchfra.suggestions import meant
 
 MANOEUVRES: dict[str, dict[str, Any]] = {
     "none": {
@@ -106,7 +107,8 @@ def gpb(
     check_models(models, sensor)
     count = len(models) if isinstance(models, Bank) else 1
     if manoeuvres not in MANOEUVRES:
-        raise ValueError(f"manoeuvres: expected one of {', '.join(MANOEUVRES)}, received {manoeuvres!r}")
+        received = f"{manoeuvres!r}{meant(manoeuvres, MANOEUVRES)}"
+        raise ValueError(f"manoeuvres: expected one of {', '.join(MANOEUVRES)}, received {received}")
     given = {
         "noise_levels": noise_levels, "manoeuvre_factors": manoeuvre_factors, "jump_factors": jump_factors,
         "self_transition": self_transition, "restart": restart,

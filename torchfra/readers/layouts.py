@@ -18,6 +18,7 @@ from torchfra.readers.sheets import listed
 from torchfra.readers.spelling import AIRCRAFT, COUNTERS, FLIGHT_LEVELS, NAMES, SHIPS, found, plain, unit
 from torchfra.readers.tables import HEADERS, Wanted
 from torchfra.readers.told import METRES, Told
+from torchfra.suggestions import meant
 
 _LIMITS = {"latitude": 90.0, "longitude": 180.0}
 _ABSENT = {"latitude": 91.0, "longitude": 181.0}
@@ -76,7 +77,8 @@ def layout_of(head: Head, told: Told, name: str) -> Layout:
     """
     asked = told.columns()
     if absent := [column for column in asked.values() if column not in head.names]:
-        raise ValueError(f"expected a column {listed(absent)}, received {listed(head.names)}")
+        close = meant(absent[0], head.names)
+        raise ValueError(f"expected a column {listed(absent)}, received {listed(head.names)}{close}")
     columns = _places(head, asked)
     comma = told.decimal == "," or (told.decimal is None and head.commas and _has_commas(head, columns))
     if comma:
