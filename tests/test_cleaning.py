@@ -299,3 +299,48 @@ def test_a_missing_altitude_is_not_the_one_before():
     of = torchfra.clean((np.arange(120.0), z))
     assert of.position.shape == path.shape
     assert np.abs(of.position - path)[60:70].max() < 15
+
+
+def climb(missing):
+    """A climbing aircraft as a file, without some of its altitudes; and its truth."""
+    draw, time = np.random.default_rng(4), 2.0 * np.arange(200)
+    truth = np.column_stack([50 * time, 1000 * np.sin(time / 30), 1000 + 8 * time])
+    fixes = truth + draw.normal(0, 4, truth.shape)
+    absent = draw.random(200) < missing
+    absent[50:70] = missing > 0
+    rows = [
+        f"{t},{x:.3f},{y:.3f},{'' if gone else f'{z:.3f}'}"
+        for t, (x, y, z), gone in zip(time, fixes, absent, strict=True)
+    ]
+    return "\n".join(["time,x,y,z", *rows]), truth
+
+
+def test_altitudes_that_a_file_does_not_have_are_missing_and_not_those_of_the_fix_before(tmp_path):
+    text, truth = climb(missing=0.3)
+    (tmp_path / "climb.csv").write_text(text)
+    cleaned = torchfra.clean(tmp_path / "climb.csv")
+    error = cleaned.mean - truth
+    assert np.sqrt(np.square(error[:, 2]).mean()) < 1.5
+    assert np.sqrt(np.square(error[:, :2]).mean()) < 4
+    assert not (cleaned.flag == "outlier").any()
+    assert np.isnan(cleaned.raw[:, 2]).sum() > 60
+
+
+@pytest.mark.parametrize("noise", [0.0, 2.5])
+def test_a_level_altitude_without_noise_stays_level_where_a_few_fixes_are_wild(noise):
+    draw, time = np.random.default_rng(1), np.arange(120.0)
+    fixes = np.column_stack([30 * time, 10 * time, np.full(120, 500.0)]) + draw.normal(0, noise, (120, 3)) * [1, 1, 0]
+    fixes[[20, 60, 90], 2] = 900, 100, 3000
+    cleaned = torchfra.clean((time, fixes))
+    assert np.abs(cleaned.mean[:, 2] - 500).max() < 0.1
+    assert {20, 60, 90} <= {*np.flatnonzero(cleaned.flag == "outlier")}
+
+
+def test_two_levels_far_apart_are_no_steps_of_an_altimeter():
+    draw, time = np.random.default_rng(1), 10.0 * np.arange(62)
+    fixes = np.column_stack([200 * time + draw.normal(0, 8, 62), draw.normal(0, 8, 62), np.full(62, 8534.4)])
+    wild = draw.choice(62, 5, replace=False)
+    fixes[wild, 2] = 12192
+    cleaned = torchfra.clean((time, fixes))
+    assert np.abs(cleaned.mean[:, 2] - 8534.4).max() < 1
+    assert {*np.flatnonzero(cleaned.flag == "outlier")} == {*wild}

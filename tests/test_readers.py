@@ -214,14 +214,15 @@ def test_a_record_may_lack_a_key(write: Write) -> None:
 
 def test_missing_altitudes_are_filled_and_counted(write: Write) -> None:
     track = only(write("a.json", [record(s, altitude=up) for s, up in enumerate([None, 100, None, None, 200])]))
-    assert track.repairs == {"altitudes filled from the fix before": 2, "altitudes filled from the fix after": 1}
+    assert track.repairs == {"altitudes missing": 3}
     np.testing.assert_allclose(track.position[:, 2] / 0.3048, [0, 0, 0, 0, 100], atol=0.2)
+    assert track.filled.tolist() == [True, False, True, True, False]
 
 
 def test_geoaltitude_stands_in_for_baroaltitude_and_is_counted(write: Write) -> None:
     rows = [f"{t},a,47.0{t},8.0,,{up},{t}" for t, up in enumerate(["500,550", ",560", ","])]
     track = only(write("s.csv", states(*rows)), origin=CENTRE)
-    assert track.repairs == {"altitudes taken from geoaltitude": 1, "altitudes filled from the fix before": 1}
+    assert track.repairs == {"altitudes taken from geoaltitude": 1, "altitudes missing": 1}
     np.testing.assert_allclose(track.position[:, 2], [500, 560, 560], atol=0.5)
 
 
@@ -549,7 +550,7 @@ def test_calibration_flights_fly_at_the_speed_of_aircraft() -> None:
 
 def test_noisy_flights_say_what_was_repaired() -> None:
     repairs = {file.name.split(".")[0]: only(file).repairs for file in readers.samples("noisy")}
-    assert repairs["noisy_ground"] == {"held positions dropped": 378, "altitudes filled from the fix before": 47}
+    assert repairs["noisy_ground"] == {"held positions dropped": 378, "altitudes missing": 47}
     assert repairs["noisy_spoofing"] == {"rows without position dropped": 11, "held positions dropped": 3986}
 
 

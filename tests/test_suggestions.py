@@ -40,5 +40,5 @@ def test_functions_do_so_too():
     models = ConstantVelocity(1.0), Position(2.0)
     with pytest.raises(ValueError, match=r"received 'srkcf' \(did you mean 'srckf'\?\)"):
         make_filter("srkcf", *models)
-    with pytest.raises(ValueError, match=r"received 'nome' \(did you mean 'none'\?\)"):
-        torchfra.presets.gpb(*models, manoeuvres="nome")
+    with pytest.raises(ValueError, match=r"received 'hrad' \(did you mean 'hard'\?\)"):
+        torchfra.presets.gpb(*models, manoeuvres="hrad")

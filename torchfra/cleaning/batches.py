@@ -16,6 +16,8 @@ from torchfra.readers.recording import Recording
 
 _MOST_STEPS = 10**7
 """Of a grid between fixes."""
+_COARSEST = 31.0
+"""Metres between the heights that a transponder can tell, at most: 100 ft."""
 _SHORT, _MOST_FIXES = 100, 100_000
 """Fixes by which tracks of one batch may always differ, and those of all in a batch."""
 
@@ -73,13 +75,17 @@ def steps_of(recording: Recording, dt: float | None = None) -> Steps:
 
 
 def step_of_heights(recording: Recording) -> float:
-    """Metres between the heights that a recording can tell: 7.6 of altitudes in steps of 25 ft, about 0 of others."""
+    """Metres between the heights that a recording can tell: 7.6 of altitudes in steps of 25 ft, about 0 of others.
+
+    Levels that are further apart than ``_COARSEST`` are no rounding but other altitudes, or wild ones.
+    """
     if recording.position.shape[1] == 2:
         return 0.0
     here = recording.position[np.isfinite(recording.position).all(1)]
     heights = here[:, 2] if recording.origin is None else to_geodetic(here, recording.origin)[2]
     gaps = np.diff(np.unique(heights.round(3)))
-    return float(np.quantile(gaps, 0.1)) if len(gaps) else 0.0
+    step = float(np.quantile(gaps, 0.1)) if len(gaps) else 0.0
+    return step if step <= _COARSEST else 0.0
 
 
 def padded(several: Sequence[Steps]) -> tuple[Tensor, Tensor, Tensor]:

@@ -76,6 +76,7 @@ def clean_tracks(
     work = partial(_cleaned, name=filter, bank=bank, settings=Settings(sigma, q, smooth), dt=dt)
     if filter != DEFAULT or isinstance(bank, Bank):
         work = partial(work, compile=compile, fallback=fallback)
+    recordings = [_as_measured(recording) for recording in recordings]
     repair = repair and smooth
     placed = [in_place(recording) if repair and stamps_are_off(recording) else recording for recording in recordings]
     coarse = [step_of_heights(recording) for recording in recordings]
@@ -87,6 +88,15 @@ def clean_tracks(
         except FAILURES:  # of one of them; the others shall not pay for it
             done |= {i: _alone(placed[i], partial(work, coarse=[coarse[i]]), filter, smooth) for i in group}
     return as_recorded([done[i] for i in range(len(placed))], recordings)
+
+
+def _as_measured(recording: Recording) -> Recording:
+    """The same without altitudes that the file does not have."""
+    if recording.filled is None or not recording.filled.any():
+        return recording
+    position = recording.position.copy()
+    position[recording.filled, 2] = np.nan
+    return replace(recording, position=position, filled=None)
 
 
 def check_settings(

@@ -113,5 +113,13 @@ def _recording(target: Target, layout: Layout, origin: Origin | None) -> Recordi
     else:
         position = place if height is None else np.column_stack([place, height])
     return Recording(
-        target.name, target.time, position, origin, dict(+target.repairs), target.row, target.sigma, layout.source
+        target.name,
+        target.time,
+        position,
+        origin,
+        dict(+target.repairs),
+        target.row,
+        target.sigma,
+        layout.source,
+        filled=target.filled,
     )

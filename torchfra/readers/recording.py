@@ -53,3 +53,6 @@ class Recording:
     sigma: Array | None = None
     """``(k,)`` or ``(k, d)`` standard deviation of each fix per axis as the file says, m; None if it does not."""
     source: Source = Source()
+    filled: NDArray[np.bool_] | None = None
+    """``(k,)`` whether the altitude of a fix is missing in the file, and is that of the fix before (or after); None of
+    tracks without altitudes, and of those that come from no file.  Cleaning takes them for missing."""

@@ -36,6 +36,8 @@ class Target:
     """``(k, 2)`` coordinates as in the file: x and y in metres, or latitude and longitude."""
     height: Array | None
     """``(k,)`` metres."""
+    filled: NDArray[np.bool_] | None
+    """``(k,)`` whether the height is missing in the file, and is that of the fix before (or after)."""
     sigma: Array | None
     """``(k,)`` or ``(k, d)`` metres."""
     row: NDArray[np.int64]
@@ -54,11 +56,11 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
     for name, rows in members.items():
         index, repairs = columns.rows_to_keep(rows)
         call = "" if calls is None else next((calls[i] for i in index if calls[i]), "")
-        height = columns.heights(index, repairs)
+        height, filled = columns.heights(index, repairs)
         sigma = columns.sigmas(index, repairs, 2 if height is None else 3)
         full = f"{name} {call}".strip() or stem
         place = np.stack([columns.first[index], columns.second[index]], 1)
-        targets.append(Target(full, columns.time[index], place, height, sigma, index.astype(np.int64), repairs))
+        targets.append(Target(full, columns.time[index], place, height, filled, sigma, index.astype(np.int64), repairs))
     good = [target for target in targets if len(target.time) >= 2]
     if not good:
         raise ValueError(_too_few(targets, layout.source.word))
@@ -134,18 +136,17 @@ class _Columns:
                 f"targets do: say which column tells them apart, --id {self.unread[0]}{others}"
             )
 
-    def heights(self, index: NDArray[np.intp], repairs: Counter[str]) -> Array | None:
-        """Altitudes with the missing ones filled; None if all are missing."""
+    def heights(self, index: NDArray[np.intp], repairs: Counter[str]) -> tuple[Array | None, NDArray[np.bool_] | None]:
+        """Altitudes, those that are missing as at the fix before (or after), and which are; None if all are missing."""
         known = np.isfinite(self.height[index]), np.isfinite(self.spare[index])
         some = known[0] | known[1]
         if not some.any():
-            return None
+            return None, None
         before = np.maximum.accumulate(np.where(some, np.arange(len(index)), -1))
         row = np.where(before < 0, some.argmax(), before)
         repairs["altitudes taken from geoaltitude"] = int((some & ~known[0]).sum())
-        repairs["altitudes filled from the fix before"] = int((~some & (before >= 0)).sum())
-        repairs["altitudes filled from the fix after"] = int((before < 0).sum())
-        return np.asarray(np.where(known[0], self.height[index], self.spare[index])[row])
+        repairs["altitudes missing"] = int((~some).sum())
+        return np.where(known[0], self.height[index], self.spare[index])[row], ~some
 
     def sigmas(self, index: NDArray[np.intp], repairs: Counter[str], dims: int) -> Array | None:
         """Standard deviations with those that are missing or not above 0 filled; None if the file has none."""
