@@ -81,7 +81,10 @@ def table(results: dict[str, Result], *, every: bool = True) -> str:
         result = results[name]
         far = result["diverged"] and not result["mean_rmse_position"] <= result["limit"]
         pairs = zip(_COLUMNS, forms, strict=True)
-        cells = ["-" if far and key in _MEANS else f"{result[key]:{form}}" for (_, key, _), form in pairs]
+        cells = [
+            "-" if far and key in _MEANS and math.isfinite(result[key]) else f"{result[key]:{form}}"
+            for (_, key, _), form in pairs
+        ]
         words = WORDS.get(name, "") + (f"; the same: {', '.join(alike)}" if alike else "")
         rows.append([name, *cells, words])
     align = f"<{'>' * len(_COLUMNS)}<"
