@@ -15,7 +15,7 @@ import torchfra
 LIBRARY, TESTS = Path(torchfra.__file__).parent, Path(__file__).parent
 CORE = {
     "adaptive", "angles", "association", "coordinates", "filters", "gaussian", "hyper", "linalg", "motion", "presets",
-    "robust", "sensors", "tables", "tree", "types", "version",
+    "robust", "sensors", "suggestions", "tables", "tree", "types", "version",
 }  # fmt: skip
 """The parts of the package that a filter needs."""
 FILTER = """
@@ -80,7 +80,7 @@ def test_a_filter_runs_without_symbolic_algebra_and_the_compiler_of_torch(import
 def test_a_filter_loads_what_filters_need_and_nothing_else(imported):
     command = set(imported[1])  # which the help has loaded
     parts = {name.split(".")[1] for name in set(imported[4]) - command if name.startswith("torchfra.")}
-    assert parts == CORE - {"tables", "version"}  # and those two
+    assert parts == CORE - {"suggestions", "tables", "version"}  # and those three
 
 
 def test_a_compiled_srckf_runs_without_the_compiler_of_torch(imported):
