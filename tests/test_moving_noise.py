@@ -13,7 +13,9 @@ from torchfra.motion import (
     Bicycle,
     Clock,
     ConstantSpeed,
+    GaussMarkov,
     IntegratedOrnsteinUhlenbeck,
+    Odometry,
     RandomWalk,
     Singer,
     UnknownTurn,
@@ -180,15 +182,28 @@ def test_walks_and_clocks_have_their_known_noise():
     assert Clock(0.3, 0.02).transition(torch.tensor(STEP).double()).tolist() == [[1, STEP], [0, 1]]
 
 
+@pytest.mark.parametrize("time", [1e-3, 2.0, 1e9])
+def test_a_correlated_error_keeps_its_standard_deviation_and_is_forgotten_over_its_time(time):
+    motion = GaussMarkov(3.0, time, 2)
+    kept = motion.transition(torch.tensor(STEP).double())
+    torch.testing.assert_close(kept, torch.eye(2).double() * float(mpmath.exp(-mpf(STEP) / mpf(time))))
+    stays = 9 * kept @ kept.mT + covariance(motion)
+    torch.testing.assert_close(stays, 9 * torch.eye(2).double())
+    with mpmath.workdps(60):
+        added = float(9 * (1 - mpmath.exp(-2 * mpf(STEP) / mpf(time))))
+    torch.testing.assert_close(covariance(motion), added * torch.eye(2).double(), rtol=1e-12, atol=0)
+
+
 @pytest.mark.parametrize("motion", [
-    RandomWalk(0.3), Clock(0.3, 0.02), IntegratedOrnsteinUhlenbeck(0.3, 0.1), ConstantSpeed(0.3, 0.1, spectral=True),
+    GaussMarkov(0.3, 5.0, 3), Odometry(0.1, 0.02, 1e-3), RandomWalk(0.3), Clock(0.3, 0.02),
+    IntegratedOrnsteinUhlenbeck(0.3, 0.1), ConstantSpeed(0.3, 0.1, spectral=True),
     UnknownTurn(0.7, 0.02), UnknownTurn(0.7, 0.02, spectral=True), Bicycle(2.7, 0.7, 0.02),
     Bicycle(2.7, 0.7, 0.02, spectral=True),
 ], ids=lambda motion: motion.describe())  # fmt: skip
 def test_a_step_of_no_time_leaves_the_state_and_adds_no_noise_with_finite_gradients(motion):
     motion = learnable(copy.deepcopy(motion), "all")
     dt, mean = tensor(1.0, 0.0, 1.0), tensor(1, 2, 3, 0.4, 0.1, 3)[: motion.size].expand(3, -1)
-    torch.testing.assert_close(motion(mean, dt)[1], mean[1])
+    torch.testing.assert_close(motion(mean, dt, tensor(3.0, 0.2))[1], mean[1])
     root = motion.process_noise(dt)
     root = root if motion.linear else motion.process_noise_at(root, mean, dt)
     assert (root[1] == 0).all()

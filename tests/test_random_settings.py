@@ -29,6 +29,7 @@ DRAWS = 1000
 ANCHORS = torch.tensor([[0.0, 0.0, 3.0], [200.0, 0.0, 2.0], [200.0, 150.0, 4.0], [0.0, 150.0, 1.0]]).double()
 FLAT = ANCHORS[:, :2].contiguous()
 PLANE = Gaussian(torch.tensor([100.0, 60.0, 7.0, 8.0]).double(), torch.tensor([20.0, 20.0, 5.0, 5.0]).double())
+PLACE = Gaussian(PLANE.mean[:2], PLANE.scale_tril[:2])
 SPACE = Gaussian(
     torch.tensor([100.0, 60.0, 20.0, 7.0, 8.0, 1.0]).double(), torch.tensor([20.0] * 3 + [5.0] * 3).double()
 )
@@ -93,6 +94,15 @@ PAIRS = {
     "rsrckf": Pair(presets.rsrckf, ConstantAcceleration(1.0), Bearings(0.01, stations=FLAT[:3]), ACCELERATED),
     "mr_ckf": Pair(presets.mr_ckf, motion.WhiteJerk(1.0), RangeBearing((2.0, 0.02)), ACCELERATED, noise="std"),
     "asrckf": Pair(presets.asrckf, VELOCITY, Stacked(Position(2.0), sensors.RangeRates(FLAT[:2], 0.5)), PLANE),
+    "mr_ckf of odometry": Pair(
+        presets.mr_ckf, motion.Odometry(0.1, 0.01, 1e-3), Position(2.0),
+        with_more(PLACE, [0.1, 0.0], [0.2, 0.1]), u=(3.0, 0.4),
+    ),
+    "gpb of odometry": Pair(
+        presets.gpb, Augmented(motion.Odometry(0.1, 1e-3, 1e-3, 1e-6), motion.GaussMarkov(1.0, 20.0, 2)),
+        Biased(Position(2.0), [5, 6]), with_more(PLACE, [0.1, 0.0, 0.0, 0.0, 0.0], [0.2, 0.1, 0.01, 1.0, 1.0]),
+        u=(3.0, 0.1),
+    ),
     "rmckf": Pair(presets.rmckf, motion.IntegratedOrnsteinUhlenbeck(1.0, 0.2), Position(2.0), PLANE),
     "ghckf": Pair(presets.ghckf, motion.ConstantSpeed(1.0, 0.01), RangeBearing((2.0, 0.02, 0.02), dims=3), SPACE),
     "hghckf1": Pair(presets.hghckf1, motion.UnknownTurn(1.0, 0.01), Position(2.0), with_more(PLANE, [0.1], [0.1])),
@@ -152,7 +162,7 @@ def drawn(pair, f, number, *, batch, steps, missing, still, round_numbers, outli
     u = torch.tensor(pair.u).double() if pair.u else None
     seen = []
     for k in range(steps):
-        x = of_truth(x, dt[:, k])
+        x = of_truth(x, dt[:, k], None if u is None else u.expand(batch, -1))
         seen.append(f.sensor(x, None if u is None else u.expand(batch, -1)))
     z = torch.stack(seen, 1)
     deviations = f.sensor.measurement_noise(z).std.expand_as(z)

@@ -5,7 +5,8 @@ from torchfra.motion.bank import Bank, Embedded, aircraft, people, ships, vehicl
 from torchfra.motion.base import Adaptation, Motion
 from torchfra.motion.bicycle import Bicycle
 from torchfra.motion.components import KINDS
-from torchfra.motion.correlated import CurrentStatistical, IntegratedOrnsteinUhlenbeck, Singer, WhiteJerk
+from torchfra.motion.correlated import CurrentStatistical, GaussMarkov, IntegratedOrnsteinUhlenbeck, Singer, WhiteJerk
+from torchfra.motion.odometry import Odometry
 from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.motion.speed import ConstantSpeed
 from torchfra.motion.spherical import Spherical
@@ -25,8 +26,10 @@ __all__ = [
     "CoordinatedTurn",
     "CurrentStatistical",
     "Embedded",
+    "GaussMarkov",
     "IntegratedOrnsteinUhlenbeck",
     "Motion",
+    "Odometry",
     "RandomWalk",
     "Singer",
     "Spherical",

@@ -153,6 +153,47 @@ class CurrentStatistical(Singer):
         return Adaptation(per_axis(moved.unsqueeze(-1), self.dims), scale, decrease)
 
 
+class GaussMarkov(Motion):
+    """An error that is always there and changes slowly: a first-order Gauss-Markov process, beside others in Augmented.
+
+    It has zero mean and a constant standard deviation, and is forgotten over about ``time`` seconds: what a position
+    by satellites, a radio range or a radar has on top of the noise that differs from one measurement to the next.
+    ``Augmented(motion, GaussMarkov(...))`` has it beside a motion, ``Biased`` adds it to what a sensor measures.
+
+    Args:
+        std: standard deviation of the error, in the unit of what it is added to.
+        time: its correlation time, s: after that long the correlation has fallen to ``exp(-1)``.
+        dims: components, independent of each other.
+        kind: what they are, out of ``torchfra.motion.KINDS``.
+
+    Raises:
+        ValueError: ``std`` below 0, ``time`` not above 0, ``dims`` below 1, an unknown kind.
+
+    Source: Brown & Hwang (2012), "Introduction to Random Signals and Applied Kalman Filtering", section 3.6.
+    """
+
+    linear = True
+
+    def __init__(self, std: Value, time: Value, dims: int = 1, *, kind: str = "bias") -> None:
+        super().__init__(
+            dims, 1, None, size=dims, position=slice(0, 0), velocity=slice(0, 0),
+            angles=range(dims) if kind == "angle" else (),
+            components=[f"{kind} {i}" for i in range(dims)] if dims > 1 else [kind], kinds=[kind] * dims,
+        )  # fmt: skip
+        self.std = Hyper(std, constraints.nonnegative, name="std")
+        self.time = Hyper(time, name="time")
+
+    def transition(self, dt: Tensor) -> Tensor:
+        """``exp(-dt / time) I (..., n, n)``."""
+        return per_axis((-dt / self.time(dt)).exp()[..., None, None], self.size)
+
+    def process_noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., n, n)``: ``std sqrt(1 - exp(-2 dt / time)) I``, what keeps the standard deviation as it is."""
+        grown, _ = _exponential_quotients(-2 * dt / self.time(dt))
+        root = self.std(dt) * (2 / self.time(dt) * grown).sqrt() * dt.sqrt()
+        return per_axis(root[..., None, None], self.size)
+
+
 def white_noise_root(alpha: Tensor, dt: Tensor, orders: int = 3) -> Tensor:
     """Root of the process noise of one axis, ``(..., orders, orders)``, for white noise of density 1 on the highest."""
     at, weight = gauss_legendre(dt)

@@ -1,0 +1,76 @@
+"""A vehicle that measures its own way: by wheels, and by a compass or a gyroscope."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.distributions import constraints
+
+from torchfra.hyper import Hyper, Value
+from torchfra.motion.base import Motion
+from torchfra.motion.blocks import arc
+
+
+class Odometry(Motion):
+    """A vehicle in the plane, driven by the speed that its wheels measure and by its heading or how fast it turns.
+
+    States ``[x, y, heading error, log scale]`` with a measured heading, and ``[x, y, heading, log scale, rate bias]``
+    with a gyroscope: the wheels' speed times ``exp(log scale)`` is the true one; the measured heading plus
+    ``heading error`` is the true one, and so is the measured turn rate plus ``rate bias``.  Headings count
+    counter-clockwise from +x.  With a gyroscope a step is an arc, with a measured heading it is straight.
+
+    What a step needs to know comes as its ``u (..., 2)``: the speed in m/s over the step that leads to the
+    measurement, and the heading in rad or the turn rate in rad/s.  Steps without a number there have no estimate.
+
+    Args:
+        position: density of the white noise on each axis of the position, m^2/s: what wheels slip.
+        heading: of that on the heading or its error, rad^2/s.
+        scale: of that on the logarithm of the scale, 1/s.
+        bias: of that on the bias of the turn rate, rad^2/s^3; only of a gyroscope, and then it must be given.
+
+    Raises:
+        ValueError: a density below 0; in a step, ``u`` that is missing or has not two entries.
+
+    Source: Thrun, Burgard & Fox (2005), "Probabilistic Robotics", section 5.4, with errors of the sensors as states.
+    """
+
+    def __init__(self, position: Value, heading: Value, scale: Value, bias: Value | None = None) -> None:
+        own = ("heading error", "log scale") if bias is None else ("heading", "log scale", "rate bias")
+        super().__init__(
+            2, 1, None, size=2 + len(own), velocity=slice(0, 0), angles=(2,), components=("x", "y", *own),
+            kinds=("position", "position", "angle", "parameter", "bias")[: 2 + len(own)],
+        )  # fmt: skip
+        self.walk_position = Hyper(position, constraints.nonnegative, name="position")
+        self.walk_heading = Hyper(heading, constraints.nonnegative, name="heading")
+        self.walk_scale = Hyper(scale, constraints.nonnegative, name="scale")
+        self.walk_bias = None if bias is None else Hyper(bias, constraints.nonnegative, name="bias")
+
+    def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
+        """The state ``(..., n)`` after ``dt (...)`` seconds of the speed and the heading or rate ``u (..., 2)``."""
+        if u is None or u.shape[-1] != 2:
+            expected = "(..., 2), speed and " + ("heading" if self.walk_bias is None else "turn rate")
+            raise ValueError(f"u: expected {expected}, received {None if u is None else tuple(u.shape)}")
+        speed, turned = u.unbind(-1)
+        way = speed * x[..., 3].exp() * dt
+        if self.walk_bias is None:
+            ahead, across = (turned + x[..., 2]).cos() * way, (turned + x[..., 2]).sin() * way
+            rest = x[..., 2:]
+        else:
+            turn = (turned + x[..., 4]) * dt
+            along, left = arc(turn)
+            cos, sin = x[..., 2].cos(), x[..., 2].sin()
+            ahead, across = way * (along * cos - left * sin), way * (along * sin + left * cos)
+            rest = torch.cat([(x[..., 2] + turn).unsqueeze(-1), x[..., 3:]], -1)
+        return torch.cat([x[..., :2] + torch.stack([ahead, across], -1), rest], -1)
+
+    def process_noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., n, n)``: a walk of each component, independent of the others."""
+        walks = [self.walk_position, self.walk_position, self.walk_heading, self.walk_scale]
+        walks += [] if self.walk_bias is None else [self.walk_bias]
+        each = torch.broadcast_tensors(*(walk(dt).sqrt() * dt.sqrt() for walk in walks))
+        root: Tensor = torch.stack(each, -1).diag_embed()
+        return root
+
+    def describe(self) -> str:
+        """What tells where it heads."""
+        return "odometry with a " + ("measured heading" if self.walk_bias is None else "gyroscope")
