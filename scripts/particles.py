@@ -83,10 +83,10 @@ def particle_filter(f: GPB, z: Tensor, prior: Gaussian, u: Tensor | None, count:
 def first(f: GPB, prior: Gaussian, count: int, rng: torch.Generator) -> Particles:
     """Two for each regime: the prior as given, and widened."""
     mean, root = prior
-    log_renew, poor = f.regimes.restart_distribution(mean[:1]).log(), f.prior_outlier(mean)
-    regimes = len(log_renew)
+    log_regimes, poor = f.regimes.initial_distribution(mean[:1]).log(), f.prior_outlier(mean)
+    regimes = len(log_regimes)
     roots = torch.stack([root, f.prior_inflation(mean).sqrt() * root]).repeat_interleave(regimes, 0)
-    weights = (torch.stack([torch.log1p(-poor), poor.log()]).unsqueeze(-1) + log_renew).flatten()
+    weights = (torch.stack([torch.log1p(-poor), poor.log()]).unsqueeze(-1) + log_regimes).flatten()
     regime = torch.arange(regimes).repeat(2)
     return Particles(Gaussian(mean.expand(2 * regimes, -1), roots), regime, torch.zeros_like(regime).bool(), weights)
 

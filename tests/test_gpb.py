@@ -128,7 +128,8 @@ def test_without_outliers_and_jumps_a_bank_is_imm_srckf():
     stay, renew = tensor([0.6, 0.8, 0.8]), tensor([0.5, 0.25, 0.25])
     matrix, z = stay.diag() + (1 - stay).unsqueeze(-1) * renew, measured(outliers=False)
     e = presets.gpb(motions, SENSORS["position"], **ALMOST_NONE)(z, PRIOR)
-    expected = presets.imm_srckf(motions, SENSORS["position"], transition=matrix, initial=renew)(z, PRIOR)
+    initial = renew / (1 - stay) / (renew / (1 - stay)).sum()
+    expected = presets.imm_srckf(motions, SENSORS["position"], transition=matrix, initial=initial)(z, PRIOR)
     close(e.mean, expected.mean)
     close(e.covariance, expected.covariance)
     close(e.info.regimes[..., :3], expected.info.probabilities)
@@ -143,6 +144,25 @@ def test_a_bank_of_one_is_the_motion_itself():
 
 
 # ---------------------------------------------------------------- what it knows
+
+
+def first_regimes(stay, restart, motions=1):
+    """Probabilities of the regimes before the first step: two levels, other motions, a jump."""
+    options = {"noise_levels": (0.1, 10.0), "jump_factors": (200.0,), "self_transition": stay, "restart": restart}
+    f = presets.gpb([MOTION, ConstantVelocity(0.1, orders=3)][:motions], SENSORS["position"], **options)
+    return f.init(PRIOR).log_weights.exp().sum(-2)
+
+
+def test_regimes_begin_as_often_as_the_chain_has_them_in_the_long_run():
+    stay, restart = tensor([0.95, 0.8, 0.9, 0.5]), tensor([0.5, 0.3, 0.15, 0.05])
+    chain = stay.diag() + (1 - stay).unsqueeze(-1) * restart
+    close(first_regimes(stay, restart, 2), torch.linalg.matrix_power(chain, 1000)[0])
+
+
+def test_a_regime_that_begins_and_never_ends_is_there_from_the_first_step_on():
+    found = first_regimes((1.0, 0.8, 1.0, 0.5), (0.5, 0.3, 0.1, 0.1), 2)
+    close(found, tensor([0.5, 0.0, 0.1, 0.0]) / 0.6)
+    assert first_regimes((0.9, 1.0, 0.9, 0.5), (0.5, 0.0, 0.4, 0.1))[1] == 0  # it never begins
 
 
 @pytest.mark.slow

@@ -128,7 +128,8 @@ def regimes(stay, renew, levels, jumps=(200.0,), motions=1, manoeuvres=()):
     silent = oracle.silent_chain(stay, list(odds), range(count, count + others)) if others else np.eye(len(stay))
     factors = [*levels, *[1.0] * others]
     which = [0] * count + list(range(1, motions))
-    return options | VALUES, oracle.Regimes(which, factors, list(jumps), chain, silent, odds, count - 1, manoeuvres)
+    first = oracle.long_run(chain)
+    return options | VALUES, oracle.Regimes(which, factors, list(jumps), chain, silent, first, count - 1, manoeuvres)
 
 
 TWO = ((0.9, 0.8, 0.7, 0.1), (0.5, 0.3, 0.15, 0.05), (0.1, 30.0))

@@ -130,7 +130,8 @@ def test_gpb_of_two_targets_is_that_of_plain_loops():
     stay, renew = (np.delete(GPB[name], 2) for name in ("self_transition", "restart"))
     odds = renew / renew.sum()
     chain = regimes.renewing_chain(list(stay), list(odds))
-    r = regimes.Regimes([0, 0], list(GPB["noise_levels"]), list(GPB["jump_factors"]), chain, np.eye(3), odds, 1)
+    first = regimes.long_run(chain)
+    r = regimes.Regimes([0, 0], list(GPB["noise_levels"]), list(GPB["jump_factors"]), chain, np.eye(3), first, 1)
     q = regimes.Qualities(
         [[0, 1]], np.array(GPB["outlier_transition"]), list(GPB["outlier_sizes"]), list(GPB["outlier_shares"])
     )

@@ -72,6 +72,13 @@ def silent_chain(stay: list[float], renew: list[float], others: range) -> Array:
     )
 
 
+def long_run(chain: Array) -> Array:
+    """Probabilities (R,) of the regimes that a step of the chain does not change."""
+    count = len(chain)
+    equations = np.vstack([(np.eye(count) - chain).T, np.ones(count)])
+    return np.linalg.lstsq(equations, np.eye(count + 1)[count], rcond=None)[0]
+
+
 def carried(F: Any, SQ: Any) -> Carry:
     """A linear motion; F and SQ may be callables of k."""
 

@@ -37,7 +37,7 @@ from torchfra.gaussian.mixture import matched
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import innovation
 from torchfra.hyper import Hyper, Value
-from torchfra.linalg.safe import safe_divide, safe_sqrt
+from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
@@ -142,7 +142,7 @@ class GPB(Filter[GPBState]):
         mean, root = belief
         far_off = self.prior_outlier(mean)
         log_prior = in_front(torch.stack([torch.log1p(-far_off), far_off.log()], -1), mean.dim() + 1)
-        log_weight = log_prior + self.regimes.restart_distribution(mean[None, ..., 0]).log()[None, :, None]
+        log_weight = log_prior + safe_log(self.regimes.initial_distribution(mean[None, ..., 0]))[None, :, None]
         widened = torch.tensor([kind != "parameter" for kind in self.motion.kinds], device=mean.device)
         factor = torch.where(widened, self.prior_inflation(mean).sqrt()[..., None], 1.0)[..., None]
         both = tree.stack([belief, Gaussian(mean, factor * root)], OUTLIER)

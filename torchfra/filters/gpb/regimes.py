@@ -42,9 +42,9 @@ class Regimes(nn.Module):
     The first motion comes at ``L`` levels, the others of a bank as they are. ``M`` manoeuvres have as much more process
     noise than the first motion's last level as the measurement asks for, ``J`` jumps widen the position of its
     prediction in the same way. In this order they are the ``R = L + (K - 1) + M + J`` regimes. A regime goes on with a
-    probability of its own; else the next one is drawn from the restart distribution, whatever was before. Values are
-    given by kind, ``(..., L + 1 + M + J)``: each level, any other motion, each manoeuvre, each jump; so they fit banks
-    of any size.
+    probability of its own; else the next one is drawn from the restart distribution, whatever was before. Before the
+    first step regimes are as likely as the chain has them in the long run. Values are given by kind,
+    ``(..., L + 1 + M + J)``: each level, any other motion, each manoeuvre, each jump; so they fit banks of any size.
 
     Tensors of regimes have the axes of ``Hypotheses``.
 
@@ -112,6 +112,17 @@ class Regimes(nn.Module):
         others = torch.tensor([float(self.motions - 1) if k else 1.0 for k in self.motion_of]).to(odds)
         odds = odds / others.reshape(-1, *(1,) * (odds.dim() - 1))
         return odds / odds.sum(0)  # one motion has no others
+
+    def initial_distribution(self, like: Tensor) -> Tensor:
+        """Probabilities ``(R, ...)`` of the regimes before the first step, for ``like (R, ...)``.
+
+        It is the stationary distribution of the chain: how often each begins, times how long it stays.  A chain that
+        may begin a regime that never ends is in one from the first step on.
+        """
+        restart, ends = self.restart_distribution(like), 1 - self._by_regime(self.self_transition(like), like.dim() - 1)
+        for_ever = (ends == 0) & (restart > 0)
+        weight = torch.where(for_ever.any(0), torch.where(for_ever, restart, 0.0), safe_divide(restart, ends))
+        return weight / weight.sum(0)
 
     def chain(self, like: Tensor, dt: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
         """Self-transition probabilities ``(R, ...)`` in a step, and the restart distribution ``(R, ...)``.
