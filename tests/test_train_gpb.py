@@ -12,14 +12,14 @@ from train import checkpoints, tune
 from train.batches import simulate
 from train.evolution import Evolution
 from train.regimes import regimes
-from train.regret import Regrets
+from train.regret import POWER, Cases, Regrets
 from train.runs import configured
 
 pytestmark = pytest.mark.usefixtures("rough_figures")
 
 TASKS = [
     {"scenario": "bearings-outliers", "options": {"outliers": "std", "initial": "truth"}, "models": "motion"},
-    {"scenario": "bearings-manoeuvre", "options": {"outliers": "bursts"}, "models": "bank"},
+    {"scenario": "bearings-manoeuvre", "options": {"outliers": "bursts"}, "models": "bank", "allowed": 0.04},
     {"scenario": "bearings-outliers", "options": {"outliers": "none"}, "weight": 0, "models": "bank"},
 ]
 SMALL = ("batch=2", "iterations=2", "validate_every=2", "validation_runs=2", "test_runs=2", "rivals=srckf,imm_srckf",
@@ -64,6 +64,24 @@ def test_tasks_with_the_same_models_have_one_filter():
     assert first is second is not other
 
 
+@pytest.mark.usefixtures("short_tracks")
+def test_models_with_other_values_share_a_filter_and_are_run_with_their_own():
+    tasks = [
+        {"scenario": "as-stated", "options": {"q": q, "dt": dt, "outliers": "none"}} for q, dt in ((1, 1), (9, 10))
+    ]
+    training = Regrets(settings("rivals=srckf", tasks=tasks))
+    assert training.filters[0] is training.filters[1]
+    for _ in range(2):
+        for i, scenario in enumerate(training.scenarios):
+            ((_, batch),) = (group for group in training.cases.groups if group[0] == [i])
+            with torch.no_grad():
+                alone = presets.gpb(scenario.motion, scenario.sensor, **training.preset())(
+                    batch.z, batch.prior, dt=scenario.dt
+                )
+                found = training.errors([i], batch)[0, 0]
+            torch.testing.assert_close(found, metrics.rmse(alone.mean, batch.truth, scenario.position).mean())
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_tasks_with_other_places_of_the_sensor_have_another_filter():
@@ -83,6 +101,16 @@ def test_only_what_is_named_learns():
         "self_transition",
         "prior_outlier",
     }
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("short_tracks")
+def test_a_level_of_one_stays_one():
+    training = Regrets(settings("rivals=srckf", tasks=TASKS[:1]))
+    training.generation()
+    levels, start = training.preset()["noise_levels"], training.config.start["noise_levels"]
+    assert levels[1] == pytest.approx(1.0, rel=1e-12)
+    assert all(levels[i] != pytest.approx(start[i], rel=1e-6) for i in (0, 2, 3))
 
 
 # ---------------------------------------------------------------- the loss
@@ -114,12 +142,22 @@ def test_steps_of_unknown_truth_do_not_count_but_an_estimate_that_is_nan_does(tr
     assert lost.isnan().all()
 
 
-def test_a_loss_is_the_sixth_power_of_the_ratios_to_the_rival_within_bounds(training, monkeypatch):
-    monkeypatch.setattr(training, "errors", lambda tasks, batch: torch.tensor([[1.1], [0.1]]) * training.rivals[tasks])
-    for loss in training.losses_of([([0], None), ([1], None)]):
-        assert loss == pytest.approx((1.1**6 + 0.7**6) / 2)
+def test_a_loss_is_a_power_of_the_ratios_to_what_is_allowed_within_bounds(training, monkeypatch):
+    cases = Cases([([0], None), ([1], None)], torch.tensor([2.0, 5.0], dtype=torch.float64))
+    ratios = torch.tensor([[1.1], [0.1]], dtype=torch.float64)
+    monkeypatch.setattr(training, "errors", lambda tasks, batch: ratios * cases.rivals[tasks])
+    first, second = training.losses_of(cases)
+    assert first == pytest.approx((1.1**POWER + 0.7**POWER) / 2)
+    assert second == pytest.approx(((1.1 / 1.04) ** POWER + (0.7 / 1.04) ** POWER) / 2)
     monkeypatch.setattr(training, "errors", lambda tasks, batch: torch.full((2, 1), torch.nan))
-    assert training.losses_of([([0], None)])[0] == 12.0**6
+    assert training.losses_of(cases)[0] == 12.0**POWER
+
+
+def test_rivals_have_the_same_runs_as_the_filters(training):
+    for cases, runs in ((training.cases, training.config.batch), (training.unseen, training.config.validation_runs)):
+        assert all(len(batch.z) == runs * len(tasks) for tasks, batch in cases.groups)
+    rival = training.best_rival(0, held_out=True, runs=training.config.validation_runs, seed=1)[1]
+    assert training.unseen.rivals[0] == rival
 
 
 @pytest.mark.slow
@@ -216,7 +254,11 @@ def test_the_named_run_has_several_sensors_bursts_recorded_flights_and_both_kind
         "bearings", "position", "radar",
     }  # fmt: skip
     assert {"none", "covariance", "std", "bursts"} < {task.options["outliers"] for task in counted}
-    assert {task.scenario for task in counted} >= {"bearings-outliers", "bearings-manoeuvre", "ranges-outliers"}
+    cases = {"bearings-outliers", "bearings-manoeuvre", "ranges-outliers", "as-stated"}
+    assert {task.scenario for task in counted} >= cases
+    stated = [task for task in counted if task.scenario == "as-stated"]
+    assert any("q" in task.options for task in stated)
+    assert any("std" in task.options for task in stated)
     assert any(task.weight == 0 for task in config.tasks)
 
 
@@ -225,6 +267,7 @@ def test_the_named_run_has_several_sensors_bursts_recorded_flights_and_both_kind
     ('tasks=[{"scenario":"growth","models":"bank"}]', "models: expected 'motion'"),
     ('tasks=[{"scenario":"bearings-outliers","weight":0}]', "tasks: expected one of a weight above 0"),
     ("population=2", "population: expected at least 4"),
+    ('hold={"noise_levels":[9]}', "hold, noise_levels: expected places among 4 entries"),
 ])  # fmt: skip
 def test_a_setting_that_makes_no_sense_is_named_before_any_work(change, message, tmp_path, capsys):
     assert tune.main(["gpb", *SMALL, change, "--out", str(tmp_path / "x")]) == 2

@@ -26,6 +26,8 @@ class Task:
     """Arguments of the scenario, such as ``outliers`` and ``truth_noise``."""
     weight: float = 1.0
     """Weight of this task's mean loss in the loss of the run.  Loss ``"regret"``: 0 for tracks to test on only."""
+    allowed: float = 0.0
+    """Loss ``"regret"``: how far behind the best rival a filter may be; what is beyond that counts for much more."""
     models: str = "any"
     """What a filter that takes either is given of the scenario: its ``"motion"``, its ``"bank"``, or ``"any"``: the
     bank if it has one."""
@@ -47,6 +49,8 @@ class Config:
     start: dict[str, Any] = field(default_factory=dict)
     """Initial values, in natural units, instead of the preset's and the scenario's.  Loss ``"regret"``: arguments of
     the preset."""
+    hold: dict[str, list[int]] = field(default_factory=dict)
+    """Loss ``"regret"``: places in values that learn whose entries stay at their start, such as a level of 1."""
     rivals: tuple[str, ...] = ("srckf", "rsrckf", "mr_ckf", "fra", "imm_srckf", "imm_fra")
     """Loss ``"regret"``: filters whose best in a task, at its defaults, an error is compared with."""
     search: dict[str, list[float]] = field(default_factory=dict)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Sequence
-from typing import cast
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
@@ -16,6 +15,7 @@ from torchfra.catalogue import filters_for, scenario_filter
 from torchfra.evaluation import evaluate
 from torchfra.filters import Filter
 from torchfra.hyper import Hyper, named
+from torchfra.motion.bank import Bank
 from torchfra.running import distributed
 from torchfra.running.progress import progress_bar
 from torchfra.scenarios import Scenario
@@ -24,19 +24,29 @@ from train.config import Config
 from train.evolution import Evolution
 from train.training import Training
 
-POWER = 6
-"""Of the ratios in the loss: a task far behind its best rival counts for more than what others are ahead."""
+POWER = 60
+"""Of the ratios in the loss: the sum over the tasks is about as large as the worst of them."""
 AHEAD, BEHIND = 0.7, 12.0
 """Ratios beyond which nothing is gained or lost: in a task that is far ahead there is no need to get further."""
+
+
+class Cases(NamedTuple):
+    """Tracks of the tasks that count, and how well the best rivals do on them."""
+
+    groups: list[tuple[list[int], Batch]]
+    """Tasks with the same models, and the tracks of all of them."""
+    rivals: Tensor
+    """``(tasks,)`` errors of the best rivals; 1 of tasks that do not count."""
 
 
 class Regrets(Training):
     """Filters of one preset around different models, with the same values, and the errors of their best rivals.
 
     ``filter`` has the values by the names of the preset's arguments.  The loss of a task is the mean of two ratios to
-    the power ``POWER``: of the filtered and of the settled error to that of the best rival.  An error is the mean over
-    time of the root mean square position error over the runs: one number for all runs together.  It needs no gradient,
-    for which the kernels of a bank would take the compiler long: an evolution strategy searches the values.
+    the power ``POWER``: of the filtered and of the settled error to that of the best rival times 1 and the regret that
+    is ``allowed`` in the task.  An error is the mean over time of the root mean square position error over the runs:
+    one number for all runs together.  Rivals have the same runs, and all iterations too: so a ratio does not depend on
+    which runs there were.  It needs no gradient: an evolution strategy searches the values.
 
     Args:
         config: of the run.
@@ -49,8 +59,9 @@ class Regrets(Training):
     def __init__(self, config: Config, *, quiet: bool = True) -> None:
         self.quiet = quiet
         super().__init__(config)
-        values = parameters_to_vector(self.filter.parameters())
+        values = parameters_to_vector(self.filter.parameters()).detach().clone()
         self.optimiser = Evolution(values, step=config.lr, population=config.population, seed=config.seed)
+        self.held = values, self._held()
 
     def make(self) -> nn.Module:
         """The values; ``filters`` of the tasks take them."""
@@ -64,15 +75,16 @@ class Regrets(Training):
         made: dict[str, Filter] = {}
         self.filters: list[Filter] = []
         for scenario in self.scenarios:
-            models = _models(scenario)
-            if models not in made:
-                made[models] = self._sharing(values, scenario)
-            self.filters.append(made[models])
+            kind = _kind(scenario)
+            if kind not in made:
+                made[kind] = self._sharing(values, scenario)
+            self.filters.append(made[kind])
         if config.compile:
             for i in self.counted:
                 self.filters[i].compile()
         self.start = copy.deepcopy(values.state_dict())
-        self.rivals = self._rivals()
+        self.cases = self._cases(config.batch, config.seed, held_out=False)
+        self.unseen = self._cases(config.validation_runs, config.validation_seed, held_out=True)
         return values
 
     def _sharing(self, values: nn.ModuleDict, scenario: Scenario) -> Filter:
@@ -89,24 +101,47 @@ class Regrets(Training):
             setattr(f.get_submodule(owner), key, values[name])
         return f.to(config.device)
 
-    def _rivals(self) -> Tensor:
-        """``(tasks,)`` errors of the best rivals; 1 of tasks that do not count."""
-        config, best = self.config, torch.ones(len(self.filters), dtype=torch.float64)
-        known: dict[str, float] = {}
-        for i in progress_bar(self.counted, "best rivals", not self.quiet):
-            scenario = repr((config.tasks[i].scenario, config.tasks[i].options))
+    def _held(self) -> Tensor:
+        """Which numbers of all parameters stay as they are."""
+        for name, places in self.config.hold.items():
+            entries = self.filter.get_submodule(name)().numel() if name in dict(self.filter.named_children()) else 0
+            if not all(0 <= place < entries for place in places):
+                raise ValueError(f"hold, {name}: expected places among {entries} entries, received {places}")
+        held = []
+        for path, value in self.filter.named_parameters():
+            which = torch.tensor(self.config.hold.get(path.removesuffix(".raw"), []), dtype=torch.long)
+            held.append(torch.zeros(value.numel(), dtype=torch.bool).index_fill(0, which, True))
+        return torch.cat(held).to(self.config.device)
+
+    def _take(self, candidate: Tensor) -> None:
+        """Gives the parameters these values, but for those that are held."""
+        start, held = self.held
+        vector_to_parameters(torch.where(held, start, candidate), self.filter.parameters())
+
+    def _cases(self, runs: int, seed: int, *, held_out: bool) -> Cases:
+        """Tracks, and the best rivals on them; tasks with the same models are one batch."""
+        config, scenarios = self.config, self.held_out if held_out else self.scenarios
+        best, known = torch.ones(len(scenarios), dtype=torch.float64), dict[str, float]()
+        together: dict[str, list[int]] = {}
+        for i in progress_bar(self.counted, "best rivals, unseen" if held_out else "best rivals", not self.quiet):
+            task = config.tasks[i]
+            scenario = repr((task.scenario, task.options))
             if scenario not in known:
-                known[scenario] = self.best_rival(i, held_out=False, runs=config.validation_runs, seed=config.seed)[1]
+                known[scenario] = self.best_rival(i, held_out=held_out, runs=runs, seed=seed)[1]
             best[i] = known[scenario]
-        return best
+            together.setdefault(_values(scenarios[i]), []).append(i)
+        groups = [
+            (tasks, simulate([scenarios[i] for i in tasks], first=0, runs=runs, seed=seed, device=config.device))
+            for tasks in together.values()
+        ]
+        return Cases(groups, best)
 
     def best_rival(self, i: int, *, held_out: bool, runs: int, seed: int) -> tuple[str, float]:
         """Name and error of the best rival in a task."""
         config, task = self.config, dataclasses.replace(self.config.tasks[i], models="any")
         scenario = task_scenario(task, config, held_out=held_out)
         names = [name for name in config.rivals if name in filters_for(scenario)]
-        few = scenario.bank is None or len(scenario.bank) < 4  # the compiler takes minutes for more motions
-        results = evaluate(scenario, names, runs=runs, seed=seed, compile=config.compile and few)
+        results = evaluate(scenario, names, runs=runs, seed=seed, compile=config.compile)
         errors = {name: float(torch.tensor(results[name]["rmse_position"][config.skip :]).nanmean()) for name in names}
         best = min(errors, key=errors.__getitem__)
         return best, errors[best]
@@ -114,64 +149,62 @@ class Regrets(Training):
     @torch.no_grad()
     def generation(self) -> tuple[Tensor, dict[str, float]]:
         """An iteration: the best losses ``(tasks,)`` of a candidate, and what the log says of it."""
-        config, search = self.config, cast(Evolution, self.optimiser)
-        tracks = self._tracks(self.scenarios, first=self.iteration * config.batch, runs=config.batch, seed=config.seed)
-        losses = []
+        search, losses = cast(Evolution, self.optimiser), []
         for candidate in search.ask():
-            vector_to_parameters(candidate, self.filter.parameters())
-            losses.append(self.losses_of(tracks))
+            self._take(candidate)
+            losses.append(self.losses_of(self.cases))
         totals = torch.stack(losses) @ self.task_weights
         search.tell(totals)
-        vector_to_parameters(search.mean.clone(), self.filter.parameters())
+        self._take(search.mean)
         best = losses[int(totals.nan_to_num(nan=math.inf).argmin())]
         return best, {"median": float(totals.median()), "step": search.step, "left out": 0}
 
     @torch.no_grad()
     def validation(self) -> float:
         """The weighted loss on tracks that are never trained on."""
-        config = self.config
-        tracks = self._tracks(self.held_out, first=0, runs=config.validation_runs, seed=config.validation_seed)
-        return float(self.task_weights @ self.losses_of(tracks))
+        return float(self.task_weights @ self.losses_of(self.unseen))
 
-    def losses_of(self, tracks: list[tuple[list[int], Batch]]) -> Tensor:
+    def losses_of(self, cases: Cases) -> Tensor:
         """``(tasks,)`` losses; 0 of tasks that do not count."""
         losses = torch.zeros(len(self.filters), dtype=torch.float64)
-        for tasks, batch in tracks:
-            ratios = (self.errors(tasks, batch) / self.rivals[tasks]).nan_to_num(nan=math.inf).clamp(AHEAD, BEHIND)
-            losses[tasks] = ratios.pow(POWER).mean(0)
+        allowed = 1 + torch.tensor([task.allowed for task in self.config.tasks], dtype=torch.float64)
+        for tasks, batch in cases.groups:
+            ratios = (self.errors(tasks, batch) / cases.rivals[tasks]).nan_to_num(nan=math.inf).clamp(AHEAD, BEHIND)
+            losses[tasks] = (ratios / allowed[tasks]).pow(POWER).mean(0)
         return losses
 
     def errors(self, tasks: list[int], batch: Batch) -> Tensor:
-        """Errors ``(2, tasks)``, filtered and settled, of tasks with the same filter, from their tracks."""
-        scenario, skip = self.scenarios[tasks[0]], self.config.skip
-        estimate = self.filters[tasks[0]](batch.z, batch.prior, u=batch.u, dt=scenario.dt)
+        """Errors ``(2, tasks)``, filtered and settled, of tasks with the same models, from their tracks."""
+        scenario, f, skip = self.scenarios[tasks[0]], self.filters[tasks[0]], self.config.skip
+        for own, stated in zip(_models(f), _models(scenario), strict=True):
+            own.load_state_dict(stated.state_dict())
+        estimate = f(batch.z, batch.prior, u=batch.u, dt=scenario.dt)
         means = torch.stack([estimate.info.filtered.mean, estimate.info.settled.mean])
         square = (means - batch.truth)[..., skip:, scenario.truth_position].square().sum(-1)
         rmse: Tensor = square.unflatten(1, (len(tasks), -1)).nanmean(2).sqrt().nanmean(-1)
         return torch.where(means.flatten(-2).isnan().any(-1).unflatten(1, (len(tasks), -1)).any(2), torch.nan, rmse)
-
-    def _tracks(
-        self, scenarios: Sequence[Scenario], *, first: int, runs: int, seed: int
-    ) -> list[tuple[list[int], Batch]]:
-        """Tracks of the tasks that count; those with the same filter are one batch."""
-        together: dict[Filter, list[int]] = {}
-        for i in self.counted:
-            together.setdefault(self.filters[i], []).append(i)
-        return [
-            (
-                tasks,
-                simulate([scenarios[i] for i in tasks], first=first, runs=runs, seed=seed, device=self.config.device),
-            )
-            for tasks in together.values()
-        ]
 
     def preset(self) -> dict[str, object]:
         """The values as arguments of the preset."""
         return {name: cast(Hyper, hyper)().tolist() for name, hyper in self.filter.named_children()}
 
 
-def _models(scenario: Scenario) -> str:
-    """Motion, sensor and time step of a scenario with all their values: what a filter around them is known by."""
-    models = nn.ModuleList([scenario.bank or scenario.motion, scenario.sensor])
-    values = [(name, x.tolist()) for of in (models.named_parameters, models.named_buffers) for name, x in of()]
-    return repr((models, values, scenario.dt))
+def _models(of: Filter | Scenario) -> list[nn.Module]:
+    """Its motions and its sensor."""
+    motion = getattr(of, "bank", None) or of.motion
+    return [*(motion.models if isinstance(motion, Bank) else [motion]), of.sensor]
+
+
+def _kind(scenario: Scenario) -> str:
+    """Models and their places, without the values that they hold: what a filter around them is known by."""
+    models = nn.ModuleList(_models(scenario))
+    saved = models.state_dict()
+    made = [(type(m).__name__, m.extra_repr()) for m in models.modules() if not isinstance(m, Hyper)]
+    places = [(name, x.tolist()) for name, x in models.named_buffers() if name not in saved]
+    return repr((made, places, [(name, tuple(x.shape)) for name, x in saved.items()]))
+
+
+def _values(scenario: Scenario) -> str:
+    """Models with all their values, and the time step: tracks of the same are one batch."""
+    values = [(name, x.tolist()) for name, x in nn.ModuleList(_models(scenario)).state_dict().items()]
+    return repr((_kind(scenario), values, scenario.dt))
