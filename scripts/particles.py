@@ -188,7 +188,7 @@ def compare(f: GPB, tracks: Tracks, count: int, seed: int, *, progress: bool) ->
             particle_filter(f, z, prior, tracks.u, count, seed + i, 1.0)
             for i, (z, prior) in enumerate(progress_bar(list(zip(tracks.z, priors, strict=True)), "run", progress))
         ]
-    found = {"gpb": merged.mean, "settled": merged.info.settled.mean, "particles": torch.stack(each)}
+    found = {"gpb": merged.mean, "settled": merged.info.lagged.mean, "particles": torch.stack(each)}
     return {name: metrics.rmse(mean, tracks.truth, slice(0, 2)).mean().item() for name, mean in found.items()}
 
 

@@ -76,8 +76,8 @@ def test_late_data_is_sorted_data(name, seed, delay):
     close(first.belief, second.belief)
     close(one.predict(one.time + 1.0, "radar"), other.predict(other.time + 1.0, "radar"))
     assert one.time == other.time == every[-1][0]
-    if one.settled is not None:
-        close(one.settled.belief, other.settled.belief)
+    if one.lagged is not None:
+        close(one.lagged.belief, other.lagged.belief)
 
 
 def test_in_turn_it_is_the_filter():
@@ -88,10 +88,10 @@ def test_in_turn_it_is_the_filter():
         state, innovation = f.step(state, torch.tensor(z, **F64), dt=when - time, sensor=SENSORS[name])
         close(report.belief, state.belief)
         close(report.innovation, innovation)
-        close(t.settled.belief, state.settled)
+        close(t.lagged.belief, state.lagged)
         assert report.outcome == "used"
         time = when
-    assert tracker(made()).settled is None
+    assert tracker(made()).lagged is None
 
 
 def test_a_late_measurement_says_what_it_would_have_said():

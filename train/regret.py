@@ -145,7 +145,7 @@ class Regrets(Training):
         """Errors ``(2, tasks)``, filtered and settled, of tasks with the same filter, from their tracks."""
         scenario, skip = self.scenarios[tasks[0]], self.config.skip
         estimate = self.filters[tasks[0]](batch.z, batch.prior, u=batch.u, dt=scenario.dt)
-        means = torch.stack([estimate.info.filtered.mean, estimate.info.settled.mean])
+        means = torch.stack([estimate.info.filtered.mean, estimate.info.lagged.mean])
         square = (means - batch.truth)[..., skip:, scenario.truth_position].square().sum(-1)
         rmse: Tensor = square.unflatten(1, (len(tasks), -1)).nanmean(2).sqrt().nanmean(-1)
         return torch.where(means.flatten(-2).isnan().any(-1).unflatten(1, (len(tasks), -1)).any(2), torch.nan, rmse)

@@ -28,8 +28,8 @@ class FRAState(NamedTuple):
     """The other branch, likewise."""
     plain: Gaussian
     """The estimate with neither remedy."""
-    settled: Gaussian
-    """Final estimate of the step before, now that its branches have met a measurement."""
+    lagged: Gaussian
+    """Final estimate of the step before: this measurement has decided among its branches."""
     excess: Tensor
     """``(...)`` how far the normalised innovation squared is above the gate."""
     memory: Memory

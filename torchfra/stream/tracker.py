@@ -108,13 +108,13 @@ class Tracker:
         return self._intake.outward(self.state.belief)
 
     @property
-    def settled(self) -> At | None:
-        """The estimate of the measurement before, of filters that settle it by the next one; None of others."""
+    def lagged(self) -> At | None:
+        """The estimate at the measurement before the newest, given both; None of filters that do not have it."""
         entries, state = self._window.entries, self.state
-        if not entries or not hasattr(state, "settled"):
+        if not entries or not hasattr(state, "lagged"):
             return None
         time, _ = self._window.before(len(entries) - 1)
-        return At(self._clock.outside(time), self._intake.outward(state.settled))
+        return At(self._clock.outside(time), self._intake.outward(state.lagged))
 
     @property
     def counts(self) -> dict[str, int]:

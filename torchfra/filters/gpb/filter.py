@@ -165,7 +165,7 @@ class GPB(Filter[GPBState]):
         after = regimes.merged(updated, angles)  # (6)
         belief = estimate(after.belief, after.shares(MOTION)[0] * found.mode, self.motion)  # (7)
         origin = mixing.smoothed(regimes.by_motion(found.probability.sum(OUTLIER, keepdim=True)))
-        settled = estimate(before.belief, safe_sqrt(origin), self.motion)  # (8)
+        lagged = estimate(before.belief, safe_sqrt(origin), self.motion)  # (8)
 
         if_any = (found.share[1:].unsqueeze(-1) * outlier).sum((OUTLIER, MOTION, BEFORE))
         if_any = torch.where(measured.unsqueeze(-1), if_any, state.outlier)
@@ -173,10 +173,10 @@ class GPB(Filter[GPBState]):
         of_regimes = batch_first(found.probability.sum((OUTLIER, BEFORE), keepdim=True), MOTION)
         carried = *to_state(Hypotheses(after.belief, found.log_regimes), (OUTLIER, MOTION)), if_any
         expected = self.compare(self.expected(predicted), frame)
-        info = Step(tree.Late(settled), of_regimes, any_outlier * if_any)
+        info = Step(tree.Late(lagged), of_regimes, any_outlier * if_any)
         past = GPBPast(*carried, batch_first(nis, BEFORE), measured.to(nis).expand(nis.shape[3:]))
         record = Record(belief, expected.residual, *innovation(expected), info, found.log_likelihood, past=past)
-        return GPBState(belief, settled, *carried), record
+        return GPBState(belief, lagged, *carried), record
 
     def mix(self, before: Gaussian, moves: Moves) -> tuple[Gaussian, Mixing]:
         """What each motion starts from, ``(1, K, 2, ...)``: its own belief, or what is known where others end."""
@@ -220,8 +220,8 @@ class GPB(Filter[GPBState]):
     def finish(self, state: GPBState, belief: Gaussian, info: Step) -> tuple[Gaussian, GPBInfo]:
         """Each step's settled estimate comes with the next."""
         time = info.regimes.dim() - 2
-        settled = tree.one_earlier(info.settled, state.belief, time, info.regimes.shape[time])
-        return settled if self.lag else belief, GPBInfo(belief, settled, info.regimes, info.outlier)
+        lagged = tree.one_earlier(info.lagged, state.belief, time, info.regimes.shape[time])
+        return lagged if self.lag else belief, GPBInfo(belief, lagged, info.regimes, info.outlier)
 
     # ------------------------------------------------------------ what is expected later
 
