@@ -36,8 +36,8 @@ def look_ahead(f: Any, state: Any, frame: Frame) -> Ahead:
     belief = canonical(f.motion, belief)
     z = f.sensor.at_points(belief.mean, frame.u)
     noise = f.sensor.measurement_noise(z)
-    seen = frame._replace(z=z, seen=torch.ones_like(z), measurement_noise=noise)
-    residual, root = _together(f.predict_innovation(state, beliefs, seen), log_weights)
+    expected = frame._replace(z=z, measured=torch.ones_like(z), measurement_noise=noise)
+    residual, root = _together(f.predict_innovation(state, beliefs, expected), log_weights)
     apart = noise.colour(residual.unsqueeze(-1)).squeeze(-1)
     return Ahead(belief, Gaussian(z - apart, noise.colour(root)))
 

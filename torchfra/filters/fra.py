@@ -131,12 +131,12 @@ class FRA(Soft, Filter[FRAState]):
         plain, root, normalised = correct(prediction.belief, whitened)
         nis = normalised.square().sum(-1)  # eq. (35)
         weights = self.robust(whitened.residual, nis)
-        excess, memory = nis - self.gate(nis), self.fading.remember(state.memory, whitened.residual, frame.seen)
+        excess, memory = nis - self.gate(nis), self.fading.remember(state.memory, whitened.residual, frame.measured)
         robust, adaptive, factor = self.where_abnormal(
             excess > 0, self.fork, (prediction, whitened, weights, memory, frame), (plain, plain, torch.ones_like(nis))
         )  # eq. (36)
         if self.memory == "weighted":
-            memory = self.fading.remember(state.memory, weights * whitened.residual, frame.seen)
+            memory = self.fading.remember(state.memory, weights * whitened.residual, frame.measured)
         belief = self.undecided(self.provisional, excess, (robust, adaptive, plain))
         state = FRAState(belief, robust, adaptive, plain, lagged, excess, memory)
         weights = tree.where(state.abnormal, weights, torch.ones_like(weights))

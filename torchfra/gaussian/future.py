@@ -61,9 +61,9 @@ def _update(slope: Tensor, value: Tensor, gap: Tensor, spread: Tensor, noise: Te
     root = tria_beside(eye.diagonal(), slope @ noise)
     if subtracted:
         root, _ = downdate(root, slope @ subtracted[0])
-    seen = torch.linalg.solve_triangular(root, hstack(slope, value.unsqueeze(-1)), upper=False)
-    slope = seen[..., :n]
-    residual = seen[..., n] - apply(slope, gap)
+    whitened = torch.linalg.solve_triangular(root, hstack(slope, value.unsqueeze(-1)), upper=False)
+    slope = whitened[..., :n]
+    residual = whitened[..., n] - apply(slope, gap)
     rows = hstack(slope @ spread[..., rest:], residual.unsqueeze(-1)).mT  # [A, e]^T
     lower = tria_beside(pad(eye.diagonal(), (0, 1)), rows)
     left = torch.linalg.solve_triangular(lower[..., :n, :n].mT, eye, upper=True)

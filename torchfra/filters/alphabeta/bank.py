@@ -235,11 +235,11 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         z, std, dt = frame.z, frame.measurement_noise.std, frame.dt.unsqueeze(-1)
         ahead = predicted(self._components(state.mean), dt)
         polar = self.detect == "polar"
-        measured = frame.seen.amin(-1, keepdim=True) if polar else frame.seen
-        residual = frame.seen * (z - ahead[0])
+        measured = frame.measured.amin(-1, keepdim=True) if polar else frame.measured
+        residual = frame.measured * (z - ahead[0])
         size = residual.abs() / std
         channels = _polar(z, ahead[0], std) if polar else size
-        return Innovation(z, ahead, residual, size, channels, frame.seen, measured, dt, state.since + dt, std)
+        return Innovation(z, ahead, residual, size, channels, frame.measured, measured, dt, state.since + dt, std)
 
     def manoeuvre_vote(self, state: AlphaBetaBankState, innovation: Innovation) -> Vote:
         """Whether this is a manoeuvre: the flag of this measurement, and the majority of the last ones."""
@@ -276,15 +276,15 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
     def _confirmed(self, state: AlphaBetaBankState, innovation: Innovation) -> Tensor:
         """``(..., g)`` 1 where the target can reach this measurement from the last two."""
         assert state.earlier is not None
-        before, between, seen = state.earlier
-        between = torch.where(seen > 1.5, between, 1.0)
+        before, between, count = state.earlier
+        between = torch.where(count > 1.5, between, 1.0)
         since = state.since_last + innovation.dt
         ratio = since / between
         bend = innovation.z - state.last - ratio * (state.last - before)
         limit, margin = (h(bend).unsqueeze(-1) for h in (self.limit, self.margin))
         noise = innovation.std * (1 + (1 + ratio).square() + ratio.square()).sqrt()
         near = bend.abs() < 0.5 * limit * since * (between + since) + margin * noise
-        return 1 - self._any(1 - (near & (seen > 1.5)).to(bend))
+        return 1 - self._any(1 - (near & (count > 1.5)).to(bend))
 
     def _largest_residual(self, state: AlphaBetaBankState, innovation: Innovation, manoeuvre: Tensor) -> Tensor:
         """``(..., d)`` in std: what the target can reach in a manoeuvre, and the threshold of outliers without one."""

@@ -104,13 +104,13 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
         """One step: prediction, residual, update by the gains."""
         dt, since = frame.dt.unsqueeze(-1), state.since + frame.dt.unsqueeze(-1)
         ahead = predicted(self._components(state.mean), dt)
-        residual = frame.seen * (frame.z - ahead[0])
+        residual = frame.measured * (frame.z - ahead[0])
         gains = self._gains_now(self._gains(residual), since, state.used)
         std, rows = frame.measurement_noise.std, root_ahead(root_rows(state.root), dt)
         mean = torch.cat(updated(ahead, gains, since, residual), -1)
-        root = corrected_root(rows, gains, since, frame.seen, std)
+        root = corrected_root(rows, gains, since, frame.measured, std)
         root = root.expand(*mean.shape[:-1], *root.shape[-2:])
-        state = AlphaBetaState(mean, root, state.used + frame.seen, since * (1 - frame.seen))
+        state = AlphaBetaState(mean, root, state.used + frame.measured, since * (1 - frame.measured))
         return state, record(state, residual, frame, residual_spread(rows, std), None)
 
     def _gains(self, like: Tensor) -> list[Tensor]:

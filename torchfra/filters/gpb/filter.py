@@ -155,7 +155,7 @@ class GPB(Filter[GPBState]):
 
     def advance(self, state: GPBState, frame: Frame, mix: Mix | None = None) -> tuple[GPBState, Record]:
         """One step; ``mix`` is not looked at, as this filter mixes itself."""
-        regimes, angles, measured = self.regimes, self.motion.angles, frame.seen.sum(-1) > 0
+        regimes, angles, measured = self.regimes, self.motion.angles, frame.measured.sum(-1) > 0
         before = from_state(state.hypotheses, state.log_weights, (BEFORE, MOTION))
         moves = regimes.moves(before.log_weight, frame.dt, measured)  # (1)
         mixed, mixing = self.mix(before.belief, moves)  # (2)
@@ -201,7 +201,7 @@ class GPB(Filter[GPBState]):
         ahead = carry(self.bank, self.motion_rule, mixed, for_each_model(frame))
         agile = self.regimes.agile_prediction(ahead)
         _, normalised = innovation(self.compare(self.read(agile), frame))
-        nis = normalised.square().sum(-1) / frame.seen.sum(-1).clamp_min(1.0)
+        nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
         nis = torch.where(frame.dt == 0, 0.0, nis)  # over no time nothing jumps
         predicted = self.regimes.predictions(ahead, nis, self.motion.position)
         return Hypotheses(predicted, self.regimes.rarer(log_weight, nis)), nis
@@ -209,7 +209,7 @@ class GPB(Filter[GPBState]):
     def update(self, predicted: Hypotheses, frame: Frame, before: tuple[Tensor, Tensor]) -> tuple[Hypotheses, Tensor]:
         """Hypotheses after the measurement: see ``Outliers.update``."""
         d = self.sensor.reads
-        return self.outliers.update(predicted, lambda x: self.compare(x, frame), d, 1 - frame.seen, before)
+        return self.outliers.update(predicted, lambda x: self.compare(x, frame), d, 1 - frame.measured, before)
 
     def expected(self, predicted: Hypotheses) -> Gaussian:
         """What the sensor reads of all predictions together, ``(..., d)``."""
