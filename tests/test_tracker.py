@@ -302,9 +302,9 @@ def test_with_an_origin_single_precision_keeps_a_metre_at_six_million(name, away
     limits = {("srckf", 1e3): 0.002, ("srckf", 1e5): 0.02, ("gpb", 1e3): 0.02, ("gpb", 1e5): 0.1}
     assert apart < limits[name, away]
     assert lost > 5 * limits[name, away]
-    ahead, expected = single.predict(45.0), double.predict(45.0)
-    close(ahead.belief.mean[:3], expected.belief.mean[:3], 0.5 * limits[name, away])
-    close(ahead.measurement.mean, expected.measurement.mean, 0.5 * limits[name, away])
+    forecast, expected = single.predict(45.0), double.predict(45.0)
+    close(forecast.belief.mean[:3], expected.belief.mean[:3], 0.5 * limits[name, away])
+    close(forecast.measurement.mean, expected.measurement.mean, 0.5 * limits[name, away])
 
 
 def test_what_cannot_be_smoothed_says_so_before_another_sensor_has_measured():

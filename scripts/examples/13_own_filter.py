@@ -43,7 +43,7 @@ class Widening(Filter[State]):
 
     def retreat(self, step, after):
         """One step back: Rauch-Tung-Striebel through the prediction as it was made."""
-        smoothed = self.reverse(step.past.belief, self.widened(step.past.belief, step.frame, step.ahead.info), after)
+        smoothed = self.reverse(step.past.belief, self.widened(step.past.belief, step.frame, step.next.info), after)
         return smoothed.belief, smoothed
 
     def widened(self, belief, frame, level):

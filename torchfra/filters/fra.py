@@ -12,10 +12,10 @@ from torch.nn.functional import logsigmoid
 
 from torchfra import tree
 from torchfra.adaptive.fading import Fading, Memory
-from torchfra.filters.ahead import only
 from torchfra.filters.base import Filter, Mix
 from torchfra.filters.branches import UNDECIDED, Branches, FRAInfo, FRAState, Kept, Step, best, chosen
 from torchfra.filters.checks import check_sides
+from torchfra.filters.forecast import one_hypothesis
 from torchfra.filters.records import Past, Record
 from torchfra.filters.soft import Soft
 from torchfra.gaussian.cubature import third_degree
@@ -122,7 +122,7 @@ class FRA(Soft, Filter[FRAState]):
 
     def predict_hypotheses(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """The only hypothesis of the state after a step, and the log of its weight."""
-        return only(self.predicted(state.belief, frame).belief)
+        return one_hypothesis(self.predicted(state.belief, frame).belief)
 
     def advance(self, state: FRAState, frame: Frame, mix: Mix | None = None) -> tuple[FRAState, Record]:
         """One step: the one before is settled, then this one is normal or forks."""

@@ -9,9 +9,9 @@ from torch import Tensor, nn
 
 from torchfra.adaptive.fading import Memory, NoFading
 from torchfra.adaptive.noise import NoiseMemory, NominalNoise, SageHusa
-from torchfra.filters.ahead import only
 from torchfra.filters.base import Filter, Mix
 from torchfra.filters.checks import check_sides
+from torchfra.filters.forecast import one_hypothesis
 from torchfra.filters.records import Past, Record
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
@@ -129,7 +129,7 @@ class SRCKF(Filter[State]):
 
     def predict_hypotheses(self, state: State, frame: Frame) -> tuple[Gaussian, Tensor]:
         """The only hypothesis of the state after a step, and the log of its weight."""
-        return only(self.predicted(state.belief, frame).belief)
+        return one_hypothesis(self.predicted(state.belief, frame).belief)
 
     def predict_innovation(self, state: State, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """What is measured, less what hypotheses ``(K, ..., n)`` expect, by the noise as it is known."""

@@ -38,7 +38,7 @@ class Future(NamedTuple):
     value: Tensor
     """``(..., n)``."""
 
-    def update(self, ahead: Carried, difference: Difference = torch.sub) -> Updated:
+    def update(self, carried: Carried, difference: Difference = torch.sub) -> Updated:
         """Beliefs ``(..., n)`` that are carried as far as this state, updated by it, in units of their roots before.
 
         What does not follow a belief is noise here, ``N = I + slope Q slope^T``, and often that of many beliefs: in
@@ -46,9 +46,9 @@ class Future(NamedTuple):
         [y^T, d]]`` then holds what is left: ``u ~ N(R^-T y, R^-T R^-1)``, and the density ``exp(-d^2 / 2) / det R``.
         ``difference`` subtracts two states.
         """
-        gap = difference(ahead.mean, self.origin)
-        subtracted = () if ahead.subtracted is None else (ahead.subtracted,)
-        return _update(self.slope, self.value, gap, ahead.spread, ahead.process_noise, *subtracted)
+        gap = difference(carried.mean, self.origin)
+        subtracted = () if carried.subtracted is None else (carried.subtracted,)
+        return _update(self.slope, self.value, gap, carried.spread, carried.process_noise, *subtracted)
 
 
 @batchwise(2, 1, 1, 2, 2, 2)

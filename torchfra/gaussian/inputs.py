@@ -94,7 +94,7 @@ class BackwardStep(NamedTuple):
     """What a step of the backward pass starts from: two steps of the past, and the frame between them."""
 
     past: Any
-    ahead: Any
+    next: Any
     frame: Frame
     carried: Any
     """The past that the step was predicted from: without a gradient where that of the forward pass was cut after it.

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import torch
 
-from torchfra.filters.ahead import Ahead
 from torchfra.filters.base import Filter
 from torchfra.filters.fixed_lag import go_back, remember
+from torchfra.filters.forecast import Forecast
 from torchfra.gaussian.arguments import check_belief
 from torchfra.sensors.base import Sensor
 from torchfra.stream.arguments import check_counts, seconds
@@ -163,7 +163,7 @@ class Tracker:
         return self._report("jumped" if jumped else "late" if inside < newest else "used", innovation)
 
     @torch.no_grad()
-    def predict(self, time: float, sensor: str | None = None, *, u: Any = None) -> Ahead:
+    def predict(self, time: float, sensor: str | None = None, *, u: Any = None) -> Forecast:
         """What is expected at a time: the state, and what a sensor would measure.
 
         Args:
@@ -182,8 +182,8 @@ class Tracker:
             raise ValueError(f"time: expected seconds since {since}, received {time}")
         since, state = self._window.at(inside)
         given = intake.known(u)
-        ahead = self.filter.predict(state, inside - since, u=given, sensor=there)
-        return ahead if intake.origin is None else intake.origin.ahead(there, ahead, given)
+        forecast = self.filter.predict(state, inside - since, u=given, sensor=there)
+        return forecast if intake.origin is None else intake.origin.forecast(there, forecast, given)
 
     @torch.no_grad()
     def smoothed(self) -> list[At]:

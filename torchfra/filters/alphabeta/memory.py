@@ -81,7 +81,7 @@ class Innovation(NamedTuple):
 
     z: Tensor
     """``(..., d)`` the measurement."""
-    ahead: list[Tensor]
+    predicted: list[Tensor]
     """Predicted position, velocity(, acceleration)."""
     residual: Tensor
     """``(..., d)``, 0 where nothing was measured."""

@@ -296,7 +296,7 @@ class GPB(Filter[GPBState]):
 
     decided = fresh
 
-    def needed_ahead(self, past: GPBPast) -> GPBPast:
+    def needed_of_next(self, past: GPBPast) -> GPBPast:
         """How far off the measurement was, if there was any."""
         return GPBPast(None, None, None, past.nis, past.measured)  # type: ignore[arg-type]  # nothing reads the others
 

@@ -255,7 +255,7 @@ class JPDA(Soft, Filter[JPDAState]):
         """The past as it is: no later scan decides anything of it."""
         return past
 
-    decided = needed_ahead = fresh
+    decided = needed_of_next = fresh
 
     def last(self, past: ScanPast) -> tuple[Gaussian, Smoothed]:
         """The last scan, which no later one speaks of."""
@@ -264,16 +264,16 @@ class JPDA(Soft, Filter[JPDAState]):
 
     def retreat(self, step: BackwardStep, after: Gaussian) -> tuple[Gaussian, Smoothed]:
         """One scan back, of each target for itself."""
-        belief, factor = tree.insert_batch_dimension(step.past.inner.belief), step.ahead.inner.factor
-        ahead = self.inner.carry(belief, step.frame, None if factor is None else factor.unsqueeze(-1))
-        times = 2 ** (step.ahead.searched - step.past.searched).clamp_min(0.0)[..., None, None, None]
-        spread, noise = times * ahead.spread, times * ahead.process_noise
-        subtracted = None if ahead.subtracted is None else times * ahead.subtracted
-        ahead = ahead._replace(spread=spread, process_noise=noise, subtracted=subtracted)
-        told = self.inner.reverse(belief, ahead, tree.insert_batch_dimension(after))
-        repaired = None if told.repaired is None else told.repaired.squeeze(-1)
-        told = Smoothed(tree.remove_batch_dimension(told.belief), repaired=repaired)
-        return told.belief, told
+        belief, factor = tree.insert_batch_dimension(step.past.inner.belief), step.next.inner.factor
+        carried = self.inner.carry(belief, step.frame, None if factor is None else factor.unsqueeze(-1))
+        times = 2 ** (step.next.searched - step.past.searched).clamp_min(0.0)[..., None, None, None]
+        spread, noise = times * carried.spread, times * carried.process_noise
+        subtracted = None if carried.subtracted is None else times * carried.subtracted
+        carried = carried._replace(spread=spread, process_noise=noise, subtracted=subtracted)
+        smoothed = self.inner.reverse(belief, carried, tree.insert_batch_dimension(after))
+        repaired = None if smoothed.repaired is None else smoothed.repaired.squeeze(-1)
+        smoothed = Smoothed(tree.remove_batch_dimension(smoothed.belief), repaired=repaired)
+        return smoothed.belief, smoothed
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """The batch of scenes, checked; targets are no part of it."""
