@@ -93,17 +93,17 @@ def first(f: GPB, prior: Gaussian, count: int, rng: torch.Generator) -> Particle
 
 def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generator) -> tuple[Tensor, Particles]:
     """The mean ``(n,)`` over all continuations, and those that are kept."""
-    measured = frame.seen.sum() > 0
+    measured = frame.measured.sum() > 0
     mixed = Gaussian(*(x[None, None, None] for x in before.belief))  # one motion, no outliers before
     every, _ = f.predict_regimes(mixed, log_ahead(f, before, frame.dt, measured)[None, :, None], frame)
     predicted, log_regimes = Gaussian(*(x[0, :, 0] for x in every.belief)), every.log_weight[0, :, 0]
     whitened = f.compare(f.read(predicted), frame)  # of (R, N)
     sizes = f.outliers.outlier_sizes(predicted.mean)
     sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])[:, None, None].expand(-1, *whitened.residual.shape[:-1])
-    sizes = f.outliers.adapted(sizes, whitened.residual, 1 - frame.seen)  # (C, R, N)
+    sizes = f.outliers.adapted(sizes, whitened.residual, 1 - frame.measured)  # (C, R, N)
     rooted = [innovation(down_weight(whitened, (1 / s).unsqueeze(-1).expand_as(whitened.residual))) for s in sizes]
     told = torch.stack([density(*pair) for pair in rooted])  # (C, R, N)
-    told = told - 0.5 * frame.seen.sum() * sizes.log()
+    told = told - 0.5 * frame.measured.sum() * sizes.log()
     log_weight = before.log_weight + log_regimes + log_outlier(f, before, measured).unsqueeze(1) + told
     log_weight = (log_weight - log_weight.flatten().logsumexp(0)).nan_to_num(nan=-torch.inf)
     means = [posterior_mean(predicted, whitened, *pair, s) for s, pair in zip(sizes, rooted, strict=True)]
@@ -188,7 +188,7 @@ def compare(f: GPB, tracks: Tracks, count: int, seed: int, *, progress: bool) ->
             particle_filter(f, z, prior, tracks.u, count, seed + i, 1.0)
             for i, (z, prior) in enumerate(progress_bar(list(zip(tracks.z, priors, strict=True)), "run", progress))
         ]
-    found = {"gpb": merged.mean, "settled": merged.info.settled.mean, "particles": torch.stack(each)}
+    found = {"gpb": merged.mean, "settled": merged.info.lagged.mean, "particles": torch.stack(each)}
     return {name: metrics.rmse(mean, tracks.truth, slice(0, 2)).mean().item() for name, mean in found.items()}
 
 

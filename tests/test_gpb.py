@@ -81,7 +81,7 @@ def close(a, b, tolerance=1e-9):
 
 def same(one, other, tolerance=1e-9):
     """Two estimates with all that they tell."""
-    for a, b in ((one, other), *((getattr(one.info, k), getattr(other.info, k)) for k in ("filtered", "settled"))):
+    for a, b in ((one, other), *((getattr(one.info, k), getattr(other.info, k)) for k in ("filtered", "lagged"))):
         close(a.mean, b.mean, tolerance)
         close(a.scale_tril @ a.scale_tril.mT, b.scale_tril @ b.scale_tril.mT, tolerance)
     for name in ("regimes", "outlier"):
@@ -102,7 +102,7 @@ def test_without_outliers_jumps_and_poor_starts_one_level_is_srckf(name):
     close(e.covariance, expected.covariance)
     close(e.nis, expected.nis)
     close(e.log_likelihood, expected.log_likelihood)
-    close(e.info.settled.mean, expected.mean, 1e-8)
+    close(e.info.lagged.mean, expected.mean, 1e-8)
 
 
 def test_blocks_of_a_sensor_that_bends_linearise_anew_and_that_matters_little():
@@ -193,7 +193,7 @@ def test_the_next_measurement_tells_an_outlier_from_a_manoeuvre():
     gone[14:, 1] += 60  # twelve sigma
     back[14, 1] += 60
     e = presets.gpb(MOTION, SENSORS["position"], **VALUES)(torch.stack([gone, back]), PRIOR)
-    filtered, settled = e.info.filtered.mean[:, 14, 1], e.info.settled.mean[:, 14, 1]
+    filtered, settled = e.info.filtered.mean[:, 14, 1], e.info.lagged.mean[:, 14, 1]
     close(filtered[0], filtered[1])
     assert settled[0] > filtered[0] + 5
     assert settled[1] < filtered[1]
@@ -251,9 +251,9 @@ def test_lag_chooses_between_the_filtered_and_the_settled_estimate():
     z = measured()
     now, later = (presets.gpb(MOTION, SENSORS["position"], lag=lag, **VALUES)(z, PRIOR) for lag in (0, 1))
     close(now.mean, now.info.filtered.mean, 0)
-    close(later.scale_tril, later.info.settled.scale_tril, 0)
-    close(now.info.settled.mean, later.mean, 0)
-    close(later.info.settled.mean[:, -1], later.info.filtered.mean[:, -1], 0)
+    close(later.scale_tril, later.info.lagged.scale_tril, 0)
+    close(now.info.lagged.mean, later.mean, 0)
+    close(later.info.lagged.mean[:, -1], later.info.filtered.mean[:, -1], 0)
     assert (now.mean - later.mean)[:, :-1].abs().max() > 1
 
 

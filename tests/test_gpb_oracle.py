@@ -140,8 +140,8 @@ def same(estimate, r, tolerance=1e-9):
     """Every result is that of the oracle, relative to its largest entry."""
     info = estimate.info
     for name, a in (
-        ("mean", info.filtered.mean), ("P", info.filtered.covariance), ("settled_mean", info.settled.mean),
-        ("settled_P", info.settled.covariance), ("regimes", info.regimes), ("outlier", info.outlier),
+        ("mean", info.filtered.mean), ("P", info.filtered.covariance), ("settled_mean", info.lagged.mean),
+        ("settled_P", info.lagged.covariance), ("regimes", info.regimes), ("outlier", info.outlier),
         ("log_likelihood", estimate.log_likelihood), ("nis", estimate.nis),
     ):  # fmt: skip
         b = tensor(r[name])

@@ -49,7 +49,7 @@ def test_streaming_gives_what_whole_sequences_give(name):
         close(e.info.filtered.scale_tril[:, k], state.belief.scale_tril)
         close((e.nis[:, k], e.log_likelihood[:, k]), innovation[2:])
         if k:
-            close(e.info.settled.mean[:, k - 1], state.settled.mean)
+            close(e.info.lagged.mean[:, k - 1], state.lagged.mean)
 
 
 @pytest.mark.slow
@@ -136,7 +136,7 @@ def test_compiled_kernels_give_the_same_and_the_same_gradients(name, options):
     for g in (f, copy.deepcopy(f).compile()):
         x, mean, root = (x.clone().requires_grad_() for x in (z, *PRIOR))
         e = g(x, Gaussian(mean, root))
-        (e.mean.square().mean() + e.info.settled.mean.square().mean() + e.log_likelihood.mean()).backward()
+        (e.mean.square().mean() + e.info.lagged.mean.square().mean() + e.log_likelihood.mean()).backward()
         found.append((e.mean.detach(), e.info, x.grad, mean.grad, root.grad.tril(), [p.grad for p in g.parameters()]))
     close(*found, 1e-8)
 
@@ -160,7 +160,7 @@ def test_gradients_of_values_measurements_and_prior_are_those_of_finite_differen
     def outcome(x, mean, root, *values):
         given = (torch.where(missing, torch.nan, x), Gaussian(mean, root.tril()))
         e = torch.func.functional_call(f, dict(zip(paths, values, strict=True)), given)
-        return e.mean / 10, e.info.settled.mean / 10, e.info.outlier, e.info.regimes, e.log_likelihood
+        return e.mean / 10, e.info.lagged.mean / 10, e.info.outlier, e.info.regimes, e.log_likelihood
 
     inputs = [x.detach().clone().requires_grad_() for x in (z.nan_to_num(), *prior, *values)]
     assert torch.autograd.gradcheck(outcome, inputs, eps=1e-6, rtol=1e-4, atol=1e-5, fast_mode=True)
@@ -178,7 +178,7 @@ def test_gradients_are_finite_at_extreme_outliers_and_missing_data(name, size):
     f = single(name, learn="all")
     e = f(z, PRIOR)
     assert not e.failed.any()
-    score = e.mean.square().mean() + e.scale_tril.square().mean() + e.info.settled.mean.square().mean()
+    score = e.mean.square().mean() + e.scale_tril.square().mean() + e.info.lagged.mean.square().mean()
     (score + e.log_likelihood.mean() + e.nis.mean() + e.info.outlier.sum() + e.info.regimes[..., 0].sum()).backward()
     assert z.grad.isfinite().all()
     assert all(p.grad.isfinite().all() for p in f.parameters())

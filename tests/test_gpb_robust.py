@@ -201,7 +201,7 @@ def check(motion, sensor, case, since):
     truth, _, _, e = estimates(motion, sensor)[case]
     usual = usual_error(motion, sensor)
     assert not e.failed.any()
-    assert all(x.isfinite().all() for of in (e.info.filtered, e.info.settled) for x in of)
+    assert all(x.isfinite().all() for of in (e.info.filtered, e.info.lagged) for x in of)
     assert well(e, truth, usual)[:, since + RECOVERED - 1 :].all()
     assert (nees(e, truth) < BOUND).double().mean() > COVERED[motion]
     return e, truth, usual

@@ -21,7 +21,7 @@ def test_gates_hold_what_they_say():
     assert inside.exp().tolist() == [[1.0, 1.0, 0.0]]
     assert ChiSquare(0.999)(candidates, sensor, 0.0).exp().tolist() == [[1.0, 1.0, 0.0]]  # 13.816 for two elements
     assert Euclidean(30.0, least=0.999)(candidates, sensor, 0.0).exp().tolist() == [[1.0, 1.0, 0.0]]
-    one = candidates._replace(seen=torch.tensor([1.0, 0.0]).double().expand(1, 3, 2))
+    one = candidates._replace(measured=torch.tensor([1.0, 0.0]).double().expand(1, 3, 2))
     assert ChiSquare(0.999)(one, sensor, 0.0).exp().tolist() == [[1.0, 0.0, 0.0]]  # 10.83 for one
 
 
@@ -39,7 +39,7 @@ def test_the_density_of_false_measurements_is_that_of_points_that_fall_evenly():
     assert Clutter(100.0**3, rate=5.0)(candidates, sensor).exp().item() == pytest.approx(5 * share.item(), rel=0.03)
     box = Clutter(extent=[100.0, 1.0, 2.0])
     assert box(candidates, sensor).exp().item() == pytest.approx(1 / 200)
-    some = candidates._replace(seen=torch.tensor([[[1.0, 0.0, 1.0]]]).double())
+    some = candidates._replace(measured=torch.tensor([[[1.0, 0.0, 1.0]]]).double())
     assert box(some, sensor).exp().item() == pytest.approx(1 / 200)
 
 

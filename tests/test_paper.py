@@ -58,7 +58,7 @@ def test_the_first_update(first):
 def test_the_first_fading_factor(first):
     _, frame, prediction, whitened = first
     fading = Fading(rcond=0.0, fading_max=math.inf)
-    memory = fading.remember(fading.begin(prediction.belief.mean, 2), whitened.residual, frame.seen)
+    memory = fading.remember(fading.begin(prediction.belief.mean, 2), whitened.residual, frame.measured)
     assert prediction.spread.square().sum().item() == pytest.approx(204.045, abs=1e-9)
     factor = fading(prediction, whitened, memory, torch.ones(2, dtype=torch.float64)).item()
     assert factor == pytest.approx(17797.6, rel=1e-5)

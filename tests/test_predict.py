@@ -1,4 +1,4 @@
-"""A look ahead without a measurement: the state, and what a sensor would see."""
+"""A forecast without a measurement: the state, and what a sensor would see."""
 
 import pytest
 import torch
@@ -35,30 +35,30 @@ def close(a, b, tolerance=1e-10):
 def test_of_a_linear_motion_it_is_that_of_kalman():
     f, state, dt = made("srckf"), None, 1.7
     state = after_some(f)
-    ahead = f.predict(state, dt)
+    forecast = f.predict(state, dt)
     eye = torch.eye(2, **F64)
     transition = torch.kron(torch.tensor([[1.0, dt], [0.0, 1.0]], **F64), eye)
     gain = torch.kron(torch.tensor([[dt**2 / 2], [dt]], **F64), eye)
     covariance = transition @ state.belief.covariance @ transition.T + gain @ gain.T
-    close(ahead.belief.mean, state.belief.mean @ transition.T)
-    close(ahead.belief.covariance, covariance)
-    close(ahead.measurement.mean, ahead.belief.mean[:, :2])
-    close(ahead.measurement.covariance, covariance[:, :2, :2] + 4 * eye)
+    close(forecast.belief.mean, state.belief.mean @ transition.T)
+    close(forecast.belief.covariance, covariance)
+    close(forecast.measurement.mean, forecast.belief.mean[:, :2])
+    close(forecast.measurement.covariance, covariance[:, :2, :2] + 4 * eye)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_it_is_what_the_next_measurement_is_held_against(name):
     f = made(name)
     state, z = after_some(f), torch.tensor([[101.0, 82.0], [99.0, 77.0]], **F64)
-    ahead = f.predict(state, 0.6)
+    forecast = f.predict(state, 0.6)
     _, innovation = f.step(state, z, dt=0.6)
-    close(z - ahead.measurement.mean, innovation.residual)
+    close(z - forecast.measurement.mean, innovation.residual)
     if name != "gpb":  # whose jumps are as wide as the measurement asks for
-        close(ahead.measurement.covariance, innovation.scale_tril @ innovation.scale_tril.mT)
+        close(forecast.measurement.covariance, innovation.scale_tril @ innovation.scale_tril.mT)
     nothing, _ = f.step(state, torch.full((2, 2), torch.nan, **F64), dt=0.6)
-    close(ahead.belief.mean, nothing.belief.mean)
+    close(forecast.belief.mean, nothing.belief.mean)
     if name != "gpb":  # which counts on manoeuvres that may begin, as they do not without a measurement
-        close(ahead.belief.covariance, nothing.belief.covariance)
+        close(forecast.belief.covariance, nothing.belief.covariance)
 
 
 @pytest.mark.parametrize("name", ["srckf", "fra", "gpb", "imm_srckf"])
@@ -79,10 +79,10 @@ def test_another_sensor_sees_the_same_state(name):
 def test_gradients_flow_through_it_and_angles_stay_near_the_mean():
     f = made("gpb", learn=("noise_levels",))
     south = Gaussian(torch.tensor([0.0, -50.0, 0.0, 0.0], **F64), torch.eye(4, **F64))
-    ahead = f.predict(f.init(south), 1.0, sensor=RADAR)
-    close(ahead.measurement.mean[1].abs(), torch.tensor(torch.pi, **F64), 0.1)
-    assert ahead.measurement.covariance[1, 1] < 0.01
-    ahead.measurement.covariance.sum().backward()
+    forecast = f.predict(f.init(south), 1.0, sensor=RADAR)
+    close(forecast.measurement.mean[1].abs(), torch.tensor(torch.pi, **F64), 0.1)
+    assert forecast.measurement.covariance[1, 1] < 0.01
+    forecast.measurement.covariance.sum().backward()
     assert all(p.grad.isfinite().all() and (p.grad != 0).any() for p in f.parameters())
 
 

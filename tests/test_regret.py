@@ -133,11 +133,11 @@ def test_estimates_are_told_apart_by_what_the_info_holds():
     mean, other, third = torch.zeros(3, 1)
     for info, filtered, settled in (
         (None, mean, None),
-        (SimpleNamespace(settled=None), mean, None),
+        (SimpleNamespace(lagged=None), mean, None),
         (SimpleNamespace(provisional=SimpleNamespace(mean=other)), other, mean),
-        (SimpleNamespace(filtered=SimpleNamespace(mean=other), settled=None), other, mean),
-        (SimpleNamespace(settled=SimpleNamespace(mean=other)), mean, other),
-        (SimpleNamespace(filtered=SimpleNamespace(mean=other), settled=SimpleNamespace(mean=third)), other, third),
+        (SimpleNamespace(filtered=SimpleNamespace(mean=other), lagged=None), other, mean),
+        (SimpleNamespace(lagged=SimpleNamespace(mean=other)), mean, other),
+        (SimpleNamespace(filtered=SimpleNamespace(mean=other), lagged=SimpleNamespace(mean=third)), other, third),
     ):
         found = ratios.estimates_of(SimpleNamespace(mean=mean, info=info))
         assert found.pop("filtered") is filtered

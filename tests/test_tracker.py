@@ -76,8 +76,8 @@ def test_late_data_is_sorted_data(name, seed, delay):
     close(first.belief, second.belief)
     close(one.predict(one.time + 1.0, "radar"), other.predict(other.time + 1.0, "radar"))
     assert one.time == other.time == every[-1][0]
-    if one.settled is not None:
-        close(one.settled.belief, other.settled.belief)
+    if one.lagged is not None:
+        close(one.lagged.belief, other.lagged.belief)
 
 
 def test_in_turn_it_is_the_filter():
@@ -88,10 +88,10 @@ def test_in_turn_it_is_the_filter():
         state, innovation = f.step(state, torch.tensor(z, **F64), dt=when - time, sensor=SENSORS[name])
         close(report.belief, state.belief)
         close(report.innovation, innovation)
-        close(t.settled.belief, state.settled)
+        close(t.lagged.belief, state.lagged)
         assert report.outcome == "used"
         time = when
-    assert tracker(made()).settled is None
+    assert tracker(made()).lagged is None
 
 
 def test_a_late_measurement_says_what_it_would_have_said():
@@ -302,9 +302,9 @@ def test_with_an_origin_single_precision_keeps_a_metre_at_six_million(name, away
     limits = {("srckf", 1e3): 0.002, ("srckf", 1e5): 0.02, ("gpb", 1e3): 0.02, ("gpb", 1e5): 0.1}
     assert apart < limits[name, away]
     assert lost > 5 * limits[name, away]
-    ahead, expected = single.predict(45.0), double.predict(45.0)
-    close(ahead.belief.mean[:3], expected.belief.mean[:3], 0.5 * limits[name, away])
-    close(ahead.measurement.mean, expected.measurement.mean, 0.5 * limits[name, away])
+    forecast, expected = single.predict(45.0), double.predict(45.0)
+    close(forecast.belief.mean[:3], expected.belief.mean[:3], 0.5 * limits[name, away])
+    close(forecast.measurement.mean, expected.measurement.mean, 0.5 * limits[name, away])
 
 
 def test_what_cannot_be_smoothed_says_so_before_another_sensor_has_measured():

@@ -126,7 +126,7 @@ def test_an_error_is_the_mean_over_time_of_the_rmse_over_the_runs(training):
     with torch.no_grad():
         found = training.errors([0], tracks_of(training, 0)).squeeze(-1)
         info = training.filters[0](tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt).info
-    for error, belief in zip(found, (info.filtered, info.settled), strict=True):
+    for error, belief in zip(found, (info.filtered, info.lagged), strict=True):
         torch.testing.assert_close(error, metrics.rmse(belief.mean, tracks.truth, scenario.position).mean())
 
 

@@ -27,7 +27,7 @@ WRONG = {
     "x: int = gpb(tracks.z, tracks.prior).mean": '"Tensor", variable has type "int"',
     "x: int = gpb.with_sensor(scenario.sensor)(tracks.z, tracks.prior).mean": '"Tensor", variable has type "int"',
     "x: int = gpb.init(scenario.prior)": '"GPBState", variable has type "int"',
-    "x: int = state.settled": '"Gaussian", variable has type "int"',
+    "x: int = state.lagged": '"Gaussian", variable has type "int"',
     "x: int = scans": '"JPDAState", variable has type "int"',
     "gpb(tracks.z, tracks.prior, v=tracks.u)": 'Unexpected keyword argument "v"',
     "gpb.step(scans, tracks.z)": 'expected "GPBState"',

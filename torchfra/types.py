@@ -114,9 +114,9 @@ class Innovation(NamedTuple):
     scale_tril: Tensor
     """``(..., m, m)`` lower root of its covariance under the nominal noise."""
     nis: Tensor
-    """``(...)`` normalised innovation squared, of the elements that were seen."""
+    """``(...)`` normalised innovation squared, of the elements that were measured."""
     log_likelihood: Tensor
-    """``(...)`` log density of the elements that were seen."""
+    """``(...)`` log density of the elements that were measured."""
 
 
 class Cause(IntEnum):
@@ -160,9 +160,9 @@ class Estimate(NamedTuple):
     scale_tril: Tensor
     """``(..., T, n, n)`` lower root of the covariance."""
     nis: Tensor
-    """``(..., T)`` normalised innovation squared (nominal noise, seen elements)."""
+    """``(..., T)`` normalised innovation squared (nominal noise, measured elements)."""
     log_likelihood: Tensor
-    """``(..., T)`` log density of the innovation (nominal noise, seen elements)."""
+    """``(..., T)`` log density of the innovation (nominal noise, measured elements)."""
     info: Any
     """What this filter adds, one tuple of ``(..., T, ...)`` tensors: see the filter."""
     failure: Failure | None = None

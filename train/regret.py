@@ -43,7 +43,7 @@ class Regrets(Training):
     """Filters of one preset around different models, with the same values, and the errors of their best rivals.
 
     ``filter`` has the values by the names of the preset's arguments.  The loss of a task is the mean of two ratios to
-    the power ``POWER``: of the filtered and of the settled error to that of the best rival times 1 and the regret that
+    the power ``POWER``: of the filtered and of the lagged error to that of the best rival times 1 and the regret that
     is ``allowed`` in the task.  An error is the mean over time of the root mean square position error over the runs:
     one number for all runs together.  Rivals have the same runs, and all iterations too: so a ratio does not depend on
     which runs there were.  It needs no gradient: an evolution strategy searches the values.
@@ -174,12 +174,12 @@ class Regrets(Training):
         return losses
 
     def errors(self, tasks: list[int], batch: Batch) -> Tensor:
-        """Errors ``(2, tasks)``, filtered and settled, of tasks with the same models, from their tracks."""
+        """Errors ``(2, tasks)``, filtered and lagged, of tasks with the same models, from their tracks."""
         scenario, f, skip = self.scenarios[tasks[0]], self.filters[tasks[0]], self.config.skip
         for own, stated in zip(_models(f), _models(scenario), strict=True):
             own.load_state_dict(stated.state_dict())
         estimate = f(batch.z, batch.prior, u=batch.u, dt=scenario.dt)
-        means = torch.stack([estimate.info.filtered.mean, estimate.info.settled.mean])
+        means = torch.stack([estimate.info.filtered.mean, estimate.info.lagged.mean])
         square = (means - batch.truth)[..., skip:, scenario.truth_position].square().sum(-1)
         rmse: Tensor = square.unflatten(1, (len(tasks), -1)).nanmean(2).sqrt().nanmean(-1)
         return torch.where(means.flatten(-2).isnan().any(-1).unflatten(1, (len(tasks), -1)).any(2), torch.nan, rmse)

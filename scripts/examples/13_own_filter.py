@@ -36,14 +36,14 @@ class Widening(Filter[State]):
         predicted, _ = self.widened(state.belief, frame, state.level).belief()
         whitened = self.compare(predicted, frame)  # the measurement against it, in units of its noise
         belief, root, normalised = correct(predicted, whitened)
-        count = frame.seen.sum(-1)  # elements that are not missing
+        count = frame.measured.sum(-1)  # elements that are not missing
         now = torch.lerp(normalised.square().sum(-1) / count.clamp_min(1), state.level, self.memory(belief.mean))
         record = Record(belief, whitened.residual, root, normalised, info=state.level)
         return State(belief, torch.where(count > 0, now, state.level)), record
 
     def retreat(self, step, after):
         """One step back: Rauch-Tung-Striebel through the prediction as it was made."""
-        smoothed = self.reverse(step.past.belief, self.widened(step.past.belief, step.frame, step.ahead.info), after)
+        smoothed = self.reverse(step.past.belief, self.widened(step.past.belief, step.frame, step.next.info), after)
         return smoothed.belief, smoothed
 
     def widened(self, belief, frame, level):

@@ -30,13 +30,13 @@ _LOST = 1e200
 def estimates_of(estimate: Estimate) -> dict[str, Tensor]:
     """Means ``(..., T, n)`` by kind; ``"settled"`` only of a filter that has both.
 
-    What ``info`` does not hold of ``filtered`` (or ``provisional``) and ``settled`` is the estimate itself.
+    What ``info`` does not hold of ``filtered`` (or ``provisional``) and ``lagged`` is the estimate itself.
     """
-    held = {name: getattr(estimate.info, name, None) for name in ("provisional", "filtered", "settled")}
+    held = {name: getattr(estimate.info, name, None) for name in ("provisional", "filtered", "lagged")}
     filtered = held["filtered"] if held["provisional"] is None else held["provisional"]
     means = {"filtered": estimate.mean if filtered is None else filtered.mean}
-    if filtered is not None or held["settled"] is not None:
-        means["settled"] = estimate.mean if held["settled"] is None else held["settled"].mean
+    if filtered is not None or held["lagged"] is not None:
+        means["settled"] = estimate.mean if held["lagged"] is None else held["lagged"].mean
     return means
 
 

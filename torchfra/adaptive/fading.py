@@ -26,7 +26,7 @@ class Memory(NamedTuple):
     moment: Tensor
     """``V (..., m, m)``."""
     begun: Tensor
-    """``(..., m, m)`` 1 where an entry has been seen at least once, else 0."""
+    """``(..., m, m)`` 1 where an entry has been measured at least once, else 0."""
 
 
 class NoFading(nn.Module):
@@ -45,7 +45,7 @@ class NoFading(nn.Module):
         """What is remembered before the first step."""
         return None
 
-    def remember(self, memory: Any, residual: Tensor, seen: Tensor) -> Any:
+    def remember(self, memory: Any, residual: Tensor, measured: Tensor) -> Any:
         """The memory after one more ``residual (..., m)``."""
         return memory
 
@@ -147,11 +147,11 @@ class Fading(NoFading):
         nothing = mean.new_zeros((*mean.shape[:-1], m, m))
         return Memory(nothing, nothing)
 
-    def remember(self, memory: Any, residual: Tensor, seen: Tensor) -> Any:
-        """The memory after one more ``residual (..., m)``; entries not ``seen (..., m)`` stay as they were."""
+    def remember(self, memory: Any, residual: Tensor, measured: Tensor) -> Any:
+        """The memory after one more ``residual (..., m)``; entries not ``measured (..., m)`` stay as they were."""
         moment, begun = memory
         square = residual.unsqueeze(-1) * residual.unsqueeze(-2)
-        pair = seen.unsqueeze(-1) * seen.unsqueeze(-2)
+        pair = measured.unsqueeze(-1) * measured.unsqueeze(-2)
         rho = self.forgetting(residual)[..., None, None]
         moment = moment + pair * (square - moment) / (1 + rho * begun)  # eq. (31)
         return Memory(moment, torch.maximum(begun, pair))

@@ -50,23 +50,23 @@ class NominalNoise(nn.Module):
         """What is remembered before the first step."""
         return None
 
-    def learn(self, memory: Any, whitened: Whitened, seen: Tensor, when: str) -> Any:
+    def learn(self, memory: Any, whitened: Whitened, measured: Tensor, when: str) -> Any:
         """The memory after one more measurement, if ``when`` is when this side learns; else as it was.
 
         Args:
             memory: before.
             whitened: the measurement, in units of the nominal noise, against the prediction (``"innovation"``) or
                 against the belief after the update (``"residual"``).
-            seen: ``(..., m)`` 1 where measured.
+            measured: ``(..., m)`` 1 where measured.
             when: which of the two.
         """
         return memory
 
-    def known(self, whitened: Whitened, memory: Any, seen: Tensor) -> Whitened:
+    def known(self, whitened: Whitened, memory: Any) -> Whitened:
         """The measurement in units of the noise as it is known."""
         return whitened
 
-    def nominal(self, root: Tensor, memory: Any, seen: Tensor) -> Tensor:
+    def nominal(self, root: Tensor, memory: Any, measured: Tensor) -> Tensor:
         """A root ``(..., m, m)`` from units of the known noise back in those of the nominal noise."""
         return root
 
@@ -143,9 +143,9 @@ class SageHusa(NominalNoise):
         one = mean.new_ones((*mean.shape[:-1], len(self.element)))
         return NoiseMemory(one, one, 0 * one)
 
-    def learn(self, memory: Any, whitened: Whitened, seen: Tensor, when: str) -> Any:
+    def learn(self, memory: Any, whitened: Whitened, measured: Tensor, when: str) -> Any:
         """The memory after one more measurement: eq. (19)."""
-        return self(memory, self.excess(whitened), seen) if when == self.adapt else memory
+        return self(memory, self.excess(whitened), measured) if when == self.adapt else memory
 
     def excess(self, whitened: Whitened) -> Tensor:
         """One measurement's estimate ``(..., m)`` of the variances, such as ``e^2 - H P H^T``.
@@ -174,13 +174,13 @@ class SageHusa(NominalNoise):
             memory.updates + used,
         )
 
-    def known(self, whitened: Whitened, memory: Any, seen: Tensor) -> Whitened:
+    def known(self, whitened: Whitened, memory: Any) -> Whitened:
         """The measurement in units of the estimated noise."""
         return down_weight(whitened, 1 / memory.scale)
 
-    def nominal(self, root: Tensor, memory: Any, seen: Tensor) -> Tensor:
+    def nominal(self, root: Tensor, memory: Any, measured: Tensor) -> Tensor:
         """A root ``(..., m, m)`` from units of the estimated noise back in those of the nominal noise."""
-        return torch.where(seen > 0, memory.scale, 1.0).sqrt().unsqueeze(-1) * root
+        return torch.where(measured > 0, memory.scale, 1.0).sqrt().unsqueeze(-1) * root
 
     def scale(self, memory: Any) -> Tensor | None:
         """``(..., m)`` estimated variances as multiples of the nominal ones."""

@@ -65,5 +65,5 @@ class Clutter(nn.Module):
             metre = sensor.units_per_metre(z).abs()
             metre = torch.where((metre > 0) & metre.isfinite(), metre, 1.0)
             extent = self.volume(z).unsqueeze(-1) ** (1 / sensor.size) * metre
-        density: Tensor = -(candidates.seen * extent.log()).sum(-1)
+        density: Tensor = -(candidates.measured * extent.log()).sum(-1)
         return density if self.rate is None else density + self.rate(z).log()

@@ -25,7 +25,7 @@ class Candidates(NamedTuple):
     """``(..., N, J, m)`` measurements; a missing element has its predicted value."""
     predicted: Tensor
     """``(..., N, J, m)`` predicted measurements."""
-    seen: Tensor
+    measured: Tensor
     """``(..., 1, J, m)`` 1 where an element was measured, 0 where it is missing."""
     nis: Tensor
     """``(..., N, J)`` normalised innovation squared."""
@@ -141,18 +141,18 @@ def _beyond_ellipsoid(candidates: Candidates, probability: Tensor) -> Tensor:
 
     ``tail`` is the probability of a larger normalised innovation squared; where it underflows the result is infinity.
     """
-    seen = candidates.seen.sum(-1).expand(candidates.nis.shape)
-    tail = _tail(candidates.nis.clamp(1e-12, 1e4), seen, candidates.seen.shape[-1])
+    degrees_of_freedom = candidates.measured.sum(-1).expand(candidates.nis.shape)
+    tail = _tail(candidates.nis.clamp(1e-12, 1e4), degrees_of_freedom, candidates.measured.shape[-1])
     normal = tail >= torch.finfo(tail.dtype).tiny
     beyond: Tensor = torch.where(normal, safe_log(tail, fill=0.0) / torch.log1p(-probability) - 1, torch.inf)
     return beyond
 
 
-def _tail(nis: Tensor, seen: Tensor, most: int) -> Tensor:
-    """Probability ``(..., N, J)`` that chi squared of ``seen`` degrees of freedom, ``most`` at most, exceeds ``nis``.
+def _tail(nis: Tensor, degrees_of_freedom: Tensor, most: int) -> Tensor:
+    """Probability ``(..., N, J)`` that chi squared of so many degrees of freedom, ``most`` at most, exceeds ``nis``.
 
     By ``Q(a + 1, x) = Q(a, x) + x^a exp(-x) / gamma(a + 1)``, from ``Q(1/2, x) = erfc(sqrt(x))`` and ``Q(1, x) =
-    exp(-x)``; of none it is that of one.
+    exp(-x)``; for no degree of freedom it is that of one.
     """
     half = nis / 2
     root, density = half.sqrt(), (-half).exp()
@@ -163,5 +163,5 @@ def _tail(nis: Tensor, seen: Tensor, most: int) -> Tensor:
         power.append(power[-2] * half)
     tail: Tensor = tails[0]
     for degrees in range(2, most + 1):
-        tail = torch.where(seen == degrees, tails[degrees - 1], tail)
+        tail = torch.where(degrees_of_freedom == degrees, tails[degrees - 1], tail)
     return tail

@@ -23,7 +23,7 @@ class Given(NamedTuple):
     state: Any
     """To begin with, at the last step."""
     data: dict[str, Tensor]
-    """Of each step its past and what is needed of the step ahead, its ``dt`` and ``u``, and whether it is the last."""
+    """Of each step its past and what is needed of the next step, its ``dt`` and ``u``, and whether it is the last."""
     timed: dict[str, bool]
     """Which of it has an entry for each step."""
     events: dict[str, int]
@@ -31,7 +31,7 @@ class Given(NamedTuple):
     batch: torch.Size
     steps: int
     like: Any
-    """A past, what is needed of the step ahead, and the past that it was predicted from, if that is another; their
+    """A past, what is needed of the next step, and the past that it was predicted from, if that is another; their
     leaves come first in the data."""
     windows: bool = False
     """Whether the last dimension of the batch counts windows; the filter's own values do not have it."""
@@ -107,10 +107,10 @@ def given(f: Any, past: Any, carried: Any, measurements: Measurements, rank: int
     """
     past = f.decided(past)
     carried = None if carried is None else f.decided(carried)
-    ahead = tree.map_tensors(lambda x: x.roll(-1, rank), f.needed_ahead(past))
+    following = tree.map_tensors(lambda x: x.roll(-1, rank), f.needed_of_next(past))
     varying, like, u = measurements.varying_dt, measurements.z, measurements.u
     seconds = torch.as_tensor(measurements.dt if varying else measurements.common_dt).to(like)
-    data = {f"past{i}": x for i, x in enumerate(tree.flatten((past, ahead, carried)))}
+    data = {f"past{i}": x for i, x in enumerate(tree.flatten((past, following, carried)))}
     events = {name: x.dim() - rank - 1 for name, x in data.items()} | {"last": 0, "dt": 0}
     batch, steps = data["past0"].shape[:rank], data["past0"].shape[rank]
     at = torch.arange(steps, device=like.device)
@@ -118,7 +118,7 @@ def given(f: Any, past: Any, carried: Any, measurements: Measurements, rank: int
     if u is not None:
         data["u"], events["u"] = u.roll(-1, -2), 1
     state, _ = f.last(tree.map_tensors(lambda x: x.select(rank, -1), past))
-    return Given(state, data, {k: varying or k != "dt" for k in data}, events, batch, steps, (past, ahead, carried))
+    return Given(state, data, {k: varying or k != "dt" for k in data}, events, batch, steps, (past, following, carried))
 
 
 def _lower(x: Any) -> Any:
@@ -134,11 +134,11 @@ def _lower(x: Any) -> Any:
 def retreat(f: Any, like: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any, Any]:
     """One step back of one track; at the last step, where it begins, what that says."""
     leaves = iter([x for name, x in data.items() if name.startswith("past")])
-    past, ahead, carried = _lower(tree.unflatten(like, leaves))
+    past, following, carried = _lower(tree.unflatten(like, leaves))
     dt, u, motion = data["dt"], data.get("u"), f.motion
     models = motion.transition(dt) if motion.linear else None, motion.shift(dt, u)
     noise = motion.process_noise(dt), motion.adaptation(dt)
     frame = Frame(None, None, None, dt, u, *models, *noise)  # type: ignore[arg-type]  # nothing is measured
-    stepped = f.retreat(BackwardStep(past, ahead, frame, past if carried is None else carried), after)
+    stepped = f.retreat(BackwardStep(past, following, frame, past if carried is None else carried), after)
     begun_or_stepped: tuple[Any, Any] = tree.where(data["last"] > 0, f.last(past), stepped)
     return begun_or_stepped

@@ -1,12 +1,12 @@
 """The filters themselves; ``torchfra.presets`` has them ready made."""
 
-from torchfra.filters.ahead import Ahead
 from torchfra.filters.alphabeta import AlphaBeta
 from torchfra.filters.alphabeta.bank import AlphaBetaBank
 from torchfra.filters.alphabeta.memory import AlphaBetaInfo
 from torchfra.filters.base import Filter
 from torchfra.filters.branches import FRAInfo, FRAState
 from torchfra.filters.fixed_lag import FixedLag, FixedLagState
+from torchfra.filters.forecast import Forecast
 from torchfra.filters.fra import FRA
 from torchfra.filters.gpb import GPB, GPBInfo, GPBState, Outliers, Regimes
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
@@ -22,7 +22,6 @@ __all__ = [
     "IMM",
     "JPDA",
     "SRCKF",
-    "Ahead",
     "AlphaBeta",
     "AlphaBetaBank",
     "AlphaBetaInfo",
@@ -31,6 +30,7 @@ __all__ = [
     "Filter",
     "FixedLag",
     "FixedLagState",
+    "Forecast",
     "GPBInfo",
     "GPBState",
     "IMMInfo",

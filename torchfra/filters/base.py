@@ -10,10 +10,10 @@ from torch import Tensor, nn
 from typing_extensions import Self, TypeVar
 
 from torchfra.adaptive.fading import NoFading
-from torchfra.filters.ahead import Ahead, look_ahead, only
 from torchfra.filters.checks import check_lengths, check_models, check_state, check_step
 from torchfra.filters.engine import INTERPRETED, Engine
 from torchfra.filters.failures import diagnosed
+from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
 from torchfra.filters.fusion import fused
 from torchfra.filters.other_sensors import SensorViews
 from torchfra.filters.precision import in_full_precision
@@ -116,8 +116,8 @@ class Filter(nn.Module, Generic[S]):
         This one is Rauch, Tung & Striebel (1965) through the prediction as it was made.  States may have one more
         dimension in front of the batch, of several states for the same past.
         """
-        ahead = self.carry(step.past.belief, step.frame, step.ahead.factor)
-        smoothed = self.reverse(step.past.belief, ahead, after)
+        carried = self.carry(step.past.belief, step.frame, step.next.factor)
+        smoothed = self.reverse(step.past.belief, carried, after)
         return smoothed.belief, smoothed
 
     # ------------------------------------------------------------ what a filter may give besides
@@ -150,7 +150,7 @@ class Filter(nn.Module, Generic[S]):
     def predict_hypotheses(self, state: S, frame: Frame) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(K, ..., n)`` of the state after a step with nothing measured, and logs of their weights."""
         _, record = self.advance(state, frame)
-        return only(self.finish(state, record.belief, None)[0])
+        return one_hypothesis(self.finish(state, record.belief, None)[0])
 
     def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """What is measured, less what hypotheses ``(K, ..., n)`` expect: ``(K, ..., m)`` in units of the noise."""
@@ -182,7 +182,7 @@ class Filter(nn.Module, Generic[S]):
         """The past of a last step, of which no later measurement will decide anything."""
         return past._replace(fresh=None)
 
-    def needed_ahead(self, past: Any) -> Any:
+    def needed_of_next(self, past: Any) -> Any:
         """What ``retreat`` reads of the past of the step after it, here the fading factor; the rest is None."""
         return past._replace(belief=None, fresh=None)
 
@@ -206,17 +206,17 @@ class Filter(nn.Module, Generic[S]):
         """The measurement against a predicted belief."""
         return compare(self.sensor, self.sensor_rule, belief, frame)
 
-    def reverse(self, belief: Gaussian, ahead: Carried, after: Gaussian) -> Smoothed:
-        """A ``belief`` that was carried ``ahead``, smoothed by the smoothed one ``after`` the step."""
-        step = reverse(belief, ahead)
+    def reverse(self, belief: Gaussian, carried: Carried, after: Gaussian) -> Smoothed:
+        """A ``belief``, smoothed by the smoothed one ``after`` the step that has ``carried`` it."""
+        step = reverse(belief, carried)
         mean, root = step(after, self.motion.difference)
         repaired = None if step.repaired is None else step.repaired.expand(mean.shape[:-1])
         return Smoothed(Gaussian(self.motion.canonical(mean), root), repaired=repaired)
 
     def carry(self, belief: Gaussian, frame: Frame, factor: Tensor | None = None) -> Carried:
         """A belief carried over a step, with the fading factor ``(...)`` that was chosen, if any."""
-        ahead = propagate(self.motion, self.motion_rule, belief, frame)
-        return ahead if factor is None else ahead._replace(spread=self.fading.stretch(ahead.spread, factor))
+        carried = propagate(self.motion, self.motion_rule, belief, frame)
+        return carried if factor is None else carried._replace(spread=self.fading.stretch(carried.spread, factor))
 
     @property
     def _may_repair(self) -> bool:
@@ -386,10 +386,10 @@ class Filter(nn.Module, Generic[S]):
         return Estimate(*every.belief, filtered.nis, filtered.log_likelihood, info)
 
     @in_full_precision
-    def predict(self, state: Any, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None) -> Ahead:
+    def predict(self, state: Any, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None) -> Forecast:
         """What is expected after ``dt`` seconds, without a measurement; it runs interpreted.
 
-        Of several models or hypotheses it has the moments.  ``FRA`` looks ahead from its provisional estimate, ``GPB``
+        Of several models or hypotheses it has the moments.  ``FRA`` predicts from its provisional estimate, ``GPB``
         counts on manoeuvres that may begin.
 
         Args:
@@ -411,7 +411,7 @@ class Filter(nn.Module, Generic[S]):
         check_state(f, state)
         mean = state.belief.mean
         nothing = mean.new_full((*mean.shape[:-1], f.sensor.size), torch.nan)
-        return look_ahead(f, state, f._frame(state, Measurements(nothing, dt, u)))
+        return forecast(f, state, f._frame(state, Measurements(nothing, dt, u)))
 
     @property
     def home(self) -> Any:

@@ -28,8 +28,8 @@ class FRAState(NamedTuple):
     """The other branch, likewise."""
     plain: Gaussian
     """The estimate with neither remedy."""
-    settled: Gaussian
-    """Final estimate of the step before, now that its branches have met a measurement."""
+    lagged: Gaussian
+    """Final estimate of the step before: this measurement has decided among its branches."""
     excess: Tensor
     """``(...)`` how far the normalised innovation squared is above the gate."""
     memory: Memory
@@ -86,11 +86,11 @@ def best(scores: Tensor) -> Kept:
         scores: ``(branches, ...)`` of robust, adaptive and, if there is one, plain.
     """
     robust, adaptive = scores[0], scores[1]
-    ahead = adaptive > robust
+    better = adaptive > robust
     if len(scores) == 2:
-        return Kept(ahead, torch.zeros_like(ahead))
+        return Kept(better, torch.zeros_like(better))
     plain = scores[2] > torch.maximum(robust, adaptive)
-    return Kept(ahead & ~plain, plain)
+    return Kept(better & ~plain, plain)
 
 
 def chosen(kept: Kept, branches: Branches) -> Gaussian:

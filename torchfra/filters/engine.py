@@ -199,11 +199,11 @@ def _lagged(f: Any, window: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
 
     What the newest of them has not decided yet is taken as it was at the step itself.
     """
-    ahead = f.fresh(step.ahead)
-    if ahead is step.ahead:
+    fresh = f.fresh(step.next)
+    if fresh is step.next:
         before, smoothed = f.retreat(step, window)
     else:
-        before, smoothed = f.retreat(step._replace(ahead=ahead), tree.map_tensors(lambda x: x[:1], window))
+        before, smoothed = f.retreat(step._replace(next=fresh), tree.map_tensors(lambda x: x[:1], window))
         if len(tree.flatten(window)[0]) > 1:
             older, smoothed = f.retreat(step, tree.map_tensors(lambda x: x[1:], window))
             before = tree.map_tensors(lambda *xs: torch.cat(xs), before, older)

@@ -12,10 +12,10 @@ from torch.nn.functional import logsigmoid
 
 from torchfra import tree
 from torchfra.adaptive.fading import Fading, Memory
-from torchfra.filters.ahead import only
 from torchfra.filters.base import Filter, Mix
 from torchfra.filters.branches import UNDECIDED, Branches, FRAInfo, FRAState, Kept, Step, best, chosen
 from torchfra.filters.checks import check_sides
+from torchfra.filters.forecast import one_hypothesis
 from torchfra.filters.records import Past, Record
 from torchfra.filters.soft import Soft
 from torchfra.gaussian.cubature import third_degree
@@ -39,7 +39,7 @@ class FRA(Soft, Filter[FRAState]):
     may do neither (plain): a false alarm.  All predict the next measurement, and the best branch is kept.  So the
     estimate of an abnormal step is final only with the next step: ``Estimate.mean`` holds the final ones and
     ``info.provisional`` what was known at each step; ``step`` hands out the provisional one as ``state.belief`` and the
-    final one of the step before as ``state.settled``.  Where the next step has no measurement, nothing decides the
+    final one of the step before as ``state.lagged``.  Where the next step has no measurement, nothing decides the
     estimate, which stays provisional; the filter goes on with its branches until one does.
 
     Hard choices pass no gradient to what they rest on.  With a ``temperature`` they are soft, to train by: a step is
@@ -122,25 +122,25 @@ class FRA(Soft, Filter[FRAState]):
 
     def predict_hypotheses(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """The only hypothesis of the state after a step, and the log of its weight."""
-        return only(self.predicted(state.belief, frame).belief)
+        return one_hypothesis(self.predicted(state.belief, frame).belief)
 
     def advance(self, state: FRAState, frame: Frame, mix: Mix | None = None) -> tuple[FRAState, Record]:
         """One step: the one before is settled, then this one is normal or forks."""
-        settled, kept = self.settle(state, frame)
-        prediction, whitened = self.look(settled if mix is None else mix(settled), frame)
+        lagged, kept = self.settle(state, frame)
+        prediction, whitened = self.look(lagged if mix is None else mix(lagged), frame)
         plain, root, normalised = correct(prediction.belief, whitened)
         nis = normalised.square().sum(-1)  # eq. (35)
         weights = self.robust(whitened.residual, nis)
-        excess, memory = nis - self.gate(nis), self.fading.remember(state.memory, whitened.residual, frame.seen)
+        excess, memory = nis - self.gate(nis), self.fading.remember(state.memory, whitened.residual, frame.measured)
         robust, adaptive, factor = self.where_abnormal(
             excess > 0, self.fork, (prediction, whitened, weights, memory, frame), (plain, plain, torch.ones_like(nis))
         )  # eq. (36)
         if self.memory == "weighted":
-            memory = self.fading.remember(state.memory, weights * whitened.residual, frame.seen)
+            memory = self.fading.remember(state.memory, weights * whitened.residual, frame.measured)
         belief = self.undecided(self.provisional, excess, (robust, adaptive, plain))
-        state = FRAState(belief, robust, adaptive, plain, settled, excess, memory)
+        state = FRAState(belief, robust, adaptive, plain, lagged, excess, memory)
         weights = tree.where(state.abnormal, weights, torch.ones_like(weights))
-        info = Step(tree.Late((settled, kept)), state.abnormal, factor, weights)
+        info = Step(tree.Late((lagged, kept)), state.abnormal, factor, weights)
         evidence = None if mix is None else down_weighted_density(*innovation(down_weight(whitened, weights)), weights)
         return state, Record(state.belief, whitened.residual, root, normalised, info, evidence=evidence)
 
@@ -222,8 +222,8 @@ class FRA(Soft, Filter[FRAState]):
         """Each step's estimate is settled in the next, the last one by ``final``."""
         last = self.undecided(self.final, state.excess, state.branches)
         kept = Kept(*(state.abnormal & x for x in self.favoured(self.final, state.excess)))
-        settled, kept = tree.one_earlier(info.before, (last, kept), state.excess.dim(), info.abnormal.shape[-1])
-        return settled, FRAInfo(info.abnormal, kept.adaptive, kept.plain, info.fading, info.weights, belief)
+        lagged, kept = tree.one_earlier(info.before, (last, kept), state.excess.dim(), info.abnormal.shape[-1])
+        return lagged, FRAInfo(info.abnormal, kept.adaptive, kept.plain, info.fading, info.weights, belief)
 
     def favoured(self, branch: str, like: Tensor) -> Kept:
         """What ``undecided`` keeps of abnormal steps of tracks ``(...)``."""

@@ -217,7 +217,7 @@ class IMM(Filter[IMMState]):
         """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
         if self.subset is None:
             return held(self.matrix(like).log(), step.frame.dt), for_each_model(step.frame)
-        was, now = step.past.active, step.ahead.active
+        was, now = step.past.active, step.next.active
         goes_on = (was * now).sum(-1)  # a model that goes on keeps its place
         matrix = held(self.subset.matrix(self.transition, was, now, goes_on).log(), step.frame.dt)
         return matrix, of_active(for_each_model(step.frame), now)
@@ -235,9 +235,9 @@ class IMM(Filter[IMMState]):
         """The past of a last step, of which no later measurement will decide anything."""
         return past._replace(inner=self.inner.decided(past.inner))
 
-    def needed_ahead(self, past: ModelsPast) -> ModelsPast:
+    def needed_of_next(self, past: ModelsPast) -> ModelsPast:
         """What its filters need."""
-        inner = self.inner.needed_ahead(past.inner)
+        inner = self.inner.needed_of_next(past.inner)
         return past._replace(inner=inner, log_weights=None)  # type: ignore[arg-type]  # which nothing reads
 
     def last(self, past: ModelsPast) -> tuple[Models, Smoothed]:
@@ -252,5 +252,5 @@ class IMM(Filter[IMMState]):
             several: tuple[Models, Smoothed] = tree.stack(each, 0)
             return several
         matrix, frame = self.matrix_back(step, after.log_weights)
-        models = retreat(self.inner, BackwardStep(step.past, step.ahead.inner, frame, step.carried), matrix, after)
+        models = retreat(self.inner, BackwardStep(step.past, step.next.inner, frame, step.carried), matrix, after)
         return models, together(models, step.past.active, self.motion)

@@ -85,7 +85,7 @@ def retreat(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Mo
 
     Args:
         inner: the models' filter.
-        step: a ``ModelsPast``, the ``Past`` of the step ahead, and the frame for each model.
+        step: a ``ModelsPast``, the ``Past`` of the next step, and the frame for each model.
         matrix: ``(..., K, K)`` logs of the transition, ``[was, now]``.
         after: the models after the step.
     """
@@ -94,10 +94,10 @@ def retreat(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Mo
     before, carried = (repeated(models_first(x.inner.belief), share.shape[-1]) for x in (step.past, step.carried))
     mixed = moment_match(carried, of_carried.movedim(-2, 0), inner.motion.angles)  # (was, ..., now) before
     frame = adapted(step.frame, mixed.mean)  # as the filter has adapted it
-    predicted, _ = inner.carry(mixed, frame, step.ahead.factor).belief()
+    predicted, _ = inner.carry(mixed, frame, step.next.factor).belief()
     difference = inner.motion.difference
     later = future(predicted, after.belief, difference)
-    each, fit = later.update(inner.carry(before, frame, step.ahead.factor), difference)
+    each, fit = later.update(inner.carry(before, frame, step.next.factor), difference)
     joint = without_failed((share + without_failed(fit).movedim(0, -2)).log_softmax(-2))
     joint = joint + after.log_weights.unsqueeze(-2)
     log_weights = joint.logsumexp(-1)

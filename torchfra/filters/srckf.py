@@ -9,9 +9,9 @@ from torch import Tensor, nn
 
 from torchfra.adaptive.fading import Memory, NoFading
 from torchfra.adaptive.noise import NoiseMemory, NominalNoise, SageHusa
-from torchfra.filters.ahead import only
 from torchfra.filters.base import Filter, Mix
 from torchfra.filters.checks import check_sides
+from torchfra.filters.forecast import one_hypothesis
 from torchfra.filters.records import Past, Record
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
@@ -129,13 +129,13 @@ class SRCKF(Filter[State]):
 
     def predict_hypotheses(self, state: State, frame: Frame) -> tuple[Gaussian, Tensor]:
         """The only hypothesis of the state after a step, and the log of its weight."""
-        return only(self.predicted(state.belief, frame).belief)
+        return one_hypothesis(self.predicted(state.belief, frame).belief)
 
     def predict_innovation(self, state: State, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """What is measured, less what hypotheses ``(K, ..., n)`` expect, by the noise as it is known."""
         whitened = self.compare(beliefs, frame)
-        root, _ = innovation(self.noise.known(whitened, state.noise, frame.seen))
-        return Gaussian(whitened.residual, self.noise.nominal(root, state.noise, frame.seen))
+        root, _ = innovation(self.noise.known(whitened, state.noise))
+        return Gaussian(whitened.residual, self.noise.nominal(root, state.noise, frame.measured))
 
     def past(self, belief: Gaussian, info: Info, state: Any, steps: Any) -> Past:
         """What the backward pass needs: beliefs, and the fading factors that were chosen."""
@@ -154,18 +154,18 @@ class SRCKF(Filter[State]):
 
     def update(self, prediction: Prediction, whitened: Whitened, state: State, frame: Frame) -> tuple[State, Record]:
         """The update with its sides: Wang et al. (2021), of the noise Chen, Zou & Wu."""
-        known = self.noise.known(whitened, state.noise, frame.seen)
+        known = self.noise.known(whitened, state.noise)
         root, normalised = innovation(known)  # (17), (35)
         weights = self.robust(known.residual, normalised.square().sum(-1))  # (25)
-        noise = self.noise.learn(state.noise, whitened, frame.seen, "innovation")  # Chen, Zou & Wu (19)
-        known = self.noise.known(whitened, noise, frame.seen)
+        noise = self.noise.learn(state.noise, whitened, frame.measured, "innovation")  # Chen, Zou & Wu (19)
+        known = self.noise.known(whitened, noise)
         widened, known, memory, factor = self.widen(prediction, known, state.fading, weights, frame)  # (29)-(34)
         done = self.robust.correct(widened.belief, known, weights, frame.measurement_noise)  # (26), (17)-(24)
         if self.noise.adapt == "residual":
-            noise = self.noise.learn(noise, self.compare(done.belief, frame), frame.seen, "residual")
+            noise = self.noise.learn(noise, self.compare(done.belief, frame), frame.measured, "residual")
         belief, repaired = canonical(self.motion, done.belief), add_counts(repairs(prediction, whitened), done.repaired)
         info = Info(done.weights, factor, done.iterations, repaired, self.noise.scale(noise))
-        root = self.noise.nominal(root, state.noise, frame.seen)
+        root = self.noise.nominal(root, state.noise, frame.measured)
         record = Record(belief, whitened.residual, root, normalised, info, evidence=done.evidence)
         return State(belief, memory, noise), record
 
@@ -173,7 +173,7 @@ class SRCKF(Filter[State]):
         self, prediction: Prediction, whitened: Whitened, memory: Memory | None, weights: Tensor, frame: Frame
     ) -> tuple[Prediction, Whitened, Memory | None, Tensor | None]:
         """Prediction and measurement with fading factors, the innovations remembered, and the factors ``(...)``."""
-        memory = self.fading.remember(memory, whitened.residual, frame.seen)  # (31)
+        memory = self.fading.remember(memory, whitened.residual, frame.measured)  # (31)
         factor = self.fading(prediction, whitened, memory, weights)  # (32)-(34)
         if factor is None:
             return prediction, whitened, memory, None

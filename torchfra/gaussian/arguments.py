@@ -149,14 +149,15 @@ def check_seconds(dt: Time, dtype: torch.dtype, instants: bool = True) -> None:
         _refuse("dt", f"seconds above 0 {'(or just 0) ' * instants}and finite in {dtype}", given, bad)
 
 
-def _singular(noise: Tensor, seen: Tensor) -> Tensor:
-    """``(...)`` where the seen elements have no finite covariance ``noise (..., m, m)`` with an inverse."""
-    root = torch.where(seen.unsqueeze(-1), noise, 0.0)
+def _singular(noise: Tensor, measured: Tensor) -> Tensor:
+    """``(...)`` where the measured elements have no finite covariance ``noise (..., m, m)`` with an inverse."""
+    root = torch.where(measured.unsqueeze(-1), noise, 0.0)
     broken: Tensor = ~root.isfinite().flatten(-2).all(-1)
     least = 10 * torch.finfo(noise.dtype).eps * torch.linalg.vector_norm(root, dim=-1)
-    if not bool(root.triu(1).any()) and bool((root.diagonal(dim1=-2, dim2=-1).abs() > least).logical_or(~seen).all()):
+    pivots = root.diagonal(dim1=-2, dim2=-1).abs()
+    if not bool(root.triu(1).any()) and bool(((pivots > least) | ~measured).all()):
         return broken
-    lower = tria(hstack(torch.where(broken[..., None, None], 0.0, root), torch.diag_embed(1.0 - seen.to(root))))
+    lower = tria(hstack(torch.where(broken[..., None, None], 0.0, root), torch.diag_embed(1.0 - measured.to(root))))
     singular: Tensor = ~(lower.diagonal(dim1=-2, dim2=-1) > least).all(-1)
     return broken | singular
 

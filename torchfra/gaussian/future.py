@@ -38,7 +38,7 @@ class Future(NamedTuple):
     value: Tensor
     """``(..., n)``."""
 
-    def update(self, ahead: Carried, difference: Difference = torch.sub) -> Updated:
+    def update(self, carried: Carried, difference: Difference = torch.sub) -> Updated:
         """Beliefs ``(..., n)`` that are carried as far as this state, updated by it, in units of their roots before.
 
         What does not follow a belief is noise here, ``N = I + slope Q slope^T``, and often that of many beliefs: in
@@ -46,9 +46,9 @@ class Future(NamedTuple):
         [y^T, d]]`` then holds what is left: ``u ~ N(R^-T y, R^-T R^-1)``, and the density ``exp(-d^2 / 2) / det R``.
         ``difference`` subtracts two states.
         """
-        gap = difference(ahead.mean, self.origin)
-        subtracted = () if ahead.subtracted is None else (ahead.subtracted,)
-        return _update(self.slope, self.value, gap, ahead.spread, ahead.process_noise, *subtracted)
+        gap = difference(carried.mean, self.origin)
+        subtracted = () if carried.subtracted is None else (carried.subtracted,)
+        return _update(self.slope, self.value, gap, carried.spread, carried.process_noise, *subtracted)
 
 
 @batchwise(2, 1, 1, 2, 2, 2)
@@ -61,9 +61,9 @@ def _update(slope: Tensor, value: Tensor, gap: Tensor, spread: Tensor, noise: Te
     root = tria_beside(eye.diagonal(), slope @ noise)
     if subtracted:
         root, _ = downdate(root, slope @ subtracted[0])
-    seen = torch.linalg.solve_triangular(root, hstack(slope, value.unsqueeze(-1)), upper=False)
-    slope = seen[..., :n]
-    residual = seen[..., n] - apply(slope, gap)
+    whitened = torch.linalg.solve_triangular(root, hstack(slope, value.unsqueeze(-1)), upper=False)
+    slope = whitened[..., :n]
+    residual = whitened[..., n] - apply(slope, gap)
     rows = hstack(slope @ spread[..., rest:], residual.unsqueeze(-1)).mT  # [A, e]^T
     lower = tria_beside(pad(eye.diagonal(), (0, 1)), rows)
     left = torch.linalg.solve_triangular(lower[..., :n, :n].mT, eye, upper=True)

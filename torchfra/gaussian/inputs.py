@@ -70,13 +70,13 @@ class Whole(Measurements):
     """Scans whose measurements are complete or missing, and have the same noise."""
 
 
-@event_ranks(z=1, seen=1, dt=0, u=1, transition=2, shift=1, process_noise=2)
+@event_ranks(z=1, measured=1, dt=0, u=1, transition=2, shift=1, process_noise=2)
 class Frame(NamedTuple):
     """All of a step that does not depend on the belief."""
 
     z: Tensor
     """``(..., m)``, 0 where missing."""
-    seen: Tensor
+    measured: Tensor
     """``(..., m)``, 1 where measured and 0 where missing."""
     measurement_noise: MeasurementNoise
     dt: Tensor
@@ -94,7 +94,7 @@ class BackwardStep(NamedTuple):
     """What a step of the backward pass starts from: two steps of the past, and the frame between them."""
 
     past: Any
-    ahead: Any
+    next: Any
     frame: Frame
     carried: Any
     """The past that the step was predicted from: without a gradient where that of the forward pass was cut after it.
@@ -143,8 +143,8 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
         each(shift, varying_shift),
     )
     frames = [
-        Frame(z, seen, unit, dt, u, transition, shift, process_noise, adaptation)
-        for (z, seen, unit, u), (dt, transition, process_noise, adaptation), shift in zip(*columns, strict=True)
+        Frame(z, measured, unit, dt, u, transition, shift, process_noise, adaptation)
+        for (z, measured, unit, u), (dt, transition, process_noise, adaptation), shift in zip(*columns, strict=True)
     ]
     return frames, measurement_noise.log_norm
 

@@ -90,7 +90,7 @@ def adapted(frame: Frame, mean: Tensor) -> Frame:
 def compare(sensor: Sensor, rule: Rule, belief: Gaussian, frame: Frame) -> Whitened:
     """The measurement against a predicted belief, in units of its noise: eqs. (14)-(21)."""
     d, noise = sensor.reads, frame.measurement_noise
-    seen = Gaussian(belief.mean[..., :d], belief.scale_tril[..., :d, :d])  # lower triangular: the marginal's root
-    value, spread, subtracted = rule(lambda x: sensor.at_points(x, frame.u), seen, sensor.difference)
+    read = Gaussian(belief.mean[..., :d], belief.scale_tril[..., :d, :d])  # lower triangular: the marginal's root
+    value, spread, subtracted = rule(lambda x: sensor.at_points(x, frame.u), read, sensor.difference)
     residual = noise.whiten(sensor.difference(frame.z, value).unsqueeze(-1)).squeeze(-1)
     return Whitened(residual, noise.whiten(spread), d, subtracted if subtracted is None else noise.whiten(subtracted))

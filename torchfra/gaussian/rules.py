@@ -116,10 +116,10 @@ class SigmaPoints(nn.Module):
     def marginal(self, d: int) -> SigmaPoints:
         """The points as a function of the first ``d`` components sees them: those that coincide are one."""
         points, weights, extra, signed = self._rule
-        seen, where = torch.unique(points[:d], dim=1, return_inverse=True)
-        merged = torch.zeros(seen.shape[1], dtype=weights.dtype).index_add(0, where, weights)
-        around = (seen.norm(dim=0) > 0) & (merged.abs() > 1e-14)
-        return SigmaPoints(seen[:, around], merged[around], extra, signed=signed)
+        distinct, where = torch.unique(points[:d], dim=1, return_inverse=True)
+        merged = torch.zeros(distinct.shape[1], dtype=weights.dtype).index_add(0, where, weights)
+        around = (distinct.norm(dim=0) > 0) & (merged.abs() > 1e-14)
+        return SigmaPoints(distinct[:, around], merged[around], extra, signed=signed)
 
     def forward(self, function: Function, belief: Gaussian, difference: Difference) -> Linearised:
         """The function's values at the points, in three matrix products for the whole batch."""

@@ -47,7 +47,7 @@ class Reversed(NamedTuple):
         return Gaussian(self.mean + told[..., 0], tria(hstack(self.left, told[..., 1:])))
 
 
-def reverse(belief: Gaussian, ahead: Carried) -> Reversed:
+def reverse(belief: Gaussian, carried: Carried) -> Reversed:
     """The step that has carried a filtered ``belief (..., n)`` on, seen from its end.
 
     ``tria([[F S, S_Q], [S, 0]]) = [[S-, 0], [L21, L22]]`` holds all of it: the gain is ``L21 (S-)^-1``, and ``L22`` is
@@ -61,14 +61,14 @@ def reverse(belief: Gaussian, ahead: Carried) -> Reversed:
     Yaghoobi et al. (2022), "Parallel Square-Root Statistical Linear Regression for Inference in Nonlinear State Space
     Models".  Differs: the rank of the prediction may be lost.
     """
-    n, repaired = ahead.mean.shape[-1], None
-    columns = hstack(ahead.process_noise, ahead.spread)
-    if ahead.subtracted is not None:
-        root, repaired = downdate(tria(columns[..., :-n]), ahead.subtracted)
+    n, repaired = carried.mean.shape[-1], None
+    columns = hstack(carried.process_noise, carried.spread)
+    if carried.subtracted is not None:
+        root, repaired = downdate(tria(columns[..., :-n]), carried.subtracted)
         columns = hstack(root, columns[..., -n:])
     now = pad(belief.scale_tril.expand(*columns.shape[:-2], n, n), (columns.shape[-1] - n, 0))
     root, cross, left, certain = _split(torch.cat([columns, now], -2), n)
-    return Reversed(belief.mean, ahead.mean, root, cross, left, certain, repaired)
+    return Reversed(belief.mean, carried.mean, root, cross, left, certain, repaired)
 
 
 def _split(joint: Tensor, n: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:

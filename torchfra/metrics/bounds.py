@@ -83,10 +83,10 @@ def _deviations(slope: Tensor, mean: Tensor, noise: Tensor) -> tuple[Tensor | No
     s = torch.nn.functional.pad(s, (0, u.shape[-1] - s.shape[-1]))
     has = s > _ROUNDING * s.amax(-1, keepdim=True).clamp_min(torch.finfo(s.dtype).tiny)
     rows, has = u.mT.unsqueeze(-3) @ gap, has[..., None, :, None]
-    seen = torch.where(has, 1 / torch.where(has, s[..., None, :, None], 1.0), 0.0)
+    inverse = torch.where(has, 1 / torch.where(has, s[..., None, :, None], 1.0), 0.0)
     exact = torch.where(has, 0.0, rows)
     exact = torch.where(exact.abs() > _ROUNDING * gap.abs().amax(), exact, 0.0)
-    return _stacked(rows * seen), (_stacked(exact).mT if bool(exact.any()) else None)
+    return _stacked(rows * inverse), (_stacked(exact).mT if bool(exact.any()) else None)
 
 
 def _informed(information: Tensor | None, exact: Tensor | None, root: Tensor) -> Tensor:
@@ -96,8 +96,8 @@ def _informed(information: Tensor | None, exact: Tensor | None, root: Tensor) ->
         root = root - root @ (torch.linalg.pinv(known) @ known)
     if information is None:
         return root
-    seen = information.mT @ root
-    grown = torch.eye(root.shape[-1], dtype=root.dtype, device=root.device) + seen.mT @ seen
+    scaled = information.mT @ root
+    grown = torch.eye(root.shape[-1], dtype=root.dtype, device=root.device) + scaled.mT @ scaled
     informed: Tensor = torch.linalg.solve_triangular(torch.linalg.cholesky(grown).mT, root, upper=True, left=False)
     return informed
 

@@ -59,8 +59,8 @@ class Bicycle(Motion):
         curvature, slip, _, _ = self._rolls(steering, self.wheelbase(x))
         turn = dt * speed * curvature
         chord = dt * speed * torch.sinc(turn / (2 * math.pi))
-        ahead = heading + slip + turn / 2
-        moved = [px + chord * ahead.cos(), py + chord * ahead.sin()]
+        course = heading + slip + turn / 2
+        moved = [px + chord * course.cos(), py + chord * course.sin()]
         return torch.stack(torch.broadcast_tensors(*moved, speed, heading + turn, steering), -1)
 
     def process_noise(self, dt: Tensor) -> Tensor:
@@ -71,9 +71,9 @@ class Bicycle(Motion):
         """``S_Q (..., 5, r)`` at a predicted mean ``(..., 5)``."""
         _, _, speed, heading, steering = (x.unsqueeze(-1) for x in mean.unbind(-1))
         curvature, slip, curvature_rate, slip_rate = self._rolls(steering, self.wheelbase(mean).unsqueeze(-1))
-        ahead = heading + slip
-        forward = torch.stack([ahead.cos(), ahead.sin()], -1)
-        left = torch.stack([-ahead.sin(), ahead.cos()], -1)
+        course = heading + slip
+        forward = torch.stack([course.cos(), course.sin()], -1)
+        left = torch.stack([-course.sin(), course.cos()], -1)
 
         def response(ago: Tensor) -> Tensor:
             ago, turn = torch.broadcast_tensors(ago, speed * curvature * ago)

@@ -110,8 +110,8 @@ def arc_of_rate(angle: Tensor) -> tuple[Tensor, Tensor]:
     for k in range(7, -1, -1):
         series = 1 / math.factorial(2 * k + 3) - near * series
     safe = torch.where(small, 1.0, angle)
-    ahead = torch.where(small, angle * series, (safe - safe.sin()) / safe.square())
-    return ahead, torch.sinc(angle / (2 * torch.pi)).square() / 2
+    along = torch.where(small, angle * series, (safe - safe.sin()) / safe.square())
+    return along, torch.sinc(angle / (2 * torch.pi)).square() / 2
 
 
 def zero_rows(root: Tensor, size: int) -> Tensor:

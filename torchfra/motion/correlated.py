@@ -63,8 +63,8 @@ class Singer(Motion):
         """``F (..., n, n)`` for ``dt (...)``."""
         rows = _response(self.alpha(dt), dt)
         one, zero = torch.ones_like(rows[0]), torch.zeros_like(rows[0])
-        ahead = dt.expand_as(one)
-        block = torch.stack([one, ahead, rows[0], zero, one, rows[1], zero, zero, rows[2]], -1)
+        time = dt.expand_as(one)
+        block = torch.stack([one, time, rows[0], zero, one, rows[1], zero, zero, rows[2]], -1)
         return per_axis(block.unflatten(-1, (3, 3)), self.dims)
 
     def process_noise(self, dt: Tensor) -> Tensor:

@@ -53,15 +53,15 @@ class Odometry(Motion):
         speed, turned = u.unbind(-1)
         way = speed * x[..., 3].exp() * dt
         if self.walk_bias is None:
-            ahead, across = (turned + x[..., 2]).cos() * way, (turned + x[..., 2]).sin() * way
+            dx, dy = (turned + x[..., 2]).cos() * way, (turned + x[..., 2]).sin() * way
             rest = x[..., 2:]
         else:
             turn = (turned + x[..., 4]) * dt
             along, left = arc(turn)
             cos, sin = x[..., 2].cos(), x[..., 2].sin()
-            ahead, across = way * (along * cos - left * sin), way * (along * sin + left * cos)
+            dx, dy = way * (along * cos - left * sin), way * (along * sin + left * cos)
             rest = torch.cat([(x[..., 2] + turn).unsqueeze(-1), x[..., 3:]], -1)
-        return torch.cat([x[..., :2] + torch.stack([ahead, across], -1), rest], -1)
+        return torch.cat([x[..., :2] + torch.stack([dx, dy], -1), rest], -1)
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, n)``: a walk of each component, independent of the others."""

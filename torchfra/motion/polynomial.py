@@ -18,8 +18,8 @@ class _Polynomial(Motion):
     def transition(self, dt: Tensor) -> Tensor:
         """``F (..., n, n)``: ``dt^k / k!`` from each derivative to the one k below it."""
         order = torch.arange(self.orders, device=dt.device)
-        ahead = order - order.unsqueeze(-1)
-        matrix = torch.where(ahead >= 0, taylor(dt.unsqueeze(-1), ahead.clamp_min(0)), 0.0)
+        power = order - order.unsqueeze(-1)
+        matrix = torch.where(power >= 0, taylor(dt.unsqueeze(-1), power.clamp_min(0)), 0.0)
         return per_axis(matrix, self.dims)
 
 

@@ -155,9 +155,9 @@ class UnknownTurn(Motion):
             ago, angle = torch.broadcast_tensors(ago, rate * ago)
             moved, turned = _plane(self.dims, *arc(angle)), _plane(self.dims, angle.cos(), angle.sin())
             pushed = pad(torch.cat([ago[..., None, None] * moved, turned], -2), (0, 0, 0, 1))
-            ahead, aside = (x.unsqueeze(-1) for x in arc_of_rate(angle))
+            along, across = (x.unsqueeze(-1) for x in arc_of_rate(angle))
             ago = ago.unsqueeze(-1)
-            bent = [ago.square() * _turned(velocity, ahead, aside), ago * _turned(velocity, 0 * ahead, 1 + 0 * aside)]
+            bent = [ago.square() * _turned(velocity, along, across), ago * _turned(velocity, 0 * along, 1 + 0 * across)]
             return torch.cat([pushed, torch.cat([*bent, torch.ones_like(ago)], -1).unsqueeze(-1)], -1)
 
         q, drift = torch.broadcast_tensors(self.q(mean), self.drift(mean))

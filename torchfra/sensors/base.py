@@ -30,7 +30,7 @@ class MeasurementNoise(NamedTuple):
     mix: Tensor | None
     """``(..., m, m)`` its inverse, rows of missing elements zero; else None."""
     log_norm: Tensor
-    """``(...)`` what this covariance adds to the log density of the seen elements, constants included."""
+    """``(...)`` what this covariance adds to the log density of the measured elements, constants included."""
 
     def whiten(self, x: Tensor) -> Tensor:
         """``x (..., m, k)`` in units of the measurement noise."""
@@ -178,19 +178,20 @@ class Sensor(nn.Module):
             std: ``(..., m)`` standard deviations of these measurements, instead of the sensor's.
             root: ``(..., m, m)`` roots of their covariances, instead of the sensor's.
         """
-        seen = ~z.isnan()
+        measured = ~z.isnan()
         if std is None and root is None:
             std, root = (None if self.std is None else self.std.elements()), self.root
         if std is not None:
-            std = torch.where(seen, std.to(z), 1.0)
-            return MeasurementNoise(std, seen / std, None, None, _log_norm(std, seen))
+            std = torch.where(measured, std.to(z), 1.0)
+            return MeasurementNoise(std, measured / std, None, None, _log_norm(std, measured))
         assert root is not None
         # A missing element gets independent noise of variance 1, so that it mixes with none of the others.
-        lower = tria(hstack(torch.where(seen.unsqueeze(-1), root.to(z), 0.0), torch.diag_embed(1.0 - seen.to(z))))
+        root = torch.where(measured.unsqueeze(-1), root.to(z), 0.0)
+        lower = tria(hstack(root, torch.diag_embed(1.0 - measured.to(z))))
         eye = torch.eye(self.size, dtype=z.dtype, device=z.device).expand_as(lower)
-        mix = torch.linalg.solve_triangular(lower, eye, upper=False) * seen.unsqueeze(-1)
+        mix = torch.linalg.solve_triangular(lower, eye, upper=False) * measured.unsqueeze(-1)
         diagonal = lower.diagonal(dim1=-2, dim2=-1)
-        return MeasurementNoise(diagonal, seen / diagonal, lower, mix, _log_norm(diagonal, seen))
+        return MeasurementNoise(diagonal, measured / diagonal, lower, mix, _log_norm(diagonal, measured))
 
     def describe(self) -> str:
         """What the sensor is, in a few words for tables and messages: by default the words of the class's name."""
@@ -224,5 +225,5 @@ def _checked_root(noise: Tensor, size: int) -> Tensor:
     return root
 
 
-def _log_norm(std: Tensor, seen: Tensor) -> Tensor:
-    return -(std.log() + 0.5 * math.log(2 * math.pi) * seen.to(std)).sum(-1)
+def _log_norm(std: Tensor, measured: Tensor) -> Tensor:
+    return -(std.log() + 0.5 * math.log(2 * math.pi) * measured.to(std)).sum(-1)

@@ -75,8 +75,8 @@ class Camera(Sensor):
         at = x[..., : self.dims]
         if self.height is not None:
             at = torch.cat([at, torch.full_like(at[..., :1], self.height)], -1)
-        seen = (pose[..., 3:].unflatten(-1, (3, 3)) * (at - pose[..., :3]).unsqueeze(-2)).sum(-1)
-        pixel: Tensor = self.centre.to(x) + self.focal.elements(x) * seen[..., :2] / seen[..., 2:]
+        offset = (pose[..., 3:].unflatten(-1, (3, 3)) * (at - pose[..., :3]).unsqueeze(-2)).sum(-1)
+        pixel: Tensor = self.centre.to(x) + self.focal.elements(x) * offset[..., :2] / offset[..., 2:]
         return pixel
 
     def describe(self) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchfra.filters.ahead import Ahead
+from torchfra.filters.forecast import Forecast
 from torchfra.linalg.triangular import apply
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
@@ -54,14 +54,15 @@ class Origin:
 
         What does not move along with the target is measured from a place of the sensor's own, which must be local.
         """
-        return (z.double() - self._seen(sensor, z, u)).to(self.dtype)
+        return (z.double() - self._measured_offset(sensor, z, u)).to(self.dtype)
 
-    def ahead(self, sensor: Sensor, ahead: Ahead, u: Tensor | None = None) -> Ahead:
-        """A look ahead of the filter, as it is outside."""
-        mean, root = ahead.measurement
-        return Ahead(self.outward(ahead.belief), Gaussian(mean.double() + self._seen(sensor, mean, u), root.double()))
+    def forecast(self, sensor: Sensor, forecast: Forecast, u: Tensor | None = None) -> Forecast:
+        """A forecast of the filter, in outside coordinates."""
+        mean, root = forecast.measurement
+        mean = mean.double() + self._measured_offset(sensor, mean, u)
+        return Forecast(self.outward(forecast.belief), Gaussian(mean, root.double()))
 
-    def _seen(self, sensor: Sensor, like: Tensor, u: Tensor | None) -> Tensor:
+    def _measured_offset(self, sensor: Sensor, like: Tensor, u: Tensor | None) -> Tensor:
         """What each element ``(m,)`` measures of the origin: 0 of one that the origin does not change all alike."""
         offset = self.offset.to(like.device)
         size, given = len(offset), None if u is None else u.reshape(-1, u.shape[-1])[0].double()

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import torch
 
-from torchfra.filters.ahead import Ahead
 from torchfra.filters.base import Filter
 from torchfra.filters.fixed_lag import go_back, remember
+from torchfra.filters.forecast import Forecast
 from torchfra.gaussian.arguments import check_belief
 from torchfra.sensors.base import Sensor
 from torchfra.stream.arguments import check_counts, seconds
@@ -108,13 +108,13 @@ class Tracker:
         return self._intake.outward(self.state.belief)
 
     @property
-    def settled(self) -> At | None:
-        """The estimate of the measurement before, of filters that settle it by the next one; None of others."""
+    def lagged(self) -> At | None:
+        """The estimate at the measurement before the newest, given both; None of filters that do not have it."""
         entries, state = self._window.entries, self.state
-        if not entries or not hasattr(state, "settled"):
+        if not entries or not hasattr(state, "lagged"):
             return None
         time, _ = self._window.before(len(entries) - 1)
-        return At(self._clock.outside(time), self._intake.outward(state.settled))
+        return At(self._clock.outside(time), self._intake.outward(state.lagged))
 
     @property
     def counts(self) -> dict[str, int]:
@@ -163,7 +163,7 @@ class Tracker:
         return self._report("jumped" if jumped else "late" if inside < newest else "used", innovation)
 
     @torch.no_grad()
-    def predict(self, time: float, sensor: str | None = None, *, u: Any = None) -> Ahead:
+    def predict(self, time: float, sensor: str | None = None, *, u: Any = None) -> Forecast:
         """What is expected at a time: the state, and what a sensor would measure.
 
         Args:
@@ -182,8 +182,8 @@ class Tracker:
             raise ValueError(f"time: expected seconds since {since}, received {time}")
         since, state = self._window.at(inside)
         given = intake.known(u)
-        ahead = self.filter.predict(state, inside - since, u=given, sensor=there)
-        return ahead if intake.origin is None else intake.origin.ahead(there, ahead, given)
+        forecast = self.filter.predict(state, inside - since, u=given, sensor=there)
+        return forecast if intake.origin is None else intake.origin.forecast(there, forecast, given)
 
     @torch.no_grad()
     def smoothed(self) -> list[At]:

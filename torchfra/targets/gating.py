@@ -28,9 +28,9 @@ def in_reach(gate: Gate, sensor: Sensor, predicted: Gaussian, scans: Tensor, sce
         heat: temperature of the gate.
     """
     z = scans.expand(len(scene), -1, -1) if len(scans) == 1 else scans[scene]
-    seen, centre = ~scans.isnan(), predicted.mean.unsqueeze(-2)
+    measured, centre = ~scans.isnan(), predicted.mean.unsqueeze(-2)
     gap = sensor.difference(z, centre)
-    kind = seen.to(torch.int64) @ (2 ** torch.arange(sensor.size, device=z.device))  # which elements, as bits
+    kind = measured.to(torch.int64) @ (2 ** torch.arange(sensor.size, device=z.device))  # which elements, as bits
     kinds = [bits for bits in kind.unique().tolist() if bits]
     nis = torch.full_like(gap[..., 0], torch.inf)
     for bits in kinds:  # one, unless devices measure parts of it
@@ -41,11 +41,11 @@ def in_reach(gate: Gate, sensor: Sensor, predicted: Gaussian, scans: Tensor, sce
         white = torch.linalg.solve_triangular(_WIDER * root, part.mT, upper=False)
         squared = torch.stack(white.unbind(-2)).square().sum(0)  # NaN, which no gate holds, where it is missing
         nis = squared if len(kinds) == 1 else torch.where((kind == bits)[scene], squared, nis)
-    number = seen.sum(-1)
+    number = measured.sum(-1)
     if isinstance(gate, ChiSquare) and heat == 0:
         inside: Tensor = nis <= _quantiles(gate, z)[number][scene]
         return inside
-    there = seen[scene]
+    there = measured[scene]
     candidates = Candidates(torch.where(there, z, centre), centre.expand_as(z), there.to(z), nis)
     membership: Tensor = gate(candidates, sensor, heat)
     return (membership > -torch.inf) & (number > 0)[scene]

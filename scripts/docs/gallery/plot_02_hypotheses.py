@@ -1,7 +1,7 @@
 """The hypotheses of one step.
 
 What ``gpb`` holds at the large innovation, the same for both aircraft: a belief if the measurement was clean, so that
-the target has moved, and one if it was an outlier, so that it has not. The next measurement decides, and settles the
+the target has moved, and one if it was an outlier, so that it has not. The next measurement decides, and smooths the
 step.
 """
 
@@ -38,18 +38,18 @@ for panel, z, title in zip(
         state, _ = gpb.step(state, z[k], dt=dt)
     after, _ = gpb.step(state, z[20], dt=dt)
     before = state.log_weights.exp()[1].sum()
-    settled = gpb.smooth(z[:21], prior, dt=dt, lag=1).info.outlier[19, 0]
+    smoothed = gpb.smooth(z[:21], prior, dt=dt, lag=1).info.outlier[19, 0]
     for hypothesis, now, later, name, colour in (
-        (0, 1 - before, 1 - settled, "as stated", "#0072B2"),
-        (1, before, settled, "an outlier", "#D55E00"),
+        (0, 1 - before, 1 - smoothed, "as stated", "#0072B2"),
+        (1, before, smoothed, "an outlier", "#D55E00"),
     ):
         label = f"if it was {name}: {now:.0%}, then {later:.0%}"
         mean, root = (x[hypothesis, 0] for x in state.hypotheses)
         panel.fill(*ellipse(mean, root), color=colour, alpha=0.35, lw=0, label=label)
     panel.plot(*z[19], "ko", ms=5, label="measured")
-    panel.plot(*torch.stack([after.settled.mean[:2], z[20]]).T, "k:", lw=1, label="towards what is measured next")
+    panel.plot(*torch.stack([after.lagged.mean[:2], z[20]]).T, "k:", lw=1, label="towards what is measured next")
     panel.plot(*state.belief.mean[:2], "P", color="#009E73", ms=9, label="estimate at the step")
-    panel.plot(*after.settled.mean[:2], "X", color="#CC79A7", ms=9, label="estimate, settled by the next")
+    panel.plot(*after.lagged.mean[:2], "X", color="#CC79A7", ms=9, label="estimate, given the next")
     panel.set(xlabel="x, m", title=title, xlim=(9520, 9720))
     panel.legend(frameon=False, fontsize=8, loc="upper left")
 panels[0].set(ylabel="y, m", ylim=(3120, 3420))

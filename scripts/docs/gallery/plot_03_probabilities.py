@@ -1,7 +1,7 @@
 """What the filter says of its steps.
 
 A target flies straight, turns from 160 to 240 s and flies on; three measurements are outliers. ``gpb`` says of each
-step how probable an outlier is, and which regime it thinks the motion is in; here settled by the next measurement.
+step how probable an outlier is, and which regime it thinks the motion is in: probabilities smoothed by one step.
 """
 
 import matplotlib.pyplot as plt

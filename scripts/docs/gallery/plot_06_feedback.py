@@ -1,7 +1,7 @@
 """Robust or adaptive, as the next measurement decides.
 
-``fra`` forks at abnormal steps; the estimate of such a step is settled one step later. Bearings of two stations,
-outliers, and a start that is 2.5 km off: errors of 200 runs, of what was known at the step and of what was settled.
+``fra`` forks at abnormal steps; the estimate of such a step is decided one step later. Bearings of two stations,
+outliers, and a start that is 2.5 km off: errors of 200 runs, of what was known at the step and one step later.
 """
 
 import matplotlib.pyplot as plt
@@ -18,8 +18,8 @@ with torch.no_grad():
 figure, axes = plt.subplots(figsize=(8, 3.8), layout="constrained")
 means = {name: estimate.mean for name, estimate in estimates.items()}
 means = {"fra, at the step": estimates["fra"].info.provisional.mean} | means
-means["fra, settled"] = means.pop("fra")
+means["fra, one step later"] = means.pop("fra")
 for name, mean in means.items():
-    axes.semilogy(metrics.rmse(mean, tracks.truth, scenario.position), label=name, lw=2 if "settled" in name else 1)
+    axes.semilogy(metrics.rmse(mean, tracks.truth, scenario.position), label=name, lw=2 if "later" in name else 1)
 axes.set(xlabel="step", ylabel="position RMSE, m")
 axes.legend(frameon=False, ncols=2)

@@ -18,7 +18,7 @@ Rows: TypeAlias = list[list[Tensor]]
 """Of the covariance roots of all axes: element i, j of each is ``(..., d)``."""
 
 
-def predicted(parts: tuple[Tensor, ...], dt: Tensor) -> list[Tensor]:
+def predict_axes(parts: tuple[Tensor, ...], dt: Tensor) -> list[Tensor]:
     """Position, velocity(, acceleration) after ``dt``."""
     if len(parts) == 2:
         return [parts[0] + dt * parts[1], parts[1]]
@@ -26,10 +26,10 @@ def predicted(parts: tuple[Tensor, ...], dt: Tensor) -> list[Tensor]:
     return [p + dt * v + dt**2 / 2 * a, v + dt * a, a]
 
 
-def updated(ahead: list[Tensor], column: list[Tensor], since: Tensor, residual: Tensor) -> list[Tensor]:
+def update_axes(predicted: list[Tensor], column: list[Tensor], since: Tensor, residual: Tensor) -> list[Tensor]:
     """Position, velocity(, acceleration) after a residual; those without a gain are 0."""
-    moved = [x + g / since**i * residual for i, (x, g) in enumerate(zip(ahead, column, strict=False))]
-    return moved + [torch.zeros_like(residual) for _ in ahead[len(column) :]]
+    moved = [x + g / since**i * residual for i, (x, g) in enumerate(zip(predicted, column, strict=False))]
+    return moved + [torch.zeros_like(residual) for _ in predicted[len(column) :]]
 
 
 def short_step_gains(column: list[Tensor], since: Tensor, period: Hyper | None) -> list[Tensor]:
@@ -52,10 +52,10 @@ def startup_gains(column: list[Tensor], count: Tensor) -> list[Tensor]:
 
 def two_gain_root(alpha: Tensor, beta: Tensor) -> tuple[list[Tensor], Tensor]:
     """Steady-state covariance root, row by row, and variance of the residual, for measurement noise and step of 1."""
-    position, cross, velocity, ahead = design.variances(alpha, beta)
+    position, cross, velocity, predicted = design.variances(alpha, beta)
     first = position.sqrt()
     along = cross / first
-    return [first, along, (velocity - along.square()).sqrt()], 1 + ahead
+    return [first, along, (velocity - along.square()).sqrt()], 1 + predicted
 
 
 def three_gain_root(alpha: Tensor, beta: Tensor, gamma: Tensor) -> tuple[list[Tensor], Tensor]:
@@ -63,8 +63,8 @@ def three_gain_root(alpha: Tensor, beta: Tensor, gamma: Tensor) -> tuple[list[Te
     rows = [[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]
     transition = torch.tensor(rows, dtype=alpha.dtype, device=alpha.device)
     root = design.steady_root(transition, torch.stack([alpha, beta, gamma / 2], -1))
-    ahead = (transition[0].unsqueeze(-2) @ root).squeeze(-2)
-    return [root[..., i, j] for i in range(3) for j in range(i + 1)], 1 + ahead.square().sum(-1)
+    predicted = (transition[0].unsqueeze(-2) @ root).squeeze(-2)
+    return [root[..., i, j] for i in range(3) for j in range(i + 1)], 1 + predicted.square().sum(-1)
 
 
 def root_rows(entries: Tensor) -> Rows:
@@ -80,9 +80,9 @@ def axis_roots(root: Tensor, orders: int, size: int) -> Tensor:
     return torch.stack([rows[..., i, j] for i in range(size) for j in range(i + 1)], -2)
 
 
-def root_ahead(rows: Rows, dt: Tensor) -> Rows:
+def predict_root(rows: Rows, dt: Tensor) -> Rows:
     """Rows of a root after ``dt``."""
-    return [list(column) for column in zip(*(predicted(tuple(c), dt) for c in zip(*rows, strict=True)), strict=True)]
+    return [list(column) for column in zip(*(predict_axes(tuple(c), dt) for c in zip(*rows, strict=True)), strict=True)]
 
 
 def corrected_root(rows: Rows, column: list[Tensor], since: Tensor, used: Tensor, std: Tensor) -> Tensor:

@@ -13,15 +13,15 @@ from torch.distributions import constraints
 from torchfra.filters.alphabeta import gains as design
 from torchfra.filters.alphabeta.axes import (
     corrected_root,
-    predicted,
+    predict_axes,
+    predict_root,
     residual_spread,
-    root_ahead,
     root_rows,
     root_spreads,
     short_step_gains,
     startup_gains,
     two_gain_root,
-    updated,
+    update_axes,
 )
 from torchfra.filters.alphabeta.base import ConstantGainFilter, record
 from torchfra.filters.alphabeta.gains import Gains
@@ -221,7 +221,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         level = torch.where(test.restarted.unsqueeze(-1) > 0, one_level(0, level), level)
         after = remember(state, innovation, vote, test, self._flag_left(vote, test))
         after = after._replace(mean=belief.mean, root=belief.scale_tril, level=level, fastest=fastest)
-        spread = residual_spread(root_ahead(root_rows(state.root), innovation.dt), innovation.std)
+        spread = residual_spread(predict_root(root_rows(state.root), innovation.dt), innovation.std)
         return after, record(after, innovation.residual, frame, spread, _info(vote, test, level))
 
     def _flag_left(self, vote: Vote, test: OutlierTest) -> Tensor:
@@ -233,13 +233,13 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
     def innovation(self, state: AlphaBetaBankState, frame: Frame) -> Innovation:
         """The measurement compared with its prediction."""
         z, std, dt = frame.z, frame.measurement_noise.std, frame.dt.unsqueeze(-1)
-        ahead = predicted(self._components(state.mean), dt)
+        predicted = predict_axes(self._components(state.mean), dt)
         polar = self.detect == "polar"
-        measured = frame.seen.amin(-1, keepdim=True) if polar else frame.seen
-        residual = frame.seen * (z - ahead[0])
+        measured = frame.measured.amin(-1, keepdim=True) if polar else frame.measured
+        residual = frame.measured * (z - predicted[0])
         size = residual.abs() / std
-        channels = _polar(z, ahead[0], std) if polar else size
-        return Innovation(z, ahead, residual, size, channels, frame.seen, measured, dt, state.since + dt, std)
+        channels = _polar(z, predicted[0], std) if polar else size
+        return Innovation(z, predicted, residual, size, channels, frame.measured, measured, dt, state.since + dt, std)
 
     def manoeuvre_vote(self, state: AlphaBetaBankState, innovation: Innovation) -> Vote:
         """Whether this is a manoeuvre: the flag of this measurement, and the majority of the last ones."""
@@ -276,15 +276,15 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
     def _confirmed(self, state: AlphaBetaBankState, innovation: Innovation) -> Tensor:
         """``(..., g)`` 1 where the target can reach this measurement from the last two."""
         assert state.earlier is not None
-        before, between, seen = state.earlier
-        between = torch.where(seen > 1.5, between, 1.0)
+        before, between, count = state.earlier
+        between = torch.where(count > 1.5, between, 1.0)
         since = state.since_last + innovation.dt
         ratio = since / between
         bend = innovation.z - state.last - ratio * (state.last - before)
         limit, margin = (h(bend).unsqueeze(-1) for h in (self.limit, self.margin))
         noise = innovation.std * (1 + (1 + ratio).square() + ratio.square()).sqrt()
         near = bend.abs() < 0.5 * limit * since * (between + since) + margin * noise
-        return 1 - self._any(1 - (near & (seen > 1.5)).to(bend))
+        return 1 - self._any(1 - (near & (count > 1.5)).to(bend))
 
     def _largest_residual(self, state: AlphaBetaBankState, innovation: Innovation, manoeuvre: Tensor) -> Tensor:
         """``(..., d)`` in std: what the target can reach in a manoeuvre, and the threshold of outliers without one."""
@@ -365,17 +365,17 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         self, state: AlphaBetaBankState, innovation: Innovation, test: OutlierTest, belief: Gaussian, level: Tensor
     ) -> Gaussian:
         """A belief after the step, by the gains of a level."""
-        ahead = predicted(self._components(belief.mean), innovation.dt)
-        rows = root_ahead(root_rows(belief.scale_tril), innovation.dt)
+        predicted = predict_axes(self._components(belief.mean), innovation.dt)
+        rows = predict_root(root_rows(belief.scale_tril), innovation.dt)
         used, since = (1 - test.rejected) * innovation.axis_measured, innovation.since
         hypers = [self.alpha, self.beta] + ([] if self.gamma is None else [self.gamma])
         gains = [of_level(level, h(innovation.residual)) for h in hypers]
         if self.gamma is not None:
             has_gamma = of_level(level, (self.gamma(innovation.residual) > 0).to(used))
-            gains[2], ahead[2], rows[2] = gains[2] / 2, has_gamma * ahead[2], [has_gamma * x for x in rows[2]]
+            gains[2], predicted[2], rows[2] = gains[2] / 2, has_gamma * predicted[2], [has_gamma * x for x in rows[2]]
         count = state.used * (state.used > 1.5) if self.confirm else state.used
         gains = startup_gains(short_step_gains(gains, since, self.period), count)
-        mean = torch.cat(updated(ahead, gains, since, used * (innovation.z - ahead[0])), -1)
+        mean = torch.cat(update_axes(predicted, gains, since, used * (innovation.z - predicted[0])), -1)
         return Gaussian(mean, corrected_root(rows, gains, since, used, innovation.std))
 
     def _where(self, mask: Tensor, yes: Gaussian, no: Gaussian) -> Gaussian:
@@ -393,14 +393,14 @@ def _info(vote: Vote, test: OutlierTest, level: Tensor) -> AlphaBetaInfo:
     return AlphaBetaInfo(place, vote.vote > 0.5, vote.manoeuvre > 0.5, test.rejected > 0.5, test.again > 0)
 
 
-def _polar(z: Tensor, ahead: Tensor, std: Tensor) -> Tensor:
+def _polar(z: Tensor, predicted: Tensor, std: Tensor) -> Tensor:
     """Residuals ``(..., 2)`` of range and azimuth, in std."""
-    ground = ahead[..., :2].square().sum(-1)
+    ground = predicted[..., :2].square().sum(-1)
     safe = torch.where(ground > 0, ground, 1.0).sqrt()
-    cross = ahead[..., 0] * z[..., 1] - ahead[..., 1] * z[..., 0]
-    dot = (ahead[..., :2] * z[..., :2]).sum(-1)
+    cross = predicted[..., 0] * z[..., 1] - predicted[..., 1] * z[..., 0]
+    dot = (predicted[..., :2] * z[..., :2]).sum(-1)
     along_circle = torch.atan2(cross, dot) * safe  # metres
-    radial = z.square().sum(-1).sqrt() - ahead.square().sum(-1).sqrt()
+    radial = z.square().sum(-1).sqrt() - predicted.square().sum(-1).sqrt()
     return torch.stack([radial.abs(), along_circle.abs()], -1) / std.mean(-1, keepdim=True)
 
 

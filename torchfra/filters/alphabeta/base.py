@@ -93,5 +93,5 @@ def record(state: Any, residual: Tensor, frame: Frame, std: Tensor, info: Any) -
     """
     std = std.expand_as(residual)
     whitened = residual * frame.measurement_noise.scale
-    std = torch.where(frame.seen > 0, std, 1.0)
+    std = torch.where(frame.measured > 0, std, 1.0)
     return Record(Gaussian(state.mean, state.root), whitened, std.diag_embed(), whitened / std, info)

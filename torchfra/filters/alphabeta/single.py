@@ -12,13 +12,13 @@ from torchfra.filters.alphabeta import gains as design
 from torchfra.filters.alphabeta.axes import (
     corrected_root,
     full_root,
-    predicted,
+    predict_axes,
+    predict_root,
     residual_spread,
-    root_ahead,
     root_rows,
     short_step_gains,
     startup_gains,
-    updated,
+    update_axes,
 )
 from torchfra.filters.alphabeta.base import ConstantGainFilter, record
 from torchfra.filters.alphabeta.gains import Gains
@@ -103,14 +103,14 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
     def advance(self, state: AlphaBetaState, frame: Frame, mix: Mix | None = None) -> tuple[AlphaBetaState, Record]:
         """One step: prediction, residual, update by the gains."""
         dt, since = frame.dt.unsqueeze(-1), state.since + frame.dt.unsqueeze(-1)
-        ahead = predicted(self._components(state.mean), dt)
-        residual = frame.seen * (frame.z - ahead[0])
+        predicted = predict_axes(self._components(state.mean), dt)
+        residual = frame.measured * (frame.z - predicted[0])
         gains = self._gains_now(self._gains(residual), since, state.used)
-        std, rows = frame.measurement_noise.std, root_ahead(root_rows(state.root), dt)
-        mean = torch.cat(updated(ahead, gains, since, residual), -1)
-        root = corrected_root(rows, gains, since, frame.seen, std)
+        std, rows = frame.measurement_noise.std, predict_root(root_rows(state.root), dt)
+        mean = torch.cat(update_axes(predicted, gains, since, residual), -1)
+        root = corrected_root(rows, gains, since, frame.measured, std)
         root = root.expand(*mean.shape[:-1], *root.shape[-2:])
-        state = AlphaBetaState(mean, root, state.used + frame.seen, since * (1 - frame.seen))
+        state = AlphaBetaState(mean, root, state.used + frame.measured, since * (1 - frame.measured))
         return state, record(state, residual, frame, residual_spread(rows, std), None)
 
     def _gains(self, like: Tensor) -> list[Tensor]:

@@ -155,7 +155,7 @@ class GPB(Filter[GPBState]):
 
     def advance(self, state: GPBState, frame: Frame, mix: Mix | None = None) -> tuple[GPBState, Record]:
         """One step; ``mix`` is not looked at, as this filter mixes itself."""
-        regimes, angles, measured = self.regimes, self.motion.angles, frame.seen.sum(-1) > 0
+        regimes, angles, measured = self.regimes, self.motion.angles, frame.measured.sum(-1) > 0
         before = from_state(state.hypotheses, state.log_weights, (BEFORE, MOTION))
         moves = regimes.moves(before.log_weight, frame.dt, measured)  # (1)
         mixed, mixing = self.mix(before.belief, moves)  # (2)
@@ -165,7 +165,7 @@ class GPB(Filter[GPBState]):
         after = regimes.merged(updated, angles)  # (6)
         belief = estimate(after.belief, after.shares(MOTION)[0] * found.mode, self.motion)  # (7)
         origin = mixing.smoothed(regimes.by_motion(found.probability.sum(OUTLIER, keepdim=True)))
-        settled = estimate(before.belief, safe_sqrt(origin), self.motion)  # (8)
+        lagged = estimate(before.belief, safe_sqrt(origin), self.motion)  # (8)
 
         if_any = (found.share[1:].unsqueeze(-1) * outlier).sum((OUTLIER, MOTION, BEFORE))
         if_any = torch.where(measured.unsqueeze(-1), if_any, state.outlier)
@@ -173,10 +173,10 @@ class GPB(Filter[GPBState]):
         of_regimes = batch_first(found.probability.sum((OUTLIER, BEFORE), keepdim=True), MOTION)
         carried = *to_state(Hypotheses(after.belief, found.log_regimes), (OUTLIER, MOTION)), if_any
         expected = self.compare(self.expected(predicted), frame)
-        info = Step(tree.Late(settled), of_regimes, any_outlier * if_any)
+        info = Step(tree.Late(lagged), of_regimes, any_outlier * if_any)
         past = GPBPast(*carried, batch_first(nis, BEFORE), measured.to(nis).expand(nis.shape[3:]))
         record = Record(belief, expected.residual, *innovation(expected), info, found.log_likelihood, past=past)
-        return GPBState(belief, settled, *carried), record
+        return GPBState(belief, lagged, *carried), record
 
     def mix(self, before: Gaussian, moves: Moves) -> tuple[Gaussian, Mixing]:
         """What each motion starts from, ``(1, K, 2, ...)``: its own belief, or what is known where others end."""
@@ -201,7 +201,7 @@ class GPB(Filter[GPBState]):
         ahead = carry(self.bank, self.motion_rule, mixed, for_each_model(frame))
         agile = self.regimes.agile_prediction(ahead)
         _, normalised = innovation(self.compare(self.read(agile), frame))
-        nis = normalised.square().sum(-1) / frame.seen.sum(-1).clamp_min(1.0)
+        nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
         nis = torch.where(frame.dt == 0, 0.0, nis)  # over no time nothing jumps
         predicted = self.regimes.predictions(ahead, nis, self.motion.position)
         return Hypotheses(predicted, self.regimes.rarer(log_weight, nis)), nis
@@ -209,7 +209,7 @@ class GPB(Filter[GPBState]):
     def update(self, predicted: Hypotheses, frame: Frame, before: tuple[Tensor, Tensor]) -> tuple[Hypotheses, Tensor]:
         """Hypotheses after the measurement: see ``Outliers.update``."""
         d = self.sensor.reads
-        return self.outliers.update(predicted, lambda x: self.compare(x, frame), d, 1 - frame.seen, before)
+        return self.outliers.update(predicted, lambda x: self.compare(x, frame), d, 1 - frame.measured, before)
 
     def expected(self, predicted: Hypotheses) -> Gaussian:
         """What the sensor reads of all predictions together, ``(..., d)``."""
@@ -220,8 +220,8 @@ class GPB(Filter[GPBState]):
     def finish(self, state: GPBState, belief: Gaussian, info: Step) -> tuple[Gaussian, GPBInfo]:
         """Each step's settled estimate comes with the next."""
         time = info.regimes.dim() - 2
-        settled = tree.one_earlier(info.settled, state.belief, time, info.regimes.shape[time])
-        return settled if self.lag else belief, GPBInfo(belief, settled, info.regimes, info.outlier)
+        lagged = tree.one_earlier(info.lagged, state.belief, time, info.regimes.shape[time])
+        return lagged if self.lag else belief, GPBInfo(belief, lagged, info.regimes, info.outlier)
 
     # ------------------------------------------------------------ what is expected later
 
@@ -296,7 +296,7 @@ class GPB(Filter[GPBState]):
 
     decided = fresh
 
-    def needed_ahead(self, past: GPBPast) -> GPBPast:
+    def needed_of_next(self, past: GPBPast) -> GPBPast:
         """How far off the measurement was, if there was any."""
         return GPBPast(None, None, None, past.nis, past.measured)  # type: ignore[arg-type]  # nothing reads the others
 

@@ -54,8 +54,8 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
         step: two ``GPBPast``, and the frame between them.
         after: smoothed.
     """
-    regimes, difference, frame, measured = f.regimes, f.motion.difference, step.frame, step.ahead.measured > 0
-    nis = step.ahead.nis.movedim(-1, 0)[None, None, :, None]
+    regimes, difference, frame, measured = f.regimes, f.motion.difference, step.frame, step.next.measured > 0
+    nis = step.next.nis.movedim(-1, 0)[None, None, :, None]
     before = from_state(step.past.hypotheses, step.past.log_weights, (BEFORE, MOTION_BEFORE), AXES)
     later = from_state(after.hypotheses, after.log_weights, (OUTLIER, MOTION), AXES)
     prior, prior_of_carried = (_prior(f, x, nis, frame.dt, measured) for x in (step.past, step.carried))

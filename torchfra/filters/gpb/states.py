@@ -19,7 +19,7 @@ class GPBState(NamedTuple):
 
     belief: Gaussian
     """All hypotheses together."""
-    settled: Gaussian
+    lagged: Gaussian
     """Of the step before, now that its hypotheses have met the measurement of this one, if there is any."""
     hypotheses: Gaussian
     """``(..., 2, K)`` without and with an outlier in the measurement, for each motion."""
@@ -34,7 +34,7 @@ class GPBInfo(NamedTuple):
 
     filtered: Gaussian
     """``mean (..., T, n)`` and ``scale_tril``: what was known at the step itself."""
-    settled: Gaussian
+    lagged: Gaussian
     """The same, with the step's hypotheses weighed by the next step's measurement; as filtered where there is none."""
     regimes: Tensor
     """``(..., T, R)`` probabilities of the regimes."""
@@ -46,7 +46,7 @@ class GPBInfo(NamedTuple):
 class Step(NamedTuple):
     """What one step says: of itself, and now for good of the one before."""
 
-    settled: Late
+    lagged: Late
     regimes: Tensor
     outlier: Tensor
 

@@ -43,14 +43,15 @@ def missed(inner: Filter, state: Any, frame: Frame, sensor: Sensor) -> tuple[Any
     z = torch.zeros_like(frame.z[..., :1, :])
     nothing = sensor.measurement_noise(torch.full_like(z, torch.nan))
     rank = state.belief.mean.dim() - 1
-    state, record = inner.advance(_with_rows(state, rank, 1), frame._replace(z=z, seen=z, measurement_noise=nothing))
+    frame = frame._replace(z=z, measured=z, measurement_noise=nothing)
+    state, record = inner.advance(_with_rows(state, rank, 1), frame)
     return _rows_first((state, record.info), rank, 1), record
 
 
 def measured(inner: Filter, state: Any, frame: Frame, inside: Tensor) -> Pairs:
     """The states that each measurement ``inside (..., N, J)`` a target's gate would lead to."""
     number, rank = gated_first(inside), state.belief.mean.dim() - 1
-    frame = chosen(frame, number, inside.shape, only=("z", "seen", "measurement_noise"))
+    frame = chosen(frame, number, inside.shape, only=("z", "measured", "measurement_noise"))
     state, record = inner.advance(_with_rows(state, rank, number.shape[-1]), frame)
     _, log_density = inner._scores(record, frame.measurement_noise.log_norm)
     nowhere = torch.full(inside.shape, -torch.inf, dtype=log_density.dtype, device=log_density.device)

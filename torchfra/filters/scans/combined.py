@@ -37,7 +37,7 @@ def learned(
     share = association.probabilities
     if side.adapt != when:
         return memory
-    memory = side(memory, *weighted_mean(side.excess(whitened), share, frame.seen))
+    memory = side(memory, *weighted_mean(side.excess(whitened), share, frame.measured))
     if not share_noise:
         return memory
     measured = share.sum(-1)[..., None, None]  # how probably each target was
@@ -54,7 +54,7 @@ def widen(
     if memory is None:
         return prediction, known, None, None
     share = association.probabilities
-    residual, total = weighted_mean(known.residual, share, frame.seen)
+    residual, total = weighted_mean(known.residual, share, frame.measured)
     memory = f.fading.remember(memory, residual, (total >= 0.5).to(residual))
     nearest = likeliest(share, known)
     nis = scan.candidates.nis.gather(-1, share.argmax(-1, keepdim=True))

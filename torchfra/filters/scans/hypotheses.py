@@ -110,7 +110,7 @@ def likeliest(share: Tensor, whitened: Whitened) -> Whitened:
     return chosen(whitened, share.argmax(-1, keepdim=True), share.shape)
 
 
-def weighted_mean(x: Tensor, share: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
+def weighted_mean(x: Tensor, share: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
     """Mean ``(..., N, 1, m)`` of ``x (..., N, J, m)`` by the probability of each measurement, and their sum.
 
     0 where the sum is below a half: nothing is learned from it then.
@@ -118,9 +118,9 @@ def weighted_mean(x: Tensor, share: Tensor, seen: Tensor) -> tuple[Tensor, Tenso
     Args:
         x: of each measurement.
         share: ``(..., N, J)`` probability that it is the target's.
-        seen: ``(..., 1, J, m)`` 1 where measured.
+        measured: ``(..., 1, J, m)`` 1 where measured.
     """
-    weight = share.unsqueeze(-1) * seen
+    weight = share.unsqueeze(-1) * measured
     x = torch.where(weight > 0, x, 0.0)  # others may be infinite
     total = weight.sum(-2, keepdim=True)
     return safe_divide((weight * x).sum(-2, keepdim=True), torch.where(total >= 0.5, total, 0.0)), total

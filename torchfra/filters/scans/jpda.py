@@ -155,7 +155,7 @@ class JPDA(Soft, Filter[JPDAState]):
         inner, scan, association, info = follow(state.inner, times, miss, frame)
         innovation = combined(association.probabilities, scan.whitened.residual, scan.root, scan.normalised, frame)
         record = Record(inner.belief, *innovation, info, association.evidence, past=searched)
-        return JPDAState(inner, missed_scans(state.missed, association, frame.seen, looked), searched), record
+        return JPDAState(inner, missed_scans(state.missed, association, frame.measured, looked), searched), record
 
     def by_innovations(
         self, state: State, times: Tensor | None, miss: Tensor, frame: Frame
@@ -176,7 +176,7 @@ class JPDA(Soft, Filter[JPDAState]):
         association = self.associate(scan, self.inside(scan), miss)  # (25)-(27)
         learn = partial(learned, f.noise, association=association, frame=frame, share_noise=self.share_noise)
         noise = learn(noise, scan.whitened, "innovation")  # (19)
-        known = f.noise.known(scan.whitened, noise, frame.seen)
+        known = f.noise.known(scan.whitened, noise)
         prediction, known, fading, factor = widen(f, prediction, known, fading, scan, association, frame)
         belief, weights = update(f, prediction.belief, known, scan, association, frame)  # (28)-(30)
         if f.noise.adapt == "residual":
@@ -203,22 +203,22 @@ class JPDA(Soft, Filter[JPDAState]):
     def look(self, f: Any, belief: Gaussian, noise: Any, frame: Frame) -> Scan:
         """The measurements of a scan against the prediction ``belief (..., N, 1)`` of a filter for each target."""
         whitened, side = f.compare(belief, frame), None if noise is None else f.noise
-        known = whitened if side is None else side.known(whitened, noise, frame.seen)
+        known = whitened if side is None else side.known(whitened, noise)
         root, normalised = innovation(known)
-        every = frame.seen if root.shape[-3] > 1 else torch.ones_like(frame.seen[..., :1, :])
+        every = frame.measured if root.shape[-3] > 1 else torch.ones_like(frame.measured[..., :1, :])
         root = root if side is None else side.nominal(root, noise, every)
-        seen, unit = frame.seen > 0, frame.measurement_noise
+        measured, unit = frame.measured > 0, frame.measurement_noise
         gap = unit.colour(whitened.residual.unsqueeze(-1)).squeeze(-1)
         expected = self.sensor.at_points(belief.mean, frame.u)
-        predicted = torch.where(seen, frame.z - gap, expected)
-        z = torch.where(seen, frame.z, expected)
-        candidates = Candidates(z, predicted, frame.seen, normalised.square().sum(-1))
+        predicted = torch.where(measured, frame.z - gap, expected)
+        z = torch.where(measured, frame.z, expected)
+        candidates = Candidates(z, predicted, frame.measured, normalised.square().sum(-1))
         return Scan(whitened, root, normalised, candidates, density(root, normalised) + unit.log_norm)
 
     def inside(self, scan: Scan) -> Tensor:
         """Log membership ``(..., N, J)`` of measurements in gates; minus infinity outside, and where missing."""
         candidates = scan.candidates
-        measured = candidates.seen.sum(-1) > 0
+        measured = candidates.measured.sum(-1) > 0
         temperature = self.heat if self.soft else 0.0
         return torch.where(measured, self.gate(candidates, self.sensor, temperature), -torch.inf)
 
@@ -255,7 +255,7 @@ class JPDA(Soft, Filter[JPDAState]):
         """The past as it is: no later scan decides anything of it."""
         return past
 
-    decided = needed_ahead = fresh
+    decided = needed_of_next = fresh
 
     def last(self, past: ScanPast) -> tuple[Gaussian, Smoothed]:
         """The last scan, which no later one speaks of."""
@@ -264,16 +264,16 @@ class JPDA(Soft, Filter[JPDAState]):
 
     def retreat(self, step: BackwardStep, after: Gaussian) -> tuple[Gaussian, Smoothed]:
         """One scan back, of each target for itself."""
-        belief, factor = tree.insert_batch_dimension(step.past.inner.belief), step.ahead.inner.factor
-        ahead = self.inner.carry(belief, step.frame, None if factor is None else factor.unsqueeze(-1))
-        times = 2 ** (step.ahead.searched - step.past.searched).clamp_min(0.0)[..., None, None, None]
-        spread, noise = times * ahead.spread, times * ahead.process_noise
-        subtracted = None if ahead.subtracted is None else times * ahead.subtracted
-        ahead = ahead._replace(spread=spread, process_noise=noise, subtracted=subtracted)
-        told = self.inner.reverse(belief, ahead, tree.insert_batch_dimension(after))
-        repaired = None if told.repaired is None else told.repaired.squeeze(-1)
-        told = Smoothed(tree.remove_batch_dimension(told.belief), repaired=repaired)
-        return told.belief, told
+        belief, factor = tree.insert_batch_dimension(step.past.inner.belief), step.next.inner.factor
+        carried = self.inner.carry(belief, step.frame, None if factor is None else factor.unsqueeze(-1))
+        times = 2 ** (step.next.searched - step.past.searched).clamp_min(0.0)[..., None, None, None]
+        spread, noise = times * carried.spread, times * carried.process_noise
+        subtracted = None if carried.subtracted is None else times * carried.subtracted
+        carried = carried._replace(spread=spread, process_noise=noise, subtracted=subtracted)
+        smoothed = self.inner.reverse(belief, carried, tree.insert_batch_dimension(after))
+        repaired = None if smoothed.repaired is None else smoothed.repaired.squeeze(-1)
+        smoothed = Smoothed(tree.remove_batch_dimension(smoothed.belief), repaired=repaired)
+        return smoothed.belief, smoothed
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """The batch of scenes, checked; targets are no part of it."""

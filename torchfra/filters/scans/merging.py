@@ -110,7 +110,7 @@ def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
     angles = inner.motion.angles
     return GPBState(
         moment_match(states.belief, log_weights, angles),
-        moment_match(states.settled, log_weights, angles),
+        moment_match(states.lagged, log_weights, angles),
         moment_match(states.hypotheses, shares, angles),
         log_sum(joint, 0),
         averaged(states.outlier, some),

@@ -1,4 +1,4 @@
-"""A look ahead: what a filter expects, without a measurement."""
+"""A forecast: the state after a time step and a measurement of it, before it is measured."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from torchfra.gaussian.model import canonical
 from torchfra.types import Gaussian
 
 
-class Ahead(NamedTuple):
-    """What is expected, of all hypotheses together: see ``Filter.predict``."""
+class Forecast(NamedTuple):
+    """What a filter expects, with the moments of all its hypotheses: see ``Filter.predict``."""
 
     belief: Gaussian
     """``(..., n)`` of the state."""
@@ -23,33 +23,33 @@ class Ahead(NamedTuple):
     """``(..., m)`` of a measurement of it, its noise included; angles are near that of the mean state."""
 
 
-def look_ahead(f: Any, state: Any, frame: Frame) -> Ahead:
+def forecast(f: Any, state: Any, frame: Frame) -> Forecast:
     """What a filter expects after a step.
 
     Args:
-        f: gives hypotheses by ``predict_hypotheses``, and measurements of them by ``predict_innovation``.
+        f: gives hypotheses by ``predict_hypotheses``, and innovations of them by ``predict_innovation``.
         state: before the step.
         frame: of the step, with nothing measured.
     """
     beliefs, log_weights = f.predict_hypotheses(state, frame)
-    belief = _together(beliefs, log_weights, f.motion.angles)
-    belief = canonical(f.motion, belief)
+    belief = canonical(f.motion, _moments(beliefs, log_weights, f.motion.angles))
     z = f.sensor.at_points(belief.mean, frame.u)
     noise = f.sensor.measurement_noise(z)
-    seen = frame._replace(z=z, seen=torch.ones_like(z), measurement_noise=noise)
-    residual, root = _together(f.predict_innovation(state, beliefs, seen), log_weights)
-    apart = noise.colour(residual.unsqueeze(-1)).squeeze(-1)
-    return Ahead(belief, Gaussian(z - apart, noise.colour(root)))
+    frame = frame._replace(z=z, measured=torch.ones_like(z), measurement_noise=noise)
+    # The measurement at the mean, compared with the hypotheses: the mean of z - h(x), and its root.
+    residual, root = _moments(f.predict_innovation(state, beliefs, frame), log_weights)
+    offset = noise.colour(residual.unsqueeze(-1)).squeeze(-1)
+    return Forecast(belief, Gaussian(z - offset, noise.colour(root)))
 
 
-def _together(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] = ()) -> Gaussian:
-    """One Gaussian for hypotheses ``(K, ...)`` whose components are ``angles`` here and there."""
+def _moments(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] = ()) -> Gaussian:
+    """The Gaussian with the moments of hypotheses ``(K, ...)``; ``angles`` are components that are angles."""
     if len(log_weights) > 1:
         return moment_match(beliefs, log_weights, angles)
     return Gaussian(beliefs.mean[0], beliefs.scale_tril[0])
 
 
-def only(belief: Gaussian) -> tuple[Gaussian, Tensor]:
+def one_hypothesis(belief: Gaussian) -> tuple[Gaussian, Tensor]:
     """A belief ``(..., n)`` as the only hypothesis ``(1, ..., n)``, and the log of its weight."""
     mean, root = (x.unsqueeze(0) for x in belief)
     return Gaussian(mean, root), torch.zeros_like(mean[..., 0])
