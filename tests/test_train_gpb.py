@@ -153,6 +153,7 @@ def test_a_loss_is_a_power_of_the_ratios_to_what_is_allowed_within_bounds(traini
     assert training.losses_of(cases)[0] == 12.0**POWER
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_rivals_have_the_same_runs_as_the_filters(training):
     for cases, runs in ((training.cases, training.config.batch), (training.unseen, training.config.validation_runs)):
         assert all(len(batch.z) == runs * len(tasks) for tasks, batch in cases.groups)
