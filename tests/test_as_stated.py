@@ -9,6 +9,8 @@ from torchfra.metrics import nees, rmse
 from torchfra.scenarios import as_stated, bound
 
 RUNS, FIRST = 200, 20
+CHI_SQUARE = 5.991
+"""95 % of chi-square with 2 degrees of freedom."""
 KALMAN = ("ekf", "ukf", "ghckf", "mr_ckf", "hghckf1", "iaukf", "fra", "gpb")
 """Presets that give nothing up where the models hold."""
 PRICES = {"fra_srckf": 1.04, "asrckf": 1.08, "rmckf": 1.12, "hghckf2": 1.06, "hghckf": 1.12, "rsrckf": 1.12}
@@ -66,6 +68,27 @@ def test_gpb_smoothed_or_settled_is_a_kalman_filter_too(lag):
                 for f in (gpb, plain)
             ]
             assert errors[0] < 1.02 * errors[1]
+
+
+@pytest.mark.parametrize("models", MODELS, ids=str)
+def test_ellipses_of_gpb_that_promise_95_percent_cover_93_to_97(models):
+    scenario, of = tracks(models)
+    gpb = presets.gpb(scenario.motion, scenario.sensor)
+    with torch.no_grad():
+        filtered, smoothed = gpb(of.z, of.prior, dt=scenario.dt), gpb.smooth(of.z, of.prior, dt=scenario.dt)
+    for belief in (filtered, filtered.info.lagged, smoothed):
+        inside = nees(belief, of.truth, scenario.position)[:, FIRST:] < CHI_SQUARE
+        assert 0.93 < inside.double().mean() < 0.97
+
+
+@pytest.mark.slow
+def test_gpb_with_a_bank_that_switches_as_stated_is_as_good_as_interacting_models():
+    models = {"index": 0.1, "motion": "bank"}
+    scenario, _ = tracks(models)
+    plain, _ = error_and_nees(presets.imm_srckf(scenario.bank, scenario.sensor), models)
+    found, honest = error_and_nees(presets.gpb(scenario.bank, scenario.sensor), models)
+    assert found < 1.04 * plain
+    assert 0.9 < honest < 1.1
 
 
 @pytest.mark.slow

@@ -122,17 +122,17 @@ class Regrets(Training):
         """Tracks, and the best rivals on them; tasks with the same models are one batch."""
         config, scenarios = self.config, self.held_out if held_out else self.scenarios
         best, known = torch.ones(len(scenarios), dtype=torch.float64), dict[str, float]()
-        together: dict[str, list[int]] = {}
+        together: dict[tuple[str, int], list[int]] = {}
         for i in progress_bar(self.counted, "best rivals, unseen" if held_out else "best rivals", not self.quiet):
             task = config.tasks[i]
-            scenario = repr((task.scenario, task.options))
+            scenario = repr((task.scenario, task.options, task.runs))
             if scenario not in known:
-                known[scenario] = self.best_rival(i, held_out=held_out, runs=runs, seed=seed)[1]
+                known[scenario] = self.best_rival(i, held_out=held_out, runs=task.runs or runs, seed=seed)[1]
             best[i] = known[scenario]
-            together.setdefault(_values(scenarios[i]), []).append(i)
+            together.setdefault((_values(scenarios[i]), task.runs or runs), []).append(i)
         groups = [
-            (tasks, simulate([scenarios[i] for i in tasks], first=0, runs=runs, seed=seed, device=config.device))
-            for tasks in together.values()
+            (tasks, simulate([scenarios[i] for i in tasks], first=0, runs=count, seed=seed, device=config.device))
+            for (_, count), tasks in together.items()
         ]
         return Cases(groups, best)
 

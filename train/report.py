@@ -78,8 +78,9 @@ def _regrets(training: Regrets, quiet: bool) -> list[dict[str, Any]]:
     learned = copy.deepcopy(training.filter.state_dict())
     for i in progress_bar(range(len(config.tasks)), "test", not quiet):
         task = config.tasks[i]
-        name, best = training.best_rival(i, held_out=True, runs=config.test_runs, seed=config.test_seed)
-        batch = simulate([training.held_out[i]], first=0, runs=config.test_runs, seed=config.test_seed)
+        runs = task.runs or config.test_runs
+        name, best = training.best_rival(i, held_out=True, runs=runs, seed=config.test_seed)
+        batch = simulate([training.held_out[i]], first=0, runs=runs, seed=config.test_seed)
         errors: dict[str, Any] = {"scenario": task.scenario, **task.options, "models": task.models,
                                   "weight": task.weight, "rival": {"filter": name, "rmse_position": best}}  # fmt: skip
         for when, state in (("before", training.start), ("after", learned)):

@@ -29,10 +29,11 @@ def gpb(holds: float = HOLDS, cases: float = CASES) -> Config:
         cases: regret that is allowed in the scenarios.
     """
     kinds = ("none", "covariance", "std", "bursts")
-    starts = [Task("bearings-outliers", {"initial": initial}) for initial in ("paper", "truth")]
-    flights = [Task("recorded", {"sensor": sensor}) for sensor in ("bearings", "position", "radar")]
-    tasks = [_task(task, outliers=kind) for task in (*starts, Task("bearings-manoeuvre"), *flights) for kind in kinds]
-    tasks += [Task("ranges-outliers", {"outliers": kind}) for kind in ("short", "both")]
+    bearings = [Task("bearings-outliers", {"initial": initial}, runs=320) for initial in ("paper", "truth")]
+    bearings.append(Task("bearings-manoeuvre", runs=200))
+    flights = [Task("recorded", {"sensor": sensor}, runs=32) for sensor in ("bearings", "position", "radar")]
+    tasks = [_task(task, outliers=kind) for task in (*bearings, *flights) for kind in kinds]
+    tasks += [Task("ranges-outliers", {"outliers": kind}, runs=24) for kind in ("short", "both")]
     tasks += [replace(task, models="motion") for task in tasks if task.scenario in SINGLE]
     unseen = [Task("ranges-outliers", {"outliers": "nlos", "anchors": "around"}, weight=0.0)]
     return Config(
@@ -50,13 +51,13 @@ def gpb(holds: float = HOLDS, cases: float = CASES) -> Config:
         },
         hold={"noise_levels": [1]},  # the process noise that is stated
         rivals=("srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "hghckf1", "iaukf", "fra", "imm_srckf", "imm_fra"),
-        batch=160,
+        batch=64,
         iterations=60,
         lr=0.15,
         population=12,
         temperature=0.0,
         validate_every=4,
-        validation_runs=160,
+        validation_runs=64,
         patience=6,
         test_runs=200,
     )  # fmt: skip
