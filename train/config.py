@@ -29,7 +29,7 @@ class Task:
     allowed: float = 0.0
     """Loss ``"regret"``: how far behind the best rival a filter may be; what is beyond that counts for much more."""
     runs: int = 0
-    """Loss ``"regret"``: tracks of this task, to learn from and to be seen later; 0 for as many as the run has of each."""
+    """Loss ``"regret"``: tracks of this task, to learn from and later; 0 for as many as the run has of each."""
     models: str = "any"
     """What a filter that takes either is given of the scenario: its ``"motion"``, its ``"bank"``, or ``"any"``: the
     bank if it has one."""
