@@ -304,7 +304,7 @@ def test_simulated_levels_and_outliers_come_as_often_as_their_chains_say():
 @pytest.mark.slow
 def test_levels_chains_and_sizes_a_factor_three_off_are_found_again(tmp_path, monkeypatch):
     """All but the calm level, which the agile one outweighs when both are merged."""
-    fewer = ["batch=24", "iterations=350", "lr=0.4", "validate_every=350"]
+    fewer = ["batch=24", "iterations=500", "lr=0.4", "validate_every=500"]
     values = tune.tune(configured("recover_gpb", fewer), tmp_path, quiet=True)["values"]
     learned, known = values["learned"], values["known"]
     for path in (
