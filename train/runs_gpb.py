@@ -43,20 +43,21 @@ def gpb(holds: float = HOLDS, cases: float = CASES) -> Config:
         tasks=(*(replace(task, allowed=cases) for task in tasks), *stated(holds), *unseen),
         learn=("all",),
         start={
-            "noise_levels": [0.003, 1.0, 5.0, 80.0], "jump_factors": [5.0],
-            "self_transition": [0.999, 0.9995, 0.85, 0.99, 0.993, 0.05],
-            "restart": [0.08, 0.25, 0.12, 0.002, 0.547998, 2e-6],
-            "outlier_transition": [[0.9996, 0.0004], [0.94, 0.06]], "outlier_sizes": [8.5, 50.0, 1850.0, 2e4],
-            "outlier_shares": [0.7, 0.2989, 0.0005, 0.0006], "prior_outlier": 0.01, "prior_inflation": 90.0,
+            "noise_levels": [0.00326, 1.0, 5.02, 81.8], "jump_factors": [5.18],
+            "self_transition": [0.999168, 0.999545, 0.847, 0.9896, 0.99325, 0.0415],
+            "restart": [0.0758, 0.234, 0.122, 0.00234, 0.56585812, 1.88e-06],
+            "outlier_transition": [[0.999597, 0.000403], [0.9401, 0.0599]],
+            "outlier_sizes": [8.46, 49.4, 1830.0, 20000.0],
+            "outlier_shares": [0.694928, 0.304, 0.000473, 0.000599], "prior_outlier": 0.0109, "prior_inflation": 92.7,
         },
         hold={"noise_levels": [1]},  # the process noise that is stated
         rivals=("srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "hghckf1", "iaukf", "fra", "imm_srckf", "imm_fra"),
         batch=64,
-        iterations=60,
-        lr=0.15,
+        iterations=16,
+        lr=0.1,
         population=12,
         temperature=0.0,
-        validate_every=4,
+        validate_every=2,
         validation_runs=64,
         patience=6,
         test_runs=200,
@@ -79,8 +80,8 @@ def stated(holds: float) -> list[Task]:
     tasks += [told(OFF, index, q=q) for index in indices for q in (0.1, 10.0)]
     tasks += [told(OFF, q=q, motion="acceleration") for q in (0.1, 10.0)]
     tasks += [told(OFF, outliers="std", q=q) for q in (0.1, 10.0)]
-    tasks += [told(0.6, index, q=0.01) for index in indices]
-    return tasks + [told(0.2, index, std=std) for index in indices for std in (0.5, 2.0)]
+    tasks += [told(1.0, index, q=0.01) for index in indices]
+    return tasks + [told(0.4, index, std=std) for index in indices for std in (0.5, 2.0)]
 
 
 def gpb_bearings() -> Config:
