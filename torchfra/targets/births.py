@@ -11,10 +11,10 @@ from torch.nn.functional import pad
 
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
-from torchfra.numbers import real
+from torchfra.numbers import as_number
 from torchfra.targets.assignment import scipy
 from torchfra.targets.places import from_cartesian, known_components
-from torchfra.targets.state import Unexplained, joined, rows
+from torchfra.targets.state import Unassociated, joined, rows
 from torchfra.types import Gaussian
 
 _SIGMAS = 3.0
@@ -47,7 +47,7 @@ class Birth(nn.Module):
         super().__init__()
         self.more = _positive("more", more)
 
-    def forward(self, motion: Motion, now: Unexplained, before: Unexplained) -> tuple[Newborn, Unexplained]:
+    def forward(self, motion: Motion, now: Unassociated, before: Unassociated) -> tuple[Newborn, Unassociated]:
         """Who begins, and which measurements of this scan the next scan's births may begin with.
 
         Args:
@@ -84,7 +84,7 @@ class OnePoint(Birth):
         super().__init__(more)
         self.velocity = _positive("velocity", velocity)
 
-    def forward(self, motion: Motion, now: Unexplained, before: Unexplained) -> tuple[Newborn, Unexplained]:
+    def forward(self, motion: Motion, now: Unassociated, before: Unassociated) -> tuple[Newborn, Unassociated]:
         """A target for each measurement; none is left."""
         position, root = now.position
         dims = motion.dims
@@ -118,7 +118,7 @@ class TwoPoint(Birth):
         super().__init__(more)
         self.speed = _positive("speed", speed)
 
-    def forward(self, motion: Motion, now: Unexplained, before: Unexplained) -> tuple[Newborn, Unexplained]:
+    def forward(self, motion: Motion, now: Unassociated, before: Unassociated) -> tuple[Newborn, Unassociated]:
         """A target for each pair; what is in none is left."""
         old, new = self._pairs(now, before)
         (first, first_root), since = before.position, before.since[old][:, None]
@@ -131,7 +131,7 @@ class TwoPoint(Birth):
         same = rows(before, before.since == 0)
         return Newborn(belief, now.scene[new], 2), joined(same, rows(now, left))
 
-    def _pairs(self, now: Unexplained, before: Unexplained) -> tuple[Tensor, Tensor]:
+    def _pairs(self, now: Unassociated, before: Unassociated) -> tuple[Tensor, Tensor]:
         """Rows of the measurements before and now that belong together."""
         pairs = [torch.zeros(2, 0, dtype=torch.int64, device=now.scene.device)]
         for scene in before.scene.unique():
@@ -142,7 +142,7 @@ class TwoPoint(Birth):
         old, new = torch.cat(pairs, 1)
         return old, new
 
-    def _costs(self, before: Unexplained, now: Unexplained) -> tuple[Any, Tensor]:
+    def _costs(self, before: Unassociated, now: Unassociated) -> tuple[Any, Tensor]:
         """Distances ``(K, L)``, one for all that are too far, and which are not."""
         distance = (before.position.mean.unsqueeze(1) - now.position.mean).norm(dim=-1)
         spread = [torch.linalg.matrix_norm(x.position.scale_tril) for x in (before, now)]
@@ -157,6 +157,6 @@ class TwoPoint(Birth):
 
 
 def _positive(name: str, value: float) -> float:
-    if not 0 < real(value) < math.inf:
+    if not 0 < as_number(value) < math.inf:
         raise ValueError(f"{name}: expected a number above 0, received {value}")
     return float(value)

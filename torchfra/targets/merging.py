@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from torchfra.linalg.triangular import hstack, tria, whiten
 from torchfra.motion.base import Motion
-from torchfra.numbers import real
+from torchfra.numbers import as_number
 from torchfra.targets.clusters import Group
 from torchfra.targets.state import Track
 from torchfra.types import Gaussian
@@ -34,7 +34,7 @@ class Merging(nn.Module):
 
     def __init__(self, distance: float = 0.3) -> None:
         super().__init__()
-        if not 0 < real(distance) < math.inf:
+        if not 0 < as_number(distance) < math.inf:
             raise ValueError(f"distance: expected a number above 0, received {distance}")
         self.distance = float(distance)
 
@@ -47,7 +47,7 @@ class Merging(nn.Module):
             track: of each.
             groups: clusters of them.
         """
-        ends = torch.zeros_like(track.confirmed)
+        deleted = torch.zeros_like(track.confirmed)
         for targets in (group.targets for group in groups if group.targets.shape[-1] > 1):
             one, other = targets[:, torch.combinations(torch.arange(targets.shape[-1]))].flatten(0, 1).unbind(-1)
             gap = motion.difference(belief.mean[one], belief.mean[other])
@@ -56,8 +56,8 @@ class Merging(nn.Module):
             rank = [track.confirmed[x].to(torch.int64) for x in (one, other)]
             older = track.identity[one] < track.identity[other]
             stays = (rank[0] > rank[1]) | ((rank[0] == rank[1]) & older)
-            ends[torch.where(stays, other, one)[same]] = True
-        return ends
+            deleted[torch.where(stays, other, one)[same]] = True
+        return deleted
 
     def extra_repr(self) -> str:
         """The distance."""

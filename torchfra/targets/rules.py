@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from torchfra.numbers import real, whole
+from torchfra.numbers import as_number, is_integer
 from torchfra.targets.state import Track
 
 
@@ -39,7 +39,7 @@ class MOfN(Confirmation):
 
     def __init__(self, m: int = 3, n: int = 5) -> None:
         super().__init__()
-        if not (whole(m, 1) and whole(n, m)):
+        if not (is_integer(m, 1) and is_integer(n, m)):
             raise ValueError(f"m, n: expected whole numbers with 1 <= m <= n, received {m}, {n}")
         self.m, self.window = m, n
 
@@ -78,7 +78,7 @@ class SPRT(Confirmation):
 
     def __init__(self, false: float = 1e-4, missed: float = 1e-2) -> None:
         super().__init__()
-        if not (real(false) > 0 and real(missed) > 0 and real(false) + real(missed) < 1):
+        if not (as_number(false) > 0 and as_number(missed) > 0 and as_number(false) + as_number(missed) < 1):
             raise ValueError(f"false, missed: expected probabilities above 0 with a sum below 1, received "
                              f"{false}, {missed}")  # fmt: skip
         self.upper, self.lower = math.log((1 - missed) / false), math.log(missed / (1 - false))
@@ -111,11 +111,11 @@ class Deletion(nn.Module):
         super().__init__()
         if misses is None and drop is None and spread is None:
             raise ValueError("misses, drop, spread: expected at least one of them, received none")
-        if misses is not None and not whole(misses, 1):
+        if misses is not None and not is_integer(misses, 1):
             raise ValueError(f"misses: expected 1 scan or more, received {misses!r}")
-        if drop is not None and not 0 < real(drop) < 1:
+        if drop is not None and not 0 < as_number(drop) < 1:
             raise ValueError(f"drop: expected a probability above 0 and below 1, received {drop}")
-        if spread is not None and not real(spread) > 0:
+        if spread is not None and not as_number(spread) > 0:
             raise ValueError(f"spread: expected metres above 0, received {spread}")
         self.misses, self.drop, self.spread = misses, drop, spread
 
@@ -126,14 +126,14 @@ class Deletion(nn.Module):
             track: of the targets.
             position: ``(N, dims, n)`` a root of the covariance of each position, m.
         """
-        ends = torch.zeros_like(track.confirmed)
+        deleted = torch.zeros_like(track.confirmed)
         if self.misses is not None:
-            ends = ends | (track.misses >= self.misses)
+            deleted = deleted | (track.misses >= self.misses)
         if self.drop is not None:
-            ends = ends | (track.score - track.best < math.log(self.drop))
+            deleted = deleted | (track.score - track.best < math.log(self.drop))
         if self.spread is not None:
-            ends = ends | (torch.linalg.matrix_norm(position, 2) > self.spread)
-        return ends
+            deleted = deleted | (torch.linalg.matrix_norm(position, 2) > self.spread)
+        return deleted
 
     def extra_repr(self) -> str:
         """What ends a target."""

@@ -34,7 +34,7 @@ class Track(NamedTuple):
     """Each one's share of the log density of the last scan against one of false measurements alone; 0 at the birth."""
 
 
-class Unexplained(NamedTuple):
+class Unassociated(NamedTuple):
     """Measurements ``(K,)`` of a scan that are no target's, from which targets may begin."""
 
     position: Gaussian
@@ -51,7 +51,7 @@ class TargetsState(NamedTuple):
     filter: Any
     """State of the filter, rows of ``(N, ...)``."""
     track: Track
-    unexplained: Unexplained
+    unassociated: Unassociated
     next_identity: Tensor
     """``(R,)`` of each scene."""
 
