@@ -112,10 +112,10 @@ class Fading(NoFading):
         if share is not None:
             share = torch.as_tensor(share, dtype=torch.float64)
             self.share = Hyper(share, constraints.nonnegative, event_dim=1, name="share")
-        self.rcond, self.trace, self._told = rcond, trace, states is not None
+        self.rcond, self.trace, self._states_given = rcond, trace, states is not None
         states = slice(0, 2) if states is None else states
         self.states = (states,) if isinstance(states, slice) else tuple(states)
-        if self._told:
+        if self._states_given:
             self._check_share()
 
     def of(self, motion: Motion) -> Fading:
@@ -124,7 +124,7 @@ class Fading(NoFading):
         Raises:
             ValueError: a share that is not for each group.
         """
-        if self._told:
+        if self._states_given:
             return self
         own, higher = copy.copy(self), range(2, motion.orders)
         own.states = (motion.position,)

@@ -74,8 +74,8 @@ class Filter(nn.Module, Generic[S]):
     """Why there may be no other sensor; None where there may."""
     annealed: tuple[str, ...] = ()
     """Attributes that are plain numbers and may change between calls, such as a temperature that is lowered."""
-    given: tuple[Sensor, ...] = ()
-    """The sensor that its own is a copy of, where it has copied that: it is its own too."""
+    originals: tuple[Sensor, ...] = ()
+    """The sensors that its own is a copy of: they count as its own."""
     engine: Engine
     """What runs its steps: see ``compile``."""
     motion: Motion
@@ -319,8 +319,8 @@ class Filter(nn.Module, Generic[S]):
         """
         check_lengths(truncate=truncate, checkpoint=checkpoint)
         f = self if sensors is None and which is None else fused(self, sensors, which)
-        given = Measurements(z, dt, u, std, noise), prior, checkpoint, truncate
-        return f._remembered(*given) if past else f._forth(*given)[0]
+        arguments = Measurements(z, dt, u, std, noise), prior, checkpoint, truncate
+        return f._remembered(*arguments) if past else f._forth(*arguments)[0]
 
     if TYPE_CHECKING:  # what torch types as a call that may return anything
         __call__ = forward
@@ -431,7 +431,7 @@ class Filter(nn.Module, Generic[S]):
         Raises:
             ValueError: something else, or a filter that is of one sensor, with the reason.
         """
-        if sensor is None or sensor is self.sensor or any(sensor is x for x in self.given):
+        if sensor is None or sensor is self.sensor or any(sensor is x for x in self.originals):
             return self
         view: Self = self._views(self, sensor)
         return view

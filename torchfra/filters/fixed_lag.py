@@ -34,7 +34,7 @@ class FixedLagState(NamedTuple):
     """Of the filter."""
     window: tuple[WindowStep, ...] = ()
     """The steps up to ``lag`` back, the newest last."""
-    told: Smoothed | None = None
+    smoothed: Smoothed | None = None
     """Of the first step of the window, from the measurements so far: see ``lagged``."""
 
     @property
@@ -46,7 +46,7 @@ class FixedLagState(NamedTuple):
     @property
     def lagged(self) -> Gaussian:
         """The estimate ``lag`` steps back; of the first step until there are so many, before that the prior."""
-        return self.belief if self.told is None else self.told.belief
+        return self.belief if self.smoothed is None else self.smoothed.belief
 
 
 class FixedLag(nn.Module):
@@ -98,8 +98,8 @@ class FixedLag(nn.Module):
             self.filter.check_smooths_several()
         inner, record, step = remember(f, state.inner, Measurements(z, dt, u, std, noise))
         window = (*state.window, step)[-self.lag - 1 :]
-        told, rank = go_back(self.filter, inner, window), inner.belief.mean.dim() - 1
-        first: Smoothed = tree.map_tensors(lambda x: x.select(rank, 0), told)
+        smoothed, rank = go_back(self.filter, inner, window), inner.belief.mean.dim() - 1
+        first: Smoothed = tree.map_tensors(lambda x: x.select(rank, 0), smoothed)
         return FixedLagState(inner, window, first), f.innovation_of(record, step.frame)
 
 
@@ -111,7 +111,7 @@ def remember(f: Filter, state: Any, measurements: Measurements) -> tuple[Any, Re
 
 
 def go_back(f: Filter, inner: Any, window: Sequence[WindowStep]) -> Smoothed:
-    """What is told of all steps of a window that ends in the filter's state ``inner``, time behind the batch."""
+    """The backward pass over a window that ends in the filter's state ``inner``, time behind the batch."""
     rank = inner.belief.mean.dim() - 1
     steps = [tree.map_tensors(lambda x: x.unsqueeze(rank), step[:3]) for step in window]
     belief, info, steps = joined(steps, rank)

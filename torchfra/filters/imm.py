@@ -19,8 +19,8 @@ from torchfra.filters.interaction import (
     cycle,
     even_interaction,
     for_each_model,
-    held,
     interaction,
+    over_time_step,
 )
 from torchfra.filters.likely_models import LikelyModels, of_active
 from torchfra.filters.model_smoothing import Models, ModelsPast, ModelsStep, remembered, retreat, together
@@ -102,7 +102,7 @@ class IMM(Filter[IMMState]):
             received = f"{type(inner).__name__} around {type(inner.motion).__name__}"
             expected = "SRCKF or FRA around a Bank, or a filter that says mixes = True"
             raise ValueError(f"inner: expected {expected}, received {received}")
-        self.inner, self.given = copy.deepcopy(inner), (inner.sensor,)
+        self.inner, self.originals = copy.deepcopy(inner), (inner.sensor,)
         for part in self.inner.children():
             if part is not self.inner.motion and part is not self.inner.sensor:
                 for hyper in hypers(part).values():
@@ -169,7 +169,7 @@ class IMM(Filter[IMMState]):
             active, matrix = self.subset(state.active, before, frame.dt, self.transition)
             return *interaction(before, matrix, motion), of_active(for_each_model(frame), active), active
         if self.stay is None:
-            interacting = interaction(before, held(self.matrix(before).log(), frame.dt), motion)
+            interacting = interaction(before, over_time_step(self.matrix(before).log(), frame.dt), motion)
         else:
             interacting = even_interaction(state, self.stay(), frame.dt, motion)
         return *interacting, for_each_model(frame), None
@@ -216,10 +216,10 @@ class IMM(Filter[IMMState]):
     def matrix_back(self, step: BackwardStep, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
         if self.subset is None:
-            return held(self.matrix(like).log(), step.frame.dt), for_each_model(step.frame)
+            return over_time_step(self.matrix(like).log(), step.frame.dt), for_each_model(step.frame)
         was, now = step.past.active, step.next.active
         goes_on = (was * now).sum(-1)  # a model that goes on keeps its place
-        matrix = held(self.subset.matrix(self.transition, was, now, goes_on).log(), step.frame.dt)
+        matrix = over_time_step(self.subset.matrix(self.transition, was, now, goes_on).log(), step.frame.dt)
         return matrix, of_active(for_each_model(step.frame), now)
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: ModelsStep) -> ModelsPast:

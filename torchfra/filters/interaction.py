@@ -108,7 +108,7 @@ def pooled(belief: Gaussian, log_weights: Tensor, motion: Motion) -> Gaussian:
     return matched(models_first(belief), shared(log_weights.movedim(-1, 0))[0], motion.angles)
 
 
-def held(matrix: Tensor, dt: Tensor) -> Tensor:
+def over_time_step(matrix: Tensor, dt: Tensor) -> Tensor:
     """Logs ``(..., K, K)`` of a transition over ``dt (...)`` seconds: over none, no model gives way to another."""
     same = torch.eye(matrix.shape[-1], dtype=torch.bool, device=matrix.device)
     still = torch.where(same, torch.zeros_like(matrix), -torch.inf)

@@ -66,7 +66,7 @@ class Timed(Measurements):
 
 
 @event_ranks(z=1, dt=0, u=1, std=1, noise=2)
-class Whole(Measurements):
+class CompleteScans(Measurements):
     """Scans whose measurements are complete or missing, and have the same noise."""
 
 
