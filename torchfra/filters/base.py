@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Generic
+from functools import wraps
+from typing import TYPE_CHECKING, Any, Generic, ParamSpec
 
 import torch
 from torch import Tensor, nn
@@ -12,18 +13,17 @@ from typing_extensions import Self, TypeVar
 from torchfra.adaptive.fading import NoFading
 from torchfra.filters.checks import check_lengths, check_models, check_state, check_step
 from torchfra.filters.engine import INTERPRETED, Engine
-from torchfra.filters.failures import diagnosed
+from torchfra.filters.failures import diagnose
 from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
 from torchfra.filters.fusion import fused
 from torchfra.filters.other_sensors import SensorViews
-from torchfra.filters.precision import in_full_precision
 from torchfra.filters.records import Kept, Past, Record, Smoothed, SmoothInfo, scores
 from torchfra.gaussian.arguments import check, check_belief
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements, Time, batch_rank, make_frames, with_values
 from torchfra.gaussian.model import Carried, compare, predict, propagate
 from torchfra.gaussian.rules import Rule
-from torchfra.gaussian.smoothing import reverse
+from torchfra.gaussian.smoothing import smooth_step
 from torchfra.gaussian.update import innovation
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.triangular import tria
@@ -33,6 +33,21 @@ from torchfra.types import Estimate, Gaussian, Innovation, Prediction, Whitened
 
 Mix = Callable[[Gaussian], Gaussian]
 S = TypeVar("S", default=Any)  # the states of a filter
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def in_full_precision(method: Callable[P, R]) -> Callable[P, R]:
+    """A method that computes under ``torch.autocast`` as it does without: half precision is too coarse for roots."""
+
+    @wraps(method)
+    def full(*arguments: P.args, **options: P.kwargs) -> R:
+        if not (torch.is_autocast_enabled("cpu") or torch.is_autocast_enabled("cuda")):
+            return method(*arguments, **options)
+        with torch.autocast("cpu", enabled=False), torch.autocast("cuda", enabled=False):
+            return method(*arguments, **options)
+
+    return full
 
 
 class Filter(nn.Module, Generic[S]):
@@ -208,9 +223,8 @@ class Filter(nn.Module, Generic[S]):
 
     def reverse(self, belief: Gaussian, carried: Carried, after: Gaussian) -> Smoothed:
         """A ``belief``, smoothed by the smoothed one ``after`` the step that has ``carried`` it."""
-        step = reverse(belief, carried)
-        mean, root = step(after, self.motion.difference)
-        repaired = None if step.repaired is None else step.repaired.expand(mean.shape[:-1])
+        (mean, root), repaired = smooth_step(belief, carried, after, self.motion.difference)
+        repaired = None if repaired is None else repaired.expand(mean.shape[:-1])
         return Smoothed(Gaussian(self.motion.canonical(mean), root), repaired=repaired)
 
     def carry(self, belief: Gaussian, frame: Frame, factor: Tensor | None = None) -> Carried:
@@ -491,7 +505,9 @@ class Filter(nn.Module, Generic[S]):
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
         """The estimate of whole tracks, and for a backward pass the last state and what steps have kept."""
         estimate, state, kept = self.engine.forward(self, measurements, prior, checkpoint, truncate, past)
-        return diagnosed(self, estimate, measurements, prior), state, kept
+        if estimate.failure is None:
+            estimate = estimate._replace(failure=diagnose(self, estimate, measurements, prior))
+        return estimate, state, kept
 
     def begun(self, measurements: Measurements, prior: Gaussian) -> tuple[S, int]:
         """The state before the first measurement of whole tracks, and its batch dimensions; all is checked."""

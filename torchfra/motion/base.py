@@ -14,7 +14,7 @@ from torchfra.angles import wrap
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.triangular import apply
 from torchfra.motion.blocks import acceleration_gain
-from torchfra.motion.components import checked, usual
+from torchfra.motion.components import check_components, usual
 from torchfra.tree import event_ranks
 
 
@@ -137,8 +137,9 @@ class Motion(nn.Module):
         if not set(self.angles) <= set(range(self.size)):
             expected = f"numbers of components, 0 to {self.size - 1}"
             raise ValueError(f"angles: expected {expected}, received {self.angles}")
-        default = usual(self.size, dims, orders, self.position, self.velocity, self.angles)
-        self.components, self.kinds = checked(self.size, components, kinds, default)
+        names, usual_kinds = usual(self.size, dims, orders, self.position, self.velocity, self.angles)
+        self.components, self.kinds = tuple(components or names), tuple(kinds or usual_kinds)
+        check_components(self.size, self.components, self.kinds)
         self.stated = self.kinds if kinds or self.usual_layout else ("other",) * self.size
         if "angle" in self.stated and not self.angles:
             raise ValueError("angles: expected the components of kind angle that differences wrap, received none")
