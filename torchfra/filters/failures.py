@@ -1,4 +1,4 @@
-"""When and why a track has failed."""
+"""The step at which a track has failed, and the cause."""
 
 from __future__ import annotations
 

@@ -30,20 +30,20 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Prediction, Whitened
 
 Branches = tuple[Gaussian, Gaussian, Gaussian]
-"""Robust, adaptive and plain: the order of all that is said of branches."""
+"""The robust, the adaptive and the plain branch, in this order everywhere."""
 UNDECIDED = ("robust", "adaptive", "plain", "likeliest")
-"""What may be the estimate of an abnormal step before anything decides."""
+"""Which branch may be the estimate of an abnormal step that no measurement has decided."""
 
 
 class FRAState(NamedTuple):
-    """What FRA knows after a step."""
+    """State after a step."""
 
     belief: Gaussian
     """Provisional estimate of this step: where it was abnormal the robust branch, or that of the largest odds."""
     robust: Gaussian
     """That branch; equal to ``plain`` where the step was normal (but for a soft decision)."""
     adaptive: Gaussian
-    """The other branch, likewise."""
+    """The adaptive branch; equal to ``plain`` where the step was normal (but for a soft decision)."""
     plain: Gaussian
     """The estimate with neither remedy."""
     lagged: Gaussian
@@ -71,13 +71,13 @@ class FRAInfo(NamedTuple):
     adaptive: Tensor
     """``(..., T)`` bool: the adaptive branch was kept (with a soft decision: had the largest weight)."""
     plain: Tensor
-    """``(..., T)`` bool: of an abnormal step the plain branch was kept, likewise; never where there is none."""
+    """``(..., T)`` bool: the plain branch was kept (with a soft decision: had the largest weight)."""
     fading: Tensor
     """``(..., T)`` fading factor of the adaptive branch, 1 at normal steps (but for a soft decision)."""
     weights: Tensor
     """``(..., T, m)`` Huber weights of the robust branch, 1 at normal steps."""
     provisional: Gaussian
-    """``mean (..., T, n)`` and ``scale_tril``: what was known at the step itself."""
+    """``mean (..., T, n)`` and ``scale_tril``: the estimate at the step itself, before the next measurement decided."""
 
 
 class Choice(NamedTuple):
@@ -88,10 +88,10 @@ class Choice(NamedTuple):
 
 
 class FRAStep(NamedTuple):
-    """What one step knows: about itself, and now for good about the one before."""
+    """The info of one step, and the decision of the step before."""
 
     before: tree.Late
-    """Its settled estimate, and which branch was ``Choice``."""
+    """The final estimate of the step before, and its ``Choice``."""
     abnormal: Tensor
     fading: Tensor
     weights: Tensor
@@ -120,7 +120,7 @@ class FRA(Soft, Filter[FRAState]):
         rule: from a number of states to the rule that carries a Gaussian through a function.
         gate: normalised innovation squared above which a step is abnormal.
         preference: log odds of the robust branch over the adaptive one before the next measurement; 0 favours neither.
-        plain: log odds of a plain branch, likewise; None for no such branch (the paper's).
+        plain: log odds of a plain branch over the adaptive one; None for no such branch (the paper's).
         decision: how the branches' predictions are compared: ``"normalised"`` by the normalised innovation (the
             paper's; it favours the branch that expects more error), ``"likelihood"`` by the predictive likelihood.
         temperature: 0 for hard decisions, above for soft ones; an attribute that may be changed at any time.
@@ -191,8 +191,8 @@ class FRA(Soft, Filter[FRAState]):
         return one_hypothesis(self.predicted(state.belief, frame).belief)
 
     def advance(self, state: FRAState, frame: Frame, mix: Mix | None = None) -> tuple[FRAState, Record]:
-        """One step: the one before is settled, then this one is normal or forks."""
-        lagged, kept = self.settle(state, frame)
+        """One step: the step before is decided, then this one is normal or forks."""
+        lagged, kept = self.decide_before(state, frame)
         prediction, whitened = self.compare_predicted(lagged if mix is None else mix(lagged), frame)
         plain, root, normalised = correct(prediction.belief, whitened)
         nis = normalised.square().sum(-1)  # eq. (35)
@@ -215,8 +215,8 @@ class FRA(Soft, Filter[FRAState]):
         prediction = self.predicted(belief, frame)
         return prediction, self.compare(prediction.belief, frame)
 
-    def settle(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Choice]:
-        """The step before, decided by this measurement, and which of its branches was kept."""
+    def decide_before(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Choice]:
+        """The final estimate of the step before, decided by this measurement, and which of its branches was kept."""
         if self.soft:
             scores = self.score(*state.branches, frame)
             kept = best(scores)
@@ -226,7 +226,7 @@ class FRA(Soft, Filter[FRAState]):
         return chosen(kept, state.branches), kept
 
     def decide(self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, frame: Frame) -> Choice:
-        """The branch that predicts this measurement best; a tie goes to the robust one."""
+        """The branch of the largest score; a tie goes to the robust one."""
         return best(self.score(robust, adaptive, plain, frame))
 
     def score(self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, frame: Frame) -> Tensor:
@@ -285,7 +285,7 @@ class FRA(Soft, Filter[FRAState]):
         return robust, adaptive, factor
 
     def finish(self, state: FRAState, belief: Gaussian, info: FRAStep) -> tuple[Gaussian, FRAInfo]:
-        """Each step's estimate is settled in the next, the last one by ``final``."""
+        """The final estimate of each step comes with the next step, that of the last one by ``final``."""
         last = self.undecided(self.final, state.excess, state.branches)
         kept = Choice(*(state.abnormal & x for x in self.favoured(self.final, state.excess)))
         lagged, kept = tree.one_earlier(info.before, (last, kept), state.excess.dim(), info.abnormal.shape[-1])
@@ -298,13 +298,13 @@ class FRA(Soft, Filter[FRAState]):
         return Choice(*(torch.full_like(like, branch == name, dtype=torch.bool) for name in Choice._fields))
 
     def past(self, belief: Gaussian, info: FRAInfo, state: Any, steps: Any) -> Past:
-        """What was settled on, fading factors where the adaptive branch was kept; and what was provisional."""
+        """Final beliefs, with the fading factors of adaptive branches that were kept; and the provisional ones."""
         adaptive = info.abnormal & self.favoured(self.provisional, info.fading[..., 0]).adaptive.unsqueeze(-1)
         factor, early = (torch.where(kept, info.fading, 1.0) for kept in (info.adaptive, adaptive))
         return Past(belief, factor, (info.provisional, early))
 
     def where_abnormal(self, mask: Tensor, function: Callable[..., Any], arguments: Any, default: Any) -> Any:
-        """``function`` for the tracks in ``mask``: alone if that can be told now, else for all and then chosen."""
+        """``function`` for the tracks in ``mask``: for these alone where values may be read, else for all, then chosen."""
         if self.soft:
             return function(*arguments)
         parts = (self.gate, self.preference, self.plain, self.robust, self.fading)

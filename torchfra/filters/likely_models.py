@@ -88,7 +88,7 @@ class LikelyModels(nn.Module):
         Args:
             active: ``(..., A, K)`` the set before.
             log_weights: ``(..., A)`` of its models.
-            dt: over none the set stays.
+            dt: seconds; the set stays where it is 0.
             transition: the ``Hyper`` of that between all models.
         """
         after, goes_on = self.choose(active, log_weights)

@@ -1,4 +1,4 @@
-"""What a sample of runs says: intervals, paired tests, correction for many of them, and chi-square bounds."""
+"""Statistics of runs: confidence intervals, paired tests, correction for multiple tests, and chi-square bounds."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 LEVEL = 0.95
-"""Confidence of intervals, unless told."""
+"""Default confidence of intervals."""
 EXACT = 25
 """Runs up to which the signed-rank test needs no approximation."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(200)

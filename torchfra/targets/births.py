@@ -1,4 +1,4 @@
-"""How targets begin: from measurements that are no other target's."""
+"""Births of targets from unassociated measurements."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ class Birth(nn.Module):
         self.more = _positive("more", more)
 
     def forward(self, motion: Motion, now: Unassociated, before: Unassociated) -> tuple[Newborn, Unassociated]:
-        """Who begins, and which measurements of this scan the next scan's births may begin with.
+        """The newborn targets, and the measurements that the next scan's births may use.
 
         Args:
             motion: of the targets.
-            now: measurements of this scan that are no target's.
-            before: what the last call has left, now so many seconds ago.
+            now: unassociated measurements of this scan.
+            before: the measurements that the last call has left, with the seconds since then.
         """
         raise TypeError(f"{type(self).__name__} must define forward")
 
@@ -67,7 +67,7 @@ class Birth(nn.Module):
 
 
 class OnePoint(Birth):
-    """Every measurement that is no target's begins one: its position is known, its velocity is not.
+    """Every unassociated measurement begins a target: its position is known, its velocity is not.
 
     Args:
         velocity: standard deviation of the velocity in each direction, m/s, around 0.
@@ -99,10 +99,10 @@ class OnePoint(Birth):
 
 
 class TwoPoint(Birth):
-    """Two measurements in consecutive scans that are no target's begin one: the velocity is their difference.
+    """Two unassociated measurements in consecutive scans begin a target: their difference gives the velocity.
 
-    Of the pairs that the speed allows as many as possible are taken, and of those with the least sum of distances; no
-    measurement is in two.  Those of one instant begin none together: all of them are left for the next one.
+    The pairs are an assignment: as many as the highest speed allows, with the least sum of distances.  Measurements of
+    one instant are not paired: all of them are left for the next scan.
 
     Args:
         speed: highest speed of a target, m/s.
@@ -119,7 +119,7 @@ class TwoPoint(Birth):
         self.speed = _positive("speed", speed)
 
     def forward(self, motion: Motion, now: Unassociated, before: Unassociated) -> tuple[Newborn, Unassociated]:
-        """A target for each pair; what is in none is left."""
+        """A target for each pair; measurements in no pair are left."""
         old, new = self._pairs(now, before)
         (first, first_root), since = before.position, before.since[old][:, None]
         position, root = now.position.mean[new], now.position.scale_tril[new]
@@ -143,7 +143,7 @@ class TwoPoint(Birth):
         return old, new
 
     def _costs(self, before: Unassociated, now: Unassociated) -> tuple[Any, Tensor]:
-        """Distances ``(K, L)``, one for all that are too far, and which are not."""
+        """Distances ``(K, L)``, with one large value for pairs that are too far apart, and which pairs are allowed."""
         distance = (before.position.mean.unsqueeze(1) - now.position.mean).norm(dim=-1)
         spread = [torch.linalg.matrix_norm(x.position.scale_tril) for x in (before, now)]
         reach = self.speed * before.since.unsqueeze(-1) + _SIGMAS * (spread[0].unsqueeze(-1) + spread[1])

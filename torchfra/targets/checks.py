@@ -1,4 +1,4 @@
-"""Checks of what is handed to a manager of targets, before any work."""
+"""Checks of the arguments of a manager of targets, before any work."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _DTYPES = torch.float32, torch.float64
 
 
 def check_filter(filter: object) -> None:
-    """Whether a filter can have any number of targets that come and go.
+    """Checks that a filter can track a number of targets that changes.
 
     Raises:
         ValueError: it cannot.

@@ -1,4 +1,4 @@
-"""Targets that come and go: births, confirmation, deletion and identities around a filter of scans."""
+"""The manager of targets: births, confirmation, deletion and identities around a filter of scans."""
 
 from __future__ import annotations
 
@@ -33,21 +33,20 @@ FORMAT = 1
 
 
 class Targets(nn.Module):
-    """Any number of targets that come and go, in scans of measurements that do not say whose they are.
+    """Tracks any number of targets in scans of unlabelled measurements, with track initiation and deletion.
 
     In every scan the targets are predicted, gated and split into clusters that share measurements; the filter takes all
-    clusters of one size in one call.  Measurements that no target explains begin new, tentative ones, which are
-    confirmed or given up; targets that are missed too often end.  Nothing limits how many there are.
+    clusters of one size in one call.  Unassociated measurements begin tentative targets, which are confirmed or
+    deleted; targets that are missed too often are deleted.  The number of targets has no limit.
 
-    Scans come one by one (``step``) or as whole sequences (``forward``); several scenes may run side by side, which
-    have nothing to do with each other.  A row of NaN is no measurement.  A scan without any measurement is one in which
-    all targets were missed.
+    Scans come one by one (``step``) or as whole sequences (``forward``); several independent scenes may run side by
+    side.  A row of NaN is no measurement.  In a scan without any measurement all targets are missed.
 
     Args:
         filter: around a filter of one target; a copy of it runs here.  Its hyperparameters are the same for all
-            targets, and they are not measured for certain: ``detection`` or the gate's probability is below 1.
+            targets, and its ``detection`` or the gate's probability is below 1.
         birth: how targets begin, ``OnePoint()`` if None; needs a sensor that ``locates``.
-        confirmation: when tentative targets are confirmed or given up, ``SPRT()`` if None; scores need clutter of a
+        confirmation: when tentative targets are confirmed or deleted, ``SPRT()`` if None; scores need clutter of a
             Poisson rate.
         deletion: when targets end, ``Deletion()`` if None.
         merging: which tracks are of one target; None for never.
@@ -95,7 +94,7 @@ class Targets(nn.Module):
         Args:
             scenes: how many run side by side.
             dtype: of all numbers.
-            device: likewise.
+            device: of all tensors.
 
         Raises:
             ValueError: less than one scene, or another dtype than ``float32`` and ``float64``.
@@ -204,7 +203,7 @@ class Targets(nn.Module):
         return TargetsState(rows(everyone, here), rows(track, here), unassociated, next_identity)
 
     def _deleted(self, belief: Gaussian, track: Track, groups: list[Group]) -> Tensor:
-        """Which targets ``(N,)`` are missed too much, or are others."""
+        """Which targets ``(N,)`` are deleted: missed too often, or merged with others."""
         motion = self.filter.motion
         position = to_cartesian(motion, belief).scale_tril[:, known_components(motion)[: motion.dims]]
         deleted: Tensor = self.deletion(track, position)
@@ -213,7 +212,7 @@ class Targets(nn.Module):
     def _births(
         self, before: Unassociated, associated: Tensor, scan: SceneScan, filter: JPDA
     ) -> tuple[Newborn, Unassociated]:
-        """Who begins, and what is left for the next scan's births."""
+        """The newborn targets, and the unassociated measurements that the next scan's births may use."""
         complete = ~scan.z.isnan().any(-1)
         scene, j = (complete & (associated < 1 - self.free)).nonzero().unbind(-1)
         u = None if scan.u is None else scan.u[scene]

@@ -1,4 +1,4 @@
-"""Two tracks of one target: which of them ends."""
+"""Merging of tracks of one target."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from torchfra.types import Gaussian
 
 
 class Merging(nn.Module):
-    """Targets of one cluster whose states hardly differ are one: the confirmed stays, of two the older.
+    """Merges targets of one cluster whose states hardly differ: the confirmed one stays, of two alike the older.
 
-    What is compared is the whole state, so that targets whose paths cross stay two.  Tracks of one target have shared
-    its measurements: their difference is far smaller than the sum of their covariances says.
+    Whole states are compared, so that targets whose paths cross are not merged.  Tracks of one target share its
+    measurements, so that their difference is far smaller than the sum of their covariances.
 
     Args:
         distance: root of the mean square of the difference, in standard deviations of each component, below which two
@@ -39,7 +39,7 @@ class Merging(nn.Module):
         self.distance = float(distance)
 
     def forward(self, motion: Motion, belief: Gaussian, track: Track, groups: list[Group]) -> Tensor:
-        """Which targets ``(N,)`` end because another is the same.
+        """Which targets ``(N,)`` are deleted as duplicates of another.
 
         Args:
             motion: of the targets.

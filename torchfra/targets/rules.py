@@ -1,4 +1,4 @@
-"""When a target is confirmed, and when it ends."""
+"""Rules for the confirmation and the deletion of targets."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class Confirmation(nn.Module):
     """Whether it looks at the score."""
 
     def forward(self, track: Track) -> tuple[Tensor, Tensor]:
-        """Which tentative targets ``(N,)`` are confirmed, and which are given up."""
+        """Which tentative targets ``(N,)`` are confirmed, and which are deleted."""
         raise TypeError(f"{type(self).__name__} must define forward")
 
 
 class MOfN(Confirmation):
-    """Confirmed once measured in M of the last N scans, given up once that cannot come true in the first N.
+    """M of N: confirmed once measured in M of the last N scans, deleted once that is impossible in the first N.
 
     Args:
         m: scans in which a target must be measured, those of its birth counted.
@@ -59,12 +59,12 @@ class SPRT(Confirmation):
 
     The score of a scan is ``log(1 - P_D P_G) - log P(missed | scan)``: the density of the scan with the target over
     that without it, given that the others exist, where the number of false measurements is Poisson.  Tentative targets
-    share measurements as if they certainly existed: where many begin, a true one is given up more often than
-    ``missed`` says.
+    are associated as if they certainly existed: where many begin, a true target is deleted more often than ``missed``
+    says.
 
     Args:
-        false: probability that what begins with a false measurement is confirmed.
-        missed: probability that a target that is there is given up before it is confirmed.
+        false: probability that a track of false measurements is confirmed.
+        missed: probability that a true target is deleted before it is confirmed.
 
     Raises:
         ValueError: probabilities that are not above 0, or that sum to 1 or more.
@@ -93,7 +93,7 @@ class SPRT(Confirmation):
 
 
 class Deletion(nn.Module):
-    """When a target ends, tentative or confirmed: by any of these; None for one that does not count.
+    """Deletion of targets, tentative or confirmed, by any of three criteria; None for one that is not used.
 
     Args:
         misses: scans in a row in which it was missed.
@@ -120,7 +120,7 @@ class Deletion(nn.Module):
         self.misses, self.drop, self.spread = misses, drop, spread
 
     def forward(self, track: Track, position: Tensor) -> Tensor:
-        """Which targets ``(N,)`` end.
+        """Which targets ``(N,)`` are deleted.
 
         Args:
             track: of the targets.
@@ -136,5 +136,5 @@ class Deletion(nn.Module):
         return deleted
 
     def extra_repr(self) -> str:
-        """What ends a target."""
+        """The criteria."""
         return f"misses={self.misses}, drop={self.drop}, spread={self.spread}"

@@ -29,7 +29,7 @@ class SceneScan(NamedTuple):
     std: Tensor | None = None
     """``(R, J, m)`` of each measurement's noise, instead of the sensor's."""
     noise: Tensor | None = None
-    """``(R, J, m, m)`` roots of its covariance, likewise."""
+    """``(R, J, m, m)`` roots of its covariance, instead of the sensor's."""
 
 
 def filter_scan(

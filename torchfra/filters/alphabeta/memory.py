@@ -18,7 +18,7 @@ class Earlier(NamedTuple):
     """``(..., d)``."""
     between: Tensor
     """``(..., d)`` seconds between it and the last one."""
-    count: Tensor
+    number: Tensor
     """``(..., d)`` how many measurements there were."""
 
 
@@ -147,7 +147,7 @@ def remember(
     if earlier is not None:
         z = earlier.z + axis_measured * (state.last - earlier.z)
         between = earlier.between + axis_measured * (since_last - earlier.between)
-        earlier = Earlier(z, between, earlier.count + axis_measured)
+        earlier = Earlier(z, between, earlier.number + axis_measured)
     return state._replace(
         used=keep * (state.used + test.counted) + test.restarted * test.points,
         since=keep * innovation.since * (1 - test.accepted),
