@@ -304,7 +304,7 @@ class FRA(Soft, Filter[FRAState]):
         return Past(belief, factor, (info.provisional, early))
 
     def where_abnormal(self, mask: Tensor, function: Callable[..., Any], arguments: Any, default: Any) -> Any:
-        """``function`` for the tracks in ``mask``: for these alone where values may be read, else for all, then chosen."""
+        """``function`` for the tracks in ``mask``: for these alone where values may be read, else for all tracks."""
         if self.soft:
             return function(*arguments)
         parts = (self.gate, self.preference, self.plain, self.robust, self.fading)

@@ -113,7 +113,7 @@ def holm(p: Sequence[float]) -> list[float]:
 
 
 def chi_square_bounds(degrees: float, level: float = LEVEL) -> tuple[float, float]:
-    """What a chi-square variable of so many degrees of freedom lies between with this probability, divided by them.
+    """Bounds of a chi-square variable divided by its degrees of freedom, between which it lies with this probability.
 
     The mean over ``N`` runs of a normalised error squared of ``d`` components, divided by ``d``, lies between the
     bounds of ``N d`` degrees if the covariances are honest: Bar-Shalom, Li & Kirubarajan (2001), section 5.4.2.

@@ -171,8 +171,8 @@ class Motion(nn.Module):
         except NotImplementedError:  # of a kernel, which tells by itself
             raise
         except (RuntimeError, IndexError) as error:
-            received = f"states {tuple(x.shape)}, u {None if u is None else tuple(u.shape)}"
-            raise type(error)(f"{type(self).__name__}.forward: {received}: {error}") from error
+            inputs = f"states {tuple(x.shape)}, u {None if u is None else tuple(u.shape)}"
+            raise type(error)(f"{type(self).__name__}.forward: {inputs}: {error}") from error
         if after.dim() < x.dim() or after.shape[-1] != self.size:
             expected, received = tuple(x.shape), tuple(after.shape)
             raise ValueError(f"{type(self).__name__}.forward: expected states {expected}, received {received}")

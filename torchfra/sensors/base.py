@@ -140,8 +140,8 @@ class Sensor(nn.Module):
         except NotImplementedError:  # of a kernel, which tells by itself
             raise
         except (RuntimeError, IndexError) as error:
-            received = f"states {tuple(x.shape)}, u {None if u is None else tuple(u.shape)}"
-            raise type(error)(f"{type(self).__name__}.forward: {received}: {error}") from error
+            inputs = f"states {tuple(x.shape)}, u {None if u is None else tuple(u.shape)}"
+            raise type(error)(f"{type(self).__name__}.forward: {inputs}: {error}") from error
         if z.dim() < x.dim() or z.shape[-1] != self.size:
             expected, received = (*x.shape[:-1], self.size), tuple(z.shape)
             raise ValueError(f"{type(self).__name__}.forward: expected measurements {expected}, received {received}")
