@@ -1,4 +1,4 @@
-"""Targets that come and go among false measurements: torchfra's manager and Stone Soup's trackers on the same scans.
+"""Tracks begun and deleted among false measurements: torchfra's manager and Stone Soup's trackers on the same scans.
 
     python scripts/peers_targets.py                                   10 targets, 30 false measurements per scan
     python scripts/peers_targets.py --targets 30 --clutter 100 --runs 3 --json targets.json

@@ -1,4 +1,4 @@
-"""Many targets that come and go: how well they are followed, and how fast.
+"""Many targets with initiation and deletion of tracks: how well they are followed, and how fast.
 
     python scripts/targets.py --runs 200 --seed 7 --json out/targets.json --picture out/targets.png
 

@@ -88,7 +88,7 @@ def test_smoothed_results_and_gradients_are_those_of_the_eager_filter(lag, monke
     f = learnable(presets.jpda(motion, Position(2.0), clutter=Clutter(1e4, rate=2.0), lost=0.2), ("q",))
     fast = copy.deepcopy(f).compile()
     said = [f.smooth(z, prior, dt=dt, lag=lag)]
-    monkeypatch.setattr(engine, "sweep", None)
+    monkeypatch.setattr(engine, "backward_pass", None)
     said.append(fast.smooth(z, prior, dt=dt, lag=lag))
     close(*(x[:4] for x in said))
     close(

@@ -62,8 +62,8 @@ def test_a_bank_tells_its_probabilities_and_a_compiled_filter_does_the_same():
             state, _ = stream.step(state, z[:, k])
         close(state.lagged.mean, smoothed.mean[:, 2])
         if one is f:
-            close(state.told.probabilities, smoothed.info.probabilities[:, 2])
-            close(state.told.outlier, smoothed.info.outlier[:, 2])
+            close(state.smoothed.probabilities, smoothed.info.probabilities[:, 2])
+            close(state.smoothed.outlier, smoothed.info.outlier[:, 2])
 
 
 def test_scans_come_one_at_a_time_too(crossing, scans):

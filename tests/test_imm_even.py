@@ -1,4 +1,4 @@
-"""Models that give way to every other alike are mixed with what all know together: the same as by whole rows."""
+"""Models that switch to the others with equal probability mix two beliefs: the moments are those of a full mixture."""
 
 import copy
 

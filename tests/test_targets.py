@@ -13,7 +13,7 @@ from torchfra.gaussian.inputs import Measurements
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, RandomWalk, aircraft
 from torchfra.sensors import Bearings, Position, RangeBearing, Stacked
 from torchfra.targets import SPRT, Deletion, Merging, MOfN, OnePoint, Targets, TwoPoint, collect
-from torchfra.targets.scan import Look, look_at
+from torchfra.targets.scan import SceneScan, filter_scan
 from torchfra.types import Gaussian
 
 WHERE = slice(0, 2)
@@ -59,13 +59,15 @@ def test_clusters_one_by_one_are_the_whole_scan_at_once():
     z[3] = math.nan
     whole, record = f.advance(state, f._frame(state, Measurements(z)))
     scene = torch.zeros(12, dtype=torch.int64)
-    parts, said, groups = look_at(f, state, scene, Look(z[None], torch.ones(1).double(), None))
+    parts, log_missed, density, associated, groups = filter_scan(
+        f, state, scene, SceneScan(z[None], torch.ones(1).double(), None)
+    )
     assert len({group.targets.shape[-1] for group in groups}) > 1
     for one, other in zip(tree.flatten(parts), tree.flatten(whole), strict=True):
         torch.testing.assert_close(one, other, rtol=1e-10, atol=1e-10)
-    torch.testing.assert_close(said.log_missed, record.info.association[..., 0].log(), rtol=1e-9, atol=1e-9)
-    torch.testing.assert_close(said.explained[0], record.info.association[..., 1:].sum(-2), rtol=1e-9, atol=1e-9)
-    torch.testing.assert_close(said.density, record.density, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(log_missed, record.info.association[..., 0].log(), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(associated[0], record.info.association[..., 1:].sum(-2), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(density, record.density, rtol=1e-9, atol=1e-9)
 
 
 def test_a_batch_of_scenes_is_each_scene_alone_and_a_stream_of_scans():

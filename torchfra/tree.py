@@ -1,4 +1,4 @@
-"""Tuples of tensors: one map over all of them, and what is made of it.
+"""Trees of tensors: maps over them, stacking, flattening and choices.
 
 A tree is a tensor, None, or a tuple of trees; other values in a tuple (a number of columns, say) stay as they are.
 Tensors begin with the dimensions of the batch and end with those of one track's entry, the event.  A tuple whose
@@ -81,7 +81,7 @@ def flatten(tree: Any) -> list[Tensor]:
 
 
 def paths(tree: Any, path: str = "") -> Iterator[tuple[str, Tensor]]:
-    """The same with where each is: fields with dots between them, ``belief.mean``, and ``part0`` in a plain tuple."""
+    """The tensors of a tree with their paths: fields joined by dots, ``belief.mean``; ``part0`` in a plain tuple."""
     if isinstance(tree, Tensor):
         yield path, tree
     elif isinstance(tree, tuple):
@@ -100,15 +100,15 @@ def unflatten(like: Any, tensors: Iterator[Tensor]) -> Any:
 
 
 class Late(NamedTuple):
-    """What a step says for good of the step before it; or all steps, each of the one before."""
+    """The final results of a step for the step before it, such as a decision; or those of all steps."""
 
     said: Any
 
 
 def one_earlier(late: Late, end: Any, dim: int, steps: int) -> Any:
-    """Of each of the ``steps`` along ``dim`` what the next one says of it, and of the last one ``end``.
+    """The results ``late`` of all steps, each moved to the step before, and ``end`` for the last of the ``steps``.
 
-    Where there is room for one step more along ``dim``, the end is written there and nothing is copied.
+    Where there is room for one more step along ``dim``, the end is written there and nothing is copied.
     """
 
     def moved(said: Tensor, last: Tensor) -> Tensor:
@@ -121,7 +121,7 @@ def one_earlier(late: Late, end: Any, dim: int, steps: int) -> Any:
 
 
 def detach(tree: Any) -> Any:
-    """The same tree, through which no gradients flow back."""
+    """The tree with all tensors detached."""
     return map_tensors(Tensor.detach, tree)
 
 

@@ -1,4 +1,4 @@
-"""The tuples that everything shares, the letters of their shapes, and the words for what they hold.
+"""The tuples that all rooms share, the letters of shapes, and the vocabulary.
 
 Shapes: ``...`` any batch, ``T`` time, ``n`` state, ``m`` measurement, ``k`` what models need to know at a step, ``d``
 the leading state components that a sensor reads, ``p`` points of a rule, ``q`` columns of the process noise, ``K``
@@ -19,6 +19,7 @@ Words:
 - fading factor: what multiplies the predicted covariance.
 - threshold: standard deviations from which on Huber's weights fall; gate: NIS above which a step is abnormal, or
   how far from its prediction a target's measurement is looked for.
+- filtered: given the measurements up to a step; smoothed: given later ones too; lagged: given those of a fixed lag.
 - repaired: a covariance that was not positive definite and was made so; counted, never silent.
 - lost: a track whose error has passed a limit; failed: one that holds NaN or infinity.
 """
@@ -83,17 +84,17 @@ class Prediction(NamedTuple):
 class Whitened(NamedTuple):
     """A measurement against its prediction, in units of the measurement noise (whose covariance is then the identity).
 
-    A missing element is all zero: it says nothing.
+    A missing element is all zero, so that it changes nothing.
     """
 
     residual: Tensor
     """``(..., m)`` measured minus predicted."""
     spread: Tensor
-    """``(..., m, r + d)`` root of the covariance of what was predicted: ``[rest, H S]``."""
+    """``(..., m, r + d)`` root of the covariance of the predicted measurement without its noise: ``[rest, H S]``."""
     reads: int
-    """``d``, the last columns of ``spread``: how the measurement follows the root of the belief."""
+    """``d``, number of the last columns of ``spread``, which are ``H S``."""
     subtracted: Tensor | None = None
-    """``(..., m, k)`` root of what a rule with negative weights takes off that covariance."""
+    """``(..., m, k)`` root of what a rule with negative weights subtracts from that covariance."""
 
     @property
     def slope(self) -> Tensor:
@@ -102,12 +103,12 @@ class Whitened(NamedTuple):
 
     @property
     def rest(self) -> Tensor:
-        """``(..., m, r)``: what does not follow the belief."""
+        """``(..., m, r)``: root of the part that is uncorrelated with the belief."""
         return self.spread[..., : self.spread.shape[-1] - self.reads]
 
 
 class Innovation(NamedTuple):
-    """What one measurement said about the prediction, in the measurement's own units."""
+    """A measurement compared with its prediction, in the measurement's own units."""
 
     residual: Tensor
     """``(..., m)`` measured minus predicted, angles wrapped; 0 where missing."""
@@ -164,7 +165,7 @@ class Estimate(NamedTuple):
     log_likelihood: Tensor
     """``(..., T)`` log density of the innovation (nominal noise, measured elements)."""
     info: Any
-    """What this filter adds, one tuple of ``(..., T, ...)`` tensors: see the filter."""
+    """Further results of the filter, a tuple of ``(..., T, ...)`` tensors: see the filter."""
     failure: Failure | None = None
     """When and why tracks have failed; None for an estimate that no filter has made."""
     past: Any = ()

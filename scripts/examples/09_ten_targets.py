@@ -1,4 +1,4 @@
-"""Ten targets that come and go among false measurements: nobody says how many there are, or when.
+"""Ten targets that appear and disappear among false measurements; their number is not known.
 
 You learn how to put a manager of targets around a filter of scans, one scan after the other, and how to see what became
 of every target.
@@ -27,7 +27,7 @@ def main(arguments: list[str] | None = None) -> None:
                      gate=ChiSquare(0.99999))  # fmt: skip
     targets = Targets(
         f,
-        birth=TwoPoint(speed=80.0),  # two measurements in a row that are nobody's
+        birth=TwoPoint(speed=80.0),  # two unassociated measurements in a row
         confirmation=SPRT(false=1e-4, missed=1e-2),  # by the likelihood ratio of what came since
         deletion=Deletion(misses=4),
         merging=Merging(),

@@ -1,4 +1,4 @@
-"""Worlds in which many targets come and go: aircraft as recorded, and a crowd."""
+"""Worlds in which many targets appear and disappear: aircraft as recorded, and a crowd."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fading factors: how much to widen a prediction whose motion model no longer holds."""
+"""Fading factors: they widen a prediction whose motion model no longer holds."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class NoFading(nn.Module):
         return type(self) is NoFading
 
     def of(self, motion: Motion) -> NoFading:
-        """The same for the states of a motion: what a filter asks for."""
+        """This module for the states of a motion."""
         return self
 
     def begin(self, mean: Tensor, m: int) -> Memory | None:
@@ -63,7 +63,7 @@ class NoFading(nn.Module):
 
 
 class Fading(NoFading):
-    """Multiple fading factors: the innovations of late against what the model expects of them.
+    """Multiple fading factors: recent innovations compared with the covariance that the model predicts for them.
 
     One factor per track, 1 or more, multiplies the covariance of the faded states that was carried over from the last
     step, before process noise is added.  Groups of states may take different shares of it: what is above 1 is then
@@ -112,19 +112,19 @@ class Fading(NoFading):
         if share is not None:
             share = torch.as_tensor(share, dtype=torch.float64)
             self.share = Hyper(share, constraints.nonnegative, event_dim=1, name="share")
-        self.rcond, self.trace, self._told = rcond, trace, states is not None
+        self.rcond, self.trace, self._states_given = rcond, trace, states is not None
         states = slice(0, 2) if states is None else states
         self.states = (states,) if isinstance(states, slice) else tuple(states)
-        if self._told:
+        if self._states_given:
             self._check_share()
 
     def of(self, motion: Motion) -> Fading:
-        """The same, sharing its values, for the states of a motion, unless it was told which states fade.
+        """A copy for the states of a motion, which shares the values; this module itself where ``states`` were given.
 
         Raises:
             ValueError: a share that is not for each group.
         """
-        if self._told:
+        if self._states_given:
             return self
         own, higher = copy.copy(self), range(2, motion.orders)
         own.states = (motion.position,)
@@ -143,7 +143,7 @@ class Fading(NoFading):
             raise ValueError(f"share: expected (..., {len(self.states)}), received {tuple(self.share.raw.shape)}")
 
     def begin(self, mean: Tensor, m: int) -> Memory:
-        """Nothing remembered yet of ``m`` measured elements, for tracks of state ``mean (..., n)``."""
+        """The empty memory of ``m`` measured elements, for tracks of state ``mean (..., n)``."""
         nothing = mean.new_zeros((*mean.shape[:-1], m, m))
         return Memory(nothing, nothing)
 
@@ -167,8 +167,8 @@ class Fading(NoFading):
         """
         d = whitened.reads
         root = prediction.belief.scale_tril[..., :d, :d]
-        # A prediction that is certain of something, or came from nothing uncertain, has nothing to fade: it is divided
-        # by ones instead, and gets a factor of 1 in the end.
+        # A prediction with a certain component, or from a certain belief, cannot fade: its zero pivots are replaced by
+        # ones here, and its factor is 1 in the end.
         certain = root.diagonal(dim1=-2, dim2=-1) == 0
         h = torch.linalg.solve_triangular(
             root + torch.diag_embed(certain.to(root)), whitened.slope, upper=False, left=False

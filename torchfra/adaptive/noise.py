@@ -1,4 +1,4 @@
-"""The noise side: how large the measurement noise really is."""
+"""The noise side: estimates of the measurement noise."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from torchfra.types import Whitened
 
 @event_ranks(scale=1, total=1, updates=1)
 class NoiseMemory(NamedTuple):
-    """What is known of the measurement noise, element by element."""
+    """Estimate of the measurement noise, element by element."""
 
     scale: Tensor
     """``(..., m)`` estimated variance, as a multiple of the nominal one."""
     total: Tensor
-    """``(..., m)`` sum of the weights of all innovations so far: ``1 / d``."""
+    """``(..., m)`` sum of the forgetting weights of all innovations so far: ``1 / d``."""
     updates: Tensor
-    """``(..., m)`` of them."""
+    """``(..., m)`` number of innovations so far."""
 
 
 class NominalNoise(nn.Module):
@@ -39,7 +39,7 @@ class NominalNoise(nn.Module):
         return type(self) is NominalNoise
 
     def excess(self, whitened: Whitened) -> Tensor:
-        """``(..., m)`` what one measurement says of the variances; nothing here."""
+        """``(..., m)`` one measurement's estimate of the variances; zeros here."""
         return torch.zeros_like(whitened.residual)
 
     def forward(self, memory: Any, excess: Tensor, weight: Tensor) -> Any:
@@ -63,7 +63,7 @@ class NominalNoise(nn.Module):
         return memory
 
     def known(self, whitened: Whitened, memory: Any) -> Whitened:
-        """The measurement in units of the noise as it is known."""
+        """The measurement in units of the estimated noise, here the nominal one."""
         return whitened
 
     def nominal(self, root: Tensor, memory: Any, measured: Tensor) -> Tensor:
@@ -88,11 +88,12 @@ class SageHusa(NominalNoise):
         blocks: elements of a measurement that belong to one sensor, ``Sensor.blocks``.
         forgetting: b; 1 / (1 - b) innovations are remembered.
         confidence: one for each block, ``(..., blocks)``, or one for all.
-        confidence_in: ``"nominal"``: in the noise as it is known, so that a high one changes it slowly; ``"measured"``:
-            in the noise as it is newly measured.  At 0.5 they are the same.
+        confidence_in: ``"nominal"``: in the current estimate, so that a high confidence changes it slowly;
+            ``"measured"``: in the new innovation.  At 0.5 both give the same.
         lowest: share of the nominal variance that the estimate does not fall below.
         highest: multiple of it that the estimate does not rise above.
-        warmup: first innovations that change nothing: those of a poor start say little about the noise.
+        warmup: number of first innovations that do not change the estimate: after a poor prior they reflect the prior
+            more than the noise.
         adapt: ``"innovation"``, before the update, as above; ``"residual"``: after it, by ``r r^T + H P H^T`` of what
             is left, which is always positive.
 

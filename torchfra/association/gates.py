@@ -48,7 +48,7 @@ class Gate(nn.Module):
         the size of the gate.
         """
         beyond = self.beyond(candidates, sensor)
-        if isinstance(temperature, Tensor) or temperature > 0:  # what a tensor holds is not looked at
+        if isinstance(temperature, Tensor) or temperature > 0:  # the value of a tensor is not read: it may be traced
             soft = logsigmoid(-beyond / temperature)
             return torch.where(soft > _LOWEST_MEMBERSHIP, soft, -torch.inf)
         return torch.zeros_like(beyond).masked_fill(beyond > 0, -torch.inf)

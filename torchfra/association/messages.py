@@ -19,7 +19,7 @@ _CONVERGED = 1e-10
 
 
 def each_alone(scans: GatedScans) -> Association:
-    """Exact association of targets that share no measurement, each by itself; of others it says nothing."""
+    """Association of each target by itself: exact for targets that share no measurement, meaningless for others."""
     log_ratio, gated = _poisson_ratio(scans), scans.gated
     impossible = torch.where(gated.any(-1), -torch.inf, 0.0)  # an always measured target is missed if its gate is empty
     log_miss = torch.where(scans.log_miss == -torch.inf, impossible, scans.log_miss)
@@ -123,9 +123,9 @@ def _bethe_correction(detected: Tensor, missed: Tensor, to_target: Tensor, gated
 
 
 def _log_sum_of_others(x: Tensor) -> Tensor:
-    """For each entry of ``x (..., n)`` the log of the sum over all others of the last dimension.
+    """For each entry of ``x (..., n)`` the log of the sum of the other entries along the last dimension.
 
-    The sum of all less one entry loses no digits as long as the largest is another: that one's own is summed apart.
+    Subtracting an entry from the sum of all loses no digits unless it is the largest, for which the rest is summed.
     """
     n = x.shape[-1]
     if n == 1:
@@ -133,5 +133,5 @@ def _log_sum_of_others(x: Tensor) -> Tensor:
     largest, place = x.detach().max(-1, keepdim=True)
     own = torch.arange(n, device=x.device) == place
     weight = (x - largest).exp()
-    others = torch.where(own, 1.0, weight.sum(-1, keepdim=True) - weight).log() + largest
-    return torch.where(own, x.masked_fill(own, -torch.inf).logsumexp(-1, keepdim=True), others)
+    rest = torch.where(own, 1.0, weight.sum(-1, keepdim=True) - weight).log() + largest
+    return torch.where(own, x.masked_fill(own, -torch.inf).logsumexp(-1, keepdim=True), rest)

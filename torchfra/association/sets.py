@@ -32,10 +32,10 @@ def check_sets(targets: int, count: int, exact: tuple[int, int]) -> None:
 def sum_over_sets(scans: GatedScans) -> Association:
     """Association of all targets ``(R, N)``, summed over all joint events of a scan.
 
-    Measurement by measurement, ``total[S]`` becomes the sum over all ways in which exactly the targets of the set S
-    have been measured: without the new one, or with it as that of any target of S.  A recursion the other way finds
-    what the log of the whole sum changes by with each weight, which is its probability.  Sums are multiples of their
-    largest term, so that nothing under- or overflows: ``best`` is the log of that.
+    Measurement by measurement, ``total[S]`` becomes the sum over all events in which exactly the targets of the set S
+    are measured: those where the new measurement is false, and those where it belongs to a target of S.  A backward
+    recursion gives the derivative of the log of the sum with respect to each log weight, which is its probability.
+    Sums are divided by their largest term, so that nothing under- or overflows: ``best`` is the log of that term.
 
     Source: Fortmann, Bar-Shalom & Scheffe (1983) for the events; the recursion is Bellman's (1962), over subsets.
     """
@@ -51,10 +51,10 @@ def sum_over_sets(scans: GatedScans) -> Association:
     log_sum = torch.where(best > 0.1 * _IMPOSSIBLE, best + safe_log(total), -torch.inf)
     probability, evidence = _of_sets(scans, log_sum)
     missed = [_pairs(probability, t)[0].sum((-2, -1)) for t in range(targets)]
-    pull = torch.where(probability > 0, probability / torch.where(probability > 0, total, 1.0), 0.0)
+    adjoint = torch.where(probability > 0, probability / torch.where(probability > 0, total, 1.0), 0.0)
     columns = []
     for step in reversed(steps):
-        pull, measured = step.back(pull)
+        adjoint, measured = step.back(adjoint)
         columns.append(measured)
     every = torch.stack([torch.stack(missed, -1), *columns[::-1]], -1)
     return Association(safe_log(every), evidence)
@@ -65,7 +65,7 @@ class _Step:
 
     Args:
         best: ``(R, 2^N)`` before it.
-        total: likewise, as multiples of the exponential of ``best``.
+        total: ``(R, 2^N)`` before it, divided by the exponential of ``best``.
         ratio: ``(R, N)`` log weights of the measurement.
     """
 
@@ -74,33 +74,33 @@ class _Step:
         weights = ratio[..., None, None].unbind(1)
         for t, weight in enumerate(weights):
             through = _pairs(best, t)[0] + weight.detach()
-            rest, held = _pairs(self.best, t)
-            self.best = _joined(rest, torch.maximum(held, through))
+            rest, inside = _pairs(self.best, t)
+            self.best = _joined(rest, torch.maximum(inside, through))
         self._kept = (best - self.best).exp()
         self._shares = [
             (_pairs(best, t)[0] + weight - _pairs(self.best, t)[1]).exp() for t, weight in enumerate(weights)
         ]
         self.total = self._kept * total
         for t, share in enumerate(self._shares):
-            rest, held = _pairs(self.total, t)
-            self.total = _joined(rest, held + share * _pairs(total, t)[0])
+            rest, inside = _pairs(self.total, t)
+            self.total = _joined(rest, inside + share * _pairs(total, t)[0])
 
-    def back(self, pull: Tensor) -> tuple[Tensor, Tensor]:
-        """What the log of the whole sum changes by with the total before, and ``(R, N)`` with the log weights.
+    def back(self, adjoint: Tensor) -> tuple[Tensor, Tensor]:
+        """Derivatives of the log of the sum: by the total before, and ``(R, N)`` by the log weights.
 
-        ``pull`` is what it changes by with the total after.
+        ``adjoint`` is the derivative by the total after.
         """
-        before, measured = self._kept * pull, []
+        before, measured = self._kept * adjoint, []
         for t, share in enumerate(self._shares):
-            shared = share * _pairs(pull, t)[1]
+            shared = share * _pairs(adjoint, t)[1]
             measured.append((shared * _pairs(self.before, t)[0]).sum((-2, -1)))
-            rest, held = _pairs(before, t)
-            before = _joined(rest + shared, held)
+            rest, inside = _pairs(before, t)
+            before = _joined(rest + shared, inside)
         return before, torch.stack(measured, -1)
 
 
 def _pairs(table: Tensor, t: int) -> tuple[Tensor, ...]:
-    """A table ``(R, 2^N)`` as that of sets without target ``t``, and that of the same sets with it."""
+    """A table ``(R, 2^N)`` split into the entries of sets without target ``t``, and those of the sets with it added."""
     halves: tuple[Tensor, ...] = table.unflatten(-1, (-1, 2, 1 << t)).unbind(-2)
     return halves
 
@@ -117,18 +117,18 @@ def _of_sets(scans: GatedScans, log_sum: Tensor) -> tuple[Tensor, Tensor]:
         scans: the scans.
         log_sum: ``(R, 2^N)`` log of the sum over all ways in which they are; minus infinity for none.
     """
-    clusters, held = scans.clusters, _held(scans.log_ratio.shape[-2]).to(log_sum)
+    clusters, inside = scans.clusters, _membership(scans.log_ratio.shape[-2]).to(log_sum)
     always = scans.log_miss == -torch.inf
     log_miss, always = torch.where(always, 0.0, scans.log_miss), always.to(log_sum)
     together = clusters.members.to(log_sum)
-    within = log_sum.unsqueeze(-2) + (together * log_miss.unsqueeze(-2)) @ (1 - held)  # (R, N, 2^N), of each cluster
-    overall = log_sum + (log_miss.unsqueeze(-2) @ (1 - held)).squeeze(-2)
+    within = log_sum.unsqueeze(-2) + (together * log_miss.unsqueeze(-2)) @ (1 - inside)  # (R, N, 2^N), of each cluster
+    overall = log_sum + (log_miss.unsqueeze(-2) @ (1 - inside)).squeeze(-2)
     if scans.diffuse:
-        factor = _log_false(clusters.weight.unsqueeze(-1), together @ held)
+        factor = _log_false(clusters.weight.unsqueeze(-1), together @ inside)
         within, overall = within + factor, overall + (factor / clusters.size.unsqueeze(-1)).sum(-2)
-    within = torch.where((1 - together) @ held == 0, within, -torch.inf)
-    within = _fewest(within, (together * always.unsqueeze(-2)) @ (1 - held))
-    overall = _fewest(overall, (always.unsqueeze(-2) @ (1 - held)).squeeze(-2))
+    within = torch.where((1 - together) @ inside == 0, within, -torch.inf)
+    within = _fewest(within, (together * always.unsqueeze(-2)) @ (1 - inside))
+    overall = _fewest(overall, (always.unsqueeze(-2) @ (1 - inside)).squeeze(-2))
     return overall.softmax(-1), within.logsumexp(-1) / clusters.size
 
 
@@ -144,7 +144,7 @@ def _fewest(log_event: Tensor, misses: Tensor) -> Tensor:
 
 
 @lru_cache(maxsize=16)
-def _held(targets: int) -> Tensor:
+def _membership(targets: int) -> Tensor:
     """``(N, 2^N)``: 1 where a set holds a target."""
     with torch.inference_mode(False):
         return (torch.arange(1 << targets) >> torch.arange(targets).unsqueeze(-1)) % 2

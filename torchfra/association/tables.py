@@ -76,7 +76,7 @@ def _pack(scans: GatedScans, chosen: Tensor, table: tuple[int, int]) -> _Packed:
 
 
 def _true_first(mask: Tensor, count: int) -> Tensor:
-    """``(..., count)`` indices of ``mask (..., n)``: first where it is true, in order, then others."""
+    """``(..., count)`` indices of ``mask (..., n)``: first the true entries in order, then the false ones."""
     return mask.to(torch.int8).sort(dim=-1, descending=True, stable=True)[1][..., :count]
 
 

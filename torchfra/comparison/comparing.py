@@ -11,7 +11,7 @@ from torchfra.comparison.comparison import Comparison
 from torchfra.evaluation.limits import check_limit
 from torchfra.evaluation.runs import measure, results_of
 from torchfra.filters.base import Filter
-from torchfra.numbers import whole
+from torchfra.numbers import is_integer
 from torchfra.scenarios import Bound, Scenario, Tracks, given
 from torchfra.scenarios import bound as bound_on
 
@@ -78,7 +78,7 @@ def _check(
     if not isinstance(names, Mapping | list | tuple) or not all(isinstance(name, str) for name in names):
         raise ValueError(f"filters: expected names, or filters by name, received {filters!r:.80}")
     for name, value, least in (("runs", 1 if runs is None else runs, 1), ("seed", seed, 0), ("chunk", chunk, 1)):
-        if not whole(value, least):
+        if not is_integer(value, least):
             raise ValueError(f"{name}: expected a whole number of {least} or more, received {value!r}")
     check_limit(limit)
 

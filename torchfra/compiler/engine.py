@@ -212,7 +212,7 @@ class Compiled:
 
 
 def _whole(f: Any, measurements: Measurements) -> bool:
-    return bool(f.scans and f.whole(measurements))
+    return bool(f.scans and f.complete(measurements))
 
 
 @lru_cache(maxsize=64)

@@ -14,7 +14,7 @@ from torchfra.compiler.ends import Ends
 from torchfra.compiler.entries import Entries
 from torchfra.compiler.expressions import Expressions
 from torchfra.compiler.step import Step
-from torchfra.gaussian.inputs import Frame, Measurements, Whole
+from torchfra.gaussian.inputs import CompleteScans, Frame, Measurements
 from torchfra.linalg.triangular import tria
 from torchfra.types import Cause, Estimate, Gaussian
 
@@ -82,6 +82,6 @@ class Once:
 def _frame(f: Any, data: dict[str, Tensor], whole: bool) -> Frame:
     """The frame of one step of one track, or scene."""
     measurements = Measurements(**data).as_track(scans=f.scans)
-    (frame,), _ = f._frames(Whole(*measurements) if whole else measurements, int(f.scans))
+    (frame,), _ = f._frames(CompleteScans(*measurements) if whole else measurements, int(f.scans))
     made: Frame = frame
     return made

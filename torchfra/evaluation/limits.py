@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchfra.evaluation.fixes import fixes
-from torchfra.numbers import real
+from torchfra.numbers import as_number
 from torchfra.scenarios import Scenario, Tracks
 
 TIMES = 10.0
@@ -21,7 +21,7 @@ def check_limit(limit: float | None) -> None:
     Raises:
         ValueError: no number above 0.
     """
-    if limit is not None and not real(limit) > 0:
+    if limit is not None and not as_number(limit) > 0:
         raise ValueError(f"limit: expected metres above 0, received {limit!r}")
 
 

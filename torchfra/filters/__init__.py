@@ -4,10 +4,9 @@ from torchfra.filters.alphabeta import AlphaBeta
 from torchfra.filters.alphabeta.bank import AlphaBetaBank
 from torchfra.filters.alphabeta.memory import AlphaBetaInfo
 from torchfra.filters.base import Filter
-from torchfra.filters.branches import FRAInfo, FRAState
 from torchfra.filters.fixed_lag import FixedLag, FixedLagState
 from torchfra.filters.forecast import Forecast
-from torchfra.filters.fra import FRA
+from torchfra.filters.fra import FRA, FRAInfo, FRAState
 from torchfra.filters.gpb import GPB, GPBInfo, GPBState, Outliers, Regimes
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
 from torchfra.filters.likely_models import LikelyModels

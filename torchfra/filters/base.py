@@ -1,9 +1,10 @@
-"""What every filter is: three functions that it gives, and all that comes from them."""
+"""The base of all filters: three functions that a filter gives, and everything that follows from them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Generic
+from functools import wraps
+from typing import TYPE_CHECKING, Any, Generic, ParamSpec
 
 import torch
 from torch import Tensor, nn
@@ -12,18 +13,17 @@ from typing_extensions import Self, TypeVar
 from torchfra.adaptive.fading import NoFading
 from torchfra.filters.checks import check_lengths, check_models, check_state, check_step
 from torchfra.filters.engine import INTERPRETED, Engine
-from torchfra.filters.failures import diagnosed
+from torchfra.filters.failures import diagnose
 from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
 from torchfra.filters.fusion import fused
 from torchfra.filters.other_sensors import SensorViews
-from torchfra.filters.precision import in_full_precision
 from torchfra.filters.records import Kept, Past, Record, Smoothed, SmoothInfo, scores
 from torchfra.gaussian.arguments import check, check_belief
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements, Time, batch_rank, make_frames, with_values
 from torchfra.gaussian.model import Carried, compare, predict, propagate
 from torchfra.gaussian.rules import Rule
-from torchfra.gaussian.smoothing import reverse
+from torchfra.gaussian.smoothing import smooth_step
 from torchfra.gaussian.update import innovation
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.triangular import tria
@@ -33,14 +33,29 @@ from torchfra.types import Estimate, Gaussian, Innovation, Prediction, Whitened
 
 Mix = Callable[[Gaussian], Gaussian]
 S = TypeVar("S", default=Any)  # the states of a filter
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def in_full_precision(method: Callable[P, R]) -> Callable[P, R]:
+    """A method that computes under ``torch.autocast`` as it does without: half precision is too coarse for roots."""
+
+    @wraps(method)
+    def full(*arguments: P.args, **options: P.kwargs) -> R:
+        if not (torch.is_autocast_enabled("cpu") or torch.is_autocast_enabled("cuda")):
+            return method(*arguments, **options)
+        with torch.autocast("cpu", enabled=False), torch.autocast("cuda", enabled=False):
+            return method(*arguments, **options)
+
+    return full
 
 
 class Filter(nn.Module, Generic[S]):
-    """Abstract: what every filter is, by two functions that a subclass gives, and a third to be smoothed.
+    """Abstract: a subclass gives two functions, and a third for smoothing other than Rauch-Tung-Striebel's.
 
     ::
 
-        begin(belief) -> state                           a named tuple, or another, with a ``belief``
+        begin(belief) -> state                           usually a named tuple, with a ``belief``
         advance(state, frame) -> state, Record           one step on a prepared frame
         retreat(step, after) -> state, Smoothed          one step of the backward pass
 
@@ -53,9 +68,9 @@ class Filter(nn.Module, Generic[S]):
     Nothing of a track stays in a filter; it runs where ``z`` is, in its dtype.
 
     Args:
-        motion: how targets move, a linear one is carried exactly, without points; None for a filter around another one,
-            whose models are its own.
-        sensor: what is measured; None likewise.
+        motion: how targets move; a linear motion is carried exactly, without sigma points.  None for a filter around
+            another one, whose models it uses.
+        sensor: what is measured; None for a filter around another one.
         rule: from a number of states to the rule that carries a Gaussian through a function (``torchfra.gaussian``).
 
     Raises:
@@ -74,8 +89,8 @@ class Filter(nn.Module, Generic[S]):
     """Why there may be no other sensor; None where there may."""
     annealed: tuple[str, ...] = ()
     """Attributes that are plain numbers and may change between calls, such as a temperature that is lowered."""
-    given: tuple[Sensor, ...] = ()
-    """The sensor that its own is a copy of, where it has copied that: it is its own too."""
+    originals: tuple[Sensor, ...] = ()
+    """The sensors that its own is a copy of: they count as its own."""
     engine: Engine
     """What runs its steps: see ``compile``."""
     motion: Motion
@@ -96,44 +111,44 @@ class Filter(nn.Module, Generic[S]):
         self.motion_rule = rule(motion.size)
         self.sensor_rule = self.motion_rule.marginal(sensor.reads)
 
-    # ------------------------------------------------------------ what a filter gives
+    # ------------------------------------------------------------ three functions of a filter
 
     def begin(self, belief: Gaussian) -> S:
-        """The state that a belief of full batch and triangular root makes; it has a ``belief``."""
+        """The state for a belief of full batch and triangular root; it has a ``belief``."""
         raise TypeError(f"{type(self).__name__} needs a begin")
 
     def advance(self, state: S, frame: Frame) -> tuple[S, Record]:
         """One step on a prepared frame: the next state and what to keep of the step.
 
-        A filter that says ``mixes`` has one more argument, ``mix``: what makes another belief of the one that the step
-        starts from, as interacting models do.
+        A filter with ``mixes = True`` has one more argument, ``mix``: a function that replaces the belief from which
+        the step starts, as interacting models do.
         """
         raise TypeError(f"{type(self).__name__} needs an advance")
 
     def retreat(self, step: BackwardStep, after: Any) -> tuple[Any, Smoothed]:
-        """One step of the backward pass: the next state of it from that ``after`` the step, and what it says.
+        """One step of the backward pass: its next state, and the smoothed estimate of the step.
 
-        This one is Rauch, Tung & Striebel (1965) through the prediction as it was made.  States may have one more
-        dimension in front of the batch, of several states for the same past.
+        The default is Rauch, Tung & Striebel (1965), with the prediction of the forward pass.  ``after`` is the state
+        of the backward pass after the step; with a fixed lag it has one more dimension in front of the batch.
         """
         carried = self.carry(step.past.belief, step.frame, step.next.factor)
         smoothed = self.reverse(step.past.belief, carried, after)
         return smoothed.belief, smoothed
 
-    # ------------------------------------------------------------ what a filter may give besides
+    # ------------------------------------------------------------ further functions that it may override
 
     def finish(self, state: Any, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
         """Beliefs ``(..., T, ...)`` and info of a sequence that ended in ``state``.
 
-        A filter that decides late puts its last decisions here.
+        A filter that decides a step by the next one adds the decision of the last step here.
         """
         return belief, info
 
     def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
-        """Its parts, by name, that are others around another sensor.
+        """The parts, by name, that differ around another sensor.
 
         Raises:
-            ValueError: there may be no other.
+            ValueError: the filter works with its own sensor only.
         """
         if self.one_sensor is not None:
             raise ValueError(f"sensor: expected None, as {self.one_sensor}, received {sensor.describe()}")
@@ -170,16 +185,16 @@ class Filter(nn.Module, Generic[S]):
             belief: of ``forward``.
             info: of ``forward``.
             state: after the last step; None of a filter that keeps no past.
-            steps: ``Record.past`` of all steps; None likewise.
+            steps: ``Record.past`` of all steps; None of a filter that keeps no past.
         """
         return Past(belief, None, info=info)
 
     def fresh(self, past: Any) -> Any:
-        """The past of a step as it was at the step itself, before a later measurement decided anything of it."""
+        """The past of a step as of the step itself, before the next measurement has decided its estimate."""
         return past if past.fresh is None else Past(*past.fresh)
 
     def decided(self, past: Any) -> Any:
-        """The past of a last step, of which no later measurement will decide anything."""
+        """The past of the last step, whose estimate no later measurement decides."""
         return past._replace(fresh=None)
 
     def needed_of_next(self, past: Any) -> Any:
@@ -187,11 +202,11 @@ class Filter(nn.Module, Generic[S]):
         return past._replace(belief=None, fresh=None)
 
     def last(self, past: Any) -> tuple[Any, Smoothed]:
-        """Where the backward pass begins: its state at the last step, and what it says of that."""
+        """Where the backward pass begins: its state at the last step, and the smoothed estimate there."""
         repaired = torch.zeros_like(past.belief.mean[..., 0], dtype=torch.bool) if self._may_repair else None
         return past.belief, Smoothed(past.belief, repaired=repaired)
 
-    # ------------------------------------------------------------ what it has to work with
+    # ------------------------------------------------------------ to write a filter with
 
     @property
     def signed(self) -> bool:
@@ -208,9 +223,8 @@ class Filter(nn.Module, Generic[S]):
 
     def reverse(self, belief: Gaussian, carried: Carried, after: Gaussian) -> Smoothed:
         """A ``belief``, smoothed by the smoothed one ``after`` the step that has ``carried`` it."""
-        step = reverse(belief, carried)
-        mean, root = step(after, self.motion.difference)
-        repaired = None if step.repaired is None else step.repaired.expand(mean.shape[:-1])
+        (mean, root), repaired = smooth_step(belief, carried, after, self.motion.difference)
+        repaired = None if repaired is None else repaired.expand(mean.shape[:-1])
         return Smoothed(Gaussian(self.motion.canonical(mean), root), repaired=repaired)
 
     def carry(self, belief: Gaussian, frame: Frame, factor: Tensor | None = None) -> Carried:
@@ -223,7 +237,7 @@ class Filter(nn.Module, Generic[S]):
         """Whether a step back may have to repair a covariance."""
         return self.motion_rule.signed and not self.motion.linear
 
-    # ------------------------------------------------------------ what it gets
+    # ------------------------------------------------------------ to use a filter
 
     @in_full_precision
     def init(self, prior: Gaussian) -> S:
@@ -305,10 +319,10 @@ class Filter(nn.Module, Generic[S]):
             checkpoint: steps between states that are kept for the backward pass, which computes the steps between anew:
                 less memory for more time.  None keeps everything, after ``compile`` no more than 64 MiB.
             sensors: where steps have several: ``z (..., T, m)`` has the elements of the largest, NaN behind those
-                of a smaller; ``std`` and ``noise`` likewise, and so has ``info`` what it says of elements.
+                of a smaller, and so do ``std``, ``noise`` and the elements in ``info``.
             which: ``(T,)`` number of each step's sensor, beside ``sensors``; ``dt`` 0 for two at the same instant.  The
                 ``u`` of a step is for its sensor: a ``RangeBearing`` without a ``position`` stands there.
-            past: whether the estimate shall hold what ``smooth(estimate=)`` needs: of several models what each knew.
+            past: whether the estimate shall hold what ``smooth(estimate=)`` needs, such as the belief of each model.
 
         Returns:
             Estimates ``(..., T, n)``, of several targets ``(..., N, T, n)``.
@@ -319,8 +333,8 @@ class Filter(nn.Module, Generic[S]):
         """
         check_lengths(truncate=truncate, checkpoint=checkpoint)
         f = self if sensors is None and which is None else fused(self, sensors, which)
-        given = Measurements(z, dt, u, std, noise), prior, checkpoint, truncate
-        return f._remembered(*given) if past else f._forth(*given)[0]
+        arguments = Measurements(z, dt, u, std, noise), prior, checkpoint, truncate
+        return f._remembered(*arguments) if past else f._forth(*arguments)[0]
 
     if TYPE_CHECKING:  # what torch types as a call that may return anything
         __call__ = forward
@@ -344,25 +358,25 @@ class Filter(nn.Module, Generic[S]):
     ) -> Estimate:
         """Whole tracks, each step by the measurements before and after it: Rauch-Tung-Striebel after the filter.
 
-        What the filter has settled on stays: weights of measurements and estimates of their noise are in the beliefs
-        that it carried on, fading factors widen the predictions as they did.  (How Huber's regression weighs the
-        prediction is not known to the backward pass.)
+        The backward pass keeps the decisions of the filter: weights of measurements and estimates of the noise are in
+        the filtered beliefs, and fading factors widen the predictions as before.  (The weights that Huber's regression
+        gives to the prediction are not used.)
 
         Args:
-            z: as of ``forward``, like all others that are not below.
-            prior: likewise.
-            dt: likewise.
-            u: likewise.
-            std: likewise.
-            noise: likewise.
+            z: as of ``forward``.
+            prior: as of ``forward``.
+            dt: as of ``forward``.
+            u: as of ``forward``.
+            std: as of ``forward``.
+            noise: as of ``forward``.
             truncate: steps after which gradients of the forward pass flow no further back; nor do those of predictions
                 on the backward pass.
             checkpoint: steps between states that are kept for gradients, both ways.
             lag: measurements up to so many steps later count for the estimate of a step; None for all there are.
-            estimate: what ``forward`` gave for the same arguments, so that it need not run again; of several models,
-                if it was told ``past=True``: else an estimate does not hold what each knew, and they run all the same.
+            estimate: the result of ``forward`` for the same arguments, so that the filter need not run again.  A filter
+                of several models runs again nevertheless, unless ``forward`` was called with ``past=True``.
             sensors: as of ``forward``.
-            which: likewise.
+            which: as of ``forward``.
 
         Returns:
             Smoothed beliefs in the shapes of ``forward``; ``nis`` and ``log_likelihood`` are those of the filter, and
@@ -431,7 +445,7 @@ class Filter(nn.Module, Generic[S]):
         Raises:
             ValueError: something else, or a filter that is of one sensor, with the reason.
         """
-        if sensor is None or sensor is self.sensor or any(sensor is x for x in self.given):
+        if sensor is None or sensor is self.sensor or any(sensor is x for x in self.originals):
             return self
         view: Self = self._views(self, sensor)
         return view
@@ -451,7 +465,7 @@ class Filter(nn.Module, Generic[S]):
                 gradients always wait.
             args: with any other argument this is ``nn.Module.compile``, and so ``torch.compile``, instead:
                 ``f.compile(backend="inductor")``.
-            options: likewise.
+            options: as ``args``.
 
         Returns:
             The filter itself.
@@ -472,7 +486,7 @@ class Filter(nn.Module, Generic[S]):
             self.engine = Compiled(INTERPRETED) if wait else Meanwhile(INTERPRETED)
         return self
 
-    # ------------------------------------------------------------ how
+    # ------------------------------------------------------------ to run a filter, for engines
 
     def keep(self, state: S, frame: Frame, past: bool = False) -> tuple[S, Kept]:
         """One step on a prepared frame: the next state, and what the estimate (and the backward pass) needs of it."""
@@ -491,7 +505,9 @@ class Filter(nn.Module, Generic[S]):
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
         """The estimate of whole tracks, and for a backward pass the last state and what steps have kept."""
         estimate, state, kept = self.engine.forward(self, measurements, prior, checkpoint, truncate, past)
-        return diagnosed(self, estimate, measurements, prior), state, kept
+        if estimate.failure is None:
+            estimate = estimate._replace(failure=diagnose(self, estimate, measurements, prior))
+        return estimate, state, kept
 
     def begun(self, measurements: Measurements, prior: Gaussian) -> tuple[S, int]:
         """The state before the first measurement of whole tracks, and its batch dimensions; all is checked."""

@@ -1,4 +1,4 @@
-"""Checks of what is handed to a filter, before any work."""
+"""Checks of a filter's arguments, before any work."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ class Engine(Protocol):
             rank: batch dimensions.
             frames: makes those of the forward pass.
             checkpoint: steps between states that are kept for gradients.
-            lag: steps after which measurements are no longer looked at; None for all there are.
+            lag: number of later steps whose measurements count; None for all.
             truncate: steps after which gradients of the forward pass were cut.
         """
 
@@ -110,7 +110,7 @@ class Interpreted:
         """The backward pass."""
         steps = frames()
         *earlier, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(steps))
-        return sweep(f, [*earlier, f.decided(last)], steps, rank, checkpoint, lag, truncate)
+        return backward_pass(f, [*earlier, f.decided(last)], steps, rank, checkpoint, lag, truncate)
 
     def another(self) -> Engine:
         """This one: it holds nothing of a filter."""
@@ -162,11 +162,11 @@ def scan(
     return state, records
 
 
-def sweep(
+def backward_pass(
     f: Any, past: Any, frames: Sequence[Frame], rank: int, checkpoint: int | None, lag: int | None,
     truncate: int | None = None,
 ) -> Smoothed:  # fmt: skip
-    """What the backward pass gives for all steps, stacked over time behind ``rank`` batch dimensions.
+    """The smoothed estimates of all steps, stacked over time behind ``rank`` batch dimensions.
 
     Args:
         f: takes the steps.
@@ -174,7 +174,7 @@ def sweep(
         frames: one for each step.
         rank: batch dimensions.
         checkpoint: steps between states that are kept for gradients.
-        lag: steps after which measurements are no longer looked at; None for all there are.
+        lag: number of later steps whose measurements count; None for all.
         truncate: steps after which gradients of the forward pass were cut.
     """
     carried = [tree.detach(x) if truncate and k % truncate == 0 else x for k, x in enumerate(past, 1)]
@@ -195,9 +195,9 @@ def _back(f: Any, after: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
 
 
 def _lagged(f: Any, window: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
-    """One step back of several states: ``window[l]`` knows the measurements up to ``l`` steps later.
+    """One step of the backward pass with a fixed lag: ``window[l]`` is smoothed by the ``l`` steps after its own.
 
-    What the newest of them has not decided yet is taken as it was at the step itself.
+    For ``window[0]`` the past of its step is fresh: no later measurement has decided it.
     """
     fresh = f.fresh(step.next)
     if fresh is step.next:

@@ -1,4 +1,4 @@
-"""When and why a track has failed."""
+"""The step at which a track has failed, and the cause."""
 
 from __future__ import annotations
 
@@ -14,26 +14,19 @@ from torchfra.linalg.tracing import is_traced
 from torchfra.types import Cause, Estimate, Failure, Gaussian
 
 
-def diagnosed(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaussian) -> Estimate:
-    """An estimate with its failures, if it has none yet: see ``diagnose``."""
-    if estimate.failure is not None:
-        return estimate
-    return estimate._replace(failure=diagnose(f, estimate, measurements, prior))
-
-
 def diagnose(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaussian) -> Failure:
     """At which step each track of a sequence has failed, and why.
 
     Args:
         f: the filter.
         estimate: ``(..., T)`` of the sequence.
-        measurements: that the filter was given.
-        prior: likewise.
+        measurements: of the sequence.
+        prior: the belief before them.
     """
     mean, root, scores = (x.detach() for x in (estimate.mean, estimate.scale_tril, estimate.log_likelihood))
     tracks = mean.shape[:-2]
     if not is_traced(mean, scores):
-        # What is not finite at a step makes that of the next one's score; sums show it without a look at every root.
+        # A belief that is not finite makes the next score not finite too: sums show it without a test of every root.
         total = scores.sum() + mean.select(-2, -1).sum() + root.select(-3, -1).sum()
         if math.isfinite(total.item()):
             return Failure(*(torch.full(tracks, value, device=mean.device) for value in (-1, int(Cause.NONE))))
@@ -58,7 +51,7 @@ def _broken(mean: Tensor, root: Tensor) -> Tensor:
 
 
 def _by_then(bad: Tensor, step: Tensor, scans: bool) -> Tensor:
-    """``(...)`` whether anything was bad until the step after ``step``, which may have settled it.
+    """``(...)`` whether anything was bad until the step after ``step``, which may have decided its estimate.
 
     Args:
         bad: ``(..., T)``, of scans without the targets that ``step`` has.

@@ -1,4 +1,4 @@
-"""Smoothing while measurements come in: estimates a fixed number of steps back."""
+"""Fixed-lag smoothing of a stream: estimates a fixed number of steps back."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torchfra import tree
 from torchfra.filters.base import Filter
 from torchfra.filters.checks import check_lengths
-from torchfra.filters.engine import sweep
+from torchfra.filters.engine import backward_pass
 from torchfra.filters.fusion import joined
 from torchfra.filters.records import Record, Smoothed
 from torchfra.gaussian.inputs import Frame, Measurements, Time
@@ -28,14 +28,14 @@ class WindowStep(NamedTuple):
 
 
 class FixedLagState(NamedTuple):
-    """What is known after a step."""
+    """State after a step."""
 
     inner: Any
-    """Of the filter."""
+    """State of the filter."""
     window: tuple[WindowStep, ...] = ()
     """The steps up to ``lag`` back, the newest last."""
-    told: Smoothed | None = None
-    """Of the first step of the window, from the measurements so far: see ``lagged``."""
+    smoothed: Smoothed | None = None
+    """Smoothed estimate at the first step of the window: see ``lagged``."""
 
     @property
     def belief(self) -> Gaussian:
@@ -46,14 +46,14 @@ class FixedLagState(NamedTuple):
     @property
     def lagged(self) -> Gaussian:
         """The estimate ``lag`` steps back; of the first step until there are so many, before that the prior."""
-        return self.belief if self.told is None else self.told.belief
+        return self.belief if self.smoothed is None else self.smoothed.belief
 
 
 class FixedLag(nn.Module):
-    """A filter whose ``step`` hands out estimates some steps back, by all measurements since: ``state.lagged``.
+    """A filter whose ``step`` also gives the estimate ``lag`` steps back, smoothed by all later ones: ``state.lagged``.
 
-    They are those of ``smooth(..., lag=lag)``.  A step goes back over the window, so that it takes the time of the
-    filter's and of ``lag`` steps back; it runs interpreted, also of a compiled filter.
+    These are the estimates of ``smooth(..., lag=lag)``.  A step takes the time of one step forwards and ``lag`` steps
+    backwards.  It runs interpreted, even if the filter is compiled.
 
     Args:
         filter: any that can be smoothed.
@@ -98,8 +98,8 @@ class FixedLag(nn.Module):
             self.filter.check_smooths_several()
         inner, record, step = remember(f, state.inner, Measurements(z, dt, u, std, noise))
         window = (*state.window, step)[-self.lag - 1 :]
-        told, rank = go_back(self.filter, inner, window), inner.belief.mean.dim() - 1
-        first: Smoothed = tree.map_tensors(lambda x: x.select(rank, 0), told)
+        smoothed, rank = go_back(self.filter, inner, window), inner.belief.mean.dim() - 1
+        first: Smoothed = tree.map_tensors(lambda x: x.select(rank, 0), smoothed)
         return FixedLagState(inner, window, first), f.innovation_of(record, step.frame)
 
 
@@ -111,10 +111,10 @@ def remember(f: Filter, state: Any, measurements: Measurements) -> tuple[Any, Re
 
 
 def go_back(f: Filter, inner: Any, window: Sequence[WindowStep]) -> Smoothed:
-    """What is told of all steps of a window that ends in the filter's state ``inner``, time behind the batch."""
+    """The backward pass over a window that ends in the filter's state ``inner``, time behind the batch."""
     rank = inner.belief.mean.dim() - 1
     steps = [tree.map_tensors(lambda x: x.unsqueeze(rank), step[:3]) for step in window]
     belief, info, steps = joined(steps, rank)
     past = f.past(*f.finish(inner, belief, info), inner, steps)
     *earlier, now = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(window))
-    return sweep(f, [*earlier, f.fresh(now)], [step.frame for step in window], rank, None, None)
+    return backward_pass(f, [*earlier, f.fresh(now)], [step.frame for step in window], rank, None, None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,7 +13,6 @@ from torch.nn.functional import logsigmoid
 from torchfra import tree
 from torchfra.adaptive.fading import Fading, Memory
 from torchfra.filters.base import Filter, Mix
-from torchfra.filters.branches import UNDECIDED, Branches, FRAInfo, FRAState, Kept, Step, best, chosen
 from torchfra.filters.checks import check_sides
 from torchfra.filters.forecast import one_hypothesis
 from torchfra.filters.records import Past, Record
@@ -29,6 +28,73 @@ from torchfra.motion.base import Motion
 from torchfra.robust.weights import Huber, Weights
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Prediction, Whitened
+
+Branches = tuple[Gaussian, Gaussian, Gaussian]
+"""The robust, the adaptive and the plain branch, in this order everywhere."""
+UNDECIDED = ("robust", "adaptive", "plain", "likeliest")
+"""Which branch may be the estimate of an abnormal step that no measurement has decided."""
+
+
+class FRAState(NamedTuple):
+    """State after a step."""
+
+    belief: Gaussian
+    """Provisional estimate of this step: where it was abnormal the robust branch, or that of the largest odds."""
+    robust: Gaussian
+    """That branch; equal to ``plain`` where the step was normal (but for a soft decision)."""
+    adaptive: Gaussian
+    """The adaptive branch; equal to ``plain`` where the step was normal (but for a soft decision)."""
+    plain: Gaussian
+    """The estimate with neither remedy."""
+    lagged: Gaussian
+    """Final estimate of the step before: this measurement has decided among its branches."""
+    excess: Tensor
+    """``(...)`` how far the normalised innovation squared is above the gate."""
+    memory: Memory
+
+    @property
+    def abnormal(self) -> Tensor:
+        """``(...)`` bool: this step waits for the next measurement."""
+        return self.excess > 0  # eq. (36)
+
+    @property
+    def branches(self) -> Branches:
+        """The estimates that wait for a decision."""
+        return self.robust, self.adaptive, self.plain
+
+
+class FRAInfo(NamedTuple):
+    """Per step and track."""
+
+    abnormal: Tensor
+    """``(..., T)`` bool: the innovation failed the gate and the filter forked."""
+    adaptive: Tensor
+    """``(..., T)`` bool: the adaptive branch was kept (with a soft decision: had the largest weight)."""
+    plain: Tensor
+    """``(..., T)`` bool: the plain branch was kept (with a soft decision: had the largest weight)."""
+    fading: Tensor
+    """``(..., T)`` fading factor of the adaptive branch, 1 at normal steps (but for a soft decision)."""
+    weights: Tensor
+    """``(..., T, m)`` Huber weights of the robust branch, 1 at normal steps."""
+    provisional: Gaussian
+    """``mean (..., T, n)`` and ``scale_tril``: the estimate at the step itself, before the next measurement decided."""
+
+
+class Choice(NamedTuple):
+    """Which branch of an abnormal step was kept, ``(...)`` bool each; neither: the robust one."""
+
+    adaptive: Tensor
+    plain: Tensor
+
+
+class FRAStep(NamedTuple):
+    """The info of one step, and the decision of the step before."""
+
+    before: tree.Late
+    """The final estimate of the step before, and its ``Choice``."""
+    abnormal: Tensor
+    fading: Tensor
+    weights: Tensor
 
 
 class FRA(Soft, Filter[FRAState]):
@@ -54,7 +120,7 @@ class FRA(Soft, Filter[FRAState]):
         rule: from a number of states to the rule that carries a Gaussian through a function.
         gate: normalised innovation squared above which a step is abnormal.
         preference: log odds of the robust branch over the adaptive one before the next measurement; 0 favours neither.
-        plain: log odds of a plain branch, likewise; None for no such branch (the paper's).
+        plain: log odds of a plain branch over the adaptive one; None for no such branch (the paper's).
         decision: how the branches' predictions are compared: ``"normalised"`` by the normalised innovation (the
             paper's; it favours the branch that expects more error), ``"likelihood"`` by the predictive likelihood.
         temperature: 0 for hard decisions, above for soft ones; an attribute that may be changed at any time.
@@ -125,9 +191,9 @@ class FRA(Soft, Filter[FRAState]):
         return one_hypothesis(self.predicted(state.belief, frame).belief)
 
     def advance(self, state: FRAState, frame: Frame, mix: Mix | None = None) -> tuple[FRAState, Record]:
-        """One step: the one before is settled, then this one is normal or forks."""
-        lagged, kept = self.settle(state, frame)
-        prediction, whitened = self.look(lagged if mix is None else mix(lagged), frame)
+        """One step: the step before is decided, then this one is normal or forks."""
+        lagged, kept = self.decide_before(state, frame)
+        prediction, whitened = self.compare_predicted(lagged if mix is None else mix(lagged), frame)
         plain, root, normalised = correct(prediction.belief, whitened)
         nis = normalised.square().sum(-1)  # eq. (35)
         weights = self.robust(whitened.residual, nis)
@@ -140,33 +206,33 @@ class FRA(Soft, Filter[FRAState]):
         belief = self.undecided(self.provisional, excess, (robust, adaptive, plain))
         state = FRAState(belief, robust, adaptive, plain, lagged, excess, memory)
         weights = tree.where(state.abnormal, weights, torch.ones_like(weights))
-        info = Step(tree.Late((lagged, kept)), state.abnormal, factor, weights)
+        info = FRAStep(tree.Late((lagged, kept)), state.abnormal, factor, weights)
         evidence = None if mix is None else down_weighted_density(*innovation(down_weight(whitened, weights)), weights)
         return state, Record(state.belief, whitened.residual, root, normalised, info, evidence=evidence)
 
-    def look(self, belief: Gaussian, frame: Frame) -> tuple[Prediction, Whitened]:
+    def compare_predicted(self, belief: Gaussian, frame: Frame) -> tuple[Prediction, Whitened]:
         """The prediction of a step, and the measurement against it."""
         prediction = self.predicted(belief, frame)
         return prediction, self.compare(prediction.belief, frame)
 
-    def settle(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Kept]:
-        """The step before, decided by this measurement, and which of its branches was kept."""
+    def decide_before(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Choice]:
+        """The final estimate of the step before, decided by this measurement, and which of its branches was kept."""
         if self.soft:
             scores = self.score(*state.branches, frame)
             kept = best(scores)
-            return self.shared(scores, state.excess, state.branches), Kept(*(state.abnormal & x for x in kept))
+            return self.shared(scores, state.excess, state.branches), Choice(*(state.abnormal & x for x in kept))
         no = torch.zeros_like(state.abnormal)
-        kept = self.where_abnormal(state.abnormal, self.decide, (*state.branches, frame), Kept(no, no))
+        kept = self.where_abnormal(state.abnormal, self.decide, (*state.branches, frame), Choice(no, no))
         return chosen(kept, state.branches), kept
 
-    def decide(self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, frame: Frame) -> Kept:
-        """The branch that predicts this measurement best; a tie goes to the robust one."""
+    def decide(self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, frame: Frame) -> Choice:
+        """The branch of the largest score; a tie goes to the robust one."""
         return best(self.score(robust, adaptive, plain, frame))
 
     def score(self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, frame: Frame) -> Tensor:
         """``(branches, ...)`` how well each predicts this measurement, minus infinity for one that failed."""
         branches = [robust, adaptive] if self.plain is None else [robust, adaptive, plain]
-        _, whitened = self.look(tree.stack(branches, 0), frame)
+        _, whitened = self.compare_predicted(tree.stack(branches, 0), frame)
         root, normalised = innovation(whitened)
         score = -0.5 * normalised.square().sum(-1)
         if self.decision == "likelihood":
@@ -218,30 +284,51 @@ class FRA(Soft, Filter[FRAState]):
         adaptive, _, _ = correct(faded, self.compare(faded, frame))
         return robust, adaptive, factor
 
-    def finish(self, state: FRAState, belief: Gaussian, info: Step) -> tuple[Gaussian, FRAInfo]:
-        """Each step's estimate is settled in the next, the last one by ``final``."""
+    def finish(self, state: FRAState, belief: Gaussian, info: FRAStep) -> tuple[Gaussian, FRAInfo]:
+        """The final estimate of each step comes with the next step, that of the last one by ``final``."""
         last = self.undecided(self.final, state.excess, state.branches)
-        kept = Kept(*(state.abnormal & x for x in self.favoured(self.final, state.excess)))
+        kept = Choice(*(state.abnormal & x for x in self.favoured(self.final, state.excess)))
         lagged, kept = tree.one_earlier(info.before, (last, kept), state.excess.dim(), info.abnormal.shape[-1])
         return lagged, FRAInfo(info.abnormal, kept.adaptive, kept.plain, info.fading, info.weights, belief)
 
-    def favoured(self, branch: str, like: Tensor) -> Kept:
+    def favoured(self, branch: str, like: Tensor) -> Choice:
         """What ``undecided`` keeps of abnormal steps of tracks ``(...)``."""
         if branch == "likeliest":
             return best(self.odds(like))
-        return Kept(*(torch.full_like(like, branch == name, dtype=torch.bool) for name in Kept._fields))
+        return Choice(*(torch.full_like(like, branch == name, dtype=torch.bool) for name in Choice._fields))
 
     def past(self, belief: Gaussian, info: FRAInfo, state: Any, steps: Any) -> Past:
-        """What was settled on, fading factors where the adaptive branch was kept; and what was provisional."""
+        """Final beliefs, with the fading factors of adaptive branches that were kept; and the provisional ones."""
         adaptive = info.abnormal & self.favoured(self.provisional, info.fading[..., 0]).adaptive.unsqueeze(-1)
         factor, early = (torch.where(kept, info.fading, 1.0) for kept in (info.adaptive, adaptive))
         return Past(belief, factor, (info.provisional, early))
 
     def where_abnormal(self, mask: Tensor, function: Callable[..., Any], arguments: Any, default: Any) -> Any:
-        """``function`` for the tracks in ``mask``: alone if that can be told now, else for all and then chosen."""
+        """``function`` for the tracks in ``mask``: for these alone where values may be read, else for all tracks."""
         if self.soft:
             return function(*arguments)
         parts = (self.gate, self.preference, self.plain, self.robust, self.fading)
         if is_traced(mask) or any(part is not None and brings_batch(part) for part in parts):
             return tree.where(mask, function(*arguments), default)
         return tree.where_needed(mask, function, arguments, default)
+
+
+def best(scores: Tensor) -> Choice:
+    """The branch of the largest score; a tie goes to the first.
+
+    Args:
+        scores: ``(branches, ...)`` of robust, adaptive and, if there is one, plain.
+    """
+    robust, adaptive = scores[0], scores[1]
+    better = adaptive > robust
+    if len(scores) == 2:
+        return Choice(better, torch.zeros_like(better))
+    plain = scores[2] > torch.maximum(robust, adaptive)
+    return Choice(better & ~plain, plain)
+
+
+def chosen(kept: Choice, branches: Branches) -> Gaussian:
+    """Of robust, adaptive and plain what was kept."""
+    robust, adaptive, plain = branches
+    belief: Gaussian = tree.where(kept.adaptive, adaptive, tree.where(kept.plain, plain, robust))
+    return belief

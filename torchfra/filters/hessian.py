@@ -58,11 +58,11 @@ def _row(loss: Callable[[], Tensor], parameters: Sequence[Tensor], numbers: Tens
     differences = []
     try:
         for size in (step, 2 * step):
-            ends = []
-            for end in (value + size, value - size):
-                numbers[i] = end
-                ends.append((_gradient(loss, parameters), numbers[i].item()))
-            (above, high), (below, low) = ends
+            sides = []
+            for side in (value + size, value - size):
+                numbers[i] = side
+                sides.append((_gradient(loss, parameters), numbers[i].item()))
+            (above, high), (below, low) = sides
             differences.append((above - below) / (high - low))
     finally:
         numbers[i] = value

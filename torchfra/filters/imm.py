@@ -1,4 +1,4 @@
-"""Interacting multiple models: one filter for each, that exchange what they know before every step."""
+"""Interacting multiple models: a filter for each, whose beliefs are mixed before every step."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from torchfra.filters.interaction import (
     cycle,
     even_interaction,
     for_each_model,
-    held,
     interaction,
+    over_time_step,
 )
 from torchfra.filters.likely_models import LikelyModels, of_active
 from torchfra.filters.model_smoothing import Models, ModelsPast, ModelsStep, remembered, retreat, together
@@ -34,16 +34,16 @@ from torchfra.types import Gaussian
 
 
 class IMMState(NamedTuple):
-    """What the models know after a step."""
+    """State after a step."""
 
     belief: Gaussian
-    """All models together."""
+    """The Gaussian with the moments of all models."""
     inner: Any
-    """Of their filters, whose batch ends in the models: ``(..., K)``."""
+    """State of the inner filter, whose batch ends in the models: ``(..., K)``."""
     log_weights: Tensor
     """``(..., K)`` logs of the models' probabilities."""
     active: Tensor | None = None
-    """``(..., A, K)`` one in each row: which models run, where A of the bank do; above they then stand for K."""
+    """``(..., A, K)`` one in each row: the A models of the bank that run, where not all do; K above is A then."""
 
 
 class IMMInfo(NamedTuple):
@@ -62,9 +62,9 @@ class IMM(Filter[IMMState]):
         inner: a filter around a ``Bank`` of K motions, of which a copy runs here; all K run in one batched call.
         transition: ``(K, K)``, ``transition[i, j] = P(now j | was i)``, rows that sum to one; it learns as
             ``transition``, row by row on the simplex.
-        stay: instead, of two models or more: the self-transition probability of every model, from ``1 / K`` to below 1;
-            the others share the rest evenly.  It learns as ``stay``, one number, and takes less time, the less the more
-            models there are.
+        stay: instead of ``transition``, for two models or more: the self-transition probability of every model, from
+            ``1 / K`` to below 1; a model switches to the others with equal probability.  It learns as ``stay``, one
+            number, and saves the more time, the more models there are.
         initial: ``(K,)`` probabilities before the first step; all the same if None.
         subset: which models run, where not all do, which needs a ``transition`` above 0 and linear motions; None for
             all.  Those that run share a row out: a model that goes on keeps its self-transition probability, and the
@@ -72,8 +72,8 @@ class IMM(Filter[IMMState]):
 
     The models are the last dimension of the inner filter's batch; its hyperparameters are those of a track, or of all.
 
-    A robust filter judges its models under the noise that it has assumed after down-weighting: or one outlier would
-    decide which model holds.
+    With a robust inner filter the likelihood of a model is that under the down-weighted noise: otherwise one outlier
+    would decide between the models.
 
     ``Estimate.nis`` and the innovation are those of the Gaussian with the moments of all models' predictions,
     ``log_likelihood`` is that of their mixture.
@@ -102,7 +102,7 @@ class IMM(Filter[IMMState]):
             received = f"{type(inner).__name__} around {type(inner.motion).__name__}"
             expected = "SRCKF or FRA around a Bank, or a filter that says mixes = True"
             raise ValueError(f"inner: expected {expected}, received {received}")
-        self.inner, self.given = copy.deepcopy(inner), (inner.sensor,)
+        self.inner, self.originals = copy.deepcopy(inner), (inner.sensor,)
         for part in self.inner.children():
             if part is not self.inner.motion and part is not self.inner.sensor:
                 for hyper in hypers(part).values():
@@ -153,7 +153,7 @@ class IMM(Filter[IMMState]):
         return IMMState(belief, self.inner.begin(repeated(belief, count)), initial)
 
     def advance(self, state: IMMState, frame: Frame, mix: Mix | None = None) -> tuple[IMMState, Record]:
-        """One step; ``mix`` is not looked at, as this filter mixes itself."""
+        """One step; ``mix`` is not used, as this filter mixes itself."""
         predicted, interact, frame, active = self.lead(state, frame)
         inner, log_weights, record = cycle(self.inner, state.inner, predicted, interact, frame)
         info = IMMInfo(log_weights.exp())
@@ -169,7 +169,7 @@ class IMM(Filter[IMMState]):
             active, matrix = self.subset(state.active, before, frame.dt, self.transition)
             return *interaction(before, matrix, motion), of_active(for_each_model(frame), active), active
         if self.stay is None:
-            interacting = interaction(before, held(self.matrix(before).log(), frame.dt), motion)
+            interacting = interaction(before, over_time_step(self.matrix(before).log(), frame.dt), motion)
         else:
             interacting = even_interaction(state, self.stay(), frame.dt, motion)
         return *interacting, for_each_model(frame), None
@@ -216,10 +216,10 @@ class IMM(Filter[IMMState]):
     def matrix_back(self, step: BackwardStep, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
         if self.subset is None:
-            return held(self.matrix(like).log(), step.frame.dt), for_each_model(step.frame)
+            return over_time_step(self.matrix(like).log(), step.frame.dt), for_each_model(step.frame)
         was, now = step.past.active, step.next.active
         goes_on = (was * now).sum(-1)  # a model that goes on keeps its place
-        matrix = held(self.subset.matrix(self.transition, was, now, goes_on).log(), step.frame.dt)
+        matrix = over_time_step(self.subset.matrix(self.transition, was, now, goes_on).log(), step.frame.dt)
         return matrix, of_active(for_each_model(step.frame), now)
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: ModelsStep) -> ModelsPast:
@@ -241,7 +241,7 @@ class IMM(Filter[IMMState]):
         return past._replace(inner=inner, log_weights=None)  # type: ignore[arg-type]  # which nothing reads
 
     def last(self, past: ModelsPast) -> tuple[Models, Smoothed]:
-        """The last step, which no later measurement speaks of."""
+        """Where the backward pass begins: the filtered models of the last step."""
         models = Models(past.inner.belief, past.log_weights)
         return models, together(models, past.active, self.motion)
 

@@ -1,4 +1,7 @@
-"""How models exchange what they know before a step, and share a measurement after it."""
+"""Interaction of models: mixing before a step, and probabilities and fusion after it.
+
+Equation numbers are those of Du & Zhang (2020).
+"""
 
 from __future__ import annotations
 
@@ -73,16 +76,16 @@ def interaction(log_weights: Tensor, matrix: Tensor, motion: Motion) -> tuple[Te
 
 
 def even_interaction(state: Any, stay: Tensor, dt: Tensor, motion: Motion) -> tuple[Tensor, Mix]:
-    """``interaction`` over ``dt (...)`` of models that all stay alike and give way to every other alike.
+    """``interaction`` where a model stays with one probability and switches to the others with equal probability.
 
-    That is: a model goes on, or the next is drawn from all alike, whichever it was.  So every model starts from two
-    beliefs: its own, and what all know together.  The moments are those of a mixture of all, which would cost K times
-    as much for each of K.  Angles count from the likelier belief of the two.
+    Such a transition is ``g I + (1 - g) / K``: with probability ``g`` the model goes on, else the next one is uniform
+    over all.  So the mixed belief of each model has two components, its own belief and that of all models together,
+    instead of K.  The moments are the same.  Angles count from the likelier of the two.
 
     Args:
         state: an ``IMMState``.
         stay: ``(...)`` self-transition probability of every model, from ``1 / K`` to below 1.
-        dt: over none, no model gives way.
+        dt: seconds; no model switches where it is 0.
         motion: of the models.
     """
     before, count, still = state.log_weights, len(motion), dt == 0  # type: ignore[arg-type]  # a Bank
@@ -94,7 +97,7 @@ def even_interaction(state: Any, stay: Tensor, dt: Tensor, motion: Motion) -> tu
     def interact(belief: Gaussian) -> Gaussian:
         """Eqs. (7), (8)."""
         known = state.belief
-        if belief is not state.inner.belief:  # the filter has settled what it knew after the step
+        if belief is not state.inner.belief:  # the inner filter has decided its last step in the meantime
             known = pooled(belief, before, motion)
         pairs = zip(belief, repeated(known, count), strict=True)
         two = Gaussian(*(torch.stack(torch.broadcast_tensors(*pair)) for pair in pairs))
@@ -104,19 +107,19 @@ def even_interaction(state: Any, stay: Tensor, dt: Tensor, motion: Motion) -> tu
 
 
 def pooled(belief: Gaussian, log_weights: Tensor, motion: Motion) -> Gaussian:
-    """What models ``(..., K)`` with these beliefs know together."""
+    """The Gaussian with the moments of all models ``(..., K)``."""
     return matched(models_first(belief), shared(log_weights.movedim(-1, 0))[0], motion.angles)
 
 
-def held(matrix: Tensor, dt: Tensor) -> Tensor:
-    """Logs ``(..., K, K)`` of a transition over ``dt (...)`` seconds: over none, no model gives way to another."""
+def over_time_step(matrix: Tensor, dt: Tensor) -> Tensor:
+    """Logs ``(..., K, K)`` of a transition over ``dt (...)`` seconds: the identity where ``dt`` is 0."""
     same = torch.eye(matrix.shape[-1], dtype=torch.bool, device=matrix.device)
     still = torch.where(same, torch.zeros_like(matrix), -torch.inf)
     return torch.where((dt == 0)[..., None, None], still, matrix)
 
 
 def for_each_model(frame: Frame) -> Frame:
-    """The same for every model: a batch that ends in the models, which matrices of a ``Bank`` have already."""
+    """The frame for every model: its batch ends in the models, as the matrices of a ``Bank`` do already."""
     each: Frame = tree.insert_batch_dimension(frame, only=[name for name in Frame._fields if name not in PER_MODEL])
     return each
 

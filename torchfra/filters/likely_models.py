@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 
 from torchfra import tree
-from torchfra.filters.interaction import PER_MODEL, held
+from torchfra.filters.interaction import PER_MODEL, over_time_step
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value
 from torchfra.motion.bank import Bank
@@ -88,14 +88,14 @@ class LikelyModels(nn.Module):
         Args:
             active: ``(..., A, K)`` the set before.
             log_weights: ``(..., A)`` of its models.
-            dt: over none the set stays.
+            dt: seconds; the set stays where it is 0.
             transition: the ``Hyper`` of that between all models.
         """
         after, goes_on = self.choose(active, log_weights)
         instant = (dt == 0).unsqueeze(-1)
         after = torch.where(instant.unsqueeze(-1), active, after)
         goes_on = torch.where(instant, torch.ones_like(goes_on), goes_on)
-        return after, held(self.matrix(transition, active, after, goes_on).log(), dt)
+        return after, over_time_step(self.matrix(transition, active, after, goes_on).log(), dt)
 
     def choose(self, active: Tensor, log_weights: Tensor) -> tuple[Tensor, Tensor]:
         """The set for the next step, ``(..., A, K)``, and ``(..., A)`` 1 where a model goes on running.

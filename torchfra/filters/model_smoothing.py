@@ -1,4 +1,4 @@
-"""Smoothing by interacting models: what comes later is a measurement of every model before."""
+"""Smoothing by interacting models: all later measurements together are one measurement of every model before."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from torchfra.types import Gaussian
 
 
 class ModelsStep(NamedTuple):
-    """What interacting models keep of a step for the backward pass."""
+    """What ``IMM`` keeps of a step for the backward pass, before its inner filter has decided the step."""
 
     belief: Gaussian
     """``(..., K)`` of each model."""
@@ -38,11 +38,11 @@ class ModelsPast(NamedTuple):
     log_weights: Tensor
     """``(..., K)`` logs of their probabilities."""
     active: Tensor | None = None
-    """Likewise."""
+    """``(..., K, all)`` as of ``ModelsStep``."""
 
 
 class Models(NamedTuple):
-    """Models after a step, by the measurements before it and after."""
+    """Smoothed models of a step."""
 
     belief: Gaussian
     """``(..., K)`` of each."""
@@ -77,11 +77,11 @@ def together(models: Models, active: Tensor | None, motion: Motion) -> Smoothed:
 
 
 def retreat(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Models:
-    """One step back, for every model before it and every model after.
+    """One step of the backward pass, over all pairs of a model before the step and one after it.
 
-    What comes after the step, measured by the model after it, is the measurement that makes of that model's prediction
-    its smoothed belief.  Every model before the step is corrected by it, along the motion of the model after, and
-    weighed by how well it has predicted it.
+    For each model after the step, all later measurements together act as the measurement that turns its prediction into
+    its smoothed belief (``gaussian.future``).  Every model before the step is updated by that measurement, through the
+    motion of the model after, and weighted by its likelihood.
 
     Args:
         inner: the models' filter.

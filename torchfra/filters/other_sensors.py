@@ -1,4 +1,4 @@
-"""A filter around another sensor than its own, with the same motion, hyperparameters and states."""
+"""Views of a filter around other sensors, with the same motion, hyperparameters and states."""
 
 from __future__ import annotations
 
@@ -91,9 +91,9 @@ def sharing(module: nn.Module, cls: type, **own: Any) -> Any:
 
 
 def share(module: nn.Module, new: Any) -> None:
-    """Gives what ``sharing`` has made all that the module holds by now."""
+    """Updates a module made by ``sharing`` with the current parts and values of the original."""
     if "_own" not in new.__dict__:
-        return  # made for itself: a rule, say
+        return  # ``sharing`` has not made it, as a rule
     own: frozenset[str] = new._own | {"_modules"}
     new.__dict__.update({name: x for name, x in module.__dict__.items() if name not in own})
     new._modules.update({name: x for name, x in module._modules.items() if name not in own})

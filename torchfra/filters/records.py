@@ -1,4 +1,4 @@
-"""What a step leaves behind besides its state, forwards and backwards, and what of that goes into an estimate."""
+"""Records of steps, forwards and backwards, and what an estimate keeps of them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Kept(NamedTuple):
 
 
 class Smoothed(NamedTuple):
-    """What a step of the backward pass says of the state it has come to."""
+    """Smoothed estimate of one step."""
 
     belief: Gaussian
     probabilities: Tensor | None = None
@@ -50,10 +50,10 @@ class Smoothed(NamedTuple):
 
 
 class SmoothInfo(NamedTuple):
-    """What a smoother says besides its beliefs."""
+    """``Estimate.info`` of a smoother."""
 
     filtered: Estimate
-    """What the filter said."""
+    """The filtered estimate."""
     probabilities: Tensor | None = None
     """``(..., T, K)`` of the models of a bank, or ``(..., T, R)`` of the regimes of ``GPB``."""
     outlier: Tensor | None = None
@@ -67,13 +67,13 @@ class Past(NamedTuple):
     """What the backward pass needs of a step; ``(..., T, ...)`` of a whole track."""
 
     belief: Gaussian
-    """As it was carried on."""
+    """The filtered belief, from which the next step was predicted."""
     factor: Tensor | None
     """``(...)`` fading factor of the prediction that led to it."""
     fresh: tuple[Gaussian, Tensor] | None = None
-    """Both as they were at the step itself, of a filter that decides late."""
+    """Both as of the step itself, of a filter that decides a step by the next one."""
     info: Any = None
-    """What the estimate says of the step, for a ``retreat`` that reads it."""
+    """``Estimate.info`` of the step, for a ``retreat`` that reads it."""
 
 
 def scores(normalised: Tensor, root: Tensor, log_norm: Tensor, log_density: Tensor | None) -> tuple[Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""What a user hands to a filter, checked before any work."""
+"""Checks of a user's arguments, before any work."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def check(
     name: str = "prior",
     instants: bool = True,
 ) -> torch.Size:
-    """The batch of what a user hands in, once kinds, shapes and values are known to fit.
+    """Checks kinds, shapes and values of a user's arguments, and gives their batch.
 
     Args:
         measurements: of whole tracks.
@@ -55,19 +55,19 @@ def check(
             raise ValueError(f"dt: expected a number or (..., {steps}) or (..., 1), received {tuple(dt.shape)}")
         batch["dt"] = dt.shape[:-1]
     try:
-        whole = broadcast_shapes(*batch.values())
+        common = broadcast_shapes(*batch.values())
     except RuntimeError:
         received = ", ".join(f"{name} {tuple(shape)}" for name, shape in batch.items())
         raise ValueError(f"batch: expected shapes that broadcast, received {received}") from None
     check_values(measurements, instants)
-    return whole
+    return common
 
 
 def check_belief(belief: Any, name: str = "prior", *, size: int | None = None) -> Gaussian:
-    """A belief, if this is one, of ``size`` states if that is given, in tensors of single or double precision.
+    """Checks that this is a belief in tensors of single or double precision, of ``size`` states if that is not None.
 
     Raises:
-        ValueError: it is not.
+        ValueError: it is something else.
     """
     if not isinstance(belief, Gaussian):
         hint = "take torchfra.Gaussian(mean, scale_tril), a mean and a root of the covariance"
@@ -140,13 +140,13 @@ def check_seconds(dt: Time, dtype: torch.dtype, instants: bool = True) -> None:
     Raises:
         ValueError: one is not.
     """
-    given = dt if isinstance(dt, Tensor) else torch.tensor(dt, dtype=torch.float64)
-    seconds = given.to(dtype)
+    exact = dt if isinstance(dt, Tensor) else torch.tensor(dt, dtype=torch.float64)
+    seconds = exact.to(dtype)
     bad = ~((seconds > 0) & (seconds < torch.inf))
     if instants:
-        bad = bad & (given != 0)
+        bad = bad & (exact != 0)
     if bool(bad.any()):
-        _refuse("dt", f"seconds above 0 {'(or just 0) ' * instants}and finite in {dtype}", given, bad)
+        _refuse("dt", f"seconds above 0 {'(or just 0) ' * instants}and finite in {dtype}", exact, bad)
 
 
 def _singular(noise: Tensor, measured: Tensor) -> Tensor:

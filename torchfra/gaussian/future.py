@@ -1,4 +1,4 @@
-"""What later measurements say of a state, as a measurement of it: how several beliefs share one future."""
+"""All later measurements as one measurement of a state, with which several models are smoothed."""
 
 from __future__ import annotations
 
@@ -18,15 +18,6 @@ from torchfra.tree import event_ranks
 from torchfra.types import Gaussian
 
 
-class Updated(NamedTuple):
-    """Beliefs after a measurement, in units of their roots before: ``N(0, I)`` where the measurement says nothing."""
-
-    belief: Gaussian
-    """``(..., n)`` in those units, with an upper root."""
-    log_density: Tensor
-    """``(...)`` of the measurement, constants left out."""
-
-
 @event_ranks(origin=1, slope=2, value=1)
 class Future(NamedTuple):
     """``value = slope (x - origin) + N(0, I)`` for a state ``x (..., n)``."""
@@ -34,17 +25,24 @@ class Future(NamedTuple):
     origin: Tensor
     """``(..., n)`` prediction of the state."""
     slope: Tensor
-    """``(..., n, n)``, 0 along what nothing is said of."""
+    """``(..., n, n)``, 0 in directions of which it holds no information."""
     value: Tensor
     """``(..., n)``."""
 
-    def update(self, carried: Carried, difference: Difference = torch.sub) -> Updated:
-        """Beliefs ``(..., n)`` that are carried as far as this state, updated by it, in units of their roots before.
+    def update(self, carried: Carried, difference: Difference = torch.sub) -> tuple[Gaussian, Tensor]:
+        """Beliefs before the step that has ``carried`` them to this state, updated by this measurement.
 
-        What does not follow a belief is noise here, ``N = I + slope Q slope^T``, and often that of many beliefs: in
-        units of it, ``N^-1/2 value = A u + N(0, I)`` for ``u ~ N(0, I)``.  ``tria([[I, A^T], [0, e^T]]) = [[R, 0],
-        [y^T, d]]`` then holds what is left: ``u ~ N(R^-T y, R^-T R^-1)``, and the density ``exp(-d^2 / 2) / det R``.
-        ``difference`` subtracts two states.
+        The process noise ``Q`` counts as measurement noise, ``N = I + slope Q slope^T``.  In units of ``N`` and of the
+        root before the step, ``N^-1/2 value = A u + N(0, I)`` for ``u ~ N(0, I)``.  ``tria([[I, A^T], [0, e^T]]) = [[R,
+        0], [y^T, d]]`` gives the posterior ``u ~ N(R^-T y, R^-T R^-1)`` and the density ``exp(-d^2 / 2) / det R``.
+
+        Args:
+            carried: the beliefs ``(..., n)`` after the step.
+            difference: subtracts two states.
+
+        Returns:
+            The posterior ``(..., n)`` in units of the roots before the step, with an upper root (``N(0, I)`` where the
+            measurement holds no information), and the log density ``(...)`` of the measurement, constants left out.
         """
         gap = difference(carried.mean, self.origin)
         subtracted = () if carried.subtracted is None else (carried.subtracted,)
@@ -52,7 +50,9 @@ class Future(NamedTuple):
 
 
 @batchwise(2, 1, 1, 2, 2, 2)
-def _update(slope: Tensor, value: Tensor, gap: Tensor, spread: Tensor, noise: Tensor, *subtracted: Tensor) -> Updated:
+def _update(
+    slope: Tensor, value: Tensor, gap: Tensor, spread: Tensor, noise: Tensor, *subtracted: Tensor
+) -> tuple[Gaussian, Tensor]:
     """``Future.update`` of beliefs that lie ``gap`` beyond the origin."""
     n = slope.shape[-1]
     rest = spread.shape[-1] - n
@@ -68,7 +68,7 @@ def _update(slope: Tensor, value: Tensor, gap: Tensor, spread: Tensor, noise: Te
     lower = tria_beside(pad(eye.diagonal(), (0, 1)), rows)
     left = torch.linalg.solve_triangular(lower[..., :n, :n].mT, eye, upper=True)
     fit = -0.5 * lower[..., n, n].square() - _log_det(lower[..., :n, :n]) - _log_det(root)
-    return Updated(Gaussian(apply(left, lower[..., n, :n]), left), fit)
+    return Gaussian(apply(left, lower[..., n, :n]), left), fit
 
 
 def _log_det(root: Tensor) -> Tensor:
@@ -79,8 +79,8 @@ def future(predicted: Gaussian, smoothed: Gaussian, difference: Difference = tor
     """The measurement that turns a ``predicted`` belief ``(..., n)`` into the ``smoothed`` one.
 
     In units of the predicted root the smoothed belief is ``N(w, W W^T)``.  Eigenvalues ``p`` of ``W W^T`` are below 1
-    where later measurements have told something: there the information is ``1 / p - 1``.  Directions of more, which
-    the merging of several models can leave, say nothing.  ``difference`` subtracts two states.
+    where later measurements hold information on the state, which is ``1 / p - 1``.  The merging of several models can
+    leave eigenvalues above 1: they count as no information.  ``difference`` subtracts two states.
     """
     root, certain = invertible(predicted.scale_tril, 4 * predicted.mean.shape[-1])
     gap = difference(smoothed.mean, predicted.mean).unsqueeze(-1)

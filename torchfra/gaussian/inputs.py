@@ -1,4 +1,4 @@
-"""What a filter is given, turned into what each step needs to know before it has a belief."""
+"""The inputs of a filter, and the frame of each step: all of the step that does not depend on the belief."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Time = float | Tensor
 
 @event_ranks(z=1, dt=0, u=1, std=1, noise=2)
 class Measurements(NamedTuple):
-    """What is measured, and what goes with it: time stands before the dimensions of the event."""
+    """Measurements and what belongs to them; time stands before the dimensions of the event."""
 
     z: Tensor
     """``(..., T, m)``; NaN is missing.  Of scans ``(..., T, J, m)``."""
@@ -28,9 +28,9 @@ class Measurements(NamedTuple):
     u: Tensor | None = None
     """``(..., T, k)`` or ``(T, k)`` what the models need to know at a step."""
     std: Tensor | None = None
-    """Of the measurement noise, like ``z``, instead of the sensor's."""
+    """Standard deviations of the measurement noise, shaped like ``z``; None for the sensor's."""
     noise: Tensor | None = None
-    """Roots of its covariance, like ``z`` with one more ``m``, instead of the sensor's."""
+    """Roots of the noise covariance, shaped like ``z`` with one more ``m``; None for the sensor's."""
 
     @property
     def varying_dt(self) -> bool:
@@ -66,13 +66,13 @@ class Timed(Measurements):
 
 
 @event_ranks(z=1, dt=0, u=1, std=1, noise=2)
-class Whole(Measurements):
+class CompleteScans(Measurements):
     """Scans whose measurements are complete or missing, and have the same noise."""
 
 
 @event_ranks(z=1, measured=1, dt=0, u=1, transition=2, shift=1, process_noise=2)
 class Frame(NamedTuple):
-    """All of a step that does not depend on the belief."""
+    """The part of a step that does not depend on the belief."""
 
     z: Tensor
     """``(..., m)``, 0 where missing."""
@@ -87,20 +87,23 @@ class Frame(NamedTuple):
     process_noise: Tensor
     """``S_Q (..., n, q)``."""
     adaptation: Adaptation | None
-    """How shift and process noise follow the state."""
+    """How shift and process noise depend on the state; None where they do not."""
 
 
 class BackwardStep(NamedTuple):
-    """What a step of the backward pass starts from: two steps of the past, and the frame between them."""
+    """One step of the backward pass: what the forward pass kept of two successive steps, and the frame between them."""
 
     past: Any
+    """Of the step that is smoothed: see ``Filter.past``."""
     next: Any
+    """Of the step after it."""
     frame: Frame
+    """Of the time step between the two."""
     carried: Any
-    """The past that the step was predicted from: without a gradient where that of the forward pass was cut after it.
+    """The past from which the next step was predicted; detached where the forward pass was truncated after it.
 
-    What comes later is known by how it has changed a prediction.  If one of the two had a gradient and the other not,
-    that of their difference would be of the size of its rounding error.
+    Later measurements enter as the difference of the smoothed state and this prediction.  If only one of the two had a
+    gradient, the gradient of their difference would be dominated by rounding errors.
     """
 
 
@@ -112,7 +115,7 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
     varying, like = measurements.varying_dt, measurements.z
 
     def time_first(event: int, x: Tensor) -> Tensor:
-        """Time in front of the batch, the batch filled up to its rank."""
+        """The tensor with time in front of a batch of full rank."""
         x = x.to(like).movedim(-1 - event, 0)
         return x.reshape(x.shape[:1] + (1,) * (rank + 1 + event - x.dim()) + x.shape[1:])
 
@@ -129,7 +132,7 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
     steps = len(z)
 
     def with_time(event: int, x: Tensor) -> Tensor:
-        """What a motion gives for all steps, also where it is the same for all."""
+        """A result of the motion with a dimension of time."""
         return x.expand(steps, *x.shape) if x.dim() < 1 + rank + motion.stacked + event else x
 
     models = tree.map_ranked(with_time, models, rank=2) if varying else models

@@ -1,4 +1,4 @@
-"""One Gaussian for several: moment matching in square-root form; and beliefs of several models."""
+"""Moment matching in square-root form, and operations on the beliefs of several models."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def wide(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = ()) -> Gaussi
 
 
 def _moments(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> tuple[Tensor, list[Tensor]]:
-    """The mean ``(..., n)`` of a mixture, and what side by side is a root of its covariance."""
+    """The mean ``(..., n)`` of a mixture, and blocks that side by side are a root of its covariance."""
     counts = roots != 0  # NaN does count: it must show in the result
     mean = torch.where(counts.unsqueeze(-1), beliefs.mean, 0.0)
     if angles:
@@ -69,10 +69,7 @@ def _moments(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> tuple[T
 
 
 def shared(log_weights: Tensor) -> tuple[Tensor, Tensor]:
-    """Square roots ``(K, ...)`` of the shares that weights have in their sum, and its log ``(...)``.
-
-    One exponential for each gives both.
-    """
+    """Square roots ``(K, ...)`` of the normalised weights, and the log ``(...)`` of their sum."""
     if len(log_weights) == 1:
         return torch.ones_like(log_weights), log_weights[0]
     top = largest(log_weights, 0)
@@ -82,13 +79,13 @@ def shared(log_weights: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def log_sum(log_weights: Tensor, dim: int) -> Tensor:
-    """Log of the sum of weights, from their logs; where none counts minus infinity, with a gradient of 0."""
+    """Log of the sum of weights, from their logs; minus infinity, with a gradient of 0, where all weights are 0."""
     top = largest(log_weights, dim, keepdim=True)
     return safe_log((log_weights - top).exp().sum(dim)) + top.squeeze(dim)
 
 
 def largest(log_weights: Tensor, dim: int, keepdim: bool = False) -> Tensor:
-    """The largest of logs of weights, without a gradient; 0 where nothing counts."""
+    """The largest of logs of weights, without a gradient; 0 where all weights are 0."""
     top = log_weights.detach().amax(dim, keepdim)
     return torch.where(top == -torch.inf, 0.0, top)
 
@@ -141,5 +138,5 @@ def models_first(belief: Gaussian) -> Gaussian:
 
 
 def without_failed(log_density: Tensor) -> Tensor:
-    """Nothing speaks for a model that failed (NaN); the others go on."""
+    """The log likelihoods, with zero likelihood for a hypothesis that failed (NaN)."""
     return torch.where(log_density.isnan(), -torch.inf, log_density)

@@ -1,4 +1,7 @@
-"""Predict and compare: what all Gaussian filters share."""
+"""Prediction of a belief, and comparison of a measurement with it.
+
+Equation numbers are those of Wang et al. (2021).
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ def repairs(prediction: Prediction, whitened: Whitened) -> Tensor | None:
 
 
 def add_counts(*counts: Tensor | None) -> Tensor | None:
-    """The sum of counts, or of truth values, that are there; None of none."""
+    """The sum of those counts, or truth values, that are not None; None if all are."""
     there = [x.to(torch.int64) for x in counts if x is not None]
     return sum(there[1:], there[0]) if there else None
 
@@ -40,11 +43,11 @@ class Carried(NamedTuple):
     mean: Tensor
     """``(..., n)``."""
     spread: Tensor
-    """``(..., n, p)`` of what was uncertain before; the last ``n`` columns follow the root of that belief."""
+    """``(..., n, p)`` root of the part that comes from the belief before: its last ``n`` columns are ``F S``."""
     process_noise: Tensor
     """``(..., n, q)``."""
     subtracted: Tensor | None
-    """``(..., n, k)`` what a rule with negative weights takes off."""
+    """``(..., n, k)`` root of what a rule with negative weights subtracts."""
 
     def belief(self) -> tuple[Gaussian, Tensor | None]:
         """The prediction, and ``(...)`` bool whether its covariance was repaired; None where it never is."""
@@ -56,7 +59,7 @@ class Carried(NamedTuple):
 
 
 def canonical(motion: Motion, belief: Gaussian) -> Gaussian:
-    """The belief with its angles as the motion writes them."""
+    """The belief with its angles in the range that the motion uses."""
     return belief._replace(mean=motion.canonical(belief.mean))
 
 
@@ -68,7 +71,7 @@ def predict(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Predi
 
 
 def propagate(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Carried:
-    """The predicted mean, and what its covariance is made of."""
+    """The predicted mean and the parts of its covariance."""
     mean, root = belief
     transition = frame.transition
     if transition is not None:

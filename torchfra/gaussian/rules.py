@@ -1,11 +1,12 @@
 """Rules that carry a Gaussian through a function: sigma points of several kinds, and the tangent of the EKF.
 
-Each ends in the same form, a statistical linearisation.  For ``x ~ N(mean, S S^T)``
+Each gives a statistical linearisation.  For ``x ~ N(mean, S S^T)``
 
-    f(x) ~ value + slope S^-1 (x - mean) + (something uncorrelated with x, of covariance rest rest^T),
+    f(x) ~ value + slope S^-1 (x - mean) + e,
 
-so that every Gaussian filter is one piece of square-root algebra around its rule.  Where weights are negative, that
-covariance is ``rest rest^T - subtracted subtracted^T``.
+where ``e`` is uncorrelated with ``x`` and has the covariance ``rest rest^T``, or ``rest rest^T - subtracted
+subtracted^T`` where weights are negative.  All Gaussian filters of this package are the same square-root algebra around
+such a rule.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class Linearised(NamedTuple):
 
 
 class Rule(Protocol):
-    """What a filter asks of a rule for ``n`` states: ``p`` points that a function carries all at once."""
+    """A rule for ``n`` states: it evaluates a function at ``p`` points in one call."""
 
     signed: bool
     """Whether some weights are negative, so that covariances may turn out not positive."""
@@ -55,13 +56,13 @@ class Rule(Protocol):
 class SigmaPoints(nn.Module):
     """A centre and points around it, in units of the belief's root.
 
-    The mean is the centre's value plus the weighted mean of the differences to it, so that angles average right; the
-    spread comes from one constant matrix whose last ``n`` columns give the slope and the others the rest.
+    The mean is the centre's value plus the weighted mean of the differences to it, so that angles have a mean.  The
+    spread is a product with one constant matrix, whose last ``n`` columns give the slope and the others the rest.
 
     Args:
         points: ``(n, p)`` without the centre, ``sum_i w_i points_i points_i^T = I``.
-        weights: ``(p,)``; the centre has what is left to one in the mean.
-        extra: what the centre's weight in the covariance is above its weight in the mean.
+        weights: ``(p,)``; the centre's weight in the mean is one minus their sum.
+        extra: the centre's weight in the covariance less its weight in the mean.
         signed: whether weights may be negative.
 
     Raises:
@@ -106,7 +107,7 @@ class SigmaPoints(nn.Module):
         return ordered
 
     def _split(self, gram: Tensor, points: Tensor, weights: Tensor) -> Tensor:
-        """``[rest, slope]`` of one that is not, whose negative part goes into ``minus``."""
+        """``[rest, slope]`` of an indefinite Gram matrix, whose negative part goes into ``minus``."""
         slope = weights.unsqueeze(-1) * points.mT
         power, basis = torch.linalg.eigh(gram - slope @ slope.mT)
         small = 1e-12 * power.abs().max()
@@ -114,7 +115,7 @@ class SigmaPoints(nn.Module):
         return torch.cat([(basis * power.clamp_min(0.0).sqrt())[:, power > small], slope], 1)
 
     def marginal(self, d: int) -> SigmaPoints:
-        """The points as a function of the first ``d`` components sees them: those that coincide are one."""
+        """The points projected on the first ``d`` components; points that coincide become one."""
         points, weights, extra, signed = self._rule
         distinct, where = torch.unique(points[:d], dim=1, return_inverse=True)
         merged = torch.zeros(distinct.shape[1], dtype=weights.dtype).index_add(0, where, weights)
@@ -140,7 +141,7 @@ class Tangent(nn.Module):
     signed = False
 
     def marginal(self, d: int) -> Tangent:
-        """The same."""
+        """This rule itself: it does not depend on the number of states."""
         return self
 
     def forward(self, function: Function, belief: Gaussian, difference: Difference) -> Linearised:

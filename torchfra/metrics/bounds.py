@@ -1,4 +1,4 @@
-"""Errors that no estimator is below: the Cramer-Rao bound of a track, and what a measurement with outliers tells."""
+"""Lower bounds on errors: the Cramer-Rao bound of a track, and the information of a measurement with outliers."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def cramer_rao(start: Tensor, transition: Tensor, process_noise: Tensor | None, 
       over the truths.
     - With ``R = 1`` and no process noise it is the parametric bound of this one path, for estimators without bias.
 
-    In linear motions it is the covariance of the Kalman filter.  The process noise may have any rank.  Where it says
-    nothing in a direction in which ``f`` is not linear, the truth is bounded as if that direction were known.
+    For linear motions it is the covariance of the Kalman filter.  The process noise may have any rank.  Where it is
+    zero in a direction in which ``f`` is not linear, the bound counts that direction as known.
 
     Args:
         start: ``(..., n, p)`` root of the covariance of the error of the initial estimate, one step before the first.
@@ -70,7 +70,7 @@ def _stacked(rows: Tensor) -> Tensor:
 
 
 def _deviations(slope: Tensor, mean: Tensor, noise: Tensor) -> tuple[Tensor | None, Tensor | None]:
-    """What the truth tells of the state before, as its ``slope (..., R, n, n)`` is not the same for all truths.
+    """The information on the state before a step that comes from slopes ``(..., R, n, n)`` that differ between truths.
 
     Returns:
         Root ``(..., n, n)`` of the information, and rows ``(..., k, n)`` of what is known exactly; None for nothing.
@@ -103,7 +103,7 @@ def _informed(information: Tensor | None, exact: Tensor | None, root: Tensor) ->
 
 
 def outlier_information(weights: Sequence[float], factors: Sequence[float], size: int = 1) -> float:
-    """What a measurement with outliers tells of where it was taken, relative to one without any: in ``(0, 1]``.
+    """The Fisher information of a measurement with outliers, relative to one without outliers: in ``(0, 1]``.
 
     All ``size`` elements of a measurement error are normal with ``factors[j]`` times their standard deviation, with
     probability ``weights[j]`` and independently of other steps.  The Fisher information of this mixture is the returned

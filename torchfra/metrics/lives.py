@@ -1,4 +1,4 @@
-"""How targets that come and go are followed over their lives: for how long, by how many tracks, and what is false."""
+"""Track metrics over the lives of targets: lengths, time to confirm, switches, fragmentation and false tracks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torchfra.metrics.sets import linear_sum_assignment
 
 
 class Lives(NamedTuple):
-    """What became of M targets and N tracks; counts in scans."""
+    """Track metrics of M targets and N tracks; counts in scans."""
 
     length: Tensor
     """``(..., M)`` scans in which the target is there."""

@@ -1,4 +1,4 @@
-"""What a sample of runs says: intervals, paired tests, correction for many of them, and chi-square bounds."""
+"""Statistics of runs: confidence intervals, paired tests, correction for multiple tests, and chi-square bounds."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 LEVEL = 0.95
-"""Confidence of intervals, unless told."""
+"""Default confidence of intervals."""
 EXACT = 25
 """Runs up to which the signed-rank test needs no approximation."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(200)
@@ -113,7 +113,7 @@ def holm(p: Sequence[float]) -> list[float]:
 
 
 def chi_square_bounds(degrees: float, level: float = LEVEL) -> tuple[float, float]:
-    """What a chi-square variable of so many degrees of freedom lies between with this probability, divided by them.
+    """Bounds of a chi-square variable divided by its degrees of freedom, between which it lies with this probability.
 
     The mean over ``N`` runs of a normalised error squared of ``d`` components, divided by ``d``, lies between the
     bounds of ``N d`` degrees if the covariances are honest: Bar-Shalom, Li & Kirubarajan (2001), section 5.4.2.

@@ -82,7 +82,7 @@ class Augmented(Motion):
         return block_diagonal([part.process_noise(dt) for part in self._parts])
 
     def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
-        """The same at a predicted mean ``(..., n)``."""
+        """``S_Q (..., n, r)`` at a predicted mean ``(..., n)``."""
         roots = [part.process_noise(dt) for part in self._parts]
         parts = zip(self._parts, roots, mean.split(self._sizes, -1), strict=True)
         return block_diagonal(

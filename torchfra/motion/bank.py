@@ -231,9 +231,9 @@ def _manoeuvring(rates: Sequence[float], limit: float, q: Value, dims: int, spec
     return Bank(models, neighbours=neighbours, first=(0, 2, 3, 4))
 
 
-def _agree(kinds: Sequence[str], others: Sequence[str]) -> bool:
-    """Whether components may be the same: of one kind, or one of a kind that was not told."""
-    return all(a == b or "other" in (a, b) for a, b in zip(kinds, others, strict=True))
+def _agree(one: Sequence[str], other: Sequence[str]) -> bool:
+    """Whether components may be the same: their kinds are equal, or one kind is unknown ("other")."""
+    return all(a == b or "other" in (a, b) for a, b in zip(one, other, strict=True))
 
 
 def _as_wide(roots: Sequence[Tensor]) -> list[Tensor]:

@@ -14,7 +14,7 @@ from torchfra.angles import wrap
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.triangular import apply
 from torchfra.motion.blocks import acceleration_gain
-from torchfra.motion.components import checked, usual
+from torchfra.motion.components import check_components, usual
 from torchfra.tree import event_ranks
 
 
@@ -38,8 +38,8 @@ class Adaptation(NamedTuple):
         acceleration = mean[..., 2 * dims : 3 * dims]
         scale, decrease = (torch.where(acceleration < 0, x[..., 1:], x[..., :1]) for x in (self.scale, self.decrease))
         factor = scale * (1 - decrease * acceleration.abs()).clamp_min(0.0)
-        others = torch.ones_like(mean[..., 3 * dims :])
-        factor = torch.cat([factor] * 3 + [others.expand(*factor.shape[:-1], -1)], -1)
+        one = torch.ones_like(mean[..., 3 * dims :])
+        factor = torch.cat([factor] * 3 + [one.expand(*factor.shape[:-1], -1)], -1)
         added = apply(self.response, acceleration)
         return added if shift is None else shift + added, process_noise * factor.unsqueeze(-1)
 
@@ -75,7 +75,7 @@ class Motion(nn.Module):
         velocity: which are the velocity; by default the ``dims`` after those, as far as there are any.
         angles: which are angles that differences of states wrap; by default those of the class.
         components: names of the components, ``("x", "y", "vx", "vy")``; by default as their places tell.
-        kinds: what each is, out of ``torchfra.motion.KINDS``; likewise.
+        kinds: kind of each component, out of ``torchfra.motion.KINDS``; by default as their places tell.
 
     Raises:
         ValueError: ``dims`` or ``size`` below 1, ``q`` below 0, names or kinds that are not one for each component,
@@ -98,11 +98,11 @@ class Motion(nn.Module):
     kinds: tuple[str, ...]
     """What each component is, out of ``torchfra.motion.KINDS``."""
     stated: tuple[str, ...]
-    """The same, and "other" where nobody has said it: sensors are only refused for what is stated."""
+    """The kinds as stated by class or user, "other" where none was: sensors are only refused for stated kinds."""
     usual_layout = False
     """Whether states are laid out as above, so that the kinds need not be given to be stated."""
     stacked = 0
-    """Dimensions that this motion puts between batch and state: 1 for a ``Bank``, several motions side by side."""
+    """Dimensions between batch and state: 1 for a ``Bank``, whose models are side by side, else 0."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -137,8 +137,9 @@ class Motion(nn.Module):
         if not set(self.angles) <= set(range(self.size)):
             expected = f"numbers of components, 0 to {self.size - 1}"
             raise ValueError(f"angles: expected {expected}, received {self.angles}")
-        default = usual(self.size, dims, orders, self.position, self.velocity, self.angles)
-        self.components, self.kinds = checked(self.size, components, kinds, default)
+        names, usual_kinds = usual(self.size, dims, orders, self.position, self.velocity, self.angles)
+        self.components, self.kinds = tuple(components or names), tuple(kinds or usual_kinds)
+        check_components(self.size, self.components, self.kinds)
         self.stated = self.kinds if kinds or self.usual_layout else ("other",) * self.size
         if "angle" in self.stated and not self.angles:
             raise ValueError("angles: expected the components of kind angle that differences wrap, received none")
@@ -170,8 +171,8 @@ class Motion(nn.Module):
         except NotImplementedError:  # of a kernel, which tells by itself
             raise
         except (RuntimeError, IndexError) as error:
-            given = f"states {tuple(x.shape)}, u {None if u is None else tuple(u.shape)}"
-            raise type(error)(f"{type(self).__name__}.forward: {given}: {error}") from error
+            inputs = f"states {tuple(x.shape)}, u {None if u is None else tuple(u.shape)}"
+            raise type(error)(f"{type(self).__name__}.forward: {inputs}: {error}") from error
         if after.dim() < x.dim() or after.shape[-1] != self.size:
             expected, received = tuple(x.shape), tuple(after.shape)
             raise ValueError(f"{type(self).__name__}.forward: expected states {expected}, received {received}")

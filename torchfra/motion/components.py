@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 KINDS = ("position", "velocity", "acceleration", "angle", "rate", "bias", "clock", "parameter", "other")
 """What a component may be; a rate is of an angle, in rad/s; a parameter is a property of the target, as its drag."""
 AXES = ("x", "y", "z")
 
 
-class Components(NamedTuple):
-    """Of a state, one entry for each component."""
-
-    names: tuple[str, ...]
-    kinds: tuple[str, ...]
-
-
-def usual(size: int, dims: int, orders: int, position: slice, velocity: slice, angles: Sequence[int]) -> Components:
-    """Names and kinds as the layout of a state tells them: ``x y vx vy ax ay``, and the index of what it does not."""
+def usual(
+    size: int, dims: int, orders: int, position: slice, velocity: slice, angles: Sequence[int]
+) -> tuple[list[str], list[str]]:
+    """Names and kinds by the layout of a state: ``x y vx vy ax ay``, and the index of any other component."""
     names, kinds = [f"state {i}" for i in range(size)], ["other"] * size
     parts = [("position", "", position), ("velocity", "v", velocity)]
     if orders > 2 and (position, velocity) == (slice(0, dims), slice(dims, 2 * dims)):
@@ -28,7 +22,7 @@ def usual(size: int, dims: int, orders: int, position: slice, velocity: slice, a
             names[i], kinds[i] = letter + axis_name(axis, dims), kind
     for i in angles:
         names[i], kinds[i] = names[i] if kinds[i] != "other" else f"angle {i}", "angle"
-    return Components(tuple(names), tuple(kinds))
+    return names, kinds
 
 
 def axis_name(axis: int, dims: int) -> str:
@@ -36,18 +30,16 @@ def axis_name(axis: int, dims: int) -> str:
     return AXES[axis] if dims <= len(AXES) else f"x{axis}"
 
 
-def checked(size: int, names: Sequence[str] | None, kinds: Sequence[str] | None, default: Components) -> Components:
-    """Names and kinds as given, or by default.
+def check_components(size: int, names: Sequence[str], kinds: Sequence[str]) -> None:
+    """Checks the names and kinds of a state's components.
 
     Raises:
         ValueError: not one for each component, a name twice, or an unknown kind.
     """
-    given = Components(tuple(names or default.names), tuple(kinds or default.kinds))
-    for argument, values in (("components", given.names), ("kinds", given.kinds)):
+    for argument, values in (("components", names), ("kinds", kinds)):
         if len(values) != size:
             raise ValueError(f"{argument}: expected one for each of {size} components, received {list(values)}")
-    if len(set(given.names)) < size:
-        raise ValueError(f"components: expected different names, received {list(given.names)}")
-    if unknown := [kind for kind in given.kinds if kind not in KINDS]:
+    if len(set(names)) < size:
+        raise ValueError(f"components: expected different names, received {list(names)}")
+    if unknown := [kind for kind in kinds if kind not in KINDS]:
         raise ValueError(f"kinds: expected some of {', '.join(KINDS)}, received {unknown[0]!r}")
-    return given

@@ -146,7 +146,7 @@ class UnknownTurn(Motion):
         return torch.cat([pad(moved.expand(*batch, -1, -1), (0, 1)), corner], -2)
 
     def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
-        """The same; of densities ``(..., n, n)`` as the turn at the predicted mean ``(..., n)`` bends it."""
+        """``S_Q`` at a predicted mean ``(..., n)``: a spectral one ``(..., n, n)`` follows the turn there."""
         if not self.spectral:
             return process_noise
         velocity, rate = mean[..., None, self.dims : 2 * self.dims], mean[..., -1:]

@@ -145,7 +145,7 @@ def _replace(target: Path, fill: Callable[[IO[bytes]], object]) -> None:
 
 
 def _unfinished(target: Path) -> Path:
-    """Always the same, so that what a killed write has left is taken over by the next."""
+    """The temporary file for a target; its name is fixed, so that the next write reuses what a killed one has left."""
     return target.with_name(f".{target.name[:60]}.part")
 
 

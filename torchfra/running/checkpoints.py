@@ -1,4 +1,4 @@
-"""Checkpoints on disk: the newest and the one before it, each whole or not there, and told when damaged."""
+"""Checkpoints on disk: the newest and the one before it, each complete or absent, with checksums against damage."""
 
 from __future__ import annotations
 

@@ -59,6 +59,6 @@ def finished(work: Callable[..., T], parts: Sequence[tuple[Any, ...]], jobs: int
 
 
 def _alone() -> None:
-    """A process has one thread, as there are others."""
+    """Gives a worker process one thread."""
     torch.set_num_threads(1)
     keep_memory()

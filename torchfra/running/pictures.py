@@ -12,7 +12,7 @@ def picture_form(path: str | Path, argument: str = "path") -> str:
 
     Args:
         path: of the file.
-        argument: what it was given as.
+        argument: name of the argument, for error messages.
 
     Raises:
         ValueError: a name that ends in none of ``FORMS``.

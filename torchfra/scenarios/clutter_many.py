@@ -1,4 +1,4 @@
-"""Many aircraft that come and go among false measurements, watched as in ``scenarios.clutter_straight``."""
+"""Many aircraft that appear and disappear among false measurements, watched as in ``scenarios.clutter_straight``."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def clutter_many(
     std: Sequence[float] = (1e-3, 1e-3, 5.0),
     truth_noise: float = 0.25,
 ) -> Scenario:
-    """Aircraft that begin anywhere, fly anywhere at 20 to 60 m/s, and come and go; 100 scans, 1 s apart.
+    """Aircraft that begin anywhere, fly anywhere at 20 to 60 m/s, and appear and disappear; 100 scans, 1 s apart.
 
     Each comes at some scan in the first 30 % and goes at some scan in the last 30 %: its truth is NaN outside.  The
     prior is what is known of it one step before the first scan.

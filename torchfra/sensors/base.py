@@ -140,8 +140,8 @@ class Sensor(nn.Module):
         except NotImplementedError:  # of a kernel, which tells by itself
             raise
         except (RuntimeError, IndexError) as error:
-            given = f"states {tuple(x.shape)}, u {None if u is None else tuple(u.shape)}"
-            raise type(error)(f"{type(self).__name__}.forward: {given}: {error}") from error
+            inputs = f"states {tuple(x.shape)}, u {None if u is None else tuple(u.shape)}"
+            raise type(error)(f"{type(self).__name__}.forward: {inputs}: {error}") from error
         if z.dim() < x.dim() or z.shape[-1] != self.size:
             expected, received = (*x.shape[:-1], self.size), tuple(z.shape)
             raise ValueError(f"{type(self).__name__}.forward: expected measurements {expected}, received {received}")
@@ -208,10 +208,10 @@ def elementwise(value: Value, size: int, name: str) -> Hyper:
     Raises:
         ValueError: what is not numbers or not above 0, or another shape.
     """
-    given = numbers(value, name)
-    if given.dim() and given.shape[-1] != size:
-        raise ValueError(f"{name}: expected a number or (..., {size}), received {tuple(given.shape)}")
-    return Hyper(given, event_dim=int(given.dim() > 0), name=name)
+    values = numbers(value, name)
+    if values.dim() and values.shape[-1] != size:
+        raise ValueError(f"{name}: expected a number or (..., {size}), received {tuple(values.shape)}")
+    return Hyper(values, event_dim=int(values.dim() > 0), name=name)
 
 
 def _checked_root(noise: Tensor, size: int) -> Tensor:

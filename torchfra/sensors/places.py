@@ -34,10 +34,10 @@ def numbers(value: Any, name: str) -> Tensor:
         ValueError: what is not numbers.
     """
     try:
-        given = value if isinstance(value, Tensor) else torch.as_tensor(value, dtype=torch.float64)
+        values = value if isinstance(value, Tensor) else torch.as_tensor(value, dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError):
         raise ValueError(f"{name}: expected numbers, received {value!r}") from None
-    return given if given.is_floating_point() else given.double()
+    return values if values.is_floating_point() else values.double()
 
 
 def finite(value: Any, *shape: int, name: str) -> Tensor:
@@ -46,8 +46,8 @@ def finite(value: Any, *shape: int, name: str) -> Tensor:
     Raises:
         ValueError: another shape, or what is not finite.
     """
-    given = numbers(value, name)
-    if given.shape != shape or not bool(given.isfinite().all()):
-        received = tuple(given.shape) if given.shape != shape else given.tolist()
+    values = numbers(value, name)
+    if values.shape != shape or not bool(values.isfinite().all()):
+        received = tuple(values.shape) if values.shape != shape else values.tolist()
         raise ValueError(f"{name}: expected finite numbers {shape}, received {received}")
-    return given
+    return values

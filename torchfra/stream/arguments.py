@@ -1,4 +1,4 @@
-"""What a tracker is given, checked before any work."""
+"""Checks of a tracker's arguments, before any work."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def check_sensors(filter: Any, sensors: Mapping[str, Sensor] | None) -> dict[str
 
 
 def check_counts(lag: float, steps: int | None, old: str, jump: float | None) -> None:
-    """Checks what is kept of a track, and what is done with what comes too late.
+    """Checks how much of a track is kept, and the treatment of measurements that come too late.
 
     Raises:
         ValueError: names the first that is wrong.
@@ -51,10 +51,10 @@ def check_counts(lag: float, steps: int | None, old: str, jump: float | None) ->
 
 
 def seconds(name: str, x: Any) -> float:
-    """A finite number, if this is one.
+    """A time or a duration as a float.
 
     Raises:
-        ValueError: it is not.
+        ValueError: it is no finite number.
     """
     value = _number(x)
     if not math.isfinite(value):
@@ -71,7 +71,7 @@ def _number(x: Any) -> float:
 
 
 def numbers(name: str, x: Any, device: torch.device) -> Tensor:
-    """Numbers as a tensor in double precision, a copy: the caller may go on to write into what it has given.
+    """A copy of numbers as a tensor in double precision: the caller may write into its own later.
 
     Raises:
         ValueError: they are none, or complex.
@@ -90,9 +90,9 @@ def check_fits(name: str, x: Tensor, event: int, batch: torch.Size) -> None:
     Raises:
         ValueError: they do not.
     """
-    given = x.shape[: max(x.dim() - event, 0)]
-    fits = x.dim() >= event and len(given) <= len(batch)
-    if not fits or any(n not in (1, there) for n, there in zip(reversed(given), reversed(batch), strict=False)):
+    own = x.shape[: max(x.dim() - event, 0)]
+    fits = x.dim() >= event and len(own) <= len(batch)
+    if not fits or any(n not in (1, size) for n, size in zip(reversed(own), reversed(batch), strict=False)):
         expected = f"{event} {'dimension' if event == 1 else 'dimensions'} behind the prior's batch {tuple(batch)}"
         raise ValueError(f"{name}: expected {expected}, received {tuple(x.shape)}")
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 
 class Clock:
-    """What time it is in the track.
+    """Converts times of an outside clock to those of the track and back.
 
     Args:
         jump: seconds that a time is before the newest where the clock outside was set back; None if it never is.
@@ -22,7 +22,8 @@ class Clock:
     def inside(self, time: float, newest: float) -> tuple[float, bool]:
         """The time in the track of a measurement, and whether it says that the clock was set back.
 
-        After that, a time far ahead is one by the clock as it was, if that was of late then.
+        After that, a time at least ``jump`` after the newest is read by the clock before it was set back, if that gives
+        a time within the last ``jump`` seconds.
         """
         inside, earlier = time + self.behind, time + self.before
         if self.jump is None:

@@ -1,4 +1,4 @@
-"""What comes into a tracker and goes out of it: tensors by names of sensors, in the filter's dtype and coordinates."""
+"""Conversion of a tracker's inputs and outputs to and from the filter's dtype and coordinates."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Intake:
         sensor = self.sensors[number]
         if measured.shape[-1:] != (sensor.size,):
             raise ValueError(f"z: expected (..., {sensor.size}), received {tuple(measured.shape)}")
-        u, std, noise = self.known(u), self.tensor("std", std), self.tensor("noise", noise)
+        u, std, noise = self.inputs(u), self.tensor("std", std), self.tensor("noise", noise)
         std = std.repeat(sensor.size) if std is not None and not std.dim() else std
         for what, x, event in (("z", measured, 1), ("u", u, 1), ("std", std, 1), ("noise", noise, 2)):
             if x is not None:
@@ -86,16 +86,16 @@ class Intake:
         """Numbers in the filter's dtype, if there are any."""
         return None if x is None else numbers(name, x, self.device).to(self.dtype)
 
-    def known(self, u: Any) -> Tensor | None:
-        """What the models need to know, if there is any.
+    def inputs(self, u: Any) -> Tensor | None:
+        """The inputs ``u`` of the models, if there are any.
 
         Raises:
             ValueError: no finite numbers.
         """
-        given = self.tensor("u", u)
-        if given is not None:
-            check_finite("u", given)
-        return given
+        values = self.tensor("u", u)
+        if values is not None:
+            check_finite("u", values)
+        return values
 
     def inward(self, belief: Gaussian) -> Gaussian:
         """A belief from outside, as the filter has it."""
@@ -108,7 +108,7 @@ class Intake:
         return Gaussian(*(x.clone() for x in belief)) if self.origin is None else self.origin.outward(belief)
 
     def kind(self) -> dict[str, Any]:
-        """What the tracker is of, in words and numbers: of each part of its filter and sensors what it prints."""
+        """A description of filter, sensors and origin, by which a saved track is recognised as one of this tracker."""
         origin = None if self.origin is None else self.origin.offset.tolist()
         kind = {"filter": type(self.filter).__name__, "sensors": self.names, "origin": origin}
         for name, sensor in zip(self.names, self.sensors, strict=True):
@@ -118,7 +118,7 @@ class Intake:
 
 
 def _parts(name: str, module: nn.Module) -> dict[str, str]:
-    """What a module and each of its parts are, by name in the whole: what they print, and their options."""
+    """A description of a module and of each of its parts, by path: class, ``extra_repr`` and options."""
     words = {}
     for part, x in module.named_modules(prefix=name):
         values = {key: value for key, value in vars(x).items() if key[0] != "_" and key != "training"}

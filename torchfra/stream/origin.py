@@ -35,7 +35,7 @@ class Origin:
             raise ValueError(f"origin: expected {expected}, received {there.tolist()}")
         self.offset[motion.position] = there
         self.dtype = dtype
-        if not _carries_along(motion, self.offset):
+        if not _is_shift_invariant(motion, self.offset):
             expected = "a motion that is the same everywhere"
             raise ValueError(f"origin: expected {expected}, received {motion.describe()}")
 
@@ -52,7 +52,8 @@ class Origin:
     def measured(self, sensor: Sensor, z: Tensor, u: Tensor | None = None) -> Tensor:
         """A measurement ``(..., m)`` from outside, as one of local positions, with what the models need to know.
 
-        What does not move along with the target is measured from a place of the sensor's own, which must be local.
+        An element that a common shift of positions does not shift, such as a range, is measured from the sensor's own
+        position, which must be local.
         """
         return (z.double() - self._measured_offset(sensor, z, u)).to(self.dtype)
 
@@ -63,21 +64,21 @@ class Origin:
         return Forecast(self.outward(forecast.belief), Gaussian(mean, root.double()))
 
     def _measured_offset(self, sensor: Sensor, like: Tensor, u: Tensor | None) -> Tensor:
-        """What each element ``(m,)`` measures of the origin: 0 of one that the origin does not change all alike."""
+        """The shift by the origin of each element ``(m,)`` of a measurement; 0 for one that is not just shifted."""
         offset = self.offset.to(like.device)
-        size, given = len(offset), None if u is None else u.reshape(-1, u.shape[-1])[0].double()
-        # Targets at zero and as far off as the origin, in several directions: there what is not linear shows.
+        size, inputs = len(offset), None if u is None else u.reshape(-1, u.shape[-1])[0].double()
+        # Points at zero and as far off as the origin, in several directions: nonlinearity shows there.
         points = torch.arange(4 * size, dtype=torch.float64, device=like.device).reshape(4, size).sin()
         points = offset.abs().max() * points * torch.arange(4, device=like.device).unsqueeze(-1)
-        near, far = sensor.at_points(points, given), sensor.at_points(points + offset, given)
+        near, far = sensor.at_points(points, inputs), sensor.at_points(points + offset, inputs)
         change = far - near
         rounding = 1e-6 * torch.maximum(near.abs(), far.abs()).amax(0)
         along = ((change - change[0]).abs() <= rounding).all(0)
         return torch.where(along, change[0], 0.0)
 
 
-def _carries_along(motion: Motion, offset: Tensor) -> bool:
-    """Whether a step moves a state that is shifted by ``offset (n,)`` to where it moves the others, and so shifted."""
+def _is_shift_invariant(motion: Motion, offset: Tensor) -> bool:
+    """Whether a step of a state shifted by ``offset (n,)`` gives the step of the state itself, shifted by the same."""
     second = torch.ones((), dtype=offset.dtype)
     if motion.linear:
         moved = apply(motion.transition(second), offset)

@@ -23,7 +23,7 @@ OUTCOMES = ("used", "late", "duplicate", "old", "jumped")
 
 
 class Report(NamedTuple):
-    """What a measurement has changed."""
+    """The result of ``Tracker.update``."""
 
     time: float
     """s, of the newest measurement."""
@@ -33,7 +33,7 @@ class Report(NamedTuple):
     """``"used"`` in turn; ``"late"``, put in where it belongs; ``"duplicate"`` or ``"old"``, left out; or ``"jumped"``:
     used, after the clock had been set back."""
     innovation: Innovation | None
-    """What it said; None of one that was left out."""
+    """Of the measurement; None for one that was left out."""
 
 
 class Tracker:
@@ -140,7 +140,7 @@ class Tracker:
             sensor: its name, if the tracker has several.
             u: ``(..., k)`` what the models need to know at that time.
             std: ``(..., m)`` standard deviations of this measurement's noise, or a number, instead of the sensor's.
-            noise: ``(..., m, m)`` root of its covariance, likewise.
+            noise: ``(..., m, m)`` root of its covariance, instead of the sensor's.
 
         Raises:
             ValueError: a value or a shape that does not fit, no such sensor, or a measurement that is too old and to be
@@ -181,9 +181,9 @@ class Tracker:
             since = self._clock.outside(self._window.time)
             raise ValueError(f"time: expected seconds since {since}, received {time}")
         since, state = self._window.at(inside)
-        given = intake.known(u)
-        forecast = self.filter.predict(state, inside - since, u=given, sensor=there)
-        return forecast if intake.origin is None else intake.origin.forecast(there, forecast, given)
+        u = intake.inputs(u)
+        forecast = self.filter.predict(state, inside - since, u=u, sensor=there)
+        return forecast if intake.origin is None else intake.origin.forecast(there, forecast, u)
 
     @torch.no_grad()
     def smoothed(self) -> list[At]:
@@ -216,7 +216,7 @@ class Tracker:
         return saved(self._window, self._clock, self._counts, self._intake.kind())
 
     def load_state_dict(self, values: Mapping[str, Any]) -> None:
-        """Goes on with a track that was saved, by the same filter, sensors and arguments, to the same bits.
+        """Continues a saved track of the same filter, sensors and arguments, with bit-equal results.
 
         Args:
             values: from ``state_dict``, or of it from ``torch.load(..., weights_only=True)``.
@@ -228,19 +228,19 @@ class Tracker:
         self._window, self._clock, self._counts = again
 
     def _put(self, entry: Entry) -> Innovation:
-        """Puts an entry where it belongs, and filters it and all after it; what it said."""
+        """Inserts an entry at its place, and filters it and all after it; gives its innovation."""
         window = self._window
         place = window.place(entry)
-        (time, state), done, said = window.before(place), [], []
+        (time, state), done, innovations = window.before(place), [], []
         for each in (entry, *window.entries[place:]):
             z, dt, u, std, noise = each.after(time)
             sensor = self._intake.sensor(each)
             state, innovation = self.filter.step(state, z, dt=dt, u=u, std=std, noise=noise, sensor=sensor)
             done.append(each._replace(state=state))
-            said.append(innovation)
+            innovations.append(innovation)
             time = each.time
         window.entries[place:] = done
-        return said[0]
+        return innovations[0]
 
     def _report(self, outcome: str, innovation: Innovation | None = None) -> Report:
         self._counts[outcome] += 1

@@ -1,4 +1,4 @@
-"""The measurements of late, in the order of their times, each with the state after it."""
+"""The recent measurements in the order of their times, each with the state after it."""
 
 from __future__ import annotations
 
@@ -39,23 +39,23 @@ class Entry(NamedTuple):
 
     @property
     def key(self) -> Key:
-        """Its place among others: by time, at one instant by sensor, and of one sensor by what was measured."""
-        given = (x.flatten().tolist() for x in (self.z, self.std, self.noise, self.u) if x is not None)
-        values = ((math.isnan(x), 0.0 if math.isnan(x) else x) for part in given for x in part)
+        """The sort key: time, at one instant the sensor, and for one sensor the measured values."""
+        numbers = (x.flatten().tolist() for x in (self.z, self.std, self.noise, self.u) if x is not None)
+        values = ((math.isnan(x), 0.0 if math.isnan(x) else x) for part in numbers for x in part)
         return self.time, self.sensor, tuple(values)
 
     def same(self, other: Entry) -> bool:
-        """Whether the other is this one once more."""
+        """Whether both are the same measurement."""
         parts = zip(self[2:6], other[2:6], strict=True)
         return self[:2] == other[:2] and all(_equal(a, b) for a, b in parts)
 
     def after(self, time: float) -> Measurements:
-        """What a step from ``time`` is given."""
+        """The inputs of a step from ``time`` to this measurement."""
         return Measurements(self.z, self.time - time, self.u, self.std, self.noise)
 
 
 class Window:
-    """States that may still change, as measurements before them may come.
+    """The states that a late measurement may still change.
 
     Args:
         time: of the state before all of them.
@@ -79,7 +79,7 @@ class Window:
         return self.entries[place - 1].time, self.entries[place - 1].state
 
     def precedes(self, time: float) -> bool:
-        """Whether a time is one that no entry can be put in at any more."""
+        """Whether a time is before the window, so that no entry can be inserted there."""
         return time < self.time or (time == self.time and self.forgot)
 
     def place(self, entry: Entry) -> int:

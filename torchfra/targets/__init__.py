@@ -1,4 +1,4 @@
-"""Targets that come and go: births from measurements that are nobody's, confirmation, deletion and identities.
+"""Track initiation and deletion: births from unassociated measurements, confirmation, deletion and identities.
 
 ``Targets`` is a manager around ``torchfra.filters.JPDA``.  ``torchfra/targets/README.md`` shows how to use it.
 """

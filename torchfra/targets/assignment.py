@@ -7,7 +7,7 @@ from typing import Any
 
 
 def scipy(part: str) -> Any:
-    """A part of scipy, such as ``"spatial"``, imported when it is needed.
+    """A part of scipy, such as ``"optimize"``, imported when it is needed.
 
     Raises:
         ImportError: scipy is not installed.
@@ -15,4 +15,4 @@ def scipy(part: str) -> Any:
     try:
         return import_module(f"scipy.{part}")
     except ImportError:
-        raise ImportError("targets that come and go need scipy: pip install torchfra[assignment]") from None
+        raise ImportError("managing targets needs scipy: pip install torchfra[assignment]") from None

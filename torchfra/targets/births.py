@@ -1,4 +1,4 @@
-"""How targets begin: from measurements that are no other target's."""
+"""Births of targets from unassociated measurements."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from torch.nn.functional import pad
 
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
-from torchfra.numbers import real
+from torchfra.numbers import as_number
 from torchfra.targets.assignment import scipy
 from torchfra.targets.places import from_cartesian, known_components
-from torchfra.targets.state import Unexplained, joined, rows
+from torchfra.targets.state import Unassociated, joined, rows
 from torchfra.types import Gaussian
 
 _SIGMAS = 3.0
@@ -47,13 +47,13 @@ class Birth(nn.Module):
         super().__init__()
         self.more = _positive("more", more)
 
-    def forward(self, motion: Motion, now: Unexplained, before: Unexplained) -> tuple[Newborn, Unexplained]:
-        """Who begins, and which measurements of this scan the next scan's births may begin with.
+    def forward(self, motion: Motion, now: Unassociated, before: Unassociated) -> tuple[Newborn, Unassociated]:
+        """The newborn targets, and the measurements that the next scan's births may use.
 
         Args:
             motion: of the targets.
-            now: measurements of this scan that are no target's.
-            before: what the last call has left, now so many seconds ago.
+            now: unassociated measurements of this scan.
+            before: the measurements that the last call has left, with the seconds since then.
         """
         raise TypeError(f"{type(self).__name__} must define forward")
 
@@ -67,7 +67,7 @@ class Birth(nn.Module):
 
 
 class OnePoint(Birth):
-    """Every measurement that is no target's begins one: its position is known, its velocity is not.
+    """Every unassociated measurement begins a target: its position is known, its velocity is not.
 
     Args:
         velocity: standard deviation of the velocity in each direction, m/s, around 0.
@@ -84,7 +84,7 @@ class OnePoint(Birth):
         super().__init__(more)
         self.velocity = _positive("velocity", velocity)
 
-    def forward(self, motion: Motion, now: Unexplained, before: Unexplained) -> tuple[Newborn, Unexplained]:
+    def forward(self, motion: Motion, now: Unassociated, before: Unassociated) -> tuple[Newborn, Unassociated]:
         """A target for each measurement; none is left."""
         position, root = now.position
         dims = motion.dims
@@ -99,10 +99,10 @@ class OnePoint(Birth):
 
 
 class TwoPoint(Birth):
-    """Two measurements in consecutive scans that are no target's begin one: the velocity is their difference.
+    """Two unassociated measurements in consecutive scans begin a target: their difference gives the velocity.
 
-    Of the pairs that the speed allows as many as possible are taken, and of those with the least sum of distances; no
-    measurement is in two.  Those of one instant begin none together: all of them are left for the next one.
+    The pairs are an assignment: as many as the highest speed allows, with the least sum of distances.  Measurements of
+    one instant are not paired: all of them are left for the next scan.
 
     Args:
         speed: highest speed of a target, m/s.
@@ -118,8 +118,8 @@ class TwoPoint(Birth):
         super().__init__(more)
         self.speed = _positive("speed", speed)
 
-    def forward(self, motion: Motion, now: Unexplained, before: Unexplained) -> tuple[Newborn, Unexplained]:
-        """A target for each pair; what is in none is left."""
+    def forward(self, motion: Motion, now: Unassociated, before: Unassociated) -> tuple[Newborn, Unassociated]:
+        """A target for each pair; measurements in no pair are left."""
         old, new = self._pairs(now, before)
         (first, first_root), since = before.position, before.since[old][:, None]
         position, root = now.position.mean[new], now.position.scale_tril[new]
@@ -131,7 +131,7 @@ class TwoPoint(Birth):
         same = rows(before, before.since == 0)
         return Newborn(belief, now.scene[new], 2), joined(same, rows(now, left))
 
-    def _pairs(self, now: Unexplained, before: Unexplained) -> tuple[Tensor, Tensor]:
+    def _pairs(self, now: Unassociated, before: Unassociated) -> tuple[Tensor, Tensor]:
         """Rows of the measurements before and now that belong together."""
         pairs = [torch.zeros(2, 0, dtype=torch.int64, device=now.scene.device)]
         for scene in before.scene.unique():
@@ -142,8 +142,8 @@ class TwoPoint(Birth):
         old, new = torch.cat(pairs, 1)
         return old, new
 
-    def _costs(self, before: Unexplained, now: Unexplained) -> tuple[Any, Tensor]:
-        """Distances ``(K, L)``, one for all that are too far, and which are not."""
+    def _costs(self, before: Unassociated, now: Unassociated) -> tuple[Any, Tensor]:
+        """Distances ``(K, L)``, with one large value for pairs that are too far apart, and which pairs are allowed."""
         distance = (before.position.mean.unsqueeze(1) - now.position.mean).norm(dim=-1)
         spread = [torch.linalg.matrix_norm(x.position.scale_tril) for x in (before, now)]
         reach = self.speed * before.since.unsqueeze(-1) + _SIGMAS * (spread[0].unsqueeze(-1) + spread[1])
@@ -157,6 +157,6 @@ class TwoPoint(Birth):
 
 
 def _positive(name: str, value: float) -> float:
-    if not 0 < real(value) < math.inf:
+    if not 0 < as_number(value) < math.inf:
         raise ValueError(f"{name}: expected a number above 0, received {value}")
     return float(value)

@@ -1,4 +1,4 @@
-"""Checks of what is handed to a manager of targets, before any work."""
+"""Checks of the arguments of a manager of targets, before any work."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from torchfra.filters.scans.lost_tracks import log_miss
 from torchfra.gaussian.arguments import check_kinds, check_values
 from torchfra.gaussian.inputs import Measurements, Time, batch_rank
 from torchfra.targets.places import known_components
-from torchfra.targets.scan import Look
+from torchfra.targets.scan import SceneScan
 from torchfra.targets.state import TargetsState
 
 _DTYPES = torch.float32, torch.float64
 
 
 def check_filter(filter: object) -> None:
-    """Whether a filter can have any number of targets that come and go.
+    """Checks that a filter can track a number of targets that changes.
 
     Raises:
         ValueError: it cannot.
@@ -62,7 +62,7 @@ def check_parts(**parts: tuple[object, type]) -> None:
             raise ValueError(f"{name}: expected {expected}, received {type(part).__name__}")
 
 
-def check_scan(filter: JPDA, state: TargetsState, measurements: Measurements, window: int) -> Look:
+def check_scan(filter: JPDA, state: TargetsState, measurements: Measurements, window: int) -> SceneScan:
     """One scan of each scene, in one form.
 
     Raises:
@@ -83,7 +83,7 @@ def check_scan(filter: JPDA, state: TargetsState, measurements: Measurements, wi
         raise ValueError(f"z: expected {scenes} scenes as the state has, received {len(z)}")
     seconds = _seconds(dt, (scenes,), instants=filter.inner.instants).to(like)
     own = (x if x is None else x.to(like) for x in (std, noise))
-    return Look(z.to(like), seconds, _inputs(u, (scenes,), like), *own)
+    return SceneScan(z.to(like), seconds, _inputs(u, (scenes,), like), *own)
 
 
 def _check_noise(filter: JPDA, measurements: Measurements) -> None:
@@ -98,7 +98,7 @@ def _check_noise(filter: JPDA, measurements: Measurements) -> None:
         filter.inner.outliers.check_noise("noise", noise)
 
 
-def check_scans(filter: JPDA, z: Tensor, dt: Time, u: Tensor | None) -> list[Look]:
+def check_scans(filter: JPDA, z: Tensor, dt: Time, u: Tensor | None) -> list[SceneScan]:
     """All scans of sequences ``(..., T, J, m)``, the scenes along one dimension.
 
     Raises:
@@ -112,9 +112,8 @@ def check_scans(filter: JPDA, z: Tensor, dt: Time, u: Tensor | None) -> list[Loo
     seconds = _seconds(dt, (steps,)).to(z)
     inputs = _inputs(u, (*z.shape[:-3], steps), z)
     inputs = None if inputs is None else inputs.reshape(scenes, steps, -1)
-    return [
-        Look(scans[:, t], seconds[t].expand(scenes), None if inputs is None else inputs[:, t]) for t in range(steps)
-    ]
+    each = [None] * steps if inputs is None else inputs.unbind(1)
+    return [SceneScan(scans[:, t], seconds[t].expand(scenes), each[t]) for t in range(steps)]
 
 
 def _check_scans(filter: JPDA, z: Tensor, shape: str, ranks: tuple[int, ...] | range) -> None:

@@ -1,4 +1,4 @@
-"""Two tracks of one target: which of them ends."""
+"""Merging of tracks of one target."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from torch import Tensor, nn
 
 from torchfra.linalg.triangular import hstack, tria, whiten
 from torchfra.motion.base import Motion
-from torchfra.numbers import real
+from torchfra.numbers import as_number
 from torchfra.targets.clusters import Group
 from torchfra.targets.state import Track
 from torchfra.types import Gaussian
 
 
 class Merging(nn.Module):
-    """Targets of one cluster whose states hardly differ are one: the confirmed stays, of two the older.
+    """Merges targets of one cluster whose states hardly differ: the confirmed one stays, of two alike the older.
 
-    What is compared is the whole state, so that targets whose paths cross stay two.  Tracks of one target have shared
-    its measurements: their difference is far smaller than the sum of their covariances says.
+    Whole states are compared, so that targets whose paths cross are not merged.  Tracks of one target share its
+    measurements, so that their difference is far smaller than the sum of their covariances.
 
     Args:
         distance: root of the mean square of the difference, in standard deviations of each component, below which two
@@ -34,12 +34,12 @@ class Merging(nn.Module):
 
     def __init__(self, distance: float = 0.3) -> None:
         super().__init__()
-        if not 0 < real(distance) < math.inf:
+        if not 0 < as_number(distance) < math.inf:
             raise ValueError(f"distance: expected a number above 0, received {distance}")
         self.distance = float(distance)
 
     def forward(self, motion: Motion, belief: Gaussian, track: Track, groups: list[Group]) -> Tensor:
-        """Which targets ``(N,)`` end because another is the same.
+        """Which targets ``(N,)`` are deleted as duplicates of another.
 
         Args:
             motion: of the targets.
@@ -47,7 +47,7 @@ class Merging(nn.Module):
             track: of each.
             groups: clusters of them.
         """
-        ends = torch.zeros_like(track.confirmed)
+        deleted = torch.zeros_like(track.confirmed)
         for targets in (group.targets for group in groups if group.targets.shape[-1] > 1):
             one, other = targets[:, torch.combinations(torch.arange(targets.shape[-1]))].flatten(0, 1).unbind(-1)
             gap = motion.difference(belief.mean[one], belief.mean[other])
@@ -56,8 +56,8 @@ class Merging(nn.Module):
             rank = [track.confirmed[x].to(torch.int64) for x in (one, other)]
             older = track.identity[one] < track.identity[other]
             stays = (rank[0] > rank[1]) | ((rank[0] == rank[1]) & older)
-            ends[torch.where(stays, other, one)[same]] = True
-        return ends
+            deleted[torch.where(stays, other, one)[same]] = True
+        return deleted
 
     def extra_repr(self) -> str:
         """The distance."""

@@ -27,7 +27,7 @@ def place(
         z: the measurements, without missing elements.
         u: ``(K, k)`` what the sensor needs to know, or None.
         std: ``(K, m)`` of the noise, instead of the sensor's.
-        noise: ``(K, m, m)`` roots of its covariance, likewise.
+        noise: ``(K, m, m)`` roots of its covariance, instead of the sensor's.
 
     Raises:
         ValueError: ``u`` tells the sensor more than where it stands, so that it does not locate in the motion's axes.
@@ -61,8 +61,8 @@ def known_components(motion: Motion) -> Tensor:
     """Numbers ``(2 dims,)`` of the components of a state that are its position and velocity, in space."""
     if isinstance(motion, Spherical):
         return torch.arange(2 * motion.dims)
-    whole = torch.arange(motion.size)
-    return torch.cat([whole[motion.position], whole[motion.velocity]])
+    components = torch.arange(motion.size)
+    return torch.cat([components[motion.position], components[motion.velocity]])
 
 
 def from_cartesian(motion: Motion, belief: Gaussian) -> Gaussian:

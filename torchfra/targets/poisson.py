@@ -1,4 +1,4 @@
-"""How many targets begin: a Poisson number in every scan."""
+"""The number of births: Poisson in every scan."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from torchfra.targets.state import TargetsEstimate
 class PoissonBirths(nn.Module):
     """Log probability of the number of targets that begin in each scan, to learn their rate by.
 
-    With the likelihood of the scans it makes the loss of what is known of targets that come and go, given which
-    targets there are::
+    Together with the likelihood of the scans it is the negative log likelihood of a sequence, given its targets::
 
         loss = -(estimate.log_likelihood.sum(-2) + births(estimate)).mean()
 

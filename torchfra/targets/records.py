@@ -1,4 +1,4 @@
-"""What whole sequences of scans have shown of the targets."""
+"""The estimate of a sequence of scans, from the states after each."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torchfra.types import Gaussian
 
 
 def collect(states: Sequence[TargetsState], batch: Sequence[int] = ()) -> TargetsEstimate:
-    """The targets that were ever confirmed, each in a place of its own.
+    """The targets that were ever confirmed, one along each place of a dimension.
 
     Args:
         states: after each scan of a stream, from the first on.
@@ -44,12 +44,12 @@ def collect(states: Sequence[TargetsState], batch: Sequence[int] = ()) -> Target
 
     identity = torch.full((R, K), -1, device=row.device).index_put(place[:2], track.identity)
     mean, root = placed(belief.mean, torch.nan), placed(belief.scale_tril, torch.nan)
-    gone = _gone(placed((track.misses == 0).to(belief.mean), 0.0) > 0, ~mean[..., 0].isnan())
+    gone = _deleted(placed((track.misses == 0).to(belief.mean), 0.0) > 0, ~mean[..., 0].isnan())
     density = torch.where(gone, 0.0, placed(track.density, 0.0))
     return TargetsEstimate(mean, root, identity.reshape(*batch, K), density)
 
 
-def _gone(measured: Tensor, there: Tensor) -> Tensor:
-    """Which scans ``(..., K, T)`` come after the last one in which a target that has ended was measured."""
+def _deleted(measured: Tensor, there: Tensor) -> Tensor:
+    """Which scans ``(..., K, T)`` come after the last measurement of a target that was deleted."""
     later = measured.flip(-1).cumsum(-1).flip(-1) > 0
     return ~later & ~there[..., -1:]

@@ -1,4 +1,4 @@
-"""When a target is confirmed, and when it ends."""
+"""Rules for the confirmation and the deletion of targets."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from torchfra.numbers import real, whole
+from torchfra.numbers import as_number, is_integer
 from torchfra.targets.state import Track
 
 
@@ -20,12 +20,12 @@ class Confirmation(nn.Module):
     """Whether it looks at the score."""
 
     def forward(self, track: Track) -> tuple[Tensor, Tensor]:
-        """Which tentative targets ``(N,)`` are confirmed, and which are given up."""
+        """Which tentative targets ``(N,)`` are confirmed, and which are deleted."""
         raise TypeError(f"{type(self).__name__} must define forward")
 
 
 class MOfN(Confirmation):
-    """Confirmed once measured in M of the last N scans, given up once that cannot come true in the first N.
+    """M of N: confirmed once measured in M of the last N scans, deleted once that is impossible in the first N.
 
     Args:
         m: scans in which a target must be measured, those of its birth counted.
@@ -39,7 +39,7 @@ class MOfN(Confirmation):
 
     def __init__(self, m: int = 3, n: int = 5) -> None:
         super().__init__()
-        if not (whole(m, 1) and whole(n, m)):
+        if not (is_integer(m, 1) and is_integer(n, m)):
             raise ValueError(f"m, n: expected whole numbers with 1 <= m <= n, received {m}, {n}")
         self.m, self.window = m, n
 
@@ -59,12 +59,12 @@ class SPRT(Confirmation):
 
     The score of a scan is ``log(1 - P_D P_G) - log P(missed | scan)``: the density of the scan with the target over
     that without it, given that the others exist, where the number of false measurements is Poisson.  Tentative targets
-    share measurements as if they certainly existed: where many begin, a true one is given up more often than
-    ``missed`` says.
+    are associated as if they certainly existed: where many begin, a true target is deleted more often than ``missed``
+    says.
 
     Args:
-        false: probability that what begins with a false measurement is confirmed.
-        missed: probability that a target that is there is given up before it is confirmed.
+        false: probability that a track of false measurements is confirmed.
+        missed: probability that a true target is deleted before it is confirmed.
 
     Raises:
         ValueError: probabilities that are not above 0, or that sum to 1 or more.
@@ -78,7 +78,7 @@ class SPRT(Confirmation):
 
     def __init__(self, false: float = 1e-4, missed: float = 1e-2) -> None:
         super().__init__()
-        if not (real(false) > 0 and real(missed) > 0 and real(false) + real(missed) < 1):
+        if not (as_number(false) > 0 and as_number(missed) > 0 and as_number(false) + as_number(missed) < 1):
             raise ValueError(f"false, missed: expected probabilities above 0 with a sum below 1, received "
                              f"{false}, {missed}")  # fmt: skip
         self.upper, self.lower = math.log((1 - missed) / false), math.log(missed / (1 - false))
@@ -93,7 +93,7 @@ class SPRT(Confirmation):
 
 
 class Deletion(nn.Module):
-    """When a target ends, tentative or confirmed: by any of these; None for one that does not count.
+    """Deletion of targets, tentative or confirmed, by any of three criteria; None for one that is not used.
 
     Args:
         misses: scans in a row in which it was missed.
@@ -111,30 +111,30 @@ class Deletion(nn.Module):
         super().__init__()
         if misses is None and drop is None and spread is None:
             raise ValueError("misses, drop, spread: expected at least one of them, received none")
-        if misses is not None and not whole(misses, 1):
+        if misses is not None and not is_integer(misses, 1):
             raise ValueError(f"misses: expected 1 scan or more, received {misses!r}")
-        if drop is not None and not 0 < real(drop) < 1:
+        if drop is not None and not 0 < as_number(drop) < 1:
             raise ValueError(f"drop: expected a probability above 0 and below 1, received {drop}")
-        if spread is not None and not real(spread) > 0:
+        if spread is not None and not as_number(spread) > 0:
             raise ValueError(f"spread: expected metres above 0, received {spread}")
         self.misses, self.drop, self.spread = misses, drop, spread
 
     def forward(self, track: Track, position: Tensor) -> Tensor:
-        """Which targets ``(N,)`` end.
+        """Which targets ``(N,)`` are deleted.
 
         Args:
             track: of the targets.
             position: ``(N, dims, n)`` a root of the covariance of each position, m.
         """
-        ends = torch.zeros_like(track.confirmed)
+        deleted = torch.zeros_like(track.confirmed)
         if self.misses is not None:
-            ends = ends | (track.misses >= self.misses)
+            deleted = deleted | (track.misses >= self.misses)
         if self.drop is not None:
-            ends = ends | (track.score - track.best < math.log(self.drop))
+            deleted = deleted | (track.score - track.best < math.log(self.drop))
         if self.spread is not None:
-            ends = ends | (torch.linalg.matrix_norm(position, 2) > self.spread)
-        return ends
+            deleted = deleted | (torch.linalg.matrix_norm(position, 2) > self.spread)
+        return deleted
 
     def extra_repr(self) -> str:
-        """What ends a target."""
+        """The criteria."""
         return f"misses={self.misses}, drop={self.drop}, spread={self.spread}"

@@ -17,7 +17,7 @@ from torchfra.targets.state import rows
 from torchfra.types import Gaussian
 
 
-class Look(NamedTuple):
+class SceneScan(NamedTuple):
     """One scan of all scenes."""
 
     z: Tensor
@@ -29,85 +29,77 @@ class Look(NamedTuple):
     std: Tensor | None = None
     """``(R, J, m)`` of each measurement's noise, instead of the sensor's."""
     noise: Tensor | None = None
-    """``(R, J, m, m)`` roots of its covariance, likewise."""
+    """``(R, J, m, m)`` roots of its covariance, instead of the sensor's."""
 
 
-class Said(NamedTuple):
-    """What a scan has said of N targets and of its measurements."""
-
-    log_missed: Tensor
-    """``(N,)`` log probability that each was missed."""
-    density: Tensor
-    """``(N,)`` log density of the scan against one of false measurements alone, shared out among them."""
-    explained: Tensor
-    """``(R, J)`` probability that each measurement is a target's."""
-
-
-def look_at(filter: JPDA, state: Any, scene: Tensor, look: Look) -> tuple[Any, Said, list[Group]]:
+def filter_scan(
+    filter: JPDA, state: Any, scene: Tensor, scan: SceneScan
+) -> tuple[Any, Tensor, Tensor, Tensor, list[Group]]:
     """One step of all targets.
 
     Args:
         filter: of scans.
         state: its state, rows of ``(N, ...)``.
         scene: ``(N,)`` of each target.
-        look: the scan.
+        scan: the scan.
 
     Returns:
-        The next state, what the scan has said, and the clusters that shared measurements.
+        The next state; the log probability ``(N,)`` that each target was missed; each one's share ``(N,)`` of the log
+        density of the scan against one of false measurements alone; the probability ``(R, J)`` that each measurement
+        belongs to a target; and the clusters that share measurements.
     """
-    there = ~look.z.isnan().all(-1)
-    explained = look.z.new_zeros(there.numel())
+    there = ~scan.z.isnan().all(-1)
+    associated = scan.z.new_zeros(there.numel())
     if len(scene) == 0:
-        return state, Said(explained[:0], explained[:0], explained.reshape(there.shape)), []
+        return state, associated[:0], associated[:0], associated.reshape(there.shape), []
     with torch.no_grad():
-        groups = clusters(_reach(filter, state, scene, look), scene)
-    tables = _tables(look)
+        groups = clusters(_reach(filter, state, scene, scan), scene)
+    tables = _tables(scan)
     parts, missed, density = [], [], []
     for targets, measurements in groups:
         of, group = scene[targets[:, 0]], rows(state, targets)
-        after, (association, evidence) = stepped(filter, among, group, _measured(of, look, *rows(tables, measurements)))
+        after, (association, evidence) = stepped(filter, among, group, _measured(of, scan, *rows(tables, measurements)))
         share = association[..., 1:].sum(-2)
         inside = measurements >= 0
-        explained = explained.index_put((measurements[inside],), share[inside], accumulate=True)
+        associated = associated.index_put((measurements[inside],), share[inside], accumulate=True)
         parts.append(tree.map_tensors(lambda x: x.flatten(0, 1), after))
         missed.append(association[..., 0].log().flatten())
         density.append(evidence.flatten())
     order = torch.cat([group.targets.flatten() for group in groups]).argsort()
     state = tree.map_tensors(lambda *xs: torch.cat(xs)[order], *parts)
-    said = Said(torch.cat(missed)[order], torch.cat(density)[order], explained.reshape(there.shape))
-    return state, said, groups
+    return state, torch.cat(missed)[order], torch.cat(density)[order], associated.reshape(there.shape), groups
 
 
-def _reach(filter: JPDA, state: Any, scene: Tensor, look: Look) -> Tensor:
+def _reach(filter: JPDA, state: Any, scene: Tensor, scan: SceneScan) -> Tensor:
     """Which measurements ``(N, J)`` of its scene may be in the gate of each target."""
     alone = tree.map_tensors(lambda x: x.unsqueeze(1), state)  # each target in a scene of its own
-    anything = look.z.new_zeros(len(scene), 1, filter.sensor.size)
-    _, predicted = stepped(filter, outlook, alone, _measured(scene, look, anything, _widest(scene, look)))
+    anything = scan.z.new_zeros(len(scene), 1, filter.sensor.size)
+    _, predicted = stepped(filter, outlook, alone, _measured(scene, scan, anything, _widest(scene, scan)))
     predicted = Gaussian(*(x.squeeze(1) for x in predicted))
-    return in_reach(filter.gate, filter.sensor, predicted, look.z, scene, filter.temperature)
+    return in_reach(filter.gate, filter.sensor, predicted, scan.z, scene, filter.temperature)
 
 
 def _measured(
-    scene: Tensor, look: Look, z: Tensor, std: Tensor | None = None, noise: Tensor | None = None
+    scene: Tensor, scan: SceneScan, z: Tensor, std: Tensor | None = None, noise: Tensor | None = None
 ) -> Measurements:
     """Measurements ``(C, J, m)`` of clusters in their scenes."""
-    return Measurements(z, look.dt[scene], None if look.u is None else look.u[scene], std, noise)
+    return Measurements(z, scan.dt[scene], None if scan.u is None else scan.u[scene], std, noise)
 
 
-def _tables(look: Look) -> tuple[Tensor, Tensor | None, Tensor | None]:
+def _tables(scan: SceneScan) -> tuple[Tensor, Tensor | None, Tensor | None]:
     """Measurements ``(R J + 1, m)`` of all scenes, the last of which is none, and what is known of their noise."""
-    (z, _, _, std, noise), size = look, look.z.shape[-1]
+    (z, _, _, std, noise), size = scan, scan.z.shape[-1]
     std = None if std is None else torch.cat([std.flatten(0, 1), z.new_ones(1, size)])
     noise = None if noise is None else torch.cat([noise.flatten(0, 1), torch.eye(size).to(z).unsqueeze(0)])
     return torch.cat([z.flatten(0, 1), z.new_full((1, size), torch.nan)]), std, noise
 
 
-def _widest(scene: Tensor, look: Look) -> Tensor | None:
+def _widest(scene: Tensor, scan: SceneScan) -> Tensor | None:
     """Deviations ``(N, 1, m)`` of a noise that is wider than that of any measurement of each target's scene."""
-    std, size = look.std, look.z.shape[-1]
-    if look.noise is not None:
-        std = (size * look.noise.square().sum(-1)).sqrt()  # no covariance exceeds m times its diagonal
+    std, size = scan.std, scan.z.shape[-1]
+    if scan.noise is not None:
+        std = (size * scan.noise.square().sum(-1)).sqrt()  # no covariance exceeds m times its diagonal
     if std is None:
         return None
-    some = torch.where(look.z.isnan(), 0.0, std).amax(-2, keepdim=True) if look.z.shape[-2] else std.new_zeros(())
-    return torch.where(some > 0, some, 1.0).expand(len(look.z), 1, size)[scene]
+    some = torch.where(scan.z.isnan(), 0.0, std).amax(-2, keepdim=True) if scan.z.shape[-2] else std.new_zeros(())
+    return torch.where(some > 0, some, 1.0).expand(len(scan.z), 1, size)[scene]

@@ -1,4 +1,4 @@
-"""What is known of targets that come and go: rows, one for each target that is there."""
+"""The state of the manager of targets: tensors with one row for each existing target."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from torchfra.types import Gaussian
 
 
 class Track(NamedTuple):
-    """What decides whether targets ``(N,)`` are confirmed and when they end."""
+    """By what targets ``(N,)`` are confirmed and deleted."""
 
     identity: Tensor
-    """Whole numbers from 0, of each scene; none is ever used again."""
+    """Whole numbers from 0 in each scene; none is used twice."""
     scene: Tensor
-    """To which of the scenes that run side by side each belongs."""
+    """The scene of each target, out of those that run side by side."""
     confirmed: Tensor
-    """Bool; the others are tentative."""
+    """Bool; False for tentative targets."""
     hits: Tensor
     """``(N, W)`` bool: in which of the last W scans, the newest first, each was measured rather than missed."""
     age: Tensor
@@ -34,15 +34,15 @@ class Track(NamedTuple):
     """Each one's share of the log density of the last scan against one of false measurements alone; 0 at the birth."""
 
 
-class Unexplained(NamedTuple):
-    """Measurements ``(K,)`` of a scan that are no target's, from which targets may begin."""
+class Unassociated(NamedTuple):
+    """Unassociated measurements ``(K,)``, from which targets may begin."""
 
     position: Gaussian
     """``(K, dims)`` where each lies in space, m."""
     scene: Tensor
     """``(K,)``."""
     since: Tensor
-    """``(K,)`` seconds ago."""
+    """``(K,)`` seconds since the measurement."""
 
 
 class TargetsState(NamedTuple):
@@ -51,7 +51,7 @@ class TargetsState(NamedTuple):
     filter: Any
     """State of the filter, rows of ``(N, ...)``."""
     track: Track
-    unexplained: Unexplained
+    unassociated: Unassociated
     next_identity: Tensor
     """``(R,)`` of each scene."""
 
@@ -79,12 +79,12 @@ class TargetsEstimate(NamedTuple):
     mean: Tensor
     """``(..., K, T, n)``; NaN where the target is not there, or not confirmed yet."""
     scale_tril: Tensor
-    """``(..., K, T, n, n)``, likewise."""
+    """``(..., K, T, n, n)``; NaN as in ``mean``."""
     identity: Tensor
     """``(..., K)``; -1 where a scene has fewer than K."""
     log_likelihood: Tensor
     """``(..., K, T)`` each one's share of the log density of a scan against one of false measurements alone; 0 where it
-    is not there, or is gone: after its last measurement, if it has ended."""
+    does not exist, and after the last measurement of a target that is deleted."""
 
     @property
     def confirmed(self) -> Tensor:

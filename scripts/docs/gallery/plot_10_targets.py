@@ -1,4 +1,4 @@
-"""Targets that come and go.
+"""Track initiation and deletion.
 
 Aircraft among false measurements, found and followed by ``targets.Targets`` around ``jpda``.
 """

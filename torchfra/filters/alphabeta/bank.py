@@ -20,17 +20,17 @@ from torchfra.filters.alphabeta.axes import (
     root_spreads,
     short_step_gains,
     startup_gains,
+    three_gain_root,
     two_gain_root,
     update_axes,
 )
 from torchfra.filters.alphabeta.base import ConstantGainFilter, record
 from torchfra.filters.alphabeta.gains import Gains
-from torchfra.filters.alphabeta.levels import all_stable, of_level, one_level, steady_states
 from torchfra.filters.alphabeta.memory import (
     AlphaBetaBankState,
     AlphaBetaInfo,
+    AxisInnovation,
     Earlier,
-    Innovation,
     OutlierTest,
     Vote,
     remember,
@@ -230,7 +230,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
 
     # ------------------------------------------------------------ decisions, in the order of the paper
 
-    def innovation(self, state: AlphaBetaBankState, frame: Frame) -> Innovation:
+    def innovation(self, state: AlphaBetaBankState, frame: Frame) -> AxisInnovation:
         """The measurement compared with its prediction."""
         z, std, dt = frame.z, frame.measurement_noise.std, frame.dt.unsqueeze(-1)
         predicted = predict_axes(self._components(state.mean), dt)
@@ -239,9 +239,10 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         residual = frame.measured * (z - predicted[0])
         size = residual.abs() / std
         channels = _polar(z, predicted[0], std) if polar else size
-        return Innovation(z, predicted, residual, size, channels, frame.measured, measured, dt, state.since + dt, std)
+        since = state.since + dt
+        return AxisInnovation(z, predicted, residual, size, channels, frame.measured, measured, dt, since, std)
 
-    def manoeuvre_vote(self, state: AlphaBetaBankState, innovation: Innovation) -> Vote:
+    def manoeuvre_vote(self, state: AlphaBetaBankState, innovation: AxisInnovation) -> Vote:
         """Whether this is a manoeuvre: the flag of this measurement, and the majority of the last ones."""
         channels = innovation.channels
         expected = 1.0 if self.expect == "paper" else self._expected_ratio(state.level)
@@ -255,7 +256,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         lasting = self._above(self.dwell(channels).unsqueeze(-1) - quiet, 0.5)
         return Vote(flag, vote, vote + (1 - vote) * state.manoeuvre * lasting, quiet)
 
-    def outlier_test(self, state: AlphaBetaBankState, innovation: Innovation, manoeuvre: Tensor) -> OutlierTest:
+    def outlier_test(self, state: AlphaBetaBankState, innovation: AxisInnovation, manoeuvre: Tensor) -> OutlierTest:
         """Whether this is an outlier: above a threshold, or in a manoeuvre out of the target's reach; and restarts."""
         limit = self._largest_residual(state, innovation, manoeuvre)
         measured, started = innovation.measured, (state.used > 1.5).to(innovation.since)
@@ -273,7 +274,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         counted, two = accepted * (1 - starting), torch.full_like(rejected, 2.0)
         return OutlierTest(rejected, accepted, counted, in_a_row, restarted, two, restarted * started)
 
-    def _confirmed(self, state: AlphaBetaBankState, innovation: Innovation) -> Tensor:
+    def _confirmed(self, state: AlphaBetaBankState, innovation: AxisInnovation) -> Tensor:
         """``(..., g)`` 1 where the target can reach this measurement from the last two."""
         assert state.earlier is not None
         before, between, count = state.earlier
@@ -286,7 +287,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         near = bend.abs() < 0.5 * limit * since * (between + since) + margin * noise
         return 1 - self._any(1 - (near & (count > 1.5)).to(bend))
 
-    def _largest_residual(self, state: AlphaBetaBankState, innovation: Innovation, manoeuvre: Tensor) -> Tensor:
+    def _largest_residual(self, state: AlphaBetaBankState, innovation: AxisInnovation, manoeuvre: Tensor) -> Tensor:
         """``(..., d)`` in std: what the target can reach in a manoeuvre, and the threshold of outliers without one."""
         flagged_steps = self._flags_in_a_row(state)
         reach = innovation.since + innovation.dt * flagged_steps * (1 - self._above(state.rejected, 0.5))
@@ -304,7 +305,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return count
 
     def choose_level(
-        self, state: AlphaBetaBankState, innovation: Innovation, manoeuvre: Tensor, accepted: Tensor
+        self, state: AlphaBetaBankState, innovation: AxisInnovation, manoeuvre: Tensor, accepted: Tensor
     ) -> Tensor:
         """Shares ``(..., g, N)`` of the levels; a single 1 where choices are hard.  A rejected step keeps the last."""
         channels = innovation.channels
@@ -342,7 +343,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
     # ------------------------------------------------------------ what becomes of the beliefs
 
     def update(
-        self, state: AlphaBetaBankState, innovation: Innovation, vote: Vote, test: OutlierTest, level: Tensor
+        self, state: AlphaBetaBankState, innovation: AxisInnovation, vote: Vote, test: OutlierTest, level: Tensor
     ) -> tuple[Gaussian, Gaussian | None]:
         """The belief after the step, and that of the fastest filter if it runs all the time."""
         belief = self._corrected(state, innovation, test, Gaussian(state.mean, state.root), level)
@@ -362,7 +363,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return self._where(test.restarted, restart, belief), fastest
 
     def _corrected(
-        self, state: AlphaBetaBankState, innovation: Innovation, test: OutlierTest, belief: Gaussian, level: Tensor
+        self, state: AlphaBetaBankState, innovation: AxisInnovation, test: OutlierTest, belief: Gaussian, level: Tensor
     ) -> Gaussian:
         """A belief after the step, by the gains of a level."""
         predicted = predict_axes(self._components(belief.mean), innovation.dt)
@@ -404,7 +405,7 @@ def _polar(z: Tensor, predicted: Tensor, std: Tensor) -> Tensor:
     return torch.stack([radial.abs(), along_circle.abs()], -1) / std.mean(-1, keepdim=True)
 
 
-def _restarted(state: AlphaBetaBankState, innovation: Innovation, points: Tensor) -> Gaussian:
+def _restarted(state: AlphaBetaBankState, innovation: AxisInnovation, points: Tensor) -> Gaussian:
     """Mean and entries of the root of a track that begins with the last two measurements, or with the last alone."""
     two, since, std = points - 1, state.since_last + innovation.dt, innovation.std
     speed = two * (innovation.z - state.last) / since
@@ -416,10 +417,43 @@ def _restarted(state: AlphaBetaBankState, innovation: Innovation, points: Tensor
     return Gaussian(torch.cat(torch.broadcast_tensors(*parts), -1), torch.stack(torch.broadcast_tensors(*entries), -2))
 
 
-def _lost_root(state: AlphaBetaBankState, innovation: Innovation) -> Tensor:
+def _lost_root(state: AlphaBetaBankState, innovation: AxisInnovation) -> Tensor:
     """Entries of the root of a track of which nothing was used for long: it has any speed since then."""
     speed = state.start[..., 1, :]
     entries = [innovation.since * speed, speed, 0 * speed]
     if state.start.shape[-2] > 2:
         entries += [0 * speed, 0 * speed, state.start[..., 2, :]]
     return torch.stack(torch.broadcast_tensors(*entries), -2)
+
+
+def one_level(place: int, level: Tensor) -> Tensor:
+    """Shares ``(N,)`` of a single level."""
+    return torch.eye(level.shape[-1], dtype=level.dtype, device=level.device)[place]
+
+
+def of_level(level: Tensor, values: Tensor) -> Tensor:
+    """Values ``(..., g)`` of the level in use, from those ``(..., N)`` of all levels and its shares ``(..., g, N)``."""
+    parts = [level[..., i] * values[..., i].unsqueeze(-1) for i in range(level.shape[-1])]
+    return reduce(torch.add, parts)  # many times faster than a sum over so few
+
+
+def steady_states(alpha: Tensor, beta: Tensor, gamma: Tensor | None) -> tuple[list[Tensor], Tensor]:
+    """Entries of each level's covariance root, ``(..., N)`` each, and the variance ``(..., N)`` of its residuals."""
+    entries, variance = two_gain_root(alpha, beta)
+    if gamma is None:
+        return entries, variance
+    has_gamma = gamma > 0
+    three, wider = three_gain_root(alpha, beta, torch.where(has_gamma, gamma, 0.1 * beta))
+    both = zip([*entries, *[torch.zeros_like(alpha)] * 3], three, strict=True)
+    return [torch.where(has_gamma, b, a) for a, b in both], torch.where(has_gamma, wider, variance)
+
+
+def all_stable(gains: Gains) -> bool:
+    """Whether every level is stable; one whose ``gamma`` is 0 has two gains."""
+    alpha, beta, gamma = gains
+    if gamma is None:
+        return design.stable(gains)
+    two = gamma == 0
+    parts = [Gains(alpha[two], beta[two])] if bool(two.any()) else []
+    parts += [Gains(alpha[~two], beta[~two], gamma[~two])] if bool((~two).any()) else []
+    return all(map(design.stable, parts))

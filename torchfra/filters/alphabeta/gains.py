@@ -35,14 +35,6 @@ class Variances(NamedTuple):
     """Of the predicted position; the residual's is 1 more."""
 
 
-class Lags(NamedTuple):
-    """Steady errors under a constant acceleration of 1; ``T`` is 1."""
-
-    position: Tensor
-    prediction: Tensor
-    velocity: Tensor
-
-
 def kalata(index: Value, orders: int = 2) -> Gains:
     """Steady-state Kalman gains for a noise acceleration (with ``orders`` 3: a change of acceleration) in each step.
 
@@ -120,11 +112,6 @@ def variances(alpha: Tensor, beta: Tensor) -> Variances:
         2 * beta.square() / scale,
         (square + product) / scale,
     )
-
-
-def lags(alpha: Tensor, beta: Tensor) -> Lags:
-    """What gains make of a constant acceleration."""
-    return Lags((1 - alpha) / beta, 1 / beta, (2 * alpha - beta) / (2 * beta))
 
 
 def steady_root(transition: Tensor, gain: Tensor) -> Tensor:

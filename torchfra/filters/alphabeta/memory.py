@@ -1,4 +1,4 @@
-"""What the bank remembers from step to step, and what it reports."""
+"""State, info and intermediate results of the bank."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from torchfra.types import Gaussian
 
 
 class Earlier(NamedTuple):
-    """What is known of the measurement before the last one, used or not."""
+    """The measurement before the last one, used or not."""
 
     z: Tensor
     """``(..., d)``."""
     between: Tensor
     """``(..., d)`` seconds between it and the last one."""
-    count: Tensor
-    """``(..., d)`` how many measurements there were."""
+    number: Tensor
+    """``(..., d)`` number of measurements so far."""
 
 
 class AlphaBetaBankState(NamedTuple):
-    """What the bank knows after a step; ``g`` is an axis, or 1 where all axes decide together."""
+    """State after a step; ``g`` is the number of axes, or 1 where all axes decide together."""
 
     mean: Tensor
     root: Tensor
@@ -76,7 +76,7 @@ class AlphaBetaInfo(NamedTuple):
     """bool: begun anew after too many of them, or too long without one that was used."""
 
 
-class Innovation(NamedTuple):
+class AxisInnovation(NamedTuple):
     """A measurement compared with its prediction."""
 
     z: Tensor
@@ -128,7 +128,7 @@ class OutlierTest(NamedTuple):
 
 
 def remember(
-    state: AlphaBetaBankState, innovation: Innovation, vote: Vote, test: OutlierTest, flag: Tensor
+    state: AlphaBetaBankState, innovation: AxisInnovation, vote: Vote, test: OutlierTest, flag: Tensor
 ) -> AlphaBetaBankState:
     """Counters, flags and the last measurement after the step; only the last measurement survives a restart.
 
@@ -147,7 +147,7 @@ def remember(
     if earlier is not None:
         z = earlier.z + axis_measured * (state.last - earlier.z)
         between = earlier.between + axis_measured * (since_last - earlier.between)
-        earlier = Earlier(z, between, earlier.count + axis_measured)
+        earlier = Earlier(z, between, earlier.number + axis_measured)
     return state._replace(
         used=keep * (state.used + test.counted) + test.restarted * test.points,
         since=keep * innovation.since * (1 - test.accepted),

@@ -1,4 +1,4 @@
-"""A scan in which every measurement of a target leads to a state of its own, before they are merged."""
+"""A scan for filters of several models or regimes: each measurement in a gate gives a state, and these are merged."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Pairs(NamedTuple):
     states: Any
     """Of the filter, ``(K, ..., N)``."""
     info: Any
-    """Likewise."""
+    """Of the filter, ``(K, ..., N)``."""
     number: Tensor
     """``(..., N, K)`` of each measurement in the scan."""
     log_density: Tensor

@@ -32,7 +32,7 @@ from torchfra.filters.scans.lost_tracks import log_miss, missed_scans, search, w
 from torchfra.filters.scans.merging import check_merges
 from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import SRCKF, State
-from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements, Whole, make_frames
+from torchfra.gaussian.inputs import BackwardStep, CompleteScans, Frame, Measurements, make_frames
 from torchfra.gaussian.update import density, innovation
 from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg.tracing import is_traced
@@ -145,9 +145,12 @@ class JPDA(Soft, Filter[JPDAState]):
         return JPDAState(tree.map_tensors(lambda x: x.squeeze(rank), inner), nothing, nothing)
 
     def advance(
-        self, state: JPDAState, frame: Frame, mix: Mix | None = None, *, looked: bool = False
+        self, state: JPDAState, frame: Frame, mix: Mix | None = None, *, count_empty: bool = False
     ) -> tuple[JPDAState, Record]:
-        """One scan; ``mix`` is not used; ``looked``: whether all were missed in a scan without any measurement."""
+        """One scan; ``mix`` is not used.
+
+        ``count_empty`` says whether all targets are missed in a scan without any measurement.
+        """
         miss, times, searched = log_miss(self.detection, self.gate, state.missed), None, state.searched
         if self.lost:
             times, searched = search(state.missed, state.searched, miss, self.lost)
@@ -155,7 +158,7 @@ class JPDA(Soft, Filter[JPDAState]):
         inner, scan, association, info = follow(state.inner, times, miss, frame)
         innovation = combined(association.probabilities, scan.whitened.residual, scan.root, scan.normalised, frame)
         record = Record(inner.belief, *innovation, info, association.evidence, past=searched)
-        return JPDAState(inner, missed_scans(state.missed, association, frame.measured, looked), searched), record
+        return JPDAState(inner, missed_scans(state.missed, association, frame.measured, count_empty), searched), record
 
     def by_innovations(
         self, state: State, times: Tensor | None, miss: Tensor, frame: Frame
@@ -171,7 +174,7 @@ class JPDA(Soft, Filter[JPDAState]):
         f, (belief, fading, noise) = self.inner, tree.insert_batch_dimension(state)
         prediction = f.predicted(belief, frame)
         prediction = prediction if times is None else wider(prediction, times)
-        scan = self.look(f, prediction.belief, noise, frame)
+        scan = self.compare_scan(f, prediction.belief, noise, frame)
         repaired = target_repairs(prediction, scan.whitened)
         association = self.associate(scan, self.inside(scan), miss)  # (25)-(27)
         learn = partial(learned, f.noise, association=association, frame=frame, share_noise=self.share_noise)
@@ -192,7 +195,7 @@ class JPDA(Soft, Filter[JPDAState]):
         """A scan of several models or regimes: a state for every measurement, merged; arguments as above."""
         f, state = self.inner, state if times is None else widened(self.inner, state, times)
         none, record = missed(f, state, frame, self.sensor)
-        scan = self.look(core(f), record.belief, None, frame)
+        scan = self.compare_scan(core(f), record.belief, None, frame)
         inside = self.inside(scan)
         each = measured(f, state, frame, inside > -torch.inf)
         scan = scan._replace(log_density=each.log_density)
@@ -200,7 +203,7 @@ class JPDA(Soft, Filter[JPDAState]):
         inner, info = together(f, none, each, association)
         return inner, scan, association, JPDAInfo(association.log_weights.exp(), inner=info)
 
-    def look(self, f: Any, belief: Gaussian, noise: Any, frame: Frame) -> Scan:
+    def compare_scan(self, f: Any, belief: Gaussian, noise: Any, frame: Frame) -> Scan:
         """The measurements of a scan against the prediction ``belief (..., N, 1)`` of a filter for each target."""
         whitened, side = f.compare(belief, frame), None if noise is None else f.noise
         known = whitened if side is None else side.known(whitened, noise)
@@ -298,15 +301,15 @@ class JPDA(Soft, Filter[JPDAState]):
         dt = dt.unsqueeze(-2).unsqueeze(-2) if isinstance(dt, Tensor) and dt.dim() > 1 else dt
         u = u.unsqueeze(-3).unsqueeze(-3) if u is not None and u.dim() > 2 else u
         frames, log_norm = make_frames(Measurements(z, dt, u, std, noise), self.motion, self.sensor, rank + 1)
-        if not self.whole(measurements):
+        if not self.complete(measurements):
             return frames, log_norm
         unit = self.sensor.measurement_noise(torch.zeros_like(frames[0].z[..., :1, :]))
         return [frame._replace(measurement_noise=unit) for frame in frames], log_norm
 
-    def whole(self, measurements: Measurements) -> bool:
+    def complete(self, measurements: Measurements) -> bool:
         """Whether measurements are complete or missing, and all have the same noise: then they share their gains."""
         z, _, _, std, noise = measurements
-        if isinstance(measurements, Whole):
+        if isinstance(measurements, CompleteScans):
             return True
         own = type(self.sensor).measurement_noise is not Sensor.measurement_noise
         if own or std is not None or noise is not None or is_traced(z):

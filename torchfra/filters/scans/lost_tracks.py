@@ -25,16 +25,16 @@ def log_miss(detection: Hyper, gate: Gate, like: Tensor) -> Tensor:
     return miss.squeeze(-1) if miss.dim() else miss
 
 
-def missed_scans(before: Tensor, association: Association, measured: Tensor, looked: bool) -> Tensor:
-    """Expected scans ``(..., N)`` since the last measurement; a scan without any says nothing, unless it was looked at.
+def missed_scans(before: Tensor, association: Association, measured: Tensor, count_empty: bool) -> Tensor:
+    """Expected scans ``(..., N)`` since the last measurement.
 
     Args:
         before: ``(..., N)``.
         association: of this scan.
         measured: ``(..., 1, J, m)`` 1 where measured.
-        looked: whether a scan without any is one in which all were missed.
+        count_empty: whether all targets are missed in a scan without any measurement; else it changes nothing.
     """
-    some = ((measured.sum((-2, -1)) > 0) | looked).expand(before.shape)
+    some = ((measured.sum((-2, -1)) > 0) | count_empty).expand(before.shape)
     return torch.where(some, association.log_weights[..., 0].exp() * (before + 1), before)
 
 

@@ -40,7 +40,7 @@ def among(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, tuple[Ten
 
     In a scan without any measurement all targets were missed.
     """
-    state, record = f.advance(state, frame, looked=True)
+    state, record = f.advance(state, frame, count_empty=True)
     assert record.density is not None
     return state, (record.info.association, record.density)
 
