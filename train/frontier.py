@@ -129,8 +129,8 @@ def picture(points: list[dict[str, Any]]) -> Figure:
     axes = figure.subplots()
     x, y = ([100 * p[key]["regret"] for p in points] for key in ("holds", "scenarios"))
     axes.plot(x, y, "o-", color="#0072b2", linewidth=0.8)
-    for p, *at in zip(points, x, y, strict=True):
-        axes.annotate(f" {p['allowed']:.1%} allowed", at, fontsize=8)
+    for p, right, up in zip(points, x, y, strict=True):
+        axes.annotate(f" {p['allowed']:.1%} allowed", (right, up), fontsize=8)
     axes.set_xlabel("worst regret where the stated model holds, %")
     axes.set_ylabel("worst regret in scenarios, on flights and ranges, %")
     axes.grid(alpha=0.3)
