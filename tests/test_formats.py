@@ -255,10 +255,10 @@ def test_any_column_can_be_named(write):
 
 @pytest.mark.parametrize(("words", "said"), [
     ({"time": "when"}, "expected a column when, received time, lat, lon, alt"),
-    ({"units": "km"}, "units: expected m or ft, received 'km'"),
+    ({"units": "inch"}, "units: expected m, ft, km, .* received 'inch'"),
     ({"decimal": ";"}, "decimal: expected . or ,, received ';'"),
     ({"delimiter": "ab"}, "delimiter: expected one sign or tab, space, comma, semicolon, received 'ab'"),
-    ({"time_format": "hours"}, "time_format: expected seconds, ms, us, ns, iso or such as"),
+    ({"time_format": "weeks"}, "time_format: expected one of seconds, ms, us, ns, .* iso or such as"),
     ({"x": "lat"}, "x, y: expected both or neither"),
     ({"x": "lat", "y": "lon", "lat": "lat", "lon": "lon"}, "expected columns of metres or of degrees, received both"),
     ({"colour": "red"}, "colour: expected one of time, x, y"),

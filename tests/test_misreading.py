@@ -56,7 +56,9 @@ def test_a_track_that_moves_too_fast_is_refused_with_the_unit_that_is_meant(writ
     text = table("t,x,y", [(i * unit, 10 * i, 0) for i in MANY])
     assert len(read(write(text))[0].time) == 963  # slow is possible
     text = table("t,x,y", [(i / unit, 10 * i, 0) for i in MANY])
-    with pytest.raises(ValueError, match=r"a\.csv: expected .* column t may be no time: name another by --time"):
+    with pytest.raises(
+        ValueError, match=r"a\.csv: expected .* column t may be in .*days: say by --time-format, or name"
+    ):
         read(write(text))
     text = table("elapsed_ms,x,y", [(i, 10 * i, 0) for i in MANY])
     with pytest.raises(

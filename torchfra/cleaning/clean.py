@@ -15,6 +15,7 @@ from torchfra.cleaning import DEFAULT, Cleaned, clean_tracks
 from torchfra.cleaning.outputs.table import columns
 from torchfra.motion.bank import Bank
 from torchfra.readers import MAX_BYTES, Recording, read
+from torchfra.readers.placeholders import nowhere
 from torchfra.readers.reading import read_sheet
 from torchfra.readers.sheets import Sheet
 
@@ -42,7 +43,8 @@ def clean(
 
     Args:
         data: the path of a file; a pandas ``DataFrame``; ``(time (k,), position (k, d))``, seconds or moments, and
-            metres in 2 or 3 dimensions, NaN where missing; or recordings of ``torchfra.readers.read``.
+            metres in 2 or 3 dimensions, where missing NaN or a placeholder, such as -999, in both x and y; or
+            recordings of ``torchfra.readers.read``.
         filter: its name, out of ``catalogue.track_filters()``.
         bank: of what targets: ``"aircraft"``, ``"ship"``, ``"vehicle"`` or ``"person"``, or a ``Bank`` of motions; None
             chooses by the data.
@@ -151,6 +153,7 @@ def _recording_of_arrays(data: Any, max_bytes: int, words: dict[str, Any]) -> Re
             f"data: expected time (k,) and position (k, 2) or (k, 3), received {time.shape}, {position.shape}"
         )
     missing = np.isnan(position)
+    missing[nowhere(position[:, 0], position[:, 1], False)] = True
     known = np.where(missing.any(1), -1, np.arange(len(time)))
     last = np.maximum.accumulate(known)  # of each row, that of the last whole position; else of the first
     if (known >= 0).any():

@@ -13,7 +13,7 @@ import torch
 from torchfra.cleaning.batches import Steps, groups, step_of_heights, steps_of
 from torchfra.cleaning.cleaned import Cleaned, Found
 from torchfra.cleaning.flags import flags
-from torchfra.cleaning.kinds import BANKS, check_kind, kind_of
+from torchfra.cleaning.kinds import BANKS, check_kind, check_speeds, kind_of
 from torchfra.cleaning.others import GATE, Fallback, estimated, make, manoeuvre_of, outlier_of, regimes_of
 from torchfra.cleaning.positions import REGIMES, Answer, Settings, answers, period_of
 from torchfra.cleaning.segments import inside, segments
@@ -69,13 +69,15 @@ def clean_tracks(
         One for each recording, in their order.  A track that fails has estimates that are NaN, and says why.
 
     Raises:
-        ValueError: an unknown filter or bank, or a value out of its range.
+        ValueError: an unknown filter or bank, one that targets are far too fast for, or a value out of its range.
         CompileError: the filter cannot be compiled, and there is no ``fallback``.
     """
     check_settings(filter, sigma=sigma, q=q, dt=dt, bank=bank)
     work = partial(_cleaned, name=filter, bank=bank, settings=Settings(sigma, q, smooth), dt=dt)
     if filter != DEFAULT or isinstance(bank, Bank):
         work = partial(work, compile=compile, fallback=fallback)
+    if isinstance(bank, str):
+        check_speeds(recordings, bank)
     recordings = [_as_measured(recording) for recording in recordings]
     repair = repair and smooth
     placed = [in_place(recording) if repair and stamps_are_off(recording) else recording for recording in recordings]

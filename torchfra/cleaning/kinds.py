@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
-
-import numpy as np
 
 from torchfra.motion.bank import aircraft, people, ships, vehicles
 from torchfra.readers.recording import Recording
+from torchfra.readers.sanity import speed_across
 
 
 class Kind(NamedTuple):
@@ -30,8 +30,10 @@ KINDS = {
 """By name, the slowest first."""
 BANKS = {"person": people, "ship": ships, "vehicle": vehicles, "aircraft": aircraft}
 """The motions of each, for filters of several."""
-_ACROSS = 30.0
-"""Seconds over which speeds are taken, so that noise does not count."""
+_FASTER = 5.0
+"""How many times as fast as its kind a target may be that somebody says to be of it."""
+_MANY = 25
+"""Fixes from which on that is looked at."""
 
 
 def check_kind(name: str) -> None:
@@ -44,24 +46,27 @@ def check_kind(name: str) -> None:
         raise ValueError(f"bank: expected one of {', '.join(KINDS)} or a Bank, received {name!r}")
 
 
+def check_speeds(recordings: Sequence[Recording], name: str) -> None:
+    """Checks that targets may be of a kind, as somebody says.
+
+    Raises:
+        ValueError: one is far too fast for it.
+    """
+    most = _FASTER * KINDS[name].fastest
+    for recording in recordings:
+        if len(recording.time) >= _MANY and (speed := speed_across(recording)) > most:
+            raise ValueError(
+                f"bank: expected speeds of a {name}, below {most:g} m/s, received {speed:.3g} m/s as the median of "
+                f"{recording.name}: say the unit of times or lengths (time_format, units), or another kind"
+            )
+
+
 def kind_of(recording: Recording) -> tuple[str, str]:
     """The name of the kind of a target, and why: as the file says, or by its speed."""
     if recording.source.word in KINDS:
         return recording.source.word, "as the file says"
-    speed = _usual_speed(recording)
+    speed = speed_across(recording, 0.9)
     name = next(
         name for name, kind in KINDS.items() if name != "ship" and (speed <= kind.fastest or name == "aircraft")
     )
     return name, f"at {speed:.3g} m/s"
-
-
-def _usual_speed(recording: Recording) -> float:
-    """Speed across the ground that nine in ten do not exceed, m/s; 0 of a single fix."""
-    time, position = recording.time, recording.position[:, :2]
-    later = np.searchsorted(time, time + _ACROSS).clip(max=len(time) - 1)
-    passed = time[later] - time
-    there = passed > 0
-    if not there.any():
-        return 0.0
-    speed = np.linalg.norm(position[later] - position, axis=1)[there] / passed[there]
-    return float(np.nanquantile(speed, 0.9))

@@ -7,7 +7,8 @@ from collections.abc import Callable
 from dataclasses import fields
 
 from torchfra.readers.bounded import MAX_BYTES
-from torchfra.readers.told import Told
+from torchfra.readers.times import FORMS
+from torchfra.readers.told import METRES, Told
 
 _ABOUT = {
     "time": ("COLUMN", "column of times; its numbers may be seconds since any start"),
@@ -16,10 +17,10 @@ _ABOUT = {
     "alt": ("COLUMN", "column of altitudes"),
     "id": ("COLUMN", "column that says which target a row is of"),
     "sigma_column": ("COLUMN", "column of the std of each fix per axis"),
-    "units": ("m|ft", "unit of x, y, z, or of altitudes"),
+    "units": ("UNIT", "unit of x, y, z, or of altitudes: " + ", ".join(METRES)),
     "delimiter": ("SIGN", "sign between cells; or tab, space"),
     "decimal": ("SIGN", "sign before decimals: . or ,"),
-    "time_format": ("FORM", "times as seconds, ms, us, ns, iso or such as %%d.%%m.%%Y %%H:%%M:%%S"),
+    "time_format": ("FORM", f"times as {', '.join(FORMS)} or such as %%d.%%m.%%Y %%H:%%M:%%S"),
 }  # fmt: skip
 """What each option is followed by, and what it is about."""
 READING = tuple(field.name for field in fields(Told))

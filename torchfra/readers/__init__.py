@@ -14,13 +14,19 @@ altitude]; which target a row is of (icao24, mmsi, id, ...); how good a fix is (
 others, by their numbers from 1 on where there is no header.
 So read are the state vectors of OpenSky, the tracks of ``traffic``, and logs of ships such as the Danish ones.
 Times are ISO text, UTC where it names no zone, dates in other forms, or numbers: s, ms, us or ns since 1970 by their
-size, or seconds since any start.  Lengths are metres unless the name of a column or ``units`` says feet; altitudes that
-aircraft send (``altitude`` beside icao24 or a callsign) are feet, flight levels hundreds of feet.  What was taken for
-what is in ``Source.said``.
+size, weeks of GPS with what of them has passed, or seconds (minutes, hours, days by their names) since any start.
+Lengths are metres unless the name of a column or ``units`` says another unit; altitudes that aircraft send
+(``altitude`` beside icao24 or a callsign) are feet, flight levels hundreds of feet.  Degrees are decimal ones, or
+degrees, minutes and seconds; letters of the sides stand in front, behind or in a column of their own.  What was taken
+for what is in ``Source.said``.
+
+Placeholders (-999, 9999, 99999 and the like) are missing where nothing that is measured is half as large: in the
+altitude, or in both coordinates at once; so are 0, 0 degrees far from all else.
 
 A number is a decimal one in ASCII digits, such as -1.5e3.  Empty cells, null and NaN in any letters are missing.  All
-else is refused, also "inf", 1_000 and 0x10; so are times in two units, columns or keys that come twice, XML with
-entities, tracks that nothing can have moved along, and files that hold more than ``max_bytes`` of text: they are read
+else is refused, also "inf", 1_000 and 0x10; so are times in two units or with the name of a zone, clocks of 12 hours
+without AM and PM, columns or keys that come twice, XML with entities, tracks that nothing of its kind can have moved
+along, and files that hold more than ``max_bytes`` of text: they are read
 piece by piece, so that a few packed bytes do not fill the memory.
 
 ``read_ranges`` reads what was measured instead: ranges from anchors.

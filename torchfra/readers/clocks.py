@@ -12,8 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.readers.columns import INSTANT, SECONDS, Head, Kind, joined, number
-from torchfra.readers.spelling import SINCE_1970, found, plain, unit
-from torchfra.readers.times import CLOCK, PER_SECOND, form_of, seconds_of, written
+from torchfra.readers.sheets import listed
+from torchfra.readers.spelling import PARTS, found, plain, unit
+from torchfra.readers.spelling import SINCE_1970 as DATED
+from torchfra.readers.times import (
+    CLOCK,
+    DAY_OF_1970,
+    GPS,
+    PER_SECOND,
+    SINCE_1970,
+    form_of,
+    is_clock,
+    seconds_of,
+    written,
+)
 from torchfra.readers.told import Told
 
 YEAR_1980 = 315_532_800.0
@@ -24,7 +36,11 @@ _FEW = 0.1
 """Share of the times of a clock that may not have been set yet."""
 _FINER = 2
 """How many times as many moments a column of times has to have, to be taken although another has the date."""
-_SAID = {"seconds": "seconds", "ms": "ms", "us": "microseconds", "ns": "nanoseconds"}
+_SAID = {"us": "microseconds", "ns": "nanoseconds"}
+_DAYS_SAID = {"excel": "days of Excel", "mjd": "modified Julian days", "matlab": "days of Matlab"}
+_HALF_DAY = 43_200.0
+_OF_THE_WEEK = {"tow", "itow", "timeofweek", "sow", "secondsofweek"}
+"""Names of what of the week of GPS has passed."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +59,12 @@ class Clock:
     def said(self) -> str:
         """A word or two for a person."""
         if self.form in PER_SECOND:
-            return _SAID[self.form] + (" since 1970" if self.since_1970 else "")
-        return "ISO text" if self.kind.form == "iso" else "times of the day" if self.form == CLOCK else self.form
+            return _SAID.get(self.form, self.form) + (" since 1970" if self.since_1970 else "")
+        if self.form in GPS:
+            return f"week of GPS and {'ms' if self.form == 'gps_ms' else 'seconds'} of it"
+        if self.form in DAY_OF_1970:
+            return _DAYS_SAID[self.form]
+        return "ISO text" if self.kind.form == "iso" else "times of the day" if is_clock(self.form) else self.form
 
     @property
     def column(self) -> str:
@@ -55,11 +75,13 @@ class Clock:
         """Times ``(rows,)`` that go on after midnight.
 
         Raises:
-            ValueError: they are of years before 1980.
+            ValueError: they are of years before 1980, or of a clock of 12 hours that does not say which half.
         """
-        if self.form == CLOCK:
+        if is_clock(self.form):
             rows = np.flatnonzero(np.isfinite(time))
-            midnights = np.cumsum(np.diff(time[rows], prepend=time[rows[:1]]) < -_DAY / 2)
+            steps = np.diff(time[rows], prepend=time[rows[:1]])
+            self._check_halves(time[rows], steps)
+            midnights = np.cumsum(steps < -_DAY / 2)
             time[rows] += _DAY * midnights
         elif self.since_1970 and len(known := time[np.isfinite(time)]) and np.median(known) < YEAR_1980:
             row = int(np.isfinite(time).argmax())
@@ -69,6 +91,21 @@ class Clock:
                 "like times since a start: name another column by --time, or their unit by --time-format"
             )
         return time
+
+    def _check_halves(self, time: NDArray[np.float64], steps: NDArray[np.float64]) -> None:
+        """Refuses times of the day that go from 12:59 to 01:00.
+
+        Raises:
+            ValueError: they do.
+        """
+        hours, back = time // 3600, steps <= -_HALF_DAY + 3600
+        if self.form == CLOCK and back.any() and hours.min() == 1 and hours.max() == 12:
+            at = int(back.argmax())
+            before, after = written(time[at - 1 : at + 1], CLOCK)
+            raise ValueError(
+                f"column {self.column}: expected times of 24 hours, received {after} behind {before}, as a clock of 12 "
+                "hours has it: add AM or PM, or a date"
+            )
 
     @property
     def doubt(self) -> tuple[bool, bool]:
@@ -87,6 +124,7 @@ def clock_of(head: Head, told: Told) -> tuple[Clock, list[str]]:
         LookupError: there is none.
         ValueError: its times are not understood.
     """
+    _check_parts(head, told)
     if told.time is not None:
         return _dated(_clock(told.time, head, told), head), []
     candidates, clocks, refusals = found(head.names, "time"), list[Clock](), list[ValueError]()
@@ -105,6 +143,22 @@ def clock_of(head: Head, told: Told) -> tuple[Clock, list[str]]:
     return best, [name for name in candidates if name not in best.columns]
 
 
+def _check_parts(head: Head, told: Told) -> None:
+    """Refuses times in several columns: years, months and others, or hours, minutes and seconds.
+
+    Raises:
+        ValueError: there are such columns, and none with whole times.
+    """
+    parts = [name for name in head.names if "".join(plain(name).split("utc")) in PARTS]
+    smaller = {plain(name).removeprefix("utc").rstrip("s") for name in parts} & {"minute", "min", "hour"}
+    others = [name for name in found(head.names, "time") if name not in parts and name not in found(head.names, "date")]
+    if told.time is None and len(parts) > 1 and smaller and not others:
+        raise ValueError(
+            f"expected whole times in one column, received parts in {listed(parts)}: join them, such as to "
+            "2024-05-06 10:31:00 or to 10:31:00"
+        )
+
+
 def _clock(name: str, head: Head, told: Told) -> Clock:
     """How a column tells the time.
 
@@ -118,10 +172,12 @@ def _clock(name: str, head: Head, told: Told) -> Clock:
     some = [cell for cell in some if not isinstance(cell, str) or cell.strip()]
     if told.time_format is not None:
         return _told_clock(name, told.time_format, head)
+    if told.time is None and plain(name) in _OF_THE_WEEK and (weeks := found(head.names, "week")):
+        return _gps_clock(weeks[0], name, "gps_ms" if unit(name) == "ms" else "gps")
     values = _values(some)
     if len(values) < len(some) and (clock := _text_clock((name,), some, _is_danish(head))) is not None:
         return clock
-    if len(some) and not len(values) and plain(name) in SINCE_1970:
+    if len(some) and not len(values) and plain(name) in DATED:
         return Clock((name,), INSTANT, "iso", True)  # which names the cell that is no time, as a number does
     return _numeric(name, values, told)
 
@@ -142,7 +198,7 @@ def _text_clock(columns: tuple[str, ...], some: Sequence[Any], day_first: bool) 
     if read == "iso":
         return Clock(columns, replace(INSTANT, joined=columns[:-1] and columns), write, True)
     kind = replace(_text_kind(read, str(some[0])), joined=columns[:-1] and columns)
-    return Clock(columns, kind, write, read != CLOCK)
+    return Clock(columns, kind, write, not is_clock(read))
 
 
 def _text_kind(form: str, example: str) -> Kind:
@@ -150,15 +206,34 @@ def _text_kind(form: str, example: str) -> Kind:
 
 
 def _told_clock(name: str, form: str, head: Head) -> Clock:
-    """A column in a form that is told; with the one of the date before it, where only both are of this form."""
+    """A column in a form that is told; with the one of the date before it, where only both are of this form.
+
+    Raises:
+        ValueError: there is no column of weeks beside what of a week has passed.
+    """
     if form in PER_SECOND:
         return Clock((name,), _unit_kind(form, False), form, False)
+    if form in DAY_OF_1970:
+        said = _DAYS_SAID[form]
+        return Clock((name,), Kind(said, limit=1e7, unit=_DAY, zero=DAY_OF_1970[form]), form, True)
+    if form in GPS:
+        if not (weeks := found(head.names, "week")):
+            raise ValueError(
+                f"time_format: expected a column of weeks, such as gps_week, beside {name} for {form}, received "
+                f"{listed(head.names)}: without weeks {'ms' if form == 'gps_ms' else 'seconds'} reads it"
+            )
+        return _gps_clock(weeks[0], name, form)
     kind = INSTANT if form == "iso" else _text_kind(form, form)
     for columns in ((name,), *((date, name) for date in found(head.names, "date") if date != name)):
         with suppress(ValueError, StopIteration):
             seconds_of(next(filter(None, joined(head.cells, columns))), form)
-            return Clock(columns, replace(kind, joined=columns[:-1] and columns), form, form != CLOCK)
-    return Clock((name,), kind, form, form != CLOCK)
+            return Clock(columns, replace(kind, joined=columns[:-1] and columns), form, not is_clock(form))
+    return Clock((name,), kind, form, not is_clock(form))
+
+
+def _gps_clock(week: str, name: str, form: str) -> Clock:
+    """A column of weeks of GPS, and one of what of a week has passed."""
+    return Clock((week, name), replace(_text_kind(form, "2300 345600.0"), joined=(week, name)), form, True)
 
 
 def _numeric(name: str, values: NDArray[np.float64], told: Told) -> Clock:
@@ -168,18 +243,18 @@ def _numeric(name: str, values: NDArray[np.float64], told: Told) -> Clock:
         ValueError: the name means times since 1970, and these are not.
     """
     fitting, early = {}, np.abs(values) < YEAR_1980
-    for form, per_second in PER_SECOND.items():
+    for form, per_second in SINCE_1970.items():
         fits = (values >= YEAR_1980 * per_second) & (values < _YEAR_2286 * per_second)
         fitting[form] = (fits.sum(), fits[:1].any())
-    ending = unit(name)
-    if ending in PER_SECOND and len(values) and np.abs(values).max() < _YEAR_2286 * PER_SECOND[ending]:
+    ending = unit(name, asked=told.time == name)
+    if ending in SINCE_1970 and len(values) and np.abs(values).max() < _YEAR_2286 * PER_SECOND[ending]:
         fitting = {ending: fitting[ending]}  # 1.2e9 us are 1200 s, although as seconds they are of 2008
     form = max(fitting, key=lambda form: fitting[form])
     if fitting[form][1] or (fitting[form][0] and early.mean() < _FEW):
         return Clock((name,), _unit_kind(form, True), form, True)
     if ending in PER_SECOND:
         return Clock((name,), _unit_kind(ending, False), ending, False)
-    if told.time is None and plain(name) in SINCE_1970 and len(values) > 1:
+    if told.time is None and plain(name) in DATED and len(values) > 1:
         least, most = values.min(), values.max()
         raise ValueError(
             f"column {name}: expected times since 1970, received {least:.15g} to {most:.15g}, which looks like "
@@ -197,22 +272,33 @@ def _guess(values: NDArray[np.float64]) -> str:
     return "times since a start (--time-format seconds, ms, us or ns)"
 
 
+def days_of(values: NDArray[np.float64], name: str) -> str:
+    """The ``time_format`` of numbers of days, all of dates from 1980 to 2050; "" where they are none such."""
+    for form, zero in DAY_OF_1970.items():
+        named = form == "mjd" or "mjd" not in name.lower()
+        if named and len(values) and values.min() > zero + 3652 and values.max() < zero + 29_220:
+            return form
+    return ""
+
+
 def _unit_kind(form: str, since_1970: bool) -> Kind:
     """The kind of numbers in a unit."""
     per_second = PER_SECOND[form]
     if form == "seconds":
         return SECONDS
     if not since_1970:
-        return Kind(f"{_SAID[form]}", limit=_YEAR_2286 * per_second, per_unit=per_second)
+        return Kind(_SAID.get(form, form), limit=_YEAR_2286 * per_second, per_unit=per_second)
     if form == "ms":
         return INSTANT
     smaller = (YEAR_1980, _YEAR_2286 * per_second / 1e3)  # of any smaller unit
-    return Kind(f"{_SAID[form]} since 1970", limit=_YEAR_2286 * per_second, per_unit=per_second, between=smaller)
+    return Kind(
+        f"{_SAID.get(form, form)} since 1970", limit=_YEAR_2286 * per_second, per_unit=per_second, between=smaller
+    )
 
 
 def _dated(clock: Clock, head: Head) -> Clock:
     """A clock of the day together with the column of its date, if there is one."""
-    if clock.form != CLOCK:
+    if not is_clock(clock.form):
         return clock
     for date in found(head.names, "date"):
         columns = (date, *clock.columns)

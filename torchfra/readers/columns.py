@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from torchfra.readers.degrees import degrees_of
 from torchfra.readers.times import seconds_of, usual_iso_seconds
 
 Array: TypeAlias = NDArray[np.float64]
@@ -56,6 +57,8 @@ class Kind:
     """What they are multiplied by."""
     per_unit: float = 1.0
     """What they are divided by."""
+    zero: float = 0.0
+    """What they are where nothing has passed yet."""
     between: tuple[float, float] = (math.inf, math.inf)
     """Sizes that are not right, the ends excluded."""
     advice: str = ""
@@ -64,10 +67,12 @@ class Kind:
     """What parts a number from its decimals."""
     form: str = ""
     """Of times in text: see ``times.seconds_of``."""
-    absent: float = math.nan
-    """A number that means that there is none."""
+    absent: tuple[float, ...] = ()
+    """Numbers that mean that there is none."""
     joined: tuple[str, ...] = ()
-    """Columns whose cells together are one of this: a date and a time of the day."""
+    """Columns whose cells together are one of this: a date and a time of the day, or degrees and their side."""
+    sides: str = ""
+    """Of degrees: the letters for above and below 0 (``degrees.degrees_of``)."""
 
 
 SECONDS = Kind(limit=1e10, advice=", which is too large for seconds: milliseconds must be divided by 1000")
@@ -138,12 +143,13 @@ def numbers(cells: Sequence[Any] | NDArray[Any], kind: Kind, name: str, first: i
                 values[i] = convert(cell)
             except (ValueError, OverflowError):
                 raise refused(i) from None
-    values[values == kind.absent] = math.nan
+    if kind.absent:
+        values[np.isin(values, kind.absent)] = math.nan
     size = np.abs(values)
     wrong = (size > kind.limit) | ((size > kind.between[0]) & (size < kind.between[1]))
     if wrong.any():
         raise refused(int(wrong.argmax()), kind.advice)
-    return values * kind.unit / kind.per_unit
+    return (values - kind.zero) * kind.unit / kind.per_unit if kind.zero else values * kind.unit / kind.per_unit
 
 
 def _converter(kind: Kind) -> Callable[[Any], float]:
@@ -159,9 +165,19 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
             return known[cell]
 
         return instant
-    if kind.decimal == ".":
+    if kind.decimal == "." and not kind.sides:
         return number
-    return lambda cell: number(cell if not isinstance(cell, str) else cell.replace(".", "_").replace(",", "."))
+
+    def plain(cell: Any) -> float:
+        if isinstance(cell, str) and kind.decimal == ",":
+            cell = cell.replace(".", "_").replace(",", ".")
+        with suppress(ValueError):
+            return number(cell)
+        if not kind.sides or not isinstance(cell, str):
+            raise ValueError
+        return degrees_of(cell, kind.sides) / kind.unit
+
+    return plain
 
 
 def _array(cells: NDArray[Any], kind: Kind) -> Array | None:
@@ -223,4 +239,5 @@ def grouped(labels: Sequence[str]) -> dict[str, NDArray[np.intp]]:
 
 def joined(cells: Cells, columns: tuple[str, ...]) -> list[str]:
     """The cells of several columns, one after the other; "" where all are empty."""
-    return [" ".join(str(part or "") for part in parts).strip() for parts in zip(*map(cells, columns), strict=True)]
+    lines = zip(*map(cells, columns), strict=True)
+    return [" ".join("" if part is None or part != part else str(part) for part in parts).strip() for parts in lines]

@@ -9,11 +9,18 @@ from typing import Any
 
 import numpy as np
 
+from torchfra.readers.clocks import days_of
 from torchfra.readers.columns import Array, Head, number
+from torchfra.readers.spelling import found, plain, unit
 from torchfra.readers.times import form_of
+from torchfra.readers.told import METRES
 
 _DEGREES = re.compile(r"\s*[+-]?[0-9]{1,3}[.,][0-9]{4,}\s*")
 """A latitude or longitude to 10 m or better."""
+_NORTH = re.compile(r"nor[dt]|(?:^|[^a-z])[yn](?:$|[^a-z])")
+"""In the name of a column of northings."""
+_WEEK = 604_800
+_FRAMES = {"frame", "frameid", "frames", "framenumber"}
 _FEW = 4
 """Columns of numbers up to which the first two may be x and y."""
 
@@ -27,24 +34,39 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     """
     names = [name for name in head.names if name not in known]
     cells = {name: [cell for cell in head.cells(name) if cell is not None and str(cell).strip()] for name in names}
-    values = {name: found for name in names if len(found := _numbers(cells[name]))}
+    values = {name: column for name in names if len(column := _numbers(cells[name]))}
     time = next((name for name in names if name not in values and _is_time(cells[name])), "")
     time = time or next((name for name, column in values.items() if _grows(column)), "")
+    weeks = found(head.names, "week") and time in values and values[time].max() <= _WEEK
+    form = "gps" if weeks else days_of(values[time], time) if time in values else ""
+    frames = "; frames must be divided by their rate to be seconds" if plain(time) in _FRAMES else ""
+    option = f" --time-format {form}" if form else ""
     if known:
-        return f"; looks like --time {time}" if time else "; rows need a time, such as seconds since the first of them"
+        when = f"; looks like --time {time}{option}{frames}"
+        return when if time else "; rows need a time, such as seconds since the first of them"
     places = _places({name: column for name, column in values.items() if name != time}, cells)
-    return f"; looks like --time {time} {places}" if time and places else ""
+    return f"; looks like --time {time}{option} {places}{frames}" if time and places else ""
 
 
 def _places(values: dict[str, Array], cells: dict[str, list[Any]]) -> str:
     """Options for two columns of numbers; "" where none can be positions."""
     fine = {name: sum(_DEGREES.fullmatch(str(cell)) is not None for cell in cells[name]) for name in values}
-    degrees = [name for name, column in values.items() if 2 * fine[name] > len(column) and np.abs(column).max() <= 180]
+    small = [name for name, column in values.items() if np.abs(column).max() <= 180 and not _is_length(name)]
+    degrees = [name for name in small if 2 * fine[name] > len(values[name])]
     if len(degrees) >= 2:
         lat, lon = degrees[:2] if np.abs(values[degrees[0]]).max() <= 90 else degrees[1::-1]
         return f"--lat {lat} --lon {lon}"
     moving = [name for name, column in values.items() if len(np.unique(column)) > 1]
-    return f"--x {moving[0]} --y {moving[1]}" if 2 <= len(moving) < _FEW else ""
+    if not 2 <= len(moving) < _FEW:
+        return ""
+    x, y = moving[:2] if _NORTH.search(moving[1].lower()) or not _NORTH.search(moving[0].lower()) else moving[1::-1]
+    miles = " --units nmi" if x.lower().endswith("nm") else ""
+    return f"--x {x} --y {y}{miles}"
+
+
+def _is_length(name: str) -> bool:
+    """Whether a name ends in a unit of length."""
+    return unit(name, asked=True) in METRES or name.lower().endswith("nm")
 
 
 def _numbers(cells: Sequence[Any]) -> Array:

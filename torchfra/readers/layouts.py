@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from torchfra.readers.clocks import Clock, clock_of
-from torchfra.readers.columns import Head, Kind
+from torchfra.readers.columns import Head, Kind, number
+from torchfra.readers.degrees import advice
 from torchfra.readers.guesses import looks_like
 from torchfra.readers.noises import noise_of
+from torchfra.readers.placeholders import PLACEHOLDERS
 from torchfra.readers.recording import Source
 from torchfra.readers.sheets import listed
 from torchfra.readers.spelling import AIRCRAFT, COUNTERS, FLIGHT_LEVELS, NAMES, SHIPS, found, plain, unit
@@ -21,8 +24,14 @@ from torchfra.readers.told import METRES, Told
 from torchfra.suggestions import meant
 
 _LIMITS = {"latitude": 90.0, "longitude": 180.0}
+_SIDES = {"latitude": "NS", "longitude": "EW"}
 _ABSENT = {"latitude": 91.0, "longitude": 181.0}
 """What receivers of ships say where they have no position."""
+_SIDE = re.compile(
+    "(?P<latitude>(?:ns|northsouth)(?:ind|indicator|hemisphere)?|lat(?:itude)?(?:ns|dir|direction|hem|hemi|hemisphere|ref))"
+    "|(?P<longitude>(?:ew|eastwest)(?:ind|indicator|hemisphere)?|lon(?:g|gitude)?(?:ew|dir|direction|hem|hemi|hemisphere|ref))"
+)
+"""Names of columns that say on which side of the equator or of Greenwich a fix is."""
 _ALTITUDES_IN_FEET = {"altitude", "alt", "altbaro", "altgeom"}
 """Of aircraft, as these send them; OpenSky has baroaltitude and geoaltitude in metres."""
 
@@ -32,6 +41,7 @@ _PLAIN = (str, int, float, np.generic)
 _FLIGHT_LEVEL = 100 * METRES["ft"]
 _LENGTHS = {
     1.0: "metres", METRES["ft"]: "feet", 1e-3: "millimetres", _FLIGHT_LEVEL: "flight levels (hundreds of feet)",
+    1e3: "km", 1e-2: "cm", METRES["mi"]: "miles", METRES["nmi"]: "nautical miles", METRES["yd"]: "yards",
 }  # fmt: skip
 _SEVERAL = 5
 """Least rows of a value, in the mean, of a column that may say which target a row is of."""
@@ -89,16 +99,20 @@ def layout_of(head: Head, told: Told, name: str) -> Layout:
     length = _length(columns, told, word, head)
     noise = noise_of(head.names, asked, 1.0 if "latitude" in columns else length, word == "ship")
     wanted: Wanted = {clock.column: clock.kind}
-    wanted |= {column: _kind(role, column, head, length, word) for role, column in columns.items()}
+    wanted |= {column: _kind(role, columns, head, length, word) for role, column in columns.items()}
     wanted |= {column: Kind(unit=factor) for column, factor in noise.columns.items()}
+    sides = _sides(head, columns)
+    wanted |= {column: replace(kind, joined=(column, sides[column])) for column, kind in wanted.items()
+               if kind is not None and column in sides}  # fmt: skip
     if comma:
         wanted = {column: kind and replace(kind, decimal=",") for column, kind in wanted.items()}
-    used = {*clock.columns, *columns.values(), *noise.columns}
+    used = {*clock.columns, *columns.values(), *noise.columns, *sides.values()}
     ignored = [column for column in head.names if column not in used and column not in unused]
     others = f"; not {listed(unused)} (--time takes another)" if unused else ""
     lines = (
         *head.said, f"time: {' and '.join(clock.columns)}, {clock.said}{others}",
-        *_said(columns, length, told, wanted), *noise.said, *([f"ignored: {listed(ignored)}"] if ignored else []),
+        *_said(columns, length, told, wanted), *_sides_said(sides), *noise.said,
+        *([f"ignored: {listed(ignored)}"] if ignored else []),
     )  # fmt: skip
     public = {role: column for role, column in columns.items() if role in NAMES and role not in ("call", "update")}
     public |= dict(zip(("date", "time")[-len(clock.columns) :], clock.columns, strict=True))
@@ -197,9 +211,18 @@ def _is_whole(head: Head, name: str | None, digits: int) -> bool:
 
 
 def _length(columns: Mapping[str, str], told: Told, word: str, head: Head) -> float:
-    """Metres in the unit of x, y and z, or of altitudes."""
+    """Metres in the unit of x, y and z, or of altitudes.
+
+    Raises:
+        ValueError: names say several units, or one that may be another.
+    """
     lengths = [columns[role] for role in ("altitude", "x", "y", "z") if role in columns]
-    units = [METRES[ending] for column in lengths if (ending := unit(column) or "") in METRES]
+    ends = {column: unit(column, asked=True) or "" for column in lengths}
+    units = [METRES[ending] for ending in ends.values() if ending in METRES]
+    if not told.units and len({*units}) > 1:
+        raise ValueError(f"expected one unit of lengths, received {listed(ends)}: convert one, or leave it out")
+    if not told.units and (short := [column for column in lengths if plain(column).endswith("nm")]):
+        raise ValueError(f"column {short[0]}: nm are nautical miles or nanometres: say --units nmi, or another")
     feet = word == "aircraft" and plain(columns.get("altitude", "")) in _ALTITUDES_IN_FEET
     if told.units or units:
         return METRES[told.units] if told.units else units[0]
@@ -212,7 +235,7 @@ def _length(columns: Mapping[str, str], told: Told, word: str, head: Head) -> fl
     return 1e-3 if autopilot else METRES["ft" if feet else "m"]
 
 
-def _kind(role: str, column: str, head: Head, length: float, word: str) -> Kind | None:
+def _kind(role: str, columns: Mapping[str, str], head: Head, length: float, word: str) -> Kind | None:
     """What the numbers of a column are; None for text."""
     if role in ("id", "call"):
         return None
@@ -220,12 +243,42 @@ def _kind(role: str, column: str, head: Head, length: float, word: str) -> Kind 
         return Kind()
     if role not in _LIMITS:
         return Kind(unit=length)
+    column, other = columns[role], columns["latitude" if role == "longitude" else "longitude"]
     limit = _LIMITS[role]
-    kind = Kind(f"degrees within +-{limit:g}", limit=limit, absent=_ABSENT[role] if word == "ship" else np.nan)
+    absent = (*PLACEHOLDERS, _ABSENT[role]) if word == "ship" else PLACEHOLDERS
+    kind = Kind(f"degrees within +-{limit:g}", limit=limit, absent=absent, sides=_SIDES[role])
+    kind = replace(kind, advice=advice(*(_some_degrees(head, name) for name in (column, other)), limit))
     if not _is_whole(head, column, 7):
         return kind
     degrees = _SEMICIRCLE if column.lower() in _SEMICIRCLES else _AUTOPILOT
-    return replace(kind, limit=limit / degrees, unit=degrees)
+    return replace(kind, limit=limit / degrees, unit=degrees, absent=(), advice="")
+
+
+def _some_degrees(head: Head, name: str) -> list[float]:
+    """Those of the cells that are numbers, with a letter of a side or without."""
+    values = []
+    for text in _texts(head, [name]):
+        with suppress(ValueError):
+            values.append(number(text.rstrip(" NSEW")))
+    return [value for value in values if value == value and value not in PLACEHOLDERS]
+
+
+def _sides(head: Head, columns: Mapping[str, str]) -> dict[str, str]:
+    """Columns with the letters of the sides, by the columns of latitudes and longitudes that have no signs."""
+    sides = {}
+    for name in head.names:
+        role = match.lastgroup if (match := _SIDE.fullmatch(re.sub("[^a-z]", "", name.lower()))) else None
+        if role not in columns or name in columns.values():
+            continue
+        letters = {text.upper() for text in _texts(head, [name])} - {""}
+        values = _some_degrees(head, columns[role])
+        if letters and letters <= {*_SIDES[role]} and min(values, default=-1) >= 0:
+            sides[columns[role]] = name
+    return sides
+
+
+def _sides_said(sides: Mapping[str, str]) -> list[str]:
+    return [f"sides of {' and '.join(sides)}: {' and '.join(sides.values())}"] if sides else []
 
 
 def _has_commas(head: Head, columns: Mapping[str, str]) -> bool:

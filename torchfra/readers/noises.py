@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from torchfra.readers.spelling import found, plain
+from torchfra.readers.spelling import unit as unit_of
+from torchfra.readers.told import METRES
 
 RANGE_ERROR = 5.0
 """Standard deviation of the range to a satellite (UERE) that is assumed where a file has an HDOP, m."""
@@ -34,11 +36,15 @@ def noise_of(names: list[str], asked: Mapping[str, str], unit: float, ships: boo
         unit: metres in the unit of positions.
         ships: whether the file is of ships, whose "accuracy" is a mark and no distance.
     """
+
+    def metres(column: str, otherwise: float) -> float:
+        return METRES.get(unit_of(column, asked=True) or "", otherwise)
+
     if "sigma" in asked:
-        return Noise({asked["sigma"]: unit}, (f"sigma: {asked['sigma']}, per axis",))
+        return Noise({asked["sigma"]: metres(asked["sigma"], unit)}, (f"sigma: {asked['sigma']}, per axis",))
     axes = [column for axis in "xyz" for column in found(names, f"sigma_{axis}")[:1]]
     if len(axes) >= 2:
-        return Noise(dict.fromkeys(axes, unit), (f"sigma: {', '.join(axes)}",))
+        return Noise({column: metres(column, unit) for column in axes}, (f"sigma: {', '.join(axes)}",))
     for column in found(names, "sigma"):
         name = plain(column)
         if name == "hdop":
@@ -47,7 +53,8 @@ def noise_of(names: list[str], asked: Mapping[str, str], unit: float, ships: boo
                 {column: factor}, (f"sigma: {column} times {factor:.1f} m (ranges good to {RANGE_ERROR:g} m)",)
             )
         if "acc" in name and not ships:
-            return Noise({column: _OF_A_RADIUS}, (f"sigma: {column} times {_OF_A_RADIUS:.2f} (a radius of 68 %)",))
+            factor = _OF_A_RADIUS * metres(column, 1.0)
+            return Noise({column: factor}, (f"sigma: {column} times {_OF_A_RADIUS:.2f} (a radius of 68 %)",))
         if "acc" not in name:
-            return Noise({column: unit}, (f"sigma: {column}, per axis",))
+            return Noise({column: metres(column, unit)}, (f"sigma: {column}, per axis",))
     return Noise({})

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torchfra.readers.clocks import YEAR_1980
 from torchfra.readers.columns import Array, grouped
 from torchfra.readers.layouts import Layout
+from torchfra.readers.placeholders import nowhere, stand_for_none
 from torchfra.readers.tables import Table
 
 _MANY = 0.1
@@ -88,6 +89,10 @@ class _Columns:
         self.time = layout.clock.whole(table.column(layout.clock.column))
         self.first, self.second = column("latitude", "x"), column("longitude", "y")
         self.height, self.spare = column("altitude", "z"), column("second")
+        unit = 1.0 if layout.degrees else layout.source.unit
+        self.absent = nowhere(self.first / unit, self.second / unit, layout.degrees)
+        self.no_height = stand_for_none(self.height / layout.source.unit)
+        self.height = np.where(self.no_height, np.nan, self.height)
         self.update = column("update")
         self.noise = [table.column(name) for name in layout.noise]
         self.may_be_held = layout.source.word == "aircraft"
@@ -104,6 +109,7 @@ class _Columns:
         index = keep(rows, np.isfinite(self.time[rows]), "rows without time dropped")
         index = keep(index, np.isfinite(self.first[index]) & np.isfinite(self.second[index]),
                      "rows without position dropped")  # fmt: skip
+        index = keep(index, ~self.absent[index], "rows with a placeholder for their position dropped")
         if self.dated:
             index = keep(index, self.time[index] >= YEAR_1980, "rows from before 1980 dropped")
         time = self.time[index]
@@ -145,7 +151,9 @@ class _Columns:
         before = np.maximum.accumulate(np.where(some, np.arange(len(index)), -1))
         row = np.where(before < 0, some.argmax(), before)
         repairs["altitudes taken from geoaltitude"] = int((some & ~known[0]).sum())
-        repairs["altitudes missing"] = int((~some).sum())
+        placeholders = self.no_height[index] & ~some
+        repairs["altitudes that are a placeholder taken as missing"] = int(placeholders.sum())
+        repairs["altitudes missing"] = int((~some & ~placeholders).sum())
         return np.where(known[0], self.height[index], self.spare[index])[row], ~some
 
     def sigmas(self, index: NDArray[np.intp], repairs: Counter[str], dims: int) -> Array | None:

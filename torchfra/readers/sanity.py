@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from torchfra.readers.clocks import days_of
 from torchfra.readers.layouts import Layout
 from torchfra.readers.recording import Recording
 from torchfra.readers.repairs import plural
-from torchfra.readers.times import PER_SECOND
+from torchfra.readers.times import PER_SECOND, SINCE_1970
 
 _MANY = 25
 """Fixes from which on a track is judged."""
@@ -17,6 +18,11 @@ _SHORTEST = 1.0
 """Seconds that so many fixes last."""
 _FASTEST = 5000.0
 """Speed that half of the steps stay below, m/s."""
+_FASTEST_SHIP = 150.0
+"""The same of ships; aircraft that search and rescue have numbers that begin as ``_RESCUE``."""
+_RESCUE = "111"
+_ACROSS = 30.0
+"""Seconds over which speeds are taken, so that noise does not count."""
 _USUAL = (0.05, 1000.0)
 """Speeds of what is tracked, m/s."""
 
@@ -48,7 +54,22 @@ def _impossible(recording: Recording) -> str:
         return f"expected more than {_SHORTEST:g} s, received {len(time)} fixes within {time[-1] - time[0]:.3g} s"
     if (speed := _speed(recording)) > _FASTEST:
         return f"expected speeds below {_FASTEST / 1000:g} km/s, received {speed / 1000:.3g} km/s as the median"
+    ship = recording.source.word == "ship" and not recording.name.startswith(_RESCUE)
+    if ship and (speed := speed_across(recording)) > _FASTEST_SHIP:
+        return f"expected speeds below {_FASTEST_SHIP:g} m/s, received {speed:.3g} m/s as the median"
     return ""
+
+
+def speed_across(recording: Recording, share: float = 0.5) -> float:
+    """Speed over 30 s on the ground that this share of the fixes does not exceed, m/s; 0 of a single fix."""
+    time, position = recording.time, recording.position[:, :2]
+    later = np.searchsorted(time, time + _ACROSS).clip(max=len(time) - 1)
+    passed = time[later] - time
+    there = passed > 0
+    if not there.any():
+        return 0.0
+    speed = np.linalg.norm(position[later] - position, axis=1)[there] / passed[there]
+    return float(np.nanquantile(speed, share))
 
 
 def _speed(recording: Recording) -> float:
@@ -61,9 +82,16 @@ def _guess(recording: Recording, layout: Layout) -> str:
     """What the times may be instead, and what to do."""
     column, form, speed = layout.clock.column, layout.clock.form, _speed(recording)
     per_second = PER_SECOND.get(form, 1e3 if form == "iso" else 1.0)
+    if form == "seconds" and (days := days_of(recording.time, column)):
+        return f"column {column} looks like days of {days}: use --time-format {days}"
+    likely = []
     for unit, other in PER_SECOND.items():
         seconds = (recording.time[-1] - recording.time[0]) * per_second / other
-        likely = _USUAL[0] < speed * other / per_second < _USUAL[1] and seconds >= _SHORTEST
-        if other != per_second and likely:
+        if other != per_second and _USUAL[0] < speed * other / per_second < _USUAL[1] and seconds >= _SHORTEST:
+            likely.append(unit)
+    for unit in likely:
+        if unit in SINCE_1970:
             return f"column {column} looks like {unit}: use --time-format {unit}, or name another column by --time"
+    if likely:
+        return f"column {column} may be in {' or '.join(likely)}: say by --time-format, or name another by --time"
     return f"column {column} may be no time: name another by --time, or its unit by --time-format"

@@ -14,16 +14,24 @@ UNITS = {
     "deg": "deg", "degree": "deg", "degrees": "deg", "dd": "deg",
 }  # fmt: skip
 """Words at the end of a name that say its unit."""
+RARER_UNITS = {
+    "km": "km", "kilometre": "km", "kilometres": "km", "kilometer": "km", "kilometers": "km", "cm": "cm", "mm": "mm",
+    "mi": "mi", "mile": "mi", "miles": "mi", "nmi": "nmi", "yd": "yd", "yard": "yd", "yards": "yd",
+    "min": "minutes", "mins": "minutes", "minute": "minutes", "minutes": "minutes",
+    "h": "hours", "hr": "hours", "hrs": "hours", "hour": "hours", "hours": "hours", "d": "days", "days": "days",
+}  # fmt: skip
+"""Words that do so behind a length or a time only: "alt_min" is no time."""
 NAMES = {
     "time": ("t", "time", "timestamp", "datetime", "dateandtime", "basedatetime", "utc", "timeutc", "datetimeutc",
              "utctime", "dateutc", "timestamputc", "receivedtime", "unixtime", "unix", "epoch", "unixtimestamp",
              "gpstime", "itow", "stamp", "elapsed", "elapsedtime", "timeelapsed", "timeboot", "timesinceboot", "bootms",
              "timeunix", "zeitstempel", "datumuhrzeit", "datumzeit", "zeit", "uhrzeit", "horodatage", "datetheure",
              "dateheure", "temps", "heure", "fechahora", "fechayhora", "tiempo", "hora", "seconds", "sec", "secs", "ms",
-             "date", "datum", "fecha", "ts"),
+             "date", "datum", "fecha", "ts", "tow", "timeofweek", "sow", "secondsofweek", "minutes", "hours", "days"),
+    "week": ("week", "gpsweek", "weekno", "weeknumber", "wn", "gpswn"),
     "date": ("date", "day", "dateutc", "datum", "tag", "jour", "fecha", "dia"),
-    "x": ("x", "east", "easting", "posx", "px", "e", "rechtswert", "ostwert"),
-    "y": ("y", "north", "northing", "posy", "py", "n", "hochwert", "nordwert"),
+    "x": ("x", "east", "easting", "posx", "px", "e", "rechtswert", "ostwert", "ost", "este"),
+    "y": ("y", "north", "northing", "posy", "py", "n", "hochwert", "nordwert", "nord", "norte"),
     "z": ("z", "up", "posz", "pz", "altitude", "alt", "height", "u", "hohe", "hoehe", "altitud"),
     "latitude": ("latitude", "lat", "latitud", "breitengrad", "breite"),
     "longitude": ("longitude", "lon", "lng", "long", "longitud", "langengrad", "laengengrad", "lange", "laenge"),
@@ -44,7 +52,14 @@ NAMES = {
     "sigma_z": ("sigmaz", "stdz", "sigmaup"),
 }  # fmt: skip
 """By what they hold, the best first; in small letters without marks, signs, units and such words as "gps" in front."""
-_IN_FRONT = {"geographische", "gps", "gnss", "pos", "position", "location", "field", "coord", "coordinate"}
+_IN_FRONT = {
+    "geographische", "gps", "gnss", "pos", "position", "location", "field", "coord", "coordinate", "utm", "enu",
+}  # fmt: skip
+_BEHIND = {"utm", "enu"}
+_ELAPSED = {"t", "time", "elapsed", "elapsedtime", "timeelapsed", "timesinceboot", "zeit", "temps", "tiempo"}
+"""Names of times whose unit may be one of ``RARER_UNITS``; "utc_hour" is a part of a time."""
+PARTS = {"year", "month", "day", "hour", "hours", "minute", "minutes", "min", "second", "seconds", "sec"}
+"""Names of columns that may be parts of one time."""
 SINCE_1970 = {"timestamp", "utc", "timeutc", "utctime", "unixtime", "unix", "epoch", "unixtimestamp", "timestamputc"}
 """Names of times that are a date too."""
 AIRCRAFT = {"icao24", "icao", "hex", "callsign", "squawk", "lastposition", "lastposupdate", "baroaltitude", "altbaro"}
@@ -59,19 +74,40 @@ COUNTERS = {"id", "name", "objectid", "target", "object", "trip", "tripid", "uui
 def plain(name: str) -> str:
     """A name in small letters without signs, its unit and such words as "gps" in front."""
     words = _words(name)
-    while len(words) > 1 and words[-1] in UNITS:
+    while len(words) > 1 and (words[-1] in UNITS or _is_rarer(words)):
         words.pop()
+    if len(words) > 1 and words[-1] in _BEHIND and "".join(words[:-1]) in _KNOWN:
+        words.pop()
+    return "".join(_bare(words))
+
+
+def _bare(words: list[str]) -> list[str]:
+    """Without words that stand in front of what is known."""
     while len(words) > 1 and words[0] in _IN_FRONT and "".join(words[1:]) in _KNOWN:
-        words.pop(0)
-    return "".join(words)
+        words = words[1:]
+    return words
 
 
-def unit(name: str) -> str | None:
-    """What the end of a name says of its unit: one of ``UNITS``."""
+def _is_rarer(words: list[str]) -> bool:
+    """Whether the last of these words is the unit of those before it."""
+    rest = "".join(_bare([word for word in words[:-1] if word not in _BEHIND] or words[:-1]))
+    return RARER_UNITS.get(words[-1], "") in (_COARSE if rest in _ELAPSED else _LENGTHS if rest in _LONG else ())
+
+
+def unit(name: str, *, asked: bool = False) -> str | None:
+    """What the end of a name says of its unit: one of ``UNITS`` or ``RARER_UNITS``.
+
+    Args:
+        name: of a column.
+        asked: whether it is known from elsewhere that it is a length or a time, whatever it is called.
+    """
     words = _words(name)
     if "".join(words) == "itow":  # the time of the GPS week, as receivers of u-blox give it
         return "ms"
-    return UNITS.get(words[-1]) if len(words) > 1 else {"ms": "ms"}.get(words[0] if words else "")
+    if len(words) > 1:
+        rarer = asked or _is_rarer(words)
+        return UNITS.get(words[-1]) or (RARER_UNITS.get(words[-1]) if rarer else None)
+    return _ALONE.get(words[0] if words else "")
 
 
 def found(names: Iterable[str], role: str) -> list[str]:
@@ -101,3 +137,9 @@ def _words(name: str) -> list[str]:
 
 
 _KNOWN = {name for names in NAMES.values() for name in names}
+_COARSE, _LENGTHS = {"minutes", "hours", "days"}, {"km", "cm", "mm", "mi", "nmi", "yd"}
+_LONG = {
+    name for role, names in NAMES.items() if role in ("x", "y", "z", "altitude") or "sigma" in role for name in names
+}  # fmt: skip
+_ALONE = {"ms": "ms", "minutes": "minutes", "hours": "hours", "days": "days"}
+"""Names that are a unit and nothing else."""

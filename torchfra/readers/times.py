@@ -10,25 +10,47 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-PER_SECOND = {"seconds": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
-"""Units of numbers, by what a ``time_format`` calls them."""
+SINCE_1970 = {"seconds": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+"""Units in a second of numbers that may count since 1970, by what a ``time_format`` calls them."""
+PER_SECOND = {**SINCE_1970, "minutes": 1 / 60, "hours": 1 / 3600, "days": 1 / 86_400}
+"""The same, and of those that count since some start only."""
+DAY_OF_1970 = {"excel": 25_569.0, "mjd": 40_587.0, "matlab": 719_529.0}
+"""Which day the first of 1970 is, where numbers are days of Excel, modified Julian days or those of Matlab."""
+GPS = {"gps": 1.0, "gps_ms": 1e3}
+"""Weeks of GPS and what of the week has passed, in seconds or ms: units in a second."""
+FORMS = (*PER_SECOND, *DAY_OF_1970, *GPS, "iso")
+"""What a ``time_format`` may be besides a form of ``datetime.strptime``."""
+_GPS_START, _WEEK = 315_964_800.0, 604_800.0
+_LEAPS = np.array([
+    "1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01", "1992-07-01",
+    "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01", "2009-01-01", "2012-07-01",
+    "2015-07-01", "2017-01-01",
+], "datetime64[s]").astype(np.float64)  # fmt: skip
+"""From when on UTC is one more second behind GPS, which began 1980 with UTC; up to 2025 there was no other.
+
+Source: IERS, Bulletin C.
+"""
 CLOCK = "%H:%M:%S"
 """Times of the day without a date: seconds since midnight, and a day more after each midnight."""
+HALF_CLOCK = "%I:%M:%S"
+"""The same of a clock of 12 hours; with AM and PM behind."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _ISO = re.compile(
     r"[0-9]{4}-[0-9]{2}-[0-9]{2}(?P<between>[T ])[0-9]{2}:[0-9]{2}(?P<second>:[0-9]{2})?(?P<part>[.,][0-9]+)?"
-    r"(?P<gap> ?)(?P<zone>Z|UTC|[+-][0-9]{2}(?::?[0-9]{2})?)?"
+    r"(?P<gap> ?)(?P<zone>Z|UTC|GMT|[+-][0-9]{2}(?::?[0-9]{2})?)?"
 )
 _OTHER = re.compile(
     r"(?P<a>[0-9]{1,4})(?P<sign>[-/.])(?P<b>[0-9]{1,2})(?P=sign)(?P<c>[0-9]{4}|[0-9]{1,2})(?P<between>[T ])"
     r"[0-9]{1,2}:[0-9]{2}(?P<second>:[0-9]{2})?(?:\.[0-9]{1,6})?(?P<half> ?[AaPp][Mm])?"
 )
-_UTC = r"(?: ?Z| ?UTC|\+00:00)?"
+_UTC = r"(?: ?Z| ?UTC| ?GMT|\+00:00)?"
 _USUAL = re.compile(
     rf"(?:(?:[0-9]{{4}}-[0-9]{{2}}-[0-9]{{2}}[T ][0-9]{{2}}:[0-9]{{2}}:[0-9]{{2}}(?:\.[0-9]{{1,6}})?{_UTC})?\n)*"
 )
 """Lines of ISO text in UTC, or empty."""
-_CLOCK = re.compile(r"[0-9]{1,2}:[0-9]{2}:[0-9]{2}(?:\.[0-9]{1,6})?")
+_CLOCK = re.compile(r"[0-9]{1,2}:[0-9]{2}:[0-9]{2}(?:\.[0-9]{1,6})?(?P<half> ?[AaPp][Mm])?")
+_ZONED = re.compile(r"(?P<bare>.*[0-9](?: ?[AaPp][Mm])?)(?P<gap> ?)(?P<zone>[A-Z]{1,5}|[A-Z][a-z]+/[A-Za-z_/]+)")
+"""A time with the name of a zone behind."""
 
 
 def form_of(cells: Sequence[Any], *, day_first: bool = False) -> tuple[str, str] | None:
@@ -39,20 +61,55 @@ def form_of(cells: Sequence[Any], *, day_first: bool = False) -> tuple[str, str]
         day_first: whether it is known that the day comes before the month.
 
     Raises:
-        ValueError: the day may be the month.
+        ValueError: the day may be the month, or the name of a zone has several meanings.
     """
     texts = [str(cell).strip() for cell in cells]
     if not texts:
         return None
-    if all(_CLOCK.fullmatch(text) for text in texts):
-        return CLOCK, CLOCK
+    clocks = [_CLOCK.fullmatch(text) for text in texts]
+    if all(clocks):
+        halves = {"" if of is None or of["half"] is None else of["half"][:-2] + "%p" for of in clocks}
+        form = CLOCK if halves == {""} else HALF_CLOCK + halves.pop()
+        return None if halves and form != CLOCK else (form, form)
     first = _ISO.fullmatch(texts[0])
+    if not _is_plain(texts[0]) and (zoned := _ZONED.fullmatch(texts[0])) and _is_plain(zoned["bare"]):
+        return _form_with_zone(texts, zoned, day_first)
     if first is None:
         form = _form_of_dates(texts, day_first)
         return None if form is None else (form, form)
     clock = f"%H:%M{':%S' if first['second'] else ''}{first['gap']}{first['zone'] or ''}"
     form = f"%Y-%m-%d{first['between']}{clock}"
     return "iso", "iso" if form in ("%Y-%m-%dT%H:%M:%SZ", "%Y-%m-%dT%H:%M:%S+00:00") else form
+
+
+def _is_plain(text: str) -> bool:
+    """Whether it is a time without a zone."""
+    return any(form.fullmatch(text) for form in (_ISO, _OTHER, _CLOCK))
+
+
+def _form_with_zone(texts: list[str], first: re.Match[str], day_first: bool) -> tuple[str, str] | None:
+    """The form of times with the name of a zone behind.
+
+    Raises:
+        ValueError: it is not of UTC, or the day may be the month.
+    """
+    zone = f"{first['gap']}{first['zone']}"
+    bare = [text.removesuffix(zone) for text in texts]
+    found = form_of(bare, day_first=day_first)
+    if found is None:
+        return None
+    form = f"{found[1]}{zone}"
+    if first["zone"] in ("UTC", "GMT", "Z"):
+        return form, form
+    raise ValueError(
+        f"zone {first['zone']} of {texts[0]!r} has several meanings or changes with the season: write an offset such "
+        f"as -06:00 instead, or use --time-format '{form}', which reads the times as UTC"
+    )
+
+
+def is_clock(form: str) -> bool:
+    """Whether a form of ``strptime`` is of times of the day without a date."""
+    return "%" in form and not re.search("%[djcxs]", form)
 
 
 def _form_of_dates(texts: list[str], day_first: bool) -> str | None:
@@ -87,10 +144,13 @@ def seconds_of(text: str, form: str) -> float:
     text = text.strip()
     if form == "iso":
         return _since_1970(datetime.fromisoformat(_plain_iso(text)))
+    if form in GPS:
+        week, passed = map(float, text.split())
+        return _from_gps(_GPS_START + _WEEK * week + passed / GPS[form])
     bare = form.replace(".%f", "")
     pointed = re.search(r":[0-9]{2}\.[0-9]", text) is not None
     moment = datetime.strptime(text, bare.replace("%S", "%S.%f") if pointed else bare)
-    if form == CLOCK:
+    if is_clock(form):
         return (moment - moment.replace(hour=0, minute=0, second=0, microsecond=0)).total_seconds()
     return _since_1970(moment - _ahead(form))
 
@@ -107,6 +167,11 @@ def usual_iso_seconds(cells: Sequence[Any]) -> NDArray[np.float64] | None:
     return np.where(np.isnat(moments), np.nan, moments.astype(np.int64) / 1e6)
 
 
+def _from_gps(moment: float) -> float:
+    """Seconds since 1970 of UTC, from those that GPS counts, without leap seconds."""
+    return moment - float(np.searchsorted(_LEAPS + np.arange(1, len(_LEAPS) + 1), moment, side="right"))
+
+
 def _plain_iso(text: str) -> str:
     """ISO text as Python 3.10 reads it: six digits after the point, and zones such as +02:00."""
     found = _ISO.fullmatch(text)
@@ -115,7 +180,7 @@ def _plain_iso(text: str) -> str:
     part, zone = found["part"] or "", found["zone"] or ""
     if not (part or zone):
         return text
-    zone = "+00:00" if zone in ("Z", "UTC") else zone.replace(":", "")
+    zone = "+00:00" if zone in ("Z", "UTC", "GMT") else zone.replace(":", "")
     zone = f"{zone[:3]}:{zone[3:] or '00'}" if zone and zone[3:4] != ":" else zone
     return text[: found.start("part") if part else found.start("gap")] + (part and f".{part[1:7]:0<6}") + zone
 
@@ -134,6 +199,12 @@ def written(time: NDArray[np.float64], form: str) -> list[str]:
     """
     if form in PER_SECOND:
         return _numbers(time * PER_SECOND[form], 6 if np.abs(time).max(initial=0.0) > 1e6 else 9, PER_SECOND[form])
+    if form in DAY_OF_1970:
+        return _numbers(time / 86_400 + DAY_OF_1970[form], 6, 1 / 86_400)
+    if form in GPS:
+        since = time + np.searchsorted(_LEAPS, time, side="right") - _GPS_START
+        of_week = _numbers(since % _WEEK * GPS[form], 6, GPS[form])
+        return [f"{week:.0f} {passed}" for week, passed in zip(since // _WEEK, of_week, strict=True)]
     micro = np.rint(time * 1e6).astype(np.int64)
     digits = 0 if not (micro % 1_000_000).any() else 3 if not (micro % 1000).any() else 6
     form = "%Y-%m-%dT%H:%M:%SZ" if form == "iso" else form.replace(".%f", "")

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from torchfra.readers.times import PER_SECOND
+from torchfra.readers.times import FORMS
 
-METRES = {"m": 1.0, "ft": 0.3048}
+METRES = {
+    "m": 1.0, "ft": 0.3048, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "mi": 1609.344, "nmi": 1852.0, "yd": 0.9144,
+}  # fmt: skip
 """Units of length, by what ``units`` calls them."""
 _DELIMITERS = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";"}
 
@@ -28,13 +30,15 @@ class Told:
     sigma_column: str | None = None
     """Column of the standard deviation of each fix per axis, in the unit of positions."""
     units: str | None = None
-    """``"m"`` or ``"ft"``: of x, y, z, or of altitudes beside latitudes."""
+    """``"m"``, ``"ft"``, ``"km"``, ... of ``METRES``: of x, y, z, or of altitudes beside latitudes."""
     delimiter: str | None = None
     """One sign between cells, or ``"tab"``, ``"space"``, ``"comma"``, ``"semicolon"``."""
     decimal: str | None = None
     """``"."`` or ``","``."""
     time_format: str | None = None
-    """``"seconds"``, ``"ms"``, ``"us"``, ``"ns"``, ``"iso"`` or a form of ``datetime.strptime``."""
+    """``"seconds"``, ``"ms"``, ``"us"``, ``"ns"``, ``"minutes"``, ``"hours"``, ``"days"``; ``"excel"``, ``"mjd"`` and
+    ``"matlab"`` for days since a date of theirs; ``"gps"`` and ``"gps_ms"`` for what of the week of GPS has passed,
+    beside a column of weeks; ``"iso"``; or a form of ``datetime.strptime``."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -48,8 +52,8 @@ class Told:
                 f"delimiter: expected one sign or tab, space, comma, semicolon, received {self.delimiter!r}"
             )
         form = self.time_format
-        if form is not None and form not in (*PER_SECOND, "iso") and "%" not in form:
-            raise ValueError(f"time_format: expected {', '.join(PER_SECOND)}, iso or such as %d.%m.%Y %H:%M:%S, "
+        if form is not None and form not in FORMS and "%" not in form:
+            raise ValueError(f"time_format: expected one of {', '.join(FORMS)} or such as %d.%m.%Y %H:%M:%S, "
                              f"received {form!r}")  # fmt: skip
         for one, other in (("x", "y"), ("lat", "lon")):
             if (getattr(self, one) is None) != (getattr(self, other) is None):
@@ -73,7 +77,7 @@ class Told:
     def _check(self, name: str, known: tuple[str, ...]) -> None:
         value = getattr(self, name)
         if value is not None and value not in known:
-            raise ValueError(f"{name}: expected {' or '.join(known)}, received {value!r}")
+            raise ValueError(f"{name}: expected {', '.join(known[:-1])} or {known[-1]}, received {value!r}")
 
 
 def told(words: dict[str, str | None]) -> Told:

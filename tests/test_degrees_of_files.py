@@ -1,0 +1,112 @@
+"""Latitudes and longitudes in any spelling are read, or refused with what to do; placeholders are no places."""
+
+import numpy as np
+import pytest
+
+import torchfra
+from torchfra.readers import read
+from torchfra.readers.degrees import degrees_of
+
+ROWS = 40
+LATITUDE, LONGITUDE = 47.5 + 1e-4 * np.arange(ROWS), 8.25 + 1e-4 * np.arange(ROWS)
+
+
+@pytest.fixture
+def track(tmp_path):
+    """Reads the only track of a file of these columns, one fix a second."""
+
+    def track(**columns):
+        columns = {"time": np.arange(ROWS), **columns}
+        rows = ["\t".join(columns), *("\t".join(map(str, row)) for row in zip(*columns.values(), strict=True))]
+        file = tmp_path / "track.tsv"
+        file.write_text("\n".join(rows) + "\n", encoding="utf-8")
+        (only,) = read(file)
+        return only
+
+    return track
+
+
+def sexagesimal(value, form, side=""):
+    """Degrees, minutes and seconds in a form."""
+    seconds = round(3600 * value, 3)
+    return form.format(int(seconds // 3600), int(seconds // 60 % 60), seconds % 60, side)
+
+
+@pytest.mark.parametrize(
+    "form", ["{0}\u00b0{1}'{2:.3f}\"{3}", "{0} {1} {2:.3f} {3}", "{3}{0}:{1:02}:{2:06.3f}", "{0} {1} {2:.3f}"]
+)
+def test_degrees_minutes_and_seconds_are_read(track, form):
+    found = track(lat=[sexagesimal(v, form, "N") for v in LATITUDE], lon=[sexagesimal(v, form, "E") for v in LONGITUDE])
+    assert found.origin[:2] == pytest.approx((47.5, 8.25))
+    assert np.linalg.norm(np.diff(found.position, axis=0), axis=1) == pytest.approx(13.4, rel=0.02)
+
+
+def test_letters_of_the_south_and_the_west_are_below_zero(track):
+    found = track(lat=[f"{v}S" for v in LATITUDE], lon=[f"{v} W" for v in LONGITUDE])
+    assert found.origin[:2] == pytest.approx((-47.5, -8.25))
+
+
+@pytest.mark.parametrize(
+    ("lat", "lon"), [("ns", "ew"), ("N/S", "E/W"), ("lat_dir", "lon_dir"), ("latHemisphere", "lonRef")]
+)
+def test_columns_of_sides_are_read_with_the_degrees(track, lat, lon):
+    found = track(**{"lat": LATITUDE, lat: ["S"] * ROWS, "lon": LONGITUDE, lon: ["W"] * ROWS})
+    assert found.origin[:2] == pytest.approx((-47.5, -8.25))
+    assert f"sides of lat and lon: {lat} and {lon}" in found.source.said
+
+
+def test_columns_of_sides_say_nothing_new_of_degrees_with_signs(track):
+    assert track(lat=-LATITUDE, ns=["S"] * ROWS, lon=LONGITUDE, ew=["E"] * ROWS).origin[0] == -47.5
+
+
+@pytest.mark.parametrize("text", ["47 N 8", "47.5 30", "47 61", "47 12 61", "8 E", "-8 S", "north", "1e3 2"])
+def test_what_is_no_latitude_is_refused(text):
+    with pytest.raises(ValueError, match="expected degrees"):
+        degrees_of(text, "NS")
+
+
+def test_degrees_and_minutes_in_one_number_are_refused_with_what_to_do(track):
+    compact = [f"{int(v)}{60 * (v % 1):07.4f}" for v in LATITUDE]
+    with pytest.raises(ValueError, match=r"received '4730.0000', .* one number, .*: write degrees \+ minutes / 60"):
+        track(lat=compact, lon=LONGITUDE)
+
+
+def test_latitudes_that_are_longitudes_are_refused_as_swapped(track):
+    with pytest.raises(ValueError, match=r"column lat, received '108\.25', .* seem to be swapped, --lat and --lon"):
+        track(lat=LONGITUDE + 100, lon=LATITUDE)
+
+
+@pytest.mark.parametrize("placeholder", [-999, -9999.0, 99999])
+def test_degrees_that_stand_for_none_are_missing(track, placeholder):
+    gone = np.arange(ROWS) % 10 == 3
+    found = track(lat=np.where(gone, placeholder, LATITUDE), lon=np.where(gone, placeholder, LONGITUDE))
+    assert (len(found.time), found.repairs) == (ROWS - 4, {"rows without position dropped": 4})
+
+
+def test_the_corner_of_all_degrees_is_no_place_far_from_all_others(track):
+    gone = np.arange(ROWS) % 10 == 3
+    found = track(lat=np.where(gone, 0, LATITUDE), lon=np.where(gone, 0, LONGITUDE))
+    assert found.repairs == {"rows with a placeholder for their position dropped": 4}
+    assert len(track(lat=LATITUDE - 47.502, lon=LONGITUDE - 8.252).time) == ROWS
+
+
+def test_metres_that_stand_for_none_are_missing_in_both_coordinates_only(track):
+    x, y, gone = 10.0 * np.arange(ROWS), 3.0 * np.arange(ROWS), np.arange(ROWS) % 10 == 3
+    assert len(track(x=np.where(gone, -999, x), y=np.where(gone, -999, y)).time) == ROWS - 4
+    assert len(track(x=np.where(gone, -999, x), y=y).time) == ROWS
+    assert len(track(x=x - 1000, y=np.full(ROWS, -999.0)).time) == ROWS
+
+
+def test_altitudes_that_stand_for_none_are_missing(track):
+    gone = np.arange(ROWS) % 10 == 3
+    found = track(lat=LATITUDE, lon=LONGITUDE, alt=np.where(gone, -9999, 400))
+    assert found.repairs == {"altitudes that are a placeholder taken as missing": 4}
+    assert np.flatnonzero(found.filled).tolist() == [3, 13, 23, 33]
+    assert not track(lat=LATITUDE, lon=LONGITUDE, alt=np.where(gone, 9999, 9980)).repairs  # a level of aircraft
+
+
+def test_arrays_keep_their_length_where_placeholders_stand_for_none():
+    position = np.stack([10.0 * np.arange(ROWS), 3.0 * np.arange(ROWS)], 1)
+    position[[3, 13]] = -999
+    cleaned = torchfra.clean((np.arange(ROWS), position), sigma=1.0, q=0.01)
+    assert cleaned.position[[3, 13]] == pytest.approx(np.array([[30, 9], [130, 39]]), abs=1)
