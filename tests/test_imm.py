@@ -174,7 +174,7 @@ def test_steps_of_time_may_differ_and_sensors_may_bend():
 
 @pytest.mark.slow
 def test_compiled_it_gives_the_same_and_the_same_gradients():
-    f = presets.imm(bank(), SENSOR, learn=("transition", "q", "rate", "limit", "std"))
+    f = presets.imm([bank()[k] for k in (0, 2, 3)], SENSOR, learn=("transition", "q", "rate", "limit", "std"))
     found = []
     for g in (f, copy.deepcopy(f).compile()):
         e = g(measured(4), PRIOR, dt=DT)
@@ -193,7 +193,9 @@ def test_transition_rows_learn_on_the_simplex_with_their_exact_gradient():
         e = torch.func.functional_call(f, dict(zip(names, values, strict=True)), (z, PRIOR), {"dt": DT})
         return e.log_likelihood
 
-    assert torch.autograd.gradcheck(score, [p.detach().clone().requires_grad_() for p in f.parameters()])
+    assert torch.autograd.gradcheck(
+        score, [p.detach().clone().requires_grad_() for p in f.parameters()], fast_mode=True
+    )
     optimiser = torch.optim.Adam(f.parameters(), lr=0.5)
     before = f(z, PRIOR, dt=DT).log_likelihood.mean()
     for _ in range(5):
