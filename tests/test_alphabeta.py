@@ -131,7 +131,7 @@ def with_outliers(seed, steps=80, outliers=6):
     return z
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize(
     "options", [{}, {"hysteresis": 1.0, "dwell": 1.0}, {"flag_on_reject": "hold"}, {"votes": 4}, {"converged": 3}]
 )
@@ -230,7 +230,9 @@ def test_gradients_of_the_soft_bank_are_exact():
     def out(*values):
         return torch.func.functional_call(f, dict(zip(parameters, values, strict=True)), (z, PRIOR)).mean
 
-    assert torch.autograd.gradcheck(out, [p.detach().clone().requires_grad_() for p in parameters.values()])
+    assert torch.autograd.gradcheck(
+        out, [p.detach().clone().requires_grad_() for p in parameters.values()], fast_mode=True
+    )
 
 
 def test_steps_of_time_may_differ_where_the_gains_know_their_period():
