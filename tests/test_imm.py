@@ -193,9 +193,7 @@ def test_transition_rows_learn_on_the_simplex_with_their_exact_gradient():
         e = torch.func.functional_call(f, dict(zip(names, values, strict=True)), (z, PRIOR), {"dt": DT})
         return e.log_likelihood
 
-    assert torch.autograd.gradcheck(
-        score, [p.detach().clone().requires_grad_() for p in f.parameters()], fast_mode=True
-    )
+    assert torch.autograd.gradcheck(score, [p.detach().clone().requires_grad_() for p in f.parameters()])
     optimiser = torch.optim.Adam(f.parameters(), lr=0.5)
     before = f(z, PRIOR, dt=DT).log_likelihood.mean()
     for _ in range(5):
