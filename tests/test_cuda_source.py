@@ -98,7 +98,7 @@ def library(text, *flags):
 
 def on_the_cpu(source):
     """The kernel of a GPU as a function on the CPU."""
-    run = ctypes.CDLL(str(library(emulated(source), "-O1"))).run
+    run = ctypes.CDLL(str(library(emulated(source), "-O0"))).run
     run.argtypes = [*[ctypes.c_int64] * 2, ctypes.c_int, *[ctypes.c_void_p] * 2]
     return run
 

@@ -172,13 +172,11 @@ def resolves(path):
     return True
 
 
-MODULES = sorted((ROOT / "torchfra").rglob("*.py"))
-
-
-@pytest.mark.parametrize("module", MODULES, ids=[str(path.relative_to(ROOT)) for path in MODULES])
-def test_paths_in_docstrings_lead_to_what_is_there(module):
-    paths = {path for text in strings_that_stand_alone(module) for path in paths_of(text)}
-    assert not (broken := sorted(path for path in paths if not resolves(path))), broken
+@pytest.mark.slow
+def test_paths_in_docstrings_lead_to_what_is_there():
+    for module in sorted((ROOT / "torchfra").rglob("*.py")):
+        paths = {path for text in strings_that_stand_alone(module) for path in paths_of(text)}
+        assert not (broken := sorted(path for path in paths if not resolves(path))), f"{module}: {broken}"
 
 
 def test_paths_in_docstrings_are_found_and_wrong_ones_are_told():

@@ -1,7 +1,6 @@
 """Nothing of the catalogue is refused: every filter of a scenario becomes expressions of a kernel."""
 
 import pytest
-import torch
 
 from torchfra.catalogue import SCENARIOS, filters_for, scenario_filter
 from torchfra.gaussian.inputs import Measurements
@@ -17,12 +16,3 @@ def test_every_filter_of_a_scenario_is_traced(scenario):
         f = scenario_filter(name, scenario).compile()
         _, plan, _ = f.engine._plan(f, f.init(tracks.prior), Measurements(tracks.z, 1.0, tracks.u), False)
         assert len(plan.kernels.step.forwards().live()) > 50, name
-
-
-@pytest.mark.slow
-def test_gpb_filters_states_of_one_component():
-    scenario = SCENARIOS["growth"]()
-    tracks = scenario.simulate(runs=3, seed=0)
-    estimate = scenario_filter("gpb", scenario)(tracks.z, tracks.prior, u=tracks.u)
-    assert torch.isfinite(estimate.mean).all()
-    assert not estimate.failed.any()

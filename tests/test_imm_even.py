@@ -147,13 +147,12 @@ def test_its_gradient_is_exact():
         return e.log_likelihood, e.mean, e.info.probabilities
 
     start = (*PRIOR, *f.parameters())
-    assert torch.autograd.gradcheck(score, [x.detach().clone().requires_grad_() for x in start])
+    assert torch.autograd.gradcheck(score, [x.detach().clone().requires_grad_() for x in start], fast_mode=True)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("inner", ["srckf", "fra"])
-def test_compiled_it_gives_the_same_and_the_same_gradients(inner):
-    f = presets.imm(bank(), SENSOR, inner=getattr(presets, inner), learn=("stay", "q", "std"))
+def test_compiled_it_gives_the_same_and_the_same_gradients():
+    f = presets.imm(bank()[:3], SENSOR, inner=presets.fra, learn=("stay", "q", "std"))
     found = []
     for g in (f, copy.deepcopy(f).compile()):
         e = g(measured(4), PRIOR, dt=times())

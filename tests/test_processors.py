@@ -54,7 +54,7 @@ def test_a_filter_and_its_gradient_are_the_same_in_any_registers(kind, dtype, on
     tracks = scenario.simulate(runs=21, seed=0)
     z, u = tracks.z[:, :10].to(dtype), tracks.u[:10].to(dtype)
     prior = type(tracks.prior)(*(x.to(dtype) for x in tracks.prior))
-    f = presets.fra(scenario.motion, scenario.sensor, learn=("std",)).to(dtype)
+    f = presets.rsrckf(scenario.motion, scenario.sensor, learn=("std",)).to(dtype)
     said = []
     for one in (f, copy.deepcopy(f).compile()):
         e = one(z, prior, u=u)

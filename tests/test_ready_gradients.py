@@ -5,7 +5,7 @@ import weakref
 
 import pytest
 import torch
-from short_tracks import SMALL_GPB, alone
+from short_tracks import alone
 from torch.autograd.graph import saved_tensors_hooks
 from torch.utils.checkpoint import checkpoint
 
@@ -58,7 +58,6 @@ def slopes(f, loss, given, learns=("values",)):
     ("srckf", {}, ["values"], [means, scores, everything, last]),
     ("fra", {}, ["values", "measurements", "rest"], [everything]),
     ("fra", {"temperature": 1.0}, ["values", "rest"], [last]),
-    ("gpb", SMALL_GPB, ["values"], [means]),
     ("iaukf", {}, ["rest"], [everything]),
 ])  # fmt: skip
 def test_gradients_of_ready_tracks_are_those_of_the_filter(name, options, learns, losses, make, tracks, prepared, soon):

@@ -161,9 +161,7 @@ def test_with_a_lag_a_compiled_filter_that_decides_late_smooths_as_one_that_is_n
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "learn", "lag"), [("asrckf", ("weakening", "q"), None), ("fra", ("q",), None), ("fra", ("q",), 3)]
-)
+@pytest.mark.parametrize(("name", "learn", "lag"), [("asrckf", ("weakening", "q"), None), ("fra", ("q",), 3)])
 def test_gradients_of_a_compiled_filter_are_the_same(make, tracks, name, learn, lag):
     slow, fast = make(name, learn=learn), make(name, learn=learn).compile()
     losses, inputs = [], []
