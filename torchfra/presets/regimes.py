@@ -19,18 +19,18 @@ from torchfra.suggestions import meant
 
 MANOEUVRES: dict[str, dict[str, Any]] = {
     "none": {
-        "noise_levels": (1.0,), "manoeuvre_factors": (), "jump_factors": (), "self_transition": (0.99949, 0.99924),
-        "restart": (0.35, 0.65),
+        "noise_levels": (1.0,), "manoeuvre_factors": (), "jump_factors": (), "self_transition": (0.999544, 0.99276),
+        "restart": (0.17, 0.83),
     },
     "some": {
-        "noise_levels": (0.00631, 1.0, 7.29, 37.0), "manoeuvre_factors": (), "jump_factors": (5.0,),
-        "self_transition": (0.9986, 0.99949, 0.925, 0.969, 0.99924, 0.00413),
-        "restart": (0.0447, 0.323, 0.032, 0.00728, 0.59301877, 1.23e-06),
+        "noise_levels": (0.0042, 1.0, 5.71, 104.0), "manoeuvre_factors": (), "jump_factors": (5.95,),
+        "self_transition": (0.9992, 0.999544, 0.808, 0.99232, 0.99276, 0.0399),
+        "restart": (0.0698, 0.137, 0.139, 0.00336, 0.65083765, 2.35e-06),
     },
     "hard": {
-        "noise_levels": (0.00631, 1.0, 7.29, 37.0), "manoeuvre_factors": (100.0,), "jump_factors": (5.0,),
-        "self_transition": (0.9986, 0.99949, 0.925, 0.969, 0.99924, 0.1, 0.00413),
-        "restart": (0.0447, 0.323, 0.032, 0.00728, 0.59291877, 1e-4, 1.23e-06),
+        "noise_levels": (0.0042, 1.0, 5.71, 104.0), "manoeuvre_factors": (100.0,), "jump_factors": (5.95,),
+        "self_transition": (0.9992, 0.999544, 0.808, 0.99232, 0.99276, 0.1, 0.0399),
+        "restart": (0.0698, 0.137, 0.139, 0.00336, 0.65073765, 0.0001, 2.35e-06),
     },
 }  # fmt: skip
 """What ``manoeuvres`` stands for: ``"some"`` was searched, ``"none"`` and ``"hard"`` are made from it by hand."""
@@ -47,11 +47,11 @@ def gpb(
     jump_factors: Values | None = None,
     self_transition: Values | None = None,
     restart: Values | None = None,
-    outlier_transition: Values = ((0.99839, 0.00161), (0.958, 0.042)),
-    outlier_sizes: Values = (7.17, 61.3, 3390.0, 83600.0),
-    outlier_shares: Values = (0.895585, 0.103, 0.000984, 0.000431),
-    prior_outlier: Value = 0.0078,
-    prior_inflation: Value = 140.0,
+    outlier_transition: Values = ((0.999491, 0.000509), (0.9344, 0.0656)),
+    outlier_sizes: Values = (7.71, 51.0, 1690.0, 19100.0),
+    outlier_shares: Values = (0.651019, 0.348, 0.000454, 0.000527),
+    prior_outlier: Value = 0.0106,
+    prior_inflation: Value = 95.9,
     adaptive_largest_size: bool = True,
     lag: int = 0,
     rule: Callable[[int], Rule] = third_degree,
