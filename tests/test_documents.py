@@ -22,7 +22,7 @@ import torch
 from torchfra import register
 from torchfra.catalogue import make_scenario, scenario_filters
 from torchfra.cli import main as cli
-from train import frontier, tune, values
+from train import tune, values
 
 pytestmark = pytest.mark.usefixtures("short_tracks", "rough_figures")  # with which code and commands run as well
 
@@ -324,8 +324,6 @@ def understood(line, flights):
         words = ["torchfra", *words[3:]]
     if words[:3] == ["python", "-m", "train.values"]:  # measures for minutes: run by test_values.py
         return values.main, [], True
-    if words[:3] == ["python", "-m", "train.frontier"]:  # several searches: run by test_train_frontier.py
-        return frontier.main, [], True
     main, words = (cli.main, words[1:]) if words[0] == "torchfra" else (script(words[1]), words[2:])
     line = line.removeprefix("python ")
     no_gpu = "--device cuda" in line and not torch.cuda.is_available()

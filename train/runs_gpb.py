@@ -16,17 +16,13 @@ HOLDS, CASES, OFF = 0.015, 0.035, 0.07
 """Regrets that are allowed: where the stated model holds, in scenarios, and where process noise is ten times off."""
 
 
-def gpb(holds: float = HOLDS, cases: float = CASES) -> Config:
+def gpb() -> Config:
     """Values of ``gpb``: one set over starts, manoeuvres, outliers alone and in bursts, sensors, and stated models.
 
     Filters of a bank and of one motion learn the same values.  Half of the tasks are the papers' scenarios, recorded
     flights and ranges, where targets do not move as filters are told; the others are tracks drawn from what filters are
     told, or are told a noise that is several times off.  Each may be so much behind its best rival: what is above that
     counts, so that the worst regret falls.  What does not count (weight 0) is looked at in the end.
-
-    Args:
-        holds: regret that is allowed where the stated models hold.
-        cases: regret that is allowed in the scenarios.
     """
     kinds = ("none", "covariance", "std", "bursts")
     bearings = [Task("bearings-outliers", {"initial": initial}, runs=320) for initial in ("paper", "truth")]
@@ -40,7 +36,7 @@ def gpb(holds: float = HOLDS, cases: float = CASES) -> Config:
         name="gpb",
         filter="gpb",
         loss="regret",
-        tasks=(*(replace(task, allowed=cases) for task in tasks), *stated(holds), *unseen),
+        tasks=(*(replace(task, allowed=CASES) for task in tasks), *stated(), *unseen),
         learn=("all",),
         start={
             "noise_levels": [0.00326, 1.0, 5.02, 81.8], "jump_factors": [5.18],
@@ -64,15 +60,15 @@ def gpb(holds: float = HOLDS, cases: float = CASES) -> Config:
     )  # fmt: skip
 
 
-def stated(holds: float) -> list[Task]:
+def stated() -> list[Task]:
     """Tracks drawn from the models that are stated to filters, or with noise that is several times off."""
 
     def told(allowed: float, index: float = 0.1, outliers: str = "none", **options: Any) -> Task:
         return Task("as-stated", {"index": index, "outliers": outliers, **options}, allowed=allowed)
 
     indices = (0.001, 0.01, 0.1, 1.0)
-    tasks = [told(holds, index, motion=motion) for index in indices for motion in ("velocity", "bank")]
-    tasks += [told(holds, 1.0, sensor="ranges"), told(holds, motion="acceleration")]
+    tasks = [told(HOLDS, index, motion=motion) for index in indices for motion in ("velocity", "bank")]
+    tasks += [told(HOLDS, 1.0, sensor="ranges"), told(HOLDS, motion="acceleration")]
     for outliers in ("covariance", "std", "bursts"):
         tasks += [told(0.05, index, outliers) for index in indices]
         tasks += [told(0.05, outliers=outliers, motion=motion) for motion in ("acceleration", "bank")]
