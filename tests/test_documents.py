@@ -307,7 +307,6 @@ def small_training(words, flights):
         "fra_recorded": ["files=" + ",".join(flights)],
         "gpb": ['tasks=[{"scenario":"bearings-manoeuvre"}]', "rivals=srckf", "population=4"],
     }
-    one["gpb_bearings"] = one["gpb"]
     return [*words, *one.get(words[0], []), *SMALL_TRAINING]
 
 

@@ -267,7 +267,7 @@ def test_an_unknown_run_is_answered_with_the_known_ones(capsys):
 
 
 def test_every_named_run_is_tried():
-    assert set(RUNS) == {*STEPPED, "switching", "association", "noise", "recover", "gpb", "gpb_bearings", "recover_gpb"}
+    assert set(RUNS) == {*STEPPED, "switching", "association", "noise", "recover", "gpb", "recover_gpb"}
 
 
 UNMENDED = 'tasks=[{"scenario":"recorded","options":{"repair":false}}]'

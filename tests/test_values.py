@@ -70,7 +70,7 @@ def test_values_of_a_set_learn_on():
 
 
 def test_no_set_is_no_change():
-    assert natural_values(presets.gpb(*models(), values=None)) == natural_values(presets.gpb(*models()))
+    assert natural_values(presets.fra(*models(), values=None)) == natural_values(presets.fra(*models()))
 
 
 @pytest.mark.parametrize("preset", sorted({record["preset"] for record in RECORDS}))
@@ -168,9 +168,9 @@ def test_sets_and_scenarios_are_measured_by_name_and_all_others_stay(measure):
     asked, found = measure("--sets", "fra-*", "--cells", "reentry,growth")
     assert asked == [("fra", "growth"), ("fra", "reentry")]
     assert {name for name, results in found.items() if results} == {"fra"}
-    asked, found = measure("--sets", "gpb-*", "--cells", "reentry")
-    assert asked == [("gpb", "reentry")]
-    assert {name: len(results) for name, results in found.items() if results} == {"fra": 2, "gpb": 1}
+    asked, found = measure("--sets", "hghckf2-*", "--cells", "reentry")
+    assert asked == [("hghckf2", "reentry")]
+    assert {name: len(results) for name, results in found.items() if results} == {"fra": 2, "hghckf2": 1}
 
 
 def test_a_command_that_was_ended_goes_on_with_what_is_missing(measure):

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from train.config import Config, Task, check, read_changes
-from train.runs_gpb import gpb, gpb_bearings, recover_gpb
+from train.runs_gpb import gpb, recover_gpb
 
 
 def _bearings(name: str, weight: float = 1.0, **options: Any) -> Task:
@@ -163,9 +163,9 @@ def association() -> Config:
     )
 
 
-BEARINGS, OTHERS = (fra_bearings, gpb_bearings), (fra_recorded, gpb, switching, contaminated, association)
+LEARNED = (fra_bearings, fra_recorded, gpb, switching, contaminated, association)
 KNOWN = (noise, recover, recover_gpb)
-RUNS: dict[str, Callable[[], Config]] = {f.__name__: f for f in (*BEARINGS, *OTHERS, *KNOWN)}
+RUNS: dict[str, Callable[[], Config]] = {f.__name__: f for f in (*LEARNED, *KNOWN)}
 
 
 def configured(name: str, changes: Sequence[str] = ()) -> Config:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import replace
 from typing import Any
 
-from torchfra import presets
-from torchfra.presets.regimes import MANOEUVRES
 from train.config import Config, Task
 
 SINGLE = ("bearings-outliers", "ranges-outliers")
@@ -78,31 +75,6 @@ def stated() -> list[Task]:
     tasks += [told(OFF, outliers="std", q=q) for q in (0.1, 10.0)]
     tasks += [told(1.0, index, q=0.01) for index in indices]
     return tasks + [told(0.4, index, std=std) for index in indices for std in (0.5, 2.0)]
-
-
-def gpb_bearings() -> Config:
-    """Values of ``gpb`` for two bearings, from the defaults on: half of the targets are disturbed as the motion says.
-
-    The defaults expect calmer targets than that.  With one motion and with the bank, as in ``gpb``.
-    """
-    kinds = [Task("bearings-outliers", {"initial": initial}) for initial in ("paper", "truth")]
-    kinds.append(Task("bearings-manoeuvre"))
-    tasks = [_task(kind, outliers="std", truth_noise=noise) for kind in kinds for noise in (0.0, 0.01)]
-    tasks += [_task(kind, outliers=outliers) for kind in kinds[1:] for outliers in ("covariance", "bursts")]
-    defaults = {name: of.default for name, of in inspect.signature(presets.gpb).parameters.items()} | MANOEUVRES["some"]
-    return replace(
-        gpb(),
-        name="gpb_bearings",
-        tasks=(*tasks, *(_of_one_motion(task) for task in tasks)),
-        start={name: defaults[name] for name in gpb().start},
-        iterations=40,
-        lr=0.2,
-    )
-
-
-def _of_one_motion(task: Task) -> Task:
-    """The same for one motion, which without a turn is far behind rivals with a bank in scenario 2."""
-    return replace(task, models="motion", weight=0.5, allowed=1.7 if task.scenario == "bearings-manoeuvre" else 0.0)
 
 
 def recover_gpb() -> Config:

@@ -8,7 +8,7 @@
     python -m train.tune gpb                                   one set of values for all models, without gradients
     torchrun --nproc-per-node 2 -m train.tune fra_bearings     two processes share each batch
 
-Runs (train/runs.py): fra_bearings, fra_recorded, gpb, gpb_bearings, switching (interacting models), contaminated (the
+Runs (train/runs.py): fra_bearings, fra_recorded, gpb, switching (interacting models), contaminated (the
 Huber score), association (scans of several targets in clutter), noise, recover, recover_gpb.  Written to out/train/RUN:
 config.json, log.csv, checkpoint.pt, the learned state_dict.pt (of the best validation), learning.png and results.json
 with the errors on unseen tracks before and after.  To use the learned values:

@@ -3,7 +3,7 @@
     python -m train.values --jobs 4                            measures all sets anew, in four processes
     python -m train.values --jobs 4 --resume                   only what has not been measured so
     python -m train.values --take out/train/fra_bearings       takes the learned values of runs of train.tune first
-    python -m train.values --sets 'gpb-*' --cells reentry      some sets, some scenarios
+    python -m train.values --sets 'fra-*' --cells reentry      some sets, some scenarios
 
 Each set is compared with the preset's defaults where it was learned (the tasks of its run) and in all other scenarios
 of the catalogue that the filter takes, on the same runs, of a seed that no training has seen.  All is written to
@@ -55,7 +55,6 @@ class Source(NamedTuple):
 
 SOURCES = {
     "fra_bearings": Source("bearings", "two moving stations that take bearings: starts, outliers, a manoeuvre"),
-    "gpb_bearings": Source("bearings", "the same, half of the targets disturbed as the motion says"),
     "switching": Source("turns", "positions of aircraft that fly straight and turn, five motions",
                         (Task("adsb-turns", {"std": 10.0}), Task("adsb-turns", {"std": 100.0}))),
     "contaminated": Source("contaminated", "three in ten measurements with 15 times the standard deviation"),

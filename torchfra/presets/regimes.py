@@ -13,7 +13,6 @@ from torchfra.hyper import Value, Values
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.presets.learning import with_learning
-from torchfra.presets.values import with_values
 from torchfra.sensors.base import Sensor
 from torchfra.suggestions import meant
 
@@ -36,7 +35,6 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
 """What ``manoeuvres`` stands for: ``"some"`` was searched, ``"none"`` and ``"hard"`` are made from it by hand."""
 
 
-@with_values
 def gpb(
     motion: Motion | Sequence[Motion],
     sensor: Sensor,
@@ -55,7 +53,6 @@ def gpb(
     adaptive_largest_size: bool = True,
     lag: int = 0,
     rule: Callable[[int], Rule] = third_degree,
-    values: str | None = None,
     learn: Collection[str] = (),
 ) -> GPB:
     """The filter to reach for first: outliers, manoeuvres, jumps and a poor prior as hypotheses of every step.
@@ -87,7 +84,6 @@ def gpb(
         lag: 0 for an estimate from the measurements so far, 1 for one that the next measurement has settled; the
             other is in ``Estimate.info``.
         rule: makes the points for a number of states.
-        values: name of a set of learned values for what is not given: ``torchfra.values()``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
     Raises:
