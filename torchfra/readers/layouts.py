@@ -247,7 +247,7 @@ def _kind(role: str, columns: Mapping[str, str], head: Head, length: float, word
     limit = _LIMITS[role]
     absent = (*PLACEHOLDERS, _ABSENT[role]) if word == "ship" else PLACEHOLDERS
     kind = Kind(f"degrees within +-{limit:g}", limit=limit, absent=absent, sides=_SIDES[role])
-    kind = replace(kind, advice=advice(*(_some_degrees(head, name) for name in (column, other)), limit))
+    kind = replace(kind, advice=advice(_some_degrees(head, column), _some_degrees(head, other), limit))
     if not _is_whole(head, column, 7):
         return kind
     degrees = _SEMICIRCLE if column.lower() in _SEMICIRCLES else _AUTOPILOT
@@ -268,7 +268,7 @@ def _sides(head: Head, columns: Mapping[str, str]) -> dict[str, str]:
     sides = {}
     for name in head.names:
         role = match.lastgroup if (match := _SIDE.fullmatch(re.sub("[^a-z]", "", name.lower()))) else None
-        if role not in columns or name in columns.values():
+        if role is None or role not in columns or name in columns.values():
             continue
         letters = {text.upper() for text in _texts(head, [name])} - {""}
         values = _some_degrees(head, columns[role])

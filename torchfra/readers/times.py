@@ -75,8 +75,8 @@ def form_of(cells: Sequence[Any], *, day_first: bool = False) -> tuple[str, str]
     if not _is_plain(texts[0]) and (zoned := _ZONED.fullmatch(texts[0])) and _is_plain(zoned["bare"]):
         return _form_with_zone(texts, zoned, day_first)
     if first is None:
-        form = _form_of_dates(texts, day_first)
-        return None if form is None else (form, form)
+        dates = _form_of_dates(texts, day_first)
+        return None if dates is None else (dates, dates)
     clock = f"%H:%M{':%S' if first['second'] else ''}{first['gap']}{first['zone'] or ''}"
     form = f"%Y-%m-%d{first['between']}{clock}"
     return "iso", "iso" if form in ("%Y-%m-%dT%H:%M:%SZ", "%Y-%m-%dT%H:%M:%S+00:00") else form
