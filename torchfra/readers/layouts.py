@@ -184,6 +184,8 @@ def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
 def _parting(head: Head, clock: Clock, names: Sequence[str]) -> tuple[str, ...]:
     """Those of the columns that may say which target a row is of, the one whose values part equal times first."""
     times = list(zip(*(_texts(head, [name]) for name in clock.columns), strict=False))
+    if len(set(times)) == len(times):  # there is nothing to part, however many columns there are
+        return ()
     cells = {name: _texts(head, [name]) for name in names}
     several = [name for name, values in cells.items() if len(times) == len(values) > _SEVERAL * len(set(values))]
     pairs = {name: len(set(zip(times, cells[name], strict=True))) for name in several}
