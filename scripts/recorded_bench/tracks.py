@@ -1,0 +1,73 @@
+"""A recorded track with its truth, and how good estimates of it are."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra import metrics
+from torchfra.filters import Filter
+from torchfra.types import Estimate, Gaussian
+
+Figures = dict[str, Any]
+
+
+class Track(NamedTuple):
+    """What sensors recorded of one target, and where it was."""
+
+    name: str
+    z: Tensor
+    """``(T, m)`` measurements, NaN where there is none."""
+    u: Tensor | None
+    """``(T, k)`` what motion or sensor need to know."""
+    dt: Tensor
+    """``(T,)`` seconds that lead to each step."""
+    truth: Tensor
+    """``(T, dims)`` positions, m; NaN where unknown."""
+    prior: Gaussian
+    """Before the first step."""
+    fixes: Tensor | None
+    """``(T, 2)`` positions that were measured, to be drawn; None where none were."""
+    published: Figures
+    """Errors of others on this track, m, by the method's name."""
+    per_axis: bool
+    """Whether errors are per axis, as the published ones are: those of the distance by the root of the dimensions."""
+
+
+class Found(NamedTuple):
+    """What a filter made of a track."""
+
+    figures: Figures
+    mean: Tensor
+    """``(T, dims)`` positions on line, m."""
+
+
+def measured(f: Filter, track: Track, metric: str) -> Found:
+    """Errors of a filter on a track, as it filters and smoothed.
+
+    Args:
+        f: the filter.
+        track: the track.
+        metric: what the error on line is called.
+
+    Returns:
+        That error and ``smoothed``, m, over all steps whose truth is known, and the mean normalised estimation error
+        squared per dimension of both, ``nees`` and ``nees_smoothed``, which is 1 where covariances are honest.  No
+        number is finite where the track has failed.
+    """
+    dims = track.truth.shape[-1]
+    states = slice(0, dims)
+    with torch.no_grad():
+        estimate = f(track.z, track.prior, dt=track.dt, u=track.u)
+        later = f.smooth(track.z, track.prior, dt=track.dt, u=track.u)
+
+    def errors(of: Estimate) -> tuple[float, float]:
+        rmse = metrics.track_rmse(of.mean, track.truth, states) / math.sqrt(dims if track.per_axis else 1)
+        return float(rmse), float(metrics.nees(of, track.truth, states).nanmean()) / dims
+
+    (rmse, nees), (smoothed, nees_smoothed) = errors(estimate), errors(later)
+    figures = {metric: rmse, "nees": nees, "smoothed": smoothed, "nees_smoothed": nees_smoothed}
+    return Found(figures, estimate.mean[..., states])

@@ -1,0 +1,71 @@
+"""Ranges from ultra-wideband anchors to a tag on a cart, and the path that was driven.
+
+A recording is a folder: a file for each anchor and one of the path, as ``torchfra.readers.read_ranges`` reads them,
+and, where there is one, ``RMSD_results.txt`` with the errors that were published with it.
+
+Source: the recordings of cucudasluv, "UWB dataset" (Apache-2.0).
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import torch
+
+from recorded_bench.tracks import Figures, Track
+from torchfra.catalogue import make_filter
+from torchfra.filters import Filter
+from torchfra.motion import ConstantAcceleration
+from torchfra.readers import read_ranges
+from torchfra.readers.tables import naming
+from torchfra.scenarios import recorded_ranges
+from torchfra.scenarios.ranges import STD, Q, walker
+from torchfra.sensors import Ranges
+from torchfra.types import Gaussian
+
+METRIC = "rmse_2d"
+RESULTS = "RMSD_results.txt"
+NOTE = (
+    f"{RESULTS} of each recording: LS, least squares, and ESKF, an error-state filter that has an inertial sensor as "
+    "well; of both the errors in the plane"
+)
+_ERROR = re.compile(r"^(\w+) RMSE_2d: *([0-9.]+)", re.M)
+
+
+def read(path: Path) -> Track:
+    """A run.
+
+    Raises:
+        ValueError: it is no folder, its files are no ranges, or it has no path.
+    """
+    if not path.is_dir():
+        raise ValueError(f"{path}: expected a folder with the ranges of a run, received a file or nothing")
+    with naming(path):
+        recording = read_ranges(path)
+        scenario = recorded_ranges([recording])
+    tracks = scenario.simulate(1)
+    assert tracks.u is not None
+    results, parts = path / RESULTS, path.resolve().parts[-3:]
+    return Track(
+        "/".join(part.removeprefix("Trajectory_") for part in parts),
+        z=tracks.z[0],
+        u=tracks.u[0],
+        dt=torch.full(tracks.z.shape[1:2], scenario.dt, dtype=torch.float64),
+        truth=tracks.truth[0, :, :2],
+        prior=Gaussian(tracks.prior.mean[0], tracks.prior.scale_tril),
+        fixes=None,
+        published=published(results.read_text(encoding="utf-8")) if results.is_file() else {},
+        per_axis=False,
+    )
+
+
+def published(text: str) -> Figures:
+    """Errors in the plane, m, by the method, of a file of results."""
+    return {method: float(error) for method, error in _ERROR.findall(text)}
+
+
+def make(name: str, track: Track) -> Filter:
+    """A preset with the one setting of all runs: that of ``scenarios.recorded_ranges``."""
+    count = track.z.shape[-1]
+    return make_filter(name, ConstantAcceleration(Q), Ranges(count=count, std=STD, height=0.0), walker(Q))

@@ -1,0 +1,151 @@
+"""How far presets are from the truth on recordings for which others have published figures.
+
+    python scripts/recordings.py nclt 2012-11-16.csv 2013-04-05.csv --json out/nclt.json --figure out/nclt.png
+    python scripts/recordings.py uwb LOS/Trajectory_A/Case_1 NLOS/Trajectory_B/Case_3 --filters gpb,rsrckf
+
+Kinds, each with one setting of motion, sensor and filters for all of its recordings:
+
+- nclt: a robot on a campus, a CSV file for each day: wheels, a measured heading and satellite positions;
+- uwb: ranges from anchors to a tag on a cart, a folder for each run, with the path that was driven.
+
+A table has for each recording what presets reach beside what others have published: the root mean square error, on line
+and smoothed, per axis or of the distance as the published figures are, and the normalised estimation error squared of
+positions per dimension, on line and smoothed, which is 1 where covariances are honest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from pathlib import Path
+from statistics import fmean
+
+from recorded_bench import nclt, uwb
+from recorded_bench.picture import picture
+from recorded_bench.tracks import Figures, Found, Track, measured
+
+from torchfra.catalogue import track_filters
+from torchfra.cli.command import (
+    Failures,
+    add_json_option,
+    add_quiet_option,
+    check_files,
+    check_list,
+    exit_status,
+    make_parser,
+)
+from torchfra.cli.compiling import add_compile_option, choose, reporters
+from torchfra.evaluation.compiling import brief
+from torchfra.filters import Filter
+from torchfra.running.atomic_write import write_json
+from torchfra.running.progress import progress_bar
+from torchfra.running.versions import versions
+from torchfra.tables import significant, text_table
+from torchfra.types import CompileError
+
+KINDS = {"nclt": nclt, "uwb": uwb}
+WORTHWHILE = 3000
+"""Steps of all tracks from which on compiling saves time."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Prints the table; returns its exit status: see ``torchfra.cli.command.exit_status``."""
+    p = make_parser(__doc__)
+    p.add_argument("kind", choices=KINDS, help="what the recordings are")
+    p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a recording each: a file, of uwb a folder")
+    p.add_argument("--filters", metavar="A,B", default="gpb,rsrckf,srckf", help="presets (default: %(default)s)")
+    add_compile_option(p, f"for {WORTHWHILE:,} steps or more")
+    p.add_argument("--figure", type=Path, metavar="FILE", help="PNG: path and error over time of each recording")
+    add_json_option(p)
+    add_quiet_option(p)
+
+    def run() -> None:
+        options = p.parse_args(arguments)
+        check_list(p, "filters", options.filters, track_filters())
+        compare(options)
+
+    return exit_status("recordings", run)
+
+
+def compare(options: argparse.Namespace) -> None:
+    """Runs all filters on all recordings; the table when the last one is done.
+
+    Raises:
+        ValueError: two recordings of one name, or a file that is no such recording.
+    """
+    check_files({"json": options.json, "figure": options.figure}, options.files)
+    kind, names = KINDS[options.kind], list(dict.fromkeys(options.filters.split(",")))
+    tracks = [kind.read(path) for path in options.files]
+    if twice := {track.name for track in tracks if sum(other.name == track.name for other in tracks) > 1}:
+        raise ValueError(f"files: expected each recording once, received {', '.join(sorted(twice))} several times")
+    tell, _ = reporters(options.compile, options.quiet)
+    compile = choose(options.compile, sum(len(track.z) for track in tracks) >= WORTHWHILE, tell)
+    found: dict[str, dict[str, Found]] = {track.name: {} for track in tracks}
+    for track, name in progress_bar([(t, n) for t in tracks for n in names], "filter", not options.quiet):
+        f = kind.make(name, track)
+        found[track.name][name] = measured(ready(f, name, options) if compile else f, track, kind.METRIC)
+    write(options, tracks, found)
+
+
+def ready(f: Filter, name: str, options: argparse.Namespace) -> Filter:
+    """A filter that runs compiled, or as it is where it has no kernel and none is wanted by all means."""
+    _, fallback = reporters(options.compile, options.quiet)
+    try:
+        return f.compile()
+    except (CompileError, NotImplementedError) as error:
+        if fallback is None:
+            raise
+        fallback(name, brief(error))
+        return f
+
+
+def write(options: argparse.Namespace, tracks: list[Track], found: dict[str, dict[str, Found]]) -> None:
+    """Prints the table, writes files, and complains of what is not finite."""
+    kind, failures = KINDS[options.kind], Failures()
+    if not options.quiet:
+        print(f"{table(kind.METRIC, tracks, found)}\n{kind.NOTE}", flush=True)
+    if options.json is not None:
+        figures = {name: of_filters(of) for name, of in found.items()}
+        published = {track.name: {kind.METRIC: track.published} for track in tracks}
+        with failures.of("json"):
+            write_json(options.json, {options.kind: figures, "published": published, "versions": versions()})
+    if options.figure is not None:
+        from torchfra import plotting  # matplotlib takes long to import
+
+        with failures.of("figure"):
+            plotting.save(picture(tracks, found), options.figure)
+    failures.messages += [
+        f"{track}, {name}: an error that is not finite"
+        for track, of in found.items()
+        for name, one in of.items()
+        if not all(math.isfinite(value) for value in one.figures.values())
+    ]
+    failures.end()
+
+
+def table(metric: str, tracks: list[Track], found: dict[str, dict[str, Found]]) -> str:
+    """A row for each recording, and one of means where there are several; columns of presets and of others."""
+    names, figures = list(found[tracks[0].name]), {name: of_filters(of) for name, of in found.items()}
+    others = list(dict.fromkeys(method for track in tracks for method in track.published))
+    parts = (metric, "smoothed", "nees", "nees_smoothed")
+    header = ["recording", *(f"{name} {part}" for name in names for part in parts), *others]
+    rows = [
+        [track.name, *(significant(figures[track.name][name][part]) for name in names for part in parts),
+         *(significant(track.published.get(method, math.nan)) for method in others)]
+        for track in tracks
+    ]  # fmt: skip
+    if len(tracks) > 1:
+        own = [fmean(figures[track.name][name][part] for track in tracks) for name in names for part in parts]
+        of_others = [fmean(track.published.get(method, math.nan) for track in tracks) for method in others]
+        rows.append(["mean", *map(significant, [*own, *of_others])])
+    return text_table(header, rows)
+
+
+def of_filters(of: dict[str, Found]) -> dict[str, Figures]:
+    """The figures alone."""
+    return {name: one.figures for name, one in of.items()}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,151 @@
+"""Recordings with published figures are read as they are laid out, and the table says how far presets are from them."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import recordings
+import torch
+from recorded_bench import nclt, uwb
+from recorded_bench.tracks import measured
+
+HEADER = "time,gps_x,gps_y,wheel_left,wheel_right,yaw,yaw_rate,truth_x,truth_y,truth_yaw"
+
+
+def day(folder, name="2012-11-16", steps=25, replaced=None):
+    """A robot that drives east at 1 m/s, with fixes every other second; ``replaced`` cells by (row, column)."""
+    rows = [[t, t + 1, 1, 0.9, 1.1, 0, 0, t, 0, 0] for t in range(steps)]
+    for row in rows[1::2]:
+        row[1:3] = ["", ""]
+    for (row, column), value in (replaced or {}).items():
+        rows[row][HEADER.split(",").index(column)] = value
+    path = folder / f"{name}.csv"
+    path.write_text("\n".join([HEADER, *(",".join(map(str, row)) for row in rows)]) + "\n")
+    return path
+
+
+def run_of_ranges(folder, results="LS RMSE: 1.5 m\nLS RMSE_2d: 1.25\nESKF RMSE_2d: 0.75\n"):
+    """A tag that is pulled past three anchors for 2 s, in a folder."""
+    path = folder / "LOS" / "Trajectory_A" / "Case_1"
+    path.mkdir(parents=True)
+    time = np.arange(0, 2.05, 0.1)
+    for name, place in (("A1", (0, 0, 1)), ("A2", (8, 0, 1)), ("A3", (4, 6, 1))):
+        ranges = np.sqrt((2 + time - place[0]) ** 2 + (1 - place[1]) ** 2 + 1)
+        rows = [f"{t},{place[0]},{place[1]},{place[2]},{r}" for t, r in zip(time, ranges, strict=True)]
+        (path / f"{name}.csv").write_text("\n".join(["t,x,y,z,range", *rows]) + "\n")
+    rows = [f"{t},{2 + t},1,0" for t in time]
+    (path / "trajectory.csv").write_text("\n".join(["timestamp,x,y,z", *rows]) + "\n")
+    (path / "RMSD_results.txt").write_text(results)
+    return path
+
+
+# ---------------------------------------------------------------- a robot on a campus
+
+
+def test_a_day_has_fixes_where_there_are_new_ones_and_the_speed_of_both_wheels(tmp_path):
+    track = nclt.read(day(tmp_path))
+    assert track.name == "2012-11-16"
+    assert track.z[::2].isfinite().all()
+    assert track.z[1::2].isnan().all()
+    torch.testing.assert_close(track.u, torch.tensor([[1.0, 0.0]]).double().expand(25, 2))
+    assert track.prior.mean.tolist() == [0.0] * 7
+
+
+def test_a_day_that_others_have_published_has_their_figures_and_any_other_has_none(tmp_path):
+    assert nclt.read(day(tmp_path)).published["KalmanNet"] == 5.61
+    assert nclt.read(day(tmp_path, "2013-01-10")).published == {}
+
+
+def test_a_preset_of_several_motions_has_positions_that_are_wrong_as_one_of_them(tmp_path):
+    track = nclt.read(day(tmp_path))
+    assert len(nclt.make("gpb", track).bank) == 2
+    assert nclt.make("srckf", track).motion.size == 7
+
+
+def test_errors_are_per_axis_over_all_rows(tmp_path):
+    track = nclt.read(day(tmp_path))
+    found = measured(nclt.make("srckf", track), track, nclt.METRIC)
+    by_hand = (found.mean - track.truth).square().mean().sqrt().item()
+    assert found.figures["rmse_axis"] == pytest.approx(by_hand)
+
+
+@pytest.mark.parametrize(("replaced", "said"), [
+    ({(4, "yaw"): ""}, r"2012-11-16.csv: yaw: expected a number in every row, received none in row 6"),
+    ({(4, "time"): 3}, r"2012-11-16.csv: time: expected times that grow, received 3 after 3, in row 6"),
+    ({(0, "truth_x"): ""}, r"2012-11-16.csv: truth_x, truth_y: expected a start in the first row, received none"),
+    ({(4, "gps_x"): "east"}, r"2012-11-16.csv: expected a number in data row 5, column gps_x, received 'east'"),
+], ids=["no yaw", "time stands still", "no start", "text"])  # fmt: skip
+def test_a_day_that_cannot_be_right_is_refused_by_file_and_column(tmp_path, replaced, said):
+    with pytest.raises(ValueError, match=said):
+        nclt.read(day(tmp_path, replaced=replaced))
+
+
+def test_a_file_without_a_column_is_refused_by_its_name(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("time,gps_x\n0,1\n1,2\n")
+    with pytest.raises(ValueError, match=r"a.csv: expected the columns time, .*received none called gps_y, wheel_left"):
+        nclt.read(path)
+
+
+# ---------------------------------------------------------------- ranges to a tag
+
+
+def test_a_run_of_ranges_has_the_errors_in_the_plane_that_were_published_with_it(tmp_path):
+    track = uwb.read(run_of_ranges(tmp_path))
+    assert track.name == "LOS/A/Case_1"
+    assert track.published == {"LS": 1.25, "ESKF": 0.75}
+
+
+def test_errors_of_ranges_are_of_the_distance_in_the_plane(tmp_path):
+    track = uwb.read(run_of_ranges(tmp_path))
+    found = measured(uwb.make("srckf", track), track, uwb.METRIC)
+    by_hand = (found.mean - track.truth).square().sum(-1).mean().sqrt().item()
+    assert found.figures["rmse_2d"] == pytest.approx(by_hand)
+
+
+def test_ranges_that_are_no_folder_are_refused_by_name(tmp_path):
+    with pytest.raises(ValueError, match=r"nowhere: expected a folder with the ranges of a run"):
+        uwb.read(tmp_path / "nowhere")
+
+
+# ---------------------------------------------------------------- the command
+
+
+def test_the_table_and_the_json_have_our_figures_and_those_of_others(tmp_path, capsys):
+    out = tmp_path / "r.json"
+    files = [str(day(tmp_path)), str(day(tmp_path, "2013-04-05"))]
+    assert recordings.main(["nclt", *files, "--filters", "srckf", "--json", str(out)]) == 0
+    result = json.loads(out.read_text())
+    figures = result["nclt"]["2012-11-16"]["srckf"]
+    assert figures.keys() == {"rmse_axis", "nees", "smoothed", "nees_smoothed"}
+    assert all(math.isfinite(value) for value in figures.values())
+    assert result["published"]["2012-11-16"]["rmse_axis"] == {"EKF": 12.29, "KalmanNet": 5.61}
+    printed = capsys.readouterr().out
+    assert "5.61" in printed
+    assert "mean" in printed
+    assert "Song et al. (2024)" in printed
+
+
+@pytest.mark.usefixtures("rough_figures")
+def test_the_figure_has_path_and_error_of_each_recording(tmp_path):
+    out = tmp_path / "r.png"
+    assert recordings.main(["nclt", str(day(tmp_path)), "--filters", "srckf", "--figure", str(out), "--quiet"]) == 0
+    assert out.stat().st_size > 1000
+
+
+def test_a_recording_that_is_given_twice_is_refused(tmp_path, capsys):
+    path = str(day(tmp_path))
+    assert recordings.main(["nclt", path, path]) == 2
+    assert "files: expected each recording once, received 2012-11-16 several times" in capsys.readouterr().err
+
+
+def test_a_filter_that_is_unknown_is_refused_with_those_that_are_known(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        recordings.main(["nclt", str(day(tmp_path)), "--filters", "kalman"])
+    assert "--filters: expected names out of" in capsys.readouterr().err
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path, capsys):
+    assert recordings.main(["nclt", str(tmp_path / "none.csv")]) == 2
+    assert "file not found" in capsys.readouterr().err
