@@ -6,6 +6,7 @@ import pytest
 import torchfra
 from torchfra.readers import read
 from torchfra.readers.degrees import degrees_of
+from torchfra.readers.placeholders import nowhere
 
 ROWS = 40
 LATITUDE, LONGITUDE = 47.5 + 1e-4 * np.arange(ROWS), 8.25 + 1e-4 * np.arange(ROWS)
@@ -95,6 +96,7 @@ def test_metres_that_stand_for_none_are_missing_in_both_coordinates_only(track):
     assert len(track(x=np.where(gone, -999, x), y=np.where(gone, -999, y)).time) == ROWS - 4
     assert len(track(x=np.where(gone, -999, x), y=y).time) == ROWS
     assert len(track(x=x - 1000, y=np.full(ROWS, -999.0)).time) == ROWS
+    assert not nowhere(np.where(gone, -999, x)[:20], np.where(gone, -999, y)[:20], False).any()  # too few to tell
 
 
 def test_altitudes_that_stand_for_none_are_missing(track):

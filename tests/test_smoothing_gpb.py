@@ -45,7 +45,8 @@ def chains():
     regime = stay + (1 - np.diag(stay))[:, None] * renew
     calm, agile = models([ConstantVelocity(LEVELS[0]), ConstantVelocity(LEVELS[1])])
     each = [m._replace(SR=root * STD * np.eye(2)) for m in (calm, agile) for root in (1, SIZE**0.5)]
-    return np.kron(regime, quality), np.kron(renew, [1.0, 0.0]), each
+    lasting = renew / (1 - np.diag(stay))
+    return np.kron(regime, quality), np.kron(lasting / lasting.sum(), [1.0, 0.0]), each
 
 
 def simulated(runs, steps, seed=0):

@@ -20,8 +20,8 @@ Lengths are metres unless the name of a column or ``units`` says another unit; a
 degrees, minutes and seconds; letters of the sides stand in front, behind or in a column of their own.  What was taken
 for what is in ``Source.said``.
 
-Placeholders (-999, 9999, 99999 and the like) are missing where nothing that is measured is half as large: in the
-altitude, or in both coordinates at once; so are 0, 0 degrees far from all else.
+Placeholders (-999, 9999, 99999 and the like) are missing beside 25 numbers or more of which none is half as large: in
+the altitude, or in both coordinates at once; so are 0, 0 degrees far from all else.
 
 A number is a decimal one in ASCII digits, such as -1.5e3.  Empty cells, null and NaN in any letters are missing.  All
 else is refused, also "inf", 1_000 and 0x10; so are times in two units or with the name of a zone, clocks of 12 hours

@@ -11,6 +11,8 @@ PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, -32768.0)
 """As loggers and data bases write them; no degrees are as large."""
 _ISOLATED = 0.5
 """Share of a placeholder from which on nothing else is found, so that it is none of the numbers that are measured."""
+_ENOUGH = 25
+"""Numbers beside a placeholder from which on it can be told from them; among fewer any may have been measured."""
 _NULL_ISLAND = 1.0
 """Degrees around 0, 0 within which nothing else is found, where that is no place."""
 
@@ -21,7 +23,7 @@ def stand_for_none(values: Array) -> NDArray[np.bool_]:
     for placeholder in PLACEHOLDERS:
         at = np.isclose(values, placeholder, rtol=0, atol=1e-6)
         rest = np.sign(placeholder) * values[~at & np.isfinite(values)]
-        if at.any() and len(rest) and rest.max() < _ISOLATED * abs(placeholder):
+        if at.any() and len(rest) >= _ENOUGH and rest.max() < _ISOLATED * abs(placeholder):
             gone |= at
     return gone
 
