@@ -28,8 +28,10 @@ _SIDES = {"latitude": "NS", "longitude": "EW"}
 _ABSENT = {"latitude": 91.0, "longitude": 181.0}
 """What receivers of ships say where they have no position."""
 _SIDE = re.compile(
-    "(?P<latitude>(?:ns|northsouth)(?:ind|indicator|hemisphere)?|lat(?:itude)?(?:ns|dir|direction|hem|hemi|hemisphere|ref))"
-    "|(?P<longitude>(?:ew|eastwest)(?:ind|indicator|hemisphere)?|lon(?:g|gitude)?(?:ew|dir|direction|hem|hemi|hemisphere|ref))"
+    "(?P<latitude>(?:ns|northsouth)(?:ind|indicator|hemisphere)?"
+    "|lat(?:itude)?(?:ns|dir|direction|hem|hemi|hemisphere|ref))"
+    "|(?P<longitude>(?:ew|eastwest)(?:ind|indicator|hemisphere)?"
+    "|lon(?:g|gitude)?(?:ew|dir|direction|hem|hemi|hemisphere|ref))"
 )
 """Names of columns that say on which side of the equator or of Greenwich a fix is."""
 _ALTITUDES_IN_FEET = {"altitude", "alt", "altbaro", "altgeom"}
@@ -247,7 +249,7 @@ def _kind(role: str, columns: Mapping[str, str], head: Head, length: float, word
     limit = _LIMITS[role]
     absent = (*PLACEHOLDERS, _ABSENT[role]) if word == "ship" else PLACEHOLDERS
     kind = Kind(f"degrees within +-{limit:g}", limit=limit, absent=absent, sides=_SIDES[role])
-    kind = replace(kind, advice=advice(*(_some_degrees(head, name) for name in (column, other)), limit))
+    kind = replace(kind, advice=advice(_some_degrees(head, column), _some_degrees(head, other), limit))
     if not _is_whole(head, column, 7):
         return kind
     degrees = _SEMICIRCLE if column.lower() in _SEMICIRCLES else _AUTOPILOT
@@ -267,7 +269,8 @@ def _sides(head: Head, columns: Mapping[str, str]) -> dict[str, str]:
     """Columns with the letters of the sides, by the columns of latitudes and longitudes that have no signs."""
     sides = {}
     for name in head.names:
-        role = match.lastgroup if (match := _SIDE.fullmatch(re.sub("[^a-z]", "", name.lower()))) else None
+        match = _SIDE.fullmatch(re.sub("[^a-z]", "", name.lower()))
+        role = (match.lastgroup if match else None) or ""
         if role not in columns or name in columns.values():
             continue
         letters = {text.upper() for text in _texts(head, [name])} - {""}
