@@ -7,7 +7,8 @@ import re
 _NUMBER = r"[0-9]+(?:\.[0-9]*)?(?:e[+-][0-9]+)?"
 _DEGREES = re.compile(
     rf"(?P<front>[NSEWnsew]?)\s*(?P<sign>[+-]?)(?P<degrees>{_NUMBER})\s*(?:°|\u00ba|deg)?"
-    rf"(?:(?:(?<=[°\u00ba:])|(?<=deg)|\s|:)\s*(?P<minutes>{_NUMBER})\s*['\u2032\u2019]?(?:(?:(?<=['\u2032\u2019])|\s|:)\s*"
+    rf"(?:(?:(?<=[°\u00ba:])|(?<=deg)|\s|:)\s*(?P<minutes>{_NUMBER})\s*['\u2032\u2019]?"
+    rf"(?:(?:(?<=['\u2032\u2019])|\s|:)\s*"
     rf"(?P<seconds>{_NUMBER})\s*(?:[\"\u2033\u201d]|''|\u2032\u2032)?)?)?\s*(?P<back>[NSEWnsew]?)"
 )
 _COMPACT = 100

@@ -69,8 +69,10 @@ def form_of(cells: Sequence[Any], *, day_first: bool = False) -> tuple[str, str]
     clocks = [_CLOCK.fullmatch(text) for text in texts]
     if all(clocks):
         halves = {"" if of is None or of["half"] is None else of["half"][:-2] + "%p" for of in clocks}
-        form = CLOCK if halves == {""} else HALF_CLOCK + halves.pop()
-        return None if halves and form != CLOCK else (form, form)
+        if len(halves) > 1:
+            return None
+        clock = HALF_CLOCK + halves.pop() if halves != {""} else CLOCK
+        return clock, clock
     first = _ISO.fullmatch(texts[0])
     if not _is_plain(texts[0]) and (zoned := _ZONED.fullmatch(texts[0])) and _is_plain(zoned["bare"]):
         return _form_with_zone(texts, zoned, day_first)
