@@ -49,18 +49,12 @@ def test_a_day_has_fixes_where_there_are_new_ones_and_the_speed_of_both_wheels(t
     assert track.z[::2].isfinite().all()
     assert track.z[1::2].isnan().all()
     torch.testing.assert_close(track.u, torch.tensor([[1.0, 0.0]]).double().expand(25, 2))
-    assert track.prior.mean.tolist() == [0.0] * 7
+    assert track.prior.mean.tolist() == [0.0] * 4
 
 
 def test_a_day_that_others_have_published_has_their_figures_and_any_other_has_none(tmp_path):
     assert nclt.read(day(tmp_path)).published["KalmanNet"] == 5.61
     assert nclt.read(day(tmp_path, "2013-01-10")).published == {}
-
-
-def test_a_preset_of_several_motions_has_positions_that_are_wrong_as_one_of_them(tmp_path):
-    track = nclt.read(day(tmp_path))
-    assert len(nclt.make("gpb", track).bank) == 2
-    assert nclt.make("srckf", track).motion.size == 7
 
 
 def test_errors_are_per_axis_over_all_rows(tmp_path):

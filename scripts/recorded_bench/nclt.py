@@ -20,8 +20,8 @@ from recorded_bench.files import check_ascending, check_complete, read_columns, 
 from recorded_bench.tracks import Figures, Track
 from torchfra.catalogue import make_filter
 from torchfra.filters import Filter
-from torchfra.motion import Augmented, Bank, GaussMarkov, Odometry
-from torchfra.sensors import Biased, Position
+from torchfra.motion import Odometry
+from torchfra.sensors import Position
 from torchfra.types import Gaussian
 
 METRIC = "rmse_axis"
@@ -37,23 +37,22 @@ NOTE = (
     "Song et al. (2024): EKF and KalmanNet, which has learnt from 22 other days with a truth; means over 2012-11-04, "
     "2012-11-16 and 2013-04-05: EKF 13.33, SIKNet 9.37, KalmanNet 8.02"
 )
-GPS = 1.0
-"""Standard deviation of what differs from one satellite position to the next, m."""
-LASTING, FAULT = (4.0, 400.0), (50.0, 100.0)
-"""Standard deviation, m, and correlation time, s, of the error that satellite positions always have beside it, and of
-the one that they have while something is wrong with them."""
-WALKS = (1e-2, 1e-9, 9e-8)
+GPS = 5.0
+"""Standard deviation of a satellite position, m."""
+WALKS = (1e-2, 1e-8, 9e-8)
 """Densities of the walks of position, heading error and scale: m^2/s, rad^2/s, 1/s."""
-WANDER = (0.1, 20.0)
-"""Standard deviation, rad, and correlation time, s, of the second error of the heading."""
-START = (1.0, 1.0, 0.2, 0.1, WANDER[0], LASTING[0], LASTING[0])
-"""Standard deviations before the first step: position, m, heading error, rad, logarithm of the wheels' scale, second
-error of the heading, rad, error of satellite positions, m."""
+START = (1.0, 1.0, 0.2, 0.1)
+"""Standard deviations before the first step: position, m, heading error, rad, logarithm of the wheels' scale."""
 OPTIONS: dict[str, dict[str, Any]] = {
-    "gpb": {"manoeuvres": "none", "self_transition": (0.998, 0.998), "restart": (0.5, 0.5)},
+    "gpb": {
+        "manoeuvres": "none",
+        "outlier_transition": ((0.999, 0.001), (0.01, 0.99)),
+        "outlier_sizes": (10.0, 100.0),
+        "outlier_shares": (0.5, 0.5),
+    }
 }
 """Arguments of presets, others than their defaults: a robot that measures its own way does not jump, and satellite
-positions go over to being wrong, and back, once in 1000 steps."""
+positions that are wrong stay so for 100 steps on average."""
 
 
 def read(path: Path) -> Track:
@@ -88,11 +87,5 @@ def read(path: Path) -> Track:
 
 
 def make(name: str, track: Track) -> Filter:
-    """A preset with the one setting of all days, chosen on 2013-01-10 and 2013-02-23.
-
-    Presets of a single motion have satellite positions that are always right, those of several both kinds.
-    """
-    odometry = Odometry(*WALKS, wander=WANDER[0], wander_time=WANDER[1])
-    right, wrong = (Augmented(odometry, GaussMarkov(std, time, 2)) for std, time in (LASTING, FAULT))
-    sensor = Biased(Position(GPS), (odometry.size, odometry.size + 1))
-    return make_filter(name, right, sensor, Bank([right, wrong]), **OPTIONS.get(name, {}))
+    """A preset with the one setting of all days, chosen on 2013-01-10 and 2013-02-23."""
+    return make_filter(name, Odometry(*WALKS), Position(GPS), **OPTIONS.get(name, {}))
