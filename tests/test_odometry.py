@@ -14,7 +14,6 @@ from torchfra.motion import Augmented, GaussMarkov, Odometry
 from torchfra.sensors import Biased, Position
 
 COMPASS = Odometry(0.1, 0.02, 1e-3)
-WANDERING = Odometry(0.1, 0.02, 1e-3, wander=0.2, wander_time=20.0)
 GYROSCOPE = Odometry(0.1, 0.02, 1e-3, 1e-5)
 
 
@@ -38,17 +37,6 @@ def test_with_a_measured_heading_a_step_is_straight():
     torch.testing.assert_close(got, tensor(1 + 3 * math.cos(0.5), 2 + 3 * math.sin(0.5), 0.1, math.log(2)))
 
 
-def test_a_second_error_of_the_heading_turns_a_step_and_is_forgotten():
-    got = WANDERING(tensor(1, 2, 0.1, math.log(2), 0.2), tensor(0.5)[0], tensor(3, 0.2))
-    left = 0.2 * math.exp(-0.5 / 20)
-    torch.testing.assert_close(got, tensor(1 + 3 * math.cos(0.5), 2 + 3 * math.sin(0.5), 0.1, math.log(2), left))
-
-
-def test_a_second_error_of_the_heading_keeps_its_standard_deviation():
-    left, root = math.exp(-7 / 20), WANDERING.process_noise(tensor(7.0))[0]
-    assert (0.2 * left) ** 2 + root[4, 4].item() ** 2 == pytest.approx(0.2**2)
-
-
 @pytest.mark.parametrize("rate", [-2.0, -0.05, 0.0, 1.5])
 def test_with_a_gyroscope_a_step_is_the_arc_that_small_straight_steps_make(rate):
     x, u = [1.0, 2.0, 0.3, 0.1, 0.05], [4.0, rate]
@@ -62,7 +50,7 @@ def test_each_component_walks_with_the_density_that_is_given():
         torch.testing.assert_close(root @ root.mT, (tensor(*densities) * tensor(0.5, 2.0)[:, None]).diag_embed())
 
 
-@pytest.mark.parametrize("motion", [COMPASS, GYROSCOPE, WANDERING], ids=["compass", "gyroscope", "wandering"])
+@pytest.mark.parametrize("motion", [COMPASS, GYROSCOPE], ids=["compass", "gyroscope"])
 def test_its_gradients_are_right_where_it_turns_and_where_it_does_not(motion):
     x = torch.randn(3, motion.size, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     u = tensor([5.0, 0.3], [5.0, 0.0], [0.0, 0.0])
@@ -91,19 +79,8 @@ def test_a_density_below_zero_is_an_error(values):
         Odometry(*values)
 
 
-@pytest.mark.parametrize(("options", "said"), [
-    ({"wander": 0.1}, "wander, wander_time: expected both or none, received 0.1, None"),
-    ({"wander": 0.1, "wander_time": 20.0, "bias": 1e-5}, "wander: expected a measured heading"),
-    ({"wander": -0.1, "wander_time": 20.0}, "std: expected"),
-    ({"wander": 0.1, "wander_time": 0.0}, "time: expected"),
-], ids=["no time", "gyroscope", "below zero", "no seconds"])  # fmt: skip
-def test_a_second_error_of_the_heading_that_cannot_be_is_an_error(options, said):
-    with pytest.raises(ValueError, match=said):
-        Odometry(0.1, 0.02, 1e-3, **options)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("motion", [COMPASS, GYROSCOPE, WANDERING], ids=["compass", "gyroscope", "wandering"])
+@pytest.mark.parametrize("motion", [COMPASS, GYROSCOPE], ids=["compass", "gyroscope"])
 def test_it_has_no_problems_as_a_model(motion):
     report = torchfra.check_model(motion, Position(2.0), u=torch.tensor([3.0, 0.2]))
     assert report.ok, report
