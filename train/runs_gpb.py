@@ -17,9 +17,9 @@ def gpb() -> Config:
     """Values of ``gpb``: one set over starts, manoeuvres, outliers alone and in bursts, sensors, and stated models.
 
     Filters of a bank and of one motion learn the same values.  Half of the tasks are the papers' scenarios, recorded
-    flights and ranges, where targets do not move as filters are told; the others are tracks drawn from what filters are
-    told, or are told a noise that is several times off.  Each may be so much behind its best rival: what is above that
-    counts, so that the worst regret falls.  What does not count (weight 0) is looked at in the end.
+    flights and ranges, where targets do not move as stated; the others are tracks drawn from the stated models, or with
+    a stated noise that is several times off.  Each task allows a regret; what is above that counts, so that the worst
+    regret falls.  What does not count (weight 0) is looked at in the end.
     """
     kinds = ("none", "covariance", "std", "bursts")
     bearings = [Task("bearings-outliers", {"initial": initial}, runs=320) for initial in ("paper", "truth")]
@@ -58,23 +58,23 @@ def gpb() -> Config:
 
 
 def stated() -> list[Task]:
-    """Tracks drawn from the models that are stated to filters, or with noise that is several times off."""
+    """Tracks drawn from the stated models, or with a stated noise that is several times off."""
 
-    def told(allowed: float, index: float = 0.1, outliers: str = "none", **options: Any) -> Task:
+    def drawn(allowed: float, index: float = 0.1, outliers: str = "none", **options: Any) -> Task:
         return Task("as-stated", {"index": index, "outliers": outliers, **options}, allowed=allowed)
 
     indices = (0.001, 0.01, 0.1, 1.0)
-    tasks = [told(HOLDS, index, motion=motion) for index in indices for motion in ("velocity", "bank")]
-    tasks += [told(HOLDS, 1.0, sensor="ranges"), told(HOLDS, motion="acceleration")]
+    tasks = [drawn(HOLDS, index, motion=motion) for index in indices for motion in ("velocity", "bank")]
+    tasks += [drawn(HOLDS, 1.0, sensor="ranges"), drawn(HOLDS, motion="acceleration")]
     for outliers in ("covariance", "std", "bursts"):
-        tasks += [told(0.05, index, outliers) for index in indices]
-        tasks += [told(0.05, outliers=outliers, motion=motion) for motion in ("acceleration", "bank")]
-    tasks.append(told(0.05, outliers="bursts", sensor="ranges"))
-    tasks += [told(OFF, index, q=q) for index in indices for q in (0.1, 10.0)]
-    tasks += [told(OFF, q=q, motion="acceleration") for q in (0.1, 10.0)]
-    tasks += [told(OFF, outliers="std", q=q) for q in (0.1, 10.0)]
-    tasks += [told(1.0, index, q=0.01) for index in indices]
-    return tasks + [told(0.4, index, std=std) for index in indices for std in (0.5, 2.0)]
+        tasks += [drawn(0.05, index, outliers) for index in indices]
+        tasks += [drawn(0.05, outliers=outliers, motion=motion) for motion in ("acceleration", "bank")]
+    tasks.append(drawn(0.05, outliers="bursts", sensor="ranges"))
+    tasks += [drawn(OFF, index, q=q) for index in indices for q in (0.1, 10.0)]
+    tasks += [drawn(OFF, q=q, motion="acceleration") for q in (0.1, 10.0)]
+    tasks += [drawn(OFF, outliers="std", q=q) for q in (0.1, 10.0)]
+    tasks += [drawn(1.0, index, q=0.01) for index in indices]
+    return tasks + [drawn(0.4, index, std=std) for index in indices for std in (0.5, 2.0)]
 
 
 def recover_gpb() -> Config:

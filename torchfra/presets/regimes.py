@@ -81,8 +81,7 @@ def gpb(
         prior_outlier: probability that the prior is far off.
         prior_inflation: factor on the prior's covariance then, but for parameters (``kinds`` of the motion).
         adaptive_largest_size: whether the last of the sizes grows to what a measurement asks for.
-        lag: 0 for an estimate from the measurements so far, 1 for one that the next measurement has settled; the
-            other is in ``Estimate.info``.
+        lag: 0 for the filtered estimate, 1 for the one-step smoothed estimate; the other is in ``Estimate.info``.
         rule: makes the points for a number of states.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 

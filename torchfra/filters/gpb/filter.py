@@ -80,7 +80,7 @@ class GPB(Filter[GPBState]):
     5. ``P(o, r, o' | z) = L(o, r, o') P(o | o') c(r, o') / L``, with ``L`` the sum of all.
     6. ``x(o, k)``: merged over the regimes of a motion and what was before; ``P(r, o)`` their sum.
     7. ``x``: merged over all, the estimate.
-    8. ``x'``: the beliefs before, weighed by what has become of them: the estimate of the step before, settled.
+    8. ``x'``: the beliefs before, weighed by what has become of them: the step before, smoothed by this one.
 
     ``Estimate.nis`` and the innovation are those of the Gaussian with the moments of all predictions, with the noise as
     the sensor states it; ``log_likelihood`` is that of the mixture.  Before the first step there are two beliefs too:
@@ -93,7 +93,7 @@ class GPB(Filter[GPBState]):
         outliers: the Markov chain of outliers, of the sensor's blocks.
         prior_outlier: probability that the prior is far off.
         prior_inflation: factor on the prior's covariance then, but for parameters (``kinds`` of the motion).
-        lag: 0 for the filtered estimate, 1 for the one that the next measurement has settled; the other is in ``info``.
+        lag: 0 for the filtered estimate, 1 for the one-step smoothed estimate; the other is in ``info``.
         rule: from a number of states to the rule that carries a Gaussian through a function.
 
     Raises:
@@ -218,7 +218,7 @@ class GPB(Filter[GPBState]):
         return Gaussian(one.mean[0, 0, 0], one.scale_tril[0, 0, 0])
 
     def finish(self, state: GPBState, belief: Gaussian, info: Step) -> tuple[Gaussian, GPBInfo]:
-        """Each step's settled estimate comes with the next."""
+        """The one-step smoothed estimate of each step comes with the next."""
         time = info.regimes.dim() - 2
         lagged = tree.one_earlier(info.lagged, state.belief, time, info.regimes.shape[time])
         return lagged if self.lag else belief, GPBInfo(belief, lagged, info.regimes, info.outlier)
