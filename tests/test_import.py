@@ -15,7 +15,7 @@ import torchfra
 LIBRARY, TESTS = Path(torchfra.__file__).parent, Path(__file__).parent
 CORE = {
     "adaptive", "angles", "association", "coordinates", "filters", "gaussian", "hyper", "linalg", "motion", "presets",
-    "robust", "sensors", "suggestions", "tables", "tree", "types", "version",
+    "register", "robust", "sensors", "suggestions", "tables", "tree", "types", "version",
 }  # fmt: skip
 """The parts of the package that a filter needs."""
 FILTER = """

@@ -2,7 +2,8 @@
 
 import pytest
 
-from torchfra.catalogue import FILTERS, WORDS
+from torchfra import presets
+from torchfra.catalogue import FILTERS
 from torchfra.evaluation import headline, table
 
 
@@ -29,7 +30,7 @@ def test_a_filter_has_a_line_with_its_time_and_what_its_name_stands_for():
     assert lines()["gpb"].split()[:8] == ["gpb", "60.2", "3.00", "31.0", "400", "0", "1.50", "0.08"]
     assert lines()["srckf"].endswith("square-root cubature Kalman filter")
     assert lines()["mine"].endswith("0.08")
-    assert {*FILTERS} == {*WORDS}
+    assert all(entry.words for name, entry in FILTERS.items() if hasattr(presets, name))
 
 
 def test_filters_with_the_same_errors_share_a_line_unless_all_are_asked_for():

@@ -9,44 +9,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from torchfra import presets, scenarios, state_files
+from torchfra import presets as presets  # adds its filters to those of the register
+from torchfra import scenarios, state_files
 from torchfra.filters.base import Filter
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.register import FILTERS as FILTERS
 from torchfra.register import SCENARIOS as SCENARIOS
-from torchfra.register import FilterEntry, made
+from torchfra.register import made
 from torchfra.scenarios.base import Scenario
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.position import Position
 from torchfra.suggestions import meant
-
-FILTERS.update({
-    "gpb": FilterEntry(presets.gpb, either=True, emphasised=True),
-    "ukf": FilterEntry(presets.ukf),
-    "ekf": FilterEntry(presets.ekf),
-    "srckf": FilterEntry(presets.srckf),
-    "rsrckf": FilterEntry(presets.rsrckf),
-    "mr_ckf": FilterEntry(presets.mr_ckf),
-    "asrckf": FilterEntry(presets.asrckf),
-    "rmckf": FilterEntry(presets.rmckf),
-    "ghckf": FilterEntry(presets.ghckf),
-    "hghckf1": FilterEntry(presets.hghckf1),
-    "hghckf2": FilterEntry(presets.hghckf2),
-    "hghckf": FilterEntry(presets.hghckf),
-    "iaukf": FilterEntry(presets.iaukf),
-    "fra_srckf": FilterEntry(presets.fra_srckf, gated=True, emphasised=True),
-    "fra": FilterEntry(presets.fra, gated=True, emphasised=True),
-    "imm_srckf": FilterEntry(presets.imm_srckf, bank=True),
-    "imm_ckf": FilterEntry(presets.imm_ckf, bank=True, listed=False),  # the same filter as imm_srckf
-    "imm": FilterEntry(presets.imm, bank=True, listed=False),
-    "vsimm_srckf": FilterEntry(presets.vsimm_srckf, bank=True),
-    "imm_fra": FilterEntry(presets.imm_fra, bank=True, gated=True),
-    "alphabeta": FilterEntry(presets.alphabeta, constant_gains=True),
-    "ukf_jpda": FilterEntry(presets.ukf_jpda, scans=True),
-    "iaukf_jpda": FilterEntry(presets.iaukf_jpda, scans=True),
-    "jpda": FilterEntry(presets.jpda, scans=True, listed=False),
-})  # fmt: skip
 
 SCENARIOS.update({
     "bearings-outliers": scenarios.bearings_outliers,
@@ -61,22 +35,6 @@ SCENARIOS.update({
     "ranges-outliers": scenarios.ranges_outliers,
     "as-stated": scenarios.as_stated,
 })  # fmt: skip
-
-
-WORDS = {
-    "gpb": "outliers and manoeuvres as hypotheses", "ukf": "unscented Kalman filter", "ekf": "extended Kalman filter",
-    "srckf": "square-root cubature Kalman filter", "rsrckf": "srckf with Huber weights",
-    "mr_ckf": "srckf with weights in three segments", "asrckf": "srckf with fading factors",
-    "rmckf": "Huber weights and fading factors", "ghckf": "fifth-degree cubature Kalman filter",
-    "hghckf1": "ghckf, robust by Huber regression", "hghckf2": "ghckf, robust by the innovation",
-    "hghckf": "hghckf2 that catches up", "iaukf": "ukf that estimates the noise",
-    "fra_srckf": "robust or adaptive, as published", "fra": "robust or adaptive, as the next decides",
-    "imm_srckf": "interacting motions", "imm_ckf": "imm_srckf", "imm": "interacting motions",
-    "vsimm_srckf": "interacting motions, a few at a time", "imm_fra": "interacting motions, each with fra",
-    "alphabeta": "switching constant gains", "ukf_jpda": "ukf with data association",
-    "iaukf_jpda": "iaukf with data association", "jpda": "joint probabilistic data association",
-}  # fmt: skip
-"""What the names of filters stand for, in a few words."""
 
 
 def track_filters() -> list[str]:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
 from torchfra.filters.base import Filter
@@ -31,6 +31,8 @@ class FilterEntry:
     """A preset and its traits."""
 
     preset: Callable[..., Filter]
+    words: str = ""
+    """What its name stands for, in a few words."""
     bank: bool = False
     """It takes a ``Bank`` of motions instead of one."""
     either: bool = False
@@ -49,30 +51,30 @@ class FilterEntry:
 
 
 FILTERS: dict[str, FilterEntry] = {}
-"""Filters by name; ``catalogue`` fills in those of the library."""
+"""Filters by name, in the order in which commands and tables list them; ``presets`` adds those of the library."""
 SCENARIOS: dict[str, Callable[..., Any]] = {}
-"""Functions that make a ``Scenario``, by name; likewise."""
+"""Functions that make a ``Scenario``, by name; ``catalogue`` adds those of the library."""
 
 
-def filter(
-    name: str, *, bank: bool = False, either: bool = False, scans: bool = False, listed: bool = True
-) -> Callable[[F], F]:
+def filter(name: str, **traits: Any) -> Callable[[F], F]:
     """A decorator that adds a function of ``(motion, sensor, **options)`` to the filters.
 
     Args:
         name: letters, digits, ``_``, ``-`` and ``.``.
-        bank: whether it takes a ``Bank`` of motions instead of one.
-        either: whether it takes a ``Bank`` where there is one, else one motion.
-        scans: whether its filter takes scans of several targets; it is then called with ``clutter`` and ``detection``.
-        listed: whether commands run it unless told which.
+        traits: fields of ``FilterEntry``: ``words`` for what the name stands for; ``bank=True`` if it takes a ``Bank``
+            of motions instead of one, ``either=True`` if it takes both, ``scans=True`` if its filter takes scans of
+            several targets (it is then called with ``clutter`` and ``detection``), and others.
 
     Raises:
-        ValueError: a name that another function has or that has other characters, or what is no function.
+        ValueError: a name that another function has or that has other characters, what is no function, or no trait.
     """
+    known = [field.name for field in fields(FilterEntry) if field.name != "preset"]
+    for key in traits.keys() - known:
+        raise ValueError(f"{key}: expected one of {', '.join(known)}, received {key}={traits[key]!r}")
 
     def add(preset: F) -> F:
         _check(name, preset, FILTERS[name].preset if name in FILTERS else None)
-        FILTERS[name] = FilterEntry(preset, bank=bank, either=either, scans=scans, listed=listed)
+        FILTERS[name] = FilterEntry(preset, **traits)
         return preset
 
     return add

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchfra.catalogue import FILTERS, make_filter
 from torchfra.cleaning.batches import Steps, padded
-from torchfra.filters import GPB, AlphaBetaInfo, Filter, FRAInfo, GPBInfo
+from torchfra.filters import GPB, Filter, GPBInfo
 from torchfra.filters.records import SmoothInfo
 from torchfra.motion.bank import Bank, aircraft
 from torchfra.motion.polynomial import ConstantVelocity
@@ -78,18 +78,12 @@ def estimated(
 
 
 def outlier_of(estimate: Estimate) -> Tensor:
-    """Probability ``(..., T)`` that a fix is an outlier, in any of its elements; NaN of filters that do not say."""
+    """Probability ``(..., T)`` that a fix is an outlier: the largest of ``info.outlier``; NaN where there is none."""
     info = estimate.info
     if isinstance(info, SmoothInfo) and info.outlier is None:
         info = info.filtered.info
-    match info:
-        case AlphaBetaInfo(rejected=rejected):
-            return rejected.any(-1).to(estimate.nis)
-        case FRAInfo(abnormal=abnormal, adaptive=adaptive, plain=plain):
-            return (abnormal & ~adaptive & ~plain).to(estimate.nis)
-        case object(outlier=Tensor() as probability):
-            return probability.amax(-1)
-    return torch.full_like(estimate.nis, torch.nan)
+    found = getattr(info, "outlier", None)
+    return torch.full_like(estimate.nis, torch.nan) if found is None else found.to(estimate.nis).amax(-1)
 
 
 def regimes_of(f: Filter, estimate: Estimate) -> tuple[tuple[str, ...], Tensor]:

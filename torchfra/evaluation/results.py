@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchfra.catalogue import FILTERS, WORDS
+from torchfra.catalogue import FILTERS
 from torchfra.running.versions import versions
 from torchfra.scenarios import Scenario
 from torchfra.tables import text_table
@@ -85,7 +85,7 @@ def table(results: dict[str, Result], *, every: bool = True) -> str:
             "-" if far and key in _MEANS and math.isfinite(result[key]) else f"{result[key]:{form}}"
             for (_, key, _), form in pairs
         ]
-        words = WORDS.get(name, "") + (f"; the same: {', '.join(alike)}" if alike else "")
+        words = (FILTERS[name].words if name in FILTERS else "") + (f"; the same: {', '.join(alike)}" if alike else "")
         rows.append([name, *cells, words])
     align = f"<{'>' * len(_COLUMNS)}<"
     return text_table(["filter", *(title for title, _, _ in _COLUMNS), "which is"], rows, align=align)

@@ -79,6 +79,11 @@ class FRAInfo(NamedTuple):
     provisional: Gaussian
     """``mean (..., T, n)`` and ``scale_tril``: the estimate at the step itself, before the next measurement decided."""
 
+    @property
+    def outlier(self) -> Tensor:
+        """``(..., T, 1)`` bool: the robust branch was kept at an abnormal step."""
+        return (self.abnormal & ~self.adaptive & ~self.plain).unsqueeze(-1)
+
 
 class Choice(NamedTuple):
     """Which branch of an abnormal step was kept, ``(...)`` bool each; neither: the robust one."""

@@ -28,37 +28,14 @@ A filter around another (``imm``, ``vsimm_srckf``, ``jpda``) takes that other as
     imm(bank, sensor, inner=partial(rsrckf, threshold=2.0))
 """
 
-from torchfra.presets.adaptive import asrckf, iaukf, rmckf
-from torchfra.presets.banks import imm, imm_ckf, imm_fra, imm_srckf, vsimm_srckf
-from torchfra.presets.constant_gains import alphabeta
-from torchfra.presets.feedback import fra, fra_srckf
-from torchfra.presets.regimes import gpb
-from torchfra.presets.scans import iaukf_jpda, jpda, ukf_jpda
-from torchfra.presets.single import ekf, ghckf, hghckf, hghckf1, hghckf2, mr_ckf, rsrckf, srckf, ukf
+# In the order in which commands and tables list filters; each file says in __all__ which presets it has.
+from torchfra.presets.regimes import *
+from torchfra.presets.single import *
+from torchfra.presets.adaptive import *
+from torchfra.presets.feedback import *
+from torchfra.presets.banks import *
+from torchfra.presets.constant_gains import *
+from torchfra.presets.scans import *
+from torchfra.register import FILTERS as _FILTERS
 
-__all__ = [
-    "alphabeta",
-    "asrckf",
-    "ekf",
-    "fra",
-    "fra_srckf",
-    "ghckf",
-    "gpb",
-    "hghckf",
-    "hghckf1",
-    "hghckf2",
-    "iaukf",
-    "iaukf_jpda",
-    "imm",
-    "imm_ckf",
-    "imm_fra",
-    "imm_srckf",
-    "jpda",
-    "mr_ckf",
-    "rmckf",
-    "rsrckf",
-    "srckf",
-    "ukf",
-    "ukf_jpda",
-    "vsimm_srckf",
-]
+__all__ = [name for name, entry in _FILTERS.items() if entry.preset.__module__.startswith(__name__)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
+from torchfra import register
 from torchfra.adaptive.fading import Fading
 from torchfra.adaptive.noise import SageHusa
 from torchfra.filters.srckf import SRCKF
@@ -15,7 +16,10 @@ from torchfra.presets.sides import Share, States, robust_side
 from torchfra.robust.base import Robust
 from torchfra.sensors.base import Sensor
 
+__all__ = ["asrckf", "iaukf", "rmckf"]
 
+
+@register.filter("asrckf", words="srckf with fading factors")
 def asrckf(
     motion: Motion, sensor: Sensor, *, weakening: Value = 2.0, forgetting: Value = 0.95, fading_max: Value = 1e3,
     rcond: float = 0.1, states: States = None, share: Share = None, trace: str = "full", learn: Collection[str] = (),
@@ -38,6 +42,7 @@ def asrckf(
     return with_learning(SRCKF(motion, sensor, fading=fading), learn)
 
 
+@register.filter("rmckf", words="Huber weights and fading factors")
 def rmckf(
     motion: Motion, sensor: Sensor, *, threshold: Value | None = None, per_element: bool = False,
     robust: Robust | None = None, weakening: Value = 2.0, forgetting: Value = 0.95, fading_max: Value = 1e3,
@@ -68,6 +73,7 @@ def rmckf(
     return with_learning(SRCKF(motion, sensor, robust=side, fading=fading), learn)
 
 
+@register.filter("iaukf", words="ukf that estimates the noise")
 def iaukf(
     motion: Motion, sensor: Sensor, *, forgetting: Value = 0.96, confidence: Value | Sequence[float] = 0.5,
     confidence_in: str = "nominal", lowest: float = 0.25, highest: float = 1e4, warmup: int = 5,

@@ -7,6 +7,7 @@ from functools import partial
 
 import torch
 
+from torchfra import register
 from torchfra.filters.base import Filter
 from torchfra.filters.imm import IMM
 from torchfra.filters.likely_models import LikelyModels
@@ -23,10 +24,13 @@ from torchfra.presets.values import with_values
 from torchfra.robust.weights import Weights
 from torchfra.sensors.base import Sensor
 
+__all__ = ["imm", "imm_ckf", "imm_fra", "imm_srckf", "vsimm_srckf"]
+
 Models = Sequence[Motion] | Bank
 Inner = Callable[[Motion, Sensor], Filter]
 
 
+@register.filter("imm", words="interacting motions", bank=True, listed=False)
 def imm(
     models: Models, sensor: Sensor, *, inner: Inner = srckf, stay: float = 0.95, transition: Value | None = None,
     initial: Value | None = None, learn: Collection[str] = (),
@@ -54,6 +58,7 @@ def imm(
     return with_learning(IMM(inner(bank, sensor), **chances, initial=initial), learn)
 
 
+@register.filter("imm_srckf", words="interacting motions", bank=True)
 def imm_srckf(
     models: Models, sensor: Sensor, *, stay: float = 0.95, transition: Value | None = None,
     initial: Value | None = None, learn: Collection[str] = (),
@@ -71,6 +76,7 @@ def imm_srckf(
     return imm(models, sensor, stay=stay, transition=transition, initial=initial, learn=learn)
 
 
+@register.filter("imm_ckf", words="imm_srckf", bank=True, listed=False)
 def imm_ckf(
     models: Models, sensor: Sensor, *, stay: float = 0.95, transition: Value | None = None,
     initial: Value | None = None, learn: Collection[str] = (),
@@ -91,6 +97,7 @@ def imm_ckf(
     return imm_srckf(models, sensor, stay=stay, transition=transition, initial=initial, learn=learn)
 
 
+@register.filter("imm_fra", words="interacting motions, each with fra", bank=True, gated=True)
 def imm_fra(
     models: Models, sensor: Sensor, *, stay: float = 0.99, transition: Value | None = None,
     initial: Value | None = None, threshold: Value | None = None, per_element: bool = False,
@@ -138,6 +145,7 @@ def imm_fra(
     return imm(models, sensor, inner=inner, stay=stay, transition=transition, initial=initial, learn=learn)
 
 
+@register.filter("vsimm_srckf", words="interacting motions, a few at a time", bank=True)
 @with_values
 def vsimm_srckf(
     models: Models, sensor: Sensor, *, inner: Inner = srckf, neighbours: Sequence[Sequence[int]] | None = None,

@@ -6,12 +6,15 @@ import math
 from collections.abc import Collection, Sequence
 from typing import Any
 
+from torchfra import register
 from torchfra.filters.alphabeta.bank import AlphaBetaBank
 from torchfra.filters.alphabeta.gains import Gains
 from torchfra.hyper import Value
 from torchfra.motion.base import Motion
 from torchfra.presets.learning import with_learning
 from torchfra.sensors.base import Sensor
+
+__all__ = ["alphabeta"]
 
 _PAPER: dict[str, Any] = {"margin": 3.0, "hysteresis": 0.5, "dwell": 3.0, "onset": "shared", "confirm": False}
 _TUNED: dict[str, Any] = {
@@ -21,6 +24,7 @@ _TUNED: dict[str, Any] = {
 """Of three gains, tuned on ``scenarios.level_then_weave``."""
 
 
+@register.filter("alphabeta", words="switching constant gains", constant_gains=True)
 def alphabeta(
     motion: Motion, sensor: Sensor, *, gains: Gains | None = None, manoeuvre: Value | None = None,
     outlier: Value | None = None, degrees: Value | Sequence[float] | None = None, limit: Value = 60.0,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 
+from torchfra import register
 from torchfra.adaptive.fading import Fading
 from torchfra.filters.fra import FRA
 from torchfra.gaussian.cubature import third_degree
@@ -16,7 +17,10 @@ from torchfra.presets.values import with_values
 from torchfra.robust.weights import Weights
 from torchfra.sensors.base import Sensor
 
+__all__ = ["fra", "fra_srckf"]
 
+
+@register.filter("fra_srckf", words="robust or adaptive, as published", gated=True, emphasised=True)
 def fra_srckf(
     motion: Motion, sensor: Sensor, *, threshold: Value | None = None, per_element: bool = False,
     robust: Weights | None = None, weakening: Value = 2.0, forgetting: Value = 0.95, fading_max: Value = 1e3,
@@ -59,6 +63,7 @@ def fra_srckf(
     return with_learning(f, learn)
 
 
+@register.filter("fra", words="robust or adaptive, as the next decides", gated=True, emphasised=True)
 @with_values
 def fra(
     motion: Motion, sensor: Sensor, *, threshold: Value | None = None, per_element: bool = False,

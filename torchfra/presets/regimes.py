@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
+from torchfra import register
 from torchfra.filters.checks import check_models
 from torchfra.filters.gpb import GPB, Outliers, Regimes
 from torchfra.gaussian.cubature import third_degree
@@ -15,6 +16,8 @@ from torchfra.motion.base import Motion
 from torchfra.presets.learning import with_learning
 from torchfra.sensors.base import Sensor
 from torchfra.suggestions import meant
+
+__all__ = ["gpb"]
 
 MANOEUVRES: dict[str, dict[str, Any]] = {
     "none": {
@@ -35,6 +38,7 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
 """What ``manoeuvres`` stands for: ``"some"`` was searched, ``"none"`` and ``"hard"`` are made from it by hand."""
 
 
+@register.filter("gpb", words="outliers and manoeuvres as hypotheses", either=True, emphasised=True)
 def gpb(
     motion: Motion | Sequence[Motion],
     sensor: Sensor,

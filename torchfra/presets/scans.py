@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import Any
 
+from torchfra import register
 from torchfra.association.clutter import Clutter
 from torchfra.association.gates import ChiSquare, Euclidean, Gate
 from torchfra.filters.base import Filter
@@ -18,7 +19,10 @@ from torchfra.presets.single import srckf, ukf
 from torchfra.presets.values import with_values
 from torchfra.sensors.base import Sensor
 
+__all__ = ["iaukf_jpda", "jpda", "ukf_jpda"]
 
+
+@register.filter("jpda", words="joint probabilistic data association", scans=True, listed=False)
 def jpda(
     motion: Motion | Sequence[Motion], sensor: Sensor, *, clutter: Clutter,
     inner: Callable[[Any, Sensor], Filter] = srckf, gate: Gate | None = None, detection: Value = 0.95,
@@ -48,6 +52,7 @@ def jpda(
     return with_learning(f, learn)
 
 
+@register.filter("ukf_jpda", words="ukf with data association", scans=True)
 def ukf_jpda(
     motion: Motion, sensor: Sensor, *, clutter: Clutter, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0,
     gate: Gate | None = None, detection: Value = 0.95, lost: float = 0.0, share_noise: bool = False,
@@ -81,6 +86,7 @@ def ukf_jpda(
     )  # fmt: skip
 
 
+@register.filter("iaukf_jpda", words="iaukf with data association", scans=True)
 @with_values
 def iaukf_jpda(
     motion: Motion, sensor: Sensor, *, clutter: Clutter, forgetting: Value = 0.96,

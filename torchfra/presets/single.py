@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 
+from torchfra import register
 from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.cubature import fifth_degree, tangent, unscented
 from torchfra.gaussian.rules import Rule
@@ -18,18 +19,10 @@ from torchfra.robust.score import HuberScore
 from torchfra.robust.weights import ThreeSegment
 from torchfra.sensors.base import Sensor
 
-
-def ekf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = ()) -> SRCKF:
-    """Extended Kalman filter.  Source: Jazwinski (1970), ch. 8.
-
-    Args:
-        motion: how targets move.
-        sensor: what is measured.
-        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
-    """
-    return with_learning(SRCKF(motion, sensor, rule=tangent), learn)
+__all__ = ["ekf", "ghckf", "hghckf", "hghckf1", "hghckf2", "mr_ckf", "rsrckf", "srckf", "ukf"]
 
 
+@register.filter("ukf", words="unscented Kalman filter")
 def ukf(
     motion: Motion, sensor: Sensor, *, alpha: float = 1.0, beta: float = 0.0, kappa: float = 1.0,
     learn: Collection[str] = (),
@@ -47,6 +40,19 @@ def ukf(
     return with_learning(SRCKF(motion, sensor, rule=unscented(alpha, beta, kappa)), learn)
 
 
+@register.filter("ekf", words="extended Kalman filter")
+def ekf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = ()) -> SRCKF:
+    """Extended Kalman filter.  Source: Jazwinski (1970), ch. 8.
+
+    Args:
+        motion: how targets move.
+        sensor: what is measured.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+    """
+    return with_learning(SRCKF(motion, sensor, rule=tangent), learn)
+
+
+@register.filter("srckf", words="square-root cubature Kalman filter")
 def srckf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = ()) -> SRCKF:
     """Square-root cubature Kalman filter.  Source: Arasaratnam & Haykin (2009).
 
@@ -65,17 +71,7 @@ def srckf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = ()) -> SRC
     return with_learning(SRCKF(motion, sensor), learn)
 
 
-def ghckf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = ()) -> SRCKF:
-    """Fifth-degree cubature Kalman filter.  Source: Zhang (2014); Qin et al. (2018), eqs. (48)-(52).
-
-    Args:
-        motion: how targets move.
-        sensor: what is measured.
-        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
-    """
-    return with_learning(SRCKF(motion, sensor, rule=fifth_degree), learn)
-
-
+@register.filter("rsrckf", words="srckf with Huber weights")
 def rsrckf(
     motion: Motion, sensor: Sensor, *, threshold: Value | None = None, per_element: bool = False,
     robust: Robust | None = None, learn: Collection[str] = (),
@@ -99,6 +95,7 @@ def rsrckf(
     return with_learning(SRCKF(motion, sensor, robust=side), learn)
 
 
+@register.filter("mr_ckf", words="srckf with weights in three segments")
 def mr_ckf(
     motion: Motion, sensor: Sensor, *, low: Value = 5.991, high: Value = 10000.0, squared: bool = False,
     learn: Collection[str] = (),
@@ -118,6 +115,19 @@ def mr_ckf(
     return with_learning(SRCKF(motion, sensor, robust=ThreeSegment(low, high, squared=squared)), learn)
 
 
+@register.filter("ghckf", words="fifth-degree cubature Kalman filter")
+def ghckf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = ()) -> SRCKF:
+    """Fifth-degree cubature Kalman filter.  Source: Zhang (2014); Qin et al. (2018), eqs. (48)-(52).
+
+    Args:
+        motion: how targets move.
+        sensor: what is measured.
+        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+    """
+    return with_learning(SRCKF(motion, sensor, rule=fifth_degree), learn)
+
+
+@register.filter("hghckf1", words="ghckf, robust by Huber regression")
 def hghckf1(
     motion: Motion, sensor: Sensor, *, rule: Callable[[int], Rule] = fifth_degree, threshold: Value = 1.345,
     max_iter: int = 10, tol: float = 1e-6, first_iterate: str = "posterior", compensate: bool = False,
@@ -142,6 +152,7 @@ def hghckf1(
     return with_learning(SRCKF(motion, sensor, rule=rule, robust=robust), learn)
 
 
+@register.filter("hghckf2", words="ghckf, robust by the innovation")
 @with_values
 def hghckf2(
     motion: Motion, sensor: Sensor, *, rule: Callable[[int], Rule] = fifth_degree, threshold: Value = 1.345,
@@ -172,6 +183,7 @@ def hghckf2(
     return with_learning(SRCKF(motion, sensor, rule=rule, robust=robust), learn)
 
 
+@register.filter("hghckf", words="hghckf2 that catches up")
 def hghckf(
     motion: Motion, sensor: Sensor, *, rule: Callable[[int], Rule] = fifth_degree, threshold: Value = 1.345,
     eps: Value | str = "minimax", whitening: str = "cholesky", zeta_scale: bool = False, learn: Collection[str] = (),

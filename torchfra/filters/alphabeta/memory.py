@@ -75,6 +75,11 @@ class AlphaBetaInfo(NamedTuple):
     restarted: Tensor
     """bool: begun anew after too many of them, or too long without one that was used."""
 
+    @property
+    def outlier(self) -> Tensor:
+        """``(..., T, g)`` bool: the measurement was rejected."""
+        return self.rejected
+
 
 class AxisInnovation(NamedTuple):
     """A measurement compared with its prediction."""
