@@ -257,7 +257,7 @@ def test_a_moored_ship_that_is_heard_every_three_minutes_is_known_better_than_it
 
 @pytest.mark.parametrize(("count", "dt", "said"), [
     (3, 10.0, "3 fixes tell little of sigma"),
-    (60, 900.0, "fixes every 900 s hardly tell noise from motion: sigma is unsure"),
+    (60, 900.0, "Fixes 15 min apart hardly tell noise from motion: sigma is unsure"),
     (60, 5.0, ""),
 ])  # fmt: skip
 def test_what_fixes_hardly_tell_of_sigma_is_said(count, dt, said):

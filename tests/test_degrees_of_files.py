@@ -102,7 +102,7 @@ def test_metres_that_stand_for_none_are_missing_in_both_coordinates_only(track):
 def test_altitudes_that_stand_for_none_are_missing(track):
     gone = np.arange(ROWS) % 10 == 3
     found = track(lat=LATITUDE, lon=LONGITUDE, alt=np.where(gone, -9999, 400))
-    assert found.repairs == {"altitudes that are a placeholder taken as missing": 4}
+    assert found.repairs == {"altitudes of a placeholder taken as missing": 4}
     assert np.flatnonzero(found.filled).tolist() == [3, 13, 23, 33]
     assert not track(lat=LATITUDE, lon=LONGITUDE, alt=np.where(gone, 9999, 9980)).repairs  # a level of aircraft
 

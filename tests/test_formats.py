@@ -187,7 +187,7 @@ def test_a_danish_log_of_ships_keeps_every_fix_of_a_moored_one(write):
     np.testing.assert_array_equal(moored.time, [START, START + 10, START + 20])
     np.testing.assert_array_equal(moored.row, [0, 2, 3])
     assert (moored.position == 0).all()
-    assert moored.repairs == {"ships with under 2 fixes dropped": 1}
+    assert moored.repairs == {"ships of one fix or none dropped": 1}
     assert moored.source.word == "ship"
     assert moored.source.written(moored.time[:1]) == ["13/09/2020 12:26:40"]
 

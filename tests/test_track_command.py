@@ -52,7 +52,10 @@ def test_track_writes_a_table_a_picture_and_a_summary(flight, tmp_path, capsys):
     assert (tmp_path / "out/flight.png").read_bytes().startswith(b"\x89PNG")
     (said,) = json.loads((tmp_path / "s.json").read_text())["tracks"]
     assert (said["fixes"], said["flags"]["outlier"], said["filter"]) == (60, 1, "gpb")
-    assert "flight: 60 fixes in 3.9 min, 1 rejected (up to 4," in capsys.readouterr().out
+    said = capsys.readouterr().out.splitlines()
+    assert "flight: 60 fixes in 3.9 min, 1 rejected (up to 4.2 km off)" in said
+    written = ", ".join(str(tmp_path / name) for name in ("out/flight.csv", "out/flight.meta.json", "out/flight.png"))
+    assert said[-1] == f"Written: {written}, {tmp_path / 's.json'}"
 
 
 def test_a_folder_has_a_table_of_each_target_and_a_file_one_of_all(two_flights, tmp_path):
@@ -131,8 +134,8 @@ def test_estimates_between_the_fixes_have_no_row(flight, smooth):
 def test_what_the_settings_were_is_said_once_for_all_targets(two_flights, tmp_path, capsys):
     assert cli.main(["track", str(two_flights), *QUICK, "--no-smooth", "--no-plots", "--out", str(tmp_path / "o")]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert sum(line.startswith("srckf, on line, for aircraft (told)") for line in lines) == 1
-    assert [line.split(":")[0] for line in lines[-2:]] == ["aaa", "bbb"]
+    assert sum(line.startswith("srckf, on line, for aircraft (given)") for line in lines) == 1
+    assert [line.split()[0] for line in lines[-6:-4]] == ["aaa", "bbb"]
 
 
 def test_help_teaches_by_examples_that_run(capsys, flight, tmp_path, monkeypatch):

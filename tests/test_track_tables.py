@@ -12,10 +12,11 @@ from cleaned_tracks import DAY, FOUND, geodetic, straight
 from torchfra.cleaning import outputs
 from torchfra.cleaning.outputs import csv_table, parquet
 from torchfra.cleaning.outputs.course import course
-from torchfra.cleaning.outputs.summary import line, settings_line, summary
+from torchfra.cleaning.outputs.summary import notes, overview, sentences, settings_lines, summary
 from torchfra.cleaning.outputs.table import UNITS, columns
 from torchfra.geodesy import to_geodetic
 from torchfra.readers.recording import Source
+from torchfra.tables import duration, metres
 
 
 def rows(results):
@@ -153,23 +154,53 @@ def test_a_summary_counts_and_measures():
     assert said["largest_rejected"] == pytest.approx(off[[7, 9]].max())
 
 
-def test_a_line_says_what_a_person_asks_for():
-    text = line(straight(40))
-    for part in (
-        "40 fixes in 78 s",
-        "1 rejected (up to 2,8",
-        "1 left turn in 20 s",
-        "moved by 15.4 m (median) to",
-        "NIS 1.03 of 1",
-    ):
-        assert part in text, text
-    assert "\n" not in text
-    assert settings_line(FOUND) == "gpb, smoothed, for aircraft (found); sigma 20 m (found), q 0.5 m^2/s^3 (found)"
-    assert "(told)" in settings_line(replace(FOUND, found=frozenset()))
+def test_sentences_say_what_a_person_asks_for_in_a_line_each():
+    said = sentences(straight(40))
+    assert said[0] == "3c6444 DLH1AB: 40 fixes in 78 s, 1 rejected (up to 2.8 km off)"
+    assert said[1] == "Manoeuvres: 1 left turn; 20 s in all"
+    assert said[2].startswith("Fixes that were kept moved: 15.4 m in the median, ")
+    assert max(map(len, said)) <= 100
+    (line,) = settings_lines([straight(40)])
+    assert line == "gpb, smoothed, for aircraft (found); sigma 20 m (found), q 0.5 m^2/s^3 (found)"
 
 
-def test_a_track_without_any_number_has_a_line_too():
+def test_of_many_targets_there_is_a_row_for_each_and_what_they_share_is_said_once():
+    some = [straight(40, name=f"target {i}", rejected=tuple(range(i))) for i in range(30)]
+    some = [replace(of, found=replace(FOUND, sigma=float(i + 1))) for i, of in enumerate(some)]
+    table, *said = overview(some)
+    assert len(table.splitlines()) == 31
+    assert table.splitlines()[3].split()[:5] == ["target", "2", "40", "78", "s"]
+    assert max(map(len, [*table.splitlines(), *said])) <= 100
+    assert "30 targets: 1,200 fixes, 435 rejected" in said
+    assert settings_lines(some) == ["gpb, smoothed, for aircraft (found)"]
+    assert notes(some) == ["fixes 20 m off, say the innovations"]
+
+
+def test_what_is_said_of_some_targets_is_counted():
+    off = replace(straight(10), found=replace(FOUND, said=("Kind of target: aircraft, as the file says", "Late: 3 s")))
+    later = replace(off, found=replace(FOUND, said=("Kind of target: ship, as the file says", "Late: 4 s")))
+    assert notes([off, later, straight(10)]) == ["Late: 2 of 3", "fixes 20 m off, say the innovations: 1 of 3"]
+
+
+def test_a_track_without_any_number_has_sentences_too():
     of = straight(5)
     broken = replace(of, mean=of.mean * np.nan)
-    assert "FAILED: NaN or infinity" in line(broken)
+    assert "FAILED: NaN or infinity" in sentences(broken)[0]
+    assert overview([broken, of])[-1] == "FAILED: NaN or infinity in 3c6444 DLH1AB"
     assert rows([broken])[0]["latitude"] == ""
+
+
+@pytest.mark.parametrize(("value", "text"), [
+    (4.6e-13, "below 1 mm"), (0.0045, "4.5 mm"), (0.45, "0.45 m"), (6.0, "6.0 m"), (156.2, "156 m"), (4676.0, "4.7 km"),
+    (5e5, "500 km"), (np.nan, "an unknown length"),
+])  # fmt: skip
+def test_lengths_are_in_the_unit_that_fits(value, text):
+    assert metres(value) == text
+
+
+@pytest.mark.parametrize(("value", "text"), [
+    (0.25, "0.25 s"), (78.0, "78 s"), (1200.0, "20 min"), (4200.0, "70 min"), (2.5 * 3600, "2.5 h"),
+    (719.5 * 3600, "30 days"),
+])  # fmt: skip
+def test_times_are_in_the_unit_that_fits(value, text):
+    assert duration(value) == text

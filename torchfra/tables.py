@@ -58,6 +58,35 @@ def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, align: s
     return "\n".join((" " * gap).join(line).rstrip() for line in cells)
 
 
+# ---------------------------------------------------------------- quantities
+
+
+def metres(value: float) -> str:
+    """A length in the unit that fits, with two or three digits."""
+    if not math.isfinite(value):
+        return "an unknown length"
+    if abs(value) < 1e-3:
+        return "below 1 mm"
+    if abs(value) < 0.1:
+        return f"{1000 * value:.2g} mm"
+    if abs(value) < 19.95:
+        return f"{value:.2g} m" if abs(value) < 1 else _short(value, "m")
+    return f"{value:,.0f} m" if abs(value) < 2000 else _short(value / 1000, "km")
+
+
+def duration(seconds: float) -> str:
+    """A time in the unit that fits, with two or three digits."""
+    for size, unit, least in ((86_400, "days", 2.0), (3600, "h", 2.0), (60, "min", 2.0)):
+        if seconds >= least * size:
+            return _short(seconds / size, unit).replace(".0 ", " ")
+    return f"{seconds:.3g} s"
+
+
+def _short(value: float, unit: str) -> str:
+    """With a decimal below 20."""
+    return f"{value:,.{int(abs(value) < 19.95)}f} {unit}"
+
+
 # ---------------------------------------------------------------- for papers
 
 FORMS = ("text", "csv", "latex", "markdown")

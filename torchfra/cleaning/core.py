@@ -23,6 +23,7 @@ from torchfra.geodesy import to_geodetic
 from torchfra.motion.bank import Bank
 from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
+from torchfra.tables import duration, metres
 
 DEFAULT = "gpb"
 """The filter that is used unless told otherwise."""
@@ -176,16 +177,16 @@ def _doubt(steps: Steps, covariance: Array, sigma: float) -> str:
     surer = np.sqrt(np.trace(at[:, :2, :2], axis1=1, axis2=2) / 2) / (sigma * seen.std[:, 0])
     if np.median(surer) < _SURER:
         return ""
-    return f"fixes every {period_of(seen):.3g} s hardly tell noise from motion: sigma is unsure"
+    return f"Fixes {duration(period_of(seen))} apart hardly tell noise from motion: sigma is unsure"
 
 
 def _found(name: str, settings: Settings, own: Bank | None, kind: tuple[str, str], answer: Answer) -> Found:
     """What a track is cleaned with, and a line for each choice."""
     bank, why = ("own", "as told") if own is not None else kind
     told = {"sigma": settings.sigma, "q": settings.q, "bank": None if why != "as told" else bank}
-    said = () if own is not None or why == "as told" else (f"{bank}, {why}",)
+    said = () if own is not None or why == "as told" else (f"Kind of target: {bank}, {why}",)
     if not math.isnan(answer.height):
-        said = (*said, f"sigma of the height {answer.height:.3g} m")
+        said = (*said, f"Sigma of the height: {metres(answer.height)}")
     found = frozenset(key for key, value in told.items() if value is None)
     return Found(name, settings.smooth, bank, answer.sigma, answer.q, math.nan, found, said)
 

@@ -69,4 +69,4 @@ def kind_of(recording: Recording) -> tuple[str, str]:
     name = next(
         name for name, kind in KINDS.items() if name != "ship" and (speed <= kind.fastest or name == "aircraft")
     )
-    return name, f"at {speed:.3g} m/s"
+    return name, f"by its speed of {speed:,.1f} m/s"

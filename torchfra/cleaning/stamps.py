@@ -12,6 +12,7 @@ from torchfra.readers.columns import Array
 from torchfra.readers.flyable import flyable
 from torchfra.readers.recording import Recording
 from torchfra.readers.smoothing import differences
+from torchfra.tables import metres
 
 _USUAL = 2.0
 """Acceleration along the track that four in five fixes of an aircraft stay below, m/s^2."""
@@ -66,7 +67,9 @@ def _as_recorded(one: Cleaned, recording: Recording) -> Cleaned:
     usual, d = float(np.median(moved)), one.raw.shape[1]
     raw = np.full_like(one.raw, np.nan)
     raw[one.row >= 0] = recording.position[one.row[one.row >= 0]]
-    said = f"time stamps were off: fixes moved along the path by {usual:.3g} m (median) to {moved.max():.3g} m"
+    said = (
+        f"Time stamps were off: fixes moved along the path by {metres(usual)} (median) to {metres(float(moved.max()))}"
+    )
     covariance = one.covariance.copy()
     covariance[:, :d, :d] += (usual / 0.6745) ** 2 * _along(one.velocity)
     found = replace(one.found, said=(*one.found.said, said))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from torchfra.cleaning import Cleaned
-from torchfra.cleaning.outputs.summary import line, settings_line
+from torchfra.cleaning.outputs.summary import headline, settings_lines, summary
 from torchfra.cli.charts import Chart, chart, overview
 from torchfra.running.atomic_write import write_text
 from torchfra.tables import printable
@@ -72,12 +72,11 @@ def page(results: Sequence[Cleaned]) -> str:
 
     several = len(results) > 1
     sections = [_section("all targets", overview(results), opened=True)] if several else []
-    sections += [_section(line(cleaned), chart(cleaned), opened=not several) for cleaned in results]
-    said = dict.fromkeys(settings_line(cleaned.found) for cleaned in results)
+    sections += [_section(headline(summary(cleaned)), chart(cleaned), opened=not several) for cleaned in results]
     return _PAGE.format(
         title=_text(results[0].recording.source.name or results[0].recording.name),
         script=get_plotlyjs(),
-        said="\n".join(f"<p>{_text(text)}</p>" for text in said),
+        said="\n".join(f"<p>{_text(text)}</p>" for text in settings_lines(results)),
         sections="\n".join(sections),
     )
 

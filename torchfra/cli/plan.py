@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -11,9 +12,14 @@ from torchfra.cleaning.outputs.formats import beside, check_format
 from torchfra.cleaning.outputs.summary import LONGEST_NAME
 from torchfra.cli.command import check_files
 from torchfra.readers import Recording
+from torchfra.tables import printable
 
 MOST_PICTURES = 20
 """Targets of a file of which each has a picture unless told otherwise."""
+
+
+_MOST_LISTED = 5
+"""Files that are listed by their names."""
 
 
 class Plan(NamedTuple):
@@ -91,6 +97,19 @@ def check_plan(files: Plan, inputs: Sequence[Path], **others: Path | None) -> No
         ValueError: one is an input, or two are the same.
     """
     check_files(others | {f"out, {path.name}": path for path in files.paths()}, inputs)
+
+
+def listed(paths: Sequence[Path]) -> str:
+    """The names of a few files; of many how many of each ending are in which folder."""
+    if len(paths) <= _MOST_LISTED:
+        return ", ".join(printable(str(path)) for path in paths)
+    of_folder: dict[Path, Counter[str]] = {}
+    for path in paths:
+        of_folder.setdefault(path.parent, Counter())["".join(path.suffixes[-2:])] += 1
+    return "; ".join(
+        f"{', '.join(f'{count:,} {ending}' for ending, count in counts.items())} in {printable(str(folder))}"
+        for folder, counts in of_folder.items()
+    )
 
 
 def unused(name: str, used: set[str]) -> str:

@@ -102,11 +102,14 @@ def run(options: argparse.Namespace) -> None:
     results = _cleaned(recordings, options, failures)
     if not results:
         failures.end()
+    _say(list(results.values()), tell)
     _write(results, files, options, failures)
     _draw(results, files, options, failures)
     if options.json is not None:
         with failures.of("json"):
             write_json(options.json, outputs.metadata(list(results.values()), _settings(options)))
+    written = [*files.paths(), *filter(None, others.values())]
+    tell(f"Written: {plans.listed([path for path in written if path.exists()])}")
     failures.end()
 
 
@@ -137,32 +140,26 @@ def _cleaned(
     return done
 
 
+def _say(results: Sequence[Cleaned], tell: Callable[[str], None]) -> None:
+    """What became of the tracks."""
+    said = outputs.sentences(results[0]) if len(results) == 1 else outputs.overview(results)
+    for line in (*outputs.settings_lines(results), *outputs.notes(results), *said):
+        tell(line)
+
+
 def _write(
     results: dict[Recording, Cleaned], files: plans.Plan, options: argparse.Namespace, failures: Failures
 ) -> None:
-    """The tables, and a line for each target."""
-    tell, _ = reporters(options.compile, options.quiet)
-    ways = {outputs.settings_line(cleaned.found) for cleaned in results.values()}
-    shared = _said(list(results.values()))
-    for said in [*ways, *shared] if len(ways) == 1 else shared:
-        tell(printable(said))
+    """The tables."""
     for path, recordings in progress_bar(files.tables.items(), "table", not options.quiet):
         of = [results[recording] for recording in recordings if recording in results]
         if not of:
             continue
-        for cleaned in of:
-            way = "" if len(ways) == 1 else f"; {outputs.settings_line(cleaned.found)}"
-            tell(f"{outputs.line(cleaned)}{way} -> {printable(str(path))}")
         with failures.of(printable(of[0].recording.name if len(of) == 1 else path.name)):
             outputs.write(of, path, _settings(options))
         for cleaned in of:
             with failures.of(printable(cleaned.recording.name)):
                 _check(cleaned)
-
-
-def _said(results: Sequence[Cleaned]) -> list[str]:
-    """What there is to say of all targets alike."""
-    return [said for said in results[0].found.said if all(said in cleaned.found.said for cleaned in results)]
 
 
 def _check(cleaned: Cleaned) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from torchfra.evaluation.results import Result
+from torchfra.readers.repairs import in_words
 from torchfra.scenarios import Scenario
 from torchfra.tables import printable, text_table
 
@@ -36,5 +37,5 @@ def _metres(error: float) -> str:
 def _repairs(scenario: Scenario, number: int) -> str:
     """What was repaired in a recording."""
     repairs: Any = scenario.settings["repairs"]
-    counts = ", ".join(f"{count} {what}" for what, count in repairs[number - 1].items())
+    counts = in_words(repairs[number - 1])
     return f"; repairs: {counts}" if counts else ""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +26,16 @@ PLURALS = {"aircraft": "aircraft", "ship": "ships"}
 def plural(word: str) -> str:
     """Several of ``Source.word``."""
     return PLURALS.get(word, f"{word}s")
+
+
+def in_words(repairs: Mapping[str, int]) -> str:
+    """Repairs with their counts as a list, in the singular where the count is 1."""
+    return ", ".join(f"{n:,} {_singular(what) if n == 1 else what}" for what, n in repairs.items())
+
+
+def _singular(what: str) -> str:
+    """Of the first word that ends in s."""
+    return re.sub(r"s(?= |$)", "", what, count=1)
 
 
 @dataclass(frozen=True)
@@ -65,8 +77,8 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
     good = [target for target in targets if len(target.time) >= 2]
     if not good:
         raise ValueError(_too_few(targets, layout.source.word))
-    for target in good:
-        target.repairs[f"{plural(layout.source.word)} with under 2 fixes dropped"] = len(targets) - len(good)
+    # The counts of all targets sum to those of the file.
+    good[0].repairs[f"{plural(layout.source.word)} of one fix or none dropped"] = len(targets) - len(good)
     return good
 
 
@@ -75,7 +87,7 @@ def _too_few(targets: list[Target], word: str) -> str:
     same = f" of the same {word}" if len(targets) > 1 else ""
     received = max(len(target.time) for target in targets)
     repairs = sum((target.repairs for target in targets), Counter[str]())
-    after = " after repairs: " + ", ".join(f"{count} {what}" for what, count in repairs.items()) if repairs else ""
+    after = f" after repairs: {in_words(repairs)}" if repairs else ""
     return f"expected 2 or more rows with time and position{same}, received {received}{after}"
 
 
@@ -152,7 +164,7 @@ class _Columns:
         row = np.where(before < 0, some.argmax(), before)
         repairs["altitudes taken from geoaltitude"] = int((some & ~known[0]).sum())
         placeholders = self.no_height[index] & ~some
-        repairs["altitudes that are a placeholder taken as missing"] = int(placeholders.sum())
+        repairs["altitudes of a placeholder taken as missing"] = int(placeholders.sum())
         repairs["altitudes missing"] = int((~some & ~placeholders).sum())
         return np.where(known[0], self.height[index], self.spare[index])[row], ~some
 

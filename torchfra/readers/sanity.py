@@ -40,8 +40,7 @@ def possible(recordings: Sequence[Recording], layout: Layout) -> list[Recording]
         recording, said = next(iter(wrong.items()))
         raise ValueError(f"{said} of {layout.source.word} {recording.name}; {_guess(recording, layout)}")
     good = [recording for recording in recordings if recording not in wrong]
-    for recording in good:
-        recording.repairs[f"{plural(layout.source.word)} of impossible speed dropped"] = len(wrong)
+    good[0].repairs[f"{plural(layout.source.word)} of impossible speed dropped"] = len(wrong)
     return good
 
 

@@ -1,8 +1,20 @@
-"""What ``torchfra track`` gives back: tables, tracks for maps, what belongs to them, and a line for people."""
+"""What ``torchfra track`` gives back: tables, tracks for maps, what belongs to them, and a summary in sentences."""
 
 from torchfra.cleaning.outputs.formats import FORMATS, MAPS, check_format, write
 from torchfra.cleaning.outputs.metadata import metadata
-from torchfra.cleaning.outputs.summary import line, settings_line, summary
+from torchfra.cleaning.outputs.summary import notes, overview, sentences, settings_lines, summary
 from torchfra.cleaning.outputs.table import columns
 
-__all__ = ["FORMATS", "MAPS", "check_format", "columns", "line", "metadata", "settings_line", "summary", "write"]
+__all__ = [
+    "FORMATS",
+    "MAPS",
+    "check_format",
+    "columns",
+    "metadata",
+    "notes",
+    "overview",
+    "sentences",
+    "settings_lines",
+    "summary",
+    "write",
+]

@@ -1,8 +1,10 @@
-"""What became of a track, in numbers and in a line for people."""
+"""What became of tracks, in numbers and in sentences."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,8 +12,11 @@ import numpy as np
 from torchfra.cleaning import Cleaned, Found
 from torchfra.cleaning.cleaned import FLAGS
 from torchfra.cleaning.outputs.course import course
-from torchfra.tables import printable
+from torchfra.readers.repairs import in_words, plural
+from torchfra.tables import duration, metres, printable, text_table
 
+_OF_EACH = ("Kind of target", "Sigma of the height")
+"""What is said of every target."""
 LONGEST_NAME = 100
 """Characters of a target's name in a line."""
 _NOUNS = {"climbing": "climb", "descending": "descent", "speeding up": "acceleration", "slowing down": "deceleration"}
@@ -43,63 +48,116 @@ def summary(cleaned: Cleaned) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def line(cleaned: Cleaned) -> str:
-    """One line for a person: how many fixes, what was rejected, how far they were moved, how sure the track is."""
+def sentences(cleaned: Cleaned) -> list[str]:
+    """What became of a track, for a person: sentences of a line each."""
     of = summary(cleaned)
-    rejected, unclear = of["flags"]["outlier"], of["flags"]["unclear"]
-    parts = [f"{of['fixes']:,} fixes in {duration(of['seconds'])}, {rejected:,} rejected"]
-    if rejected:
-        parts[0] += f" (up to {metres(of['largest_rejected'])} off)"
-    if unclear:
-        parts.append(f"{unclear:,} unclear")
+    said = [headline(of)]
     if cleaned.segments:
-        parts.append(manoeuvres(cleaned))
-    parts.append(f"moved by {metres(of['median_correction'])} (median) to {metres(of['largest_correction'])}")
-    parts.append(f"sure to {metres(of['median_std'])} per axis")
-    if np.isfinite(of["nis"]):
-        parts.append(f"NIS {of['nis']:.2f} of 1")
+        said.append(manoeuvres(cleaned))
+    if math.isfinite(of["median_correction"]):
+        median, most = metres(of["median_correction"]), metres(of["largest_correction"])
+        said.append(f"Fixes that were kept moved: {median} in the median, {most} at most")
+    if math.isfinite(of["median_std"]):
+        said.append(f"The cleaned path has a standard deviation of {metres(of['median_std'])} per axis (median)")
+    if math.isfinite(of["nis"]):
+        said.append(f"Normalised innovation squared per axis (NIS): {of['nis']:.2f}; it is 1 if sigma and q are right")
     if of["doubt"]:
-        parts.append(of["doubt"])
+        said.append(of["doubt"])
     if of["repairs"]:
-        parts.append("repaired: " + ", ".join(f"{count} {what}" for what, count in of["repairs"].items()))
-    if of["failed"]:
-        parts.append("FAILED: NaN or infinity")
-    return f"{printable(of['name'], LONGEST_NAME)}: {'; '.join(parts)}"
+        said.append(f"Repaired: {in_words(of['repairs'])}")
+    return said
 
 
-def settings_line(found: Found) -> str:
-    """With what a track was cleaned, and which of it was found."""
+def headline(of: Mapping[str, Any]) -> str:
+    """The first sentence on a track, from its ``summary``: its fixes, and what was rejected."""
+    rejected, unclear = of["flags"]["outlier"], of["flags"]["unclear"]
+    text = f"{printable(of['name'], LONGEST_NAME)}: {of['fixes']:,} fixes in {duration(of['seconds'])}"
+    text += f", {rejected:,} rejected"
+    if rejected:
+        text += f" (up to {metres(of['largest_rejected'])} off)"
+    if unclear:
+        text += f", {unclear:,} unclear"
+    return text + ("; FAILED: NaN or infinity" if of["failed"] else "")
 
-    def how(name: str) -> str:
-        return "told" if name not in found.found else "found, unsure" if name == "sigma" and found.doubt else "found"
 
-    return (
-        f"{found.filter}, {'smoothed' if found.smooth else 'on line'}, for {found.bank} ({how('bank')}); "
-        f"sigma {metres(found.sigma)} ({how('sigma')}), q {found.q:.3g} m^2/s^3 ({how('q')})"
+COLUMNS = ("fixes", "lasting", "rejected", "farthest", "unclear", "manoeuvres", "moved", "std", "sigma")
+"""Of a table of several targets."""
+LEGEND = (
+    "farthest: of the rejected fixes; moved: the others, in the median",
+    "std: of the cleaned path per axis, in the median; sigma: of a fix per axis",
+)
+"""What some of them hold."""
+
+
+def cells(of: Mapping[str, Any]) -> list[tuple[float, str]]:
+    """For each of ``COLUMNS``, from a ``summary``, a number to sort by and how it is written."""
+    fixes, rejected, unclear, manoeuvres = (
+        (float(n), f"{n:,}") for n in (of["fixes"], of["flags"]["outlier"], of["flags"]["unclear"], len(of["segments"]))
     )
+    farthest, moved, std, sigma = (
+        (x, metres(x)) if math.isfinite(x) else (-1.0, "")
+        for x in (of[key] for key in ("largest_rejected", "median_correction", "median_std", "sigma"))
+    )
+    lasting = of["seconds"], duration(of["seconds"])
+    return [fixes, lasting, rejected, farthest, unclear, manoeuvres, moved, std, sigma]
+
+
+def overview(results: Sequence[Cleaned]) -> list[str]:
+    """What became of several tracks: a table with a row for each, and sentences on all."""
+    every, word = [summary(cleaned) for cleaned in results], results[0].recording.source.word
+    rows = [[printable(of["name"], 24), *(text for _, text in cells(of))] for of in every]
+    fixes, rejected = sum(of["fixes"] for of in every), sum(of["flags"]["outlier"] for of in every)
+    said = [text_table([word, *COLUMNS], rows), *LEGEND]
+    said.append(f"{len(every):,} {plural(word)}: {fixes:,} fixes, {rejected:,} rejected")
+    if doubtful := [of["name"] for of in every if of["doubt"]]:
+        said.append(f"Sigma is unsure of {listed(doubtful)}")
+    if failed := [of["name"] for of in every if of["failed"]]:
+        said.append(f"FAILED: NaN or infinity in {listed(failed)}")
+    if repairs := sum((Counter(of["repairs"]) for of in every), Counter[str]()):
+        said.append(f"Repaired: {in_words(repairs)}")
+    return said
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first of some names, and how many more there are."""
+    more = f" and {len(names) - 3:,} more" if len(names) > 3 else ""
+    return ", ".join(printable(name, 24) for name in names[:3]) + more
+
+
+def notes(results: Sequence[Cleaned]) -> list[str]:
+    """What there is to say of all tracks alike; and of what is said of some, how many these are."""
+    said = Counter(text for cleaned in results for text in cleaned.found.said)
+    some = Counter(text.partition(":")[0] for text, count in said.items() for _ in range(count) if count < len(results))
+    lines = [text for text, count in said.items() if count == len(results)]
+    return lines + [f"{what}: {count:,} of {len(results):,}" for what, count in some.items() if what not in _OF_EACH]
+
+
+def settings_lines(results: Sequence[Cleaned]) -> list[str]:
+    """With what tracks were cleaned, and which of it was found; of several only what they have in common."""
+    lines = Counter(
+        f"{_method(of.found)}; sigma {metres(of.found.sigma)} ({_how(of.found, 'sigma')}), "
+        f"q {of.found.q:.3g} m^2/s^3 ({_how(of.found, 'q')})"
+        for of in results
+    )
+    if len(lines) > 1:
+        lines = Counter(_method(of.found) for of in results)
+    word = plural(results[0].recording.source.word)
+    return [line if len(lines) == 1 else f"{line}: {count:,} {word}" for line, count in lines.items()]
+
+
+def _method(found: Found) -> str:
+    return f"{found.filter}, {'smoothed' if found.smooth else 'on line'}, for {found.bank} ({_how(found, 'bank')})"
+
+
+def _how(found: Found, name: str) -> str:
+    return "given" if name not in found.found else "found, unsure" if name == "sigma" and found.doubt else "found"
 
 
 def manoeuvres(cleaned: Cleaned) -> str:
     """How many there are of which kind, and how long they take together."""
     kinds = Counter(_NOUNS.get(segment.kind, segment.kind) for segment in cleaned.segments)
-    listed = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in kinds.items())
-    return f"{listed} in {duration(sum(segment.end - segment.begin for segment in cleaned.segments))}"
-
-
-def metres(value: float) -> str:
-    """A length as one says it."""
-    if not np.isfinite(value):
-        return "an unknown length"
-    if abs(value) >= 10_000:
-        return f"{value / 1000:,.0f} km"
-    return f"{value:,.0f} m" if abs(value) >= 20 else f"{value:.2g} m" if abs(value) < 1 else f"{value:.1f} m"
-
-
-def duration(seconds: float) -> str:
-    """A time as one says it."""
-    if seconds >= 2 * 3600:
-        return f"{seconds / 3600:.1f} h"
-    return f"{seconds / 60:.1f} min" if seconds >= 120 else f"{seconds:.0f} s"
+    counts = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in kinds.most_common())
+    return f"Manoeuvres: {counts}; {duration(sum(segment.end - segment.begin for segment in cleaned.segments))} in all"
 
 
 def _quantile(values: Any, share: float = 1.0) -> float:

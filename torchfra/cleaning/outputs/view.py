@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from torchfra.cleaning import Cleaned, Segment
 from torchfra.cleaning.outputs.course import course
-from torchfra.cleaning.outputs.summary import duration, metres
 from torchfra.cleaning.outputs.times import dates
 from torchfra.geodesy import to_geodetic
 from torchfra.readers.columns import Array
+from torchfra.tables import duration, metres
 
 SURE = 2.0
 """Standard deviations to each side that a band is wide."""
