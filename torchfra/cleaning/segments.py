@@ -94,6 +94,17 @@ def inside(time: Array, listed: Iterable[Segment]) -> NDArray[np.bool_]:
     return within
 
 
+def spans(listed: Iterable[Segment]) -> list[tuple[float, float]]:
+    """Begin and end of each time with any of the segments."""
+    found: list[tuple[float, float]] = []
+    for begin, end, *_ in sorted(listed):
+        if found and begin <= found[-1][1]:
+            found[-1] = found[-1][0], max(end, found[-1][1])
+        else:
+            found.append((begin, end))
+    return found
+
+
 def _changes(time: Array, value: Array, std: Array, rule: _Rule) -> Iterator[Segment]:
     """Segments in which a value ``(T,)`` of which ``std (T,)`` is known rises or falls."""
     at = np.sort(np.concatenate([time, (time[1:] + time[:-1]) / 2]))

@@ -43,7 +43,7 @@ def chart(cleaned: Cleaned) -> Chart:
     layout["shapes"] = [
         {"type": "rect", "xref": "x2", "yref": "paper", "x0": begin, "x1": end, "y0": 0, "y1": 1, "layer": "below",
          "fillcolor": ORANGE, "opacity": 0.22, "line": {"width": 0}}
-        for begin, end in of.shades()
+        for begin, end in of.shades
     ]  # fmt: skip
     return Chart(data, layout)
 
@@ -68,7 +68,7 @@ def _map(of: View, cleaned: Cleaned) -> list[dict[str, Any]]:
     row = np.char.add("row ", cleaned.row.astype(str))
     return [
         _scatter(1, *band.T, name=f"within {SURE:g} std", colour=PALE_BLUE, fill="toself", hoverinfo="skip"),
-        *(_flown(of, begin, end) for begin, end in of.shades()),
+        *(_flown(of, begin, end) for begin, end in of.shades),
         _scatter(1, *of.recorded[kept].T, name="recorded", colour=GREY, marks=3, text=row[kept].tolist()),
         _scatter(1, *of.path.T, name="cleaned", colour=BLUE),
         _scatter(1, *of.recorded[of.rejected].T, name="rejected", colour=RED, marks=8, text=row[of.rejected].tolist(),

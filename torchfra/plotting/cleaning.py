@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from torchfra.cleaning import Cleaned
 from torchfra.cleaning.outputs.colours import BLACK, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
-from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, view
+from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, placed, view
 from torchfra.plotting.labels import SIZE, Array, beside, in_free_places, show
 from torchfra.plotting.style import TITLE, finish, lay_out, without_box, words
 
@@ -17,16 +17,15 @@ _MANY = 50
 """Rejected fixes whose marks are small, so that the path is seen."""
 _LETTERS = 76
 """Of the name of a manoeuvre, that are as wide as a panel."""
-_MOST_LISTED = 3
-"""Fixes beyond the edge of the map whose distance is written there."""
 
 
 def cleaned(of: Cleaned) -> Figure:
     """A track on a map, and its speed, altitude, innovations and regimes over time.
 
-    A rejected fix is drawn where it was recorded; one that is far off is listed at the edge of the map, which shows the
-    track.  Manoeuvres are shaded, and what the track is sure to is a band.  The axes are labelled ``"map"``,
-    ``"speed"``, ``"altitude"`` (of a track in space), ``"innovation"`` and ``"regimes"`` (of a filter that has some).
+    A rejected fix is drawn where it was recorded; the map shows the track, and one that is far off is a triangle at its
+    edge.  Manoeuvres are shaded, and what the track is sure to is a band.  The axes are labelled ``"map"``,
+    ``"speed"``, ``"altitude"`` (of a track in space), ``"innovation"`` and ``"regimes"`` (of a filter that has some, where another
+    than the usual one is likely at some time).
     """
     shown = view(of)
     rows = ["speed", *(["altitude"] if shown.altitude else []), "innovation", *(["regimes"] if shown.regimes else [])]
@@ -42,7 +41,7 @@ def cleaned(of: Cleaned) -> Figure:
     _finish_time([panels[row] for row in rows], shown)
     figure.suptitle(words(shown.title, TITLE))
     seen = show(panels["map"], *shown.window)  # about: the layout needs the numbers at its axes, and room above the map
-    panels["map"].set_title(" " if beyond(shown, *seen)[2] else "", fontsize=SIZE, loc="left")
+    panels["map"].set_title(beyond(shown, *seen)[2], fontsize=SIZE, color=RED, loc="left")
     lay_out(figure)  # labels are put where there is room, which the layout decides
     figure.set_layout_engine("none")
     _label_map(panels["map"], shown)
@@ -54,7 +53,7 @@ def _draw_map(axes: Axes, of: View) -> None:
     edges = of.sides[good]
     quads = np.stack([edges[:-1, 0], edges[1:, 0], edges[1:, 1], edges[:-1, 1]], 1)
     axes.add_collection(PolyCollection(list(quads), facecolor=PALE_BLUE, edgecolor=PALE_BLUE, linewidth=0.5, zorder=1))
-    for begin, end in of.shades():
+    for begin, end in of.shades:
         part = of.path[(of.time >= begin) & (of.time <= end)]
         axes.plot(*part.T, color=ORANGE, linewidth=5, alpha=0.6, solid_capstyle="butt", zorder=2)
     axes.plot(*of.recorded[~of.rejected].T, linestyle="none", marker=".", markersize=3, color=GREY, zorder=3)
@@ -68,16 +67,12 @@ def _draw_map(axes: Axes, of: View) -> None:
 def _label_map(axes: Axes, of: View) -> None:
     """Names what is on the map, and lists at its edge what is beyond, once the figure has its layout."""
     low, high = show(axes, *of.window)
-    edge, way, said = beyond(of, low, high)
+    edge, way, _ = beyond(of, low, high)
     for (x, y), (dx, dy) in zip(edge, way, strict=True):
         axes.plot(x, y, marker=(3, 0, np.degrees(np.arctan2(dy, dx)) - 90), markersize=7, color=RED, clip_on=False,
                   linestyle="none", zorder=6)  # fmt: skip
-    if said:
-        more = f" and {len(said) - _MOST_LISTED:,} more" if len(said) > _MOST_LISTED else ""
-        listed = ", ".join(said[:_MOST_LISTED]) + more
-        axes.set_title(f"rejected beyond the edge: {listed}", fontsize=SIZE, color=RED, loc="left")
     points = {"cleaned": of.path, "recorded": of.recorded[~of.rejected], "rejected": of.recorded[of.rejected]}
-    turns = [of.path[(of.time >= begin) & (of.time <= end)] for begin, end in of.shades()]
+    turns = [of.path[(of.time >= begin) & (of.time <= end)] for begin, end in of.shades]
     if turns:
         points["manoeuvre"] = np.concatenate(turns)
     finite = {name: places[np.isfinite(places).all(1)] for name, places in points.items()}
@@ -96,14 +91,14 @@ def _draw_band(axes: Axes, of: View, band: Band, label: str) -> None:
         for mask, mark, colour in ((~of.rejected, ".", GREY), (of.rejected, "x", RED)):
             axes.plot(of.time[mask], band.recorded[mask], mark, markersize=3 if mark == "." else 5, color=colour,
                       zorder=1 if mark == "." else 3)  # fmt: skip
-        _note_beyond(axes, band.recorded[of.rejected], limits)
+    _note_beyond(axes, band.mean if band.recorded is None else band.recorded, limits)
     axes.set(ylabel=label, ylim=limits)
 
 
 def _note_beyond(axes: Axes, values: Array, limits: tuple[float, float]) -> None:
-    """How many rejected values are not on an axis, beside it."""
+    """How many values are not on an axis, beside it."""
     if count := int(((values < limits[0]) | (values > limits[1])).sum()):
-        axes.set_title(f"{count:,} rejected beyond the axis", fontsize=SIZE - 1, color=RED, loc="right", pad=2)
+        axes.set_title(f"{count:,} outside", fontsize=SIZE - 1, color=RED, loc="right", pad=2)
 
 
 def _draw_innovations(axes: Axes, of: View) -> None:
@@ -111,7 +106,8 @@ def _draw_innovations(axes: Axes, of: View) -> None:
     top = MOST_STD
     for mask, mark, colour in ((~of.rejected, ".", DARK), (of.rejected, "x", RED)):
         inside = mask & (of.innovation <= top)
-        axes.plot(of.time[inside], of.innovation[inside], mark, markersize=3 if mark == "." else 5, color=colour)
+        axes.plot(of.time[inside], of.innovation[inside], mark, markersize=3 if mark == "." else 5, color=colour,
+                  )  # fmt: skip
     over = of.innovation > top
     if over.any():
         colours = np.where(of.rejected[over], RED, DARK)
@@ -119,7 +115,7 @@ def _draw_innovations(axes: Axes, of: View) -> None:
             of.time[over], np.full(over.sum(), top), s=25, marker="^", c=list(colours), clip_on=False, zorder=3
         )
         most = np.nanmax(of.innovation)
-        axes.set_title(f"{over.sum():,} beyond, up to {most:,.0f}", fontsize=SIZE - 1, loc="right", pad=4)
+        axes.set_title(f"{over.sum():,} outside, up to {most:,.0f}", fontsize=SIZE - 1, loc="right", pad=4)
     axes.axhline(1.0, color=BLACK, linewidth=0.8, linestyle=":")
     axes.annotate("as expected", (1.0, 1.0), (3, 0), xycoords=("axes fraction", "data"), textcoords="offset points",
                   fontsize=SIZE - 1, va="center", annotation_clip=False)  # fmt: skip
@@ -138,26 +134,15 @@ def _finish_time(rows: list[Axes], of: View) -> None:
     """Shades the manoeuvres, and gives all panels the same time."""
     end = of.time[-1] if of.time[-1] > 0 else 1.0
     for axes in rows:
-        axes.set_xlim(0, end)
+        axes.set_xlim(0, end)  # dots at the ends are seen
         if axes.get_label() != "regimes":
-            for begin, last in of.shades():
+            for begin, last in of.shades:
                 axes.axvspan(begin, last, color=ORANGE, alpha=0.22, linewidth=0, zorder=0)
             finish(axes)
         without_box(axes)
     for axes in rows[:-1]:
         axes.tick_params(labelbottom=False)
     rows[-1].set(xlabel=of.clock)
-    _name_manoeuvres(rows[0], of, end)
-
-
-def _name_manoeuvres(axes: Axes, of: View, end: float) -> None:
-    """What each manoeuvre was, above its shade, in two rows and as far as names do not touch."""
-    taken = [0.0, 0.0]
-    for begin, last, kind in of.manoeuvres:
-        half, middle = 0.5 * len(kind) / _LETTERS, 0.5 * (begin + last) / end
-        middle = min(max(middle, half), 1 - half)
-        row = 0 if middle - half >= taken[0] else 1
-        if middle - half >= taken[row]:
-            axes.annotate(kind, (middle, 1.0), (0, 3 + 10 * row), xycoords="axes fraction", textcoords="offset points",
-                          ha="center", fontsize=SIZE - 1.5, color=BROWN, annotation_clip=False)  # fmt: skip
-            taken[row] = middle + half + 0.01
+    for middle, row, kind in placed(of, _LETTERS):
+        rows[0].annotate(kind, (middle, 1.0), (0, 3 + 10 * row), xycoords="axes fraction", textcoords="offset points",
+                         ha="center", fontsize=SIZE - 1.5, color=BROWN, annotation_clip=False)  # fmt: skip

@@ -12,6 +12,7 @@ import numpy as np
 from torchfra.cleaning import Cleaned, Found
 from torchfra.cleaning.cleaned import FLAGS
 from torchfra.cleaning.outputs.course import course
+from torchfra.cleaning.segments import spans
 from torchfra.readers.repairs import in_words, plural
 from torchfra.tables import duration, metres, printable, text_table
 
@@ -157,7 +158,7 @@ def manoeuvres(cleaned: Cleaned) -> str:
     """How many there are of which kind, and how long they take together."""
     kinds = Counter(_NOUNS.get(segment.kind, segment.kind) for segment in cleaned.segments)
     counts = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in kinds.most_common())
-    return f"Manoeuvres: {counts}; {duration(sum(segment.end - segment.begin for segment in cleaned.segments))} in all"
+    return f"Manoeuvres: {counts}; {duration(sum(end - begin for begin, end in spans(cleaned.segments)))} in all"
 
 
 def _quantile(values: Any, share: float = 1.0) -> float:

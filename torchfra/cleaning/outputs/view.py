@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torchfra.cleaning import Cleaned, Segment
 from torchfra.cleaning.outputs.course import course
 from torchfra.cleaning.outputs.times import dates
+from torchfra.cleaning.segments import spans
 from torchfra.geodesy import to_geodetic
 from torchfra.readers.columns import Array
 from torchfra.tables import duration, metres
@@ -20,6 +21,8 @@ MOST_STD = 6.0
 """Of an innovation, up to which it is shown."""
 _ROOM = 0.5
 """How far kept fixes may widen the map of the path, as a share of it."""
+_MEDIAN, _SPIKE = 5, 3.0
+"""Steps of running medians; and how many times as wide as these values may spread before their spikes do not count."""
 _REGIMES = 5
 """That are shown by themselves, with the calm one."""
 _LEAST_SHARE = 0.01
@@ -39,12 +42,13 @@ class Band(NamedTuple):
     """NaN between fixes; None where it is not recorded."""
 
     def limits(self) -> tuple[float, float]:
-        """Of an axis: the quantity, and its band where that is as wide as usual."""
+        """Of an axis: the quantity without spikes, and its band where that is as wide as usual."""
         mean, std = self.mean[np.isfinite(self.mean)], self.std[np.isfinite(self.std)]
         if not len(mean):
             return 0.0, 1.0
-        margin = max(0.08 * float(np.ptp(mean)), 1.5 * SURE * float(np.median(std)) if len(std) else 0.0, 1e-3)
-        return float(mean.min()) - margin, float(mean.max()) + margin
+        (low,), (high,) = without_spikes(mean[:, None])
+        margin = max(0.08 * (high - low), 1.5 * SURE * float(np.median(std)) if len(std) else 0.0, 1e-3)
+        return float(low - margin), float(high + margin)
 
 
 class View(NamedTuple):
@@ -73,18 +77,10 @@ class View(NamedTuple):
     """``(T,)`` in standard deviations per axis: 1 is as expected; NaN between fixes."""
     manoeuvres: list[tuple[float, float, str]]
     """Begin and end in units of ``time``, and what it was."""
+    shades: list[tuple[float, float]]
+    """Begin and end of the time with any manoeuvre."""
     regimes: dict[str, Array]
-    """Probabilities ``(T,)`` by name, the calm one first."""
-
-    def shades(self) -> list[tuple[float, float]]:
-        """Begin and end of the time with any manoeuvre."""
-        spans: list[tuple[float, float]] = []
-        for begin, end, _ in sorted(self.manoeuvres):
-            if spans and begin <= spans[-1][1]:
-                spans[-1] = spans[-1][0], max(end, spans[-1][1])
-            else:
-                spans.append((begin, end))
-        return spans
+    """Probabilities ``(T,)`` by name, the usual one first; none where no other is likely at any time."""
 
 
 def view(cleaned: Cleaned) -> View:
@@ -110,6 +106,7 @@ def view(cleaned: Cleaned) -> View:
         altitude=_altitude(cleaned, moved.up),
         innovation=np.where(cleaned.row >= 0, np.sqrt(cleaned.nis / d), np.nan),
         manoeuvres=[(of.begin / seconds, of.end / seconds, named(of)) for of in cleaned.segments],
+        shades=[(begin / seconds, end / seconds) for begin, end in spans(cleaned.segments)],
         regimes=_regimes(cleaned),
     )
 
@@ -120,24 +117,41 @@ def named(segment: Segment) -> str:
     return f"{segment.kind}, {abs(segment.rate):.2g} {unit}"
 
 
-def beyond(of: View, low: Array, high: Array) -> tuple[Array, Array, list[str]]:
-    """Rejected fixes that are not on a map from ``low`` to ``high``: where they would leave it, and how far they are.
+def beyond(of: View, low: Array, high: Array) -> tuple[Array, Array, str]:
+    """Rejected fixes that are not on a map from ``low`` to ``high``, and how much else is not.
 
     Returns:
-        Points ``(k, 2)`` on the edge, directions ``(k, 2)`` of length 1, and what to say of each, the farthest first.
+        Points ``(k, 2)`` where they would leave it, directions ``(k, 2)`` of length 1, and what to say; "" of nothing.
     """
-    steps = np.flatnonzero(of.rejected & np.isfinite(of.path).all(1))
-    fixes = of.recorded[steps]
-    out = ((fixes < low) | (fixes > high)).any(1)
-    steps, fixes = steps[out], fixes[out]
-    off = of.metres * np.linalg.norm(fixes - of.path[steps], axis=1)
-    order = np.argsort(-off, kind="stable")
-    steps, fixes, off = steps[order], fixes[order], off[order]
+    outside = ((of.recorded < low) | (of.recorded > high)).any(1) & np.isfinite(of.path).all(1)
+    fixes = of.recorded[outside & of.rejected]
     centre, half = (low + high) / 2, (high - low) / 2
     way = fixes - centre
     edge = centre + way / np.maximum(np.abs(way) / half, 1e-12).max(1, keepdims=True)
-    said = [f"{metres(far)} off" for far in off]
-    return edge, way / np.linalg.norm(way, axis=1, keepdims=True), said
+    said = []
+    if len(fixes):
+        most = of.metres * np.linalg.norm(fixes - of.path[outside & of.rejected], axis=1).max()
+        said.append(f"{len(fixes):,} rejected, up to {metres(float(most))} off")
+    if kept := int((outside & ~of.rejected).sum()):
+        said.append(f"{kept:,} kept")
+    return edge, way / np.linalg.norm(way, axis=1, keepdims=True), "; ".join(said) and f"outside: {'; '.join(said)}"
+
+
+def placed(of: View, letters: int) -> list[tuple[float, int, str]]:
+    """Where names of manoeuvres have room above a panel that is so many letters wide: in two rows, none on another.
+
+    Returns:
+        The middle as a share of the width, the row, and the name.
+    """
+    end, taken, found = float(of.time[-1]) or 1.0, [0.0, 0.0], []
+    for begin, last, kind in of.manoeuvres:
+        half, middle = 0.5 * len(kind) / letters, 0.5 * (begin + last) / end
+        middle = min(max(middle, half), 1 - half)
+        row = 0 if middle - half >= taken[0] else 1
+        if middle - half >= taken[row]:
+            found.append((middle, row, kind))
+            taken[row] = middle + half + 0.01
+    return found
 
 
 def _title(cleaned: Cleaned, rejected: NDArray[np.bool_]) -> str:
@@ -149,8 +163,13 @@ def _title(cleaned: Cleaned, rejected: NDArray[np.bool_]) -> str:
 def _clock(cleaned: Cleaned) -> tuple[str, float]:
     """The name of the axis of time, and seconds in its unit."""
     unit, seconds = "seconds", 1.0
-    if cleaned.time[-1] >= 300:
-        unit, seconds = ("minutes", 60.0) if cleaned.time[-1] < 3 * 3600 else ("hours", 3600.0)
+    for name, size, least in (
+        ("minutes", 60.0, 300.0),
+        ("hours", 3600.0, 3 * 3600.0),
+        ("days", 86_400.0, 3 * 86_400.0),
+    ):
+        if cleaned.time[-1] >= least:
+            unit, seconds = name, size
     stamps = dates(cleaned)
     return (unit if stamps is None else f"{unit} since {stamps[0][:19].replace('T', ' ')} UTC"), seconds
 
@@ -178,8 +197,19 @@ def _corners(cleaned: Cleaned, rejected: NDArray[np.bool_]) -> tuple[Array, Arra
     path, fixes = cleaned.position[:, :2], cleaned.raw[:, :2]
     finite, kept = np.isfinite(path).all(1), (cleaned.row >= 0) & ~rejected
     of = path[finite & kept] if (finite & kept).any() else path[finite] if finite.any() else np.zeros((1, 2))
-    low, high = of.min(0), of.max(0)
+    low, high = without_spikes(of)
     return corners(low, high, fixes, _ROOM * max((high - low).max(), 1.0))
+
+
+def without_spikes(values: Array) -> tuple[Array, Array]:
+    """Least and largest values ``(c,)`` of ``(T, c)``; of their running medians where single ones are far beyond."""
+    low, high = values.min(0), values.max(0)
+    if len(values) < _MEDIAN:
+        return low, high
+    median = np.median(np.lib.stride_tricks.sliding_window_view(values, _MEDIAN, axis=0), -1)
+    usual = median.min(0), median.max(0)
+    far = (high - low).max() > _SPIKE * (usual[1] - usual[0]).max()
+    return usual if far else (low, high)
 
 
 def corners(low: Array, high: Array, fixes: Array, room: float) -> tuple[Array, Array]:
@@ -192,12 +222,15 @@ def corners(low: Array, high: Array, fixes: Array, room: float) -> tuple[Array, 
 
 
 def _regimes(cleaned: Cleaned) -> dict[str, Array]:
-    """Those that matter, and the others as one."""
+    """Those that are likely at some time, and the others as one; none where that is the usual one alone."""
     if not cleaned.regimes:
         return {}
-    share = np.nan_to_num(np.nanmean(cleaned.regime, 0)) if np.isfinite(cleaned.regime).any() else np.zeros(0)
-    order = [i for i in np.argsort(-share, kind="stable") if i and share[i] >= _LEAST_SHARE][: _REGIMES - 1]
-    shown = [0, *sorted(order)]
+    known = np.nan_to_num(cleaned.regime)
+    share, most = known.mean(0), known.max(0)
+    matters = [i for i in np.argsort(-share, kind="stable") if i and (share[i] >= _LEAST_SHARE or most[i] >= 0.5)]
+    if not matters:
+        return {}
+    shown = [0, *sorted(matters[: _REGIMES - 1])]
     named = {cleaned.regimes[i]: cleaned.regime[:, i] for i in shown}
     rest = [i for i in range(len(cleaned.regimes)) if i not in shown]
     return named | ({"others": cleaned.regime[:, rest].sum(1)} if rest else {})
