@@ -1,9 +1,10 @@
-"""Time stamps of aircraft that are off by seconds are seen, and the fixes put along the path to where they belong."""
+"""Time stamps that are off are seen, and the fixes put along the path to where they belong."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from cleaning.simulated import ship
 
 from torchfra.cleaning import clean_tracks
 from torchfra.cleaning.stamps import in_place, stamps_are_off
@@ -37,14 +38,13 @@ def late():
 
 def test_late_stamps_are_seen_and_noise_and_outliers_are_not(late):
     rng = np.random.default_rng(1)
-    assert stamps_are_off(late)
-    assert not stamps_are_off(replace(late, source=Source(word="ship")))
-    assert not stamps_are_off(flight(path(TIME)))
+    assert stamps_are_off(late, "aircraft")
+    assert not stamps_are_off(flight(path(TIME)), "aircraft")
     for std in (3.0, 30.0):
         noisy = path(TIME) + std * rng.standard_normal((len(TIME), 2))
-        assert not stamps_are_off(flight(noisy))
+        assert not stamps_are_off(flight(noisy), "aircraft")
         noisy[rng.random(len(TIME)) < 0.03] += 3000.0
-        assert not stamps_are_off(flight(noisy))
+        assert not stamps_are_off(flight(noisy), "aircraft")
 
 
 def error(position):
@@ -52,7 +52,7 @@ def error(position):
 
 
 def test_fixes_move_along_the_path_to_where_they_belong(late):
-    assert error(in_place(late).position) < 0.75 * error(late.position)
+    assert error(in_place(late, "aircraft")[0].position) < 0.75 * error(late.position)
 
 
 @pytest.mark.slow
@@ -75,3 +75,68 @@ def test_cleaned_tracks_are_nearer_the_truth_say_so_and_keep_the_fixes_as_record
 def test_a_filter_on_line_takes_them_as_they_come(late):
     (online,) = clean_tracks([late], smooth=False)
     assert not any("time stamps" in line for line in online.found.said)
+
+
+# ---------------------------------------------------------------- ships, and all else that moves
+
+
+def voyage(wrong):
+    """A ship that reports every 6 s: stamps right to 0.2 s, this share of them to 2 s; the recording and the truth."""
+    rng, time = np.random.default_rng(1), 20.0 + 6.0 * np.arange(300)
+    route = 1.7 * ship(rng, 1900)
+
+    def at(seconds):
+        return np.stack([np.interp(seconds, np.arange(1901), axis) for axis in route.T], 1)
+
+    late = np.where(rng.random(300) < wrong, 2.0, 0.2) * rng.standard_normal(300)
+    fixes = at(time + late) + 0.7 * rng.standard_normal((300, 2))
+    return Recording("ship", time, fixes, None, {}, source=Source(word="ship")), at(time)
+
+
+@pytest.fixture(scope="module")
+def sailed():
+    return voyage(0.2)
+
+
+def test_a_ship_whose_stamps_are_wrong_comes_nearer_the_truth():
+    recording, truth = voyage(1.0)
+    both = clean_tracks([recording]), clean_tracks([recording], repair=False)
+    mended, plain = (np.sqrt(np.square(one.position - truth).sum(1).mean()) for (one,) in both)
+    assert mended < 0.95 * plain
+
+
+def test_fixes_of_a_ship_with_wrong_stamps_are_no_outliers(sailed):
+    recording, _ = sailed
+    (mended,), (plain,) = clean_tracks([recording]), clean_tracks([recording], repair=False)
+    assert (plain.flag == "outlier").mean() > 0.05
+    assert (mended.flag == "outlier").mean() < 0.03
+    np.testing.assert_array_equal(mended.raw, recording.position)
+
+
+def test_a_fix_beside_the_path_is_an_outlier_where_stamps_are_off_too(sailed):
+    recording, _ = sailed
+    fixes = recording.position.copy()
+    fixes[[50, 120, 200]] += [[400.0, -300.0], [-2000.0, 0.0], [0.0, 300.0]]
+    (one,) = clean_tracks([replace(recording, position=fixes)])
+    assert any("time stamps were off" in line for line in one.found.said)
+    assert (one.flag[[50, 120, 200]] == "outlier").all()
+
+
+def test_fixes_may_be_missing_where_stamps_are_off(sailed):
+    recording, truth = sailed
+    fixes = recording.position.copy()
+    fixes[100:103] = np.nan
+    (one,) = clean_tracks([replace(recording, position=fixes)])
+    assert any("time stamps were off" in line for line in one.found.said)
+    assert np.isnan(one.raw[100:103]).all()
+    assert np.linalg.norm(one.position - truth, axis=1)[100:103].max() < 20.0
+
+
+def test_a_bus_that_stops_and_goes_has_right_stamps():
+    """It does change its speed, far more than its direction, and for several fixes."""
+    speed = np.convolve(np.repeat(np.tile([12.0, 0.0], 30), 25), np.ones(8) / 8, "same")  # 1.5 m/s^2
+    for period, std in ((1, 0.1), (2, 0.5), (5, 3.0)):
+        along = np.cumsum(speed)[::period]
+        noise = std * np.random.default_rng(0).standard_normal((len(along), 2))
+        fixes = np.stack([along, 0 * along], 1) + noise
+        assert not stamps_are_off(Recording("bus", period * np.arange(len(along)) * 1.0, fixes, None, {}), "vehicle")

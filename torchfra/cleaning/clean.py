@@ -52,8 +52,8 @@ def clean(
         q: density of the process noise per second, m^2/s^3.  None finds it.
         smooth: whether each estimate knows the fixes after it.
         dt: seconds; also estimates at every multiple of it after the first fix; not of a ``DataFrame``.
-        repair: whether fixes of aircraft whose time stamps are off by seconds are first put in place, where tracks show
-            it: see ``cleaning.clean_tracks``.
+        repair: whether fixes whose time stamps are off are first put in place, where tracks show it: see
+            ``cleaning.clean_tracks``.
         compile: whether to run compiled, which pays for long tracks; needs a C++ compiler.
         max_bytes: of text that a file may hold.
         words: columns by name, such as ``time="when", lat="breite"``, and how they are written: see

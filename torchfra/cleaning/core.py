@@ -60,8 +60,8 @@ def clean_tracks(
         q: density of the process noise per second, m^2/s^3.  None finds it.
         smooth: whether each estimate knows the fixes after it; False is what a filter on line would say.
         dt: seconds; also estimates at every multiple of it after the first fix, beside those at the fixes.
-        repair: whether fixes of aircraft whose time stamps are off by seconds, as they often are in ADS-B, are first
-            put along the path to where the aircraft was: where tracks show it, and not for a filter on line.
+        repair: whether fixes whose time stamps are off, as they often are in ADS-B and AIS, are first put along the
+            path to where the target was: where tracks show it, and not for a filter on line.
         compile: whether filters of the catalogue run compiled (``Filter.compile``); needs a C++ compiler.
         fallback: called if the filter cannot be compiled, and runs interpreted; None raises the error.
 
@@ -79,8 +79,13 @@ def clean_tracks(
     if isinstance(bank, str):
         check_speeds(recordings, bank)
     recordings = [_as_measured(recording) for recording in recordings]
-    repair = repair and smooth
-    placed = [in_place(recording) if repair and stamps_are_off(recording) else recording for recording in recordings]
+    mended = {}
+    for i, recording in enumerate(recordings):
+        if repair and smooth and not np.isinf(recording.position).any():
+            kind, _ = _kind(recording, bank)
+            if stamps_are_off(recording, kind):
+                mended[i] = in_place(recording, kind)
+    placed = [mended[i][0] if i in mended else recording for i, recording in enumerate(recordings)]
     coarse = [step_of_heights(recording) for recording in recordings]
     done: dict[int, Cleaned] = {}
     for group in groups(placed):
@@ -89,7 +94,13 @@ def clean_tracks(
             done |= zip(group, work(part, coarse=steps), strict=True)
         except FAILURES:  # of one of them; the others shall not pay for it
             done |= {i: _alone(placed[i], partial(work, coarse=[coarse[i]]), filter, smooth) for i in group}
-    return as_recorded([done[i] for i in range(len(placed))], recordings)
+    done |= {i: as_recorded(done[i], recordings[i], variance) for i, (_, variance) in mended.items()}
+    return [done[i] for i in range(len(placed))]
+
+
+def _kind(recording: Recording, bank: str | Bank | None) -> tuple[str, str]:
+    """The name of the kind of a target, and why."""
+    return (bank, "as told") if isinstance(bank, str) else kind_of(recording)
 
 
 def _as_measured(recording: Recording) -> Recording:
@@ -132,7 +143,7 @@ def _cleaned(
     if any(np.isinf(recording.position).any() for recording in recordings):
         raise ValueError("position: expected finite metres or NaN, received infinity")
     tracks = [steps_of(recording, dt) for recording in recordings]
-    kinds = [(bank, "as told") if isinstance(bank, str) else kind_of(recording) for recording in recordings]
+    kinds = [_kind(recording, bank) for recording in recordings]
     own = bank if isinstance(bank, Bank) else None
     default = name == DEFAULT and own is None
     told = settings if default else settings._replace(smooth=False)

@@ -76,8 +76,8 @@ def _add_cleaning(add: Callable[..., object]) -> None:
     add("--q", type=float, help="density of the process noise, m^2/s^3 (default: found from the data)")
     add("--filter", default=DEFAULT, metavar="NAME", help=f"one of {', '.join(track_filters())} (default: {DEFAULT})")
     add("--no-smooth", action="store_true", help="use only the fixes before and at each step, as a filter on line")
-    add("--no-repair", action="store_true", help="leave the fixes of aircraft where they are, although their time "
-        "stamps seem to be off by seconds")  # fmt: skip
+    add("--no-repair", action="store_true", help="leave the fixes where they are, although their time stamps seem "
+        "to be off")  # fmt: skip
     add("--dt", type=float, metavar="S", help="also estimate every S seconds between the fixes")
 
 
