@@ -194,7 +194,7 @@ def test_a_bank_of_your_own_is_used_as_it_is():
     ({"sigma": 0.0}, "sigma: expected metres above 0"),
     ({"q": -1.0}, "q: expected m\\^2/s\\^3 of 0 or more"),
     ({"dt": 0.0}, "dt: expected seconds above 0"),
-    ({"bank": "submarine"}, "bank: expected one of person, ship, vehicle, aircraft"),
+    ({"bank": "submarine"}, "bank: expected one of person, ship, vehicle, aircraft, marine, animal, bird"),
     ({"filter": "nothing"}, "filter: expected one of"),
 ])  # fmt: skip
 def test_what_makes_no_sense_is_refused(given, said):

@@ -34,7 +34,7 @@ class Found:
     filter: str
     smooth: bool
     bank: str
-    """``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, or one that was handed in."""
+    """The kind of target, such as ``"aircraft"`` (``cleaning.kinds``), or ``"own"`` of one that was handed in."""
     sigma: float
     """Standard deviation of a fix per axis, m; where each fix has its own, a factor on those."""
     q: float

@@ -54,8 +54,9 @@ def clean_tracks(
     Args:
         recordings: from ``torchfra.readers.read``.
         filter: its name, out of ``catalogue.track_filters()``.
-        bank: of what targets: ``"aircraft"``, ``"ship"``, ``"vehicle"`` or ``"person"``, or a ``Bank`` of your own;
-            None chooses for each target by what the file says or by its speed.
+        bank: of what targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
+            ``"animal"`` or ``"bird"``, or a ``Bank`` of your own; None chooses for each target by what the file says or
+            by its speed.
         sigma: standard deviation of a fix per axis, m; where fixes have their own, a factor on those.  None finds it.
         q: density of the process noise per second, m^2/s^3.  None finds it.
         smooth: whether each estimate knows the fixes after it; False is what a filter on line would say.
