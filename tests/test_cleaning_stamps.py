@@ -82,54 +82,57 @@ def test_a_filter_on_line_takes_them_as_they_come(late):
 
 def voyage(wrong):
     """A ship that reports every 6 s: stamps right to 0.2 s, this share of them to 2 s; the recording and the truth."""
-    rng, time = np.random.default_rng(1), 20.0 + 6.0 * np.arange(300)
+    rng, time = np.random.default_rng(1), 20.0 + 6.0 * np.arange(220)
     route = 1.7 * ship(rng, 1900)
 
     def at(seconds):
         return np.stack([np.interp(seconds, np.arange(1901), axis) for axis in route.T], 1)
 
-    late = np.where(rng.random(300) < wrong, 2.0, 0.2) * rng.standard_normal(300)
-    fixes = at(time + late) + 0.7 * rng.standard_normal((300, 2))
+    late = np.where(rng.random(220) < wrong, 2.0, 0.2) * rng.standard_normal(220)
+    fixes = at(time + late) + 0.7 * rng.standard_normal((220, 2))
     return Recording("ship", time, fixes, None, {}, source=Source(word="ship")), at(time)
+
+
+BESIDE = [50, 120, 200], [[400.0, -300.0], [-2000.0, 0.0], [0.0, 300.0]]
+"""Fixes beside the path, and by how many metres."""
 
 
 @pytest.fixture(scope="module")
 def sailed():
-    return voyage(0.2)
+    """Ships whose stamps are all wrong, or one in five, the latter also with outliers and with missing fixes: each
+    recording, its truth and what comes of it; and what comes of the first two as they are."""
+    (every, truth), (some, _) = voyage(1.0), voyage(0.2)
+    fixes = some.position.copy(), some.position.copy()
+    fixes[0][BESIDE[0]] += BESIDE[1]
+    fixes[1][100:103] = np.nan
+    several = [every, some, *(replace(some, position=position) for position in fixes)]
+    return several, truth, clean_tracks(several), clean_tracks(several[:2], repair=False)
 
 
-def test_a_ship_whose_stamps_are_wrong_comes_nearer_the_truth():
-    recording, truth = voyage(1.0)
-    both = clean_tracks([recording]), clean_tracks([recording], repair=False)
-    mended, plain = (np.sqrt(np.square(one.position - truth).sum(1).mean()) for (one,) in both)
-    assert mended < 0.95 * plain
+def test_a_ship_whose_stamps_are_wrong_comes_nearer_the_truth(sailed):
+    _, truth, mended, plain = sailed
+    off = [np.sqrt(np.square(one.position - truth).sum(1).mean()) for one in (mended[0], plain[0])]
+    assert off[0] < 0.95 * off[1]
 
 
 def test_fixes_of_a_ship_with_wrong_stamps_are_no_outliers(sailed):
-    recording, _ = sailed
-    (mended,), (plain,) = clean_tracks([recording]), clean_tracks([recording], repair=False)
-    assert (plain.flag == "outlier").mean() > 0.05
-    assert (mended.flag == "outlier").mean() < 0.03
-    np.testing.assert_array_equal(mended.raw, recording.position)
+    several, _, mended, plain = sailed
+    assert (plain[1].flag == "outlier").mean() > 0.05
+    assert (mended[1].flag == "outlier").mean() < 0.03
+    np.testing.assert_array_equal(mended[1].raw, several[1].position)
 
 
 def test_a_fix_beside_the_path_is_an_outlier_where_stamps_are_off_too(sailed):
-    recording, _ = sailed
-    fixes = recording.position.copy()
-    fixes[[50, 120, 200]] += [[400.0, -300.0], [-2000.0, 0.0], [0.0, 300.0]]
-    (one,) = clean_tracks([replace(recording, position=fixes)])
-    assert any("time stamps were off" in line for line in one.found.said)
-    assert (one.flag[[50, 120, 200]] == "outlier").all()
+    _, _, mended, _ = sailed
+    assert any("time stamps were off" in line for line in mended[2].found.said)
+    assert (mended[2].flag[BESIDE[0]] == "outlier").all()
 
 
 def test_fixes_may_be_missing_where_stamps_are_off(sailed):
-    recording, truth = sailed
-    fixes = recording.position.copy()
-    fixes[100:103] = np.nan
-    (one,) = clean_tracks([replace(recording, position=fixes)])
-    assert any("time stamps were off" in line for line in one.found.said)
-    assert np.isnan(one.raw[100:103]).all()
-    assert np.linalg.norm(one.position - truth, axis=1)[100:103].max() < 20.0
+    _, truth, mended, _ = sailed
+    assert any("time stamps were off" in line for line in mended[3].found.said)
+    assert np.isnan(mended[3].raw[100:103]).all()
+    assert np.linalg.norm(mended[3].position - truth, axis=1)[100:103].max() < 20.0
 
 
 def test_a_bus_that_stops_and_goes_has_right_stamps():

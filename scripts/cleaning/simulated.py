@@ -67,12 +67,17 @@ def animal(rng: np.random.Generator, steps: int, dt: float) -> Array:
 
     Source: Johnson et al. (2008), Ecology 89, 1208: the correlated random walk in continuous time.
     """
-    speed, lasting = rng.uniform(0.3, 0.7) / math.sqrt(2), rng.uniform(2.0, 5.0) * 3600.0
-    kept = math.exp(-dt / lasting)
-    velocity = speed * rng.standard_normal((steps + 1, 2))
-    for step in range(1, steps + 1):
-        velocity[step] = kept * velocity[step - 1] + math.sqrt(1 - kept**2) * velocity[step]
-    return np.concatenate([np.zeros((1, 2)), np.cumsum(velocity[1:] * dt, axis=0)])
+    speed, forgotten = rng.uniform(0.3, 0.7) / math.sqrt(2), rng.uniform(2.0, 5.0) * 3600.0
+    velocity = speed * lasting(rng, (steps, 2), dt, forgotten)
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(velocity * dt, axis=0)])
+
+
+def lasting(rng: np.random.Generator, shape: tuple[int, int], dt: float, seconds: float) -> Array:
+    """A Gauss-Markov process ``(k, d)`` of variance 1 that is forgotten in so many seconds to a share of 1 / e."""
+    kept, values = math.exp(-dt / seconds), rng.standard_normal(shape)
+    for step in range(1, len(values)):
+        values[step] = kept * values[step - 1] + math.sqrt(1 - kept**2) * values[step]
+    return values
 
 
 def _turn(rng: np.random.Generator, rate: float, angle: float) -> Leg:

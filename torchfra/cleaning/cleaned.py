@@ -46,7 +46,7 @@ class Found:
     said: tuple[str, ...] = ()
     """Lines for a person: why this bank, sigma of the height, time stamps that were off."""
     doubt: str = ""
-    """Why sigma is hardly known, where it was found; "" if it is."""
+    """Why sigma is hardly known, where it was found, or that errors last from fix to fix; "" if neither is so."""
     failure: str = ""
     """Why the track could not be cleaned at all; "" if it was."""
 

@@ -12,6 +12,7 @@ import torch
 
 from torchfra.cleaning.batches import Steps, groups, step_of_heights, steps_of
 from torchfra.cleaning.cleaned import Cleaned, Found
+from torchfra.cleaning.correlation import widened
 from torchfra.cleaning.flags import flags
 from torchfra.cleaning.kinds import BANKS, check_kind, check_speeds, kind_of
 from torchfra.cleaning.others import GATE, Fallback, estimated, make, manoeuvre_of, outlier_of, regimes_of
@@ -95,8 +96,9 @@ def clean_tracks(
             done |= zip(group, work(part, coarse=steps), strict=True)
         except FAILURES:  # of one of them; the others shall not pay for it
             done |= {i: _alone(placed[i], partial(work, coarse=[coarse[i]]), filter, smooth) for i in group}
-    done |= {i: as_recorded(done[i], recordings[i], variance) for i, (_, variance) in mended.items()}
-    return [done[i] for i in range(len(placed))]
+    return [
+        as_recorded(done[i], recordings[i], mended[i][1]) if i in mended else widened(done[i]) for i in sorted(done)
+    ]
 
 
 def _kind(recording: Recording, bank: str | Bank | None) -> tuple[str, str]:

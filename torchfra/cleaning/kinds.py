@@ -38,6 +38,8 @@ BANKS = {
     "marine": people, "animal": people, "bird": vehicles,
 }  # fmt: skip
 """The motions of each, for filters of several."""
+USUAL = 0.2
+"""Share of its hardest acceleration that four in five fixes of a target stay below, where it goes along."""
 _FASTER = 5.0
 """How many times as fast as its kind a target may be that somebody says to be of it."""
 _MANY = 25

@@ -8,23 +8,20 @@ import numpy as np
 
 from torchfra.cleaning.batches import steps_of
 from torchfra.cleaning.cleaned import Cleaned
-from torchfra.cleaning.kinds import KINDS
+from torchfra.cleaning.kinds import KINDS, USUAL
 from torchfra.cleaning.positions import Settings, answers
+from torchfra.cleaning.second import second_differences, spread
 from torchfra.readers.columns import Array
 from torchfra.readers.flyable import flyable, running_median
 from torchfra.readers.recording import Recording
 from torchfra.readers.smoothing import differences
 
-_USUAL = 0.2
-"""Share of its hardest acceleration that four in five fixes of a target stay below along its track."""
 _RATIO = 2.0
 """How much more of it there is along the track than across where stamps are off: noise is alike in both."""
 _GROWS = 1.2
 """Errors of stamps do not grow so much when every second fix is left out; those of a motion do, by 1.4 or more."""
 _LEAST = 8, 60
 """Fixes from which on that can be seen of an aircraft, and of others, which do change their speed as they go."""
-_STD = {0.25: 0.3186, 0.5: 0.6745, 0.8: 1.2816}
-"""Standard deviations below which so large a share of a normal distribution's absolute values is."""
 _ASIDE = 5.0
 """Standard deviations that a fix lies beside the path of which not only the stamp is off."""
 
@@ -43,15 +40,15 @@ def stamps_are_off(recording: Recording, kind: str) -> bool:
     time, path = recording.time[there], recording.position[there, :2]
     if len(time) < _LEAST[kind != "aircraft"]:
         return False
-    along, across, rows, ahead = _second_differences(time, path)
-    size = np.linalg.norm(rows, axis=1)
+    along, across, ahead = _along_and_across(time, path)
+    size = np.linalg.norm(differences(time, 2), axis=1)
     one, other = (float(np.quantile(np.abs(x * size), 0.8)) for x in (along, across))
-    if not (one > _USUAL * KINDS[kind].acceleration and one > _RATIO * other):
+    if not (one > USUAL * KINDS[kind].acceleration and one > _RATIO * other):
         return False
     if kind == "aircraft":  # which hardly change their speed, and whose stamps may be off for a while
         return True
-    fewer = np.concatenate([_second_differences(time[first::2], path[first::2])[0] for first in (0, 1)])
-    return bool(2 * _spread(along) < np.median(ahead) and _spread(fewer) < _GROWS * _spread(along))
+    fewer = np.concatenate([_along_and_across(time[first::2], path[first::2])[0] for first in (0, 1)])
+    return bool(2 * spread(along) < np.median(ahead) and spread(fewer) < _GROWS * spread(along))
 
 
 def in_place(recording: Recording, kind: str) -> tuple[Recording, Array]:
@@ -81,17 +78,17 @@ def _smoothed_along(recording: Recording, kind: str) -> tuple[Recording, Array]:
     time, position, d = recording.time, recording.position.copy(), recording.position.shape[1]
     there = np.isfinite(position).all(1)
     at = time[there]
-    along, across, _, ahead = _second_differences(at, position[there, :2])
+    along, across, ahead = _along_and_across(at, position[there, :2])
     speed = running_median(ahead / (at[2:] - at[:-2]), 7)
     fast = speed >= np.median(speed)
-    seconds, noise = _spread(along[fast] / speed[fast], 0.25), _spread(across, 0.5)
+    seconds, noise = spread(along[fast] / speed[fast], 0.25), spread(across, 0.5)
     std = np.hypot(seconds * np.interp(time, at[1:-1], speed), noise)
     steps = steps_of(recording)
     (known,) = answers([steps._replace(std=np.repeat(std[:, None], d, 1))], [kind], Settings(sigma=1.0), [0.0])
     course = _course(known.mean[:, d : d + 2])
     left = position[:, :2] - known.mean[:, :2]
     aside, wrong = np.abs(left[:, 0] * course[:, 1] - left[:, 1] * course[:, 0]), known.outlier > 0.5
-    noise = _spread(aside[there & ~wrong], 0.5)
+    noise = spread(aside[there & ~wrong], 0.5)
     share = np.where(wrong, aside > _ASIDE * noise, (noise / std).clip(max=1.0))
     position[:, :2] -= ((1 - share) * (left * course).sum(1))[:, None] * course
     return replace(recording, position=position), np.einsum("ti,tij,tj->t", course, known.covariance[:, :2, :2], course)
@@ -118,27 +115,14 @@ def as_recorded(one: Cleaned, recording: Recording, variance: Array) -> Cleaned:
                    found=replace(one.found, said=(*one.found.said, said)))  # fmt: skip
 
 
-def _second_differences(time: Array, path: Array) -> tuple[Array, Array, Array, Array]:
-    """Of a path ``(k, 2)`` along and across, as white noise would have its own standard deviation; with more.
-
-    Returns:
-        ``(k - 2,)`` m along, ``(k - 2,)`` m across, the coefficients ``(k - 2, 3)`` of accelerations, and the distances
-        ``(k - 2,)`` from the fix before to the one after, m.
-    """
-    rows = differences(time, 2)
-    scaled = rows / np.linalg.norm(rows, axis=1, keepdims=True)
-    error = scaled[:, :1] * path[:-2] + scaled[:, 1:2] * path[1:-1] + scaled[:, 2:] * path[2:]
-    ahead = path[2:] - path[:-2]
+def _along_and_across(time: Array, path: Array) -> tuple[Array, Array, Array]:
+    """Second differences of a path ``(k, 2)`` along and across, and the distances between the fixes around each, m."""
+    error, ahead = second_differences(time, path), path[2:] - path[:-2]
     course = _course(ahead)
     across = error[:, 0] * course[:, 1] - error[:, 1] * course[:, 0]
-    return (error * course).sum(1), across, rows, np.linalg.norm(ahead, axis=1)
+    return (error * course).sum(1), across, np.linalg.norm(ahead, axis=1)
 
 
 def _course(velocity: Array) -> Array:
     """Unit vectors of the way ahead."""
     return np.asarray(velocity / np.linalg.norm(velocity, axis=1, keepdims=True).clip(1e-9))
-
-
-def _spread(values: Array, share: float = 0.8) -> float:
-    """The standard deviation of what is normally distributed about 0, as far as this share of it."""
-    return float(np.quantile(np.abs(values), share)) / _STD[share]
