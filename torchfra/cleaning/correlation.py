@@ -27,7 +27,7 @@ last: those of white noise do not grow, and those of a motion do by 2 or 2.8."""
 _NOISE = 1.75
 """Growth from which on second differences are those of the motion."""
 _SECONDS = 4.0, 90.0, 14
-"""For how long errors may last: least, most, and how many times in between are tried."""
+"""For how long errors may last: least, which fixes have to be within, most, and how many times in between are tried."""
 _USUALLY, _WEIGHT = 30.0, 1e-3
 """For how long they usually last, and what the square of the log of another time costs."""
 
@@ -56,10 +56,10 @@ def lasting_errors(recording: Recording, kind: str) -> Lasting | None:
     """
     there = np.isfinite(recording.position).all(1)
     time, path = recording.time[there], recording.position[there, :2]
-    if len(time) < _LEAST:
+    step = float(np.median(np.diff(time))) if len(time) >= _LEAST else np.inf
+    if step > _SECONDS[0]:
         return None
-    step, lags = float(np.median(np.diff(time))), [lag for lag in range(_LAGS) if 4 * 2**lag <= len(time)]
-    every = [second_differences(time, path, 2**lag) for lag in lags]
+    every = [second_differences(time, path, 2**lag) for lag in range(_LAGS) if 4 * 2**lag <= len(time)]
     usual = np.array([spread(x, 0.5) for x in every[:4]])
     growth = usual[1:] / usual[:-1].clip(1e-9)
     lasts = _GROWTH[0] < growth.min() and growth.max() < _GROWTH[1] and usual[2] > _TWICE * usual[0]

@@ -21,7 +21,7 @@ _RATIO = 2.0
 _GROWS = 1.2
 """Errors of stamps do not grow so much when every second fix is left out; those of a motion do, by 1.4 or more."""
 _LEAST = 8, 60
-"""Fixes from which on that can be seen of an aircraft, and of others, which do change their speed as they go."""
+"""Fixes from which on that can be seen of ADS-B, and of others, which do change their speed as they go."""
 _ASIDE = 5.0
 """Standard deviations that a fix lies beside the path of which not only the stamp is off."""
 
@@ -38,29 +38,35 @@ def stamps_are_off(recording: Recording, kind: str) -> bool:
     """
     there = np.isfinite(recording.position).all(1)
     time, path = recording.time[there], recording.position[there, :2]
-    if len(time) < _LEAST[kind != "aircraft"]:
+    reported = _as_reported(recording)
+    if len(time) < _LEAST[not reported]:
         return False
     along, across, ahead = _along_and_across(time, path)
     size = np.linalg.norm(differences(time, 2), axis=1)
     one, other = (float(np.quantile(np.abs(x * size), 0.8)) for x in (along, across))
     if not (one > USUAL * KINDS[kind].acceleration and one > _RATIO * other):
         return False
-    if kind == "aircraft":  # which hardly change their speed, and whose stamps may be off for a while
+    if reported:
         return True
     fewer = np.concatenate([_along_and_across(time[first::2], path[first::2])[0] for first in (0, 1)])
     return bool(2 * spread(along) < np.median(ahead) and spread(fewer) < _GROWS * spread(along))
 
 
+def _as_reported(recording: Recording) -> bool:
+    """Whether a file is of aircraft as they report themselves: their stamps may be off for a while."""
+    return recording.source.word == "aircraft"
+
+
 def in_place(recording: Recording, kind: str) -> tuple[Recording, Array]:
     """The recording with each fix moved along the path to where the target was, and ``(k,)`` how sure that is, m^2.
 
-    Recorded positions of aircraft come late, are held, or are interpolated between others: ``readers.flyable``.  As a
+    Positions that aircraft report come late, are held, or are interpolated between others: ``readers.flyable``.  As a
     track alone does not tell whether all of its stamps are late, the variance is of how far fixes were usually moved.
     Stamps of others are off by white noise.
 
     Outliers stay as they are.
     """
-    if kind != "aircraft":
+    if not _as_reported(recording):
         return _smoothed_along(recording, kind)
     there, position = np.isfinite(recording.position).all(1), recording.position.copy()
     for piece in flyable(replace(recording, time=recording.time[there], position=position[there])):
