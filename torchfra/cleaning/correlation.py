@@ -21,7 +21,7 @@ _LAGS = 7
 """Most lags, each twice the one before, at which second differences are compared."""
 _STRAIGHT = 0.35
 """Share of the second differences that hardly ever are of a turn, and from which the errors are found."""
-_GROWTH, _TWICE = (1.15, 1.9), 1.7
+_GROWTH, _TWICE = (1.15, 1.9), 1.6
 """By what second differences grow from each of the first lags to the next, and at least over two of them, where errors
 last: those of white noise do not grow, and those of a motion do by 2 or 2.8."""
 _NOISE = 1.75

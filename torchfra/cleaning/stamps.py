@@ -16,10 +16,11 @@ from torchfra.readers.flyable import flyable, running_median
 from torchfra.readers.recording import Recording
 from torchfra.readers.smoothing import differences
 
-_RATIO = 2.0
-"""How much more of it there is along the track than across where stamps are off: noise is alike in both."""
-_GROWS = 1.2
-"""Errors of stamps do not grow so much when every second fix is left out; those of a motion do, by 1.4 or more."""
+_RATIO = 2.0, 1.5
+"""How much more of it there is along the track than across where stamps are off, in ADS-B and else: noise is alike in
+both."""
+_GROWS = 1.3
+"""Errors of stamps that are white do not grow so much without every second fix; those of a motion do, by 1.4 or more."""
 _LEAST = 8, 60
 """Fixes from which on that can be seen of ADS-B, and of others, which do change their speed as they go."""
 _ASIDE = 5.0
@@ -44,7 +45,7 @@ def stamps_are_off(recording: Recording, kind: str) -> bool:
     along, across, ahead = _along_and_across(time, path)
     size = np.linalg.norm(differences(time, 2), axis=1)
     one, other = (float(np.quantile(np.abs(x * size), 0.8)) for x in (along, across))
-    if not (one > USUAL * KINDS[kind].acceleration and one > _RATIO * other):
+    if not (one > USUAL * KINDS[kind].acceleration and one > _RATIO[not reported] * other):
         return False
     if reported:
         return True
