@@ -20,7 +20,7 @@ _RATIO = 2.0, 1.5
 """How much more of it there is along the track than across where stamps are off, in ADS-B and else: noise is alike in
 both."""
 _GROWS = 1.3
-"""Errors of stamps that are white do not grow so much without every second fix; those of a motion do, by 1.4 or more."""
+"""Without every second fix, white errors of stamps do not grow so much; those of a motion do, by 1.4 or more."""
 _LEAST = 8, 60
 """Fixes from which on that can be seen of ADS-B, and of others, which do change their speed as they go."""
 _ASIDE = 5.0
