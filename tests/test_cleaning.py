@@ -296,9 +296,11 @@ def test_a_missing_altitude_is_not_the_one_before():
     path = np.stack([30.0 * np.arange(120), 5.0 * np.arange(120), 10.0 * np.arange(120)], 1)
     z = path + 3 * rng.standard_normal(path.shape)
     z[60:70, 2] = np.nan
+    z[65, :2] += 500.0
     of = torchfra.clean((np.arange(120.0), z))
     assert of.position.shape == path.shape
     assert np.abs(of.position - path)[60:70].max() < 15
+    assert np.flatnonzero(of.flag == "outlier").tolist() == [65]  # wherever it is in height
 
 
 def climb(missing):

@@ -166,12 +166,12 @@ def _result(
     recording: Recording, steps: Steps, mean: Array, covariance: Array, nis: Array, outlier: Array, manoeuvre: Array,
     found: Found, names: tuple[str, ...], regimes: Array,
 ) -> Cleaned:  # fmt: skip
-    fix = (steps.row >= 0) & ~np.isnan(steps.raw).any(1)
+    fix = (steps.row >= 0) & ~np.isnan(steps.raw[:, :2]).any(1)  # an altitude may be missing
     origin, d = recording.origin, steps.raw.shape[1]
     height = to_geodetic(mean[:, :3], origin)[2] if origin is not None and d == 3 else None
     listed = segments(steps.time, mean, covariance, height)
     flag = flags(fix, nis, outlier, manoeuvre, inside(steps.time, listed), GATE[d])
-    good = fix & (flag != "outlier")
+    good = fix & ~np.isnan(steps.raw).any(1) & (flag != "outlier")
     found = replace(found, nis=float(nis[good].mean() / d) if good.any() else math.nan)
     if "sigma" in found.found:
         found = replace(found, doubt=_doubt(steps, covariance, found.sigma))
