@@ -7,6 +7,8 @@ from cleaning.simulated import lasting, ship
 from torchfra.cleaning import clean_tracks
 from torchfra.cleaning.correlation import _fitted, _of_a_mean, lasting_errors
 from torchfra.cleaning.second import second_differences
+from torchfra.motion import ConstantVelocity
+from torchfra.motion.bank import Bank
 from torchfra.readers import Recording
 from torchfra.readers.recording import Source
 
@@ -37,6 +39,13 @@ def test_errors_that_last_are_said_with_their_size_and_time():
     found = lasting_errors(recording, "ship")
     assert 3.0 < found.std < 12.0
     assert 5.0 < found.seconds < 45.0
+
+
+def test_errors_that_last_are_said_with_a_bank_of_ones_own_too():
+    recording, _ = voyage(0, 6.0, 15.0, count=250)
+    bank = Bank([ConstantVelocity(0.1, spectral=True, orders=3), ConstantVelocity(1.0, spectral=True, orders=3)])
+    (one,) = clean_tracks([recording], filter="srckf", bank=bank)
+    assert one.found.doubt.startswith("errors of neighbouring fixes are alike over about ")
 
 
 def test_white_noise_is_no_error_that_lasts():

@@ -96,9 +96,12 @@ def clean_tracks(
             done |= zip(group, work(part, coarse=steps), strict=True)
         except FAILURES:  # of one of them; the others shall not pay for it
             done |= {i: _alone(placed[i], partial(work, coarse=[coarse[i]]), filter, smooth) for i in group}
-    return [
-        as_recorded(done[i], recordings[i], mended[i][1]) if i in mended else widened(done[i]) for i in sorted(done)
-    ]
+    for i, recording in enumerate(recordings):
+        if i in mended:
+            done[i] = as_recorded(done[i], recording, mended[i][1])
+        elif not done[i].found.failure:
+            done[i] = widened(done[i], _kind(recording, bank)[0])
+    return [done[i] for i in range(len(recordings))]
 
 
 def _kind(recording: Recording, bank: str | Bank | None) -> tuple[str, str]:
@@ -190,7 +193,9 @@ def _doubt(steps: Steps, covariance: Array, sigma: float) -> str:
     surer = np.sqrt(np.trace(at[:, :2, :2], axis1=1, axis2=2) / 2) / (sigma * seen.std[:, 0])
     if np.median(surer) < _SURER:
         return ""
-    return f"fixes every {period_of(seen):.3g} s hardly tell noise from motion: sigma is unsure"
+    period = period_of(seen)
+    every = f"{period:,.0f}" if period >= 100 else f"{period:.3g}"
+    return f"fixes every {every} s hardly tell noise from motion: sigma is unsure"
 
 
 def _found(name: str, settings: Settings, own: Bank | None, kind: tuple[str, str], answer: Answer) -> Found:

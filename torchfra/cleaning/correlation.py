@@ -54,7 +54,7 @@ def lasting_errors(recording: Recording, kind: str) -> Lasting | None:
         recording: of a target.
         kind: name of its kind.
     """
-    there = np.isfinite(recording.position).all(1)
+    there = np.isfinite(recording.position[:, :2]).all(1)
     time, path = recording.time[there], recording.position[there, :2]
     step = float(np.median(np.diff(time))) if len(time) >= _LEAST else np.inf
     if step > _SECONDS[0]:
@@ -101,13 +101,13 @@ def _least_squares(parts: Sequence[Array]) -> tuple[float, Array]:
     return best
 
 
-def widened(one: Cleaned) -> Cleaned:
+def widened(one: Cleaned, kind: str) -> Cleaned:
     """The result with covariances that know of errors that last, if there are any.
 
     An estimate that is as sure as the mean of m fixes of independent errors is as sure as the mean of m fixes whose
     errors are those of the process.
     """
-    errors = None if one.found.failure else lasting_errors(one.recording, one.found.bank)
+    errors = lasting_errors(one.recording, kind)
     if errors is None:
         return one
     known = (one.covariance[:, 0, 0] + one.covariance[:, 1, 1]) / 2

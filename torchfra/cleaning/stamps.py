@@ -37,7 +37,7 @@ def stamps_are_off(recording: Recording, kind: str) -> bool:
         recording: of a target.
         kind: name of its kind.
     """
-    there = np.isfinite(recording.position).all(1)
+    there = np.isfinite(recording.position[:, :2]).all(1)
     time, path = recording.time[there], recording.position[there, :2]
     reported = _as_reported(recording)
     if len(time) < _LEAST[not reported]:
@@ -83,7 +83,7 @@ def _smoothed_along(recording: Recording, kind: str) -> tuple[Recording, Array]:
     Errors along the track are then as large as those across it, and no larger: a filter of positions takes both as one.
     """
     time, position, d = recording.time, recording.position.copy(), recording.position.shape[1]
-    there = np.isfinite(position).all(1)
+    there = np.isfinite(position[:, :2]).all(1)
     at = time[there]
     along, across, ahead = _along_and_across(at, position[there, :2])
     speed = running_median(ahead / (at[2:] - at[:-2]), 7)
@@ -109,7 +109,7 @@ def as_recorded(one: Cleaned, recording: Recording, variance: Array) -> Cleaned:
         recording: as it came.
         variance: ``(k,)`` of the positions along the track, m^2, which is added to the covariances.
     """
-    moved = np.linalg.norm(one.recording.position - recording.position, axis=1)
+    moved = np.linalg.norm((one.recording.position - recording.position)[:, :2], axis=1)
     moved, d = moved[np.isfinite(moved)], one.raw.shape[1]
     raw = np.full_like(one.raw, np.nan)
     raw[one.row >= 0] = recording.position[one.row[one.row >= 0]]

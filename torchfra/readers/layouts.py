@@ -329,5 +329,5 @@ def _said(columns: Mapping[str, str], length: float, told: Told, wanted: Wanted)
             f"altitude: {columns['altitude']}, in {unit_said}" + ("" if told.units else "; --units takes others")
         )
     marks = [columns[role] for role in MARKS if role in columns]
-    lines += [f"fixes marked as wrong: {listed(marks)}"] if marks else []
+    lines += [f"marks of outliers: {listed(marks)}"] if marks else []
     return lines + ([f"targets: {columns['id']}"] if "id" in columns else [])
