@@ -1,6 +1,7 @@
 """Tracks of animals: files of Movebank are read with the errors of Argos, and fixes hours apart are cleaned."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from cleaning.simulated import animal
 
 from torchfra.cleaning import clean_tracks
 from torchfra.cleaning.kinds import kind_of
+from torchfra.cleaning.outputs import settings_line
 from torchfra.readers import Recording, read
 from torchfra.readers.recording import Source
 
@@ -97,3 +99,9 @@ def test_a_standard_deviation_of_kilometres_that_is_stated_is_taken():
     (one,) = clean_tracks([Recording("seal", recording.time, fixes, None, {}, sigma=sigma)], bank="marine")
     assert one.found.sigma == pytest.approx(1.0, rel=0.25)
     assert np.square(one.position - truth).mean() < 0.3 * np.square(fixes - truth)[~wrong].mean()
+
+
+def test_a_factor_on_stated_deviations_is_said_as_one():
+    recording, _, _ = walk(5, noise=400.0, count=40)
+    (one,) = clean_tracks([replace(recording, sigma=np.full(40, 400.0))])
+    assert f"sigma {one.found.sigma:.2g} times as stated (found" in settings_line(one.found)

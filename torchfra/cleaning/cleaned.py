@@ -45,6 +45,8 @@ class Found:
     """Which of ``sigma``, ``q`` and ``bank`` were found and not told."""
     said: tuple[str, ...] = ()
     """Lines for a person: why this bank, sigma of the height, time stamps that were off."""
+    stated: bool = False
+    """Whether the file states how good each fix is, so that sigma is a factor on that."""
     doubt: str = ""
     """Why sigma is hardly known, where it was found, or that errors last from fix to fix; "" if neither is so."""
     failure: str = ""

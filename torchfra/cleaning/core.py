@@ -175,7 +175,8 @@ def _result(
     listed = segments(steps.time, mean, covariance, height)
     flag = flags(fix, nis, outlier, manoeuvre, inside(steps.time, listed), GATE[d])
     good = fix & ~np.isnan(steps.raw).any(1) & (flag != "outlier")
-    found = replace(found, nis=float(nis[good].mean() / d) if good.any() else math.nan)
+    mean_nis = float(nis[good].mean() / d) if good.any() else math.nan
+    found = replace(found, nis=mean_nis, stated=recording.sigma is not None)
     if "sigma" in found.found:
         found = replace(found, doubt=_doubt(steps, covariance, found.sigma))
     arrays = mean, covariance, nis, outlier, manoeuvre, flag
