@@ -73,9 +73,10 @@ def settings_line(found: Found) -> str:
     def how(name: str) -> str:
         return "told" if name not in found.found else "found, unsure" if name == "sigma" and found.doubt else "found"
 
+    sigma = f"{found.sigma:.2g} times as stated" if found.stated else metres(found.sigma)
     return (
         f"{found.filter}, {'smoothed' if found.smooth else 'on line'}, for {found.bank} ({how('bank')}); "
-        f"sigma {metres(found.sigma)} ({how('sigma')}), q {found.q:.3g} m^2/s^3 ({how('q')})"
+        f"sigma {sigma} ({how('sigma')}), q {found.q:.3g} m^2/s^3 ({how('q')})"
     )
 
 
