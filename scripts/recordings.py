@@ -5,7 +5,8 @@
 
 Kinds, each with one setting of motion, sensor and filters for all of its recordings:
 
-- nclt: a robot on a campus, a CSV file for each day: wheels, a measured heading and satellite positions;
+- nclt: a robot on a campus, a CSV file for each day: wheels, a measured heading and satellite positions; it has ``imm``
+  too, with the errors of positions as interacting models;
 - uwb: ranges from anchors to a tag on a cart, a folder for each run, with the path that was driven.
 
 A table has for each recording what presets reach beside what others have published: the root mean square error, on line
@@ -45,6 +46,7 @@ from torchfra.tables import significant, text_table
 from torchfra.types import CompileError
 
 KINDS = {"nclt": nclt, "uwb": uwb}
+DEFAULT = "gpb,rsrckf,srckf"
 WORTHWHILE = 3000
 """Steps of all tracks from which on compiling saves time."""
 
@@ -54,7 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
     p = make_parser(__doc__)
     p.add_argument("kind", choices=KINDS, help="what the recordings are")
     p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a recording each: a file, of uwb a folder")
-    p.add_argument("--filters", metavar="A,B", default="gpb,rsrckf,srckf", help="presets (default: %(default)s)")
+    p.add_argument("--filters", metavar="A,B", help=f"presets (default: {DEFAULT}, and imm of nclt)")
     add_compile_option(p, f"for {WORTHWHILE:,} steps or more")
     p.add_argument("--figure", type=Path, metavar="FILE", help="PNG: path and error over time of each recording")
     add_json_option(p)
@@ -62,7 +64,9 @@ def main(arguments: list[str] | None = None) -> int:
 
     def run() -> None:
         options = p.parse_args(arguments)
-        check_list(p, "filters", options.filters, track_filters())
+        own = KINDS[options.kind].STATES
+        options.filters = options.filters or ",".join([*own, DEFAULT])
+        check_list(p, "filters", options.filters, [*track_filters(), *own])
         compare(options)
 
     return exit_status("recordings", run)
@@ -83,8 +87,8 @@ def compare(options: argparse.Namespace) -> None:
     compile = choose(options.compile, sum(len(track.z) for track in tracks) >= WORTHWHILE, tell)
     found: dict[str, dict[str, Found]] = {track.name: {} for track in tracks}
     for track, name in progress_bar([(t, n) for t in tracks for n in names], "filter", not options.quiet):
-        f = kind.make(name, track)
-        found[track.name][name] = measured(ready(f, name, options) if compile else f, track, kind.METRIC)
+        f, prior = kind.make(name, track)
+        found[track.name][name] = measured(ready(f, name, options) if compile else f, prior, track, kind.METRIC)
     write(options, tracks, found)
 
 

@@ -132,6 +132,8 @@ def test_a_file_and_its_recordings_are_cleaned_to_a_list(walk, tmp_path):
     ((np.zeros(3), np.zeros((3, 4))), r"expected time \(k,\) and position"),
     ((np.zeros(3), np.zeros((3, 2))), "expected 2 or more rows with time and position, received 1"),
     ((np.zeros(0), np.zeros((0, 2))), "expected rows, received none"),
+    ((np.array([0.0, 1.0, 1.0, 2.0]), np.eye(4)[:, :2]), "times that increase, .* received 1 duplicate times dropped"),
+    ((np.array([0.0, 2.0, 1.0, 3.0]), np.eye(4)[:, :2]), "times that increase, .* received 1 rows put in time order"),
     (pandas.DataFrame({"t": [0, 1], "x": [1, 2]}), "missing y, received t, x"),
     (pandas.DataFrame({"t": [0, 1], "x": [1, "a"], "y": [1, 2]}), "a number in data row 2, column x, received 'a'"),
     (pandas.DataFrame({"t": [0, 1], "x": [1, 2], "y": [1, 2], "clean_x": 0}), "not cleaned yet, received clean_x"),

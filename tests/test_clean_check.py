@@ -171,6 +171,31 @@ def test_ships_and_drones_move_as_such():
         assert (np.abs(turn_rates(path, 1.0, 1.0)) > 1.5).any()
 
 
+@pytest.mark.parametrize("kind", truths.HARDER)
+def test_harder_kinds_have_the_errors_that_they_are_named_for(kind):
+    (truth,) = truths.truths([kind], 1)
+    run = measured.measured(Case(truth, 1.0, 3.0), 600, 0)
+    assert np.isfinite(run.recording().position).all()
+    if kind == "late":
+        ahead = np.gradient(run.truth, axis=0)
+        ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+        along, across = (run.noise * ahead).sum(1), run.noise[:, 0] * ahead[:, 1] - run.noise[:, 1] * ahead[:, 0]
+        assert across.std() == pytest.approx(3.0, rel=0.1)
+        assert along.std() > 1.5 * across.std()
+    if kind == "lasting":
+        kept = (run.noise[1:] * run.noise[:-1]).mean() / np.square(run.noise).mean()
+        assert kept == pytest.approx(math.exp(-1 / 20.0), abs=0.03)
+    if kind == "heights":
+        steps = (run.truth + run.noise)[:, 2] / (25 * 0.3048)
+        np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
+        assert 0.05 < run.recording().filled.mean() < 0.15
+    if kind == "animals":
+        assert run.recording().source.word == "animal"
+        assert np.diff(run.time) == pytest.approx(1440.0)
+        assert run.noise.std() == pytest.approx(100.0, rel=0.1)
+        assert 0.2 < np.linalg.norm(np.diff(run.truth, axis=0), axis=1).mean() / 1440.0 < 0.8
+
+
 def test_a_recorded_flight_is_moved_little_to_make_it_smooth():
     samples("calibration")
     (truth,) = truths.truths(["calibration"], 1)

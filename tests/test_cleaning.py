@@ -194,7 +194,7 @@ def test_a_bank_of_your_own_is_used_as_it_is():
     ({"sigma": 0.0}, "sigma: expected metres above 0"),
     ({"q": -1.0}, "q: expected m\\^2/s\\^3 of 0 or more"),
     ({"dt": 0.0}, "dt: expected seconds above 0"),
-    ({"bank": "submarine"}, "bank: expected one of person, ship, vehicle, aircraft"),
+    ({"bank": "submarine"}, "bank: expected one of person, ship, vehicle, aircraft, marine, animal, bird"),
     ({"filter": "nothing"}, "filter: expected one of"),
 ])  # fmt: skip
 def test_what_makes_no_sense_is_refused(given, said):
@@ -296,9 +296,11 @@ def test_a_missing_altitude_is_not_the_one_before():
     path = np.stack([30.0 * np.arange(120), 5.0 * np.arange(120), 10.0 * np.arange(120)], 1)
     z = path + 3 * rng.standard_normal(path.shape)
     z[60:70, 2] = np.nan
+    z[65, :2] += 500.0
     of = torchfra.clean((np.arange(120.0), z))
     assert of.position.shape == path.shape
     assert np.abs(of.position - path)[60:70].max() < 15
+    assert np.flatnonzero(of.flag == "outlier").tolist() == [65]  # wherever it is in height
 
 
 def climb(missing):

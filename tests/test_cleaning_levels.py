@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from torchfra.cleaning.both_ways import both_ways, filtered
+from torchfra.cleaning.finding import levels_up_to
 from torchfra.cleaning.ladder import Doubt, Fixes, Levels, look_ahead
 
 SURE = Doubt(new=1e-300, still=1e-300)
@@ -81,3 +82,11 @@ def test_time_that_runs_backwards_gives_the_same_track_backwards(fixes):
     torch.testing.assert_close(back.belief.position.flip(1), forth.belief.position, rtol=1e-12, atol=0.0)
     torch.testing.assert_close(-back.belief.velocity.flip(1), forth.belief.velocity, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(back.belief.pp.flip(0), forth.belief.pp, rtol=1e-9, atol=0.0)
+
+
+@pytest.mark.parametrize(("period", "change"), [(1.0, 3.0), (7200.0, 6.0)])
+def test_no_process_noise_changes_a_velocity_by_more_than_a_target_can(period, change):
+    acceleration, fastest, period = (torch.tensor([x], dtype=torch.float64) for x in (3.0, 6.0, period))
+    levels = levels_up_to(acceleration, fastest, period, 8)
+    assert (levels.q[-1] * period).sqrt().item() == pytest.approx(change)
+    assert (levels.q.diff(dim=0) > 0).all()

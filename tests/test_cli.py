@@ -277,7 +277,7 @@ def test_what_does_not_go_with_recorded_ranges_is_refused(walks, capsys, options
         (["track", "{file}", "--q", "-1"], "error: q: expected m^2/s^3 of 0 or more, received -1.0\n"),
         (
             ["track", "{file}", "--bank", "kite"],
-            "error: bank: expected one of person, ship, vehicle, aircraft or a Bank,",
+            "error: bank: expected one of person, ship, vehicle, aircraft, marine, animal, bird or a Bank,",
         ),
         (["track", "{file}", "--dt", "0"], "error: dt: expected seconds above 0, received 0.0\n"),
         (["track", "{file}", "--dt", "inf"], "error: dt: expected seconds above 0, received inf\n"),

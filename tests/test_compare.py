@@ -1,6 +1,7 @@
 """Filters are compared as a paper would: intervals, paired tests, consistency, bounds, tables and figures."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import torch
 import torchfra
 from torchfra.cli import main as cli
 from torchfra.comparison.comparison import Comparison
-from torchfra.evaluation import divergence_limit, evaluate
+from torchfra.evaluation import divergence_limit, evaluate, table
 from torchfra.metrics.statistics import mean_interval, signed_rank
 
 SCENARIO = torchfra.scenarios.bearings_outliers(initial="truth")
@@ -71,6 +72,11 @@ def test_the_bound_is_a_share_of_the_error(comparison):
     without = torchfra.compare(["srckf"], SCENARIO, runs=3, bound=False)
     assert np.isnan(without.efficiency("srckf"))
     assert "bound" not in str(without)
+
+
+def test_no_figure_has_the_name_of_another_one_in_the_table_of_the_command(comparison):
+    headings = [set(re.split("  +", text.splitlines()[0])) for text in (table(comparison.results), comparison.table())]
+    assert headings[0] & headings[1] == {"filter", "us/step"}
 
 
 def test_the_table_comes_in_every_form_and_file(comparison, tmp_path):

@@ -33,7 +33,7 @@ def numbers(pattern, text):
 
 
 def test_the_examples_are_numbered_and_have_80_lines_or_fewer():
-    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 14)]
+    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 15)]
     assert all(len(path.read_text().splitlines()) <= 80 for path in EXAMPLES.values())
 
 
@@ -177,3 +177,15 @@ def test_a_filter_of_three_functions_smooths_lags_learns_and_compiles(capsys):
     assert max(smoothed, lag) < 0.7 * own < 0.6 * plain
     assert learned <= own
     assert float(text.split()[-1]) < 1e-9
+
+
+def test_faults_that_last_are_found_and_leave_the_robot_in_its_place(capsys):
+    load("14_faults_that_last").main(["--runs", "6", "--steps", "240"])
+    text = capsys.readouterr().out
+    white, robust, lasting = (float(x) for x in re.findall(r"RMSE +([\d.]+) m", text))
+    assert lasting < 0.4 * min(white, robust)
+    *_, honest = (float(x) for x in re.findall(r"dimension +([\d.]+)", text))
+    assert 0.5 < honest < 2.0
+    found, false = numbers(r"([\d.]+)%", text)
+    assert found > 80.0
+    assert false < 10.0

@@ -48,8 +48,10 @@ def test_a_day_has_fixes_where_there_are_new_ones_and_the_speed_of_both_wheels(t
     assert track.name == "2012-11-16"
     assert track.z[::2].isfinite().all()
     assert track.z[1::2].isnan().all()
-    torch.testing.assert_close(track.u, torch.tensor([[1.0, 0.0]]).double().expand(25, 2))
-    assert track.prior.mean.tolist() == [0.0] * 4
+    speed, heading = track.u.unbind(-1)
+    assert speed.tolist() == [1.0] * 25
+    torch.testing.assert_close(heading, nclt.deviation(torch.zeros(25).double()))
+    assert track.prior.mean.tolist() == [0.0, 0.0, 0.0, nclt.SCALE]
 
 
 def test_a_day_that_others_have_published_has_their_figures_and_any_other_has_none(tmp_path):
@@ -59,9 +61,23 @@ def test_a_day_that_others_have_published_has_their_figures_and_any_other_has_no
 
 def test_errors_are_per_axis_over_all_rows(tmp_path):
     track = nclt.read(day(tmp_path))
-    found = measured(nclt.make("srckf", track), track, nclt.METRIC)
+    found = measured(*nclt.make("srckf", track), track, nclt.METRIC)
     by_hand = (found.mean - track.truth).square().mean().sqrt().item()
     assert found.figures["rmse_axis"] == pytest.approx(by_hand)
+
+
+def test_positions_that_are_wrong_for_minutes_do_not_move_the_robot_of_interacting_models(tmp_path):
+    yaw = torch.zeros(1).double()
+    for _ in range(50):
+        yaw = -nclt.deviation(yaw)  # of a robot that heads east
+    wrong = {(t, "gps_y"): 61 for t in range(60, 160, 2)}
+    track = nclt.read(day(tmp_path, steps=240, replaced=wrong | {(t, "yaw"): yaw.item() for t in range(240)}))
+    worst = {}
+    for name in ("imm", "rsrckf"):
+        f, prior = nclt.make(name, track)
+        worst[name] = (f(track.z, prior, dt=track.dt, u=track.u).mean[..., :2] - track.truth).norm(dim=-1).max().item()
+    assert worst["imm"] < 10.0
+    assert worst["rsrckf"] > 20.0
 
 
 @pytest.mark.parametrize(("replaced", "said"), [
@@ -93,7 +109,7 @@ def test_a_run_of_ranges_has_the_errors_in_the_plane_that_were_published_with_it
 
 def test_errors_of_ranges_are_of_the_distance_in_the_plane(tmp_path):
     track = uwb.read(run_of_ranges(tmp_path))
-    found = measured(uwb.make("srckf", track), track, uwb.METRIC)
+    found = measured(*uwb.make("srckf", track), track, uwb.METRIC)
     by_hand = (found.mean - track.truth).square().sum(-1).mean().sqrt().item()
     assert found.figures["rmse_2d"] == pytest.approx(by_hand)
 

@@ -45,6 +45,9 @@ class Counts:
     squared_all: float = 0.0
     raw_all: float = 0.0
     """The same in all dimensions."""
+    squared_up: float = 0.0
+    raw_up: float = 0.0
+    """The same of heights that are not missing."""
     far: int = 0
     """Outliers beyond 6 sigma, ..."""
     found: int = 0
@@ -83,6 +86,9 @@ def add(counts: Counts, run: Measured, cleaned: Cleaned) -> None:
     counts.fixes += int(good.sum())
     counts.raw += float(np.square(run.noise[good, :2]).sum())
     counts.raw_all += float(np.square(run.noise[good]).sum())
+    tall = good if run.no_height is None else good & ~run.no_height
+    counts.squared_up += float(np.square(error[tall, 2:]).sum())
+    counts.raw_up += float(np.square(run.noise[tall, 2:]).sum())
     flagged = np.zeros(len(good), bool)
     flagged[cleaned.row[at]] = cleaned.flag[at] == "outlier"
     counts.far += int(run.far.sum())
@@ -138,7 +144,8 @@ def figures(case: Case, counts: Counts, runs: Sequence[Measured]) -> dict[str, o
     """The figures of a case; None where there is nothing to divide by."""
     truth = runs[0].truth[:, :2]
     z = np.stack([run.truth[:, :2] + run.noise[:, :2] for run in runs])
-    to_beat = best(z, np.stack([~run.outlier for run in runs]), case.period * case.truth.pace, case.sigma, truth)
+    sigma = case.sigma if case.truth.white else math.sqrt(np.mean([np.square(run.noise[:, :2]).mean() for run in runs]))
+    to_beat = best(z, np.stack([~run.outlier for run in runs]), case.period * case.truth.pace, sigma, truth)
     rmse = math.sqrt(counts.squared / counts.steps)
     speed = float(np.median(np.linalg.norm(np.diff(truth, axis=0), axis=1))) / case.period / case.truth.pace
     return {
@@ -148,6 +155,7 @@ def figures(case: Case, counts: Counts, runs: Sequence[Measured]) -> dict[str, o
         "of_raw": math.sqrt(counts.squared_there / counts.raw),
         "of_raw_at_outliers_too": rmse / math.sqrt(counts.raw / counts.fixes),
         "of_raw_in_space": math.sqrt(counts.squared_all / counts.raw_all),
+        "of_raw_up": math.sqrt(counts.squared_up / counts.raw_up) if counts.raw_up else None,
         "of_best": rmse / to_beat.rmse, "best_q": to_beat.q,
         "best_of_raw": to_beat.there / math.sqrt(counts.raw / counts.fixes),
         "sigma_found": float(np.mean(counts.sigma)), "sigma_least": min(counts.sigma), "sigma_most": max(counts.sigma),

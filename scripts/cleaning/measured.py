@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cleaning.simulated import lasting
 from cleaning.truths import Truth
 from torchfra.readers.columns import Array
-from torchfra.readers.recording import Recording
+from torchfra.readers.recording import Recording, Source
 
 SHARE, SIZES, LENGTHS = 0.03, (100.0, 10_000.0), (2, 5)
 """Of the fixes that are outliers, their least and greatest size in m, and of how many fixes bursts are."""
@@ -50,6 +51,8 @@ class Measured:
     """``(k, d)`` m, of every fix."""
     offset: Array
     """``(k, d)`` of outliers, m; 0 elsewhere."""
+    no_height: NDArray[np.bool_] | None = None
+    """``(k,)`` which heights are missing; None if all are there."""
 
     @property
     def truth(self) -> Array:
@@ -73,7 +76,8 @@ class Measured:
 
     def recording(self) -> Recording:
         """As it comes to be cleaned."""
-        return Recording(self.case.name, self.time, self.truth + self.noise + self.offset, None, {})
+        position, source = self.truth + self.noise + self.offset, Source(word=self.case.truth.word)
+        return Recording(self.case.name, self.time, position, None, {}, source=source, filled=self.no_height)
 
 
 def measured(case: Case, steps: int, seed: int, ghosts: float = GHOSTS) -> Measured | None:
@@ -87,7 +91,27 @@ def measured(case: Case, steps: int, seed: int, ghosts: float = GHOSTS) -> Measu
     rng = np.random.default_rng([seed, zlib.crc32(case.name.encode())])
     shape = len(window), case.truth.position.shape[1]
     noise = case.sigma * rng.standard_normal(shape)
-    return Measured(case, window, noise, case.truth.scale * _offsets(rng, ghosts, *shape))
+    run = Measured(case, window, noise, case.truth.scale * _offsets(rng, ghosts, *shape))
+    return run if case.truth.white else _harder(run, rng)
+
+
+def _harder(run: Measured, rng: np.random.Generator) -> Measured:
+    """The run with errors that last, wrong time stamps, or the heights of a transponder, as its truth has them."""
+    truth, noise, count = run.case.truth, run.noise, len(run.window)
+    if truth.lasting:
+        step = truth.dt * float(run.window[1] - run.window[0])
+        noise = run.case.sigma * lasting(rng, noise.shape, step, truth.lasting) + 0.1 * noise
+    if truth.late:
+        late = truth.late * np.where(rng.random(count) < 0.2, 1.0, 0.1) * rng.standard_normal(count)
+        seen = np.clip(run.window + late / truth.dt, 0, len(truth.position) - 1)
+        at = np.stack([np.interp(seen, np.arange(len(axis)), axis) for axis in truth.position.T], 1)
+        noise = noise + at - run.truth
+    if not truth.coarse:
+        return replace(run, noise=noise)
+    noise = noise.copy()
+    height = run.truth[:, 2] + noise[:, 2]
+    noise[:, 2] += np.round(height / truth.coarse) * truth.coarse - height
+    return replace(run, noise=noise, no_height=rng.random(count) < 0.1)
 
 
 def _offsets(rng: np.random.Generator, ghosts: float, steps: int, dims: int) -> Array:

@@ -14,7 +14,8 @@ from cleaning.bounds import Figures, bounds
 
 COLOURS = {
     "calibration": "#0072B2", "gliders": "#E69F00", "circling": "#009E73", "others": "#56B4E9", "ships": "#D55E00",
-    "drones": "#CC79A7", "ranges": "#000000",
+    "drones": "#CC79A7", "ranges": "#000000", "late": "#999999", "lasting": "#332288", "heights": "#882255",
+    "animals": "#F0E442",
 }  # fmt: skip
 """Of the kinds; they can be told apart by the colour-blind (Okabe and Ito)."""
 PANELS = {

@@ -25,13 +25,15 @@ def table(cases: Sequence[Figures]) -> str:
         rows.append([
             kind, f"{period:g}", f"{noise:g}", str(len(here)),
             *(text for figure in ("of_raw", "best_of_raw", "of_best") for text in _middle_and_worst(here, figure)),
+            _middle_and_worst(here, "of_raw_up")[0] if here[0]["of_raw_up"] else "",
             *(_share(here, f"outlier_{what}") for what in ("precision", "recall")),
             "{:.2f} to {:.2f}".format(min(c["sigma_found"] for c in here), max(c["sigma_found"] for c in here)),
             *(_share(here, f"turn_{what}") for what in ("precision", "recall")),
             *(_share(here, f"band_{band}") for band in (68, 95)),
             str(sum(c["failed"] for c in here)),
         ])  # fmt: skip
-    header = ["kind", "s", "m", "cases", "of raw", "worst", "best CV", "worst", "of best CV", "worst", "outliers P",
+    header = ["kind", "s", "m", "cases", "of raw", "worst", "best CV", "worst", "of best CV", "worst", "height",
+              "outliers P",
               "R", "sigma", "turns P", "R", "68 %", "95 %", "failed"]  # fmt: skip
     return text_table(header, rows)
 

@@ -1,4 +1,4 @@
-"""Ships and drones: legs of steady turn, speed and climb that follow each other, as of a bank of motions."""
+"""Ships and drones, whose legs of steady turn, speed and climb follow each other; animals, whose velocity wanders."""
 
 from __future__ import annotations
 
@@ -60,6 +60,24 @@ def drone(rng: np.random.Generator, seconds: int) -> Array:
         return _turn(rng, rng.uniform(3.0, 20.0), rng.uniform(40.0, 270.0))
 
     return _moved(rng, seconds, rng.uniform(4.0, 15.0), leg, Handling(1.0, 1.0, 0.05))
+
+
+def animal(rng: np.random.Generator, steps: int, dt: float) -> Array:
+    """Positions ``(steps + 1, 2)``, m, every ``dt`` s: a velocity of 0.3 to 0.7 m/s that is forgotten in 2 to 5 hours.
+
+    Source: Johnson et al. (2008), Ecology 89, 1208: the correlated random walk in continuous time.
+    """
+    speed, forgotten = rng.uniform(0.3, 0.7) / math.sqrt(2), rng.uniform(2.0, 5.0) * 3600.0
+    velocity = speed * lasting(rng, (steps, 2), dt, forgotten)
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(velocity * dt, axis=0)])
+
+
+def lasting(rng: np.random.Generator, shape: tuple[int, int], dt: float, seconds: float) -> Array:
+    """A Gauss-Markov process ``(k, d)`` of variance 1 that is forgotten in so many seconds to a share of 1 / e."""
+    kept, values = math.exp(-dt / seconds), rng.standard_normal(shape)
+    for step in range(1, len(values)):
+        values[step] = kept * values[step - 1] + math.sqrt(1 - kept**2) * values[step]
+    return values
 
 
 def _turn(rng: np.random.Generator, rate: float, angle: float) -> Leg:

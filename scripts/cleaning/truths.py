@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cleaning.simulated import drone, ship
+from cleaning.simulated import animal, drone, ship
 from torchfra import readers
 from torchfra.readers.columns import Array
 from torchfra.readers.grid import hermite
@@ -24,6 +24,9 @@ GROUPS = {
 }
 """Kinds of flights, and the folders of the sample package that hold them."""
 KINDS = (*GROUPS, "ships", "drones", "ranges")
+HARDER = ("late", "lasting", "heights", "animals")
+"""Kinds whose errors are more than white noise: ships with wrong time stamps and with errors that last, drones with the
+heights of a transponder; and animals, with hours and hundreds of metres in place of seconds and metres."""
 PER_FILE, FIXES = 3, 4000
 """Most flights of one file, and fixes of each that are looked at."""
 JERK, OWN = (0.3, 0.003), 5.0
@@ -38,6 +41,8 @@ SHORTEST, LONGEST = 60, 6000
 """Fixes of the shortest track, and seconds of the longest truth."""
 SCALE, PACE = 0.02, 0.125
 """Noise and outliers of a path that was walked, and its periods, as shares of those of the others."""
+HERD, HOURS = 100 / 3, 1440.0
+"""The same of animals: 15 m are 500 m, and 5 s are 2 h."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +61,19 @@ class Truth:
     """Factor on noise and outliers."""
     pace: float = 1.0
     """Factor on periods."""
+    word: str = "target"
+    """What the file says it is."""
+    late: float = 0.0
+    """Standard deviation of one time stamp in five, s; the others have a tenth of it."""
+    lasting: float = 0.0
+    """Seconds that errors last; they are then accompanied by white noise of a tenth of them."""
+    coarse: float = 0.0
+    """Metres between the heights that it can tell, of which one in ten is missing."""
+
+    @property
+    def white(self) -> bool:
+        """Whether its errors are white noise alone."""
+        return not (self.late or self.lasting or self.coarse)
 
     def window(self, period: float, steps: int) -> NDArray[np.intp] | None:
         """Which positions are fixes: ``steps`` of them in the middle, one each period; None if too few."""
@@ -70,8 +88,9 @@ def truths(kinds: Sequence[str], most: int, folder: Path | None = None) -> list[
     Raises:
         ValueError: an unknown kind.
     """
-    if unknown := set(kinds) - set(KINDS):
-        raise ValueError(f"kinds: expected some of {', '.join(KINDS)}, received {', '.join(sorted(unknown))}")
+    known = (*KINDS, *HARDER)
+    if unknown := set(kinds) - set(known):
+        raise ValueError(f"kinds: expected some of {', '.join(known)}, received {', '.join(sorted(unknown))}")
     found: list[Truth] = []
     for kind in kinds:
         if kind in GROUPS:
@@ -79,9 +98,21 @@ def truths(kinds: Sequence[str], most: int, folder: Path | None = None) -> list[
         elif kind == "ranges":
             found += [] if folder is None else [_walked(place) for place in readers.range_folders(folder)][:most]
         else:
-            make = ship if kind == "ships" else drone
-            found += [Truth(kind, f"{kind}-{i}", 1.0, make(np.random.default_rng(i), LONGEST)) for i in range(most)]
+            found += [_simulated(kind, f"{kind}-{i}", np.random.default_rng(i)) for i in range(most)]
     return found
+
+
+def _simulated(kind: str, name: str, rng: np.random.Generator) -> Truth:
+    """A ship, a drone or an animal."""
+    if kind == "animals":
+        dt = HOURS / 4
+        return Truth(kind, name, dt, animal(rng, 4 * LONGEST, dt), scale=HERD, pace=HOURS, word="animal")
+    if kind in ("drones", "heights"):
+        return Truth(kind, name, 1.0, drone(rng, LONGEST), coarse=25 * 0.3048 if kind == "heights" else 0.0)
+    path = ship(rng, LONGEST)
+    if kind == "late":  # as fast as a ferry, so that a second is many metres
+        return Truth(kind, name, 1.0, 1.7 * path, word="ship", late=2.0)
+    return Truth(kind, name, 1.0, path, lasting=20.0 if kind == "lasting" else 0.0)
 
 
 def _flights(kind: str, most: int) -> list[Truth]:

@@ -15,13 +15,15 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from recorded_bench.files import check_ascending, check_complete, read_columns, steps_between
 from recorded_bench.tracks import Figures, Track
 from torchfra.catalogue import make_filter
 from torchfra.filters import Filter
-from torchfra.motion import Odometry
-from torchfra.sensors import Position
+from torchfra.motion import Augmented, Bank, GaussMarkov, Odometry
+from torchfra.presets import imm
+from torchfra.sensors import Biased, Position
 from torchfra.types import Gaussian
 
 METRIC = "rmse_axis"
@@ -37,12 +39,17 @@ NOTE = (
     "Song et al. (2024): EKF and KalmanNet, which has learnt from 22 other days with a truth; means over 2012-11-04, "
     "2012-11-16 and 2013-04-05: EKF 13.33, SIKNet 9.37, KalmanNet 8.02"
 )
+COMPASS = (-0.138, -0.059, 0.043, -0.069, -0.027)
+"""Deviation of the inertial sensor's heading, rad: a constant, and factors of the sine and cosine of the heading and of
+twice the heading, as iron beside a compass causes it (Bowditch, "The American Practical Navigator", on deviation)."""
 GPS = 5.0
-"""Standard deviation of a satellite position, m."""
+"""Standard deviation of a satellite position, m, for filters that take its errors for white."""
 WALKS = (1e-2, 1e-8, 9e-8)
-"""Densities of the walks of position, heading error and scale: m^2/s, rad^2/s, 1/s."""
-START = (1.0, 1.0, 0.2, 0.1)
+"""Densities of the walks of position, heading error and scale for these: m^2/s, rad^2/s, 1/s."""
+START = (1.0, 1.0, 0.05, 0.02)
 """Standard deviations before the first step: position, m, heading error, rad, logarithm of the wheels' scale."""
+SCALE = -0.076
+"""Logarithm of the wheels' scale before the first step."""
 OPTIONS: dict[str, dict[str, Any]] = {
     "gpb": {
         "manoeuvres": "none",
@@ -53,6 +60,22 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Arguments of presets, others than their defaults: a robot that measures its own way does not jump, and satellite
 positions that are wrong stay so for 100 steps on average."""
+STATES = ("imm",)
+"""Presets that this kind has besides those that commands list."""
+WHITE, SLIP = 1.2, 0.1
+"""Of ``imm``: the part of a position's error that is white, m, and the density of the position's walk, m^2/s."""
+ERROR, TIME = 4.0, 80.0
+"""Standard deviation of the part that lasts, m, and how long it does, s."""
+FAULT, STEADY, MOVING = 50.0, 0.8, 6.0
+"""Standard deviation of the error of a fault, m, and how far it wanders, m in 1 s, while steady and while moving."""
+NEXT = (
+    (0.999, 0.001, 0.0, 0.0, 0.0),
+    (0.0, 0.1, 0.4, 0.4, 0.1),
+    (0.0, 0.001, 0.969, 0.02, 0.01),
+    (0.0, 0.001, 0.2, 0.789, 0.01),
+    (0.999, 0.001, 0.0, 0.0, 0.0),
+)
+"""Probabilities of what follows in 1 s on: no fault, a fault begins, is steady, moves, ends."""
 
 
 def read(path: Path) -> Track:
@@ -71,12 +94,12 @@ def read(path: Path) -> Track:
     start = rows["truth"][0]
     if bool(start.isnan().any()):
         raise ValueError(f"{path}: truth_x, truth_y: expected a start in the first row, received none")
-    mean = torch.cat([start, torch.zeros(len(START) - 2, dtype=torch.float64)])
+    mean = torch.cat([start, start.new_tensor([0.0, SCALE])])
     name = path.name.split(".")[0]
     return Track(
         name,
         z=rows["gps"],
-        u=torch.cat([rows["wheels"].mean(-1, keepdim=True), rows["yaw"]], -1),
+        u=torch.cat([rows["wheels"].mean(-1, keepdim=True), rows["yaw"] + deviation(rows["yaw"])], -1),
         dt=torch.from_numpy(steps_between(columns["time"])),
         truth=rows["truth"],
         prior=Gaussian(mean, torch.tensor(START, dtype=torch.float64).diag()),
@@ -86,6 +109,31 @@ def read(path: Path) -> Track:
     )
 
 
-def make(name: str, track: Track) -> Filter:
-    """A preset with the one setting of all days, chosen on 2013-01-10 and 2013-02-23."""
-    return make_filter(name, Odometry(*WALKS), Position(GPS), **OPTIONS.get(name, {}))
+def deviation(yaw: Tensor) -> Tensor:
+    """What is added to a measured heading, rad."""
+    waves = torch.ones_like(yaw), yaw.sin(), yaw.cos(), (2 * yaw).sin(), (2 * yaw).cos()
+    return sum(c * wave for c, wave in zip(COMPASS, waves, strict=True))  # type: ignore[return-value]
+
+
+def make(name: str, track: Track) -> tuple[Filter, Gaussian]:
+    """A preset with the one setting of all days, chosen on 2013-01-10 and 2013-02-23, and its belief at the start."""
+    if name in STATES:
+        return with_faults(track)
+    return make_filter(name, Odometry(*WALKS), Position(GPS), **OPTIONS.get(name, {})), track.prior
+
+
+def with_faults(track: Track) -> tuple[Filter, Gaussian]:
+    """Interacting models of the error of satellite positions, which is a part of the state.
+
+    Without a fault it is a few metres and changes slowly.  A fault begins with an error of tens of metres, which then
+    stays or moves, and ends with a new error of a few metres.
+    """
+    begins = 1e-3  # seconds over which an error is forgotten that is replaced by a new one
+    steady, moving = (2 * (FAULT / wander) ** 2 for wander in (STEADY, MOVING))
+    errors = (ERROR, TIME), (FAULT, begins), (FAULT, steady), (FAULT, moving), (ERROR, begins)
+    odometry = Odometry(SLIP, *WALKS[1:])
+    bank = Bank([Augmented(odometry, GaussMarkov(*error, dims=2)) for error in errors])
+    sensor = Biased(Position(WHITE), [odometry.size, odometry.size + 1])
+    mean, root = track.prior
+    prior = Gaussian(torch.cat([mean, mean.new_zeros(2)]), torch.block_diag(root, ERROR * torch.eye(2).to(root)))
+    return imm(bank, sensor, transition=torch.tensor(NEXT, dtype=torch.float64)), prior

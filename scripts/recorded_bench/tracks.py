@@ -45,11 +45,12 @@ class Found(NamedTuple):
     """``(T, dims)`` positions on line, m."""
 
 
-def measured(f: Filter, track: Track, metric: str) -> Found:
+def measured(f: Filter, prior: Gaussian, track: Track, metric: str) -> Found:
     """Errors of a filter on a track, as it filters and smoothed.
 
     Args:
         f: the filter.
+        prior: its belief before the first step.
         track: the track.
         metric: what the error on line is called.
 
@@ -61,8 +62,8 @@ def measured(f: Filter, track: Track, metric: str) -> Found:
     dims = track.truth.shape[-1]
     states = slice(0, dims)
     with torch.no_grad():
-        estimate = f(track.z, track.prior, dt=track.dt, u=track.u)
-        later = f.smooth(track.z, track.prior, dt=track.dt, u=track.u)
+        estimate = f(track.z, prior, dt=track.dt, u=track.u)
+        later = f.smooth(track.z, prior, dt=track.dt, u=track.u)
 
     def errors(of: Estimate) -> tuple[float, float]:
         rmse = metrics.track_rmse(of.mean, track.truth, states) / math.sqrt(dims if track.per_axis else 1)

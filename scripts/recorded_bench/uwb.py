@@ -65,7 +65,11 @@ def published(text: str) -> Figures:
     return {method: float(error) for method, error in _ERROR.findall(text)}
 
 
-def make(name: str, track: Track) -> Filter:
-    """A preset with the one setting of all runs: that of ``scenarios.recorded_ranges``."""
+STATES = ()
+"""Presets that this kind has besides those that commands list."""
+
+
+def make(name: str, track: Track) -> tuple[Filter, Gaussian]:
+    """A preset with the one setting of all runs, that of ``scenarios.recorded_ranges``, and its belief at the start."""
     count = track.z.shape[-1]
-    return make_filter(name, ConstantAcceleration(Q), Ranges(count=count, std=STD, height=0.0), walker(Q))
+    return make_filter(name, ConstantAcceleration(Q), Ranges(count=count, std=STD, height=0.0), walker(Q)), track.prior

@@ -42,18 +42,18 @@ def clean(
     """Cleans tracks: where targets were and how sure that is, which fixes are wrong, and what was flown.
 
     Args:
-        data: the path of a file; a pandas ``DataFrame``; ``(time (k,), position (k, d))``, seconds or moments, and
-            metres in 2 or 3 dimensions, where missing NaN or a placeholder, such as -999, in both x and y; or
-            recordings of ``torchfra.readers.read``.
+        data: the path of a file; a pandas ``DataFrame``; ``(time (k,), position (k, d))``, seconds or moments that
+            increase, and metres in 2 or 3 dimensions, where missing NaN or a placeholder, such as -999, in both x and
+            y; or recordings of ``torchfra.readers.read``.
         filter: its name, out of ``catalogue.track_filters()``.
-        bank: of what targets: ``"aircraft"``, ``"ship"``, ``"vehicle"`` or ``"person"``, or a ``Bank`` of motions; None
-            chooses by the data.
+        bank: of what targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
+            ``"animal"`` or ``"bird"``, or a ``Bank`` of motions; None chooses by the data.
         sigma: standard deviation of a fix per axis, m; where fixes have their own, a factor on those.  None finds it.
         q: density of the process noise per second, m^2/s^3.  None finds it.
         smooth: whether each estimate knows the fixes after it.
         dt: seconds; also estimates at every multiple of it after the first fix; not of a ``DataFrame``.
-        repair: whether fixes of aircraft whose time stamps are off by seconds are first put in place, where tracks show
-            it: see ``cleaning.clean_tracks``.
+        repair: whether fixes whose time stamps are off are first put in place, where tracks show it: see
+            ``cleaning.clean_tracks``.
         compile: whether to run compiled, which pays for long tracks; needs a C++ compiler.
         max_bytes: of text that a file may hold.
         words: columns by name, such as ``time="when", lat="breite"``, and how they are written: see
@@ -162,5 +162,11 @@ def _recording_of_arrays(data: Any, max_bytes: int, words: dict[str, Any]) -> Re
     sheet = Sheet([*table], [(len(time), table.__getitem__)])
     (recording,) = read_sheet(sheet, "data", max_bytes=max_bytes, **words)
     assert recording.row is not None
+    if not np.array_equal(recording.row, np.arange(len(time))):
+        received = ", ".join(f"{count} {what}" for what, count in recording.repairs.items())
+        raise ValueError(
+            f"data: expected times that increase, so that there is a step for each, received {received}: put them in "
+            "order, or hand over a DataFrame, whose rows are kept"
+        )
     gone = missing[recording.row][:, : recording.position.shape[1]]
     return replace(recording, position=np.where(gone, np.nan, recording.position))

@@ -34,7 +34,7 @@ class Found:
     filter: str
     smooth: bool
     bank: str
-    """``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, or one that was handed in."""
+    """The kind of target, such as ``"aircraft"`` (``cleaning.kinds``), or ``"own"`` of one that was handed in."""
     sigma: float
     """Standard deviation of a fix per axis, m; where each fix has its own, a factor on those."""
     q: float
@@ -45,8 +45,10 @@ class Found:
     """Which of ``sigma``, ``q`` and ``bank`` were found and not told."""
     said: tuple[str, ...] = ()
     """Lines for a person: why this bank, sigma of the height, time stamps that were off."""
+    stated: bool = False
+    """Whether the file states how good each fix is, so that sigma is a factor on that."""
     doubt: str = ""
-    """Why sigma is hardly known, where it was found; "" if it is."""
+    """Why sigma is hardly known, where it was found, or that errors last from fix to fix; "" if neither is so."""
     failure: str = ""
     """Why the track could not be cleaned at all; "" if it was."""
 

@@ -12,6 +12,7 @@ import torch
 
 from torchfra.cleaning.batches import Steps, groups, step_of_heights, steps_of
 from torchfra.cleaning.cleaned import Cleaned, Found
+from torchfra.cleaning.correlation import widened
 from torchfra.cleaning.flags import flags
 from torchfra.cleaning.kinds import BANKS, check_kind, check_speeds, kind_of
 from torchfra.cleaning.others import GATE, Fallback, estimated, make, manoeuvre_of, outlier_of, regimes_of
@@ -55,14 +56,15 @@ def clean_tracks(
     Args:
         recordings: from ``torchfra.readers.read``.
         filter: its name, out of ``catalogue.track_filters()``.
-        bank: of what targets: ``"aircraft"``, ``"ship"``, ``"vehicle"`` or ``"person"``, or a ``Bank`` of your own;
-            None chooses for each target by what the file says or by its speed.
+        bank: of what targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
+            ``"animal"`` or ``"bird"``, or a ``Bank`` of your own; None chooses for each target by what the file says or
+            by its speed.
         sigma: standard deviation of a fix per axis, m; where fixes have their own, a factor on those.  None finds it.
         q: density of the process noise per second, m^2/s^3.  None finds it.
         smooth: whether each estimate knows the fixes after it; False is what a filter on line would say.
         dt: seconds; also estimates at every multiple of it after the first fix, beside those at the fixes.
-        repair: whether fixes of aircraft whose time stamps are off by seconds, as they often are in ADS-B, are first
-            put along the path to where the aircraft was: where tracks show it, and not for a filter on line.
+        repair: whether fixes whose time stamps are off, as they often are in ADS-B and AIS, are first put along the
+            path to where the target was: where tracks show it, and not for a filter on line.
         compile: whether filters of the catalogue run compiled (``Filter.compile``); needs a C++ compiler.
         fallback: called if the filter cannot be compiled, and runs interpreted; None raises the error.
 
@@ -80,8 +82,13 @@ def clean_tracks(
     if isinstance(bank, str):
         check_speeds(recordings, bank)
     recordings = [_as_measured(recording) for recording in recordings]
-    repair = repair and smooth
-    placed = [in_place(recording) if repair and stamps_are_off(recording) else recording for recording in recordings]
+    mended = {}
+    for i, recording in enumerate(recordings):
+        if repair and smooth and not np.isinf(recording.position).any():
+            kind, _ = _kind(recording, bank)
+            if stamps_are_off(recording, kind):
+                mended[i] = in_place(recording, kind)
+    placed = [mended[i][0] if i in mended else recording for i, recording in enumerate(recordings)]
     coarse = [step_of_heights(recording) for recording in recordings]
     done: dict[int, Cleaned] = {}
     for group in groups(placed):
@@ -90,7 +97,17 @@ def clean_tracks(
             done |= zip(group, work(part, coarse=steps), strict=True)
         except FAILURES:  # of one of them; the others shall not pay for it
             done |= {i: _alone(placed[i], partial(work, coarse=[coarse[i]]), filter, smooth) for i in group}
-    return as_recorded([done[i] for i in range(len(placed))], recordings)
+    for i, recording in enumerate(recordings):
+        if i in mended:
+            done[i] = as_recorded(done[i], recording, mended[i][1])
+        elif not done[i].found.failure:
+            done[i] = widened(done[i], _kind(recording, bank)[0])
+    return [done[i] for i in range(len(recordings))]
+
+
+def _kind(recording: Recording, bank: str | Bank | None) -> tuple[str, str]:
+    """The name of the kind of a target, and why."""
+    return (bank, "as told") if isinstance(bank, str) else kind_of(recording)
 
 
 def _as_measured(recording: Recording) -> Recording:
@@ -133,7 +150,7 @@ def _cleaned(
     if any(np.isinf(recording.position).any() for recording in recordings):
         raise ValueError("position: expected finite metres or NaN, received infinity")
     tracks = [steps_of(recording, dt) for recording in recordings]
-    kinds = [(bank, "as told") if isinstance(bank, str) else kind_of(recording) for recording in recordings]
+    kinds = [_kind(recording, bank) for recording in recordings]
     own = bank if isinstance(bank, Bank) else None
     default = name == DEFAULT and own is None
     told = settings if default else settings._replace(smooth=False)
@@ -153,13 +170,14 @@ def _result(
     recording: Recording, steps: Steps, mean: Array, covariance: Array, nis: Array, outlier: Array, manoeuvre: Array,
     found: Found, names: tuple[str, ...], regimes: Array,
 ) -> Cleaned:  # fmt: skip
-    fix = (steps.row >= 0) & ~np.isnan(steps.raw).any(1)
+    fix = (steps.row >= 0) & ~np.isnan(steps.raw[:, :2]).any(1)  # an altitude may be missing
     origin, d = recording.origin, steps.raw.shape[1]
     height = to_geodetic(mean[:, :3], origin)[2] if origin is not None and d == 3 else None
     listed = segments(steps.time, mean, covariance, height)
     flag = flags(fix, nis, outlier, manoeuvre, inside(steps.time, listed), GATE[d])
-    good = fix & (flag != "outlier")
-    found = replace(found, nis=float(nis[good].mean() / d) if good.any() else math.nan)
+    good = fix & ~np.isnan(steps.raw).any(1) & (flag != "outlier")
+    mean_nis = float(nis[good].mean() / d) if good.any() else math.nan
+    found = replace(found, nis=mean_nis, stated=recording.sigma is not None)
     if "sigma" in found.found:
         found = replace(found, doubt=_doubt(steps, covariance, found.sigma))
     arrays = mean, covariance, nis, outlier, manoeuvre, flag

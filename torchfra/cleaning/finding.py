@@ -59,13 +59,18 @@ class Part(NamedTuple):
         return self.fixes._replace(variance=self.fixes.variance * self.sigma.square())
 
 
-def levels_up_to(acceleration: Tensor, period: Tensor, count: int, q: float | None = None) -> Levels:
+def levels_up_to(
+    acceleration: Tensor, fastest: Tensor, period: Tensor, count: int, q: float | None = None
+) -> Levels:  # fmt: skip
     """Levels from going straight to changes of the velocity by ``acceleration (B,)`` m/s^2 for a ``period (B,)`` s.
+
+    Over a long period these are no larger than the speed ``fastest (B,)`` m/s.  Without that limit a target whose fixes
+    come every two hours could be anywhere after each, and no fix an outlier.
 
     Their shares fall towards the hardest, or to either side of a density ``q`` that is told, m^2/s^3.
     """
     place = torch.linspace(0.0, 1.0, count, dtype=period.dtype).unsqueeze(1)
-    top = (acceleration.square() * period).clamp_min(10 * _SLOWEST)
+    top = (acceleration.square() * period).minimum(fastest.square() / period).clamp_min(10 * _SLOWEST)
     least = (3 * _STILL**2 / period**3).clamp_max(_SLOWEST)
     density = least * (top / least) ** place
     lasting = (_LASTING[0] * (_LASTING[1] / _LASTING[0]) ** place).expand_as(density)
@@ -132,8 +137,12 @@ def _looked_at(fixes: Fixes, owner: Tensor) -> Tensor:
 
 
 def _rough(fixes: Fixes, owner: Tensor) -> Tensor:
-    """Twice the standard deviation ``(B,)`` that third differences would have if nothing but noise was in them."""
-    third = fixes.z.diff(dim=0, n=3).square().mean(1).sqrt()
+    """Twice the standard deviation ``(B,)`` that third differences would have if nothing but noise was in them.
+
+    It is in units of the usual standard deviation that the file states, if it states one.
+    """
+    stated = torch.where(fixes.missing, math.nan, fixes.variance).nanmedian(0).values.sqrt()
+    third = (fixes.z / stated).diff(dim=0, n=3).square().mean(1).sqrt()
     most = fixes.gap.new_ones(len(owner))
     for i in owner.unique():
         own = third[:, owner == i]

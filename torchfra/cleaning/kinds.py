@@ -18,7 +18,7 @@ class Kind(NamedTuple):
     climb: float
     """The same in height, m/s^2."""
     fastest: float
-    """Speed up to which a target may be of this kind, m/s."""
+    """Speed up to which a target may be of this kind, m/s; no process noise changes its velocity by more in a step."""
 
 
 KINDS = {
@@ -26,10 +26,20 @@ KINDS = {
     "ship": Kind(0.5, 0.5, 30.0),
     "vehicle": Kind(6.0, 2.0, 60.0),
     "aircraft": Kind(10.0, 2.0, 1000.0),
+    "marine": Kind(1.0, 1.0, 4.0),
+    "animal": Kind(5.0, 2.0, 10.0),
+    "bird": Kind(10.0, 3.0, 30.0),
 }
-"""By name, the slowest first."""
-BANKS = {"person": people, "ship": ships, "vehicle": vehicles, "aircraft": aircraft}
+"""By name.  What swims or dives is marine, and an animal may be any."""
+_BY_SPEED = ("person", "vehicle", "aircraft")
+"""Those that a target may be of which nobody says what it is, the slowest first."""
+BANKS = {
+    "person": people, "ship": ships, "vehicle": vehicles, "aircraft": aircraft,
+    "marine": people, "animal": people, "bird": vehicles,
+}  # fmt: skip
 """The motions of each, for filters of several."""
+USUAL = 0.2
+"""Share of its hardest acceleration that four in five fixes of a target stay below, where it goes along."""
 _FASTER = 5.0
 """How many times as fast as its kind a target may be that somebody says to be of it."""
 _MANY = 25
@@ -66,7 +76,5 @@ def kind_of(recording: Recording) -> tuple[str, str]:
     if recording.source.word in KINDS:
         return recording.source.word, "as the file says"
     speed = speed_across(recording, 0.9)
-    name = next(
-        name for name, kind in KINDS.items() if name != "ship" and (speed <= kind.fastest or name == "aircraft")
-    )
+    name = next((name for name in _BY_SPEED if speed <= KINDS[name].fastest), "aircraft")
     return name, f"by its speed of {speed:,.1f} m/s"

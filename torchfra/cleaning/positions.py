@@ -91,10 +91,11 @@ def _parts(
     rows = _rows(tracks)
     z, gap, std = padded([tracks[row.track].part(row.begin, row.end) for row in rows])
     period = torch.tensor([period_of(tracks[row.track]) for row in rows], dtype=torch.float64)
+    fastest = torch.tensor([KINDS[kinds[row.track]].fastest for row in rows], dtype=torch.float64)
     parts: list[Part] = []
     for axes, hardest, count in _AXES[: z.shape[-1] - 1]:
         most = torch.tensor([getattr(KINDS[kinds[row.track]], hardest) for row in rows], dtype=torch.float64)
-        levels, fixes = levels_up_to(most, period, count, settings.q), _fixes(z, gap, std, axes)
+        levels, fixes = levels_up_to(most, fastest, period, count, settings.q), _fixes(z, gap, std, axes)
         least = torch.zeros_like(most)
         if parts:  # the error of a rounded height is even within half a step to either side
             rounded = torch.tensor([coarse[row.track] / math.sqrt(12) for row in rows], dtype=torch.float64)

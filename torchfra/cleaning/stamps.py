@@ -1,82 +1,136 @@
-"""Fixes of aircraft whose time stamps are off by seconds are moved along the path to where the aircraft was."""
+"""Fixes whose time stamps are off are moved along the path to where the target was at that time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from torchfra.cleaning.batches import steps_of
 from torchfra.cleaning.cleaned import Cleaned
+from torchfra.cleaning.kinds import KINDS, USUAL
+from torchfra.cleaning.positions import Settings, answers
+from torchfra.cleaning.second import second_differences, spread
 from torchfra.readers.columns import Array
-from torchfra.readers.flyable import flyable
+from torchfra.readers.flyable import flyable, running_median
 from torchfra.readers.recording import Recording
 from torchfra.readers.smoothing import differences
 from torchfra.tables import metres
 
-_USUAL = 2.0
-"""Acceleration along the track that four in five fixes of an aircraft stay below, m/s^2."""
-_RATIO = 2.0
-"""How much more of it there is along the track than across where stamps are off: noise is alike in both."""
-_LEAST = 8
-"""Fixes from which on that can be seen."""
+_RATIO = 2.0, 1.5
+"""How much more of it there is along the track than across where stamps are off, in ADS-B and else: noise is alike in
+both."""
+_GROWS = 1.3
+"""Without every second fix, white errors of stamps do not grow so much; those of a motion do, by 1.4 or more."""
+_LEAST = 8, 60
+"""Fixes from which on that can be seen of ADS-B, and of others, which do change their speed as they go."""
+_ASIDE = 5.0
+"""Standard deviations that a fix lies beside the path of which not only the stamp is off."""
 
 
-def stamps_are_off(recording: Recording) -> bool:
-    """Whether fixes of an aircraft jump to and fro along a path that is smooth by itself.
+def stamps_are_off(recording: Recording, kind: str) -> bool:
+    """Whether fixes jump to and fro along a path that is smooth by itself.
 
-    Noise of the positions would show across the track as well, and so do turns.
+    Noise of the positions would show across the track as well, and so do turns.  A target that changes its speed goes
+    on for several fixes, and by less than its kind can.
+
+    Args:
+        recording: of a target.
+        kind: name of its kind.
     """
-    if recording.source.word != "aircraft" or len(recording.time) < _LEAST:
+    there = np.isfinite(recording.position[:, :2]).all(1)
+    time, path = recording.time[there], recording.position[there, :2]
+    reported = _as_reported(recording)
+    if len(time) < _LEAST[not reported]:
         return False
-    path = recording.position[:, :2]
-    rows = differences(recording.time, 2)
-    acceleration = rows[:, :1] * path[:-2] + rows[:, 1:2] * path[1:-1] + rows[:, 2:] * path[2:]
-    ahead = path[2:] - path[:-2]
-    ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True).clip(1e-9)
-    along, across = (acceleration * ahead).sum(1), acceleration[:, 0] * ahead[:, 1] - acceleration[:, 1] * ahead[:, 0]
-    one, other = (np.quantile(np.abs(x), 0.8) for x in (along, across))
-    return bool(one > _USUAL and one > _RATIO * other)
+    along, across, ahead = _along_and_across(time, path)
+    size = np.linalg.norm(differences(time, 2), axis=1)
+    one, other = (float(np.quantile(np.abs(x * size), 0.8)) for x in (along, across))
+    if not (one > USUAL * KINDS[kind].acceleration and one > _RATIO[not reported] * other):
+        return False
+    if reported:
+        return True
+    fewer = np.concatenate([_along_and_across(time[first::2], path[first::2])[0] for first in (0, 1)])
+    return bool(2 * spread(along) < np.median(ahead) and spread(fewer) < _GROWS * spread(along))
 
 
-def in_place(recording: Recording) -> Recording:
-    """The recording with each fix moved along the path to where the aircraft was at that time (``readers.flyable``).
+def _as_reported(recording: Recording) -> bool:
+    """Whether a file is of aircraft as they report themselves: their stamps may be off for a while."""
+    return recording.source.word == "aircraft"
 
-    Fixes that are out of order stay as they are: they are outliers.
+
+def in_place(recording: Recording, kind: str) -> tuple[Recording, Array]:
+    """The recording with each fix moved along the path to where the target was, and ``(k,)`` how sure that is, m^2.
+
+    Positions that aircraft report come late, are held, or are interpolated between others: ``readers.flyable``.  As a
+    track alone does not tell whether all of its stamps are late, the variance is of how far fixes were usually moved.
+    Stamps of others are off by white noise.
+
+    Outliers stay as they are.
     """
-    position = recording.position.copy()
-    for piece in flyable(recording):
+    if not _as_reported(recording):
+        return _smoothed_along(recording, kind)
+    there, position = np.isfinite(recording.position).all(1), recording.position.copy()
+    for piece in flyable(replace(recording, time=recording.time[there], position=position[there])):
         at = np.flatnonzero(np.isin(recording.time, piece.time))
         position[at] = piece.position[np.searchsorted(piece.time, recording.time[at])]
-    return replace(recording, position=position)
+    usual = float(np.nanmedian(np.linalg.norm(position - recording.position, axis=1))) / 0.6745
+    return replace(recording, position=position), np.full(len(position), usual**2)
 
 
-def as_recorded(cleaned: Sequence[Cleaned], recordings: Sequence[Recording]) -> list[Cleaned]:
-    """Results of recordings whose fixes were put in place, with the fixes where they were recorded.
+def _smoothed_along(recording: Recording, kind: str) -> tuple[Recording, Array]:
+    """With distances along the track smoothed by a filter that is told how far stamps that are off may move a fix.
 
-    How far fixes were usually moved is added to the standard deviation along the track, as a track alone does not tell
-    whether all of its stamps are late.
+    Errors along the track are then as large as those across it, and no larger: a filter of positions takes both as one.
     """
-    return [
-        one if one.recording is raw else _as_recorded(one, raw) for one, raw in zip(cleaned, recordings, strict=True)
-    ]
+    time, position, d = recording.time, recording.position.copy(), recording.position.shape[1]
+    there = np.isfinite(position[:, :2]).all(1)
+    at = time[there]
+    along, across, ahead = _along_and_across(at, position[there, :2])
+    speed = running_median(ahead / (at[2:] - at[:-2]), 7)
+    fast = speed >= np.median(speed)
+    seconds, noise = spread(along[fast] / speed[fast], 0.25), spread(across, 0.5)
+    std = np.hypot(seconds * np.interp(time, at[1:-1], speed), noise)
+    steps = steps_of(recording)
+    (known,) = answers([steps._replace(std=np.repeat(std[:, None], d, 1))], [kind], Settings(sigma=1.0), [0.0])
+    course = _course(known.mean[:, d : d + 2])
+    left = position[:, :2] - known.mean[:, :2]
+    aside, wrong = np.abs(left[:, 0] * course[:, 1] - left[:, 1] * course[:, 0]), known.outlier > 0.5
+    noise = spread(aside[there & ~wrong], 0.5)
+    share = np.where(wrong, aside > _ASIDE * noise, (noise / std).clip(max=1.0))
+    position[:, :2] -= ((1 - share) * (left * course).sum(1))[:, None] * course
+    return replace(recording, position=position), np.einsum("ti,tij,tj->t", course, known.covariance[:, :2, :2], course)
 
 
-def _as_recorded(one: Cleaned, recording: Recording) -> Cleaned:
-    moved = np.linalg.norm(one.recording.position - recording.position, axis=1)
-    usual, d = float(np.median(moved)), one.raw.shape[1]
+def as_recorded(one: Cleaned, recording: Recording, variance: Array) -> Cleaned:
+    """The result of a recording whose fixes were put in place, with the fixes where they were recorded.
+
+    Args:
+        one: the result.
+        recording: as it came.
+        variance: ``(k,)`` of the positions along the track, m^2, which is added to the covariances.
+    """
+    moved = np.linalg.norm((one.recording.position - recording.position)[:, :2], axis=1)
+    moved, d = moved[np.isfinite(moved)], one.raw.shape[1]
     raw = np.full_like(one.raw, np.nan)
     raw[one.row >= 0] = recording.position[one.row[one.row >= 0]]
-    said = (
-        f"Time stamps were off: fixes moved along the path by {metres(usual)} (median) to {metres(float(moved.max()))}"
-    )
-    covariance = one.covariance.copy()
-    covariance[:, :d, :d] += (usual / 0.6745) ** 2 * _along(one.velocity)
-    found = replace(one.found, said=(*one.found.said, said))
-    return replace(one, recording=recording, raw=raw, covariance=covariance, found=found)
+    usual, most = metres(float(np.median(moved))), metres(float(moved.max()))
+    said = f"Time stamps were off: fixes moved along the path by {usual} (median) to {most}"
+    course, covariance = _course(one.velocity), one.covariance.copy()
+    more = np.interp(one.time, recording.time - recording.time[0], variance)
+    covariance[:, :d, :d] += more[:, None, None] * course[:, :, None] * course[:, None, :]
+    return replace(one, recording=recording, raw=raw, covariance=covariance,
+                   found=replace(one.found, said=(*one.found.said, said)))  # fmt: skip
 
 
-def _along(velocity: Array) -> Array:
-    """Projections ``(T, d, d)`` on the way ahead."""
-    ahead = velocity / np.linalg.norm(velocity, axis=1, keepdims=True).clip(1e-9)
-    return np.asarray(ahead[:, :, None] * ahead[:, None, :])
+def _along_and_across(time: Array, path: Array) -> tuple[Array, Array, Array]:
+    """Second differences of a path ``(k, 2)`` along and across, and the distances between the fixes around each, m."""
+    error, ahead = second_differences(time, path), path[2:] - path[:-2]
+    course = _course(ahead)
+    across = error[:, 0] * course[:, 1] - error[:, 1] * course[:, 0]
+    return (error * course).sum(1), across, np.linalg.norm(ahead, axis=1)
+
+
+def _course(velocity: Array) -> Array:
+    """Unit vectors of the way ahead."""
+    return np.asarray(velocity / np.linalg.norm(velocity, axis=1, keepdims=True).clip(1e-9))

@@ -187,7 +187,7 @@ def _write(
         numbers = recordings_table(results, scenario) if scenario.recordings else table(results, every=options.all)
         print(f"{title}\n{headline(results, runs)}\n{numbers}", flush=True)  # whatever becomes of the files
         if _wanted(options):
-            print(f"\n{comparison}", flush=True)
+            print(f"\n{_TWO_TABLES}\n\n{comparison}", flush=True)
     if options.json is not None:
         with failures.of("json"):
             write_json(options.json, report(scenario, results, runs=runs, seed=options.seed))
@@ -201,6 +201,11 @@ def _write(
         _draw(options, scenario, results, metrics, filters, shown or leaders(results, MOST_SHOWN), title)
     failures.messages += not_finite(results)
     failures.end()
+
+
+_TWO_TABLES = (
+    "above, RMSE: over the runs at each step, mean over time; below, run RMSE: of a run over time, mean of runs"
+)
 
 
 def _wanted(options: argparse.Namespace) -> bool:

@@ -10,6 +10,7 @@ from typing import Any
 from torchfra import readers
 from torchfra.catalogue import track_filters
 from torchfra.cleaning import DEFAULT, Cleaned, check_settings, clean_tracks, outputs
+from torchfra.cleaning.kinds import KINDS
 from torchfra.cli import page
 from torchfra.cli import plan as plans
 from torchfra.cli.command import Failures, add_json_option, add_quiet_option, check_files
@@ -70,14 +71,14 @@ def add_to(command: argparse.ArgumentParser) -> None:
 
 
 def _add_cleaning(add: Callable[..., object]) -> None:
-    add("--bank", metavar="NAME", help="of what targets: aircraft, ship, vehicle, person (default: by the data)")
+    add("--bank", metavar="NAME", help=f"of what targets: {', '.join(KINDS)} (default: by the data)")
     add("--sigma", type=float, metavar="M", help="std of a fix per axis, m; of fixes that have their own, a factor "
         "(default: found from the data)")  # fmt: skip
     add("--q", type=float, help="density of the process noise, m^2/s^3 (default: found from the data)")
     add("--filter", default=DEFAULT, metavar="NAME", help=f"one of {', '.join(track_filters())} (default: {DEFAULT})")
     add("--no-smooth", action="store_true", help="use only the fixes before and at each step, as a filter on line")
-    add("--no-repair", action="store_true", help="leave the fixes of aircraft where they are, although their time "
-        "stamps seem to be off by seconds")  # fmt: skip
+    add("--no-repair", action="store_true", help="leave the fixes where they are, although their time stamps seem "
+        "to be off")  # fmt: skip
     add("--dt", type=float, metavar="S", help="also estimate every S seconds between the fixes")
 
 

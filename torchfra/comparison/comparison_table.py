@@ -19,7 +19,7 @@ def errors_row(of: Result, quantities: Iterable[str]) -> Row:
     for quantity in quantities:
         row[_title(quantity)] = _cell(of[f"mean_track_rmse_{quantity}"])
         if quantity == "position":
-            row["median m"] = (significant(of["median_track_rmse_position"][0]), "")
+            row["median run m"] = (significant(of["median_track_rmse_position"][0]), "")
     lost = 100 * of["divergence_rate"]
     row["diverged %"] = (significant(lost, 2) if lost else "0", "")
     return row | {"ANEES": _cell(of["anees"])}
@@ -76,7 +76,7 @@ def told_p(value: float) -> str:
 
 
 def _title(quantity: str) -> str:
-    return {"position": "RMSE m", "velocity": "RMSE m/s"}.get(quantity, f"RMSE {quantity}")
+    return f"run RMSE {({'position': 'm', 'velocity': 'm/s'}).get(quantity, quantity)}"
 
 
 def _cell(interval: list[float]) -> tuple[str, str]:

@@ -24,8 +24,8 @@ def cleaned(of: Cleaned) -> Figure:
 
     A rejected fix is drawn where it was recorded; the map shows the track, and one that is far off is a triangle at its
     edge.  Manoeuvres are shaded, and what the track is sure to is a band.  The axes are labelled ``"map"``,
-    ``"speed"``, ``"altitude"`` (of a track in space), ``"innovation"`` and ``"regimes"`` (of a filter that has some, where another
-    than the usual one is likely at some time).
+    ``"speed"``, ``"altitude"`` (of a track in space), ``"innovation"`` and ``"regimes"``, which is there if the filter
+    has several and another than the usual one is likely at some time.
     """
     shown = view(of)
     rows = ["speed", *(["altitude"] if shown.altitude else []), "innovation", *(["regimes"] if shown.regimes else [])]

@@ -12,7 +12,8 @@ A file is one of these, gzipped or not (but for the last):
 Columns are found by their names, in any case and common spellings: a time; x, y[, z] or latitude, longitude[,
 altitude]; which target a row is of (icao24, mmsi, id, ...); how good a fix is (sigma, accuracy, hdop).  ``Told`` names
 others, by their numbers from 1 on where there is no header.
-So read are the state vectors of OpenSky, the tracks of ``traffic``, and logs of ships such as the Danish ones.
+So read are the state vectors of OpenSky, the tracks of ``traffic``, logs of ships such as the Danish ones, and animals
+of Movebank: classes and error ellipses of Argos say how good a fix is, and rows marked as outliers are dropped.
 Times are ISO text, UTC where it names no zone, dates in other forms, or numbers: s, ms, us or ns since 1970 by their
 size, weeks of GPS with what of them has passed, or seconds (minutes, hours, days by their names) since any start.
 Lengths are metres unless the name of a column or ``units`` says another unit; altitudes that aircraft send

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import re
 import reprlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -73,6 +74,8 @@ class Kind:
     """Columns whose cells together are one of this: a date and a time of the day, or degrees and their side."""
     sides: str = ""
     """Of degrees: the letters for above and below 0 (``degrees.degrees_of``)."""
+    words: tuple[tuple[str, float], ...] = ()
+    """Of text: the words that there may be, in small letters, and the number of each."""
 
 
 SECONDS = Kind(limit=1e10, advice=", which is too large for seconds: milliseconds must be divided by 1000")
@@ -135,7 +138,7 @@ def numbers(cells: Sequence[Any] | NDArray[Any], kind: Kind, name: str, first: i
         return ValueError(f"expected {kind.said} {where}, received {short(cells[i])}{advice}")
 
     values = _array(cells, kind) if isinstance(cells, np.ndarray) else _plain(cells, kind)
-    if values is None:
+    if values is None or kind.words:
         convert = _converter(kind)
         values = np.empty(len(cells))
         for i, cell in enumerate(cells):
@@ -165,6 +168,8 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
             return known[cell]
 
         return instant
+    if kind.words:
+        return partial(_of_word, numbers=dict(kind.words))
     if kind.decimal == "." and not kind.sides:
         return number
 
@@ -178,6 +183,24 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
         return degrees_of(cell, kind.sides) / kind.unit
 
     return plain
+
+
+def _of_word(cell: Any, numbers: Mapping[str, float]) -> float:
+    """The number of a word; NaN if the cell is empty.
+
+    Raises:
+        ValueError: there is no such word.
+    """
+    word = word_of(cell)
+    if word and word not in numbers:
+        raise ValueError
+    return numbers[word] if word else math.nan
+
+
+def word_of(cell: Any) -> str:
+    """A cell in small letters, and whole numbers without decimals; "" if it is empty."""
+    word = f"{cell:g}" if isinstance(cell, float) else str(cell).strip().lower()
+    return "" if cell is None or word == "nan" else word
 
 
 def _array(cells: NDArray[Any], kind: Kind) -> Array | None:

@@ -78,7 +78,7 @@ def flyable(
 def _breaks(time: Array, position: Array, max_gap: float, seconds: float) -> NDArray[np.intp]:
     """Indices of the fixes that start a piece."""
     step, leg = np.diff(time), _legs(position)
-    usual = _running_median(leg / step, 15).clip(_SLOWEST, _FASTEST)
+    usual = running_median(leg / step, 15).clip(_SLOWEST, _FASTEST)
     return np.flatnonzero((step > max_gap) | (leg > usual * (step + 2 * seconds))) + 1
 
 
@@ -88,7 +88,7 @@ def _in_order(time: Array, position: Array) -> NDArray[np.intp]:
     while len(kept) >= 4:
         t, p = time[kept], position[kept]
         step, leg, move = np.diff(t), _legs(p), np.diff(p, axis=0)
-        speed = _running_median(leg / step, 7)
+        speed = running_median(leg / step, 7)
         cross = move[:-1, 0] * move[1:, 1] - move[:-1, 1] * move[1:, 0]
         turn = np.abs(np.arctan2(cross, (move[:-1] * move[1:]).sum(1)))
         back = (turn > math.pi / 2) & (np.minimum(speed[1:], speed[:-1]) * turn > _HARDEST * (t[2:] - t[:-2]) / 2)
@@ -166,7 +166,7 @@ def _legs(position: Array) -> Array:
     return np.asarray(np.linalg.norm(np.diff(position[:, :2], axis=0), axis=1))
 
 
-def _running_median(values: Array, width: int) -> Array:
+def running_median(values: Array, width: int) -> Array:
     """``(k,)`` medians of so many values around each."""
     if not len(values):
         return values

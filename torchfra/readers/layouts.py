@@ -18,7 +18,18 @@ from torchfra.readers.noises import noise_of
 from torchfra.readers.placeholders import PLACEHOLDERS
 from torchfra.readers.recording import Source
 from torchfra.readers.sheets import listed
-from torchfra.readers.spelling import AIRCRAFT, COUNTERS, FLIGHT_LEVELS, NAMES, SHIPS, found, plain, unit
+from torchfra.readers.spelling import (
+    AIRCRAFT,
+    ANIMALS,
+    COUNTERS,
+    FLIGHT_LEVELS,
+    MARKS,
+    NAMES,
+    SHIPS,
+    found,
+    plain,
+    unit,
+)  # fmt: skip
 from torchfra.readers.tables import HEADERS, Wanted
 from torchfra.readers.told import METRES, Told
 from torchfra.suggestions import meant
@@ -35,7 +46,9 @@ _SIDE = re.compile(
 _ALTITUDES_IN_FEET = {"altitude", "alt", "altbaro", "altgeom"}
 """Of aircraft, as these send them; OpenSky has baroaltitude and geoaltitude in metres."""
 
-
+_PRIVATE = ("call", "update", *MARKS)
+"""What columns hold that ``Source.columns`` does not name."""
+_MARK = Kind("true or false", words=(("true", 1.0), ("false", 0.0), ("1", 1.0), ("0", 0.0)))
 _PLAIN = (str, int, float, np.generic)
 """What cells are that are neither missing nor nested."""
 _FLIGHT_LEVEL = 100 * METRES["ft"]
@@ -60,9 +73,11 @@ class Layout:
 
     wanted: Wanted
     columns: dict[str, str]
-    """Names of columns by what they hold: those of ``Source.columns``, and ``call``, ``update``, ``second``."""
+    """Names of columns by what they hold: those of ``Source.columns``, ``call``, ``update``, ``second``, ``MARKS``."""
     noise: tuple[str, ...]
-    """Columns of standard deviations, one for all axes or one for each."""
+    """Columns of standard deviations, one for all axes or one for each; or those of ellipses."""
+    ellipse: bool
+    """Whether they are of ellipses: ``noises.axes_of_ellipses``."""
     clock: Clock
     source: Source
     unread: tuple[str, ...] = ()
@@ -97,10 +112,10 @@ def layout_of(head: Head, told: Told, name: str) -> Layout:
     word = _word(head)
     columns |= _labels(head, asked, word)
     length = _length(columns, told, word, head)
-    noise = noise_of(head.names, asked, 1.0 if "latitude" in columns else length, word == "ship")
+    noise = noise_of(head, asked, 1.0 if "latitude" in columns else length, word == "ship")
     wanted: Wanted = {clock.column: clock.kind}
     wanted |= {column: _kind(role, columns, head, length, word) for role, column in columns.items()}
-    wanted |= {column: Kind(unit=factor) for column, factor in noise.columns.items()}
+    wanted |= noise.columns
     sides = _sides(head, columns)
     wanted |= {column: replace(kind, joined=(column, sides[column])) for column, kind in wanted.items()
                if kind is not None and column in sides}  # fmt: skip
@@ -114,12 +129,12 @@ def layout_of(head: Head, told: Told, name: str) -> Layout:
         *_said(columns, length, told, wanted), *_sides_said(sides), *noise.said,
         *([f"ignored: {listed(ignored)}"] if ignored else []),
     )  # fmt: skip
-    public = {role: column for role, column in columns.items() if role in NAMES and role not in ("call", "update")}
+    public = {role: column for role, column in columns.items() if role in NAMES and role not in _PRIVATE}
     public |= dict(zip(("date", "time")[-len(clock.columns) :], clock.columns, strict=True))
     public |= dict(zip(["sigma"], noise.columns, strict=False))
     source = Source(name, public, clock.form, length, word, lines)
     unread_ids = () if "id" in columns else _parting(head, clock, [*ignored, *unused])
-    return Layout(wanted, columns, tuple(noise.columns), clock, source, unread_ids)
+    return Layout(wanted, columns, tuple(noise.columns), noise.ellipse, clock, source, unread_ids)
 
 
 def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
@@ -161,18 +176,22 @@ def _word(head: Head) -> str:
     if names & SHIPS:
         return "ship"
     traffic = head.json and {"timestamp", "latitude", "longitude"} <= set(head.names)
-    return "aircraft" if names & AIRCRAFT or traffic else "target"
+    if names & AIRCRAFT or traffic:
+        return "aircraft"
+    return next((word for word, columns in ANIMALS.items() if names & columns), "target")
 
 
 def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
     """Columns that say which target a row is of, what else it is called, and what marks a new position."""
     ids = [asked["id"]] if "id" in asked else [name for name in found(head.names, "id") if not _counts(name, head)]
     calls = [name for name in found(head.names, "call") if (plain(name) == "callsign") == (word == "aircraft")]
-    calls = [] if word == "target" else calls
+    calls = calls if word in ("aircraft", "ship") else []
     if not ids and len(set(filter(None, _texts(head, calls)))) > 1:
         ids = calls[:1]
     taken = dict(zip(["id"], ids, strict=False))
     taken |= dict(zip(["call"], [name for name in calls if name not in ids[:1]], strict=False))
+    if word in ANIMALS:
+        taken |= {role: column for role in MARKS for column in found(head.names, role)[:1]}
     if word == "aircraft":
         taken |= dict(zip(["update"], found(head.names, "update"), strict=False))
         altitudes = {plain(name): name for name in reversed(found(head.names, "altitude"))}
@@ -243,6 +262,8 @@ def _kind(role: str, columns: Mapping[str, str], head: Head, length: float, word
         return None
     if role == "update":
         return Kind()
+    if role in MARKS:
+        return _MARK
     if role not in _LIMITS:
         return Kind(unit=length)
     column, other = columns[role], columns["latitude" if role == "longitude" else "longitude"]
@@ -307,4 +328,6 @@ def _said(columns: Mapping[str, str], length: float, told: Told, wanted: Wanted)
         lines.append(
             f"altitude: {columns['altitude']}, in {unit_said}" + ("" if told.units else "; --units takes others")
         )
+    marks = [columns[role] for role in MARKS if role in columns]
+    lines += [f"marks of outliers: {listed(marks)}"] if marks else []
     return lines + ([f"targets: {columns['id']}"] if "id" in columns else [])

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
+from torchfra.readers.columns import Array, Head, Kind, word_of
 from torchfra.readers.spelling import found, plain
 from torchfra.readers.spelling import unit as unit_of
 from torchfra.readers.told import METRES
@@ -16,22 +19,50 @@ _PER_AXIS = 1 / math.sqrt(2)
 """An HDOP is of the distance on the map, and a standard deviation of one axis."""
 _OF_A_RADIUS = 1 / math.sqrt(-2 * math.log(1 - 0.68))
 """From the radius around a fix that holds 68 % of the true positions."""
+_CLASSES = {"3": 490.0, "2": 1010.0, "1": 1200.0, "0": 4180.0, "a": 6190.0, "b": 10_280.0, "z": 10_280.0, "g": 49.0}
+"""Radius that holds 68 % of the fixes of each class of Argos, m.
+
+Source: Costa et al. (2010), PLoS ONE 5, e8677, of seals and sea lions; Z is as B, and G (GPS) a tenth of 3, as in
+aniMotum (Jonsen et al., 2023).
+"""
+_CLASS = Kind("a class of Argos", unit=_OF_A_RADIUS, words=tuple(_CLASSES.items()))
+_ELLIPSE = ("semi_major", "semi_minor", "orientation")
 
 
 class Noise(NamedTuple):
     """How good the fixes are."""
 
-    columns: dict[str, float]
-    """One for all axes or one for each, and what makes a standard deviation per axis in metres of its numbers."""
+    columns: dict[str, Kind]
+    """One for all axes or one for each, as standard deviations per axis in metres; or those of an ellipse."""
     said: tuple[str, ...] = ()
     """Lines for a person."""
+    ellipse: bool = False
+    """Whether the first three columns are the axes of ellipses and where they point, and a fourth one their classes."""
 
 
-def noise_of(names: list[str], asked: Mapping[str, str], unit: float, ships: bool) -> Noise:
+def axes_of_ellipses(columns: Sequence[Array]) -> list[Array]:
+    """Standard deviations east and north of the error ellipses of Argos, or those of their classes where there is none.
+
+    Source: McClintock et al. (2015), Methods in Ecology and Evolution 6, 266: axes are standard deviations times the
+    root of 2.
+
+    Args:
+        columns: the larger and the smaller axis, m, degrees from north to the larger one, and, if there are four, the
+            standard deviation that goes with the class, m.
+    """
+    larger, smaller, angle = columns[0] / math.sqrt(2), columns[1] / math.sqrt(2), np.radians(columns[2])
+    known = (larger > 0) & (smaller > 0) & np.isfinite(angle)
+    otherwise = columns[3] if len(columns) == 4 else np.full_like(larger, np.nan)
+    east = np.hypot(larger * np.sin(angle), smaller * np.cos(angle))
+    north = np.hypot(larger * np.cos(angle), smaller * np.sin(angle))
+    return [np.where(known, east, otherwise), np.where(known, north, otherwise)]
+
+
+def noise_of(head: Head, asked: Mapping[str, str], unit: float, ships: bool) -> Noise:
     """The columns with the standard deviations of fixes; none if there are none.
 
     Args:
-        names: of all columns.
+        head: of the table.
         asked: by the caller: columns by what they hold.
         unit: metres in the unit of positions.
         ships: whether the file is of ships, whose "accuracy" is a mark and no distance.
@@ -40,21 +71,29 @@ def noise_of(names: list[str], asked: Mapping[str, str], unit: float, ships: boo
     def metres(column: str, otherwise: float) -> float:
         return METRES.get(unit_of(column, asked=True) or "", otherwise)
 
+    names = head.names
     if "sigma" in asked:
-        return Noise({asked["sigma"]: metres(asked["sigma"], unit)}, (f"sigma: {asked['sigma']}, per axis",))
+        return Noise({asked["sigma"]: Kind(unit=metres(asked["sigma"], unit))}, (f"sigma: {asked['sigma']}, per axis",))
     axes = [column for axis in "xyz" for column in found(names, f"sigma_{axis}")[:1]]
     if len(axes) >= 2:
-        return Noise({column: metres(column, unit) for column in axes}, (f"sigma: {', '.join(axes)}",))
+        return Noise({column: Kind(unit=metres(column, unit)) for column in axes}, (f"sigma: {', '.join(axes)}",))
+    words = {column: {*map(word_of, head.cells(column))} - {""} for column in found(names, "argos_class")[:1]}
+    classes = {column: _CLASS for column, every in words.items() if every and every <= _CLASSES.keys()}
+    ellipse = [column for part in _ELLIPSE for column in found(names, part)[:1]]
+    if len(ellipse) == len(_ELLIPSE):
+        columns = dict.fromkeys(ellipse, Kind()) | classes
+        return Noise(columns, (f"sigma: {', '.join(columns)} of Argos",), ellipse=True)
+    if classes:
+        return Noise(classes, tuple(f"sigma: {column}, errors of the classes of Argos" for column in classes))
     for column in found(names, "sigma"):
         name = plain(column)
         if name == "hdop":
             factor = RANGE_ERROR * _PER_AXIS
-            return Noise(
-                {column: factor}, (f"sigma: {column} times {factor:.1f} m (ranges good to {RANGE_ERROR:g} m)",)
-            )
+            said = f"sigma: {column} times {factor:.1f} m (ranges good to {RANGE_ERROR:g} m)"
+            return Noise({column: Kind(unit=factor)}, (said,))
         if "acc" in name and not ships:
             factor = _OF_A_RADIUS * metres(column, 1.0)
-            return Noise({column: factor}, (f"sigma: {column} times {_OF_A_RADIUS:.2f} (a radius of 68 %)",))
+            return Noise({column: Kind(unit=factor)}, (f"sigma: {column} times {_OF_A_RADIUS:.2f} (a radius of 68 %)",))
         if "acc" not in name:
-            return Noise({column: metres(column, unit)}, (f"sigma: {column}, per axis",))
+            return Noise({column: Kind(unit=metres(column, unit))}, (f"sigma: {column}, per axis",))
     return Noise({})

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from torchfra.readers.clocks import YEAR_1980
 from torchfra.readers.columns import Array, grouped
 from torchfra.readers.layouts import Layout
+from torchfra.readers.noises import axes_of_ellipses
 from torchfra.readers.placeholders import nowhere, stand_for_none
+from torchfra.readers.spelling import MARKS
 from torchfra.readers.tables import Table
 
 _MANY = 0.1
@@ -106,7 +108,11 @@ class _Columns:
         self.no_height = stand_for_none(self.height / layout.source.unit)
         self.height = np.where(self.no_height, np.nan, self.height)
         self.update = column("update")
-        self.noise = [table.column(name) for name in layout.noise]
+        noise = [table.column(name) for name in layout.noise]
+        self.noise = axes_of_ellipses(noise) if layout.ellipse else noise
+        self.marked = column("visible") == 0
+        for role in MARKS[1:]:
+            self.marked |= column(role) == 1
         self.may_be_held = layout.source.word == "aircraft"
         self.dated, self.unread = layout.clock.since_1970, layout.unread
 
@@ -121,6 +127,7 @@ class _Columns:
         index = keep(rows, np.isfinite(self.time[rows]), "rows without time dropped")
         index = keep(index, np.isfinite(self.first[index]) & np.isfinite(self.second[index]),
                      "rows without position dropped")  # fmt: skip
+        index = keep(index, ~self.marked[index], "rows marked as outliers dropped")
         index = keep(index, ~self.absent[index], "rows with a placeholder for their position dropped")
         if self.dated:
             index = keep(index, self.time[index] >= YEAR_1980, "rows from before 1980 dropped")

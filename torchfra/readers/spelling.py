@@ -37,19 +37,26 @@ NAMES = {
     "longitude": ("longitude", "lon", "lng", "long", "longitud", "langengrad", "laengengrad", "lange", "laenge"),
     "altitude": ("altitude", "alt", "baroaltitude", "geoaltitude", "altbaro", "altgeom", "height", "elevation", "ele",
                  "elev", "altitudemsl", "altmsl", "hae", "altitudeabovesealevel", "heightabovetakeoff", "z",
-                 "flightlevel", "fl", "hohe", "hoehe", "altitud", "altura", "hauteur"),
+                 "flightlevel", "fl", "hohe", "hoehe", "altitud", "altura", "hauteur", "heightabovemsl",
+                 "heightaboveellipsoid"),
     "id": ("icao24", "icao", "hex", "mmsi", "trackid", "tracknumber", "targetid", "objectid", "vesselid", "shipid",
-           "flightid", "deviceid", "vehicleid", "individuallocalidentifier", "tagid", "uavid", "droneid", "target",
-           "object", "vessel", "ship", "vehicle", "device", "individual", "trip", "tripid", "imo", "playerid", "player",
-           "animalid", "animal", "birdid", "bird", "collarid", "busid", "bus", "boatid", "boat", "imei", "userid",
-           "user", "entityid", "entity", "agentid", "agent", "riderid", "rider", "runnerid", "runner", "bib", "uuid",
-           "id", "name"),
+           "flightid", "deviceid", "vehicleid", "individuallocalidentifier", "taglocalidentifier", "tagid", "uavid",
+           "droneid", "target", "object", "vessel", "ship", "vehicle", "device", "individual", "trip", "tripid", "imo",
+           "playerid", "player", "animalid", "animal", "birdid", "bird", "collarid", "busid", "bus", "boatid", "boat",
+           "imei", "userid", "user", "entityid", "entity", "agentid", "agent", "riderid", "rider", "runnerid", "runner",
+           "bib", "uuid", "id", "name"),
     "call": ("callsign", "vesselname", "shipname", "name"),
     "update": ("lastposition", "lastposupdate"),
     "sigma": ("sigma", "std", "stddev", "sd", "sigmaxy", "accuracy", "horizontalaccuracy", "accuracyhorizontal",
               "hacc", "eph", "hdop"),
     "sigma_x": ("sigmax", "stdx", "sigmaeast"), "sigma_y": ("sigmay", "stdy", "sigmanorth"),
     "sigma_z": ("sigmaz", "stdz", "sigmaup"),
+    "argos_class": ("argoslc", "lc", "locationclass"),
+    "semi_major": ("argossemimajor", "errorsemimajoraxis", "smaj"),
+    "semi_minor": ("argossemiminor", "errorsemiminoraxis", "smin"),
+    "orientation": ("argosorientation", "errorellipseorientation", "eor"),
+    "visible": ("visible",), "by_hand": ("manuallymarkedoutlier",), "by_import": ("importmarkedoutlier",),
+    "by_rule": ("algorithmmarkedoutlier",),
 }  # fmt: skip
 """By what they hold, the best first; in small letters without marks, signs, units and such words as "gps" in front."""
 _IN_FRONT = {
@@ -67,6 +74,14 @@ FLIGHT_LEVELS = {"flightlevel", "fl", "modec", "modecaltitude"}
 """Names of altitudes in hundreds of feet."""
 SHIPS = {"mmsi", "imo", "shiptype", "vesseltype", "typeofmobile", "vesselname", "shipname"}
 """Names of columns that only these have; ships have a callsign too."""
+ANIMALS = {
+    "bird": {"birdid", "bird"},
+    "animal": {"individuallocalidentifier", "individualtaxoncanonicalname", "taglocalidentifier", "argoslc", "animalid",
+               "animal", "collarid"},
+}  # fmt: skip
+"""The same of animals, as files call them."""
+MARKS = ("visible", "by_hand", "by_import", "by_rule")
+"""Columns of Movebank that say whether a fix is right, and whether it is an outlier."""
 COUNTERS = {"id", "name", "objectid", "target", "object", "trip", "tripid", "uuid", "entityid", "user", "userid"}
 """Names that may number the rows instead of the targets."""
 

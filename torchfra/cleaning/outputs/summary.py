@@ -136,7 +136,7 @@ def notes(results: Sequence[Cleaned]) -> list[str]:
 def settings_lines(results: Sequence[Cleaned]) -> list[str]:
     """With what tracks were cleaned, and which of it was found; of several only what they have in common."""
     lines = Counter(
-        f"{_method(of.found)}; sigma {metres(of.found.sigma)} ({_how(of.found, 'sigma')}), "
+        f"{_method(of.found)}; sigma {_sigma(of.found)} ({_how(of.found, 'sigma')}), "
         f"q {of.found.q:.3g} m^2/s^3 ({_how(of.found, 'q')})"
         for of in results
     )
@@ -148,6 +148,10 @@ def settings_lines(results: Sequence[Cleaned]) -> list[str]:
 
 def _method(found: Found) -> str:
     return f"{found.filter}, {'smoothed' if found.smooth else 'on line'}, for {found.bank} ({_how(found, 'bank')})"
+
+
+def _sigma(found: Found) -> str:
+    return f"{found.sigma:.2g} times as stated" if found.stated else metres(found.sigma)
 
 
 def _how(found: Found, name: str) -> str:

@@ -1,0 +1,107 @@
+"""Tracks of animals: files of Movebank are read with the errors of Argos, and fixes hours apart are cleaned."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cleaning.simulated import animal
+
+from torchfra.cleaning import clean_tracks
+from torchfra.cleaning.kinds import kind_of
+from torchfra.cleaning.outputs import settings_line
+from torchfra.readers import Recording, read
+from torchfra.readers.recording import Source
+
+HEADER = "event-id,visible,timestamp,location-long,location-lat,argos:lc,argos:semi-major,argos:semi-minor,"
+HEADER += "argos:orientation,tag-local-identifier,individual-local-identifier"
+ROWS = """
+1,true,2020-01-01 00:00:00.000,10.00,54.0,3,400,200,90,77,seal
+2,true,2020-01-01 02:00:00.000,10.01,54.0,A,,,,77,seal
+3,false,2020-01-01 04:00:00.000,12.00,54.0,B,9000,200,90,77,seal
+4,true,2020-01-01 06:00:00.000,10.02,54.0,2,1000,200,30,77,seal
+"""
+
+
+def written(folder, header, rows):
+    (folder / "animals.csv").write_text(header + rows)
+    (recording,) = read(folder / "animals.csv")
+    return recording
+
+
+def test_a_file_of_movebank_is_of_animals_and_of_individuals(tmp_path):
+    recording = written(tmp_path, HEADER, ROWS)
+    assert (recording.name, recording.source.word) == ("seal", "animal")
+    assert recording.source.columns["id"] == "individual-local-identifier"
+    assert kind_of(recording) == ("animal", "as the file says")
+
+
+def test_rows_marked_as_outliers_are_dropped_and_counted(tmp_path):
+    recording = written(tmp_path, HEADER, ROWS)
+    assert recording.row.tolist() == [0, 1, 3]
+    assert recording.repairs == {"rows marked as outliers dropped": 1}
+    rows = ROWS.replace("true", "not").replace("false", "true").replace("not", "false")
+    by_hand = written(tmp_path, HEADER.replace("visible", "manually-marked-outlier"), rows)
+    assert by_hand.row.tolist() == [0, 1, 3]
+
+
+def test_an_ellipse_of_argos_is_a_standard_deviation_east_and_north(tmp_path):
+    sigma = written(tmp_path, HEADER, ROWS).sigma
+    half = math.radians(30)
+    root = np.array([[math.sin(half), math.cos(half)], [math.cos(half), -math.sin(half)]])
+    covariance = root @ np.diag([1000.0**2 / 2, 200.0**2 / 2]) @ root.T
+    np.testing.assert_allclose(sigma[0], [400 / math.sqrt(2), 200 / math.sqrt(2)])
+    np.testing.assert_allclose(sigma[2], np.sqrt(np.diag(covariance)))
+
+
+def test_a_class_of_argos_is_one_where_there_is_no_ellipse(tmp_path):
+    radius = 6190.0  # of 68 % of the fixes of class A
+    expected = radius / math.sqrt(-2 * math.log(1 - 0.68))
+    np.testing.assert_allclose(written(tmp_path, HEADER, ROWS).sigma[1], expected)
+    rows = "\nseal,2020-01-01 10:00:00,B,10.0,54.0\nseal,2020-01-01 12:00:00,A,10.01,54.0"
+    np.testing.assert_allclose(written(tmp_path, "id,date,lc,lon,lat", rows).sigma[1], expected)
+
+
+def test_a_mark_that_is_neither_true_nor_false_is_refused_with_its_row(tmp_path):
+    with pytest.raises(ValueError, match="expected true or false in data row 4, column visible, received 'maybe'"):
+        written(tmp_path, HEADER, ROWS.replace("4,true", "4,maybe"))
+
+
+def walk(seed, noise=500.0, count=300):
+    """Fixes every two hours, one in 25 of them 20 km off: the recording, the truth and which are wrong."""
+    rng = np.random.default_rng(seed)
+    truth = animal(rng, 20 * (count - 1), 360.0)[::20]
+    wrong = rng.random(count) < 0.04
+    angle = rng.uniform(-math.pi, math.pi, count)
+    offset = 20e3 * wrong[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+    fixes = truth + noise * rng.standard_normal((count, 2)) + offset
+    return Recording("seal", 7200.0 * np.arange(count), fixes, None, {}, source=Source(word="animal")), truth, wrong
+
+
+@pytest.mark.parametrize("kind", ["animal", "marine"])
+def test_outliers_among_fixes_hours_apart_are_found_and_the_others_come_nearer(kind):
+    several = [walk(seed) for seed in range(3)]
+    for one, (recording, truth, wrong) in zip(
+        clean_tracks([of for of, *_ in several], bank=kind), several, strict=True
+    ):
+        found = one.flag == "outlier"
+        assert (found & wrong).sum() > 0.9 * wrong.sum()
+        assert (found & wrong).sum() > 0.9 * found.sum()
+        before, after = (np.square(z - truth)[~wrong].mean() for z in (recording.position, one.position))
+        assert after < before
+
+
+def test_a_standard_deviation_of_kilometres_that_is_stated_is_taken():
+    recording, truth, wrong = walk(3, noise=0.0)
+    rng = np.random.default_rng(4)
+    sigma = rng.choice([300.0, 800.0, 4000.0], 300)
+    fixes = recording.position + sigma[:, None] * rng.standard_normal((300, 2))
+    (one,) = clean_tracks([Recording("seal", recording.time, fixes, None, {}, sigma=sigma)], bank="marine")
+    assert one.found.sigma == pytest.approx(1.0, rel=0.25)
+    assert np.square(one.position - truth).mean() < 0.3 * np.square(fixes - truth)[~wrong].mean()
+
+
+def test_a_factor_on_stated_deviations_is_said_as_one():
+    recording, _, _ = walk(5, noise=400.0, count=40)
+    (one,) = clean_tracks([replace(recording, sigma=np.full(40, 400.0))])
+    assert f"sigma {one.found.sigma:.2g} times as stated (found" in settings_line(one.found)
