@@ -9,7 +9,7 @@ from cleaning.simulated import animal
 
 from torchfra.cleaning import clean_tracks
 from torchfra.cleaning.kinds import kind_of
-from torchfra.cleaning.outputs import settings_line
+from torchfra.cleaning.outputs import settings_lines
 from torchfra.readers import Recording, read
 from torchfra.readers.recording import Source
 
@@ -104,4 +104,4 @@ def test_a_standard_deviation_of_kilometres_that_is_stated_is_taken():
 def test_a_factor_on_stated_deviations_is_said_as_one():
     recording, _, _ = walk(5, noise=400.0, count=40)
     (one,) = clean_tracks([replace(recording, sigma=np.full(40, 400.0))])
-    assert f"sigma {one.found.sigma:.2g} times as stated (found" in settings_line(one.found)
+    assert f"sigma {one.found.sigma:.2g} times as stated (found" in settings_lines([one])[0]

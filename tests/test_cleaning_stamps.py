@@ -63,7 +63,7 @@ def test_cleaned_tracks_are_nearer_the_truth_say_so_and_keep_the_fixes_as_record
     assert np.square(speed[0]).mean() < np.square(speed[1]).mean() / 4
     np.testing.assert_array_equal(mended.raw, late.position)
     assert mended.recording is late
-    assert any("time stamps were off" in line for line in mended.found.said)
+    assert any("Time stamps were off" in line for line in mended.found.said)
     assert not any("time stamps" in line for line in plain.found.said)
     course = mended.velocity[20] / np.linalg.norm(mended.velocity[20])
     along = course @ mended.covariance[20, :2, :2] @ course
@@ -124,13 +124,13 @@ def test_fixes_of_a_ship_with_wrong_stamps_are_no_outliers(sailed):
 
 def test_a_fix_beside_the_path_is_an_outlier_where_stamps_are_off_too(sailed):
     _, _, mended, _ = sailed
-    assert any("time stamps were off" in line for line in mended[2].found.said)
+    assert any("Time stamps were off" in line for line in mended[2].found.said)
     assert (mended[2].flag[BESIDE[0]] == "outlier").all()
 
 
 def test_fixes_may_be_missing_where_stamps_are_off(sailed):
     _, truth, mended, _ = sailed
-    assert any("time stamps were off" in line for line in mended[3].found.said)
+    assert any("Time stamps were off" in line for line in mended[3].found.said)
     assert np.isnan(mended[3].raw[100:103]).all()
     assert np.linalg.norm(mended[3].position - truth, axis=1)[100:103].max() < 20.0
 

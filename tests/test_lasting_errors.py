@@ -35,7 +35,7 @@ def test_bands_hold_the_truth_where_errors_last():
 def test_errors_that_last_are_said_with_their_size_and_time():
     recording, _ = voyage(0, 6.0, 15.0)
     (one,) = clean_tracks([recording])
-    assert one.found.doubt.startswith("errors of neighbouring fixes are alike over about ")
+    assert one.found.doubt.startswith("Errors of neighbouring fixes are alike over about ")
     found = lasting_errors(recording, "ship")
     assert 3.0 < found.std < 12.0
     assert 5.0 < found.seconds < 45.0
@@ -45,7 +45,7 @@ def test_errors_that_last_are_said_with_a_bank_of_ones_own_too():
     recording, _ = voyage(0, 6.0, 15.0, count=250)
     bank = Bank([ConstantVelocity(0.1, spectral=True, orders=3), ConstantVelocity(1.0, spectral=True, orders=3)])
     (one,) = clean_tracks([recording], filter="srckf", bank=bank)
-    assert one.found.doubt.startswith("errors of neighbouring fixes are alike over about ")
+    assert one.found.doubt.startswith("Errors of neighbouring fixes are alike over about ")
 
 
 def test_white_noise_is_no_error_that_lasts():

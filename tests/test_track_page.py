@@ -44,7 +44,9 @@ def test_a_chart_shows_what_the_picture_does():
     } <= named.keys()
     np.testing.assert_allclose(named["rejected"]["x"], of.raw[7, 0] / 1000, rtol=1e-5)
     assert np.ptp(chart["layout"]["xaxis"]["range"]) < 20
-    assert {note["text"] for note in chart["layout"]["annotations"]} == {"\u25b2 4,950 km off", "left turn, 2.5 deg/s"}
+    assert {note["text"] for note in chart["layout"]["annotations"]} == {
+        "\u25b2", "outside: 1 rejected, up to 4,950 km off", "left turn, 2.5 deg/s"
+    }  # fmt: skip
     assert [(shade["x0"], shade["x1"]) for shade in chart["layout"]["shapes"]] == [(10.0, 30.0)]
     titles = [axis["title"]["text"] for name, axis in chart["layout"].items() if name.startswith("yaxis")]
     assert titles == ["north, km", "speed, m/s", "altitude, m", "innovation, std", "probability"]

@@ -11,7 +11,7 @@ from matplotlib.text import Text
 from torchfra import plotting
 from torchfra.cleaning import Segment
 from torchfra.cleaning.outputs.colours import APART, BLUE, GREY, ORANGE, RED, REGIMES
-from torchfra.cleaning.outputs.view import MOST_STD, view
+from torchfra.cleaning.outputs.view import MOST_STD, placed, view
 from torchfra.plotting.style import line_styles
 
 
@@ -45,7 +45,7 @@ def test_the_map_shows_the_track_and_lists_at_its_edge_what_is_far_off():
     axes = panels(plotting.cleaned(of))["map"]
     limits = np.array([axes.get_xlim(), axes.get_ylim()])
     assert (np.diff(limits) < 20).all()  # km; the track is 8 km long
-    assert axes.get_title(loc="left").startswith("rejected beyond the edge: 4,950 km off, 4,950 km off")
+    assert axes.get_title(loc="left").startswith("outside: 2 rejected, up to 4,950 km off")
     triangles = [line.get_xydata()[0] for line in axes.lines if isinstance(line.get_marker(), tuple)]
     assert len(triangles) == 2
     on_edge = np.isclose(np.array(triangles)[:, :, None], limits[None]).any((1, 2))
@@ -56,7 +56,7 @@ def test_what_is_listed_at_the_edge_is_below_the_title():
     of = replace(straight(40, rejected=(7, 9), off=3.5e6), segments=())  # whose names would make room
     figure = plotting.cleaned(of)
     figure.draw_without_rendering()
-    listed = next(text for text in figure.findobj(Text) if text.get_text().startswith("rejected beyond"))
+    listed = next(text for text in figure.findobj(Text) if text.get_text().startswith("outside"))
     assert not listed.get_window_extent().overlaps(figure._suptitle.get_window_extent())
 
 
@@ -100,7 +100,7 @@ def test_an_innovation_beyond_the_axis_is_at_its_edge_and_counted():
     axes = panels(plotting.cleaned(straight(40)))["innovation"]
     (triangles,) = axes.collections
     np.testing.assert_allclose(triangles.get_offsets(), [[14.0, MOST_STD]])
-    assert axes.get_title(loc="right") == "1 beyond, up to 115"  # sqrt(4e4 / 3)
+    assert axes.get_title(loc="right") == "1 outside, up to 115"  # sqrt(4e4 / 3)
     assert axes.get_ylim() == (0, MOST_STD)
 
 
@@ -188,3 +188,31 @@ def test_every_line_has_a_look_of_its_own_and_the_first_a_colour_of_their_own():
     looks = line_styles([f"filter {i}" for i in range(20)]).values()
     assert len({(look["color"], look["linestyle"]) for look in looks}) == 20
     assert len({look["color"] for look in list(looks)[: len(APART)]}) == len(APART) == 7
+
+
+def test_a_spike_of_the_path_does_not_set_the_scale_of_the_map_or_of_the_speed():
+    of = straight(40)
+    spiked = replace(of, mean=of.mean.copy())
+    spiked.mean[20] += 1e6
+    np.testing.assert_allclose(np.ptp(view(spiked).window, 0), np.ptp(view(of).window, 0), rtol=0.2)
+    assert np.ptp(view(spiked).speed.limits()) < 2 * np.ptp(view(of).speed.limits())
+
+
+def test_names_of_many_manoeuvres_do_not_lie_on_each_other():
+    shown = view(straight(40))
+    end, name = shown.time[-1], "left turn, 2.5 deg/s"
+    many = shown._replace(manoeuvres=[(end * i / 56, end * (i + 0.5) / 56, name) for i in range(56)])
+    found = placed(many, 76)
+    assert len(found) >= 4
+    for row in (0, 1):
+        middles = sorted(middle for middle, at, _ in found if at == row)
+        assert np.diff(middles).min() > len(name) / 76
+        assert len(name) / 152 <= middles[0] <= middles[-1] <= 1 - len(name) / 152
+
+
+def test_probabilities_are_drawn_where_another_motion_than_the_usual_one_is_likely():
+    of = straight(40)
+    calm = np.zeros_like(of.regime)
+    calm[:, 0] = 1.0
+    assert "regimes" in panels(plotting.cleaned(of))
+    assert "regimes" not in panels(plotting.cleaned(replace(of, regime=calm)))

@@ -119,7 +119,7 @@ def widened(one: Cleaned, kind: str) -> Cleaned:
     covariance[:, :2] *= factor[:, None, None]
     covariance[:, :, :2] *= factor[:, None, None]
     said = (
-        f"errors of neighbouring fixes are alike over about {errors.seconds:.2g} s, by {errors.std:.2g} m: bands are "
+        f"Errors of neighbouring fixes are alike over about {errors.seconds:.2g} s, by {errors.std:.2g} m: bands are "
         "widened for that"
     )
     return replace(one, covariance=covariance, found=replace(one.found, doubt=said))

@@ -11,8 +11,13 @@ from numpy.typing import NDArray
 
 from torchfra.cleaning import Cleaned
 from torchfra.cleaning.outputs.colours import APART, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
-from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, view
+from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, placed, view
 from torchfra.tables import printable
+
+_LETTERS = 60
+"""Of the name of a manoeuvre, that are as wide as a panel of a narrow window."""
+_MOST_MARKS = 50
+"""Rejected fixes that are marked at the edge of the map."""
 
 
 class Chart(NamedTuple):
@@ -34,12 +39,12 @@ def chart(cleaned: Cleaned) -> Chart:
     data += _regimes(of, len(rows) + 1)
     layout = _layout(of.title) | _map_axes(of) | _time_axes(of, rows)
     edge, _, said = beyond(of, *of.window)
-    layout["annotations"] = [
-        _words(x, y, f"\u25b2 {text}", RED) for (x, y), text in zip(edge.tolist(), said, strict=True)
-    ] + [
-        _words(0.5 * (begin + end), 1.0, kind, BROWN) | {"xref": "x2", "yref": "paper", "yshift": 8 + 12 * (i % 2)}
-        for i, (begin, end, kind) in enumerate(of.manoeuvres)
+    layout["annotations"] = [_words(x, y, "\u25b2", RED) for x, y in edge[:_MOST_MARKS].tolist()] + [
+        _words(middle * of.time[-1], 1.0, kind, BROWN) | {"xref": "x2", "yref": "paper", "yshift": 8 + 12 * row}
+        for middle, row, kind in placed(of, _LETTERS)
     ]
+    if said:
+        layout["annotations"] += [_words(0.0, 1.0, said, RED) | {"xref": "paper", "yref": "paper", "xanchor": "left"}]
     layout["shapes"] = [
         {"type": "rect", "xref": "x2", "yref": "paper", "x0": begin, "x1": end, "y0": 0, "y1": 1, "layer": "below",
          "fillcolor": ORANGE, "opacity": 0.22, "line": {"width": 0}}
