@@ -52,6 +52,24 @@ def test_a_chart_shows_what_the_picture_does():
     assert titles == ["north, km", "speed, m/s", "altitude, m", "innovation, std", "probability"]
 
 
+def test_several_targets_have_a_table_that_sorts_by_its_numbers_and_links_to_each():
+    text = page.page([straight(30, name="<a>"), straight(20, name="b")])
+    rows = re.findall(r"<tr>(<td.*?)</tr>", text)
+    assert [re.search(r'<a href="#(\w+)">(.*?)</a>', row).groups() for row in rows] == [
+        ("t0", "&lt;a&gt;"),
+        ("t1", "b"),
+    ]
+    fixes = [re.findall(r'data-key="(.*?)">(.*?)</td>', row)[1] for row in rows]
+    assert fixes == [("30", "30"), ("20", "20")]
+    assert {"t0", "t1"} <= set(re.findall(r'<details id="(\w+)"', text))
+    assert len(re.findall("<th>", text)) == len(re.findall("<td", rows[0]))
+    assert "<table>" not in page.page([straight(20)])
+
+
+def test_a_page_is_as_wide_as_the_screen_of_a_phone():
+    assert '<meta name="viewport" content="width=device-width' in page.page([straight(20)])
+
+
 def test_strange_names_and_numbers_do_no_harm():
     of = straight(10, name="</script><b>&\ud800$")
     of.mean[3] = np.nan

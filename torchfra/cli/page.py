@@ -9,17 +9,23 @@ from pathlib import Path
 from typing import Any
 
 from torchfra.cleaning import Cleaned
-from torchfra.cleaning.outputs.summary import headline, settings_lines, summary
+from torchfra.cleaning.outputs.summary import COLUMNS, LEGEND, cells, headline, settings_lines, summary
 from torchfra.cli.charts import Chart, chart, overview
 from torchfra.running.atomic_write import write_text
 from torchfra.tables import printable
 
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>{title}</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
 <style>
-body {{ font-family: sans-serif; margin: 1em auto; max-width: 1400px; }}
+body {{ font-family: sans-serif; margin: 1em auto; max-width: 1400px; padding: 0 1em; }}
 summary {{ cursor: pointer; padding: .4em 0; }}
 .chart {{ width: 100%; height: 760px; }}
+.wide {{ overflow-x: auto; }}
+table {{ border-collapse: collapse; }}
+th, td {{ padding: .2em .7em; text-align: right; white-space: nowrap; }}
+th:first-child, td:first-child {{ text-align: left; }}
+th {{ cursor: pointer; border-bottom: 1px solid; }}
 </style>
 <script>{script}</script></head>
 <body><h1>{title}</h1>
@@ -37,9 +43,18 @@ document.querySelectorAll("details").forEach(section => {{
   section.addEventListener("toggle", () => draw(section));
   draw(section);
 }});
+document.querySelectorAll("th").forEach((head, column) => head.addEventListener("click", () => {{
+  const body = head.closest("table").tBodies[0], down = head.dataset.down !== "yes";
+  head.dataset.down = down ? "yes" : "no";
+  const key = row => Number(row.cells[column].dataset.key);
+  [...body.rows].sort((a, b) => (down ? -1 : 1) * (key(a) - key(b))).forEach(row => body.append(row));
+}}));
+document.querySelectorAll("a[href^='#']").forEach(link => link.addEventListener("click", () => {{
+  document.getElementById(link.hash.slice(1)).open = true;
+}}));
 </script></body></html>
 """
-_SECTION = """<details{opened}><summary>{said}</summary><div class="chart"></div>
+_SECTION = """<details id="{name}"{opened}><summary>{said}</summary><div class="chart"></div>
 <script type="application/json">{chart}</script></details>"""
 
 
@@ -70,9 +85,13 @@ def page(results: Sequence[Cleaned]) -> str:
     """The page as text."""
     from plotly.offline import get_plotlyjs
 
-    several = len(results) > 1
-    sections = [_section("all targets", overview(results), opened=True)] if several else []
-    sections += [_section(headline(summary(cleaned)), chart(cleaned), opened=not several) for cleaned in results]
+    every = [summary(cleaned) for cleaned in results]
+    sections = [
+        _section(f"t{i}", headline(of), chart(cleaned), opened=len(results) == 1)
+        for i, (of, cleaned) in enumerate(zip(every, results, strict=True))
+    ]
+    if len(results) > 1:
+        sections = [_section("all", "all targets", overview(results), opened=True), _table(results, every), *sections]
     return _PAGE.format(
         title=_text(results[0].recording.source.name or results[0].recording.name),
         script=get_plotlyjs(),
@@ -81,9 +100,22 @@ def page(results: Sequence[Cleaned]) -> str:
     )
 
 
-def _section(said: str, of: Chart, *, opened: bool) -> str:
+def _table(results: Sequence[Cleaned], every: Sequence[dict[str, Any]]) -> str:
+    """A row for each target, sorted by a column when its head is clicked."""
+    heads = "".join(f"<th>{name}</th>" for name in (results[0].recording.source.word, *COLUMNS))
+    rows = "".join(
+        f'<tr><td data-key="{-i}"><a href="#t{i}">{_text(of["name"])}</a></td>'
+        + "".join(f'<td data-key="{number:.9g}">{_text(text)}</td>' for number, text in cells(of))
+        + "</tr>"
+        for i, of in enumerate(every)
+    )
+    table = f"<table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>"
+    return f'<div class="wide">{table}</div>\n' + "\n".join(f"<p>{line}</p>" for line in LEGEND)
+
+
+def _section(name: str, said: str, of: Chart, *, opened: bool) -> str:
     text = json.dumps(of._asdict(), allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
-    return _SECTION.format(opened=" open" if opened else "", said=_text(said), chart=text)
+    return _SECTION.format(name=name, opened=" open" if opened else "", said=_text(said), chart=text)
 
 
 def _text(of: Any) -> str:
