@@ -33,7 +33,7 @@ def numbers(pattern, text):
 
 
 def test_the_examples_are_numbered_and_have_80_lines_or_fewer():
-    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 15)]
+    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 16)]
     assert all(len(path.read_text().splitlines()) <= 80 for path in EXAMPLES.values())
 
 
@@ -189,3 +189,14 @@ def test_faults_that_last_are_found_and_leave_the_robot_in_its_place(capsys):
     found, false = numbers(r"([\d.]+)%", text)
     assert found > 80.0
     assert false < 10.0
+
+
+def test_a_ride_is_cleaned_of_its_noise_and_its_outliers_by_one_call(capsys, tmp_path):
+    load("15_a_ride_cleaned").main(["--seconds", "300", "--plot", str(tmp_path / "ride.png")])
+    before, after, found, outliers, others = numbers(
+        r"([\d.]+) m off before, ([\d.]+) m after; (\d+) of (\d+) outliers found, (\d+) others", capsys.readouterr().out
+    )
+    assert after < 0.3 * before
+    assert found >= outliers - 1
+    assert others <= 1
+    assert (tmp_path / "ride.png").stat().st_size > 10_000

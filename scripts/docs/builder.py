@@ -10,6 +10,7 @@ from typing import Any
 
 from docutils import nodes
 from latex2mathml.converter import convert
+from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 from sphinx_gallery.scrapers import figure_rst
 
@@ -114,10 +115,10 @@ def scraper(block: Any, variables: dict[str, Any], conf: dict[str, Any]) -> str:
 
 
 def _new(made: dict[str, Any], seen: set[int]) -> list[Figure]:
-    """Figures among an example's names that have not been shown."""
+    """Figures among an example's names that have not been shown, but for those of pyplot, which has its own scraper."""
     new = {id(x): x for x in made.values() if isinstance(x, Figure) and id(x) not in seen}
     seen.update(new)
-    return list(new.values())
+    return [x for x in new.values() if x not in map(plt.figure, plt.get_fignums())]
 
 
 # ---------------------------------------------------------------- docstrings

@@ -54,7 +54,8 @@ sphinx_gallery_conf = {
     "gallery_dirs": ["gallery/pictures", "gallery/examples"],
     "filename_pattern": r"/(plot_|0)\w*\.py$",  # what takes minutes, or more than the extra, is shown and not run
     "within_subsection_order": "FileNameSortKey",
-    "image_scrapers": ("matplotlib", "builder.scraper"),
+    "image_scrapers": ("builder.scraper", "matplotlib"),  # the second one closes what it has drawn
+    "capture_repr": (),
     "reset_argv": "builder.arguments",
     "reset_modules": ("matplotlib",),
     "abort_on_example_error": True,
