@@ -5,11 +5,11 @@ import oracles
 import pytest
 import torch
 
-from torchfra.cleaning.both_ways import both_ways, filtered
 from torchfra.cleaning.finding import levels_up_to
-from torchfra.cleaning.ladder import Doubt, Fixes, Levels, look_ahead
+from torchfra.cleaning.ladder import Fixes, Levels, OutlierModel, filter_forward
+from torchfra.cleaning.two_filters import filtered, two_filters
 
-SURE = Doubt(new=1e-300, still=1e-300)
+SURE = OutlierModel(begins=1e-300, lasts=1e-300)
 Q, SIGMA = 0.3, 4.0
 
 
@@ -51,7 +51,7 @@ def expected(fixes, axis, track):
 def test_one_level_without_outliers_is_kalman_s_filter(fixes, axis, track):
     of = expected(fixes, axis, track)
     oracle = oracles.kalman(*of, np.array([[1.0, 0.0]]))
-    found = filtered(look_ahead(fixes, one_level(2), SURE), fixes, SURE).belief
+    found = filtered(filter_forward(fixes, one_level(2), SURE), fixes, SURE).belief
     np.testing.assert_allclose(found.position[axis, :, track], oracle["mean"][:, 0], rtol=1e-9)
     np.testing.assert_allclose(found.velocity[axis, :, track], oracle["mean"][:, 1], rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(found.pp[:, track], oracle["P"][:, 0, 0], rtol=1e-6)
@@ -60,7 +60,7 @@ def test_one_level_without_outliers_is_kalman_s_filter(fixes, axis, track):
 @pytest.mark.parametrize("track", [0, 1])
 def test_both_ways_together_are_the_least_squares_solution_of_the_whole_track(fixes, track):
     oracle = oracles.whole_track(*expected(fixes, 0, track))
-    found = both_ways(fixes, one_level(2), SURE).belief
+    found = two_filters(fixes, one_level(2), SURE).belief
     # The two priors, one for each end, are worth next to nothing, but not nothing.
     np.testing.assert_allclose(found.position[0, :, track], oracle["mean"][:, 0], atol=0.02)
     np.testing.assert_allclose(found.velocity[0, :, track], oracle["mean"][:, 1], atol=0.02)
@@ -71,14 +71,14 @@ def test_both_ways_together_are_the_least_squares_solution_of_the_whole_track(fi
 def test_levels_that_are_alike_are_one_level(fixes):
     several = Levels(*(x.repeat(3, 1) for x in one_level(2)))
     several = several._replace(log_share=several.log_share - np.log(3))
-    one, three = both_ways(fixes, one_level(2)), both_ways(fixes, several)
+    one, three = two_filters(fixes, one_level(2)), two_filters(fixes, several)
     torch.testing.assert_close(three.belief.position, one.belief.position, rtol=1e-12, atol=1e-6)
     torch.testing.assert_close(three.outlier, one.outlier, rtol=1e-6, atol=1e-9)
-    torch.testing.assert_close(three.ahead.log_likelihood, one.ahead.log_likelihood, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(three.predictions.log_likelihood, one.predictions.log_likelihood, rtol=1e-9, atol=1e-9)
 
 
 def test_time_that_runs_backwards_gives_the_same_track_backwards(fixes):
-    forth, back = both_ways(fixes, one_level(2), SURE), both_ways(fixes.backwards(), one_level(2), SURE)
+    forth, back = two_filters(fixes, one_level(2), SURE), two_filters(fixes.backwards(), one_level(2), SURE)
     torch.testing.assert_close(back.belief.position.flip(1), forth.belief.position, rtol=1e-12, atol=0.0)
     torch.testing.assert_close(-back.belief.velocity.flip(1), forth.belief.velocity, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(back.belief.pp.flip(0), forth.belief.pp, rtol=1e-9, atol=0.0)

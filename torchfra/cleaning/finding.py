@@ -9,8 +9,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.cleaning.both_ways import Smoothed, both_ways, filtered
-from torchfra.cleaning.ladder import USUAL, Doubt, Fixes, Levels, look_ahead
+from torchfra.cleaning.ladder import DEFAULT, Fixes, Levels, OutlierModel, filter_forward
+from torchfra.cleaning.two_filters import Smoothed, filtered, two_filters
 
 _COARSE, _FINE = 8, 1.2
 """Standard deviations that are tried at first, each half of the one before; and the ratio of those tried later."""
@@ -26,7 +26,7 @@ SHORT = 0
 """Owner of the rows of all tracks that are too short to be looked at alone."""
 _FEW = 2.0
 """Fixes that shares of levels are worth before any was seen."""
-_ALONE = USUAL._replace(same=0.0)
+_ALONE = DEFAULT._replace(same_offset=0.0)
 """While sigma and the process noise are found: many outliers as far off as each other could stand for clean fixes."""
 _ROUNDS = 2
 """Of finding."""
@@ -73,9 +73,9 @@ def levels_up_to(
     top = (acceleration.square() * period).minimum(fastest.square() / period).clamp_min(10 * _SLOWEST)
     least = (3 * _STILL**2 / period**3).clamp_max(_SLOWEST)
     density = least * (top / least) ** place
-    lasting = (_LASTING[0] * (_LASTING[1] / _LASTING[0]) ** place).expand_as(density)
+    duration = (_LASTING[0] * (_LASTING[1] / _LASTING[0]) ** place).expand_as(density)
     rarer = -_RARER * place if q is None else -0.5 * (density / max(q, _SLOWEST)).log10().square()
-    return Levels(density, rarer.expand_as(density).log_softmax(0), lasting)
+    return Levels(density, rarer.expand_as(density).log_softmax(0), duration)
 
 
 def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor) -> Tensor:
@@ -87,11 +87,11 @@ def finer_sigma(part: Part, owner: Tensor) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood near those that are known."""
     factors = _FINE ** torch.arange(2, -3, -1, dtype=part.sigma.dtype)
     tried = part.sigma * factors.unsqueeze(1)
-    alone, usual = (likeliest(part.fixes, part.levels, owner, tried, doubt) for doubt in (_ALONE, USUAL))
+    alone, usual = (likeliest(part.fixes, part.levels, owner, tried, model) for model in (_ALONE, DEFAULT))
     return alone.maximum(usual)
 
 
-def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, doubt: Doubt = _ALONE) -> Tensor:
+def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model: OutlierModel = _ALONE) -> Tensor:
     """Of standard deviations ``(G, B)`` that decrease by a factor, the ones ``(B,)`` of the largest likelihood.
 
     Between them by the parabola through the largest and its neighbours.
@@ -101,7 +101,7 @@ def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, doubt:
         levels: of the process noise.
         owner: ``(B,)`` numbers; rows of the same one have one standard deviation.
         sigma: that are tried.
-        doubt: about outliers.
+        model: about outliers.
     """
     count, looked_at = len(sigma), _looked_at(fixes, owner)
     part = Fixes(*(x[:_STEPS, ..., looked_at] for x in fixes))
@@ -111,7 +111,7 @@ def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, doubt:
         return x.unsqueeze(-2).expand(*x.shape[:-1], count, x.shape[-1]).flatten(-2)
 
     tried = Fixes(repeated(part.z), repeated(part.gap), variance.flatten(1), repeated(part.odds))
-    found = look_ahead(tried, Levels(*(repeated(x[:, looked_at]) for x in levels)), doubt)
+    found = filter_forward(tried, Levels(*(repeated(x[:, looked_at]) for x in levels)), model)
     seen = (~tried.missing).to(sigma)
     sums = torch.stack([found.log_likelihood * seen, found.outlier * seen, seen]).sum(1).unflatten(-1, (count, -1))
     fit, wrong, seen = sums.new_zeros(3, count, int(owner.max()) + 1).index_add(-1, owner[looked_at], sums)[..., owner]
@@ -164,10 +164,10 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) 
         find_q: whether to find the shares of the levels.
     """
     for left in reversed(range(_ROUNDS)):
-        known = [both_ways(part.scaled, part.levels, _ALONE) for part in parts]
+        known = [two_filters(part.scaled, part.levels, _ALONE) for part in parts]
         if find_q:
-            parts = [_learnt(part, of, owner) for part, of in zip(parts, known, strict=True)]
-        parts = _told(parts, known)
+            parts = [_with_shares(part, of, owner) for part, of in zip(parts, known, strict=True)]
+        parts = _with_evidence(parts, known)
         if find_sigma and not left:
             parts = [part._replace(sigma=finer_sigma(part, owner).maximum(part.least)) for part in parts]
     return parts
@@ -176,22 +176,22 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) 
 def estimated(parts: Sequence[Part], *, smooth: bool) -> tuple[list[Smoothed], Tensor]:
     """What is known of each part, from all fixes or those before; and ``(T, B)`` probabilities of outliers."""
     if smooth:
-        known = [both_ways(part.scaled, part.levels) for part in parts]
+        known = [two_filters(part.scaled, part.levels) for part in parts]
     else:  # what other axes say of an outlier is of all fixes
         alone = [part.scaled._replace(odds=torch.zeros_like(part.fixes.odds)) for part in parts]
-        known = [filtered(look_ahead(x, part.levels), x) for x, part in zip(alone, parts, strict=True)]
-    odds = known[0].ahead.dirty.logit() + torch.stack([of.evidence for of in known]).sum(0)
+        known = [filtered(filter_forward(x, part.levels), x) for x, part in zip(alone, parts, strict=True)]
+    odds = known[0].predictions.prior_outlier.logit() + torch.stack([of.evidence for of in known]).sum(0)
     return known, torch.where(parts[0].fixes.missing, 0.0, odds.sigmoid())
 
 
-def _told(parts: list[Part], known: list[Smoothed]) -> list[Part]:
+def _with_evidence(parts: list[Part], known: list[Smoothed]) -> list[Part]:
     """Parts that know what the others say of outliers."""
     evidence = torch.stack([of.evidence for of in known])
     others = (evidence.sum(0) - evidence).clamp(-_FAR, _FAR)
     return [part._replace(fixes=part.fixes._replace(odds=odds)) for part, odds in zip(parts, others, strict=True)]
 
 
-def _learnt(part: Part, known: Smoothed, owner: Tensor) -> Part:
+def _with_shares(part: Part, known: Smoothed, owner: Tensor) -> Part:
     """With the shares of the levels that smoothing has found."""
     seen = (~part.fixes.missing).to(part.sigma).unsqueeze(1)
     share = _summed((seen * known.levels).sum(0), owner) + _FEW * part.levels.log_share.exp()

@@ -34,42 +34,42 @@ class Belief(NamedTuple):
     """``(..., B)`` variance of the velocity."""
 
 
-class Doubt(NamedTuple):
+class OutlierModel(NamedTuple):
     """How likely outliers are."""
 
-    new: float = 0.015
-    """Probability of an outlier after a clean fix."""
-    still: float = 0.35
-    """Probability of one after another."""
-    least: float = 100.0
+    begins: float = 0.015
+    """Probability of an outlier after a fix that is none."""
+    lasts: float = 0.35
+    """Probability of an outlier after an outlier."""
+    least_size: float = 100.0
     """Least mean square error per axis of an outlier, in units of the variance of a clean fix."""
-    same: float = 0.5
+    same_offset: float = 0.5
     """Probability that an outlier after another is as far off in the same direction."""
 
     @property
     def share(self) -> float:
         """Of the fixes that are outliers in the long run."""
-        return self.new / (self.new + 1 - self.still)
+        return self.begins / (self.begins + 1 - self.lasts)
 
 
-USUAL = Doubt()
-"""How likely outliers are unless told otherwise."""
+DEFAULT = OutlierModel()
+"""How likely outliers are by default."""
 
 
 class Levels(NamedTuple):
-    """The Markov chain of the process noise: a level stays, or one is drawn anew whatever was before."""
+    """The Markov chain of the process noise: a level lasts, then another is drawn from the restart distribution."""
 
     q: Tensor
     """``(J, B)`` densities, m^2/s^3, ascending."""
     log_share: Tensor
     """``(J, B)`` logs of the shares of the time that levels have in the long run."""
-    lasting: Tensor
-    """``(J, B)`` mean time until one is drawn anew, s."""
+    duration: Tensor
+    """``(J, B)`` mean time that a level lasts, s."""
 
     @property
-    def log_new(self) -> Tensor:
-        """``(J, B)`` logs of the probabilities of a level drawn anew."""
-        return (self.log_share - self.lasting.log()).log_softmax(0)
+    def log_restart(self) -> Tensor:
+        """``(J, B)`` logs of the restart distribution."""
+        return (self.log_share - self.duration.log()).log_softmax(0)
 
 
 class Fixes(NamedTuple):
@@ -95,22 +95,22 @@ class Fixes(NamedTuple):
         return Fixes(self.z.flip(0), gap, self.variance.flip(0), self.odds.flip(0))
 
 
-class Ahead(NamedTuple):
+class Predictions(NamedTuple):
     """Predictions of all steps, from the fixes before each."""
 
     belief: Belief
     """``(T, J, B)`` behind the axes, of each level."""
     log_weights: Tensor
     """``(T, J, B)`` logs of the probabilities of the levels."""
-    dirty: Tensor
-    """``(T, B)`` probability that the fix is an outlier, before it is seen."""
+    prior_outlier: Tensor
+    """``(T, B)`` probability that the fix is an outlier, without the fix itself."""
     outlier: Tensor
-    """``(T, B)`` the same once it is seen."""
+    """``(T, B)`` the same with it."""
     log_likelihood: Tensor
     """``(T, B)`` of each fix."""
 
 
-def look_ahead(fixes: Fixes, levels: Levels, doubt: Doubt = USUAL) -> Ahead:
+def filter_forward(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Predictions:
     """The filter: predictions of every step.
 
     After each fix hypotheses are merged to one for each level and for clean and outlier; these two stay apart until the
@@ -118,21 +118,25 @@ def look_ahead(fixes: Fixes, levels: Levels, doubt: Doubt = USUAL) -> Ahead:
 
     Source: Blom & Bar-Shalom (1988) for interacting models; Harrison & Stevens (1976) for outliers as hypotheses.
     """
-    belief, log_weights = _start(fixes, levels, doubt)
-    before = torch.tensor([[1 - doubt.new, 1 - doubt.still], [doubt.new, doubt.still]], dtype=fixes.z.dtype)
-    chain, log_new, outlier = before.log()[:, :, None, None], levels.log_new, torch.full_like(fixes.gap[0], doubt.share)
+    belief, log_weights = _start(fixes, levels, model)
+    before = torch.tensor([[1 - model.begins, 1 - model.lasts], [model.begins, model.lasts]], dtype=fixes.z.dtype)
+    chain, log_restart, outlier = (
+        before.log()[:, :, None, None],
+        levels.log_restart,
+        torch.full_like(fixes.gap[0], model.share),
+    )
     kept: list[tuple[Belief, Tensor, Tensor, Tensor, Tensor]] = []
     last, elapsed = torch.full_like(fixes.z[0], torch.nan), torch.zeros_like(fixes.gap[0])
     for z, gap, variance, odds, missing in zip(*fixes, fixes.missing, strict=True):
         if kept:
-            mixed, log_weights = redrawn(belief, log_weights, levels.lasting, log_new, gap.unsqueeze(0))
+            mixed, log_weights = switched(belief, log_weights, levels.duration, log_restart, gap.unsqueeze(0))
             belief = _predicted(mixed, levels.q, gap)
-        dirty = doubt.new + outlier * (doubt.still - doubt.new)
+        prior_outlier = model.begins + outlier * (model.lasts - model.begins)
         prediction = _pair((log_weights[1] - log_weights[0]).sigmoid(), _entry(belief, 0), _entry(belief, 1))
         of_level = torch.logaddexp(log_weights[0], log_weights[1])
-        clean, log_density = corrected(belief, z, variance, missing, doubt)
+        clean, log_density = corrected(belief, z, variance, missing, model)
         elapsed = elapsed + gap
-        log_density[1, 1] = _again(log_density[1, 1], _entry(belief, 1), z - last, elapsed, variance, doubt)
+        log_density[1, 1] = _again(log_density[1, 1], _entry(belief, 1), z - last, elapsed, variance, model)
         last, elapsed = torch.where(missing, last, z), missing * elapsed
         joint = torch.where(missing, _UNCHANGED, chain) + log_weights + log_density  # (2, 2, J, B): now, before
         share = (joint[:, 1] - joint[:, 0]).sigmoid()
@@ -141,10 +145,10 @@ def look_ahead(fixes: Fixes, levels: Levels, doubt: Doubt = USUAL) -> Ahead:
         log_weights, outlier = after - log_likelihood, weights[len(levels.q) :].sum(0)
         pairs = [_pair(share[now], _entry(x, 0), _entry(x, 1)) for now, x in enumerate((clean, belief))]
         belief = Belief(*(torch.stack(pair, -3) for pair in zip(*pairs, strict=True)))
-        kept.append((prediction, of_level, dirty, outlier, log_likelihood))
+        kept.append((prediction, of_level, prior_outlier, outlier, log_likelihood))
     beliefs, *rest = zip(*kept, strict=True)
     parts = [torch.stack(x, 1 if i < 2 else 0) for i, x in enumerate(zip(*beliefs, strict=True))]
-    return Ahead(Belief(*parts), *map(torch.stack, rest))
+    return Predictions(Belief(*parts), *map(torch.stack, rest))
 
 
 def merged(log_weights: Tensor, belief: Belief, dim: int) -> tuple[Belief, Tensor]:
@@ -156,18 +160,18 @@ def merged(log_weights: Tensor, belief: Belief, dim: int) -> tuple[Belief, Tenso
     return Belief(position, velocity, *((weight * x).sum(dim) for x in spread)), total
 
 
-def redrawn(
-    belief: Belief, log_weights: Tensor, lasting: Tensor, log_new: Tensor, gap: Tensor
+def switched(
+    belief: Belief, log_weights: Tensor, duration: Tensor, log_restart: Tensor, gap: Tensor
 ) -> tuple[Belief, Tensor]:
     """Levels ``(n, J, B)`` one step ``(n, B)`` further in the chain: each its own, mixed with what all have left."""
-    stay = -gap.unsqueeze(1) / lasting
-    common, log_left = merged(log_weights + torch.log(-torch.expm1(stay)), belief, 1)
-    stayed, drawn = log_weights + stay, log_left.unsqueeze(1) + log_new
+    stay = -gap.unsqueeze(1) / duration
+    common, log_ended = merged(log_weights + torch.log(-torch.expm1(stay)), belief, 1)
+    stayed, restarted = log_weights + stay, log_ended.unsqueeze(1) + log_restart
     every = Belief(*(x.unsqueeze(-2) for x in common))
-    return _pair((drawn - stayed).sigmoid(), belief, every), torch.logaddexp(stayed, drawn)
+    return _pair((restarted - stayed).sigmoid(), belief, every), torch.logaddexp(stayed, restarted)
 
 
-def _start(fixes: Fixes, levels: Levels, doubt: Doubt) -> tuple[Belief, Tensor]:
+def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> tuple[Belief, Tensor]:
     """Near the first fixes, of any speed: beliefs ``(2, J, B)`` and their log weights."""
     z = fixes.z
     order = (~fixes.missing).to(z).cumsum(0)
@@ -175,7 +179,7 @@ def _start(fixes: Fixes, levels: Levels, doubt: Doubt) -> tuple[Belief, Tensor]:
     shape = (2, *levels.q.shape)
     position = first[:, None, None].expand(-1, *shape)
     pp, vv = z.new_full(shape, 1e8), z.new_full(shape, 1e5)
-    log_quality = z.new_tensor([1 - doubt.share, doubt.share]).log()[:, None, None]
+    log_quality = z.new_tensor([1 - model.share, model.share]).log()[:, None, None]
     belief = Belief(position, torch.zeros_like(position), pp, torch.zeros_like(pp), vv)
     return belief, log_quality + levels.log_share
 
@@ -186,7 +190,7 @@ def _predicted(x: Belief, q: Tensor, gap: Tensor) -> Belief:
     return Belief(x.position + gap * x.velocity, x.velocity, pp, pv + q * (gap**2 / 2), x.vv + q * gap)
 
 
-def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, doubt: Doubt) -> tuple[Belief, Tensor]:
+def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, model: OutlierModel) -> tuple[Belief, Tensor]:
     """Beliefs after a clean fix, and the log densities ``(2, ...)`` of a clean one and of an outlier.
 
     An outlier says nothing of the position, and is as large as it takes.
@@ -195,7 +199,7 @@ def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, doubt: Do
     z = z.nan_to_num().reshape(d, *[1] * (x.position.dim() - z.dim()), *z.shape[1:])
     residual = seen * (z - x.position)  # products with 0: much faster than a choice
     squared = d * _over_axes(residual, residual)
-    wide = x.pp + torch.maximum(doubt.least * variance, squared / d)
+    wide = x.pp + torch.maximum(model.least_size * variance, squared / d)
     total = x.pp + variance
     gain, gain_v = seen * x.pp / total, seen * x.pv / total
     left = seen * variance / total + missing  # 1 - gain would lose digits of a start that is far off
@@ -208,7 +212,9 @@ def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, doubt: Do
     return after, log_density
 
 
-def _again(log_density: Tensor, x: Belief, moved: Tensor, elapsed: Tensor, variance: Tensor, doubt: Doubt) -> Tensor:
+def _again(
+    log_density: Tensor, x: Belief, moved: Tensor, elapsed: Tensor, variance: Tensor, model: OutlierModel
+) -> Tensor:
     """Log density ``(J, B)`` of an outlier after another, which may be as far off in the same direction.
 
     Then fixes have moved by ``moved (d, B)`` in some seconds as the target has.
@@ -216,8 +222,10 @@ def _again(log_density: Tensor, x: Belief, moved: Tensor, elapsed: Tensor, varia
     residual, d = moved.unsqueeze(1) - elapsed * x.velocity, len(moved)
     wide = 2 * variance + elapsed.square() * x.vv
     squared = d * _over_axes(residual, residual)
-    same = (math.log(doubt.same) if doubt.same else -math.inf) - 0.5 * (squared / wide + d * (wide.log() + _LOG_TWO_PI))
-    other = log_density + math.log1p(-doubt.same)
+    same = (math.log(model.same_offset) if model.same_offset else -math.inf) - 0.5 * (
+        squared / wide + d * (wide.log() + _LOG_TWO_PI)
+    )
+    other = log_density + math.log1p(-model.same_offset)
     return torch.where(squared.isnan(), log_density, torch.logaddexp(other, same))
 
 

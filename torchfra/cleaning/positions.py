@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 
 from torchfra.cleaning.batches import Steps, padded
-from torchfra.cleaning.both_ways import Smoothed
 from torchfra.cleaning.finding import SHORT, Part, estimated, first_sigma, fitted, levels_up_to
 from torchfra.cleaning.kinds import KINDS
 from torchfra.cleaning.ladder import Fixes, Levels
+from torchfra.cleaning.two_filters import Smoothed
 from torchfra.readers.columns import Array
 
 _AXES = ((slice(0, 2), "acceleration", 8), (slice(2, 3), "climb", 5))
@@ -199,9 +199,9 @@ def _nis(part: Part, known: Smoothed) -> Tensor:
 
     It is the mean over the levels as the fix makes them likely, which is ``d`` on average if all is right.
     """
-    fixes, expected = part.scaled, known.ahead.belief
+    fixes, expected = part.scaled, known.predictions.belief
     residual = fixes.z.movedim(1, 0).unsqueeze(2) - expected.position
     variance = expected.pp + fixes.variance.unsqueeze(1)
     nis = residual.square().sum(0) / variance
-    fit = known.ahead.log_weights - 0.5 * (nis + len(residual) * variance.log())
+    fit = known.predictions.log_weights - 0.5 * (nis + len(residual) * variance.log())
     return torch.where(fixes.missing, 0.0, (fit.nan_to_num().softmax(1) * nis).sum(1))

@@ -74,13 +74,13 @@ class GPB(Filter[GPBState]):
     before, a step is:
 
     1. ``c(r, o') = sum over r' of P(r | r') P(r', o')``: regimes go on or begin.
-    2. ``x(k, o')``: the beliefs of all motions, mixed as they give way to ``k``.
+    2. ``x(k, o')``: the beliefs of all motions, mixed by the probabilities that they switch to ``k``.
     3. ``x-(r, o')``: predicted by the regime, of a manoeuvre or a jump as wide as the measurement asks for.
     4. ``x(o, r, o')``, ``L(o, r, o')``: updated, and how likely the measurement is.
     5. ``P(o, r, o' | z) = L(o, r, o') P(o | o') c(r, o') / L``, with ``L`` the sum of all.
     6. ``x(o, k)``: merged over the regimes of a motion and what was before; ``P(r, o)`` their sum.
     7. ``x``: merged over all, the estimate.
-    8. ``x'``: the beliefs before, weighed by what has become of them: the step before, smoothed by this one.
+    8. ``x'``: the beliefs before, with smoothed weights: the step before, smoothed by this one.
 
     ``Estimate.nis`` and the innovation are those of the Gaussian with the moments of all predictions, with the noise as
     the sensor states it; ``log_likelihood`` is that of the mixture.  Before the first step there are two beliefs too:
@@ -274,7 +274,7 @@ class GPB(Filter[GPBState]):
         )
 
     def remembering(self, state: GPBState, before: GPBState) -> GPBState:
-        """Likewise, in the form of the one ``before``: outliers of another sensor say nothing of this one's."""
+        """A state without outliers before it, in the form of the one ``before``, as another sensor had the last measurement."""
         return state._replace(outlier=torch.zeros_like(before.outlier))
 
     # ------------------------------------------------------------ smoothing
@@ -287,7 +287,7 @@ class GPB(Filter[GPBState]):
         )
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: GPBPast) -> GPBPast:
-        """What is known of all hypotheses after each step."""
+        """The hypotheses after each step."""
         return steps
 
     def fresh(self, past: GPBPast) -> GPBPast:
@@ -297,11 +297,11 @@ class GPB(Filter[GPBState]):
     decided = fresh
 
     def needed_of_next(self, past: GPBPast) -> GPBPast:
-        """How far off the measurement was, if there was any."""
+        """The NIS of the step after, and whether anything was measured in it."""
         return GPBPast(None, None, None, past.nis, past.measured)  # type: ignore[arg-type]  # nothing reads the others
 
     def last(self, past: GPBPast) -> tuple[GPBPast, Smoothed]:
-        """The last step, which no later measurement speaks of."""
+        """Where the backward pass begins: the last step, as it was filtered."""
         return past, smoothing.smoothed(self, past)
 
     def retreat(self, step: BackwardStep, after: GPBPast) -> tuple[GPBPast, Smoothed]:

@@ -1,4 +1,4 @@
-"""Smoothing: what the fixes before a step say of it, and those after it, put together."""
+"""Two-filter smoothing: a filter that runs forward and one that runs backward, combined at every step."""
 
 from __future__ import annotations
 
@@ -7,7 +7,18 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.cleaning.ladder import USUAL, Ahead, Belief, Doubt, Fixes, Levels, corrected, look_ahead, merged, redrawn
+from torchfra.cleaning.ladder import (
+    DEFAULT,
+    Belief,
+    Fixes,
+    Levels,
+    OutlierModel,
+    Predictions,
+    corrected,
+    filter_forward,
+    merged,
+    switched,
+)
 
 
 class Smoothed(NamedTuple):
@@ -19,13 +30,13 @@ class Smoothed(NamedTuple):
     """``(T, J, B)`` probabilities of the levels of the steps that led there."""
     outlier: Tensor
     """``(T, B)`` probability that the fix is one; 0 where there is none."""
-    ahead: Ahead
+    predictions: Predictions
     """What the filter said."""
     evidence: Tensor
     """``(T, B)`` log of how much likelier this fix is as an outlier."""
 
 
-def both_ways(fixes: Fixes, levels: Levels, doubt: Doubt = USUAL) -> Smoothed:
+def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Smoothed:
     """Smoothed estimates: the filter runs forward and, on the same fixes in reverse, backward, in one batch.
 
     A motion at constant velocity that white noise disturbs is the same in either direction, and so is the chain of
@@ -34,37 +45,41 @@ def both_ways(fixes: Fixes, levels: Levels, doubt: Doubt = USUAL) -> Smoothed:
     Source: Fraser & Potter (1969) for two filters; Helmick, Blair & Hoffman (1995) for those of interacting models.
     """
     doubled = Levels(*(torch.cat([x, x], -1) for x in levels))
-    every = look_ahead(Fixes(*(torch.cat(x, -1) for x in zip(fixes, fixes.backwards(), strict=True))), doubled, doubt)
+    every = filter_forward(
+        Fixes(*(torch.cat(x, -1) for x in zip(fixes, fixes.backwards(), strict=True))), doubled, model
+    )
     count = fixes.z.shape[-1]
-    ahead = Ahead(Belief(*(x[..., :count] for x in every.belief)), *(x[..., :count] for x in every[1:]))
+    predictions = Predictions(Belief(*(x[..., :count] for x in every.belief)), *(x[..., :count] for x in every[1:]))
     later = Belief(*(x[..., count:].flip(-3) for x in every.belief))
     later = later._replace(velocity=-later.velocity, pv=-later.pv)
     log_later = every.log_weights[..., count:].flip(0)
-    later, log_later = redrawn(later, log_later, levels.lasting, levels.log_new, fixes.gap)
-    belief, log_fit = _product(ahead.belief, later)
-    log_weights = ahead.log_weights + log_later - levels.log_share + log_fit
-    return settled(belief, log_weights, fixes, doubt, ahead)
+    later, log_later = switched(later, log_later, levels.duration, levels.log_restart, fixes.gap)
+    belief, log_fit = _product(predictions.belief, later)
+    log_weights = predictions.log_weights + log_later - levels.log_share + log_fit
+    return updated(belief, log_weights, fixes, model, predictions)
 
 
-def filtered(ahead: Ahead, fixes: Fixes, doubt: Doubt = USUAL) -> Smoothed:
+def filtered(predictions: Predictions, fixes: Fixes, model: OutlierModel = DEFAULT) -> Smoothed:
     """What the fixes up to each step say of it."""
-    return settled(ahead.belief, ahead.log_weights, fixes, doubt, ahead)
+    return updated(predictions.belief, predictions.log_weights, fixes, model, predictions)
 
 
-def settled(belief: Belief, log_weights: Tensor, fixes: Fixes, doubt: Doubt, ahead: Ahead) -> Smoothed:
-    """What is known of every step, once its own fix has spoken too.
+def updated(
+    belief: Belief, log_weights: Tensor, fixes: Fixes, model: OutlierModel, predictions: Predictions
+) -> Smoothed:
+    """Every step, updated by its own fix.
 
     Args:
         belief: ``(T, J, B)`` behind the axes, without that fix.
         log_weights: ``(T, J, B)`` of the levels.
         fixes: all of them.
-        doubt: how likely outliers are.
-        ahead: what the filter said.
+        model: how likely outliers are.
+        predictions: what the filter said.
     """
     missing = fixes.missing.unsqueeze(1)
     z = fixes.z.movedim(1, 0).unsqueeze(2)
-    clean, log_density = corrected(belief, z, fixes.variance.unsqueeze(1), missing, doubt)
-    share = torch.stack([1 - ahead.dirty, ahead.dirty]).log().unsqueeze(2)
+    clean, log_density = corrected(belief, z, fixes.variance.unsqueeze(1), missing, model)
+    share = torch.stack([1 - predictions.prior_outlier, predictions.prior_outlier]).log().unsqueeze(2)
     fit = (log_weights + log_density).logsumexp(2)
     share[1] = share[1] + fixes.odds.unsqueeze(1)
     joint = (log_weights + log_density + share).movedim(0, 1)  # (T, 2, J, B)
@@ -72,7 +87,7 @@ def settled(belief: Belief, log_weights: Tensor, fixes: Fixes, doubt: Doubt, ahe
     both = Belief(*(torch.stack(x, -3) for x in zip(clean, belief, strict=True)))
     whole, _ = merged(joint.flatten(1, 2), Belief(*(x.flatten(-3, -2) for x in both)), 1)
     outlier = torch.where(fixes.missing, 0.0, joint[:, 1].exp().sum(1))
-    return Smoothed(whole, joint.exp().sum(1), outlier, ahead, fit[1] - fit[0])
+    return Smoothed(whole, joint.exp().sum(1), outlier, predictions, fit[1] - fit[0])
 
 
 def _product(a: Belief, b: Belief) -> tuple[Belief, Tensor]:
