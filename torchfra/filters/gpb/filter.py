@@ -274,7 +274,7 @@ class GPB(Filter[GPBState]):
         )
 
     def remembering(self, state: GPBState, before: GPBState) -> GPBState:
-        """A state without outliers before it, in the form of the one ``before``, as another sensor had the last measurement."""
+        """A state without outliers before it: another sensor, of one ``before``, had the last measurement."""
         return state._replace(outlier=torch.zeros_like(before.outlier))
 
     # ------------------------------------------------------------ smoothing
