@@ -131,8 +131,17 @@ def tidy(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[s
     lines[:] = [re.sub(r"^(\s*)(Source|Differs):", r"\1**\2:**", line) for line in lines]
 
 
+def forget_modules_without_source(app: Any) -> list[Any]:
+    """Takes modules that have no page of their source, such as ``builtins``, out of the list of those pages."""
+    modules = getattr(app.env, "_viewcode_modules", {})
+    for name in [name for name, source in modules.items() if not source]:
+        del modules[name]
+    return []
+
+
 def setup(app: Any) -> dict[str, Any]:
     """Called by Sphinx."""
+    app.connect("html-collect-pages", forget_modules_without_source, priority=100)  # before those pages are made
     app.add_html_math_renderer(
         "mathml", (lambda self, node: mathml(self, node, "inline"), None),
         (lambda self, node: mathml(self, node, "block"), None),
