@@ -47,7 +47,7 @@ def test_the_noise_is_found_and_said(cleaned):
         assert one.found.nis == pytest.approx(1.0, abs=0.3)
         assert one.found.found == {"sigma", "q", "bank"}
         assert one.found.bank == "aircraft"
-        assert one.found.said[0].startswith("aircraft, at 1")
+        assert one.found.said[0].startswith("Kind of target: aircraft, by its speed of 1")
         assert len(one.found.said) == one.raw.shape[1] - 1  # of the height, where there is one
 
 

@@ -4,6 +4,7 @@ import importlib
 import io
 import json
 import os
+import re
 import stat
 import subprocess
 import sys
@@ -58,7 +59,7 @@ def test_strange_names_are_harmless(tmp_path, capsys):
     flights = [row for i, name in enumerate(names) for row in rows(name, 0.1 * i)]
     assert track_them(tmp_path, flights, "--no-plots") == 0
     said, errors = capsys.readouterr()
-    assert sum(": 10 fixes in 9 s" in line for line in said.splitlines()) == len(names)
+    assert len(re.findall(r" 10 +9 s ", said)) == len(names)
     assert errors == ""
     assert all(line.isprintable() and len(line) < 600 for line in said.splitlines())
     said.encode()
@@ -127,7 +128,10 @@ def test_one_target_that_cannot_be_filtered_does_not_stop_the_others(tmp_path, c
         "torchfra: error: late: dt: expected at most 10,000,000 steps, received 1.0 s in a track of"
     )
     assert errors.count("\n") == 1
-    assert [line.split(":")[0] for line in said.splitlines()[-2:]] == ["good", "other"]
+    assert [line.split()[0] for line in said.splitlines() if line.startswith(("good", "late", "other"))] == [
+        "good",
+        "other",
+    ]
     assert [track["name"] for track in json.loads((tmp_path / "s.json").read_text())["tracks"]] == ["good", "other"]
     assert track_them(tmp_path, rows("late", last=2 * 10**10), "--dt", "1") == 2
 
@@ -144,7 +148,7 @@ def test_one_target_that_cannot_be_drawn_does_not_stop_the_others(tmp_path, caps
     assert track_them(tmp_path, rows("bad") + rows("good", 0.1)) == 1
     said, errors = capsys.readouterr()
     assert errors == "torchfra: error: bad: IndexError: no such line\n"
-    assert [line.split(":")[0] for line in said.splitlines()[-2:]] == ["bad", "good"]
+    assert [line.split()[0] for line in said.splitlines() if line.startswith(("bad", "good"))] == ["bad", "good"]
     pictures = {path.name for path in (tmp_path / "out").glob("*.png")}
     assert pictures == {"good.png", "overview.png"}
     assert len(list((tmp_path / "out").glob("*.csv"))) == 2

@@ -79,6 +79,10 @@ class Regrets(Training):
             if kind not in made:
                 made[kind] = self._sharing(values, scenario)
             self.filters.append(made[kind])
+        for name, places in config.hold.items():
+            entries = values[name]().numel() if name in values else 0
+            if not all(0 <= place < entries for place in places):
+                raise ValueError(f"hold, {name}: expected places among {entries} entries, received {places}")
         if config.compile:
             for i in self.counted:
                 self.filters[i].compile()
@@ -103,10 +107,6 @@ class Regrets(Training):
 
     def _held(self) -> Tensor:
         """Which numbers of all parameters stay as they are."""
-        for name, places in self.config.hold.items():
-            entries = self.filter.get_submodule(name)().numel() if name in dict(self.filter.named_children()) else 0
-            if not all(0 <= place < entries for place in places):
-                raise ValueError(f"hold, {name}: expected places among {entries} entries, received {places}")
         held = []
         for path, value in self.filter.named_parameters():
             which = torch.tensor(self.config.hold.get(path.removesuffix(".raw"), []), dtype=torch.long)
