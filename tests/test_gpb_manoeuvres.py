@@ -7,7 +7,7 @@ import torch
 
 from torchfra import presets
 from torchfra.metrics import nees, rmse
-from torchfra.motion import ConstantVelocity, CoordinatedTurn
+from torchfra.motion import Augmented, ConstantVelocity, CoordinatedTurn, GaussMarkov, Odometry
 from torchfra.scenarios import as_stated
 from torchfra.sensors import Position
 from torchfra.types import Gaussian
@@ -90,3 +90,15 @@ def test_compiled_hard_manoeuvres_are_the_same_with_the_same_gradients():
 def test_an_unknown_word_is_an_error():
     with pytest.raises(ValueError, match="manoeuvres: expected one of none, some, hard, received 'wild'"):
         gpb("wild")
+
+
+def test_a_motion_that_measures_itself_has_no_manoeuvres_unless_it_is_asked_for_some():
+    own, plain = Odometry(0.01, 1e-4, 1e-6), ConstantVelocity(0.1)
+    levels = {
+        name: presets.gpb(motion, Position(STD), **options).regimes.level_count
+        for name, motion, options in (
+            ("odometry", own, {}), ("with a bias", Augmented(own, GaussMarkov(1.0, 60.0)), {}),
+            ("asked for", own, {"manoeuvres": "some"}), ("any other", plain, {}),
+        )
+    }  # fmt: skip
+    assert levels == {"odometry": 1, "with a bias": 1, "asked for": 4, "any other": 4}

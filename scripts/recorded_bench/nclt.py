@@ -52,14 +52,13 @@ SCALE = -0.076
 """Logarithm of the wheels' scale before the first step."""
 OPTIONS: dict[str, dict[str, Any]] = {
     "gpb": {
-        "manoeuvres": "none",
         "outlier_transition": ((0.999, 0.001), (0.01, 0.99)),
         "outlier_sizes": (10.0, 100.0),
         "outlier_shares": (0.5, 0.5),
     }
 }
-"""Arguments of presets, others than their defaults: a robot that measures its own way does not jump, and satellite
-positions that are wrong stay so for 100 steps on average."""
+"""Arguments of presets, others than their defaults: satellite positions that are wrong stay so for 100 steps on
+average."""
 STATES = ("imm",)
 """Presets that this kind has besides those that commands list."""
 WHITE, SLIP = 1.2, 0.1

@@ -51,6 +51,11 @@ class Augmented(Motion):
         """Whether all motions are linear."""
         return all(part.linear for part in self._parts)
 
+    @property
+    def measures_itself(self) -> bool:  # type: ignore[override]  # of these motions, not of the class
+        """Whether the first motion does."""
+        return self._parts[0].measures_itself
+
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """The state ``(..., n)`` after ``dt (...)`` seconds, without process noise."""
         return torch.cat(self._each(lambda part, own: part(own, dt, u), x), -1)

@@ -68,6 +68,11 @@ class Bank(Motion):
         return self._motions[index]
 
     @property
+    def measures_itself(self) -> bool:  # type: ignore[override]  # of these models, not of the class
+        """Whether all models do."""
+        return all(model.measures_itself for model in self._motions)
+
+    @property
     def linear(self) -> bool:  # type: ignore[override]  # of these models, not of the class
         """Whether all models are linear."""
         return all(model.linear for model in self._motions)

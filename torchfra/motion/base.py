@@ -101,6 +101,8 @@ class Motion(nn.Module):
     """The kinds as stated by class or user, "other" where none was: sensors are only refused for stated kinds."""
     usual_layout = False
     """Whether states are laid out as above, so that the kinds need not be given to be stated."""
+    measures_itself: bool = False
+    """Whether inputs say how the target has moved, as odometry does: then it has no manoeuvres that nobody measures."""
     stacked = 0
     """Dimensions between batch and state: 1 for a ``Bank``, whose models are side by side, else 0."""
 

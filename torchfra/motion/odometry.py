@@ -34,6 +34,8 @@ class Odometry(Motion):
     Source: Thrun, Burgard & Fox (2005), "Probabilistic Robotics", section 5.4, with errors of the sensors as states.
     """
 
+    measures_itself = True
+
     def __init__(self, position: Value, heading: Value, scale: Value, bias: Value | None = None) -> None:
         own = ("heading error", "log scale") if bias is None else ("heading", "log scale", "rate bias")
         super().__init__(

@@ -43,7 +43,7 @@ def gpb(
     motion: Motion | Sequence[Motion],
     sensor: Sensor,
     *,
-    manoeuvres: str = "some",
+    manoeuvres: str | None = None,
     noise_levels: Values | None = None,
     manoeuvre_factors: Values | None = None,
     jump_factors: Values | None = None,
@@ -67,6 +67,7 @@ def gpb(
         sensor: what is measured; outliers come per block of its elements (``Sensor.blocks``).
         manoeuvres: what a target may do besides moving as the (first) motion says: ``"none"``, nothing; ``"some"``;
             ``"hard"``, also turn much harder than its process noise allows, which takes some accuracy among outliers.
+            None is ``"none"`` for a motion that measures itself, such as ``Odometry``, and ``"some"`` for any other.
             It stands for values of the five arguments that follow: ``MANOEUVRES`` in this file.
         noise_levels: factors on the variance of the (first) motion's process noise, ascending: of calm, of the motion
             as it is stated (1), and of agile ones.  Calm and agile are for motions that do not hold.
@@ -105,6 +106,8 @@ def gpb(
     models = motion if isinstance(motion, Motion) else Bank(motion)
     check_models(models, sensor)
     count = len(models) if isinstance(models, Bank) else 1
+    if manoeuvres is None:
+        manoeuvres = "none" if models.measures_itself else "some"
     if manoeuvres not in MANOEUVRES:
         received = f"{manoeuvres!r}{meant(manoeuvres, MANOEUVRES)}"
         raise ValueError(f"manoeuvres: expected one of {', '.join(MANOEUVRES)}, received {received}")
