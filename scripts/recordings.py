@@ -64,7 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     def run() -> None:
         options = p.parse_args(arguments)
-        own = KINDS[options.kind].STATES
+        own = KINDS[options.kind].OWN_PRESETS
         options.filters = options.filters or ",".join([*own, DEFAULT])
         check_list(p, "filters", options.filters, [*track_filters(), *own])
         compare(options)

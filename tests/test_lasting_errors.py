@@ -6,6 +6,7 @@ from cleaning.simulated import lasting, ship
 
 from torchfra.cleaning import clean_tracks
 from torchfra.cleaning.correlation import _fitted, _of_a_mean, lasting_errors
+from torchfra.cleaning.outputs import notes, overview
 from torchfra.cleaning.second import second_differences
 from torchfra.motion import ConstantVelocity
 from torchfra.motion.bank import Bank
@@ -35,17 +36,24 @@ def test_bands_hold_the_truth_where_errors_last():
 def test_errors_that_last_are_said_with_their_size_and_time():
     recording, _ = voyage(0, 6.0, 15.0)
     (one,) = clean_tracks([recording])
-    assert one.found.doubt.startswith("Errors of neighbouring fixes are alike over about ")
+    assert one.found.said[-1].startswith("Errors that last: those of neighbouring fixes are alike over about ")
     found = lasting_errors(recording, "ship")
     assert 3.0 < found.std < 12.0
     assert 5.0 < found.seconds < 45.0
+
+
+def test_errors_that_last_are_counted_among_several_tracks_and_are_no_doubt_of_sigma():
+    recording, _ = voyage(0, 6.0, 15.0)
+    results = clean_tracks([recording, voyage(1, 6.0, 0.0)[0]])
+    assert "Errors that last: 1 of 2" in notes(results)
+    assert not any(line.startswith("Sigma is unsure") for line in overview(results))
 
 
 def test_errors_that_last_are_said_with_a_bank_of_ones_own_too():
     recording, _ = voyage(0, 6.0, 15.0, count=250)
     bank = Bank([ConstantVelocity(0.1, spectral=True, orders=3), ConstantVelocity(1.0, spectral=True, orders=3)])
     (one,) = clean_tracks([recording], filter="srckf", bank=bank)
-    assert one.found.doubt.startswith("Errors of neighbouring fixes are alike over about ")
+    assert one.found.said[-1].startswith("Errors that last: those of neighbouring fixes are alike over about ")
 
 
 def test_white_noise_is_no_error_that_lasts():

@@ -182,6 +182,14 @@ def test_what_is_said_of_some_targets_is_counted():
     assert notes([off, later, straight(10)]) == ["Late: 2 of 3", "fixes 20 m off, say the innovations: 1 of 3"]
 
 
+def test_sigma_of_fixes_that_state_how_good_they_are_is_a_factor_in_the_table_too():
+    of = straight(20)
+    stated = replace(of, found=replace(of.found, sigma=0.64, stated=True))
+    table, *_ = overview([stated, of])
+    assert "0.64 times as stated" in table
+    assert metres(of.found.sigma) in table
+
+
 def test_a_track_without_any_number_has_sentences_too():
     of = straight(5)
     broken = replace(of, mean=of.mean * np.nan)

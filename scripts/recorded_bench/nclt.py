@@ -59,7 +59,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Arguments of presets, others than their defaults: satellite positions that are wrong stay so for 100 steps on
 average."""
-STATES = ("imm",)
+OWN_PRESETS = ("imm",)
 """Presets that this kind has besides those that commands list."""
 WHITE, SLIP = 1.2, 0.1
 """Of ``imm``: the part of a position's error that is white, m, and the density of the position's walk, m^2/s."""
@@ -67,7 +67,7 @@ ERROR, TIME = 4.0, 80.0
 """Standard deviation of the part that lasts, m, and how long it does, s."""
 FAULT, STEADY, MOVING = 50.0, 0.8, 6.0
 """Standard deviation of the error of a fault, m, and how far it wanders, m in 1 s, while steady and while moving."""
-NEXT = (
+TRANSITION = (
     (0.999, 0.001, 0.0, 0.0, 0.0),
     (0.0, 0.1, 0.4, 0.4, 0.1),
     (0.0, 0.001, 0.969, 0.02, 0.01),
@@ -116,7 +116,7 @@ def deviation(yaw: Tensor) -> Tensor:
 
 def make(name: str, track: Track) -> tuple[Filter, Gaussian]:
     """A preset with the one setting of all days, chosen on 2013-01-10 and 2013-02-23, and its belief at the start."""
-    if name in STATES:
+    if name in OWN_PRESETS:
         return with_faults(track)
     return make_filter(name, Odometry(*WALKS), Position(GPS), **OPTIONS.get(name, {})), track.prior
 
@@ -135,4 +135,4 @@ def with_faults(track: Track) -> tuple[Filter, Gaussian]:
     sensor = Biased(Position(WHITE), [odometry.size, odometry.size + 1])
     mean, root = track.prior
     prior = Gaussian(torch.cat([mean, mean.new_zeros(2)]), torch.block_diag(root, ERROR * torch.eye(2).to(root)))
-    return imm(bank, sensor, transition=torch.tensor(NEXT, dtype=torch.float64)), prior
+    return imm(bank, sensor, transition=torch.tensor(TRANSITION, dtype=torch.float64)), prior

@@ -65,7 +65,7 @@ def published(text: str) -> Figures:
     return {method: float(error) for method, error in _ERROR.findall(text)}
 
 
-STATES = ()
+OWN_PRESETS = ()
 """Presets that this kind has besides those that commands list."""
 
 

@@ -54,7 +54,7 @@ def clean(
         dt: seconds; also estimates at every multiple of it after the first fix; not of a ``DataFrame``.
         repair: whether fixes whose time stamps are off are first put in place, where tracks show it: see
             ``cleaning.clean_tracks``.
-        compile: whether to run compiled, which pays for long tracks; needs a C++ compiler.
+        compile: whether to run compiled, which pays for long tracks; needs the extra ``compiler``.
         max_bytes: of text that a file may hold.
         words: columns by name, such as ``time="when", lat="breite"``, and how they are written: see
             ``readers.told.Told``.

@@ -44,11 +44,11 @@ class Found:
     found: frozenset[str] = frozenset()
     """Which of ``sigma``, ``q`` and ``bank`` were found and not told."""
     said: tuple[str, ...] = ()
-    """Lines for a person: why this bank, sigma of the height, time stamps that were off."""
+    """Lines for a person: why this bank, sigma of the height, time stamps that were off, errors that last."""
     stated: bool = False
     """Whether the file states how good each fix is, so that sigma is a factor on that."""
     doubt: str = ""
-    """Why sigma is hardly known, where it was found, or that errors last from fix to fix; "" if neither is so."""
+    """Why sigma is hardly known, where it was found; "" if it is."""
     failure: str = ""
     """Why the track could not be cleaned at all; "" if it was."""
 

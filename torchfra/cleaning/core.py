@@ -65,7 +65,7 @@ def clean_tracks(
         dt: seconds; also estimates at every multiple of it after the first fix, beside those at the fixes.
         repair: whether fixes whose time stamps are off, as they often are in ADS-B and AIS, are first put along the
             path to where the target was: where tracks show it, and not for a filter on line.
-        compile: whether filters of the catalogue run compiled (``Filter.compile``); needs a C++ compiler.
+        compile: whether filters of the catalogue run compiled (``Filter.compile``); needs the extra ``compiler``.
         fallback: called if the filter cannot be compiled, and runs interpreted; None raises the error.
 
     Returns:
@@ -107,7 +107,7 @@ def clean_tracks(
 
 def _kind(recording: Recording, bank: str | Bank | None) -> tuple[str, str]:
     """The name of the kind of a target, and why."""
-    return (bank, "as told") if isinstance(bank, str) else kind_of(recording)
+    return (bank, "as given") if isinstance(bank, str) else kind_of(recording)
 
 
 def _as_measured(recording: Recording) -> Recording:
@@ -200,9 +200,9 @@ def _doubt(steps: Steps, covariance: Array, sigma: float) -> str:
 
 def _found(name: str, settings: Settings, own: Bank | None, kind: tuple[str, str], answer: Answer) -> Found:
     """What a track is cleaned with, and a line for each choice."""
-    bank, why = ("own", "as told") if own is not None else kind
-    told = {"sigma": settings.sigma, "q": settings.q, "bank": None if why != "as told" else bank}
-    said = () if own is not None or why == "as told" else (f"Kind of target: {bank}, {why}",)
+    bank, why = ("own", "as given") if own is not None else kind
+    told = {"sigma": settings.sigma, "q": settings.q, "bank": None if why != "as given" else bank}
+    said = () if own is not None or why == "as given" else (f"Kind of target: {bank}, {why}",)
     if not math.isnan(answer.height):
         said = (*said, f"Sigma of the height: {metres(answer.height)}")
     found = frozenset(key for key, value in told.items() if value is None)

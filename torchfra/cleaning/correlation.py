@@ -14,6 +14,7 @@ from torchfra.cleaning.kinds import KINDS, USUAL
 from torchfra.cleaning.second import second_differences, spread
 from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
+from torchfra.tables import duration, metres
 
 _LEAST = 100
 """Fixes from which on errors that last can be told from a motion."""
@@ -119,10 +120,10 @@ def widened(one: Cleaned, kind: str) -> Cleaned:
     covariance[:, :2] *= factor[:, None, None]
     covariance[:, :, :2] *= factor[:, None, None]
     said = (
-        f"Errors of neighbouring fixes are alike over about {errors.seconds:.2g} s, by {errors.std:.2g} m: bands are "
-        "widened for that"
+        f"Errors that last: those of neighbouring fixes are alike over about {duration(errors.seconds)}, by "
+        f"{metres(errors.std)}; standard deviations are larger for that"
     )
-    return replace(one, covariance=covariance, found=replace(one.found, doubt=said))
+    return replace(one, covariance=covariance, found=replace(one.found, said=(*one.found.said, said)))
 
 
 def _of_a_mean(kept: float, count: Array) -> Array:

@@ -32,7 +32,7 @@ KINDS = {
 }
 """By name.  What swims or dives is marine, and an animal may be any."""
 _BY_SPEED = ("person", "vehicle", "aircraft")
-"""Those that a target may be of which nobody says what it is, the slowest first."""
+"""Kinds that are chosen by speed where a file names none, the slowest first."""
 BANKS = {
     "person": people, "ship": ships, "vehicle": vehicles, "aircraft": aircraft,
     "marine": people, "animal": people, "bird": vehicles,

@@ -29,7 +29,7 @@ _CALM = 0.05
 hardest acceleration times ten seconds, or while it is below ten times the track's usual level."""
 _LEAST_OF_HEIGHT = 1 / 3
 """Of the sigma across the ground, what that of the height is at least: heights often come in coarse steps."""
-REGIMES = ("usual motion", "harder than usual")
+REGIMES = ("calm", "manoeuvre")
 
 
 class Settings(NamedTuple):

@@ -204,7 +204,8 @@ def _write(
 
 
 _TWO_TABLES = (
-    "above, RMSE: over the runs at each step, mean over time; below, run RMSE: of a run over time, mean of runs"
+    "above, RMSE is over all runs at each step, then the mean over time; below, run RMSE is over the time of each run, "
+    "then the mean over runs"
 )
 
 

@@ -51,7 +51,7 @@ def evaluate(
             ``scenario.limit``, and where that is None for ``divergence_limit``.
         chunk: runs that are filtered at once; bounds the memory, which does not grow with ``runs`` but for one number
             per run, filter and metric.
-        compile: whether to run compiled (``Filter.compile``); needs a C++ compiler.
+        compile: whether to run compiled (``Filter.compile``); needs the extra ``compiler``.
         fallback: called with the name of each filter that cannot be compiled and the reason; that filter then runs
             interpreted.  None raises the error.
         progress: whether to show a bar.

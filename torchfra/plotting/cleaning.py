@@ -65,7 +65,7 @@ def _draw_map(axes: Axes, of: View) -> None:
 
 
 def _label_map(axes: Axes, of: View) -> None:
-    """Names what is on the map, and lists at its edge what is beyond, once the figure has its layout."""
+    """Names what is on the map, and marks at its edge what is outside, once the figure has its layout."""
     low, high = show(axes, *of.window)
     edge, way, _ = beyond(of, low, high)
     for (x, y), (dx, dy) in zip(edge, way, strict=True):

@@ -69,7 +69,7 @@ def check_filter(
         u: ``(T, k)`` or ``(B, T, k)`` what the models need to know at a step.
         only: names of checks; by default all of ``testing.CHECKS``.
         skip: names of checks to leave out: a hard decision has no gradient, say.
-        compiled: whether to try the compiled filter, which takes some seconds of a C++ compiler.
+        compiled: whether to try the compiled filter, which takes some seconds to compile.
         thorough: whether to try all combinations of options; compiled this takes several times as long.
         seed: of the simulated tracks.
 

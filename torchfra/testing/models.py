@@ -90,7 +90,7 @@ def check_model(
         state: ``(n,)`` a state near which both should work; by default one that goes with ``motion.kinds``.
         dt: seconds of a step; as short as yours are where a motion bends strongly.
         u: ``(k,)`` what the models need to know at a step.
-        compiled: whether to try the compiled filter too, which takes some seconds of a C++ compiler.
+        compiled: whether to try the compiled filter too, which takes some seconds to compile.
         seed: of the tracks.
 
     Returns:

@@ -42,8 +42,9 @@ def summary(cleaned: Cleaned) -> dict[str, Any]:
         "median_std": _quantile(np.sqrt((of.along**2 + of.across**2) / 2), 0.5),
         "failed": bool(cleaned.failed.any()),
         "repairs": cleaned.recording.repairs,
-        "filter": found.filter, "smooth": found.smooth, "bank": found.bank, "sigma": found.sigma, "q": found.q,
-        "nis": found.nis, "doubt": found.doubt, "found": sorted(found.found), "said": list(found.said),
+        "filter": found.filter, "smooth": found.smooth, "bank": found.bank, "sigma": found.sigma,
+        "stated": found.stated, "q": found.q, "nis": found.nis, "doubt": found.doubt, "found": sorted(found.found),
+        "said": list(found.said),
         "segments": [segment._asdict() for segment in cleaned.segments],
         "regimes": list(cleaned.regimes),
     }  # fmt: skip
@@ -85,7 +86,8 @@ COLUMNS = ("fixes", "lasting", "rejected", "farthest", "unclear", "manoeuvres", 
 """Of a table of several targets."""
 LEGEND = (
     "farthest: of the rejected fixes; moved: the others, in the median",
-    "std: of the cleaned path per axis, in the median; sigma: of a fix per axis",
+    "std: of the cleaned path per axis, in the median",
+    "sigma: of a fix per axis, or a factor on what the file states",
 )
 """What some of them hold."""
 
@@ -95,10 +97,11 @@ def cells(of: Mapping[str, Any]) -> list[tuple[float, str]]:
     fixes, rejected, unclear, manoeuvres = (
         (float(n), f"{n:,}") for n in (of["fixes"], of["flags"]["outlier"], of["flags"]["unclear"], len(of["segments"]))
     )
-    farthest, moved, std, sigma = (
+    farthest, moved, std = (
         (x, metres(x)) if math.isfinite(x) else (-1.0, "")
-        for x in (of[key] for key in ("largest_rejected", "median_correction", "median_std", "sigma"))
+        for x in (of[key] for key in ("largest_rejected", "median_correction", "median_std"))
     )
+    sigma = (of["sigma"], sigma_in_words(of["sigma"], of["stated"])) if math.isfinite(of["sigma"]) else (-1.0, "")
     lasting = of["seconds"], duration(of["seconds"])
     return [fixes, lasting, rejected, farthest, unclear, manoeuvres, moved, std, sigma]
 
@@ -136,7 +139,7 @@ def notes(results: Sequence[Cleaned]) -> list[str]:
 def settings_lines(results: Sequence[Cleaned]) -> list[str]:
     """With what tracks were cleaned, and which of it was found; of several only what they have in common."""
     lines = Counter(
-        f"{_method(of.found)}; sigma {_sigma(of.found)} ({_how(of.found, 'sigma')}), "
+        f"{_method(of.found)}; sigma {sigma_in_words(of.found.sigma, of.found.stated)} ({_how(of.found, 'sigma')}), "
         f"q {of.found.q:.3g} m^2/s^3 ({_how(of.found, 'q')})"
         for of in results
     )
@@ -150,8 +153,9 @@ def _method(found: Found) -> str:
     return f"{found.filter}, {'smoothed' if found.smooth else 'on line'}, for {found.bank} ({_how(found, 'bank')})"
 
 
-def _sigma(found: Found) -> str:
-    return f"{found.sigma:.2g} times as stated" if found.stated else metres(found.sigma)
+def sigma_in_words(sigma: float, stated: bool) -> str:
+    """The standard deviation of a fix, or the factor on what the file states of each."""
+    return f"{sigma:.2g} times as stated" if stated else metres(sigma)
 
 
 def _how(found: Found, name: str) -> str:
