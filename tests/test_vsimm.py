@@ -83,7 +83,7 @@ def between(f, was, now):
     """The transition between two sets, given by models in their places."""
     eye = torch.eye(5, dtype=torch.float64)
     goes_on = torch.tensor([float(model in now) for model in was], dtype=torch.float64)
-    return f.subset.matrix(f.transition, eye[list(was)], eye[list(now)], goes_on)
+    return f.subset.matrix(f.matrix(eye), eye[list(was)], eye[list(now)], goes_on)
 
 
 def test_the_whole_bank_as_set_is_an_imm():

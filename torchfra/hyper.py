@@ -30,6 +30,19 @@ def one_of(**choices: tuple[str, Collection[str]]) -> None:
             raise ValueError(f"{name}: expected one of {tuple(allowed)}, received {value!r}{meant(value, allowed)}")
 
 
+def one_given(**arguments: Any) -> tuple[str, Any]:
+    """Of arguments that take the place of each other the one that is given, by name.
+
+    Raises:
+        ValueError: none is, or several are.
+    """
+    given = {name: value for name, value in arguments.items() if value is not None}
+    if len(given) != 1:
+        received = " and ".join(given) or "none"
+        raise ValueError(f"{', '.join(arguments)}: expected one of them, received {received}")
+    return given.popitem()
+
+
 class Hyper(nn.Module):
     """A hyperparameter in natural units; calling it returns its value.
 

@@ -38,6 +38,7 @@ class Regimes(NamedTuple):
     first: Array  # (R,) probabilities before the first step
     home: int
     manoeuvres: tuple[float, ...] = ()  # times that NIS: factors on the home level's factor on Q; after the levels
+    seconds: Callable[[int], tuple[Array, Array]] | None = None  # instead of chain and silent: see `switched`
 
     @property
     def all_motions(self) -> list[int]:
@@ -52,6 +53,33 @@ class Qualities(NamedTuple):
     chain: Array  # (2,2), [i, j] = P(now j | was i)
     sizes: list[float]
     shares: list[float]
+    durations: tuple[float, float] | None = None  # instead of the chain: s without outliers, s that one lasts
+    dt: Array | None = None  # (T,) s, beside durations
+
+    def over(self, seconds: float) -> Array:
+        """The chain (2,2) between two measurements."""
+        if self.durations is None:
+            return self.chain
+        return exponential([[-1, 1], [1, -1]] / np.array(self.durations)[:, None] * seconds)
+
+
+def exponential(matrix: Array) -> Array:
+    """The exponential of a square matrix with distinct eigenvalues."""
+    values, vectors = np.linalg.eig(matrix)
+    return np.real(vectors @ np.diag(np.exp(values)) @ np.linalg.inv(vectors))
+
+
+def switched(weights: Array, lasts: Array, after: Array) -> Array:
+    """Regimes before and after a step (2,R,R): what has lasted (R,), else `after` (R,R) from what all that ended know.
+
+    The regimes after the step are as likely as the chain in time says.
+    """
+    pairs = np.zeros((2, *after.shape))
+    for q in QUALITIES:
+        ended = weights[q] * (1 - lasts)
+        begun = weights[q] @ after - weights[q] * lasts
+        pairs[q] = np.diag(weights[q] * lasts) + np.outer(ended / ended.sum(), begun)
+    return pairs
 
 
 def renewing_chain(stay: list[float], renew: list[float]) -> Array:
@@ -226,9 +254,9 @@ def log(x: float) -> float:
     return math.log(x) if x > 0 else -math.inf
 
 
-def outlier_odds(q: Qualities, was: Array, before: int) -> tuple[Array, Array]:
+def outlier_odds(chain: Array, was: Array, before: int) -> tuple[Array, Array]:
     """Probabilities (2,) of a clean and of a dirty step after one of quality `before`, and (B,) of each block."""
-    now = q.chain[0, 1] + (was if before else np.zeros(len(was))) * (q.chain[1, 1] - q.chain[0, 1])
+    now = chain[0, 1] + (was if before else np.zeros(len(was))) * (chain[1, 1] - chain[0, 1])
     ok = float(np.prod(1 - now))
     return np.array([ok, 1 - ok]), now / (1 - ok)
 
@@ -239,6 +267,7 @@ class Carried(NamedTuple):
     beliefs: Beliefs  # of every motion
     log_regimes: Array  # (2,R) logs of the probabilities of quality and regime
     outlier: Array  # (B,) of each block, if the step was dirty
+    unmeasured: float = 0.0  # s since the last measurement
 
 
 def start(mean: Array, P: Array, regimes: Regimes, q: Qualities, poor: float, factor: float) -> Carried:
@@ -261,12 +290,12 @@ class Hypothesis(NamedTuple):
 
 
 def hypotheses(
-    ahead: Beliefs, log_chance: Array, was: Array, z: Array, model: Model, q: Qualities, k: int
+    ahead: Beliefs, log_chance: Array, was: Array, chain: Array, z: Array, model: Model, q: Qualities, k: int
 ) -> list[Hypothesis]:
     """All of a step, before their weights are made to sum to one."""
     found = []
     for before, r in ahead:
-        quality, prior = outlier_odds(q, was, before)
+        quality, prior = outlier_odds(chain, was, before)
         if np.isnan(z).all():
             quality = np.eye(2)[before]  # until a measurement says more
         score, belief = clean(ahead[before, r], z, q, model, k)
@@ -288,15 +317,19 @@ def step(
 ) -> tuple[Carried, dict[str, Any], Belief]:
     """One step: what goes on, what is told of it, and the belief of the step before as it is now known."""
     motion, nothing = regimes.all_motions, bool(np.isnan(z).all())
+    seconds = 0.0 if q.dt is None else c.unmeasured + q.dt[k]
     with np.errstate(divide="ignore"):
-        log_pairs = c.log_regimes[:, :, None] + np.log(regimes.silent if nothing else regimes.chain)
+        if regimes.seconds is None:
+            log_pairs = c.log_regimes[:, :, None] + np.log(regimes.silent if nothing else regimes.chain)
+        else:
+            log_pairs = np.log(switched(np.exp(c.log_regimes), *regimes.seconds(k)))
     mixed, shares = interacted(c.beliefs, log_pairs, motion)
     ahead = predicted(mixed, motions, regimes, k)
     after_jumps, rarer = jumped(ahead, mixed, motions, regimes, position, z, model, k)
     ahead |= after_jumps
     chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(len(motion))] for q in QUALITIES])
     chance[:, len(regimes.levels) :] -= np.log(rarer)
-    every = hypotheses(ahead, chance, c.outlier, z, model, q, k)
+    every = hypotheses(ahead, chance, c.outlier, q.over(seconds), z, model, q, k)
     log_likelihood, (mean, P) = merged(every)
     every = [h._replace(log_weight=h.log_weight - log_likelihood) for h in every]
     after = {key: merged([h for h in every if (h.now, motion[h.regime]) == key])[1] for key in c.beliefs}
@@ -318,7 +351,7 @@ def step(
     }  # fmt: skip
     if nothing:
         told_of["outlier"] = np.zeros(len(c.outlier))
-        return Carried(after, log_regimes, c.outlier), told_of, hindsight
+        return Carried(after, log_regimes, c.outlier, seconds), told_of, hindsight
     return Carried(after, log_regimes, outlier / np.exp(log_regimes[1]).sum()), told_of, hindsight
 
 

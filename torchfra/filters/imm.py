@@ -14,6 +14,7 @@ from torch.distributions import constraints
 from torchfra import tree
 from torchfra.filters.base import Filter, Mix
 from torchfra.filters.interaction import (
+    as_durations,
     as_stay,
     as_transition,
     cycle,
@@ -23,11 +24,13 @@ from torchfra.filters.interaction import (
     over_time_step,
 )
 from torchfra.filters.likely_models import LikelyModels, of_active
+from torchfra.filters.markov import over_seconds, rates
 from torchfra.filters.model_smoothing import Models, ModelsPast, ModelsStep, remembered, retreat, together
 from torchfra.filters.records import Record, Smoothed
 from torchfra.gaussian.inputs import BackwardStep, Frame
 from torchfra.gaussian.mixture import models_first, repeated
 from torchfra.hyper import Hyper, Value, hypers
+from torchfra.linalg.safe import safe_log
 from torchfra.motion.bank import Bank
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
@@ -65,6 +68,9 @@ class IMM(Filter[IMMState]):
         stay: instead of ``transition``, for two models or more: the self-transition probability of every model, from
             ``1 / K`` to below 1; a model switches to the others with equal probability.  It learns as ``stay``, one
             number, and saves the more time, the more models there are.
+        durations: instead of probabilities of a step, whatever its ``dt``: mean seconds until a model ends, one number
+            for all or ``(K,)``.  The Markov chain is one in continuous time then, ``exp(G dt)`` over a step.  A model
+            switches to the others with equal probability, or by the ``transition`` beside it, whose diagonal is 0.
         initial: ``(K,)`` probabilities before the first step; all the same if None.
         subset: which models run, where not all do, which needs a ``transition`` above 0 and linear motions; None for
             all.  Those that run share a row out: a model that goes on keeps its self-transition probability, and the
@@ -80,8 +86,9 @@ class IMM(Filter[IMMState]):
 
     Raises:
         ValueError: no bank, or a filter whose models cannot be mixed from outside (``GPB``, another of these);
-            ``transition`` and ``stay`` both or neither, a matrix that is no transition, a model that can never be
-            reached, or a ``stay`` out of its range; a subset of other models, or beside what does not go with it.
+            ``transition`` and ``stay`` both or neither (``stay`` and ``durations`` both), a matrix that is no
+            transition, a model that can never be reached, a ``stay`` or a duration out of its range; a subset of other
+            models, or beside what does not go with it.
 
     Source: Blom & Bar-Shalom (1988); Du & Zhang (2020), eqs. (5)-(11).  Differs: no probability has a floor.
     """
@@ -89,13 +96,15 @@ class IMM(Filter[IMMState]):
     keeps_past = True
 
     transition: Hyper | None
-    """None if the filter was made with ``stay``."""
+    """None if the filter was made with ``stay`` or ``durations`` alone."""
     stay: Hyper | None
-    """None if the filter was made with ``transition``."""
+    """None if the filter was made without."""
+    durations: Hyper | None
+    """None if the filter was made with probabilities of a step."""
 
     def __init__(
         self, inner: Filter, *, transition: Value | None = None, stay: Value | None = None,
-        initial: Value | None = None, subset: LikelyModels | None = None,
+        durations: Value | None = None, initial: Value | None = None, subset: LikelyModels | None = None,
     ) -> None:  # fmt: skip
         super().__init__()
         if not isinstance(inner.motion, Bank) or not getattr(inner, "mixes", False):
@@ -108,16 +117,19 @@ class IMM(Filter[IMMState]):
                 for hyper in hypers(part).values():
                     hyper.shared_dims = 1  # all models share the values of their track
         count = len(self.motion)
-        if (transition is None) == (stay is None):
+        if durations is not None and stay is not None:
+            raise ValueError("stay, durations: expected one of the two, received both")
+        if durations is None and (transition is None) == (stay is None):
             received = "neither" if stay is None else "both"
             raise ValueError(f"transition, stay: expected one of the two, received {received}")
         if subset is not None:
-            subset.check(self.motion, transition, initial)
+            subset.check(self.motion, transition if durations is None else _all_to_all(count, transition), initial)
         initial = torch.full((count,), 1 / count, dtype=torch.float64) if initial is None else torch.as_tensor(initial)
         if initial.shape[-1:] != (count,):
             raise ValueError(f"initial: expected ({count},), received {tuple(initial.shape)}")
-        self.transition = None if transition is None else as_transition(count, transition)
+        self.transition = None if transition is None else as_transition(count, transition, ends=durations is not None)
         self.stay = None if stay is None else as_stay(count, stay)
+        self.durations = None if durations is None else as_durations(count, durations)
         self.initial = None if subset else Hyper(initial.double(), constraints.simplex, event_dim=1, name="initial")
         self.subset = subset
 
@@ -166,23 +178,54 @@ class IMM(Filter[IMMState]):
         """Logs ``(..., K)`` of the models' probabilities in a step, what mixes them, frames, and which models run."""
         before, motion = state.log_weights, self.motion
         if self.subset is not None:
-            active, matrix = self.subset(state.active, before, frame.dt, self.transition)
+            active, matrix = self.subset(state.active, before, frame.dt, self.probabilities(before, frame.dt))
             return *interaction(before, matrix, motion), of_active(for_each_model(frame), active), active
-        if self.stay is None:
-            interacting = interaction(before, over_time_step(self.matrix(before).log(), frame.dt), motion)
+        goes_on = self.goes_on(frame.dt)
+        if goes_on is None:
+            interacting = interaction(before, self.log_transition(before, frame.dt), motion)
         else:
-            interacting = even_interaction(state, self.stay(), frame.dt, motion)
+            interacting = even_interaction(state, goes_on, motion)
         return *interacting, for_each_model(frame), None
 
+    def goes_on(self, dt: Tensor) -> Tensor | None:
+        """Probability ``(...)`` that a model goes on over a step, else the next is any; None where they differ."""
+        count = len(self.motion)
+        if self.stay is not None:
+            return torch.where(dt == 0, 1.0, (count * self.stay() - 1) / (count - 1))
+        if self.durations is None or self.durations.event_dim or self.transition is not None:
+            return None
+        return torch.exp(-dt / self.durations() * (count / (count - 1)))
+
     def matrix(self, like: Tensor | None = None) -> Tensor:
-        """The transition ``(..., K, K)``, ``[was, now]``, with the dtype and on the device of ``like`` if not None."""
+        """The transition ``(..., K, K)``, ``[was, now]``, with the dtype and on the device of ``like`` if not None.
+
+        Beside ``durations`` it is that of a model that ends, whose diagonal is 0.
+        """
         if self.transition is not None:
             return self.transition(like)  # type: ignore[no-any-return]
-        assert self.stay is not None
-        stay, count = self.stay()[..., None, None], len(self.motion)
+        count = len(self.motion)
+        stay = torch.zeros(1, 1, dtype=torch.float64) if self.stay is None else self.stay()[..., None, None]
+        stay = stay if like is None else stay.to(like.device)
         same = torch.eye(count, dtype=torch.bool, device=stay.device)
         matrix = torch.where(same, stay, (1 - stay) / (count - 1))
         return matrix if like is None else matrix.to(like)
+
+    def probabilities(self, like: Tensor, dt: Tensor) -> Tensor:
+        """The transition ``(..., K, K)`` over a step of ``dt (...)`` seconds that are not 0."""
+        matrix = self.matrix(like)
+        if self.durations is None:
+            return matrix
+        durations = self.durations(like)
+        durations = (
+            durations if self.durations.event_dim else durations[..., None].expand(*durations.shape, len(matrix))
+        )
+        return over_seconds(rates(durations, matrix), dt)
+
+    def log_transition(self, like: Tensor, dt: Tensor) -> Tensor:
+        """Logs of the transition ``(..., K, K)`` over a step of ``dt (...)`` seconds."""
+        if self.durations is None:
+            return over_time_step(self.matrix(like).log(), dt)
+        return safe_log(self.probabilities(like, dt))
 
     def have_rows(self) -> None:
         """Makes a ``transition`` of ``stay``, in place, whose rows can learn."""
@@ -216,10 +259,11 @@ class IMM(Filter[IMMState]):
     def matrix_back(self, step: BackwardStep, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
         if self.subset is None:
-            return over_time_step(self.matrix(like).log(), step.frame.dt), for_each_model(step.frame)
+            return self.log_transition(like, step.frame.dt), for_each_model(step.frame)
         was, now = step.past.active, step.next.active
         goes_on = (was * now).sum(-1)  # a model that goes on keeps its place
-        matrix = over_time_step(self.subset.matrix(self.transition, was, now, goes_on).log(), step.frame.dt)
+        every = self.probabilities(like, step.frame.dt)
+        matrix = over_time_step(self.subset.matrix(every, was, now, goes_on).log(), step.frame.dt)
         return matrix, of_active(for_each_model(step.frame), now)
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: ModelsStep) -> ModelsPast:
@@ -254,3 +298,9 @@ class IMM(Filter[IMMState]):
         matrix, frame = self.matrix_back(step, after.log_weights)
         models = retreat(self.inner, BackwardStep(step.past, step.next.inner, frame, step.carried), matrix, after)
         return models, together(models, step.past.active, self.motion)
+
+
+def _all_to_all(count: int, follows: Value | None) -> Tensor:
+    """Above 0 where a model follows another, or itself."""
+    eye = torch.eye(count, dtype=torch.float64)
+    return torch.ones_like(eye) if follows is None else torch.as_tensor(follows, dtype=torch.float64) + eye

@@ -75,23 +75,21 @@ def interaction(log_weights: Tensor, matrix: Tensor, motion: Motion) -> tuple[Te
     return predicted, interact
 
 
-def even_interaction(state: Any, stay: Tensor, dt: Tensor, motion: Motion) -> tuple[Tensor, Mix]:
+def even_interaction(state: Any, goes_on: Tensor, motion: Motion) -> tuple[Tensor, Mix]:
     """``interaction`` where a model stays with one probability and switches to the others with equal probability.
 
-    Such a transition is ``g I + (1 - g) / K``: with probability ``g`` the model goes on, else the next one is uniform
-    over all.  So the mixed belief of each model has two components, its own belief and that of all models together,
+    The transition is ``g I + (1 - g) / K``: with probability ``g`` the model goes on, else the next one is uniform over
+    all.  So the mixed belief of each model has two components, its own belief and that of all models together,
     instead of K.  The moments are the same.  Angles count from the likelier of the two.
 
     Args:
         state: an ``IMMState``.
-        stay: ``(...)`` self-transition probability of every model, from ``1 / K`` to below 1.
-        dt: seconds; no model switches where it is 0.
+        goes_on: ``g (...)``, from 0 to 1.
         motion: of the models.
     """
-    before, count, still = state.log_weights, len(motion), dt == 0  # type: ignore[arg-type]  # a Bank
-    goes_on = (count * stay - 1) / (count - 1)
-    own = torch.where(still, 0.0, safe_log(goes_on).to(before)).unsqueeze(-1) + before
-    drawn = torch.where(still, -torch.inf, ((1 - goes_on) / count).log().to(before)).unsqueeze(-1)
+    before, count = state.log_weights, len(motion)  # type: ignore[arg-type]  # a Bank
+    own = safe_log(goes_on).to(before).unsqueeze(-1) + before
+    drawn = safe_log((1 - goes_on) / count).to(before).unsqueeze(-1)
     roots, predicted = shared(torch.stack(torch.broadcast_tensors(own, drawn)))
 
     def interact(belief: Gaussian) -> Gaussian:
@@ -124,17 +122,34 @@ def for_each_model(frame: Frame) -> Frame:
     return each
 
 
-def as_transition(count: int, value: Value) -> Hyper:
-    """Rows of probabilities between so many models.
+def as_transition(count: int, value: Value, *, ends: bool = False) -> Hyper:
+    """Rows of probabilities between so many models; with ``ends``, of what follows one that ends.
 
     Raises:
-        ValueError: no such matrix, or one that does not reach every model.
+        ValueError: no such matrix, or one that does not reach every model, or with ``ends`` a diagonal that is not 0.
     """
     value = torch.as_tensor(value, dtype=torch.float64)
     if value.shape[-2:] != (count, count) or not bool((value.sum(-2) > 0).all()):
         expected = f"({count}, {count}) that reaches every model"
         raise ValueError(f"transition: expected {expected}, received {value.tolist()}")
+    if ends and bool((value.diagonal(dim1=-2, dim2=-1) != 0).any()):
+        expected = "a diagonal of 0 beside durations, as another model follows one that ends"
+        raise ValueError(f"transition: expected {expected}, received {value.tolist()}")
     return Hyper(value, constraints.simplex, event_dim=2, name="transition")
+
+
+def as_durations(count: int, value: Value) -> Hyper:
+    """Mean seconds until a model ends, one number or of each of so many.
+
+    Raises:
+        ValueError: a single model, another number of them, or one that is not above 0.
+    """
+    value = torch.as_tensor(value, dtype=torch.float64)
+    if count < 2:
+        raise ValueError(f"durations: expected None for a single model, received {value.tolist()}")
+    if value.dim() and value.shape[-1] != count:
+        raise ValueError(f"durations: expected a number or ({count},), received {tuple(value.shape)}")
+    return Hyper(value, constraints.positive, event_dim=min(value.dim(), 1), name="durations")
 
 
 def as_stay(count: int, value: Value) -> Hyper:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -13,6 +12,7 @@ from torchfra import tree
 from torchfra.filters.interaction import PER_MODEL, over_time_step
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value
+from torchfra.linalg.safe import safe_divide
 from torchfra.motion.bank import Bank
 
 
@@ -82,14 +82,14 @@ class LikelyModels(nn.Module):
         first = self.first.to(mean)
         return first.expand(*mean.shape[:-1], *first.shape)
 
-    def forward(self, active: Tensor, log_weights: Tensor, dt: Tensor, transition: Any) -> tuple[Tensor, Tensor]:
+    def forward(self, active: Tensor, log_weights: Tensor, dt: Tensor, transition: Tensor) -> tuple[Tensor, Tensor]:
         """The set ``(..., A, K)`` of a step of ``dt`` seconds, and logs ``(..., A, A)`` of the transition to it.
 
         Args:
             active: ``(..., A, K)`` the set before.
             log_weights: ``(..., A)`` of its models.
             dt: seconds; the set stays where it is 0.
-            transition: the ``Hyper`` of that between all models.
+            transition: ``(..., K, K)`` that between all models.
         """
         after, goes_on = self.choose(active, log_weights)
         instant = (dt == 0).unsqueeze(-1)
@@ -119,16 +119,15 @@ class LikelyModels(nn.Module):
         turn = (_counted(new).unsqueeze(-2) == _counted(free).unsqueeze(-1)).to(weight)
         return goes_on.unsqueeze(-1) * active + (free.unsqueeze(-1) * new.unsqueeze(-2)) * turn, goes_on
 
-    def matrix(self, transition: Any, was: Tensor, now: Tensor, goes_on: Tensor) -> Tensor:
-        """``P(now j | was i) (..., A, A)`` between two sets ``(..., A, K)``.
+    def matrix(self, every: Tensor, was: Tensor, now: Tensor, goes_on: Tensor) -> Tensor:
+        """``P(now j | was i) (..., A, A)`` between two sets ``(..., A, K)``, from that between all models.
 
         Eq. (4) when all others share what a row leaves.
         """
-        every = transition(was)
         diagonal = every.diagonal(dim1=-2, dim2=-1)
         others = was @ (every - diagonal.diag_embed()) @ now.mT
         stay = goes_on * (was @ diagonal.unsqueeze(-1)).squeeze(-1)
-        left = (1 - stay) / others.sum(-1)
+        left = safe_divide(1 - stay, others.sum(-1))
         matrix: Tensor = stay.diag_embed() + left.unsqueeze(-1) * others
         return matrix
 

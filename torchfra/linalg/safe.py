@@ -25,6 +25,12 @@ def safe_log(x: Tensor, fill: float = -torch.inf) -> Tensor:
     return torch.where(normal, torch.where(normal, x, 1.0).log(), fill)
 
 
+def safe_log1p(x: Tensor) -> Tensor:
+    """``log(1 + x)`` where ``x > -1``; elsewhere the value is minus infinity and the gradient 0."""
+    inside = x > -1
+    return torch.where(inside, torch.where(inside, x, 0.0).log1p(), -torch.inf)
+
+
 def safe_divide(a: Tensor | float, b: Tensor, fill: float = 0.0) -> Tensor:
     """``a / b`` where ``b`` is not 0; where it is, the value is ``fill`` and the gradients of both are 0.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from functools import partial
+from typing import Any
 
 import torch
 
@@ -33,7 +34,7 @@ Inner = Callable[[Motion, Sensor], Filter]
 @register.filter("imm", words="interacting motions", bank=True, listed=False)
 def imm(
     models: Models, sensor: Sensor, *, inner: Inner = srckf, stay: float = 0.95, transition: Value | None = None,
-    initial: Value | None = None, learn: Collection[str] = (),
+    durations: Value | None = None, initial: Value | None = None, learn: Collection[str] = (),
 ) -> IMM:  # fmt: skip
     """Interacting multiple models.
 
@@ -43,6 +44,8 @@ def imm(
         inner: the filter of each model, ``(motion, sensor) -> Filter``: a preset, or a ``functools.partial`` of one.
         stay: self-transition probability of every model; the others share the rest evenly.  It learns as one number.
         transition: ``(K, K)`` probabilities instead of ``stay``, ``[i, j] = P(now j | was i)``: ``filters.IMM``.
+        durations: mean seconds until a model ends, one number or ``(K,)``, instead of ``stay``: what is likely over a
+            step follows from its ``dt``, and a ``transition`` says what follows a model that ends: ``filters.IMM``.
         initial: ``(K,)`` probabilities of the models before the first step; all the same if None.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.  With ``"transition"`` among them
             the filter has whole rows, which ``stay`` starts; they take more time.
@@ -54,14 +57,16 @@ def imm(
     """
     bank = _bank(models)
     alike = transition is None and len(bank) > 1 and 1 / len(bank) <= stay < 1
-    chances = {"stay": stay} if alike else {"transition": _transition(len(bank), stay, transition)}
+    chances: dict[str, Any] = {"transition": transition, "durations": durations}
+    if durations is None:
+        chances = {"stay": stay} if alike else {"transition": _transition(len(bank), stay, transition)}
     return with_learning(IMM(inner(bank, sensor), **chances, initial=initial), learn)
 
 
 @register.filter("imm_srckf", words="interacting motions", bank=True)
 def imm_srckf(
     models: Models, sensor: Sensor, *, stay: float = 0.95, transition: Value | None = None,
-    initial: Value | None = None, learn: Collection[str] = (),
+    durations: Value | None = None, initial: Value | None = None, learn: Collection[str] = (),
 ) -> IMM:  # fmt: skip
     """``imm`` with ``srckf`` for each model.  Source: Du & Zhang (2020).
 
@@ -70,16 +75,18 @@ def imm_srckf(
         sensor: what is measured.
         stay: self-transition probability of every model; the others share the rest evenly.
         transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
+        durations: mean seconds until a model ends, one number or ``(K,)``, instead of ``stay``: what is likely over a
+            step follows from its ``dt``, and a ``transition`` says what follows a model that ends: ``filters.IMM``.
         initial: ``(K,)`` probabilities of the models before the first step; all the same if None.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
-    return imm(models, sensor, stay=stay, transition=transition, initial=initial, learn=learn)
+    return imm(models, sensor, stay=stay, transition=transition, durations=durations, initial=initial, learn=learn)
 
 
 @register.filter("imm_ckf", words="imm_srckf", bank=True, listed=False)
 def imm_ckf(
     models: Models, sensor: Sensor, *, stay: float = 0.95, transition: Value | None = None,
-    initial: Value | None = None, learn: Collection[str] = (),
+    durations: Value | None = None, initial: Value | None = None, learn: Collection[str] = (),
 ) -> IMM:  # fmt: skip
     """The same filter as ``imm_srckf``, under the name of what Du & Zhang (2020) compare theirs with.
 
@@ -91,16 +98,20 @@ def imm_ckf(
         sensor: what is measured.
         stay: self-transition probability of every model; the others share the rest evenly.
         transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
+        durations: mean seconds until a model ends, one number or ``(K,)``, instead of ``stay``: what is likely over a
+            step follows from its ``dt``, and a ``transition`` says what follows a model that ends: ``filters.IMM``.
         initial: ``(K,)`` probabilities of the models before the first step; all the same if None.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
-    return imm_srckf(models, sensor, stay=stay, transition=transition, initial=initial, learn=learn)
+    return imm_srckf(models, sensor, stay=stay, transition=transition, durations=durations, initial=initial,
+                     learn=learn)  # fmt: skip
 
 
 @register.filter("imm_fra", words="interacting motions, each with fra", bank=True, gated=True)
 def imm_fra(
     models: Models, sensor: Sensor, *, stay: float = 0.99, transition: Value | None = None,
-    initial: Value | None = None, threshold: Value | None = None, per_element: bool = False,
+    durations: Value | None = None, initial: Value | None = None, threshold: Value | None = None,
+    per_element: bool = False,
     robust: Weights | None = None, weakening: Value = 2.0, forgetting: Value = 0.95, fading_max: Value = 1e3,
     rcond: float = 0.2, states: States = None, share: Share = None, trace: str = "full", gate: Value = 5.991,
     preference: Value = 5.0, plain: Value | None = None, decision: str = "likelihood", temperature: float = 0.0,
@@ -114,6 +125,8 @@ def imm_fra(
         sensor: what is measured.
         stay: self-transition probability of every model; high, so that one outlier does not change the model.
         transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
+        durations: mean seconds until a model ends, one number or ``(K,)``, instead of ``stay``: what is likely over a
+            step follows from its ``dt``, and a ``transition`` says what follows a model that ends: ``filters.IMM``.
         initial: ``(K,)`` probabilities of the models before the first step; all the same if None.
         threshold: as in ``fra``, like all that follow up to ``rule``.
         per_element: whether each element of a measurement has its own threshold.
@@ -142,15 +155,17 @@ def imm_fra(
         plain=plain, decision=decision, temperature=temperature, memory=memory, provisional=provisional, final=final,
         rule=rule,
     )  # fmt: skip
-    return imm(models, sensor, inner=inner, stay=stay, transition=transition, initial=initial, learn=learn)
+    return imm(models, sensor, inner=inner, stay=stay, transition=transition, durations=durations, initial=initial,
+               learn=learn)  # fmt: skip
 
 
 @register.filter("vsimm_srckf", words="interacting motions, a few at a time", bank=True)
 @with_values
 def vsimm_srckf(
     models: Models, sensor: Sensor, *, inner: Inner = srckf, neighbours: Sequence[Sequence[int]] | None = None,
-    first: Sequence[int] | None = None, stay: float = 0.95, transition: Value | None = None, unlikely: Value = 0.05,
-    principal: Value = 0.5, values: str | None = None, learn: Collection[str] = (),
+    first: Sequence[int] | None = None, stay: float = 0.95, transition: Value | None = None,
+    durations: Value | None = None, unlikely: Value = 0.05, principal: Value = 0.5, values: str | None = None,
+    learn: Collection[str] = (),
 ) -> IMM:  # fmt: skip
     """Interacting models of which a few run at a time: three of five in the paper.  Source: Du & Zhang (2020).
 
@@ -162,6 +177,8 @@ def vsimm_srckf(
         first: models that run at first; the bank's if None: ``filters.LikelyModels``.
         stay: self-transition probability of every model; the others share the rest evenly.
         transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
+        durations: mean seconds until a model ends, one number or ``(K,)``, instead of ``stay``: what is likely over a
+            step follows from its ``dt``, and a ``transition`` says what follows a model that ends: ``filters.IMM``.
         unlikely: probability below which a model is left out: ``filters.LikelyModels``.
         principal: probability above which a model calls its neighbours: ``filters.LikelyModels``.
         values: name of a set of learned values for what is not given: ``torchfra.values()``.
@@ -176,9 +193,9 @@ def vsimm_srckf(
     first = bank.first if first is None else first
     if neighbours is None or first is None:
         raise ValueError("neighbours, first: expected both, or a Bank that has them, received none")
-    matrix = _transition(len(bank), stay, transition)
+    matrix = _transition(len(bank), stay, transition) if durations is None else transition
     subset = LikelyModels(neighbours, first, unlikely=unlikely, principal=principal)
-    return with_learning(IMM(inner(bank, sensor), transition=matrix, subset=subset), learn)
+    return with_learning(IMM(inner(bank, sensor), transition=matrix, durations=durations, subset=subset), learn)
 
 
 def _bank(models: Models) -> Bank:

@@ -37,6 +37,8 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 """What ``manoeuvres`` stands for: ``"some"`` was searched, ``"none"`` and ``"hard"`` are made from it by hand."""
 
+OUTLIER_TRANSITION = ((0.999491, 0.000509), (0.9344, 0.0656))
+
 
 @register.filter("gpb", words="outliers and manoeuvres as hypotheses", either=True, emphasised=True)
 def gpb(
@@ -48,8 +50,10 @@ def gpb(
     manoeuvre_factors: Values | None = None,
     jump_factors: Values | None = None,
     self_transition: Values | None = None,
+    durations: Values | None = None,
     restart: Values | None = None,
-    outlier_transition: Values = ((0.999491, 0.000509), (0.9344, 0.0656)),
+    outlier_transition: Values | None = None,
+    outlier_durations: Values | None = None,
     outlier_sizes: Values = (7.71, 51.0, 1690.0, 19100.0),
     outlier_shares: Values = (0.651019, 0.348, 0.000454, 0.000527),
     prior_outlier: Value = 0.0106,
@@ -76,11 +80,13 @@ def gpb(
         jump_factors: factors on the covariance of the position after a jump, per unit of the normalised innovation
             squared per element.
         self_transition: self-transition probabilities of the regimes: of each level, any other motion, each
-            manoeuvre, each jump.
+            manoeuvre, each jump.  They are those of a step, whatever its ``dt``.
+        durations: instead of these, mean seconds until a regime ends, in the same order: ``filters.GPB``.
         restart: restart distribution: probabilities of the regime that follows one that ends, in the same order; other
             motions share theirs evenly.
         outlier_transition: ``(2, 2)`` probabilities ``[i, j] = P(now j | was i)`` of no outlier and outlier, for each
-            block.
+            block, from one measurement to the next; ``OUTLIER_TRANSITION`` in this file if None.
+        outlier_durations: instead of it, mean seconds without outliers, and that a device is wrong then.
         outlier_sizes: factors on the covariance of the measurement noise of outliers.
         outlier_shares: of the outliers that have each size.
         prior_outlier: probability that the prior is far off.
@@ -113,12 +119,18 @@ def gpb(
         raise ValueError(f"manoeuvres: expected one of {', '.join(MANOEUVRES)}, received {received}")
     given = {
         "noise_levels": noise_levels, "manoeuvre_factors": manoeuvre_factors, "jump_factors": jump_factors,
-        "self_transition": self_transition, "restart": restart,
+        "self_transition": self_transition, "durations": durations, "restart": restart,
     }  # fmt: skip
-    regimes = Regimes(count, **MANOEUVRES[manoeuvres] | {name: x for name, x in given.items() if x is not None})
+    values = MANOEUVRES[manoeuvres] | {name: x for name, x in given.items() if x is not None}
+    if durations is not None:
+        values["self_transition"] = self_transition
+    regimes = Regimes(count, **values)
+    if outlier_durations is None and outlier_transition is None:
+        outlier_transition = OUTLIER_TRANSITION
     outliers = Outliers(
         sensor.blocks,
         outlier_transition=outlier_transition,
+        outlier_durations=outlier_durations,
         outlier_sizes=outlier_sizes,
         outlier_shares=outlier_shares,
         adaptive_largest_size=adaptive_largest_size,

@@ -25,7 +25,7 @@ from torchfra.tables import significant, text_table
 P = ParamSpec("P")
 F = TypeVar("F")
 FILE = Path(__file__).with_name("values.json")
-INSTEAD = {"robust": "threshold", "stay": "transition"}
+INSTEAD = {"robust": "threshold", "stay": "transition", "durations": "transition"}
 """Arguments that, given, take the place of another."""
 
 

@@ -151,7 +151,8 @@ class GPB(Filter[GPBState]):
             log_weight.expand(*log_weight.shape[:3], *mean.shape[:-1]),
         )
         outlier = mean.new_zeros(*mean.shape[:-1], len(self.outliers.blocks))
-        return GPBState(belief, belief, *to_state(every, (OUTLIER, MOTION)), outlier)
+        unmeasured = None if self.outliers.outlier_durations is None else torch.zeros_like(mean[..., 0])
+        return GPBState(belief, belief, *to_state(every, (OUTLIER, MOTION)), outlier, unmeasured)
 
     def advance(self, state: GPBState, frame: Frame, mix: Mix | None = None) -> tuple[GPBState, Record]:
         """One step; ``mix`` is not looked at, as this filter mixes itself."""
@@ -160,7 +161,8 @@ class GPB(Filter[GPBState]):
         moves = regimes.moves(before.log_weight, frame.dt, measured)  # (1)
         mixed, mixing = self.mix(before.belief, moves)  # (2)
         predicted, nis = self.predict_regimes(mixed, moves.log_weight, frame)  # (3)
-        updated, outlier = self.update(predicted, frame, self.outliers.ahead(state.outlier, measured))  # (4)
+        chances = self.outliers.ahead(state.outlier, since(state.unmeasured, frame.dt), measured)
+        updated, outlier = self.update(predicted, frame, chances)  # (4)
         found = updated.posterior()  # (5)
         after = regimes.merged(updated, angles)  # (6)
         belief = estimate(after.belief, after.shares(MOTION)[0] * found.mode, self.motion)  # (7)
@@ -174,9 +176,12 @@ class GPB(Filter[GPBState]):
         carried = *to_state(Hypotheses(after.belief, found.log_regimes), (OUTLIER, MOTION)), if_any
         expected = self.compare(self.expected(predicted), frame)
         info = Step(tree.Late(lagged), of_regimes, any_outlier * if_any)
-        past = GPBPast(*carried, batch_first(nis, BEFORE), measured.to(nis).expand(nis.shape[3:]))
+        unmeasured = None
+        if state.unmeasured is not None:
+            unmeasured = torch.where(measured, 0.0, state.unmeasured + frame.dt)
+        past = GPBPast(*carried, batch_first(nis, BEFORE), measured.to(nis).expand(nis.shape[3:]), unmeasured)
         record = Record(belief, expected.residual, *innovation(expected), info, found.log_likelihood, past=past)
-        return GPBState(belief, lagged, *carried), record
+        return GPBState(belief, lagged, *carried, unmeasured), record
 
     def mix(self, before: Gaussian, moves: Moves) -> tuple[Gaussian, Mixing]:
         """What each motion starts from, ``(1, K, 2, ...)``: its own belief, or what is known where others end."""
@@ -313,3 +318,8 @@ class GPB(Filter[GPBState]):
             return several
         before = smoothing.retreat(self, step, after)
         return before, smoothing.smoothed(self, before)
+
+
+def since(unmeasured: Tensor | None, dt: Tensor) -> Tensor:
+    """Seconds from the last measurement to a step, for outliers that have durations."""
+    return dt if unmeasured is None else unmeasured + dt

@@ -13,7 +13,8 @@ from torch.nn.functional import pad
 from torchfra.filters.gpb.hypotheses import Hypotheses
 from torchfra.filters.gpb.regimes import in_front
 from torchfra.gaussian.mixture import matched, shared, without_failed
-from torchfra.hyper import Hyper, Values
+from torchfra.hyper import Hyper, Values, one_given
+from torchfra.linalg.safe import safe_divide, safe_log, safe_log1p
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import apply, hstack, tria
 from torchfra.sensors.base import Sensor
@@ -25,35 +26,50 @@ class Outliers(nn.Module):
 
     Args:
         blocks: numbers of the elements of each block: those of a device fail together.
-        outlier_transition: ``(..., 2, 2)``, ``[i, j] = P(now j | was i)`` of no outlier and outlier; rows sum to one.
+        outlier_transition: ``(..., 2, 2)``, ``[i, j] = P(now j | was i)`` of no outlier and outlier, from one
+            measurement to the next, whatever the time between them; rows sum to one.
+        outlier_durations: ``(..., 2)`` instead of it: mean seconds without outliers, and that a device is wrong then.
         outlier_sizes: ``(..., C)`` by which an outlier's measurement noise is multiplied, as a covariance.
         outlier_shares: ``(..., C)`` of the outliers that have each size, which sum to one.
         adaptive_largest_size: whether the last size grows to the mean square error of a block, in units of its noise,
             where that is larger: outliers of any size are then as likely as others of that kind.
 
     Raises:
-        ValueError: shapes that do not go together, values out of their range or that do not sum to one.
+        ValueError: shapes that do not go together, values out of their range or that do not sum to one, or not one of
+            ``outlier_transition`` and ``outlier_durations``.
     """
+
+    outlier_transition: Hyper | None
+    """None if it was made with ``outlier_durations``."""
+    outlier_durations: Hyper | None
+    """None if it was made with ``outlier_transition``."""
 
     def __init__(
         self,
         blocks: Sequence[Sequence[int]],
         *,
-        outlier_transition: Values,
         outlier_sizes: Values,
         outlier_shares: Values,
+        outlier_transition: Values | None = None,
+        outlier_durations: Values | None = None,
         adaptive_largest_size: bool = True,
     ) -> None:
         super().__init__()
         self.adaptive_largest_size = adaptive_largest_size
-        given = outlier_transition, outlier_sizes, outlier_shares
-        transition, sizes, shares = (torch.as_tensor(x, dtype=torch.float64) for x in given)
-        if transition.shape[-2:] != (2, 2):
-            raise ValueError(f"outlier_transition: expected (2, 2), received {tuple(transition.shape)}")
+        name, chain = one_given(outlier_transition=outlier_transition, outlier_durations=outlier_durations)
+        given = chain, outlier_sizes, outlier_shares
+        chain, sizes, shares = (torch.as_tensor(x, dtype=torch.float64) for x in given)
+        event = (2, 2) if name == "outlier_transition" else (2,)
+        if chain.shape[-len(event) :] != event:
+            raise ValueError(f"{name}: expected {event}, received {tuple(chain.shape)}")
         if sizes.shape[-1:] != shares.shape[-1:]:
             raise ValueError(f"outlier_shares: expected one for each of outlier_sizes, received {tuple(shares.shape)}")
         self.blocks = tuple(tuple(block) for block in blocks)
-        self.outlier_transition = Hyper(transition, constraints.simplex, event_dim=2, name="outlier_transition")
+        self.outlier_transition = self.outlier_durations = None
+        if name == "outlier_transition":
+            self.outlier_transition = Hyper(chain, constraints.simplex, event_dim=2, name=name)
+        else:
+            self.outlier_durations = Hyper(chain, event_dim=1, name=name)
         self.outlier_sizes = Hyper(sizes, constraints.greater_than(1.0), event_dim=1, name="outlier_sizes")
         self.outlier_shares = Hyper(shares, constraints.simplex, event_dim=1, name="outlier_shares")
 
@@ -84,25 +100,32 @@ class Outliers(nn.Module):
         if bool((correlated & ~within).any()):
             raise ValueError(f"{name}: expected noise that is independent between blocks, received a correlation")
 
-    def ahead(self, outlier: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
+    def ahead(self, outlier: Tensor, dt: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
         """What the outliers of a step say of those of the next; where nothing is measured in that, they stay.
 
         Args:
             outlier: ``(..., B)`` probability of each block that it was an outlier, if any was.
-            measured: ``(...)`` whether anything is measured in the next step.
+            dt: ``(...)`` seconds from the last measurement to the next step.
+            measured: ``(...)`` whether anything is measured in it.
 
         Returns:
             Logs ``(2, 1, 2, ...)`` of the probability that the next step has no outlier or some, after one without and
             with some, and ``(1, 1, 2, ..., B)`` of each block that it is one if any is.
         """
-        chain = self.outlier_transition(outlier)
-        begins, goes_on = chain[..., 0, 1].unsqueeze(-1), chain[..., 1, 1].unsqueeze(-1)
-        now = torch.stack([begins.expand_as(outlier), begins + outlier * (goes_on - begins)])[None, None]
-        none = torch.log1p(-now).sum(-1)
+        if self.outlier_durations is None:
+            chain = self.outlier_transition(outlier)  # type: ignore[misc]
+            begins, lasts = chain[..., 0, 1], chain[..., 1, 1]
+        else:
+            without, wrong = self.outlier_durations(outlier).unbind(-1)
+            forgotten = -torch.expm1(-dt * (1 / without + 1 / wrong))
+            begins, lasts = forgotten * wrong / (without + wrong), 1 - forgotten * without / (without + wrong)
+        begins, lasts = begins.unsqueeze(-1), lasts.unsqueeze(-1)
+        now = torch.stack([begins.expand_as(outlier), begins + outlier * (lasts - begins)])[None, None]
+        none = safe_log1p(-now).sum(-1)
         some = -torch.expm1(none)
-        share = torch.ones_like(now) if len(self.blocks) == 1 else now / some.unsqueeze(-1)
+        share = torch.ones_like(now) if len(self.blocks) == 1 else safe_divide(now, some.unsqueeze(-1))
         same = torch.eye(2, dtype=now.dtype, device=now.device).log().reshape(2, 1, 2, *[1] * measured.dim())
-        return torch.where(measured, torch.cat([none, some.log()]), same), share
+        return torch.where(measured, torch.cat([none, safe_log(some)]), same), share
 
     def update(
         self,

@@ -10,9 +10,10 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 
 from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses
+from torchfra.filters.markov import over_seconds, rates
 from torchfra.gaussian.mixture import largest, log_sum
 from torchfra.gaussian.model import Carried
-from torchfra.hyper import Hyper, Values
+from torchfra.hyper import Hyper, Values, one_given
 from torchfra.linalg.safe import safe_divide, safe_log
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian
@@ -42,8 +43,8 @@ class Regimes(nn.Module):
     The first motion comes at ``L`` levels, the others of a bank as they are. ``M`` manoeuvres have as much more process
     noise than the first motion's last level as the measurement asks for, ``J`` jumps widen the position of its
     prediction in the same way. In this order they are the ``R = L + (K - 1) + M + J`` regimes. A regime goes on with a
-    probability of its own; else the next one is drawn from the restart distribution, whatever was before. Before the
-    first step regimes are as likely as the chain has them in the long run. Values are given by kind,
+    probability of its own, or for a time of its own; then the next one is drawn from the restart distribution. Before
+    the first step regimes are as likely as the chain has them in the long run. Values are given by kind,
     ``(..., L + 1 + M + J)``: each level, any other motion, each manoeuvre, each jump; so they fit banks of any size.
 
     Tensors of regimes have the axes of ``Hypotheses``.
@@ -53,30 +54,38 @@ class Regimes(nn.Module):
         noise_levels: ``(..., L)`` by which the variance of the first motion's process noise is multiplied, ascending.
         jump_factors: ``(..., J)`` times the normalised innovation squared per element: by so much, at least 1, the
             covariance of the predicted position is multiplied; its correlations stay.
-        self_transition: self-transition probabilities by kind.
+        self_transition: self-transition probabilities by kind, of a step, whatever its ``dt``.
+        durations: instead of these, mean seconds by kind until a regime ends: a Markov chain in continuous time.
         restart: restart distribution by kind, which sums to one; other motions share theirs evenly.
         manoeuvre_factors: ``(..., M)`` times the normalised innovation squared per element: by so much, at least 1, the
             variance of the last level's process noise is multiplied.  Beyond five standard deviations a manoeuvre is
             the rarer the larger it is: what is far off once is an outlier.
 
     Raises:
-        ValueError: shapes that do not go together, values that are out of their range or do not sum to one.
+        ValueError: shapes that do not go together, values that are out of their range or do not sum to one, or not one
+            of ``self_transition`` and ``durations``.
     """
 
+    self_transition: Hyper | None
+    """None if it was made with ``durations``."""
+    durations: Hyper | None
+    """None if it was made with ``self_transition``."""
+
     def __init__(
-        self, motions: int, *, noise_levels: Values, jump_factors: Values, self_transition: Values, restart: Values,
-        manoeuvre_factors: Values = (),
+        self, motions: int, *, noise_levels: Values, jump_factors: Values, restart: Values,
+        self_transition: Values | None = None, durations: Values | None = None, manoeuvre_factors: Values = (),
     ) -> None:  # fmt: skip
         super().__init__()
-        given = noise_levels, manoeuvre_factors, jump_factors, self_transition, restart
-        levels, manoeuvres, jumps, stay, begins = (torch.as_tensor(x, dtype=torch.float64) for x in given)
+        ends, last = one_given(self_transition=self_transition, durations=durations)
+        given = noise_levels, manoeuvre_factors, jump_factors, last, restart
+        levels, manoeuvres, jumps, last, begins = (torch.as_tensor(x, dtype=torch.float64) for x in given)
         for name, value in (("noise_levels", levels), ("manoeuvre_factors", manoeuvres), ("jump_factors", jumps)):
             if value.dim() == 0:
                 raise ValueError(f"{name}: expected several, received {value.item():g}")
         self.motions, self.level_count = motions, levels.shape[-1]
         self.manoeuvre_count, self.jump_count = manoeuvres.shape[-1], jumps.shape[-1]
         kinds = self.level_count + 1 + self.manoeuvre_count + self.jump_count
-        for name, value in (("self_transition", stay), ("restart", begins)):
+        for name, value in ((ends, last), ("restart", begins)):
             if value.shape[-1:] != (kinds,):
                 raise ValueError(f"{name}: expected (..., {kinds}), received {tuple(value.shape)}")
         self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * (kinds - self.level_count - 1)
@@ -96,7 +105,11 @@ class Regimes(nn.Module):
         if self.manoeuvre_count:
             self.manoeuvre_factors = Hyper(manoeuvres, event_dim=1, name="manoeuvre_factors")
         self.jump_factors = Hyper(jumps, event_dim=1, name="jump_factors")
-        self.self_transition = Hyper(stay, constraints.unit_interval, event_dim=1, name="self_transition")
+        self.self_transition = self.durations = None
+        if ends == "durations":
+            self.durations = Hyper(last, event_dim=1, name=ends)
+        else:
+            self.self_transition = Hyper(last, constraints.unit_interval, event_dim=1, name=ends)
         self.restart = Hyper(begins, constraints.simplex, event_dim=1, name="restart")
 
     @property
@@ -119,13 +132,19 @@ class Regimes(nn.Module):
         It is the stationary distribution of the chain: how often each begins, times how long it stays.  A chain that
         may begin a regime that never ends is in one from the first step on.
         """
-        restart, ends = self.restart_distribution(like), 1 - self._by_regime(self.self_transition(like), like.dim() - 1)
+        rank, restart = like.dim() - 1, self.restart_distribution(like)
+        if self.durations is not None:
+            weight = restart * self._by_regime(self.durations(like), rank)
+            stationary: Tensor = weight / weight.sum(0)
+            return stationary
+        assert self.self_transition is not None
+        ends = 1 - self._by_regime(self.self_transition(like), rank)
         for_ever = (ends == 0) & (restart > 0)
         weight = torch.where(for_ever.any(0), torch.where(for_ever, restart, 0.0), safe_divide(restart, ends))
         return weight / weight.sum(0)
 
     def chain(self, like: Tensor, dt: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
-        """Self-transition probabilities ``(R, ...)`` in a step, and the restart distribution ``(R, ...)``.
+        """Of a chain of steps the self-transition probabilities and the restart distribution, both ``(R, ...)``.
 
         No level, manoeuvre or jump begins where nothing is measured, or what measurements have told of them would be
         forgotten over steps without one.  Other motions do: the longer a gap is, the less is known.  Over 0 seconds
@@ -136,6 +155,7 @@ class Regimes(nn.Module):
             dt: ``(...)`` seconds.
             measured: ``(...)`` whether anything is.
         """
+        assert self.self_transition is not None
         stay, restart = self._by_regime(self.self_transition(like), like.dim() - 1), self.restart_distribution(like)
         other = torch.tensor([k > 0 for k in self.motion_of], device=like.device).reshape(-1, *(1,) * (like.dim() - 1))
         others = torch.where(other, restart, 0.0)
@@ -143,10 +163,36 @@ class Regimes(nn.Module):
         stay = torch.where(measured, stay, 1 - (1 - stay) * share)
         return torch.where(dt == 0, 1.0, stay), torch.where(measured, restart, safe_divide(others, share))
 
+    def continuous(self, like: Tensor, dt: Tensor) -> tuple[Tensor, Tensor]:
+        """Of a chain in continuous time: probabilities that regimes last, and that others are there at the end.
+
+        Motions other than the first are alike, so that the chain of the kinds says all.
+
+        Returns:
+            ``(R, ...)`` that a regime does not end in a step, and ``(R now, R was, ...)`` that one has ended and
+            another, or the same, is there after it; their sum is one of the chain's ``exp(G dt)``.
+        """
+        rank = like.dim() - 1
+        durations, restart = self.durations(like), self.restart(like)  # type: ignore[misc]
+        if self.motions == 1:  # which has no others
+            there = torch.tensor([float(k != self.level_count) for k in range(restart.shape[-1])]).to(restart)
+            restart = restart * there / (restart * there).sum(-1, keepdim=True)
+        lasts = torch.exp(-dt.unsqueeze(-1) / durations)
+        ended = (over_seconds(rates(durations, restart.unsqueeze(-2)), dt) - torch.diag_embed(lasts)).clamp_min(0.0)
+        each = [
+            ended[..., kind] / (self.motions - 1 if motion else 1)
+            for kind, motion in zip(self.kind_of, self.motion_of, strict=True)
+        ]
+        return self._by_regime(lasts, rank), torch.stack([self._by_regime(x, rank) for x in each])
+
     def moves(self, log_weight: Tensor, dt: Tensor, measured: Tensor) -> Moves:
         """How regimes ``(1, R, 2, ...)`` with such weights go over into those of the next step."""
         top = largest(log_weight, MOTION, keepdim=True)
         weight = (log_weight - top).exp()
+        if self.durations is not None:
+            lasts, ended = self.continuous(weight[0], dt)
+            stayed, restarted = lasts * weight, (ended * weight).sum(1).unsqueeze(0)
+            return Moves(stayed, weight - stayed, restarted, safe_log(stayed + restarted) + top)
         stay, restart = self.chain(weight[0], dt, measured)
         stayed, left = stay * weight, (1 - stay) * weight
         restarted = left.sum(MOTION, keepdim=True) * restart
@@ -154,11 +200,16 @@ class Regimes(nn.Module):
 
     def transition(self, like: Tensor, dt: Tensor, measured: Tensor) -> Tensor:
         """Logs ``(R now, 2, R before, ...)`` of how regimes follow each other, for ``like (R, 2, ...)``."""
-        stay, restart = self.chain(like, dt, measured)
-        same = torch.eye(len(stay), dtype=stay.dtype, device=stay.device)
-        same = same.reshape(len(stay), 1, len(stay), *(1,) * (stay.dim() - 2))
-        stay = stay.movedim(0, 1)
-        return safe_log(same * stay + restart.unsqueeze(2) * (1 - stay))
+        if self.durations is None:
+            stay, restart = self.chain(like, dt, measured)
+            stay = stay.movedim(0, 1)
+            ended = restart.unsqueeze(2) * (1 - stay)
+        else:
+            stay, ended = self.continuous(like, dt)
+            stay, ended = stay.movedim(0, 1), ended.movedim(1, 2)
+        count = stay.shape[1]
+        same = torch.eye(count, dtype=stay.dtype, device=stay.device)
+        return safe_log(same.reshape(count, 1, count, *(1,) * (stay.dim() - 2)) * stay + ended)
 
     def rarer(self, log_weight: Tensor, nis: Tensor) -> Tensor:
         """Log weights ``(..., R, 2, ...)`` with odds of jumps and manoeuvres that fall with their size.

@@ -89,6 +89,6 @@ def _prior(f: Any, past: GPBPast, nis: Tensor, dt: Tensor, measured: Tensor) -> 
     """Logs ``(2, R, 2, R, ...)`` of the probabilities of two steps: outliers and regimes, now and before."""
     log_weight = past.log_weights.movedim((-2, -1), (0, 1))  # (2, R, ...)
     regime = log_weight + f.regimes.transition(log_weight.transpose(0, 1), dt, measured)
-    log_mode, _ = f.outliers.ahead(past.outlier, measured)
+    log_mode, _ = f.outliers.ahead(past.outlier, dt if past.unmeasured is None else past.unmeasured + dt, measured)
     pairs: Tensor = log_mode.unsqueeze(MOTION_BEFORE) + f.regimes.rarer(regime.unsqueeze(0), nis)
     return pairs

@@ -27,6 +27,8 @@ class GPBState(NamedTuple):
     """``(..., 2, R)`` logs of the probabilities of that, and of the regimes."""
     outlier: Tensor
     """``(..., B)`` probability of each block that it was an outlier, if any was."""
+    unmeasured: Tensor | None = None
+    """``(...)`` seconds since the last measurement, where outliers have durations."""
 
 
 class GPBInfo(NamedTuple):
@@ -64,3 +66,5 @@ class GPBPast(NamedTuple):
     """``(..., 2)`` normalised innovation squared per element of the agile level, without and with an outlier before."""
     measured: Tensor
     """``(...)`` 1 where anything was, else 0."""
+    unmeasured: Tensor | None = None
+    """As in ``GPBState``."""

@@ -1,0 +1,200 @@
+"""Mean durations make Markov chains in continuous time, whatever the steps: of models, of regimes and of outliers."""
+
+from functools import partial
+
+import numpy as np
+import oracles
+import pytest
+import test_gpb_oracle as gpb_oracle
+import test_imm
+import torch
+from oracles import gpb as oracle
+
+from torchfra import presets
+from torchfra.filters.markov import over_seconds, rates
+from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity, CoordinatedTurn
+from torchfra.presets.regimes import MANOEUVRES
+from torchfra.sensors import Position
+from torchfra.types import Gaussian
+
+
+def tensor(*x):
+    return torch.tensor(x, dtype=torch.float64)
+
+
+LAST, FOLLOWS = tensor(3.0, 50.0, 0.01), torch.stack([tensor(0.0, 0.3, 0.7), tensor(1, 0, 0), tensor(0.5, 0.5, 0)])
+G = rates(LAST, FOLLOWS)
+BANK = [ConstantVelocity(0.1, orders=3, spectral=True), CoordinatedTurn(0.1, 1.0, orders=3),
+        ConstantVelocity(4.0, orders=3, spectral=True)]  # fmt: skip
+SENSOR = Position(3.0)
+PRIOR = Gaussian(torch.zeros(6, dtype=torch.float64), torch.diag(tensor(10, 10, 10, 10, 1, 1)))
+LEVELS = {"durations": (1000.0, 60.0, 5.0, 90.0, 130.0, 0.7)}
+WRONG = {"outlier_durations": (100.0, 4.0)}
+
+
+def measured(batch=2, steps=16, seed=3):
+    """Positions with outliers, and seconds between them."""
+    g = torch.Generator().manual_seed(seed)
+    z = 3 * torch.randn(batch, steps, 2, dtype=torch.float64, generator=g).cumsum(-2)
+    z[:, 5] += 80
+    z[:, 9:12] += 50
+    return z, 0.1 + 3 * torch.rand(batch, steps, dtype=torch.float64, generator=g)
+
+
+def in_parts(z, dt, parts):
+    """The same measurements, with rows without any that cut the time before each."""
+    more = torch.full((*z.shape[:-2], parts * z.shape[-2], z.shape[-1]), torch.nan, dtype=z.dtype)
+    more[..., parts - 1 :: parts, :] = z
+    return more, dt.repeat_interleave(parts, -1) / parts
+
+
+# ---------------------------------------------------------------- the chain
+
+
+@pytest.mark.parametrize("seconds", [0.0, 1e-6, 0.1, 10.0, 3000.0])
+def test_probabilities_are_the_exponential_of_the_rates(seconds):
+    found = over_seconds(G, tensor(seconds)[0])
+    torch.testing.assert_close(found, torch.linalg.matrix_exp(G * seconds), rtol=1e-10, atol=1e-14)
+
+
+def test_two_steps_are_one_of_their_sum_and_no_time_changes_nothing():
+    a, b = tensor(0.7)[0], tensor(11.0)[0]
+    torch.testing.assert_close(over_seconds(G, a) @ over_seconds(G, b), over_seconds(G, a + b), rtol=1e-11, atol=1e-14)
+    assert torch.equal(over_seconds(G, torch.zeros_like(a)), torch.eye(3, dtype=torch.float64))
+
+
+def test_single_precision_keeps_small_probabilities():
+    found = over_seconds(G.float(), torch.tensor(1e-5))
+    torch.testing.assert_close(found.double(), torch.linalg.matrix_exp(G * 1e-5), rtol=1e-5, atol=0)
+
+
+def test_gradients_are_those_of_finite_differences():
+    inputs = LAST.clone().requires_grad_(), tensor(0.3, 2.0).requires_grad_()
+    assert torch.autograd.gradcheck(lambda last, dt: over_seconds(rates(last, FOLLOWS), dt), inputs)
+
+
+# ---------------------------------------------------------------- interacting models
+
+
+def test_interacting_models_are_the_moment_form_with_that_chain():
+    z, count, last = test_imm.measured(1)[0], 5, [20.0, 5.0, 8.0, 30.0, 3.0]
+    e = presets.imm(test_imm.bank(), test_imm.SENSOR, durations=tensor(*last))(z, test_imm.PRIOR, dt=test_imm.DT)
+    H = np.eye(2, 6)
+    generator = (np.ones((count, count)) / (count - 1) - np.eye(count) * count / (count - 1)) / np.array(last)[:, None]
+    chain = oracle.exponential(generator * test_imm.DT)
+    models, prior = [test_imm.of(m) for m in test_imm.bank()], test_imm.PRIOR
+    r = oracles.imm(z.numpy(), prior.mean.numpy(), prior.covariance.numpy(), models, H,
+                    test_imm.SIGMA**2 * np.eye(2), chain, np.full(count, 1 / count))  # fmt: skip
+    test_imm.same(e.mean, torch.from_numpy(r["mean"]))
+    test_imm.same(e.info.probabilities, torch.from_numpy(r["probabilities"]))
+
+
+def test_one_duration_is_the_same_for_all():
+    z, dt = measured()
+    one, three = (presets.imm(BANK, SENSOR, durations=d) for d in (8.0, tensor(8.0, 8.0, 8.0)))
+    torch.testing.assert_close(one(z, PRIOR, dt=dt).mean, three(z, PRIOR, dt=dt).mean)
+    torch.testing.assert_close(one.smooth(z, PRIOR, dt=dt).mean, three.smooth(z, PRIOR, dt=dt).mean)
+
+
+@pytest.mark.parametrize("make", [
+    partial(presets.imm, durations=20.0),
+    partial(presets.imm, durations=LAST, transition=FOLLOWS),
+    partial(presets.vsimm_srckf, durations=LAST, neighbours=[[1], [2], [0]], first=[0, 1, 2]),
+], ids=["even", "matrix", "subset"])  # fmt: skip
+def test_rows_without_a_measurement_do_not_change_what_a_chain_says(make):
+    (z, dt), f = measured(), make([ConstantVelocity(1.0, spectral=True)] * 3, SENSOR)
+    prior = Gaussian(PRIOR.mean[:4], PRIOR.scale_tril[:4, :4])
+    if "initial" in f._modules and f.initial is not None:
+        f.initial.set(tensor(0.7, 0.2, 0.1))
+    one, four = (f(*x[:1], prior, dt=x[1]) for x in ((z, dt), in_parts(z, dt, 4)))
+    near = partial(torch.testing.assert_close, rtol=1e-10, atol=1e-10)
+    near(four.info.probabilities[..., 3::4, :], one.info.probabilities)
+    near(four.mean[..., 3::4, :], one.mean)  # models alike, so that mixing loses nothing
+
+
+# ---------------------------------------------------------------- regimes and outliers
+
+
+@pytest.mark.parametrize("motions", [1, 3])
+def test_gpb_is_what_loops_over_hypotheses_say(motions):
+    case, last, restart = gpb_oracle.position(), (40.0, 9.0, 6.0, 0.8), (0.5, 0.3, 0.15, 0.05)
+    bank = [ConstantAcceleration(0.05), ConstantVelocity(0.5, orders=3), CoordinatedTurn(-0.2, 0.1, orders=3)][:motions]
+    dt = np.linspace(0.3, 2.0, gpb_oracle.STEPS)
+    of_steps, regimes = gpb_oracle.regimes((0.5,) * 4, restart, (0.1, 30.0), motions=motions)
+    options = {name: x for name, x in of_steps.items() if name not in ("self_transition", "outlier_transition")}
+    f = presets.gpb(Bank(bank), case.sensor, durations=last, outlier_durations=(15.0, 2.5), **options)
+
+    others = motions - 1
+    by_regime = np.array([*last[:2], *[last[2]] * others, last[3]])
+    odds = np.array([*restart[:2], *[restart[2] / max(others, 1)] * others, restart[3]])
+    generator = (np.tile(odds / odds.sum(), (len(odds), 1)) - np.eye(len(odds))) / by_regime[:, None]
+    first = odds * by_regime / (odds * by_regime).sum()
+    regimes = regimes._replace(
+        seconds=lambda k: (np.exp(-dt[k] / by_regime), oracle.exponential(generator * dt[k])), first=first
+    )
+    qualities = oracle.Qualities(case.blocks, None, options["outlier_sizes"], options["outlier_shares"],
+                                 (15.0, 2.5), dt)  # fmt: skip
+    prior, models = gpb_oracle.PRIOR, [gpb_oracle.carried(m, dt) for m in bank]
+    r = oracle.gpb(case.z, prior.mean.numpy(), prior.covariance.numpy(), models, case.model, regimes, qualities,
+                   options["prior_outlier"], options["prior_inflation"])  # fmt: skip
+    gpb_oracle.same(f(torch.from_numpy(case.z), prior, dt=torch.from_numpy(dt)), r)
+
+
+def test_rows_without_a_measurement_change_no_estimate_of_gpb_where_the_motion_holds():
+    z, dt = measured()
+    f = presets.gpb(ConstantVelocity(1.0, spectral=True), SENSOR, manoeuvres="none", durations=(50.0, 50.0), **WRONG)
+    prior = Gaussian(PRIOR.mean[:4], PRIOR.scale_tril[:4, :4])
+    one, four = (f(*x[:1], prior, dt=x[1]) for x in ((z, dt), in_parts(z, dt, 4)))
+    for a, b in ((four.mean, one.mean), (four.info.outlier, one.info.outlier)):
+        torch.testing.assert_close(a[..., 3::4, :], b, rtol=1e-10, atol=1e-10)
+    assert one.info.outlier[:, [5, 9]].min() > 0.5
+
+
+def test_regimes_over_a_gap_are_as_likely_whatever_the_steps():
+    f = presets.gpb(BANK, SENSOR, **LEVELS, **WRONG)
+    z, dt = measured()
+    gap = torch.full((2, 1, 2), torch.nan, dtype=torch.float64)
+    one, three = (
+        f(
+            torch.cat([z, gap.expand(2, parts, 2)], -2),
+            PRIOR,
+            dt=torch.cat([dt, tensor(6.0).expand(2, parts) / parts], -1),
+        )
+        for parts in (1, 3)
+    )
+    torch.testing.assert_close(three.info.regimes[:, -1], one.info.regimes[:, -1], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [
+    partial(presets.gpb, BANK[:2], SENSOR, manoeuvres="none", durations=(60.0, 9.0), **WRONG),
+    partial(presets.imm, BANK, SENSOR, durations=LAST),
+], ids=["gpb", "imm"])  # fmt: skip
+def test_durations_learn_and_compile(make):
+    (z, dt), f = measured(), make(learn=("durations",))
+    eager = f(z, PRIOR, dt=dt)
+    (slope,) = torch.autograd.grad(eager.log_likelihood.sum(), [p for p in f.parameters() if p.requires_grad])
+    assert (slope != 0).all()
+    assert slope.isfinite().all()
+    f.compile()
+    torch.testing.assert_close(f(z, PRIOR, dt=dt).mean, eager.mean, rtol=1e-9, atol=1e-9)
+
+
+# ---------------------------------------------------------------- what is refused
+
+
+@pytest.mark.parametrize(("make", "message"), [
+    (lambda: presets.imm(BANK, SENSOR, durations=0.0), "durations: expected"),
+    (lambda: presets.imm(BANK, SENSOR, durations=tensor(1.0, 2.0)), r"durations: expected a number or \(3,\)"),
+    (lambda: presets.imm(BANK[:1], SENSOR, durations=1.0), "durations: expected None for a single model"),
+    (lambda: presets.imm(BANK, SENSOR, durations=1.0, transition=torch.full((3, 3), 1 / 3)), "a diagonal of 0"),
+    (lambda: presets.gpb(BANK, SENSOR, durations=(1.0, 2.0)), r"durations: expected \(..., 6\)"),
+    (lambda: presets.gpb(BANK, SENSOR, self_transition=MANOEUVRES["some"]["self_transition"], **LEVELS),
+     "self_transition, durations: expected one of them"),
+    (lambda: presets.gpb(BANK, SENSOR, outlier_durations=(10.0, 0.0)), "outlier_durations: expected"),
+    (lambda: presets.gpb(BANK, SENSOR, outlier_durations=(1.0, 1.0), outlier_transition=((0.9, 0.1), (0.5, 0.5))),
+     "outlier_transition, outlier_durations: expected one of them"),
+])  # fmt: skip
+def test_what_is_no_chain_is_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
