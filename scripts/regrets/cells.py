@@ -71,8 +71,9 @@ def chosen_cells(cells: dict[str, Cell], patterns: Sequence[str]) -> dict[str, C
 def as_stated() -> dict[str, dict[str, Any]]:
     """Options of cells whose truth is drawn from models, by name: models, manoeuvring index, outliers, what is off.
 
-    First where the models hold; then with outliers; then where another ``q`` or ``std`` is stated.  Steps take
-    0.1, 1 and 10 s in turns, which changes nothing for filters whose chains count steps.
+    First where the models hold; then with outliers; then where another ``q`` or ``std`` is stated; then where seven of
+    ten steps have no measurement, so that those that come do so at irregular times.  Steps take 0.1, 1 and 10 s in
+    turns, which changes nothing for filters whose chains count steps.
     """
     motions, sensors = ("velocity", "acceleration", "turn", "bank"), ("bearings", "radar", "ranges")
     chosen: list[dict[str, Any]] = [{"motion": motion, "index": index} for motion in motions for index in INDICES]
@@ -86,13 +87,14 @@ def as_stated() -> dict[str, dict[str, Any]]:
     chosen += [
         {"index": 0.1, "q": q} | more for q in (0.1, 10.0) for more in ({"motion": "acceleration"}, {"outliers": "std"})
     ]
+    chosen += [{"index": index, "outliers": kind, "missing": 0.7} for index in (0.01, 1.0) for kind in ("none", "std")]
     return {_name(options): options | {"dt": (0.1, 1.0, 10.0)[i % 3]} for i, options in enumerate(chosen)}
 
 
 def _name(options: dict[str, Any]) -> str:
     """Such as ``stated-velocity-0.1-none`` and ``stated-velocity-0.1-none-q10``."""
     models = options["sensor"] if "sensor" in options else options.get("motion", "velocity")
-    off = [f"{key}{options[key]:g}" for key in ("q", "std") if key in options]
+    off = [f"{key}{options[key]:g}" for key in ("q", "std", "missing") if key in options]
     return "-".join(["stated", models, f"{options['index']:g}", options.get("outliers", "none"), *off])
 
 

@@ -41,6 +41,7 @@ def as_stated(
     outliers: str = "none",
     q: float = 1.0,
     std: float = 1.0,
+    missing: float = 0.0,
 ) -> Scenario:
     """Tracks drawn from a filter's own models: prior, process noise and measurement noise are as stated to filters.
 
@@ -61,6 +62,7 @@ def as_stated(
             ``"std"``; in ``"bursts"`` the standard deviation of whole measurements, four steps in a row; or ``"none"``.
         q: factor on the variance of the process noise that is stated.
         std: factor on the standard deviation of the measurement noise that is stated.
+        missing: share of the steps in which nothing is measured, so that measurements come at irregular times.
 
     Raises:
         ValueError: an argument out of its range.
@@ -73,6 +75,8 @@ def as_stated(
             raise ValueError(f"{name}: expected a finite value above 0, received {value}")
     if steps < 1:
         raise ValueError(f"steps: expected 1 or more, received {steps}")
+    if not 0 <= missing < 1:
+        raise ValueError(f"missing: expected a share from 0 to below 1, received {missing}")
     variance = index * STD**2 / dt**4
     truths, stated = _motions(motion, variance, dt), _motions(motion, q * variance, dt)
     real, sensed = _sensor(sensor, STD), _sensor(sensor, std * STD)
@@ -95,12 +99,15 @@ def as_stated(
         truth = torch.stack(path, 1)
         z = real(truth)
         colour = real.measurement_noise(z).colour((noise * _factors(rng, outliers, steps, real)).unsqueeze(-1))
-        return Tracks(truth, z + colour.squeeze(-1), None, Gaussian(mean.expand(BLOCK, -1), root))
+        z = z + colour.squeeze(-1)
+        if missing:
+            z[torch.from_numpy(rng.random((BLOCK, steps)) < missing)] = torch.nan
+        return Tracks(truth, z, None, Gaussian(mean.expand(BLOCK, -1), root))
 
     settings: dict[str, object] = {"motion": motion, "sensor": sensor, "index": index, "outliers": outliers, "q": q,
-                                   "std": std}  # fmt: skip
+                                   "std": std, "missing": missing}  # fmt: skip
     bank = Bank(stated) if len(stated) > 1 else None
-    law = _law(root, truths, real, seconds, outliers, steps)
+    law = None if missing else _law(root, truths, real, seconds, outliers, steps)
     prior = Gaussian(mean, root)
     return Scenario("as-stated", stated[0], sensed, prior, dt, steps, block, settings, bank, limit=LIMIT, law=law)
 
