@@ -166,14 +166,21 @@ def jumped(
     return after, np.array(rarer)
 
 
-def told(belief: Belief, z: Array, block: list[int], model: Model, k: int, size: float) -> tuple[float, Array, Array]:
-    """The belief after one block, whose noise covariance is `size` times the stated one, and its log density."""
+def told(
+    belief: Belief, z: Array, block: list[int], model: Model, k: int, size: float, first: bool
+) -> tuple[float, Array, Array]:
+    """The belief after one block, whose noise covariance is `size` times the stated one, and its log density.
+
+    What the points add to the noise counts for the first block alone.
+    """
     alone = np.full(len(z), np.nan)
     alone[block] = z[block]
     mean, P = belief
     m = read(belief, alone, model, k)
     seen = [i for i in block if not math.isnan(z[i])]
-    Pzz = m.Pzz + (size - 1) * measurement_noise(model, k, seen)
+    sloped = m.Pxz.T @ np.linalg.inv(P[:READS, :READS]) @ m.Pxz
+    R = measurement_noise(model, k, seen)
+    Pzz = (m.Pzz - R if first else sloped) + size * R
     Pxz = P[:, :READS] @ np.linalg.inv(P[:READS, :READS]) @ m.Pxz
     return fit(m.e, Pzz)[1], *update(mean, P, Pzz, Pxz, m.e)
 
@@ -212,7 +219,7 @@ def clean(belief: Belief, z: Array, q: Qualities, model: Model, k: int) -> tuple
     """The measurement taken as stated: its log density, and the belief after it."""
     total = 0.0
     for block in q.blocks:
-        score, *after = told(belief, z, block, model, k, 1.0)
+        score, *after = told(belief, z, block, model, k, 1.0, block is q.blocks[0])
         belief, total = (after[0], after[1]), total + score
     return total, belief
 
@@ -225,7 +232,9 @@ def dirty(
     for block, share in zip(q.blocks, prior, strict=True):
         furthest = max(q.sizes[-1], asked_for(belief, z, block, model, k))
         chances = [1 - share] + [share * s for s in q.shares]
-        parts = [told(belief, z, block, model, k, size) for size in [1.0, *q.sizes[:-1], furthest]]
+        parts = [
+            told(belief, z, block, model, k, size, block is q.blocks[0]) for size in [1.0, *q.sizes[:-1], furthest]
+        ]
         scores = [log(c) + part[0] for c, part in zip(chances, parts, strict=True)]
         score = log_sum(scores)
         weights = [math.exp(s - score) for s in scores]

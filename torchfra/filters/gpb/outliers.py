@@ -139,7 +139,9 @@ class Outliers(nn.Module):
 
         Blocks are independent, so they are taken one after the other: what they cost adds up.  Each is taken with its
         noise as stated and with that of outliers of all sizes, and these are merged at once, in the space of what is
-        measured: beliefs are kept in units of the root of the prediction, ``N(0, I)`` at first.
+        measured: beliefs are kept in units of the root of the prediction, ``N(0, I)`` at first.  What the points of a
+        sensor that bends add to its noise is much the same for all blocks, so the first one alone has it: counted for
+        each, as if it were independent, it makes a belief along an arc too sure.
 
         Args:
             predicted: ``(1, R, 2, ...)``.
@@ -166,7 +168,9 @@ class Outliers(nn.Module):
         for b, block in enumerate(self.blocks):
             share, gone = prior[..., b], missing[..., list(block)]
             so_far = Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril) if b else Gaussian(mean, root)
-            rows, cross, left, residual = _in_space_of(_of_block(compare(so_far), block), belief)
+            whitened = _of_block(compare(so_far), block)
+            whitened = whitened._replace(spread=whitened.slope) if b else whitened
+            rows, cross, left, residual = _in_space_of(whitened, belief)
             updated, log_updated = sequential(rows[-1:], residual[-1:], self.adapted(sizes, residual[-1:], gone), gone)
             none, log_none = _entry(updated, 0), log_updated[0]
             if b:  # with and without outliers have the first block's prediction in common alone
