@@ -8,19 +8,21 @@ Source: the recordings of cucudasluv, "UWB dataset" (Apache-2.0).
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from recorded_bench.tracks import Figures, Track
 from torchfra.catalogue import make_filter
 from torchfra.filters import Filter
-from torchfra.motion import ConstantAcceleration
+from torchfra.motion import Bank, Singer
 from torchfra.readers import read_ranges
 from torchfra.readers.tables import naming
 from torchfra.scenarios import recorded_ranges
-from torchfra.scenarios.ranges import STD, Q, walker
+from torchfra.scenarios.ranges import DT
 from torchfra.sensors import Ranges
 from torchfra.types import Gaussian
 
@@ -65,11 +67,21 @@ def published(text: str) -> Figures:
     return {method: float(error) for method, error in _ERROR.findall(text)}
 
 
+ACCELERATION, SECONDS = 1.0, 1.0
+"""Of who walks: its variance, m^2/s^4, and how long it lasts, s."""
+ERROR, LASTS = 0.1, 1.0
+"""Of ranges, m, and for how long one is much like the one before, s.  As many in a row tell what one tells: they are
+taken for white errors whose variance is so many times as large."""
+OPTIONS: dict[str, dict[str, Any]] = {"gpb": {"manoeuvres": "none"}}
+"""Arguments of presets, others than their defaults: who walks does nothing that the motion does not know."""
 OWN_PRESETS = ()
 """Presets that this kind has besides those that commands list."""
 
 
 def make(name: str, track: Track) -> tuple[Filter, Gaussian]:
-    """A preset with the one setting of all runs, that of ``scenarios.recorded_ranges``, and its belief at the start."""
-    count = track.z.shape[-1]
-    return make_filter(name, ConstantAcceleration(Q), Ranges(count=count, std=STD, height=0.0), walker(Q)), track.prior
+    """A preset with the one setting of all runs, and its belief at the start."""
+    std = ERROR * math.sqrt(LASTS / DT)
+    sensor = Ranges(count=track.z.shape[-1], std=std, height=0.0)
+    calm, usual, hasty = (Singer(share * ACCELERATION, 1 / SECONDS) for share in (0.1, 1.0, 10.0))
+    bank = None if name in OPTIONS else Bank([calm, usual, hasty])
+    return make_filter(name, usual, sensor, bank, **OPTIONS.get(name, {})), track.prior
