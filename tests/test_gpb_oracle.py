@@ -106,9 +106,9 @@ def carried(motion, dt, u=None):
     return carry
 
 
-def expected(case, motions, regimes, prior=PRIOR):
+def expected(case, motions, regimes, prior=PRIOR, **more):
     qualities = oracle.Qualities(
-        case.blocks, np.array(VALUES["outlier_transition"]), VALUES["outlier_sizes"], VALUES["outlier_shares"]
+        case.blocks, np.array(VALUES["outlier_transition"]), VALUES["outlier_sizes"], VALUES["outlier_shares"], **more
     )
     call = (VALUES["prior_outlier"], VALUES["prior_inflation"])
     return oracle.gpb(
@@ -180,6 +180,13 @@ def test_time_steps_of_their_own():
     dt = np.linspace(0.4, 1.7, STEPS)
     f = presets.gpb(motion, case.sensor, **options)
     same(f(tensor(case.z), PRIOR, dt=tensor(dt)), expected(case, [carried(motion, dt)], r))
+
+
+@pytest.mark.parametrize("sensor", [position, pytest.param(ranges, marks=pytest.mark.slow)])
+def test_outliers_that_are_too_large_in_the_mean(sensor):
+    case, motion, (options, r) = sensor(), ConstantAcceleration(0.05), regimes(*TWO)
+    f = presets.gpb(motion, case.sensor, outlier_offsets=(2.0, 15.0, 400.0), **options)
+    same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0)], r, offsets=[2.0, 15.0, 400.0]))
 
 
 def test_stations_that_move_and_a_known_push():

@@ -55,6 +55,7 @@ class Qualities(NamedTuple):
     shares: list[float]
     durations: tuple[float, float] | None = None  # instead of the chain: s without outliers, s that one lasts
     dt: Array | None = None  # (T,) s, beside durations
+    offsets: list[float] | None = None  # mean of the errors of outliers of each size, in units of their noise
 
     def over(self, seconds: float) -> Array:
         """The chain (2,2) between two measurements."""
@@ -167,7 +168,7 @@ def jumped(
 
 
 def told(
-    belief: Belief, z: Array, block: list[int], model: Model, k: int, size: float, first: bool
+    belief: Belief, z: Array, block: list[int], model: Model, k: int, size: float, first: bool, off: float = 0.0
 ) -> tuple[float, Array, Array]:
     """The belief after one block, whose noise covariance is `size` times the stated one, and its log density.
 
@@ -182,7 +183,8 @@ def told(
     R = measurement_noise(model, k, seen)
     Pzz = (m.Pzz - R if first else sloped) + size * R
     Pxz = P[:, :READS] @ np.linalg.inv(P[:READS, :READS]) @ m.Pxz
-    return fit(m.e, Pzz)[1], *update(mean, P, Pzz, Pxz, m.e)
+    e = m.e - off * np.linalg.cholesky(R).sum(1)
+    return fit(e, Pzz)[1], *update(mean, P, Pzz, Pxz, e)
 
 
 def read(belief: Belief, z: Array, model: Model, k: int) -> Measured:
@@ -230,10 +232,12 @@ def dirty(
     """Each block clean or an outlier, of which it is one with probability `prior` (B,); also what it is then."""
     total, outlier = 0.0, []
     for block, share in zip(q.blocks, prior, strict=True):
-        furthest = max(q.sizes[-1], asked_for(belief, z, block, model, k))
+        offsets = [0.0] * len(q.sizes) if q.offsets is None else q.offsets
+        furthest = max(q.sizes[-1], asked_for(belief, z, block, model, k, offsets[-1]))
         chances = [1 - share] + [share * s for s in q.shares]
+        first, sizes = block is q.blocks[0], [1.0, *q.sizes[:-1], furthest]
         parts = [
-            told(belief, z, block, model, k, size, block is q.blocks[0]) for size in [1.0, *q.sizes[:-1], furthest]
+            told(belief, z, block, model, k, size, first, off) for size, off in zip(sizes, [0.0, *offsets], strict=True)
         ]
         scores = [log(c) + part[0] for c, part in zip(chances, parts, strict=True)]
         score = log_sum(scores)
@@ -244,12 +248,14 @@ def dirty(
     return total, belief, outlier
 
 
-def asked_for(belief: Belief, z: Array, block: list[int], model: Model, k: int) -> float:
+def asked_for(belief: Belief, z: Array, block: list[int], model: Model, k: int, off: float) -> float:
     """The square of a block's error per element, in units of its noise."""
     alone = np.full(len(z), np.nan)
     alone[block] = z[block]
     seen = [i for i in block if not math.isnan(z[i])]
-    return fit(read(belief, alone, model, k).e, measurement_noise(model, k, seen))[0] / max(len(seen), 1)
+    R = measurement_noise(model, k, seen)
+    e = read(belief, alone, model, k).e - off * np.linalg.cholesky(R).sum(1)
+    return fit(e, R)[0] / max(len(seen), 1)
 
 
 def log_sum(logs: Any) -> float:

@@ -56,6 +56,7 @@ def gpb(
     outlier_durations: Values | None = None,
     outlier_sizes: Values = (7.71, 51.0, 1690.0, 19100.0),
     outlier_shares: Values = (0.651019, 0.348, 0.000454, 0.000527),
+    outlier_offsets: Values | None = None,
     prior_outlier: Value = 0.0106,
     prior_inflation: Value = 95.9,
     adaptive_largest_size: bool = True,
@@ -89,6 +90,8 @@ def gpb(
         outlier_durations: instead of it, mean seconds without outliers, and that a device is wrong then.
         outlier_sizes: factors on the covariance of the measurement noise of outliers.
         outlier_shares: of the outliers that have each size.
+        outlier_offsets: by which outliers of each size are too large in the mean, in units of their noise, as ranges
+            without a line of sight are; None for 0.
         prior_outlier: probability that the prior is far off.
         prior_inflation: factor on the prior's covariance then, but for parameters (``kinds`` of the motion).
         adaptive_largest_size: whether the last of the sizes grows to what a measurement asks for.
@@ -133,6 +136,7 @@ def gpb(
         outlier_durations=outlier_durations,
         outlier_sizes=outlier_sizes,
         outlier_shares=outlier_shares,
+        outlier_offsets=outlier_offsets,
         adaptive_largest_size=adaptive_largest_size,
     )
     f = GPB(

@@ -31,6 +31,8 @@ class Outliers(nn.Module):
         outlier_durations: ``(..., 2)`` instead of it: mean seconds without outliers, and that a device is wrong then.
         outlier_sizes: ``(..., C)`` by which an outlier's measurement noise is multiplied, as a covariance.
         outlier_shares: ``(..., C)`` of the outliers that have each size, which sum to one.
+        outlier_offsets: ``(..., C)`` by which the elements of outliers of each size are too large in the mean, in units
+            of their noise, as ranges without a line of sight are; None for 0.
         adaptive_largest_size: whether the last size grows to the mean square error of a block, in units of its noise,
             where that is larger: outliers of any size are then as likely as others of that kind.
 
@@ -43,6 +45,8 @@ class Outliers(nn.Module):
     """None if it was made with ``outlier_durations``."""
     outlier_durations: Hyper | None
     """None if it was made with ``outlier_transition``."""
+    outlier_offsets: Hyper | None
+    """None if it was made without."""
 
     def __init__(
         self,
@@ -52,6 +56,7 @@ class Outliers(nn.Module):
         outlier_shares: Values,
         outlier_transition: Values | None = None,
         outlier_durations: Values | None = None,
+        outlier_offsets: Values | None = None,
         adaptive_largest_size: bool = True,
     ) -> None:
         super().__init__()
@@ -64,6 +69,11 @@ class Outliers(nn.Module):
             raise ValueError(f"{name}: expected {event}, received {tuple(chain.shape)}")
         if sizes.shape[-1:] != shares.shape[-1:]:
             raise ValueError(f"outlier_shares: expected one for each of outlier_sizes, received {tuple(shares.shape)}")
+        offsets = None if outlier_offsets is None else torch.as_tensor(outlier_offsets, dtype=torch.float64)
+        if offsets is not None and offsets.shape[-1:] != sizes.shape[-1:]:
+            raise ValueError(
+                f"outlier_offsets: expected one for each of outlier_sizes, received {tuple(offsets.shape)}"
+            )
         self.blocks = tuple(tuple(block) for block in blocks)
         self.outlier_transition = self.outlier_durations = None
         if name == "outlier_transition":
@@ -72,6 +82,9 @@ class Outliers(nn.Module):
             self.outlier_durations = Hyper(chain, event_dim=1, name=name)
         self.outlier_sizes = Hyper(sizes, constraints.greater_than(1.0), event_dim=1, name="outlier_sizes")
         self.outlier_shares = Hyper(shares, constraints.simplex, event_dim=1, name="outlier_shares")
+        self.outlier_offsets = None
+        if offsets is not None:
+            self.outlier_offsets = Hyper(offsets, constraints.real, event_dim=1, name="outlier_offsets")
 
     def check(self, sensor: Sensor) -> None:
         """Checks that the blocks are those of a sensor.
@@ -159,6 +172,10 @@ class Outliers(nn.Module):
         rank, eye = mean.dim() - 1, torch.eye(reads, dtype=root.dtype, device=root.device)
         sizes, log_shares = in_front(self.outlier_sizes(mean), rank), in_front(self.outlier_shares(mean).log(), rank)
         sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])  # of no outlier, and of outliers
+        offsets = None
+        if self.outlier_offsets is not None:
+            offsets = in_front(self.outlier_offsets(mean), rank)
+            offsets = torch.cat([torch.zeros_like(offsets[:1]), offsets])
         belief, log_density, outliers = (
             Gaussian(torch.zeros_like(mean), eye.expand_as(root)),
             torch.zeros_like(mean[..., 0]),
@@ -171,7 +188,8 @@ class Outliers(nn.Module):
             whitened = _of_block(compare(so_far), block)
             whitened = whitened._replace(spread=whitened.slope) if b else whitened
             rows, cross, left, residual = _in_space_of(whitened, belief)
-            updated, log_updated = sequential(rows[-1:], residual[-1:], self.adapted(sizes, residual[-1:], gone), gone)
+            adapted = self.adapted(sizes, residual[-1:], gone, offsets)
+            updated, log_updated = sequential(rows[-1:], residual[-1:], adapted, gone, offsets)
             none, log_none = _entry(updated, 0), log_updated[0]
             if b:  # with and without outliers have the first block's prediction in common alone
                 first, log_first = sequential(rows[:1], residual[:1], sizes[:1], gone)
@@ -191,16 +209,20 @@ class Outliers(nn.Module):
         log_weight = without_failed(log_mode + predicted.log_weight + log_density)
         return Hypotheses(_lifted(predicted.belief, belief), log_weight), torch.stack(outliers, -1)
 
-    def adapted(self, sizes: Tensor, residual: Tensor, missing: Tensor) -> Tensor:
+    def adapted(self, sizes: Tensor, residual: Tensor, missing: Tensor, offsets: Tensor | None) -> Tensor:
         """Sizes ``(C, ...)`` of the noise, the last one as large as a residual ``(..., m)`` asks for, if it grows."""
         if not self.adaptive_largest_size:
             return sizes
+        if offsets is not None:
+            residual = residual - offsets[-1:].unsqueeze(-1) * (1 - missing)
         asked = residual.square().sum(-1) / (1 - missing).sum(-1).clamp_min(1.0)
         last = torch.maximum(sizes[-1:], asked)
         return torch.cat([sizes[:-1].expand(-1, *last.shape[1:]), last])
 
 
-def sequential(rows: Tensor, residual: Tensor, sizes: Tensor, missing: Tensor) -> tuple[Gaussian, Tensor]:
+def sequential(
+    rows: Tensor, residual: Tensor, sizes: Tensor, missing: Tensor, offsets: Tensor | None = None
+) -> tuple[Gaussian, Tensor]:
     """A measurement's unknowns ``(C, ..., k)`` after it, any root, and its log density, for ``C`` sizes of its noise.
 
     Elements are taken one after the other, as their noise is independent.
@@ -210,6 +232,7 @@ def sequential(rows: Tensor, residual: Tensor, sizes: Tensor, missing: Tensor) -
         residual: ``(..., m)``.
         sizes: ``(C, ...)`` of the noise's covariance, in units of what the sensor states.
         missing: ``(..., m)`` 1 where missing, 0 where measured.
+        offsets: ``(C, ...)`` mean of the noise, in the same units; None for 0.
 
     Source: Potter's square-root update, in Bierman (1977), chapter II.
     """
@@ -222,7 +245,8 @@ def sequential(rows: Tensor, residual: Tensor, sizes: Tensor, missing: Tensor) -
         std = (follows.square().sum(0) + sizes).sqrt()
         once = 1 / (std * (std + noise))
         inverse = (std + noise) * once  # of std, by the same division
-        normalised = (residual[..., i] - (mean * rows[i]).sum(0)) * inverse
+        off = residual[..., i] if offsets is None else residual[..., i] - offsets * (1 - missing[..., i])
+        normalised = (off - (mean * rows[i]).sum(0)) * inverse
         covariance = (root * follows).sum(1)
         mean = mean + covariance * (normalised * inverse)
         root = root - covariance.unsqueeze(1) * (follows * once)
