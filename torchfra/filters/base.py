@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from typing_extensions import Self, TypeVar
 
 from torchfra.adaptive.fading import NoFading
-from torchfra.filters.checks import check_lengths, check_models, check_state, check_step
+from torchfra.filters.checks import check_lengths, check_models, check_state, check_step, needed_inputs
 from torchfra.filters.engine import INTERPRETED, Engine
 from torchfra.filters.failures import diagnose
 from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
@@ -286,7 +286,9 @@ class Filter(nn.Module, Generic[S]):
         """
         if sensor is not None and sensor is not self.sensor:
             return self.with_sensor(sensor).step(state, z, dt=dt, u=u, std=std, noise=noise)
-        return self.engine.step(self, state, Measurements(z, dt, u, std, noise))
+        measurements = Measurements(z, dt, u, std, noise)
+        measurements = needed_inputs(self, measurements, lambda: check_step(self, state, measurements))
+        return self.engine.step(self, state, measurements)
 
     @in_full_precision
     def forward(
@@ -333,7 +335,10 @@ class Filter(nn.Module, Generic[S]):
         """
         check_lengths(truncate=truncate, checkpoint=checkpoint)
         f = self if sensors is None and which is None else fused(self, sensors, which)
-        arguments = Measurements(z, dt, u, std, noise), prior, checkpoint, truncate
+        measurements = Measurements(z, dt, u, std, noise)
+        if f is self:
+            measurements = needed_inputs(f, measurements, lambda: f._batch(measurements, prior))
+        arguments = measurements, prior, checkpoint, truncate
         return f._remembered(*arguments) if past else f._forth(*arguments)[0]
 
     if TYPE_CHECKING:  # what torch types as a call that may return anything
@@ -391,6 +396,8 @@ class Filter(nn.Module, Generic[S]):
         f.check_smooths()
         check_lengths(lag=lag, truncate=truncate, checkpoint=checkpoint)
         measurements = Measurements(z, dt, u, std, noise)
+        if f is self:
+            measurements = needed_inputs(f, measurements, lambda: f._batch(measurements, prior))
         filtered, past = f._filtered(measurements, prior, checkpoint, truncate, estimate)
         rank = filtered.mean.dim() - 2
         every = self.engine.backward(

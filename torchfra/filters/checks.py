@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from torchfra.gaussian.arguments import check_belief, check_kinds
 from torchfra.gaussian.inputs import Measurements
+from torchfra.linalg.tracing import is_traced
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
@@ -85,6 +88,31 @@ def check_step(f: Any, state: Any, measurements: Measurements) -> Measurements:
     if batch != expected:
         raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, this is of {tuple(expected)}")
     return track._replace(z=track.z.to(mean))
+
+
+def needed_inputs(f: Any, measurements: Measurements, check: Callable[[], Any]) -> Measurements:
+    """The measurements, with numbers for NaN in ``u`` that missing elements alone need, as of satellites that are gone.
+
+    A NaN that the motion needs, or an element that is measured, stays: such a track fails.
+
+    Args:
+        f: the filter.
+        measurements: of whole tracks, or of a step.
+        check: checks them, which is only done here if there is a NaN.
+    """
+    z, u = measurements.z, measurements.u
+    if not isinstance(u, Tensor) or f.scans or is_traced(u) or not bool(u.isnan().any()):
+        return measurements
+    check()
+    with torch.no_grad():
+        filled, x = torch.where(u.isnan(), 1.0, u), u.new_zeros(*u.shape[:-1], f.motion.size)
+        needed = (f.sensor(x, u).isnan() & ~f.sensor(x, filled).isnan() & ~z.isnan()).any(-1, keepdim=True)
+        dt = torch.ones_like(u[..., 0])
+        for motion in getattr(f.motion, "models", [f.motion]):
+            moved = motion.shift(dt, u) if motion.linear else motion(x, dt, u)
+            if moved is not None:
+                needed = needed | moved.isnan().any(-1, keepdim=True)
+    return measurements._replace(u=torch.where(u.isnan() & ~needed, 1.0, u))
 
 
 def check_lengths(**lengths: int | None) -> None:

@@ -6,6 +6,7 @@ from torchfra.motion.base import Adaptation, Motion
 from torchfra.motion.bicycle import Bicycle
 from torchfra.motion.components import KINDS
 from torchfra.motion.correlated import CurrentStatistical, GaussMarkov, IntegratedOrnsteinUhlenbeck, Singer, WhiteJerk
+from torchfra.motion.level import Level
 from torchfra.motion.odometry import Odometry
 from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.motion.speed import ConstantSpeed
@@ -28,6 +29,7 @@ __all__ = [
     "Embedded",
     "GaussMarkov",
     "IntegratedOrnsteinUhlenbeck",
+    "Level",
     "Motion",
     "Odometry",
     "RandomWalk",
