@@ -7,7 +7,9 @@ Kinds, each with one setting of motion, sensor and filters for all of its record
 
 - nclt: a robot on a campus, a CSV file for each day: wheels, a measured heading and satellite positions; it has ``imm``
   too, with the errors of positions as interacting models;
-- uwb: ranges from anchors to a tag on a cart, a folder for each run, with the path that was driven.
+- uwb: ranges from anchors to a tag on a cart, a folder for each run, with the path that was driven;
+- smartloc: pseudoranges of satellites to a car among high buildings, NAME_Input.txt with NAME_GT.txt beside it; it has
+  ``gpb_odometry`` too, with the car's speed and turn rate.
 
 A table has for each recording what presets reach beside what others have published: the root mean square error, on line
 and smoothed, per axis or of the distance as the published figures are, and the normalised estimation error squared of
@@ -22,7 +24,7 @@ import sys
 from pathlib import Path
 from statistics import fmean
 
-from recorded_bench import nclt, uwb
+from recorded_bench import nclt, smartloc, uwb
 from recorded_bench.picture import picture
 from recorded_bench.tracks import Figures, Found, Track, measured
 
@@ -45,7 +47,7 @@ from torchfra.running.versions import versions
 from torchfra.tables import significant, text_table
 from torchfra.types import CompileError
 
-KINDS = {"nclt": nclt, "uwb": uwb}
+KINDS = {"nclt": nclt, "uwb": uwb, "smartloc": smartloc}
 DEFAULT = "gpb,rsrckf,srckf"
 WORTHWHILE = 3000
 """Steps of all tracks from which on compiling saves time."""
@@ -56,7 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
     p = make_parser(__doc__)
     p.add_argument("kind", choices=KINDS, help="what the recordings are")
     p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a recording each: a file, of uwb a folder")
-    p.add_argument("--filters", metavar="A,B", help=f"presets (default: {DEFAULT}, and imm of nclt)")
+    p.add_argument("--filters", metavar="A,B", help=f"presets (default: {DEFAULT}, and what a kind has besides)")
     add_compile_option(p, f"for {WORTHWHILE:,} steps or more")
     p.add_argument("--figure", type=Path, metavar="FILE", help="PNG: path and error over time of each recording")
     add_json_option(p)

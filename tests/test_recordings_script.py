@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import recordings
 import torch
-from recorded_bench import nclt, uwb
+from recorded_bench import nclt, smartloc, uwb
 from recorded_bench.tracks import measured
 
 HEADER = "time,gps_x,gps_y,wheel_left,wheel_right,yaw,yaw_rate,truth_x,truth_y,truth_yaw"
@@ -96,6 +96,71 @@ def test_a_file_without_a_column_is_refused_by_its_name(tmp_path):
     path.write_text("time,gps_x\n0,1\n1,2\n")
     with pytest.raises(ValueError, match=r"a.csv: expected the columns time, .*received none called gps_y, wheel_left"):
         nclt.read(path)
+
+
+# ---------------------------------------------------------------- pseudoranges to a car
+
+PLACE = np.array([3785108.0, 899901.0, 5037234.0])
+SEEN = ((80, 10), (62, 200), (45, 120), (40, 300), (35, 30), (30, 250), (25, 170))
+"""Elevation and azimuth of satellites, degrees; the last three are of another system."""
+
+
+def drive(folder, steps=30, late=0.0, name="a_drive"):
+    """A car that drives north at 5 m/s; the last satellite's signals come so many metres late."""
+    axes, input_lines, truth_lines = smartloc._axes(PLACE), [], []
+    for k in range(steps):
+        time, place = 0.2 * k, PLACE + axes.T @ [0.0, k, 0.0]
+        truth_lines.append(f"point3 {time} {' '.join(map(repr, place.tolist()))}" + " 0" * 9)
+        input_lines.append(f"odom3 {time} 5.0 0 0 0 0 0.0" + " 1e-3" * 6)
+        for i, (elevation, azimuth) in enumerate(SEEN):
+            up, round_ = math.radians(elevation), math.radians(azimuth)
+            way = [math.cos(up) * math.sin(round_), math.cos(up) * math.cos(round_), math.sin(up)]
+            satellite = PLACE + 2.2e7 * axes.T @ np.array(way)
+            away = np.linalg.norm(satellite - place)
+            measured = away + 1000.0 - 10.0 * k + 4.0 * (i > 3) + late * (i == len(SEEN) - 1)
+            turn = -smartloc.TURN * measured / smartloc.LIGHT  # back to where it was when it sent
+            x, y, z = satellite
+            sent = math.cos(turn) * x + math.sin(turn) * y, math.cos(turn) * y - math.sin(turn) * x, z
+            numbers = [time, measured, 25.0, *sent, i, 1 if i <= 3 else 4, elevation, 45]
+            input_lines.append("pseudorange3 " + " ".join(map(repr, map(float, numbers))))
+    (folder / f"{name}_GT.txt").write_text("\n".join(truth_lines))
+    path = folder / f"{name}_Input.txt"
+    path.write_text("\n".join(input_lines))
+    return path
+
+
+def worst(track, name):
+    f, prior = smartloc.make(name, track)
+    return (f(track.z, prior, dt=track.dt, u=track.u).mean[10:, :3] - track.truth[10:]).norm(dim=-1).max().item()
+
+
+def test_a_drive_has_satellites_by_their_elevation_and_odometry_in_front(tmp_path):
+    track = smartloc.read(drive(tmp_path))
+    assert track.z.shape == (30, len(SEEN))
+    assert track.groups == (0, 0, 0, 0, 1, 1, 1)
+    assert track.u[0, :2].tolist() == [5.0, 0.0]
+    torch.testing.assert_close(track.truth[-1], torch.tensor([0.0, 29, 0]).double(), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["srckf", "gpb_odometry"])
+def test_without_noise_a_car_is_where_it_was(tmp_path, name):
+    assert worst(smartloc.read(drive(tmp_path)), name) < 1.0
+
+
+def test_a_signal_that_comes_late_is_believed_by_filters_that_do_not_expect_it_alone(tmp_path):
+    track = smartloc.read(drive(tmp_path, late=60.0))
+    assert worst(track, "srckf") > 10.0
+    assert worst(track, "gpb") < 5.0
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    (lambda path: path.rename(path.with_name("drive.txt")), r"drive.txt: expected the file of a drive, NAME_Input.txt"),
+    (lambda path: path.write_text("odom3 0 1") and path, r"_Input.txt: expected lines of pseudorange3 .* received 0"),
+    (lambda path: path.write_text("pseudorange3 0 1") and path, r"expected lines of pseudorange3 and 10 numbers"),
+])  # fmt: skip
+def test_a_drive_that_cannot_be_right_is_refused_by_its_name(tmp_path, change, said):
+    with pytest.raises(ValueError, match=said):
+        smartloc.read(change(drive(tmp_path)))
 
 
 # ---------------------------------------------------------------- ranges to a tag

@@ -35,6 +35,8 @@ class Track(NamedTuple):
     """Errors of others on this track, m, by the method's name."""
     per_axis: bool
     """Whether errors are per axis, as the published ones are: those of the distance by the root of the dimensions."""
+    groups: tuple[int, ...] = ()
+    """Of each element of a measurement the number of what it has in common with others, such as a clock."""
 
 
 class Found(NamedTuple):
