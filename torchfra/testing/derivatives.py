@@ -91,7 +91,10 @@ def compiled_gradients_are_those_of_eager(case: Case) -> None:
     """With respect to data, prior and every value."""
     assert case.eager is not None
     slow, fast = gradients(case.eager), gradients(case)
+    nothing = 1e-14 * max(float(x.abs().nan_to_num().max()) for x in slow.values() if x.numel())
     for name, gradient in slow.items():
-        expect_same(fast[name], gradient, f"compiled gradient of {name}", 1e-7)
+        # What a value that does not matter has is rounding of the others.
+        found, expected = (torch.where(x.abs() < nothing, 0.0, x) for x in (fast[name], gradient))
+        expect_same(found, expected, f"compiled gradient of {name}", 1e-7)
     if case.thorough:
         expect_finite(gradients(case, torch.float32), "compiled gradient in float32")
