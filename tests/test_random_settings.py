@@ -108,7 +108,10 @@ PAIRS = {
         Biased(Position(2.0), [5, 6]), with_more(PLACE, [0.1, 0.0, 0.0, 0.0, 0.0], [0.2, 0.1, 0.01, 1.0, 1.0]),
         u=(3.0, 0.1),
     ),
-    "rmckf": Pair(presets.rmckf, motion.IntegratedOrnsteinUhlenbeck(1.0, 0.2), Position(2.0), PLANE),
+    "rmckf": Pair(
+        presets.rmckf, motion.Level(motion.IntegratedOrnsteinUhlenbeck(1.0, 0.2), 0.1), Position(2.0, dims=3),
+        Gaussian(*(torch.cat([x[:2], x.new_ones(1), x[2:]]) for x in PLANE)),
+    ),
     "ghckf": Pair(presets.ghckf, VELOCITY, RangeBearing((2.0, 0.02)), PLANE),  # of few states, for the compiler
     "hghckf1": Pair(presets.hghckf1, VELOCITY, Position(2.0), PLANE),
     "srckf of a constant speed": Pair(

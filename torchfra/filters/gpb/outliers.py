@@ -209,7 +209,7 @@ class Outliers(nn.Module):
         log_weight = without_failed(log_mode + predicted.log_weight + log_density)
         return Hypotheses(_lifted(predicted.belief, belief), log_weight), torch.stack(outliers, -1)
 
-    def adapted(self, sizes: Tensor, residual: Tensor, missing: Tensor, offsets: Tensor | None) -> Tensor:
+    def adapted(self, sizes: Tensor, residual: Tensor, missing: Tensor, offsets: Tensor | None = None) -> Tensor:
         """Sizes ``(C, ...)`` of the noise, the last one as large as a residual ``(..., m)`` asks for, if it grows."""
         if not self.adaptive_largest_size:
             return sizes
