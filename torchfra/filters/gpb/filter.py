@@ -24,7 +24,7 @@ from torchfra.filters.gpb.hypotheses import (
     merge,
     to_state,
 )
-from torchfra.filters.gpb.outliers import Outliers
+from torchfra.filters.gpb.outliers import Outliers, since
 from torchfra.filters.gpb.regimes import Moves, Regimes, in_front
 from torchfra.filters.gpb.slopes import by_points_or_slope, exactly
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, Step
@@ -178,7 +178,7 @@ class GPB(Filter[GPBState]):
         info = Step(tree.Late(lagged), of_regimes, any_outlier * if_any)
         unmeasured = None
         if state.unmeasured is not None:
-            unmeasured = torch.where(measured, 0.0, state.unmeasured + frame.dt)
+            unmeasured = torch.where(measured, 0.0, since(state.unmeasured, frame.dt))
         past = GPBPast(*carried, batch_first(nis, BEFORE), measured.to(nis).expand(nis.shape[3:]), unmeasured)
         record = Record(belief, expected.residual, *innovation(expected), info, found.log_likelihood, past=past)
         return GPBState(belief, lagged, *carried, unmeasured), record
@@ -318,8 +318,3 @@ class GPB(Filter[GPBState]):
             return several
         before = smoothing.retreat(self, step, after)
         return before, smoothing.smoothed(self, before)
-
-
-def since(unmeasured: Tensor | None, dt: Tensor) -> Tensor:
-    """Seconds from the last measurement to a step, for outliers that have durations."""
-    return dt if unmeasured is None else unmeasured + dt

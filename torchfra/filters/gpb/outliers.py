@@ -220,6 +220,11 @@ class Outliers(nn.Module):
         return torch.cat([sizes[:-1].expand(-1, *last.shape[1:]), last])
 
 
+def since(unmeasured: Tensor | None, dt: Tensor) -> Tensor:
+    """Seconds from the last measurement to the end of a step of ``dt``, which alone count if nothing says how many."""
+    return dt if unmeasured is None else unmeasured + dt
+
+
 def sequential(
     rows: Tensor, residual: Tensor, sizes: Tensor, missing: Tensor, offsets: Tensor | None = None
 ) -> tuple[Gaussian, Tensor]:
