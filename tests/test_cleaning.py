@@ -223,16 +223,33 @@ def test_heights_in_steps_are_as_uncertain_as_their_rounding_and_make_no_outlier
     assert cleaned.std[:, 2].mean() > 0.5
 
 
-@pytest.mark.slow
-def test_steps_between_fixes_change_neither_what_is_found_nor_the_estimates_at_the_fixes():
-    rng, time = np.random.default_rng(4), np.arange(0.0, 900.0, 3.0)
-    position = np.stack([1.5 * time, 40 * np.sin(time / 60)], 1) + 4.0 * rng.standard_normal((300, 2))
-    walk = Recording("walk", time, position, None, {})
-    (plain,), (dense,) = clean_tracks([walk]), clean_tracks([walk], dt=1.0)
-    fix = dense.row >= 0
-    assert len(dense.time) == 898
-    assert (dense.found.sigma, dense.found.q) == (plain.found.sigma, plain.found.q)
-    assert np.abs(dense.position[fix] - plain.position).mean() < 0.05 * plain.std.mean()
+@pytest.mark.parametrize("smooth", [True, False])
+def test_steps_without_a_fix_change_neither_what_is_found_nor_the_estimates_at_the_fixes(smooth):
+    recording, _, _ = recorded(4, steps=30, period=60.0, irregular=True)
+    times = np.concatenate([recording.time, recording.time[3:25] + 7.0])
+    order = np.argsort(times)
+    position = np.concatenate([recording.position, np.full((22, 2), np.nan)])[order]
+    gaps = Recording("gaps", times[order], position, None, {})
+    (plain,), (dense,), (missing,) = (
+        clean_tracks([recording], smooth=smooth),
+        clean_tracks([recording], smooth=smooth, dt=0.5),  # so many that no row has two fixes of its own
+        clean_tracks([gaps], smooth=smooth),
+    )
+    for one, fix in ((dense, dense.row >= 0), (missing, ~np.isnan(position).any(1))):
+        assert (one.found.sigma, one.found.q) == (plain.found.sigma, plain.found.q)
+        np.testing.assert_allclose(one.position[fix], plain.position, atol=1e-6)
+        np.testing.assert_allclose(one.covariance[fix], plain.covariance, rtol=1e-6)
+        np.testing.assert_allclose(one.outlier[fix], plain.outlier, atol=1e-9)
+
+
+def test_a_few_fixes_on_either_side_of_a_long_gap_are_near_where_they_were_measured():
+    time = np.array([0.0, 0.1, 0.2, 18000.3, 18000.4, 18000.5])
+    position = 10.0 * time[:, None] * [0.8, -0.6] + 0.5 * np.random.default_rng(0).standard_normal((6, 2))
+    (one,), (mirrored,) = (
+        clean_tracks([Recording("gap", time, position * side, None, {})]) for side in ([1, 1], [1, -1])
+    )
+    assert np.abs(one.position - position).max() < 100.0  # they are 180 km apart, and three may be outliers
+    np.testing.assert_allclose(mirrored.position * [1, -1], one.position, atol=1e-6)
 
 
 @pytest.mark.slow

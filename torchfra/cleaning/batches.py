@@ -40,11 +40,7 @@ class Steps(NamedTuple):
         there = ~np.isnan(self.raw).any(1)
         return np.asarray(there if there.any() else ~there)
 
-    def part(self, begin: int, end: int) -> Steps:
-        """The steps from one to before another."""
-        return self.at(slice(begin, end))
-
-    def at(self, chosen: slice | NDArray[np.bool_]) -> Steps:
+    def at(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Steps:
         """Some of the steps."""
         return Steps(self.time[chosen], self.raw[chosen], self.row[chosen], self.std[chosen])
 

@@ -142,13 +142,23 @@ def _rough(fixes: Fixes, owner: Tensor) -> Tensor:
     It is in units of the usual standard deviation that the file states, if it states one.
     """
     stated = torch.where(fixes.missing, math.nan, fixes.variance).nanmedian(0).values.sqrt()
-    third = (fixes.z / stated).diff(dim=0, n=3).square().mean(1).sqrt()
+    third = _third_differences(fixes.z / stated, fixes.gap).square().mean(1).sqrt()
     most = fixes.gap.new_ones(len(owner))
     for i in owner.unique():
         own = third[:, owner == i]
         if bool((~own.isnan()).any()):
-            most[owner == i] = 2 * own.nanmedian() / math.sqrt(20)
+            most[owner == i] = 2 * own.nanmedian()
     return most.clamp_min(LEAST_SIGMA * 2.0**_COARSE / 4)
+
+
+def _third_differences(z: Tensor, gap: Tensor) -> Tensor:
+    """What four fixes in a row have that no parabola in time has, ``(T - 3, d, B)``, as large as the noise of one."""
+    time, count = gap.cumsum(0), max(len(z) - 3, 0)
+    four = torch.stack([time[k : k + count] for k in range(4)])
+    apart = four.unsqueeze(0) - four.unsqueeze(1)
+    weight = 1 / (apart + torch.eye(4, dtype=z.dtype)[..., None, None]).prod(0)
+    weight = weight / weight.square().sum(0).sqrt()
+    return torch.stack([z[k : k + count] * weight[k].unsqueeze(1) for k in range(4)]).sum(0)
 
 
 def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) -> list[Part]:

@@ -15,8 +15,6 @@ import torch
 from torch import Tensor
 
 _LOG_TWO_PI = math.log(2 * math.pi)
-_UNCHANGED = torch.tensor([[0.0, -1e6], [-1e6, 0.0]], dtype=torch.float64)[:, :, None, None]
-"""Logs of probabilities that what was a clean fix before is one now, and so of outliers, where there is no new fix."""
 
 
 class Belief(NamedTuple):
@@ -89,10 +87,22 @@ class Fixes(NamedTuple):
         """``(T, B)``."""
         return self.z.isnan().any(1)
 
+    @property
+    def elapsed(self) -> Tensor:
+        """``(T, B)`` seconds since the last fix before each step; 0 where there is none before."""
+        time = torch.cat([torch.zeros_like(self.gap[:1]), self.gap[1:]]).cumsum(0)
+        last = torch.where(self.missing, -math.inf, time).cummax(0).values
+        elapsed = (time[1:] - last[:-1]).nan_to_num(posinf=0.0)
+        return torch.cat([torch.zeros_like(time[:1]), elapsed])
+
     def backwards(self) -> Fixes:
         """The same with time reversed."""
         gap = torch.cat([self.gap[:1], self.gap[1:].flip(0)])
         return Fixes(self.z.flip(0), gap, self.variance.flip(0), self.odds.flip(0))
+
+
+State = tuple[Belief, Tensor, Tensor, Tensor]
+"""After a fix: beliefs ``(2, J, B)`` and logs of their weights, how likely the fix is an outlier, and the fix."""
 
 
 class Predictions(NamedTuple):
@@ -114,38 +124,36 @@ def filter_forward(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) 
     """The filter: predictions of every step.
 
     After each fix hypotheses are merged to one for each level and for clean and outlier; these two stay apart until the
-    next fix has said which was right.
+    next fix has said which was right.  Steps without a fix are predicted from the last one, and change nothing.
 
     Source: Blom & Bar-Shalom (1988) for interacting models; Harrison & Stevens (1976) for outliers as hypotheses.
     """
     belief, log_weights = _start(fixes, levels, model)
-    before = torch.tensor([[1 - model.begins, 1 - model.lasts], [model.begins, model.lasts]], dtype=fixes.z.dtype)
-    chain, log_restart, outlier = (
-        before.log()[:, :, None, None],
-        levels.log_restart,
-        torch.full_like(fixes.gap[0], model.share),
-    )
+    chain = torch.tensor([[1 - model.begins, 1 - model.lasts], [model.begins, model.lasts]], dtype=fixes.z.dtype)
+    log_chain, log_restart = chain.log()[:, :, None, None], levels.log_restart
+    outlier, last = torch.full_like(fixes.gap[0], model.share), torch.full_like(fixes.z[0], torch.nan)
+    state: State = belief, log_weights, outlier, last
     kept: list[tuple[Belief, Tensor, Tensor, Tensor, Tensor]] = []
-    last, elapsed = torch.full_like(fixes.z[0], torch.nan), torch.zeros_like(fixes.gap[0])
-    for z, gap, variance, odds, missing in zip(*fixes, fixes.missing, strict=True):
+    rows = zip(fixes.z, fixes.variance, fixes.odds, fixes.missing, fixes.elapsed, strict=True)
+    for z, variance, odds, missing, elapsed in rows:
+        belief, log_weights, outlier, last = state
         if kept:
-            mixed, log_weights = switched(belief, log_weights, levels.duration, log_restart, gap.unsqueeze(0))
-            belief = _predicted(mixed, levels.q, gap)
+            mixed, log_weights = switched(belief, log_weights, levels.duration, log_restart, elapsed.unsqueeze(0))
+            belief = _predicted(mixed, levels.q, elapsed)
         prior_outlier = model.begins + outlier * (model.lasts - model.begins)
         prediction = _pair((log_weights[1] - log_weights[0]).sigmoid(), _entry(belief, 0), _entry(belief, 1))
         of_level = torch.logaddexp(log_weights[0], log_weights[1])
         clean, log_density = corrected(belief, z, variance, missing, model)
-        elapsed = elapsed + gap
         log_density[1, 1] = _again(log_density[1, 1], _entry(belief, 1), z - last, elapsed, variance, model)
-        last, elapsed = torch.where(missing, last, z), missing * elapsed
-        joint = torch.where(missing, _UNCHANGED, chain) + log_weights + log_density  # (2, 2, J, B): now, before
+        joint = log_chain + log_weights + log_density  # (2, 2, J, B): now, before
         share = (joint[:, 1] - joint[:, 0]).sigmoid()
         after = torch.logaddexp(joint[:, 0], joint[:, 1]) + torch.stack([torch.zeros_like(odds), odds]).unsqueeze(1)
         weights, log_likelihood = _shares(after.flatten(0, 1), 0)
-        log_weights, outlier = after - log_likelihood, weights[len(levels.q) :].sum(0)
         pairs = [_pair(share[now], _entry(x, 0), _entry(x, 1)) for now, x in enumerate((clean, belief))]
-        belief = Belief(*(torch.stack(pair, -3) for pair in zip(*pairs, strict=True)))
-        kept.append((prediction, of_level, prior_outlier, outlier, log_likelihood))
+        merged_now = Belief(*(torch.stack(pair, -3) for pair in zip(*pairs, strict=True)))
+        now: State = merged_now, after - log_likelihood, weights[len(levels.q) :].sum(0), z
+        state = now if not missing.any() else _where(missing, state, now)
+        kept.append((prediction, of_level, prior_outlier, state[2], torch.where(missing, 0.0, log_likelihood)))
     beliefs, *rest = zip(*kept, strict=True)
     parts = [torch.stack(x, 1 if i < 2 else 0) for i, x in enumerate(zip(*beliefs, strict=True))]
     return Predictions(Belief(*parts), *map(torch.stack, rest))
@@ -165,20 +173,23 @@ def switched(
 ) -> tuple[Belief, Tensor]:
     """Levels ``(n, J, B)`` one step ``(n, B)`` further in the chain: each its own, mixed with what all have left."""
     stay = -gap.unsqueeze(1) / duration
-    common, log_ended = merged(log_weights + torch.log(-torch.expm1(stay)), belief, 1)
+    ends = torch.log(-torch.expm1(stay)).clamp_min(-700.0)  # over no time none does
+    common, log_ended = merged(log_weights + ends, belief, 1)
     stayed, restarted = log_weights + stay, log_ended.unsqueeze(1) + log_restart
     every = Belief(*(x.unsqueeze(-2) for x in common))
     return _pair((restarted - stayed).sigmoid(), belief, every), torch.logaddexp(stayed, restarted)
 
 
 def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> tuple[Belief, Tensor]:
-    """Near the first fixes, of any speed: beliefs ``(2, J, B)`` and their log weights."""
+    """Near the first fixes, as far as those are apart, of any speed: beliefs ``(2, J, B)`` and their log weights."""
     z = fixes.z
     order = (~fixes.missing).to(z).cumsum(0)
-    first = torch.where((order <= 9).unsqueeze(1), z, torch.nan).nanmedian(0).values.nan_to_num()
+    first = torch.where((order <= 9).unsqueeze(1), z, torch.nan)
+    middle = first.nanquantile(0.5, dim=0)  # of a few, as robust as can be, and no lower than when mirrored
+    apart = (first - middle).abs().nanmean((0, 1)).nan_to_num()
     shape = (2, *levels.q.shape)
-    position = first[:, None, None].expand(-1, *shape)
-    pp, vv = z.new_full(shape, 1e8), z.new_full(shape, 1e5)
+    position = middle.nan_to_num()[:, None, None].expand(-1, *shape)
+    pp, vv = (1e8 + apart.square()).expand(shape), z.new_full(shape, 1e5)
     log_quality = z.new_tensor([1 - model.share, model.share]).log()[:, None, None]
     belief = Belief(position, torch.zeros_like(position), pp, torch.zeros_like(pp), vv)
     return belief, log_quality + levels.log_share
@@ -227,6 +238,13 @@ def _again(
     )
     other = log_density + math.log1p(-model.same_offset)
     return torch.where(squared.isnan(), log_density, torch.logaddexp(other, same))
+
+
+def _where(missing: Tensor, before: State, now: State) -> State:
+    """The state before where there is no fix."""
+    beliefs = zip(before[0], now[0], strict=True)
+    rest = (torch.where(missing, old, new) for old, new in zip(before[1:], now[1:], strict=True))
+    return Belief(*(torch.where(missing, old, new) for old, new in beliefs)), *rest  # type: ignore[return-value]
 
 
 def _pair(share: Tensor, a: Belief, b: Belief) -> Belief:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from torchfra.cleaning.batches import Steps, padded
@@ -21,7 +22,7 @@ from torchfra.readers.columns import Array
 _AXES = ((slice(0, 2), "acceleration", 8), (slice(2, 3), "climb", 5))
 """Which axes go together, which of a kind's bounds is theirs, and the number of levels."""
 _CORE, _OVERLAP = 256, 64
-"""Steps of a row, and those that it shares with its neighbours on either side."""
+"""Steps of a row that are its own, and fixes of its neighbours on either side that it has besides."""
 _FEW = 60
 """Fixes from which on a track has a sigma of its own; others of a batch are looked at together."""
 _CALM = 0.05
@@ -44,11 +45,11 @@ class Row(NamedTuple):
     """A part of a track."""
 
     track: int
-    begin: int
-    end: int
+    chosen: NDArray[np.intp]
+    """Numbers of its steps in the track."""
     first: int
     last: int
-    """Of its steps those that it answers for."""
+    """Of these the ones that it answers for."""
 
 
 class Answer(NamedTuple):
@@ -89,7 +90,7 @@ def _parts(
 ) -> tuple[list[Row], list[Part]]:
     """Rows of tracks, and what is known of their axes at first."""
     rows = _rows(tracks)
-    z, gap, std = padded([tracks[row.track].part(row.begin, row.end) for row in rows])
+    z, gap, std = padded([tracks[row.track].at(row.chosen) for row in rows])
     period = torch.tensor([period_of(tracks[row.track]) for row in rows], dtype=torch.float64)
     fastest = torch.tensor([KINDS[kinds[row.track]].fastest for row in rows], dtype=torch.float64)
     parts: list[Part] = []
@@ -109,7 +110,7 @@ def _parts(
 def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]) -> tuple[list[Row], list[Part]]:
     """The same with steps between the fixes; what was found of the fixes holds there too."""
     every = _rows(tracks)
-    z, gap, std = padded([tracks[row.track].part(row.begin, row.end) for row in every])
+    z, gap, std = padded([tracks[row.track].at(row.chosen) for row in every])
     first = torch.tensor([next(b for b, row in enumerate(rows) if row.track == of.track) for of in every])
     more = []
     for (axes, *_), part in zip(_AXES, parts, strict=False):
@@ -117,7 +118,7 @@ def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]
         for track, steps in enumerate(tracks):
             odds[track][steps.measured] = _whole(part.fixes.odds, rows, track)
         for b, row in enumerate(every):
-            fixes.odds[: row.end - row.begin, b] = torch.from_numpy(odds[row.track][row.begin : row.end])
+            fixes.odds[: len(row.chosen), b] = torch.from_numpy(odds[row.track][row.chosen])
         levels = Levels(*(x[:, first] for x in part.levels))
         more.append(Part(fixes, levels, part.sigma[first], part.least[first]))
     return every, more
@@ -131,17 +132,20 @@ def _fixes(z: Tensor, gap: Tensor, std: Tensor, axes: slice) -> Fixes:
 
 def _rows(tracks: Sequence[Steps]) -> list[Row]:
     """Tracks as rows, that overlap where they are long."""
-    return [row for i, steps in enumerate(tracks) for row in _rows_of(i, len(steps.time))]
+    return [row for i, steps in enumerate(tracks) for row in _rows_of(i, steps)]
 
 
-def _rows_of(track: int, count: int) -> list[Row]:
-    """A track as rows that overlap, if it is long."""
-    parts = max(1, math.ceil(count / _CORE))
-    edges = np.linspace(0, count, parts + 1).round().astype(int).tolist()
-    return [
-        Row(track, max(0, first - _OVERLAP), min(count, last + _OVERLAP), first, last)
-        for first, last in pairwise(edges)
-    ]
+def _rows_of(track: int, steps: Steps) -> list[Row]:
+    """A track as rows, if it is long, each with the fixes before and after its steps."""
+    count, fixes = len(steps.time), np.flatnonzero(steps.measured)
+    edges = np.linspace(0, count, max(1, math.ceil(count / _CORE)) + 1).round().astype(int)
+    rows = []
+    for first, last in pairwise(edges.tolist()):
+        earlier, later = np.searchsorted(fixes, (first, last))
+        before, after = fixes[max(0, earlier - _OVERLAP) : earlier], fixes[later : later + _OVERLAP]
+        chosen = np.concatenate([before, np.arange(first, last), after])
+        rows.append(Row(track, chosen, len(before), len(before) + last - first))
+    return rows
 
 
 def _owners(rows: Sequence[Row], tracks: Sequence[Steps]) -> Tensor:
@@ -152,7 +156,7 @@ def _owners(rows: Sequence[Row], tracks: Sequence[Steps]) -> Tensor:
 def _whole(x: Tensor, rows: Sequence[Row], track: int) -> Array:
     """What rows ``(T, B, ...)`` say of a track."""
     own = [(b, row) for b, row in enumerate(rows) if row.track == track]
-    return np.concatenate([x[row.first - row.begin : row.last - row.begin, b].numpy() for b, row in own])
+    return np.concatenate([x[row.first : row.last, b].numpy() for b, row in own])
 
 
 def period_of(steps: Steps) -> float:

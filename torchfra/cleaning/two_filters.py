@@ -53,7 +53,7 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
     later = Belief(*(x[..., count:].flip(-3) for x in every.belief))
     later = later._replace(velocity=-later.velocity, pv=-later.pv)
     log_later = every.log_weights[..., count:].flip(0)
-    later, log_later = switched(later, log_later, levels.duration, levels.log_restart, fixes.gap)
+    later, log_later = switched(later, log_later, levels.duration, levels.log_restart, fixes.elapsed)
     belief, log_fit = _product(predictions.belief, later)
     log_weights = predictions.log_weights + log_later - levels.log_share + log_fit
     return updated(belief, log_weights, fixes, model, predictions)
