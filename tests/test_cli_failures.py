@@ -33,7 +33,7 @@ TOLD = ["--sigma", "25", "--q", "1", "--bank", "aircraft"]
 COMPARE = ["compare", "--scenario", "bearings-outliers", "--filters", "srckf", "--no-compile"]
 STRANGE = ["$", "$\\frac{$", "$$", "$x^2$", "\\frac", "$\\nothing$", "\x1b[2J\x1b[H", "\x1b]0;title\x07", "a\rb",
            "a\nb", "\x00x", "a" * 5000, "\u00e9" * 200, "\u4e2d\u6587" * 60, "\ud800", "a\udfffb", "\u202eabc",
-           "\U0001f680", "../../x", "/etc/x", "..", ".", "-rf", "%s%n{}", "_hidden"]  # fmt: skip
+           "\U0001f680", "../../x", "/etc/x", "..", ".", "-rf", "%s%n{}", "_hidden", "CON", "nul.txt"]  # fmt: skip
 
 
 def rows(name, north=0.0, last=None):
@@ -66,6 +66,7 @@ def test_strange_names_are_harmless(tmp_path, capsys):
     files = [path.relative_to(tmp_path / "out") for path in (tmp_path / "out").rglob("*")]
     assert len(files) == 2 * len(names)
     assert all(path.parent == Path() and not path.name.startswith(".") for path in files)
+    assert not [path for path in files if path.name.split(".")[0] in ("con", "nul")]  # devices on Windows
     assert {"".join(path.suffixes[-2:]) for path in files} >= {".csv", ".meta.json"}
     assert sorted(path.name for path in tmp_path.iterdir()) == ["f.json", "out", "s.json"]
     assert {track["name"] for track in json.loads((tmp_path / "s.json").read_text())["tracks"]} >= {"$", "\ud800"}

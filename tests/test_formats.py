@@ -347,9 +347,10 @@ def test_a_finer_time_is_taken_where_dates_are_of_whole_seconds(write):
     assert track.source.said[0] == "time: time(millisecond), ms; not datetime(utc) (--time takes another)"
 
 
-def test_text_as_spreadsheets_write_it_is_read(tmp_path):
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+def test_text_as_spreadsheets_write_it_is_read(tmp_path, encoding):
     path = tmp_path / "a.txt"
-    path.write_bytes(csv("time\tlat\tlon\talt", "\t").encode("utf-16"))
+    path.write_bytes(csv("time\tlat\tlon\talt", "\t").encode(encoding))
     np.testing.assert_array_equal(read(path)[0].time, START + STEPS)
 
 

@@ -20,6 +20,8 @@ MOST_PICTURES = 20
 
 _MOST_LISTED = 5
 """Files that are listed by their names."""
+_DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in range(1, 10))}
+"""Names that no file can have on Windows, with any ending."""
 
 
 class Plan(NamedTuple):
@@ -115,6 +117,8 @@ def listed(paths: Sequence[Path]) -> str:
 def unused(name: str, used: set[str]) -> str:
     """A file name, without its ending, that no other target of this call has, not even where case does not count."""
     name = re.sub(r"[^\w.-]+", "_", name).encode()[:LONGEST_NAME].decode(errors="ignore").strip("_.") or "track"
+    if name.split(".")[0].casefold() in _DEVICES:
+        name = f"track-{name}"
     number, candidate = 2, name
     while candidate.casefold() in used:
         number, candidate = number + 1, f"{name}-{number}"

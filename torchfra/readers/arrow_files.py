@@ -44,7 +44,7 @@ def arrow_sheet(path: Path, start: bytes, max_bytes: int) -> Sheet:
 
 
 def _damaged(error: Exception) -> ValueError:
-    return ValueError(f"expected a complete Parquet or Feather file, received none ({error})")
+    return ValueError(f"expected a complete Parquet or Feather file, received none ({' '.join(str(error).split())})")
 
 
 def _too_large(max_bytes: int) -> ValueError:

@@ -44,8 +44,7 @@ def csv_sheet(
     Raises:
         ValueError: there is no header, or a column comes twice; later, a row of another length.
     """
-    wide = file.peek(2)[:2] in (b"\xff\xfe", b"\xfe\xff")  # as Excel writes "Unicode text"
-    rows = Rows(io.TextIOWrapper(file, "utf-16" if wide else encoding, newline=""), max_bytes)
+    rows = Rows(io.TextIOWrapper(file, _wide(file.peek(64)[:64]) or encoding, newline=""), max_bytes)
     sign = _begin(rows, told or Told())
     said = [] if encoding == UTF_8 else [f"text is no UTF-8: read as {encoding}"]
     said += [] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]
@@ -57,6 +56,17 @@ def csv_sheet(
     except csv.Error as error:
         raise _no_csv(error) from error
     return Sheet(names, _parts(rows, names, repairs), tuple(said), commas=sign != ",")
+
+
+def _wide(head: bytes) -> str:
+    """The encoding of text of two bytes each, as Excel writes "Unicode text", with its mark or without; "" of others."""
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    for encoding, odd in (("utf-16-le", 1), ("utf-16-be", 0)):
+        zeros, letters = head[odd::2], head[1 - odd :: 2]
+        if letters and not any(zeros) and all(letters):
+            return encoding
+    return ""
 
 
 def _begin(rows: Rows, told: Told) -> str:
