@@ -59,7 +59,7 @@ def csv_sheet(
 
 
 def _wide(head: bytes) -> str:
-    """The encoding of text of two bytes each, as Excel writes "Unicode text", with its mark or without; "" of others."""
+    """The encoding of text of two bytes a letter, as spreadsheets write it, with its mark or without; "" of others."""
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
     for encoding, odd in (("utf-16-le", 1), ("utf-16-be", 0)):
