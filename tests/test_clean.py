@@ -114,6 +114,39 @@ def test_an_index_of_moments_tells_the_time_where_no_column_does(walk):
     assert [*cleaned.columns[:4]] == ["x", "y", "clean_x", "clean_y"]
 
 
+def points_of(walk, crs):
+    geopandas = pytest.importorskip("geopandas")
+    time, _, measured = walk
+    latitude, longitude, _ = to_geodetic(measured, ORIGIN)
+    points = geopandas.GeoSeries.from_xy(longitude, latitude, crs=4326).to_crs(crs)
+    when = pandas.to_datetime(1_600_000_000 + time, unit="s")
+    return geopandas.GeoDataFrame({"traj_id": "a", "time": when}, geometry=points)
+
+
+def test_points_are_cleaned_in_their_own_coordinate_reference_system(walk):
+    points = points_of(walk, 32632)
+    plain = points.to_crs(4326)
+    degrees = pandas.DataFrame({"time": points["time"], "lat": plain.geometry.y, "lon": plain.geometry.x})
+    points.loc[5, "geometry"] = None
+    degrees.loc[5, ["lat", "lon"]] = np.nan
+    cleaned, expected = torchfra.clean(points, **settings()), torchfra.clean(degrees, **settings())
+    assert type(cleaned) is type(points)
+    assert cleaned.geometry.equals(points.geometry)
+    assert cleaned["clean_geometry"].crs == points.crs
+    assert cleaned.loc[5, "clean_geometry"] is None
+    back = cleaned["clean_geometry"].to_crs(4326)
+    np.testing.assert_allclose(back.y, expected["clean_latitude"], atol=1e-9)
+    np.testing.assert_allclose(back.x, expected["clean_longitude"], atol=1e-9)
+
+
+def test_what_geometry_cannot_be_cleaned_is_said(walk):
+    points = points_of(walk, 4326)
+    with pytest.raises(ValueError, match=r"data: expected points with a coordinate reference system \(set_crs\)"):
+        torchfra.clean(points.set_crs(None, allow_override=True))
+    with pytest.raises(ValueError, match="data: expected points as geometry, received Polygon"):
+        torchfra.clean(points.set_geometry(points.geometry.to_crs(3857).buffer(1.0)))
+
+
 def test_a_file_and_its_recordings_are_cleaned_to_a_list(walk, tmp_path):
     time, _, measured = walk
     path = tmp_path / "walk.csv"

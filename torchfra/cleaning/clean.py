@@ -21,6 +21,9 @@ from torchfra.readers.sheets import Sheet
 
 PREFIX = "clean_"
 """In front of the names of columns that are added to a table."""
+_PLACES = {"x", "y", "z", "lat", "lon"}
+"""Words that say which columns positions are in."""
+_LATITUDE, _LONGITUDE = "latitude", "longitude"
 _LEFT_OUT = ("row", "id", "time", "seconds")
 """Columns of an output that a table of one's own has already."""
 
@@ -42,9 +45,10 @@ def clean(
     """Cleans tracks: where targets were and how sure that is, which fixes are wrong, and what was flown.
 
     Args:
-        data: the path of a file; a pandas ``DataFrame``; ``(time (k,), position (k, d))``, seconds or moments that
-            increase, and metres in 2 or 3 dimensions, where missing NaN or a placeholder, such as -999, in both x and
-            y; or recordings of ``torchfra.readers.read``.
+        data: the path of a file; a pandas ``DataFrame``, or a ``GeoDataFrame`` of points in any coordinate reference
+            system; ``(time (k,), position (k, d))``, seconds or moments that increase, and metres in 2 or 3 dimensions,
+            where missing NaN or a placeholder, such as -999, in both x and y; or recordings of
+            ``torchfra.readers.read``.
         filter: its name, out of ``catalogue.track_filters()``.
         bank: of what targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
             ``"animal"`` or ``"bird"``, or a ``Bank`` of motions; None chooses by the data.
@@ -62,8 +66,9 @@ def clean(
     Returns:
         For a ``DataFrame`` a copy with its index and columns, and new columns ``clean_latitude`` or ``clean_x``, ...,
         ``clean_speed``, ``clean_outlier``, ``clean_flag`` and others, in the units of the input; rows that hold no fix,
-        or one at the time of another, have NaN there.  For arrays a ``Cleaned``, and for a path or recordings a list
-        of them, one for each target.
+        or one at the time of another, have NaN there.  A ``GeoDataFrame`` stays one and gets ``clean_geometry`` too,
+        points in its own coordinate reference system.  For arrays a ``Cleaned``, and for a path or recordings a list of
+        them, one for each target.
 
     Raises:
         ValueError: the data cannot be understood, or a value is out of its range.
@@ -77,8 +82,12 @@ def clean(
     if _is_frame(data):
         if dt is not None:
             raise ValueError(f"dt: expected None for a DataFrame, whose rows are kept, received {dt}")
-        recordings = read_sheet(_sheet_of_frame(data), "DataFrame", max_bytes=max_bytes, **words)
-        return _joined(data, clean_tracks(recordings, **settings))
+        points = None if words.keys() & _PLACES else _points(data)
+        table = data if points is None else data.drop(columns=points.name).assign(**_coordinates(points))
+        told = words if points is None else {"lat": _LATITUDE, "lon": _LONGITUDE, **words}
+        recordings = read_sheet(_sheet_of_frame(table), "DataFrame", max_bytes=max_bytes, **told)
+        joined = _joined(data, clean_tracks(recordings, **settings))
+        return joined if points is None else _with_points(joined, points)
     if isinstance(data, Sequence) and data and all(isinstance(one, Recording) for one in data):
         return clean_tracks(data, **settings)
     (cleaned,) = clean_tracks([_recording_of_arrays(data, max_bytes, words)], **settings)
@@ -97,6 +106,40 @@ def _is_frame(data: Any) -> bool:
     """Whether it is a ``DataFrame``; pandas is not imported for it."""
     pandas = sys.modules.get("pandas")
     return pandas is not None and isinstance(data, pandas.DataFrame)
+
+
+def _points(frame: Any) -> Any:
+    """The points of a ``GeoDataFrame``; None of other tables, for which geopandas is not imported.
+
+    Raises:
+        ValueError: other geometries than points, or no coordinate reference system.
+    """
+    geopandas = sys.modules.get("geopandas")
+    if geopandas is None or not isinstance(frame, geopandas.GeoDataFrame) or frame.active_geometry_name is None:
+        return None
+    points = frame.geometry
+    others = sorted(set(points.geom_type.dropna()) - {"Point"})
+    if others:
+        raise ValueError(f"data: expected points as geometry, received {', '.join(others)}")
+    if points.crs is None:
+        raise ValueError("data: expected points with a coordinate reference system (set_crs), received none")
+    return points
+
+
+def _coordinates(points: Any) -> dict[str, Any]:
+    """Degrees, and metres of altitude where there are any, as columns; NaN where a point is missing."""
+    degrees = points.to_crs(4326)
+    columns = {_LATITUDE: degrees.y, _LONGITUDE: degrees.x}
+    return columns | {"altitude": degrees.z} if points.has_z.any() else columns
+
+
+def _with_points(frame: Any, points: Any) -> Any:
+    """A cleaned table with points that were cleaned, as those that were recorded are written."""
+    series = sys.modules["geopandas"].GeoSeries
+    where = [frame[PREFIX + name] for name in (_LONGITUDE, _LATITUDE)]
+    height = frame[f"{PREFIX}altitude"] if points.has_z.any() else None
+    cleaned = series.from_xy(*where, height, crs=4326).where(where[0].notna()).to_crs(points.crs)
+    return frame.assign(**{f"{PREFIX}geometry": cleaned})
 
 
 def _sheet_of_frame(frame: Any) -> Sheet:

@@ -42,6 +42,7 @@ NAMES = {
     "id": ("icao24", "icao", "hex", "mmsi", "trackid", "tracknumber", "targetid", "objectid", "vesselid", "shipid",
            "flightid", "deviceid", "vehicleid", "individuallocalidentifier", "taglocalidentifier", "tagid", "uavid",
            "droneid", "target", "object", "vessel", "ship", "vehicle", "device", "individual", "trip", "tripid", "imo",
+           "trajid", "trajectoryid", "trajectory",
            "playerid", "player", "animalid", "animal", "birdid", "bird", "collarid", "busid", "bus", "boatid", "boat",
            "imei", "userid", "user", "entityid", "entity", "agentid", "agent", "riderid", "rider", "runnerid", "runner",
            "bib", "uuid", "id", "name"),
