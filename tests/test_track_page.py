@@ -70,6 +70,16 @@ def test_a_page_is_as_wide_as_the_screen_of_a_phone():
     assert '<meta name="viewport" content="width=device-width' in page.page([straight(20)])
 
 
+def test_pages_of_a_folder_share_their_script(tmp_path):
+    for name in ("a.html", "b.html"):
+        page.write([straight(20)], tmp_path / name, share=True)
+    script = page.script_beside(tmp_path / "a.html")
+    assert sorted(tmp_path.iterdir()) == sorted([tmp_path / "a.html", tmp_path / "b.html", script])
+    text = (tmp_path / "b.html").read_text(encoding="utf-8")
+    assert f'<script src="{script.name}"></script>' in text
+    assert len(text) < 100_000 < script.stat().st_size
+
+
 def test_strange_names_and_numbers_do_no_harm():
     of = straight(10, name="</script><b>&\ud800$")
     of.mean[3] = np.nan
@@ -79,8 +89,9 @@ def test_strange_names_and_numbers_do_no_harm():
 
 
 @pytest.mark.skipif(BROWSER is None, reason="needs a browser: apt-get install chromium")
-def test_a_browser_draws_the_page_without_complaint(tmp_path):
-    page.write([straight(30)], tmp_path / "p.html")
+@pytest.mark.parametrize("share", [False, True])
+def test_a_browser_draws_the_page_without_complaint(tmp_path, share):
+    page.write([straight(30)], tmp_path / "p.html", share=share)
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=5000", "--enable-logging=stderr",
                "--v=0", f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom"]  # fmt: skip
     url = f"file://{tmp_path}/p.html"

@@ -1,4 +1,4 @@
-"""Cleaned tracks as one page to look around in, which needs nothing else: the script that draws it is inside."""
+"""Cleaned tracks as one page to look around in: the script that draws it is inside, or beside it for several pages."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ th, td {{ padding: .2em .7em; text-align: right; white-space: nowrap; }}
 th:first-child, td:first-child {{ text-align: left; }}
 th {{ cursor: pointer; border-bottom: 1px solid; }}
 </style>
-<script>{script}</script></head>
+{script}</head>
 <body><h1>{title}</h1>
 {said}
 {sections}
@@ -70,21 +70,39 @@ def check_script() -> None:
         raise ImportError("html: a page needs plotly: pip install 'torchfra[html]'") from None
 
 
-def write(results: Sequence[Cleaned], path: Path) -> None:
+def script_beside(path: Path) -> Path:
+    """The file of the script that pages in one folder share."""
+    from plotly.offline import get_plotlyjs_version
+
+    return path.with_name(f"plotly-{get_plotlyjs_version()}.min.js")
+
+
+def write(results: Sequence[Cleaned], path: Path, *, share: bool = False) -> None:
     """Writes a page with a map of all targets, and what a picture of each one shows; charts are drawn when opened.
+
+    Args:
+        results: of the targets.
+        path: of the page.
+        share: whether the script, of some 5 MB, is beside the page, where other pages find it, and not inside.
 
     Raises:
         ImportError: plotly is missing.
-        OSError: the page cannot be written.
+        OSError: a file cannot be written.
     """
     check_script()
-    write_text(path, page(results))
-
-
-def page(results: Sequence[Cleaned]) -> str:
-    """The page as text."""
     from plotly.offline import get_plotlyjs
 
+    beside = script_beside(path) if share else None
+    if beside is not None:
+        write_text(beside, get_plotlyjs())
+    write_text(path, page(results, beside))
+
+
+def page(results: Sequence[Cleaned], beside: Path | None = None) -> str:
+    """The page as text, with its script inside, or in a file beside it."""
+    from plotly.offline import get_plotlyjs
+
+    script = f"<script>{get_plotlyjs()}</script>" if beside is None else f'<script src="{beside.name}"></script>'
     every = [summary(cleaned) for cleaned in results]
     sections = [
         _section(f"t{i}", headline(of), chart(cleaned), opened=len(results) == 1)
@@ -94,7 +112,7 @@ def page(results: Sequence[Cleaned]) -> str:
         sections = [_section("all", "all targets", overview(results), opened=True), _table(results, every), *sections]
     return _PAGE.format(
         title=_text(results[0].recording.source.name or results[0].recording.name),
-        script=get_plotlyjs(),
+        script=script,
         said="\n".join(f"<p>{_text(text)}</p>" for text in settings_lines(results)),
         sections="\n".join(sections),
     )

@@ -61,6 +61,11 @@ def add_to(command: argparse.ArgumentParser) -> None:
     add("--plots", action=argparse.BooleanOptionalAction,
         help=f"a picture of each target (default: of {plans.MOST_PICTURES} targets or less)")  # fmt: skip
     add("--html", type=Path, metavar="FILE", help="write a page with pictures to look around in; needs plotly")
+    add(
+        "--share-script",
+        action="store_true",
+        help="keep the page's script, of some 5 MB, in a file beside it, which all pages of a folder share",
+    )
     _add_cleaning(command.add_argument_group("cleaning").add_argument)
     add_reading_options(command.add_argument_group("reading").add_argument)
     add_compile_option(command, f"for {WORTHWHILE:,} steps or more")
@@ -87,10 +92,14 @@ def run(options: argparse.Namespace) -> None:
     if distributed.rank():
         return
     others = {"json": options.json, "html": options.html}
-    check_files(others, [options.file])
     plans.ending_of(options.out, options.format)
     if options.html is not None:
         page.check_script()
+    if options.share_script:
+        if options.html is None:
+            raise ValueError("share-script: expected --html beside it, received none")
+        others["share-script"] = page.script_beside(options.html)
+    check_files(others, [options.file])
     check_settings(options.filter, dt=options.dt, sigma=options.sigma, q=options.q, bank=options.bank)
     words: dict[str, Any] = reading_of(options)
     recordings = readers.read(options.file, max_bytes=options.max_bytes, **words)
@@ -189,4 +198,4 @@ def _draw(
                 plotting.save(plotting.overview(list(results.values())), files.overview)
     if options.html is not None:
         with failures.of("html"):
-            page.write(list(results.values()), options.html)
+            page.write(list(results.values()), options.html, share=options.share_script)
