@@ -33,7 +33,7 @@ def numbers(pattern, text):
 
 
 def test_the_examples_are_numbered_and_have_80_lines_or_fewer():
-    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 16)]
+    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 17)]
     assert all(len(path.read_text().splitlines()) <= 80 for path in EXAMPLES.values())
 
 
@@ -200,3 +200,12 @@ def test_a_ride_is_cleaned_of_its_noise_and_its_outliers_by_one_call(capsys, tmp
     assert found >= outliers - 1
     assert others <= 1
     assert (tmp_path / "ride.png").stat().st_size > 10_000
+
+
+def test_who_knows_the_road_knows_better_where_cars_are(capsys):
+    load("16_on_a_road").main(["--runs", "6"])
+    text = capsys.readouterr().out
+    plain, plain_road, robust, robust_road = numbers(r"RMSE +([\d.]+) m", text)
+    assert plain_road < 0.85 * plain
+    assert robust_road < 0.85 * robust
+    assert 0.7 < numbers(r"dimension +([\d.]+)", text)[-1] < 1.7
