@@ -11,7 +11,7 @@ from torchfra import presets
 from torchfra.association import ChiSquare, Clutter
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
-from torchfra.targets import SPRT, Deletion, MOfN, OnePoint, Targets, TwoPoint
+from torchfra.targets import SPRT, ClutterMap, Deletion, FieldOfView, MOfN, OnePoint, Targets, TwoPoint
 
 STD, Q, DT, PD, PG, WIDTH, RATE = 2.0, 0.25, 2.0, 0.8, 0.99, 150.0, 1.5
 BIRTHS = {"one point": (OnePoint(4.0), {"velocity": 4.0}), "two points": (TwoPoint(12.0), {"speed": 12.0})}
@@ -85,6 +85,44 @@ def test_scans_of_two_sensors_at_one_instant_are_two_scans_of_plain_loops(birth)
         else:
             options[k] |= {"noise": 3.0 * torch.eye(2).double().expand(len(z[k]), 2, 2)}
     follow(targets, z, expected, options)
+
+
+@pytest.mark.parametrize("birth", BIRTHS)
+def test_a_map_of_clutter_and_a_field_of_view_are_those_of_plain_loops(birth):
+    """Two things stay where they are beside the targets; the second sensor sees 60 m far, from a place that moves."""
+    still = np.array([[60.0, 55.0], [-65.0, -50.0]])
+    rng = np.random.default_rng(5)
+    z = [np.concatenate([scan, still + STD * rng.standard_normal((2, 2))]) for scan in scans(2)]
+    learned = {"size": 4.0, "seconds": 30.0, "scans": 1.5}
+    place = [np.array([-20.0 + 2 * k, 5.0]) for k in range(len(z))]
+    own, more = {"std": STD, "PD": PD, "density": RATE / WIDTH**2}, {"PD": 0.6, "density": 0.7 / WIDTH**2, "std": 1.0}
+    looks = [{"dt": DT, "sensor": k % 2, **(own if k % 2 == 0 else more)} for k in range(len(z))]
+    for k in range(1, len(z), 2):
+        looks[k] |= {"place": place[k], "farthest": 60.0}
+    how, born = BIRTHS[birth]
+    confirmation, when = SPRT(1e-3, 0.2), {"false": 1e-3, "missed": 0.2}  # few at a time: clusters stay exact
+    expected = manage(
+        z, std=STD, q=Q, dt=DT, PD=PD, PG=PG, limit=-2 * math.log(1 - PG), density=RATE / WIDTH**2, birth=born,
+        confirm=when, misses=4, drop=0.001, looks=looks, clutter_map=learned,
+    )  # fmt: skip
+    other = presets.jpda(
+        ConstantVelocity(Q), Position(1.0), clutter=Clutter(extent=(WIDTH, WIDTH), rate=0.7), detection=0.6,
+        gate=ChiSquare(PG), exact=(6, 6),
+    )  # fmt: skip
+    targets = manager(
+        how, confirmation, Deletion(4, drop=0.001), sensors={"other": other}, clutter_map=ClutterMap(**learned),
+        views={"other": FieldOfView(60.0)},
+    )  # fmt: skip
+    options = [
+        {"dt": DT} | ({"sensor": "other", "u": torch.from_numpy(place[k])} if k % 2 else {}) for k in range(len(z))
+    ]
+    follow(targets, z, expected, options)
+    assert any(t.confirmed for t in expected[-1])
+    plain = manager(how, confirmation, Deletion(4, drop=0.001), sensors={"other": other})
+    state = plain.init()
+    for scan, option in zip(z, options, strict=True):
+        state = plain.step(state, torch.from_numpy(scan), **option)
+    assert len(state.identity) > sum(t.confirmed for t in expected[-1])  # it takes what stays for targets
 
 
 def follow(targets, z, expected, options):

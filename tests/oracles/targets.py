@@ -30,15 +30,18 @@ class Target:
 def manage(
     scans: list[Array], *, std: float, q: float, dt: float, PD: float, PG: float, limit: float, density: float,
     birth: dict[str, float], confirm: dict[str, Any], misses: int, drop: float | None = None,
-    looks: list[dict[str, float]] | None = None,
+    looks: list[dict[str, Any]] | None = None, clutter_map: dict[str, float] | None = None,
 ) -> list[list[Target]]:  # fmt: skip
     """After each scan (J, 2) copies of the targets that are there; constant velocity, positions, Poisson clutter.
 
-    ``looks`` has what a scan has of its own: its std, dt, PD or density.
+    ``looks`` has what a scan has of its own: its std, dt, PD or density, the number of its sensor, where that is and
+    how far it sees.
     """
     one, none, H = np.eye(2), np.zeros((2, 2)), np.eye(2, 4)
     targets: list[Target] = []
     number, free_before, shown = 0, [], []
+    seen: list[tuple[Array, float, int]] = []  # of the map: a position, its weight, the sensor
+    counted = [0.0, 0.0]  # scans of each sensor
     for z, look in zip(scans, looks or [{}] * len(scans), strict=True):
         std, dt = look.get("std", std), look.get("dt", dt)
         PD, density = look.get("PD", PD), look.get("density", density)
@@ -54,11 +57,27 @@ def manage(
                 if nis <= limit:
                     likelihood[j, t] = math.exp(-nis / 2) / (2 * math.pi * math.sqrt(np.linalg.det(S)))
         beta, missed = joint_events(likelihood, PD, np.full(len(z), density), False, PG)
+        excess, sensor = np.zeros(len(z)), look.get("sensor", 0)
+        if clutter_map is not None:
+            left = math.exp(-dt / clutter_map["seconds"])
+            seen, counted = [(x, w * left, s) for x, w, s in seen if w * left > 0.01], [n * left for n in counted]
+            for j in range(len(z)):
+                size = clutter_map["size"]
+                of_sensor = [(x, w) for x, w, s in seen if s == sensor]
+                kernels = sum(w * math.exp(-sum((z[j] - x) ** 2) / (2 * size**2)) for x, w in of_sensor)
+                mapped = kernels / (2 * math.pi * size**2) / (clutter_map["scans"] + counted[sensor])
+                excess[j] = math.log((density + mapped) / density)
+            free_of = [1 - sum(beta[j, t] for t, x in enumerate(targets) if x.confirmed) for j in range(len(z))]
+            seen += [(z[j], free_of[j], sensor) for j in range(len(z))]
+            counted[sensor] += 1
         for t, target in enumerate(targets):
             update(target, z, beta[:, t], missed[t], H, R)
-            target.score += math.log(1 - PD * PG) - math.log(missed[t])
+            hit = bool(missed[t] < 0.5)
+            if "farthest" in look and not hit and np.linalg.norm(target.mean[:2] - look["place"]) > look["farthest"]:
+                continue
+            target.score += math.log(1 - PD * PG) - math.log(missed[t]) - beta[:, t] @ excess
             target.best = max(target.best, target.score)
-            target.hits.append(bool(missed[t] < 0.5))
+            target.hits.append(hit)
         targets = [t for t in targets if not ends(t, misses, drop)]
         free = [(z[j], R, 0.0) for j in range(len(z)) if beta[j].sum() < 0.5]
         begun, free_before = begin(birth, free, [(x, S, since + dt) for x, S, since in free_before])

@@ -67,3 +67,19 @@ class Clutter(nn.Module):
             extent = self.volume(z).unsqueeze(-1) ** (1 / sensor.size) * metre
         density: Tensor = -(candidates.measured * extent.log()).sum(-1)
         return density if self.rate is None else density + self.rate(z).log()
+
+    def in_space(self, z: Tensor, sensor: Sensor) -> Tensor:
+        """Log density per scan ``(...)`` at measurements ``(..., m)``, in 1 / m^dims.
+
+        Raises:
+            ValueError: no Poisson rate.
+        """
+        if self.rate is None:
+            raise ValueError("rate: expected that of a Poisson distribution, received none")
+        if self.volume is not None:
+            density: Tensor = self.rate(z).log() - self.volume(z).log()
+            return density.expand(z.shape[:-1])
+        assert self.extent is not None
+        metre = sensor.units_per_metre(z).abs().expand_as(z)
+        density = self.rate(z).log() + (metre.log() - self.extent(z).log()).sum(-1)
+        return density

@@ -4,18 +4,22 @@
 """
 
 from torchfra.targets.births import Birth, OnePoint, TwoPoint
+from torchfra.targets.clutter_map import ClutterMap
 from torchfra.targets.manager import Targets
 from torchfra.targets.merging import Merging
 from torchfra.targets.poisson import PoissonBirths
 from torchfra.targets.records import collect
 from torchfra.targets.rules import SPRT, Confirmation, Deletion, MOfN
 from torchfra.targets.state import TargetsEstimate, TargetsState, Track
+from torchfra.targets.views import FieldOfView
 
 __all__ = [
     "SPRT",
     "Birth",
+    "ClutterMap",
     "Confirmation",
     "Deletion",
+    "FieldOfView",
     "MOfN",
     "Merging",
     "OnePoint",

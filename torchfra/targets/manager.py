@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -20,12 +20,14 @@ from torchfra.numbers import as_number, is_integer
 from torchfra.targets.births import Birth, Newborn, OnePoint
 from torchfra.targets.checks import check_filter, check_parts, check_scan, check_scans
 from torchfra.targets.clusters import Group
+from torchfra.targets.clutter_map import ClutterMap, Mapped
 from torchfra.targets.merging import Merging
 from torchfra.targets.places import known_components, place, to_cartesian
 from torchfra.targets.records import collect
 from torchfra.targets.rules import SPRT, Confirmation, Deletion
 from torchfra.targets.scan import SceneScan, filter_scan
 from torchfra.targets.state import TargetsEstimate, TargetsState, Track, Unassociated, joined, rows
+from torchfra.targets.views import FieldOfView, check_place, check_views
 from torchfra.types import Gaussian
 
 FORMAT = 1
@@ -54,6 +56,10 @@ class Targets(nn.Module):
         sensors: others that scan the same targets, by name, each as a ``JPDA`` with its sensor, gate, clutter and
             detection; targets are followed by the inner filter of ``filter``, around that sensor.  A scan of any sensor
             counts as one for births, confirmation and deletion.
+        views: how far sensors see, by name, None for the filter's own: targets outside that are not measured have not
+            been missed, whatever the ``detection`` of the sensor.
+        clutter_map: learns where false measurements come again and again, each sensor's on its own; None for density
+            that stays uniform.  It needs clutter of a Poisson rate.
 
     Raises:
         ValueError: an argument that is none of those, or does not go with the others.
@@ -67,24 +73,29 @@ class Targets(nn.Module):
         self, filter: JPDA, *, birth: Birth | None = None, confirmation: Confirmation | None = None,
         deletion: Deletion | None = None, merging: Merging | None = None, free: float = 0.5,
         sensors: Mapping[str, JPDA] | None = None,
+        views: Mapping[str | None, FieldOfView] | None = None, clutter_map: ClutterMap | None = None,
     ) -> None:  # fmt: skip
         super().__init__()
         check_filter(filter)
         check_parts(birth=(birth, Birth), confirmation=(confirmation, Confirmation), deletion=(deletion, Deletion),
-                    merging=(merging, Merging))  # fmt: skip
+                    merging=(merging, Merging), clutter_map=(clutter_map, ClutterMap))  # fmt: skip
         if not 0 < as_number(free) < 1:
             raise ValueError(f"free: expected a probability above 0 and below 1, received {free}")
         self.filter = copy.deepcopy(filter)
         self.birth = OnePoint() if birth is None else birth
         self.confirmation = SPRT() if confirmation is None else confirmation
         self.deletion = Deletion() if deletion is None else deletion
-        self.merging, self.free = merging, free
+        self.merging, self.free, self.clutter_map = merging, free, clutter_map
         more = _of_sensors(self.filter, sensors)
-        self.sensors = nn.ModuleDict(more)
+        self.sensors, self.views = nn.ModuleDict(more), check_views(views, list(more), self.filter.motion.dims)
         rates = [f.clutter.rate for f in (self.filter, *more.values())]
         if (self.confirmation.scored or self.deletion.drop is not None) and None in rates:
             expected = "clutter of a Poisson rate for scores, as of Clutter(..., rate=), or MOfN and no drop"
             raise ValueError(f"confirmation, deletion: expected {expected}, received none")
+        if clutter_map is not None and None in rates:
+            raise ValueError(
+                "clutter_map: expected clutter of a Poisson rate, as of Clutter(..., rate=), received none"
+            )
 
     def init(
         self, scenes: int = 1, *, dtype: torch.dtype = torch.float64, device: torch.device | str | None = None
@@ -111,7 +122,10 @@ class Targets(nn.Module):
         empty = Gaussian(nothing.reshape(0, n), nothing.reshape(0, n, n))
         position = Gaussian(nothing.reshape(0, dims), nothing.reshape(0, dims, dims))
         next_identity = torch.zeros(scenes, dtype=torch.int64, device=device)
-        return TargetsState(self.filter.begin(empty), track, Unassociated(position, none, nothing), next_identity)
+        free, mapped = Unassociated(position, none, nothing), None
+        if self.clutter_map is not None:
+            mapped = self.clutter_map.begin(scenes, 1 + len(self.sensors), position.mean)
+        return TargetsState(self.filter.begin(empty), track, free, next_identity, mapped)
 
     def saved(self, state: TargetsState) -> dict[str, Any]:
         """A state as a dictionary for ``torch.save``, which ``torch.load`` reads with ``weights_only=True``."""
@@ -158,7 +172,9 @@ class Targets(nn.Module):
             ImportError: scipy is not installed.
         """
         filter, measurements = self._of(sensor), Measurements(z, dt, u, std, noise)
-        return self._step(state, check_scan(filter, state, measurements, self.confirmation.window), filter)
+        scan = check_scan(filter, state, measurements, self.confirmation.window)
+        check_place(self.views.get(sensor), scan.u, filter.motion.dims)
+        return self._step(state, scan, filter, sensor)
 
     def forward(self, z: Tensor, *, dt: Time = 1.0, u: Tensor | None = None) -> TargetsEstimate:
         """Whole sequences of scans, from no target on.
@@ -173,6 +189,7 @@ class Targets(nn.Module):
             ImportError: scipy is not installed.
         """
         scans = check_scans(self.filter, z, dt, u)
+        check_place(self.views.get(None), scans[0].u, self.filter.motion.dims)
         state, states = self.init(len(scans[0].z), dtype=z.dtype, device=z.device), []
         for scan in scans:
             state = self._step(state, scan, self.filter)
@@ -187,12 +204,24 @@ class Targets(nn.Module):
             raise ValueError(f"sensor: expected one of {', '.join(self.sensors) or 'none'}, received {sensor!r}")
         return _around(self.filter, self.sensors[sensor])  # type: ignore[arg-type]  # torch knows modules only
 
-    def _step(self, state: TargetsState, scan: SceneScan, filter: JPDA) -> TargetsState:
-        """The next state, of a scan by the sensor of this filter."""
-        after, log_missed, density, associated, groups = filter_scan(filter, state.filter, state.track.scene, scan)
-        track = _aged(state.track, log_missed, density, log_miss(filter.detection, filter.gate, log_missed))
+    def _step(
+        self, state: TargetsState, scan: SceneScan, filter: JPDA, sensor: str | None = None
+    ) -> TargetsState:  # fmt: skip
+        """The next state, of a scan by the sensor of this filter and name."""
+        scene = state.track.scene
+        after, log_missed, density, association, groups = filter_scan(filter, state.filter, scene, scan)
+        gained = log_miss(filter.detection, filter.gate, log_missed) - log_missed
+        located, mapped = _located(filter, scan), None
+        if self.clutter_map is not None:
+            number = 0 if sensor is None else 1 + list(self.sensors).index(sensor)
+            excess, mapped = self._mapped(state, scan, filter, number, located, association)
+            gained = gained - (association * excess[scene]).sum(-1)
+        track = _aged(state.track, log_missed, density, gained)
+        if sensor in self.views:
+            track, after = self._not_missed(state, track, after, self.views[sensor], scan)
         stays = ~self._deleted(after.belief, track, groups)
-        newborn, unassociated = self._births(state.unassociated, associated, scan, filter)
+        associated = scan.z.new_zeros(scan.z.shape[:2]).index_add(0, scene, association)
+        newborn, unassociated = self._births(state.unassociated, associated, scan, located)
         track, next_identity = _with_newborn(rows(track, stays), newborn, state.next_identity)
         everyone = rows(after, stays)
         if len(newborn.scene):
@@ -200,7 +229,32 @@ class Targets(nn.Module):
         confirmed, given_up = self.confirmation(track)
         track = track._replace(confirmed=track.confirmed | confirmed)
         here = track.confirmed | ~given_up
-        return TargetsState(rows(everyone, here), rows(track, here), unassociated, next_identity)
+        return TargetsState(rows(everyone, here), rows(track, here), unassociated, next_identity, mapped)
+
+    def _not_missed(
+        self, state: TargetsState, track: Track, after: Any, view: FieldOfView, scan: SceneScan
+    ) -> tuple[Track, Any]:
+        """Targets that the sensor does not see are as old, and as often missed, as they were."""
+        motion, scene = self.filter.motion, state.track.scene
+        position = to_cartesian(motion, after.belief).mean[:, known_components(motion)[: motion.dims]]
+        counts = view(position, None if scan.u is None else scan.u[scene]) | (track.misses == 0)
+        kept: Track = tree.map_tensors(lambda now, was: _where(counts, now, was), track, state.track)
+        missed = torch.where(counts, after.missed, state.filter.missed)
+        return kept._replace(density=track.density), after._replace(missed=missed)
+
+    @torch.no_grad()
+    def _mapped(
+        self, state: TargetsState, scan: SceneScan, filter: JPDA, sensor: int, located: Located, association: Tensor
+    ) -> tuple[Tensor, Mapped]:
+        """Log ``(R, J)`` of the density of false measurements over the uniform one, and what the map knows then."""
+        clutter_map, (position, scene, j) = self.clutter_map, located
+        assert clutter_map is not None
+        mapped = clutter_map.aged(state.clutter, scan.dt)
+        uniform = filter.clutter.in_space(scan.z[scene, j], filter.sensor)
+        at = clutter_map.log_excess(mapped, position.mean, scene, sensor, uniform)
+        excess = scan.z.new_zeros(scan.z.shape[:2]).index_put((scene, j), at)
+        claimed = torch.zeros_like(excess).index_add(0, state.track.scene, association * state.track.confirmed[:, None])
+        return excess, clutter_map.learned(mapped, position.mean, scene, sensor, 1 - claimed[scene, j])
 
     def _deleted(self, belief: Gaussian, track: Track, groups: list[Group]) -> Tensor:
         """Which targets ``(N,)`` are deleted: missed too often, or merged with others."""
@@ -210,18 +264,32 @@ class Targets(nn.Module):
         return deleted if self.merging is None else deleted | self.merging(motion, belief, track, groups)
 
     def _births(
-        self, before: Unassociated, associated: Tensor, scan: SceneScan, filter: JPDA
+        self, before: Unassociated, associated: Tensor, scan: SceneScan, located: Located
     ) -> tuple[Newborn, Unassociated]:
         """The newborn targets, and the unassociated measurements that the next scan's births may use."""
-        complete = ~scan.z.isnan().any(-1)
-        scene, j = (complete & (associated < 1 - self.free)).nonzero().unbind(-1)
-        u = None if scan.u is None else scan.u[scene]
-        own = (None if x is None else x[scene, j] for x in (scan.std, scan.noise))
-        where = place(filter.motion, filter.sensor, scan.z[scene, j], u, *own)
-        now = Unassociated(where, scene, scan.dt.new_zeros(len(scene)))
+        free = associated[located.scene, located.number] < 1 - self.free
+        position, scene = rows((located.position, located.scene), free)
+        now = Unassociated(position, scene, scan.dt.new_zeros(len(scene)))
         before = before._replace(since=before.since + scan.dt[before.scene])
         newborn, left = self.birth(self.filter.motion, now, before)
         return newborn, left
+
+
+class Located(NamedTuple):
+    """The complete measurements ``(L,)`` of a scan."""
+
+    position: Gaussian
+    """``(L, dims)`` where each lies in space, m."""
+    scene: Tensor
+    number: Tensor
+    """Of each in its scene."""
+
+
+def _located(filter: JPDA, scan: SceneScan) -> Located:
+    scene, j = (~scan.z.isnan().any(-1)).nonzero().unbind(-1)
+    u = None if scan.u is None else scan.u[scene]
+    own = (None if x is None else x[scene, j] for x in (scan.std, scan.noise))
+    return Located(place(filter.motion, filter.sensor, scan.z[scene, j], u, *own), scene, j)
 
 
 def _of_sensors(filter: JPDA, sensors: Mapping[str, JPDA] | None) -> dict[str, JPDA]:
@@ -251,22 +319,26 @@ def _around(filter: JPDA, other: JPDA) -> JPDA:
     return other
 
 
-def _aged(track: Track, log_missed: Tensor, density: Tensor, log_miss: Tensor) -> Track:
+def _aged(track: Track, log_missed: Tensor, density: Tensor, gained: Tensor) -> Track:
     """Targets after one more scan.
 
     Args:
         track: before.
         log_missed: ``(N,)`` log probability that each was missed, given the scan.
         density: ``(N,)`` each one's share of the log density of the scan.
-        log_miss: log probability that a target is missed, before the scan.
+        gained: ``(N,)`` what the scan adds to the score.
     """
-    hit = log_missed < math.log(0.5)
-    score = track.score + log_miss - log_missed
+    hit, score = log_missed < math.log(0.5), track.score + gained
     return track._replace(
         hits=torch.cat([hit.unsqueeze(-1), track.hits[:, :-1]], -1), age=track.age + 1,
         misses=torch.where(hit, 0, track.misses + 1), score=score, best=torch.maximum(track.best, score),
         density=density,
     )  # fmt: skip
+
+
+def _where(condition: Tensor, a: Tensor, b: Tensor) -> Tensor:
+    """Rows of one tensor or the other."""
+    return torch.where(condition.reshape(-1, *[1] * (a.dim() - 1)), a, b)
 
 
 def _with_newborn(track: Track, newborn: Newborn, next_identity: Tensor) -> tuple[Track, Tensor]:

@@ -45,29 +45,30 @@ def filter_scan(
 
     Returns:
         The next state; the log probability ``(N,)`` that each target was missed; each one's share ``(N,)`` of the log
-        density of the scan against one of false measurements alone; the probability ``(R, J)`` that each measurement
-        belongs to a target; and the clusters that share measurements.
+        density of the scan against one of false measurements alone; the probability ``(N, J)`` that each measurement of
+        its scene belongs to each target; and the clusters that share measurements.
     """
-    there = ~scan.z.isnan().all(-1)
-    associated = scan.z.new_zeros(there.numel())
+    count = scan.z.shape[1]
+    association = scan.z.new_zeros(len(scene), count)
     if len(scene) == 0:
-        return state, associated[:0], associated[:0], associated.reshape(there.shape), []
+        return state, scan.z.new_zeros(0), scan.z.new_zeros(0), association, []
     with torch.no_grad():
         groups = clusters(_reach(filter, state, scene, scan), scene)
     tables = _tables(scan)
     parts, missed, density = [], [], []
     for targets, measurements in groups:
         of, group = scene[targets[:, 0]], rows(state, targets)
-        after, (association, evidence) = stepped(filter, among, group, _measured(of, scan, *rows(tables, measurements)))
-        share = association[..., 1:].sum(-2)
-        inside = measurements >= 0
-        associated = associated.index_put((measurements[inside],), share[inside], accumulate=True)
+        after, (chances, evidence) = stepped(filter, among, group, _measured(of, scan, *rows(tables, measurements)))
+        target, number = targets.unsqueeze(-1), measurements.unsqueeze(-2)
+        inside = (number >= 0).expand(*targets.shape, number.shape[-1])
+        place = (target.expand_as(inside)[inside], number.expand_as(inside)[inside] % count)
+        association = association.index_put(place, chances[..., 1:][inside])
         parts.append(tree.map_tensors(lambda x: x.flatten(0, 1), after))
-        missed.append(association[..., 0].log().flatten())
+        missed.append(chances[..., 0].log().flatten())
         density.append(evidence.flatten())
     order = torch.cat([group.targets.flatten() for group in groups]).argsort()
     state = tree.map_tensors(lambda *xs: torch.cat(xs)[order], *parts)
-    return state, torch.cat(missed)[order], torch.cat(density)[order], associated.reshape(there.shape), groups
+    return state, torch.cat(missed)[order], torch.cat(density)[order], association, groups
 
 
 def _reach(filter: JPDA, state: Any, scene: Tensor, scan: SceneScan) -> Tensor:

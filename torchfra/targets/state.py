@@ -54,6 +54,8 @@ class TargetsState(NamedTuple):
     unassociated: Unassociated
     next_identity: Tensor
     """``(R,)`` of each scene."""
+    clutter: Any = None
+    """What the map of clutter has learned; None without one."""
 
     @property
     def belief(self) -> Gaussian:

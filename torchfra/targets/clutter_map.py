@@ -1,0 +1,102 @@
+"""A map of where measurements come from that are no target's: land, buoys, moored boats."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from torchfra.numbers import as_number
+from torchfra.targets.state import joined, rows
+
+
+class Mapped(NamedTuple):
+    """Measurements ``(K,)`` of the past that were no confirmed target's."""
+
+    position: Tensor
+    """``(K, dims)`` m."""
+    weight: Tensor
+    """``(K,)`` probability that each was no confirmed target's, times what is remembered of it."""
+    scene: Tensor
+    """``(K,)``."""
+    sensor: Tensor
+    """``(K,)`` number of the sensor; 0 for the filter's own."""
+    scans: Tensor
+    """``(R, S)`` scans of each scene and sensor, as far as they are remembered."""
+
+
+class ClutterMap(nn.Module):
+    """Learns on line where false measurements come again and again, in a frame that does not move.
+
+    The density of false measurements is the uniform one of a sensor's ``clutter``, and a kernel at each measurement of
+    that sensor that was no confirmed target's, over the number of its scans.  It enters the scores of targets, and so
+    their confirmation and deletion: what stays where it is, is explained by the map as well as by a target, and is not
+    confirmed; what moves leaves its own measurements behind.  Which measurement is whose is decided without the map.
+
+    Args:
+        size: standard deviation of a kernel in each direction, m: that of a measured position, or a little more.
+        seconds: after which a measurement counts for ``1 / e``.
+        scans: with how many scans without any measurement the map begins: the more, the later it is believed.
+
+    Raises:
+        ValueError: a value that is not finite and above 0.
+
+    Source: Musicki, Suvorova, Morelande & Moran (2005), "Clutter map and target tracking".  Differs: kernels at the
+    measurements for cells of a grid; forgetting by the time.
+    """
+
+    def __init__(self, size: float = 10.0, seconds: float = 60.0, scans: float = 2.0) -> None:
+        super().__init__()
+        for name, value in (("size", size), ("seconds", seconds), ("scans", scans)):
+            if not 0 < as_number(value) < math.inf:
+                raise ValueError(f"{name}: expected a finite number above 0, received {value}")
+        self.size, self.seconds, self.scans = float(size), float(seconds), float(scans)
+
+    def begin(self, scenes: int, sensors: int, position: Tensor) -> Mapped:
+        """Nothing is known yet; ``position (0, dims)`` tells the dimensions and the dtype."""
+        none = torch.zeros(0, dtype=torch.int64, device=position.device)
+        return Mapped(position, position.new_zeros(0), none, none, position.new_zeros(scenes, sensors))
+
+    def aged(self, mapped: Mapped, dt: Tensor) -> Mapped:
+        """The map ``dt (R,)`` seconds later, without what counts for less than 1 % by then."""
+        left = torch.exp(-dt / self.seconds)
+        mapped = mapped._replace(weight=mapped.weight * left[mapped.scene], scans=mapped.scans * left.unsqueeze(-1))
+        position, weight, scene, sensor = rows(mapped[:4], mapped.weight > 0.01)
+        return Mapped(position, weight, scene, sensor, mapped.scans)
+
+    def log_excess(self, mapped: Mapped, position: Tensor, scene: Tensor, sensor: int, log_uniform: Tensor) -> Tensor:
+        """Log ``(L,)`` of the density at positions ``(L, dims)`` of a sensor over the uniform one.
+
+        Args:
+            mapped: what is known.
+            position: m.
+            scene: ``(L,)``.
+            sensor: number.
+            log_uniform: ``(L,)`` log of the uniform density per scan, in 1 / m^dims.
+        """
+        place, weight, of = rows(mapped[:3], mapped.sensor == sensor)
+        squared = (position.unsqueeze(1) - place).square().sum(-1) / self.size**2
+        log_kernel = -0.5 * squared - position.shape[-1] * math.log(self.size * math.sqrt(2 * math.pi))
+        there = torch.where(scene.unsqueeze(1) == of, weight * log_kernel.exp(), 0.0).sum(-1)
+        return torch.log1p(there / (self.scans + mapped.scans[scene, sensor]) * torch.exp(-log_uniform))
+
+    def learned(self, mapped: Mapped, position: Tensor, scene: Tensor, sensor: int, free: Tensor) -> Mapped:
+        """The map after a scan of a sensor in every scene.
+
+        Args:
+            mapped: before.
+            position: ``(L, dims)`` of its measurements, m.
+            scene: ``(L,)``.
+            sensor: number.
+            free: ``(L,)`` probability that each was no confirmed target's.
+        """
+        now = torch.nn.functional.one_hot(torch.tensor(sensor), mapped.scans.shape[1]).to(mapped.scans)
+        new = Mapped(position, free.clamp(0.0, 1.0), scene, torch.full_like(scene, sensor), mapped.scans[:0])
+        both: Mapped = joined(mapped, new)
+        return both._replace(scans=mapped.scans + now)
+
+    def extra_repr(self) -> str:
+        """Its arguments."""
+        return f"size={self.size:g}, seconds={self.seconds:g}, scans={self.scans:g}"
