@@ -2,6 +2,7 @@
 
     python scripts/recordings.py nclt 2012-11-16.csv 2013-04-05.csv --json out/nclt.json --figure out/nclt.png
     python scripts/recordings.py uwb LOS/Trajectory_A/Case_1 NLOS/Trajectory_B/Case_3 --filters gpb,rsrckf
+    python scripts/recordings.py autoferry scenario2_detections.json.gz --figure out/harbour.png
 
 Kinds, each with one setting of motion, sensor and filters for all of its recordings:
 
@@ -9,7 +10,9 @@ Kinds, each with one setting of motion, sensor and filters for all of its record
   too, with the errors of positions as interacting models;
 - uwb: ranges from anchors to a tag on a cart, a folder for each run, with the path that was driven;
 - smartloc: pseudoranges of satellites to a car among high buildings, NAME_Input.txt with NAME_GT.txt beside it; it has
-  ``gpb_odometry`` too, with the car's speed and turn rate.
+  ``gpb_odometry`` too, with the car's speed and turn rate;
+- autoferry: two boats in a harbour among land and other boats, NAME_detections.json with NAME_groundTruth.json beside
+  it, gzipped or not; filters are the sensors, ``radar`` and ``radar_lidar``, and errors are those of sets of targets.
 
 A table has for each recording what presets reach beside what others have published: the root mean square error, on line
 and smoothed, per axis or of the distance as the published figures are, and the normalised estimation error squared of
@@ -23,10 +26,11 @@ import math
 import sys
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
-from recorded_bench import nclt, smartloc, uwb
+from recorded_bench import autoferry, nclt, smartloc, uwb
 from recorded_bench.picture import picture
-from recorded_bench.tracks import Figures, Found, Track, measured
+from recorded_bench.tracks import Figures, measured
 
 from torchfra.catalogue import track_filters
 from torchfra.cli.command import (
@@ -47,7 +51,7 @@ from torchfra.running.versions import versions
 from torchfra.tables import significant, text_table
 from torchfra.types import CompileError
 
-KINDS = {"nclt": nclt, "uwb": uwb, "smartloc": smartloc}
+KINDS = {"nclt": nclt, "uwb": uwb, "smartloc": smartloc, "autoferry": autoferry}
 DEFAULT = "gpb,rsrckf,srckf"
 WORTHWHILE = 3000
 """Steps of all tracks from which on compiling saves time."""
@@ -66,9 +70,9 @@ def main(arguments: list[str] | None = None) -> int:
 
     def run() -> None:
         options = p.parse_args(arguments)
-        own = KINDS[options.kind].OWN_PRESETS
-        options.filters = options.filters or ",".join([*own, DEFAULT])
-        check_list(p, "filters", options.filters, [*track_filters(), *own])
+        own, sets = KINDS[options.kind].OWN_PRESETS, options.kind == "autoferry"
+        options.filters = options.filters or ",".join(own if sets else [*own, DEFAULT])
+        check_list(p, "filters", options.filters, own if sets else [*track_filters(), *own])
         compare(options)
 
     return exit_status("recordings", run)
@@ -86,9 +90,13 @@ def compare(options: argparse.Namespace) -> None:
     if twice := {track.name for track in tracks if sum(other.name == track.name for other in tracks) > 1}:
         raise ValueError(f"files: expected each recording once, received {', '.join(sorted(twice))} several times")
     tell, _ = reporters(options.compile, options.quiet)
-    compile = choose(options.compile, sum(len(track.z) for track in tracks) >= WORTHWHILE, tell)
-    found: dict[str, dict[str, Found]] = {track.name: {} for track in tracks}
+    several = kind is autoferry
+    compile = not several and choose(options.compile, sum(len(track.z) for track in tracks) >= WORTHWHILE, tell)
+    found: dict[str, dict[str, Any]] = {track.name: {} for track in tracks}
     for track, name in progress_bar([(t, n) for t in tracks for n in names], "filter", not options.quiet):
+        if several:
+            found[track.name][name] = autoferry.follow(name, track)
+            continue
         f, prior = kind.make(name, track)
         found[track.name][name] = measured(ready(f, name, options) if compile else f, prior, track, kind.METRIC)
     write(options, tracks, found)
@@ -106,11 +114,11 @@ def ready(f: Filter, name: str, options: argparse.Namespace) -> Filter:
         return f
 
 
-def write(options: argparse.Namespace, tracks: list[Track], found: dict[str, dict[str, Found]]) -> None:
+def write(options: argparse.Namespace, tracks: list[Any], found: dict[str, dict[str, Any]]) -> None:
     """Prints the table, writes files, and complains of what is not finite."""
     kind, failures = KINDS[options.kind], Failures()
     if not options.quiet:
-        print(f"{table(kind.METRIC, tracks, found)}\n{kind.NOTE}", flush=True)
+        print(f"{table(kind, tracks, found)}\n{kind.NOTE}", flush=True)
     if options.json is not None:
         figures = {name: of_filters(of) for name, of in found.items()}
         published = {track.name: {kind.METRIC: track.published} for track in tracks}
@@ -120,7 +128,7 @@ def write(options: argparse.Namespace, tracks: list[Track], found: dict[str, dic
         from torchfra import plotting  # matplotlib takes long to import
 
         with failures.of("figure"):
-            plotting.save(picture(tracks, found), options.figure)
+            plotting.save((autoferry.picture if kind is autoferry else picture)(tracks, found), options.figure)
     failures.messages += [
         f"{track}, {name}: an error that is not finite"
         for track, of in found.items()
@@ -130,11 +138,11 @@ def write(options: argparse.Namespace, tracks: list[Track], found: dict[str, dic
     failures.end()
 
 
-def table(metric: str, tracks: list[Track], found: dict[str, dict[str, Found]]) -> str:
+def table(kind: Any, tracks: list[Any], found: dict[str, dict[str, Any]]) -> str:
     """A row for each recording, and one of means where there are several; columns of presets and of others."""
     names, figures = list(found[tracks[0].name]), {name: of_filters(of) for name, of in found.items()}
     others = list(dict.fromkeys(method for track in tracks for method in track.published))
-    parts = (metric, "smoothed", "nees", "nees_smoothed")
+    parts = kind.PARTS
     header = ["recording", *(f"{name} {part}" for name in names for part in parts), *others]
     rows = [
         [track.name, *(significant(figures[track.name][name][part]) for name in names for part in parts),
@@ -148,7 +156,7 @@ def table(metric: str, tracks: list[Track], found: dict[str, dict[str, Found]]) 
     return text_table(header, rows)
 
 
-def of_filters(of: dict[str, Found]) -> dict[str, Figures]:
+def of_filters(of: dict[str, Any]) -> dict[str, Figures]:
     """The figures alone."""
     return {name: one.figures for name, one in of.items()}
 

@@ -1,5 +1,6 @@
 """Recordings with published figures are read as they are laid out, and the table says how far presets are from them."""
 
+import gzip
 import json
 import math
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 import recordings
 import torch
-from recorded_bench import nclt, smartloc, uwb
+from recorded_bench import autoferry, nclt, smartloc, uwb
 from recorded_bench.tracks import measured
 
 HEADER = "time,gps_x,gps_y,wheel_left,wheel_right,yaw,yaw_rate,truth_x,truth_y,truth_yaw"
@@ -224,3 +225,65 @@ def test_a_filter_that_is_unknown_is_refused_with_those_that_are_known(tmp_path,
 def test_a_file_that_is_not_there_is_named(tmp_path, capsys):
     assert recordings.main(["nclt", str(tmp_path / "none.csv")]) == 2
     assert "file not found" in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------- boats in a harbour
+
+
+def harbour(folder, steps=40, change=lambda detections, boats: None):
+    """A boat that passes, with a buoy beside it, seen from a ferry by radar, by lidar once it is near."""
+    rng, detections, boats = np.random.default_rng(0), [], []
+    for k in range(2 * steps):
+        ferry, boat, buoy = np.array([5.0, 0.5 * k]), np.array([30.0, -100.0 + 3.0 * k]), np.array([60.0, 40.0])
+        radar, near = k % 2 == 0, np.linalg.norm(boat - ferry) < 70
+        seen = [boat, buoy] if radar else [boat] if near else []
+        z = np.array([x - ferry + (2.0 if radar else 0.5) * rng.standard_normal(2) for x in seen]).reshape(-1, 2)
+        detections.append(
+            {"sensorID": 2 if radar else 1, "time": 1000.0 + k, "ownshipPosition": ferry.tolist(),
+             "measurement": z.T.tolist()}
+        )  # fmt: skip
+        boats.append([{"targetID": 1, "position": [*boat, 0.0], "time": 1000.0 + k}])
+    change(detections, boats)
+    folder.mkdir(exist_ok=True)
+    with gzip.open(folder / "sea_detections.json.gz", "wt") as file:
+        json.dump(detections, file)
+    (folder / "sea_groundTruth.json").write_text(json.dumps(boats))
+    return folder / "sea_detections.json.gz"
+
+
+def test_the_boat_is_followed_and_the_buoy_is_not(tmp_path):
+    scene = autoferry.read(harbour(tmp_path))
+    assert scene.name == "sea"
+    assert len(scene.z) == 80
+    torch.testing.assert_close(scene.truth[0, 1], torch.tensor([30.0, -94.0]).double())
+    for name in autoferry.OWN_PRESETS:
+        found = autoferry.follow(name, scene)
+        assert found.mean.shape == (1, 40, 2)
+        assert found.figures["gospa"] < 6.0
+        assert found.figures["followed"] > 0.7
+        assert found.figures["switches"] == found.figures["false_per_minute"] == 0
+
+
+def test_what_is_no_recording_of_a_harbour_is_said(tmp_path):
+    with pytest.raises(ValueError, match=r"expected NAME_detections\.json or NAME_detections\.json\.gz"):
+        autoferry.read(tmp_path / "sea.json")
+    with pytest.raises(ValueError, match=r"expected sea_groundTruth\.json beside it, received none"):
+        autoferry.read(tmp_path / "sea_detections.json")
+    with pytest.raises(ValueError, match=r"expected 79 entries as sea_detections\.json\.gz has, received 80"):
+        autoferry.read(harbour(tmp_path, change=lambda detections, boats: detections.pop()))
+    with pytest.raises(ValueError, match="expected detections and truths of the harbour, received KeyError"):
+        autoferry.read(harbour(tmp_path, change=lambda detections, boats: detections[3].pop("ownshipPosition")))
+
+
+def test_the_table_of_a_harbour_has_the_sets_of_sensors_and_a_picture(tmp_path, capsys):
+    path, out = harbour(tmp_path / "in", steps=12), tmp_path / "out.json"
+    options = ["autoferry", str(path), "--json", str(out), "--figure", str(tmp_path / "out.png")]
+    assert recordings.main(options) == 0
+    assert "radar_lidar gospa" in capsys.readouterr().out
+    figures = json.loads(out.read_text())["autoferry"]["sea"]
+    assert {*figures} == {"radar", "radar_lidar"}
+    assert {*figures["radar"]} == {*autoferry.PARTS}
+    assert (tmp_path / "out.png").stat().st_size > 10_000
+    with pytest.raises(SystemExit):
+        recordings.main(["autoferry", str(path), "--filters", "gpb"])
+    assert "expected names out of radar, radar_lidar, received gpb" in capsys.readouterr().err

@@ -27,6 +27,7 @@ from torchfra.sensors import Biased, Position
 from torchfra.types import Gaussian
 
 METRIC = "rmse_axis"
+PARTS = (METRIC, "smoothed", "nees", "nees_smoothed")
 COLUMNS = ("time", "gps_x", "gps_y", "wheel_left", "wheel_right", "yaw", "truth_x", "truth_y")
 PUBLISHED: dict[str, Figures] = {
     "2012-11-04": {"EKF": 18.76, "KalmanNet": 12.46},

@@ -33,6 +33,7 @@ from torchfra.sensors import Biased, Ranges, Sensor
 from torchfra.types import Gaussian
 
 METRIC = "rmse_3d"
+PARTS = (METRIC, "smoothed", "nees", "nees_smoothed")
 NOTE = (
     "libRSF (Pfeifer & Protzel): Gaussian, EM mixture and variational mixture, errors in space at the current time by "
     "its own tests"

@@ -27,6 +27,7 @@ from torchfra.sensors import Ranges
 from torchfra.types import Gaussian
 
 METRIC = "rmse_2d"
+PARTS = (METRIC, "smoothed", "nees", "nees_smoothed")
 RESULTS = "RMSD_results.txt"
 NOTE = (
     f"{RESULTS} of each recording: LS, least squares, and ESKF, an error-state filter that has an inertial sensor as "

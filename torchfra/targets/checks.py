@@ -19,34 +19,36 @@ from torchfra.targets.state import TargetsState
 _DTYPES = torch.float32, torch.float64
 
 
-def check_filter(filter: object) -> None:
-    """Checks that a filter can track a number of targets that changes.
+def check_filter(filter: object, name: str = "filter") -> None:
+    """Checks that a filter, the argument of that name, can track a number of targets that changes.
 
     Raises:
         ValueError: it cannot.
     """
     if not isinstance(filter, JPDA):
-        raise ValueError(f"filter: expected a JPDA around a filter of one target, received {type(filter).__name__}")
+        raise ValueError(f"{name}: expected a JPDA around a filter of one target, received {type(filter).__name__}")
     if not filter.sensor.locates:
         received = filter.sensor.describe()
-        raise ValueError(f"filter: expected a sensor that measures where a target is, received {received}")
+        raise ValueError(f"{name}: expected a sensor that measures where a target is, received {received}")
     dims, wanted = filter.sensor.locate(torch.ones(1, filter.sensor.size)).shape[-1], filter.motion.dims
     if dims != wanted:
-        raise ValueError(f"filter: expected a sensor that locates in {wanted} dimensions as the motion has, not {dims}")
+        raise ValueError(f"{name}: expected a sensor that locates in {wanted} dimensions as the motion has, not {dims}")
     if len(known_components(filter.motion)) != 2 * wanted:
         received = type(filter.motion).__name__
-        raise ValueError(f"filter: expected a motion with position and velocity in its state, received {received}")
+        raise ValueError(f"{name}: expected a motion with position and velocity in its state, received {received}")
     if batch_rank(filter):
-        raise ValueError("filter: expected hyperparameters that are the same for all targets, received a batch of them")
+        raise ValueError(
+            f"{name}: expected hyperparameters that are the same for all targets, received a batch of them"
+        )
     if filter.share_noise:
-        raise ValueError("filter: expected targets with their own estimates of the noise, received share_noise=True")
-    _check_missable(filter)
+        raise ValueError(f"{name}: expected targets with their own estimates of the noise, received share_noise=True")
+    _check_missable(filter, name)
 
 
-def _check_missable(filter: JPDA) -> None:
+def _check_missable(filter: JPDA, name: str = "filter") -> None:
     if not bool(log_miss(filter.detection, filter.gate, torch.zeros(())) > -torch.inf):
         raise ValueError(
-            "filter: expected a detection below 1 or a gate of a probability, so that targets may be missed"
+            f"{name}: expected a detection below 1 or a gate of a probability, so that targets may be missed"
         )
 
 

@@ -11,6 +11,9 @@ from torch import Tensor, nn
 from torchfra.numbers import as_number
 from torchfra.targets.state import joined, rows
 
+_REACH = 9.0
+"""Of a kernel, in standard deviations: what lies beyond is less than rounding."""
+
 
 class Mapped(NamedTuple):
     """Measurements ``(K,)`` of the past that were no confirmed target's."""
@@ -36,7 +39,8 @@ class ClutterMap(nn.Module):
     confirmed; what moves leaves its own measurements behind.  Which measurement is whose is decided without the map.
 
     Args:
-        size: standard deviation of a kernel in each direction, m: that of a measured position, or a little more.
+        size: standard deviation of a kernel in each direction, m: that of a measured position as it is stated.  Wider
+            kernels confirm sooner what moves, and after some tens of scans what stays too.
         seconds: after which a measurement counts for ``1 / e``.
         scans: with how many scans without any measurement the map begins: the more, the later it is believed.
 
@@ -77,10 +81,20 @@ class ClutterMap(nn.Module):
             log_uniform: ``(L,)`` log of the uniform density per scan, in 1 / m^dims.
         """
         place, weight, of = rows(mapped[:3], mapped.sensor == sensor)
-        squared = (position.unsqueeze(1) - place).square().sum(-1) / self.size**2
-        log_kernel = -0.5 * squared - position.shape[-1] * math.log(self.size * math.sqrt(2 * math.pi))
-        there = torch.where(scene.unsqueeze(1) == of, weight * log_kernel.exp(), 0.0).sum(-1)
+        query, near = self._near(position[:, 0], place[:, 0])
+        squared = (position[query] - place[near]).square().sum(-1) / self.size**2
+        kernel = torch.exp(-0.5 * squared) / (self.size * math.sqrt(2 * math.pi)) ** position.shape[-1]
+        kernel = torch.where(scene[query] == of[near], weight[near] * kernel, 0.0)
+        there = position.new_zeros(len(position)).index_add(0, query, kernel)
         return torch.log1p(there / (self.scans + mapped.scans[scene, sensor]) * torch.exp(-log_uniform))
+
+    def _near(self, at: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
+        """Pairs of one coordinate ``at (L,)`` and one of ``places (K,)`` that a kernel reaches: number of each."""
+        ordered, order = places.sort()
+        low, high = (torch.searchsorted(ordered, at + side * _REACH * self.size) for side in (-1, 1))
+        count = high - low
+        query = torch.arange(len(at), device=at.device).repeat_interleave(count)
+        return query, order[low[query] + torch.arange(len(query), device=at.device) - (count.cumsum(0) - count)[query]]
 
     def learned(self, mapped: Mapped, position: Tensor, scene: Tensor, sensor: int, free: Tensor) -> Mapped:
         """The map after a scan of a sensor in every scene.

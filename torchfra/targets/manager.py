@@ -173,6 +173,9 @@ class Targets(nn.Module):
         """
         filter, measurements = self._of(sensor), Measurements(z, dt, u, std, noise)
         scan = check_scan(filter, state, measurements, self.confirmation.window)
+        if (state.clutter is None) != (self.clutter_map is None):
+            expected, received = ("none", "one") if self.clutter_map is None else ("one", "none")
+            raise ValueError(f"state: expected {expected} of a manager with a map of clutter, received {received}")
         check_place(self.views.get(sensor), scan.u, filter.motion.dims)
         return self._step(state, scan, filter, sensor)
 
@@ -302,7 +305,7 @@ def _of_sensors(filter: JPDA, sensors: Mapping[str, JPDA] | None) -> dict[str, J
     """
     made = {}
     for name, other in (sensors or {}).items():
-        check_filter(other)
+        check_filter(other, f"sensors[{name!r}]")
         if type(other.motion) is not type(filter.motion) or other.motion.components != filter.motion.components:
             expected = f"the motion of the targets, {type(filter.motion).__name__}"
             raise ValueError(f"sensors: expected {expected}, received {type(other.motion).__name__} of {name!r}")

@@ -1,0 +1,212 @@
+"""Boats in a harbour, measured from a ferry by radar and lidar, among land, buoys and boats that nobody has a truth of.
+
+A recording is NAME_detections.json with NAME_groundTruth.json beside it, gzipped or not: lists of as many entries.  A
+detection has ``sensorID`` (1 lidar, 2 radar; cameras are not used), ``time`` (s), ``ownshipPosition`` (north and east,
+m) and ``measurement`` (norths and easts from the ferry, m); its entry of the truth has ``targetID`` and ``position`` of
+each boat then.
+
+Source: Helgesen, Vasstein, Brekke & Stahl (2022), "Heterogeneous multi-sensor tracking for an autonomous surface
+vehicle in a littoral environment" (CC0).
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from recorded_bench.tracks import Figures
+from torchfra import metrics, presets
+from torchfra.association import ChiSquare, Clutter
+from torchfra.cleaning.outputs.colours import APART, BLACK, GREY
+from torchfra.motion import ConstantVelocity
+from torchfra.plotting.style import TITLE, finish, words
+from torchfra.sensors import Position
+from torchfra.targets import SPRT, ClutterMap, Deletion, FieldOfView, Merging, OnePoint, Targets
+
+METRIC = "gospa"
+PARTS = (METRIC, "followed", "switches", "false_per_minute")
+OWN_PRESETS = ("radar", "radar_lidar")
+"""Which sensors are used; there are no others."""
+PUBLISHED: dict[str, Figures] = {
+    "scenario2": {"Stone Soup JPDA": 17.4},
+    "scenario3": {"Stone Soup JPDA": 25.6},
+    "scenario13": {"Stone Soup JPDA": 16.0},
+    "scenario16": {"Stone Soup JPDA": 18.7},
+}
+NOTE = (
+    "GOSPA with a cutoff of 20 m and order 2, the mean over the radar's scans; followed is the share of them in which "
+    "boats are, the mean over boats. Stone Soup 1.9.1 by radar alone, with the same motion, noise, detection and "
+    "clutter, as measured for this table: nobody has published such figures"
+)
+CUTOFF = 20.0
+"""m, beyond which an estimate is not of a boat."""
+LIDAR, RADAR = 1, 2
+Q, SPEED = 0.3, 5.0
+"""Of the boats: density of the process noise, m^2/s^3, and standard deviation of the velocity at the start, m/s."""
+STD, DETECTION, RATE = {RADAR: 6.0, LIDAR: 3.0}, {RADAR: 0.85, LIDAR: 0.5}, {RADAR: 4.0, LIDAR: 1.0}
+"""Of each sensor: standard deviation of a position, m; probability that a boat is measured; false measurements of a
+scan, in a square of ``WIDTH`` m."""
+WIDTH, REACH = 600.0, 70.0
+"""m; and how far the lidar sees boats for sure."""
+
+
+class Scan(NamedTuple):
+    """What one sensor measured at an instant."""
+
+    time: float
+    sensor: int
+    ferry: Tensor
+    """``(2,)`` where it was, m."""
+    z: Tensor
+    """``(J, 2)`` positions, m."""
+    truth: Tensor
+    """``(B, 2)`` of the boats."""
+
+
+class Scene(NamedTuple):
+    """A recording."""
+
+    name: str
+    z: list[Scan]
+    """In order of their times."""
+    published: Figures
+
+    @property
+    def truth(self) -> Tensor:
+        """``(B, T, 2)`` of the boats at the radar's scans."""
+        return torch.stack([scan.truth for scan in self.z if scan.sensor == RADAR], 1)
+
+
+class Found(NamedTuple):
+    """What a manager made of a recording."""
+
+    figures: Figures
+    mean: Tensor
+    """``(K, T, 2)`` positions at the radar's scans, m."""
+
+
+def read(path: Path) -> Scene:
+    """A recording.
+
+    Raises:
+        ValueError: a name or content other than that.
+    """
+    parts = path.name.split("_detections.json")
+    if len(parts) != 2 or parts[1] not in ("", ".gz"):
+        raise ValueError(f"{path}: expected NAME_detections.json or NAME_detections.json.gz, received {path.name}")
+    name = parts[0]
+    beside = [path.with_name(f"{name}_groundTruth.json{ending}") for ending in ("", ".gz")]
+    truth = next((other for other in beside if other.exists()), None)
+    if truth is None:
+        raise ValueError(f"{path}: expected {beside[0].name} beside it, received none")
+    detections, boats = _loaded(path), _loaded(truth)
+    if len(detections) != len(boats):
+        raise ValueError(f"{truth}: expected {len(detections)} entries as {path.name} has, received {len(boats)}")
+    try:
+        scans = list(_scans(detections, boats))
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{path}: expected detections and truths of the harbour, received {error!r}") from error
+    if not any(scan.sensor == RADAR for scan in scans):
+        raise ValueError(f"{path}: expected scans of the radar (sensorID 2), received none")
+    return Scene(name, sorted(scans, key=lambda scan: scan.time), PUBLISHED.get(name, {}))
+
+
+def manager(name: str) -> Targets:
+    """Of the sensors of that name, with the one setting of all recordings, chosen on scenarios 2, 3, 13 and 16."""
+    motion = ConstantVelocity(Q, spectral=True)
+    radar, lidar = (
+        presets.jpda(
+            motion, Position(STD[sensor]), clutter=Clutter(WIDTH**2, rate=RATE[sensor]), detection=DETECTION[sensor],
+            gate=ChiSquare(0.99999),
+        )
+        for sensor in (RADAR, LIDAR)
+    )  # fmt: skip
+    both = name == "radar_lidar"
+    return Targets(
+        radar, birth=OnePoint(SPEED), confirmation=SPRT(false=1e-4), deletion=Deletion(5), merging=Merging(),
+        clutter_map=ClutterMap(STD[RADAR], 60.0), sensors={"lidar": lidar} if both else None,
+        views={"lidar": FieldOfView(REACH)} if both else None,
+    )  # fmt: skip
+
+
+def follow(name: str, scene: Scene) -> Found:
+    """Boats that are followed by the sensors of that name, and how well."""
+    targets, used = manager(name), {RADAR: None} if name == "radar" else {RADAR: None, LIDAR: "lidar"}
+    state, last, shown = targets.init(), None, []
+    with torch.no_grad():
+        for scan in scene.z:
+            if scan.sensor in used:
+                dt = 0.0 if last is None else scan.time - last
+                state, last = targets.step(state, scan.z, dt=dt, u=scan.ferry, sensor=used[scan.sensor]), scan.time
+                if scan.sensor == RADAR:
+                    shown.append(dict(zip(state.identity.tolist(), state.confirmed.mean[:, :2], strict=True)))
+    identities = sorted({identity for there in shown for identity in there})
+    nowhere = torch.full((2,), math.nan, dtype=torch.float64)
+    rows = [torch.stack([there.get(identity, nowhere) for there in shown]) for identity in identities]
+    mean = torch.stack(rows) if rows else nowhere.expand(1, len(shown), 2)
+    states, truth = slice(0, 2), scene.truth
+    lives = metrics.lives(mean, truth, states, cutoff=CUTOFF)
+    minutes = (scene.z[-1].time - scene.z[0].time) / 60
+    figures = {
+        METRIC: float(metrics.gospa(mean, truth, states, cutoff=CUTOFF).distance.mean()),
+        "followed": float((lives.followed / lives.length).mean()),
+        "switches": int(lives.switches.sum()),
+        "false_per_minute": float(lives.false_tracks.sum() / minutes),
+    }
+    return Found(figures, mean)
+
+
+def picture(scenes: Iterable[Scene], found: dict[str, dict[str, Found]]) -> Figure:
+    """The harbour, a row for each recording: what was measured, the ferry's way, the boats and what was followed."""
+    scenes = list(scenes)
+    names = list(found[scenes[0].name])
+    figure = Figure(figsize=(6.5 * len(names), 6 * len(scenes)), layout="constrained")
+    for row, scene in zip(figure.subplots(len(scenes), len(names), squeeze=False), scenes, strict=True):
+        for axes, name in zip(row, names, strict=True):
+            used = {RADAR} if name == "radar" else {RADAR, LIDAR}
+            seen = torch.cat([scan.z for scan in scene.z if scan.sensor in used])
+            axes.plot(*seen.flip(-1).T, ".", color=GREY, markersize=2, label="measured")
+            for i, boat in enumerate(scene.truth):
+                axes.plot(*boat.flip(-1).T, color=BLACK, linewidth=5, alpha=0.25, label="boats" if i == 0 else None)
+            ferry = torch.stack([scan.ferry for scan in scene.z])
+            axes.plot(*ferry.flip(-1).T, ":", color=BLACK, label="ferry")
+            for i, path in enumerate(found[scene.name][name].mean):
+                axes.plot(*path.flip(-1).T, color=APART[i % len(APART)], linewidth=1.5)
+            axes.set(xlabel="east, m", ylabel="north, m", aspect="equal", title=words(f"{scene.name}, {name}", TITLE))
+            axes.legend(fontsize=8)
+            finish(axes)
+    return figure
+
+
+def _loaded(path: Path) -> list[Any]:
+    try:
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+            found = json.load(file)
+    except (OSError, EOFError, ValueError) as error:
+        raise ValueError(f"{path}: expected a list as JSON, received {error}") from error
+    if not isinstance(found, list) or not found:
+        raise ValueError(f"{path}: expected a list with entries, received {type(found).__name__}")
+    return found
+
+
+def _scans(detections: list[Any], boats: list[Any]) -> Iterable[Scan]:
+    numbers = sorted({boat["targetID"] for there in boats for boat in _listed(there)})
+    for of, there in zip(detections, boats, strict=True):
+        if of["sensorID"] in (LIDAR, RADAR):
+            ferry = torch.tensor(of["ownshipPosition"], dtype=torch.float64)
+            z = torch.tensor(of["measurement"], dtype=torch.float64).reshape(2, -1).T + ferry
+            positions = {boat["targetID"]: boat["position"][:2] for boat in _listed(there)}
+            truth = torch.tensor([positions.get(i, [math.nan] * 2) for i in numbers], dtype=torch.float64)
+            yield Scan(float(of["time"]), of["sensorID"], ferry, z, truth)
+
+
+def _listed(there: Any) -> list[Any]:
+    return there if isinstance(there, list) else [there]

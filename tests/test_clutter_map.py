@@ -1,0 +1,125 @@
+"""A map of clutter keeps what stays from being taken for a target, and who is out of sight was not missed."""
+
+import math
+
+import pytest
+import torch
+from joint import plane
+
+from torchfra import presets, tree
+from torchfra.association import Clutter
+from torchfra.motion import ConstantVelocity
+from torchfra.sensors import Bearings, Position
+from torchfra.targets import ClutterMap, FieldOfView, MOfN, OnePoint, Targets, collect
+
+BUOY = torch.tensor([40.0, -20.0]).double()
+
+
+def scans(seed, steps=40):
+    """A target that passes a buoy, and two false measurements anywhere."""
+    rng = torch.Generator().manual_seed(seed)
+    boat = torch.tensor([[-60.0 + 5.0 * k, 10.0] for k in range(steps)]).double()
+    z = torch.stack([boat, BUOY.expand(steps, 2)], 1) + 2.0 * torch.randn(steps, 2, 2, generator=rng).double()
+    return torch.cat([z, 300.0 * torch.rand(steps, 2, 2, generator=rng).double() - 150.0], 1)
+
+
+def manager(**options):
+    return Targets(plane(), birth=OnePoint(5.0), **options)
+
+
+def test_a_target_that_moves_is_confirmed_and_a_buoy_is_not():
+    mapped = manager(clutter_map=ClutterMap(2.0))(scans(0))
+    plain = manager()(scans(0))
+    assert len(mapped.identity) == 1
+    assert (mapped.mean[0, -1, :2] - torch.tensor([135.0, 10.0])).norm() < 5.0
+    assert ((plain.mean[:, -1, :2] - BUOY).norm(dim=-1) < 5.0).any()
+
+
+def test_scenes_side_by_side_have_maps_of_their_own():
+    targets = manager(clutter_map=ClutterMap(2.0))
+    both = targets(torch.stack([scans(1), scans(2)]))
+    for i, seed in enumerate((1, 2)):
+        alone = targets(scans(seed))
+        assert both.identity[i, : len(alone.identity)].tolist() == alone.identity.tolist()
+        torch.testing.assert_close(both.mean[i, : len(alone.identity)], alone.mean, equal_nan=True)
+
+
+def test_a_map_goes_on_when_it_was_saved():
+    targets, state, states = manager(clutter_map=ClutterMap(2.0)), None, []
+    state = targets.init()
+    for k, z in enumerate(scans(3)):
+        state = targets.step(state, z)
+        if k == 20:
+            state = targets.restored(targets.saved(state))
+        states.append(state)
+    torch.testing.assert_close(collect(states), targets(scans(3)), equal_nan=True, rtol=0, atol=0)
+
+
+def test_measurements_are_forgotten():
+    targets = manager(clutter_map=ClutterMap(2.0, seconds=3.0))
+    state = targets.init()
+    for z in scans(4):
+        state = targets.step(state, z)
+    assert len(state.clutter.weight) <= 4 * 14  # of the last 3 log(100) s
+    assert state.clutter.scans.item() == pytest.approx(1 / (1 - math.exp(-1 / 3)), rel=1e-4)
+
+
+def test_gradients_reach_the_noise_past_a_map():
+    clutter = Clutter(9e4, rate=2.0)
+    f = presets.jpda(ConstantVelocity(1.0), Position(2.0), clutter=clutter, detection=0.9, learn=["std"])
+    targets = Targets(f, birth=OnePoint(5.0), clutter_map=ClutterMap(2.0))
+    targets(scans(5, 15)).log_likelihood.sum().backward()
+    assert all(p.grad is not None and p.grad.isfinite().all() for p in targets.filter.sensor.parameters())
+
+
+@pytest.mark.parametrize(("farthest", "there"), [(30.0, True), (1000.0, False)])
+def test_who_is_out_of_sight_is_not_deleted_for_not_being_measured(farthest, there):
+    f = plane()
+    targets = Targets(f, birth=OnePoint(5.0), confirmation=MOfN(2, 3), views={None: FieldOfView(farthest)})
+    state, ferry = targets.init(), torch.tensor([-60.0, 0.0]).double()
+    for z in scans(6)[:4, :1]:
+        state = targets.step(state, z, u=ferry)
+    assert len(state.identity) == 1
+    for _ in range(10):
+        state = targets.step(state, torch.zeros(0, 2).double(), u=ferry - 100.0)
+    assert (len(state.identity) == 1) == there
+    if there:
+        torch.testing.assert_close(state.belief.mean[0, 0], torch.tensor(5.0).double(), atol=15.0, rtol=0)
+
+
+def other(sensor):
+    return presets.jpda(
+        ConstantVelocity(1.0), sensor, clutter=Clutter(extent=[6.3] * sensor.size, rate=1.0), detection=0.9
+    )
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: ClutterMap(0.0), "size: expected a finite number above 0, received 0.0"),
+        (lambda: ClutterMap(seconds=float("inf")), "seconds: expected a finite number above 0, received inf"),
+        (lambda: manager(clutter_map=3.0), "clutter_map: expected a ClutterMap of torchfra.targets, received float"),
+        (lambda: FieldOfView(10.0, nearest=20.0), "expected 0 <= nearest < farthest, received 20.0, 10.0"),
+        (lambda: FieldOfView(10.0, place=[0.0, float("nan")]), r"place: expected \(dims,\) finite metres"),
+        (lambda: manager(views={"radar": FieldOfView(9.0)}), "views: expected sensors out of None, received 'radar'"),
+        (lambda: manager(views={None: 9.0}), "views: expected a FieldOfView of None, received float"),
+        (lambda: manager(views={None: FieldOfView(9.0, place=[0.0] * 3)}), "expected a place of 2 dimensions of None"),
+        (lambda: manager(sensors={"camera": other(Bearings(0.01))}), r"sensors\['camera'\]: expected a sensor that"),
+        (
+            lambda: manager(views={None: FieldOfView(9.0)})(scans(0)),
+            "u: expected the place of the sensor, 2 numbers, as its field of view needs, received none",
+        ),
+        (
+            lambda: manager(clutter_map=ClutterMap()).step(manager().init(), scans(0)[0]),
+            "state: expected one of a manager with a map of clutter, received none",
+        ),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_said(make, said):
+    with pytest.raises(ValueError, match=said):
+        make()
+
+
+def test_without_a_map_a_state_holds_none():
+    assert manager().init().clutter is None
+    assert len(tree.flatten(manager(clutter_map=ClutterMap()).init())) == len(tree.flatten(manager().init())) + 5
