@@ -87,6 +87,23 @@ def test_who_is_out_of_sight_is_not_deleted_for_not_being_measured(farthest, the
         torch.testing.assert_close(state.belief.mean[0, 0], torch.tensor(5.0).double(), atol=15.0, rtol=0)
 
 
+def test_bearings_alone_say_more_of_targets_and_begin_none():
+    camera = presets.jpda(
+        ConstantVelocity(1.0), Bearings(0.005, count=1), clutter=Clutter(extent=[6.3], rate=0.5), detection=0.9
+    )  # fmt: skip
+    targets = manager(sensors={"camera": camera}, clutter_map=ClutterMap(2.0))
+    ferry, state = torch.tensor([0.0, -80.0]).double(), targets.init()
+    look = {"dt": 0.0, "sensor": "camera", "u": ferry}
+    assert len(targets.step(state, torch.zeros(3, 1).double(), **look).track.identity) == 0
+    for z in scans(7)[:8]:
+        state = targets.step(state, z[:1])
+    off = state.belief.mean[0, :2] - ferry
+    seen = targets.step(state, torch.atan2(off[0], off[1]).reshape(1, 1), **look)
+    spread, before = (x.belief.covariance[0, :2, :2].diagonal().sum() for x in (seen, state))
+    assert spread < 0.7 * before
+    assert len(seen.clutter.weight) == len(state.clutter.weight)
+
+
 def other(sensor):
     return presets.jpda(
         ConstantVelocity(1.0), sensor, clutter=Clutter(extent=[6.3] * sensor.size, rate=1.0), detection=0.9
@@ -104,7 +121,7 @@ def other(sensor):
         (lambda: manager(views={"radar": FieldOfView(9.0)}), "views: expected sensors out of None, received 'radar'"),
         (lambda: manager(views={None: 9.0}), "views: expected a FieldOfView of None, received float"),
         (lambda: manager(views={None: FieldOfView(9.0, place=[0.0] * 3)}), "expected a place of 2 dimensions of None"),
-        (lambda: manager(sensors={"camera": other(Bearings(0.01))}), r"sensors\['camera'\]: expected a sensor that"),
+        (lambda: manager(sensors={"r": other(Position(1.0, dims=3))}), r"sensors\['r'\]: expected a sensor that loc"),
         (
             lambda: manager(views={None: FieldOfView(9.0)})(scans(0)),
             "u: expected the place of the sensor, 2 numbers, as its field of view needs, received none",

@@ -64,7 +64,7 @@ def test_every_scan_leaves_the_targets_of_plain_loops(birth, confirmation, delet
 def test_scans_of_two_sensors_at_one_instant_are_two_scans_of_plain_loops(birth):
     """The second looks half a second after the first, then at the same instant; its noise comes with its scans."""
     z, two = [scan for pair in zip(scans(0), scans(1), strict=True) for scan in pair], 2 * len(scans(0))
-    own, more = {"std": STD, "PD": PD, "density": RATE / WIDTH**2}, {"PD": 0.6, "density": 0.7 / WIDTH**2}
+    own, more = {"std": STD, "PD": PD, "density": RATE / WIDTH**2}, {"PD": 0.6, "density": 0.7 / WIDTH**2, "sensor": 1}
     gaps = [(DT, 0.0) if k % 3 else (DT - 0.5, 0.5) for k in range(two // 2)]
     looks = [one for first, second in gaps for one in ({"dt": first, **own}, {"dt": second, "std": 3.0, **more})]
     (how, born), (confirmation, when) = BIRTHS[birth], CONFIRMATIONS["score"]

@@ -39,7 +39,8 @@ def manage(
     """
     one, none, H = np.eye(2), np.zeros((2, 2)), np.eye(2, 4)
     targets: list[Target] = []
-    number, free_before, shown = 0, [], []
+    number, shown = 0, []
+    waiting: dict[int, list[Free]] = {0: [], 1: []}  # of each sensor, measurements from which targets may begin
     seen: list[tuple[Array, float, int]] = []  # of the map: a position, its weight, the sensor
     counted = [0.0, 0.0]  # scans of each sensor
     for z, look in zip(scans, looks or [{}] * len(scans), strict=True):
@@ -80,7 +81,8 @@ def manage(
             target.hits.append(hit)
         targets = [t for t in targets if not ends(t, misses, drop)]
         free = [(z[j], R, 0.0) for j in range(len(z)) if beta[j].sum() < 0.5]
-        begun, free_before = begin(birth, free, [(x, S, since + dt) for x, S, since in free_before])
+        waiting = {s: [(x, S, since + dt) for x, S, since in old] for s, old in waiting.items()}
+        begun, waiting[sensor] = begin(birth, free, waiting[sensor])
         for mean, P, hits in begun:
             targets.append(Target(number, mean, P, [True] * hits))
             number += 1

@@ -101,8 +101,8 @@ class OnePoint(Birth):
 class TwoPoint(Birth):
     """Two unassociated measurements in consecutive scans begin a target: their difference gives the velocity.
 
-    The pairs are an assignment: as many as the highest speed allows, with the least sum of distances.  Measurements of
-    one instant are not paired: all of them are left for the next scan.
+    The pairs are an assignment: as many as the highest speed allows, with the least sum of distances.  Scans are those
+    of one sensor.  Measurements of one instant are not paired: all of them are left for the next scan.
 
     Args:
         speed: highest speed of a target, m/s.

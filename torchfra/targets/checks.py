@@ -19,20 +19,28 @@ from torchfra.targets.state import TargetsState
 _DTYPES = torch.float32, torch.float64
 
 
-def check_filter(filter: object, name: str = "filter") -> None:
+def check_filter(filter: object, name: str = "filter", *, births: bool = True) -> None:
     """Checks that a filter, the argument of that name, can track a number of targets that changes.
+
+    Args:
+        filter: the filter.
+        name: of the argument.
+        births: whether targets have to begin from its measurements.
 
     Raises:
         ValueError: it cannot.
     """
     if not isinstance(filter, JPDA):
         raise ValueError(f"{name}: expected a JPDA around a filter of one target, received {type(filter).__name__}")
-    if not filter.sensor.locates:
+    if births and not filter.sensor.locates:
         received = filter.sensor.describe()
         raise ValueError(f"{name}: expected a sensor that measures where a target is, received {received}")
-    dims, wanted = filter.sensor.locate(torch.ones(1, filter.sensor.size)).shape[-1], filter.motion.dims
-    if dims != wanted:
-        raise ValueError(f"{name}: expected a sensor that locates in {wanted} dimensions as the motion has, not {dims}")
+    wanted = filter.motion.dims
+    if filter.sensor.locates:
+        dims = filter.sensor.locate(torch.ones(1, filter.sensor.size)).shape[-1]
+        if dims != wanted:
+            expected = f"a sensor that locates in {wanted} dimensions as the motion has"
+            raise ValueError(f"{name}: expected {expected}, not {dims}")
     if len(known_components(filter.motion)) != 2 * wanted:
         received = type(filter.motion).__name__
         raise ValueError(f"{name}: expected a motion with position and velocity in its state, received {received}")

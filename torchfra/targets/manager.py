@@ -55,11 +55,11 @@ class Targets(nn.Module):
         free: probability that a measurement is no target's above which it may begin one.
         sensors: others that scan the same targets, by name, each as a ``JPDA`` with its sensor, gate, clutter and
             detection; targets are followed by the inner filter of ``filter``, around that sensor.  A scan of any sensor
-            counts as one for births, confirmation and deletion.
+            counts as one for confirmation and deletion; targets begin from the scans of each sensor that ``locates``.
         views: how far sensors see, by name, None for the filter's own: targets outside that are not measured have not
             been missed, whatever the ``detection`` of the sensor.
-        clutter_map: learns where false measurements come again and again, each sensor's on its own; None for density
-            that stays uniform.  It needs clutter of a Poisson rate.
+        clutter_map: learns where false measurements come again and again, each sensor's on its own that measures every
+            direction of space; None for density that stays uniform.  It needs clutter of a Poisson rate.
 
     Raises:
         ValueError: an argument that is none of those, or does not go with the others.
@@ -122,7 +122,7 @@ class Targets(nn.Module):
         empty = Gaussian(nothing.reshape(0, n), nothing.reshape(0, n, n))
         position = Gaussian(nothing.reshape(0, dims), nothing.reshape(0, dims, dims))
         next_identity = torch.zeros(scenes, dtype=torch.int64, device=device)
-        free, mapped = Unassociated(position, none, nothing), None
+        free, mapped = Unassociated(position, none, nothing, none), None
         if self.clutter_map is not None:
             mapped = self.clutter_map.begin(scenes, 1 + len(self.sensors), position.mean)
         return TargetsState(self.filter.begin(empty), track, free, next_identity, mapped)
@@ -211,12 +211,11 @@ class Targets(nn.Module):
         self, state: TargetsState, scan: SceneScan, filter: JPDA, sensor: str | None = None
     ) -> TargetsState:  # fmt: skip
         """The next state, of a scan by the sensor of this filter and name."""
-        scene = state.track.scene
+        scene, number = state.track.scene, 0 if sensor is None else 1 + list(self.sensors).index(sensor)
         after, log_missed, density, association, groups = filter_scan(filter, state.filter, scene, scan)
         gained = log_miss(filter.detection, filter.gate, log_missed) - log_missed
         located, mapped = _located(filter, scan), None
         if self.clutter_map is not None:
-            number = 0 if sensor is None else 1 + list(self.sensors).index(sensor)
             excess, mapped = self._mapped(state, scan, filter, number, located, association)
             gained = gained - (association * excess[scene]).sum(-1)
         track = _aged(state.track, log_missed, density, gained)
@@ -224,7 +223,7 @@ class Targets(nn.Module):
             track, after = self._not_missed(state, track, after, self.views[sensor], scan)
         stays = ~self._deleted(after.belief, track, groups)
         associated = scan.z.new_zeros(scan.z.shape[:2]).index_add(0, scene, association)
-        newborn, unassociated = self._births(state.unassociated, associated, scan, located)
+        newborn, unassociated = self._births(state.unassociated, associated, scan, located, number)
         track, next_identity = _with_newborn(rows(track, stays), newborn, state.next_identity)
         everyone = rows(after, stays)
         if len(newborn.scene):
@@ -253,6 +252,8 @@ class Targets(nn.Module):
         clutter_map, (position, scene, j) = self.clutter_map, located
         assert clutter_map is not None
         mapped = clutter_map.aged(state.clutter, scan.dt)
+        if not (filter.sensor.locates and filter.sensor.measures_each_direction):
+            return scan.z.new_zeros(scan.z.shape[:2]), mapped
         uniform = filter.clutter.in_space(scan.z[scene, j], filter.sensor)
         at = clutter_map.log_excess(mapped, position.mean, scene, sensor, uniform)
         excess = scan.z.new_zeros(scan.z.shape[:2]).index_put((scene, j), at)
@@ -267,15 +268,16 @@ class Targets(nn.Module):
         return deleted if self.merging is None else deleted | self.merging(motion, belief, track, groups)
 
     def _births(
-        self, before: Unassociated, associated: Tensor, scan: SceneScan, located: Located
+        self, before: Unassociated, associated: Tensor, scan: SceneScan, located: Located, sensor: int
     ) -> tuple[Newborn, Unassociated]:
-        """The newborn targets, and the unassociated measurements that the next scan's births may use."""
+        """The newborn targets, and the unassociated measurements that the sensor's next scan may use."""
         free = associated[located.scene, located.number] < 1 - self.free
         position, scene = rows((located.position, located.scene), free)
-        now = Unassociated(position, scene, scan.dt.new_zeros(len(scene)))
+        now = Unassociated(position, scene, scan.dt.new_zeros(len(scene)), torch.full_like(scene, sensor))
         before = before._replace(since=before.since + scan.dt[before.scene])
-        newborn, left = self.birth(self.filter.motion, now, before)
-        return newborn, left
+        own = before.sensor == sensor
+        newborn, left = self.birth(self.filter.motion, now, rows(before, own))
+        return newborn, joined(rows(before, ~own), left)
 
 
 class Located(NamedTuple):
@@ -289,7 +291,13 @@ class Located(NamedTuple):
 
 
 def _located(filter: JPDA, scan: SceneScan) -> Located:
-    scene, j = (~scan.z.isnan().any(-1)).nonzero().unbind(-1)
+    """Where its measurements are; of a sensor that does not locate, of bearings say, none of them."""
+    complete = ~scan.z.isnan().any(-1)
+    if not filter.sensor.locates:
+        nothing, dims = scan.z.new_zeros(0), filter.motion.dims
+        none = complete.nonzero()[:0, 0]
+        return Located(Gaussian(nothing.reshape(0, dims), nothing.reshape(0, dims, dims)), none, none)
+    scene, j = complete.nonzero().unbind(-1)
     u = None if scan.u is None else scan.u[scene]
     own = (None if x is None else x[scene, j] for x in (scan.std, scan.noise))
     return Located(place(filter.motion, filter.sensor, scan.z[scene, j], u, *own), scene, j)
@@ -305,7 +313,7 @@ def _of_sensors(filter: JPDA, sensors: Mapping[str, JPDA] | None) -> dict[str, J
     """
     made = {}
     for name, other in (sensors or {}).items():
-        check_filter(other, f"sensors[{name!r}]")
+        check_filter(other, f"sensors[{name!r}]", births=False)
         if type(other.motion) is not type(filter.motion) or other.motion.components != filter.motion.components:
             expected = f"the motion of the targets, {type(filter.motion).__name__}"
             raise ValueError(f"sensors: expected {expected}, received {type(other.motion).__name__} of {name!r}")

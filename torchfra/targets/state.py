@@ -43,6 +43,8 @@ class Unassociated(NamedTuple):
     """``(K,)``."""
     since: Tensor
     """``(K,)`` seconds since the measurement."""
+    sensor: Tensor
+    """``(K,)`` number of the sensor that measured; 0 for the filter's own."""
 
 
 class TargetsState(NamedTuple):
