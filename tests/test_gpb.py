@@ -235,6 +235,14 @@ def test_blocks_may_come_in_any_order():
     assert ((e.info.outlier[..., order] - other.info.outlier).abs() < 0.3).all()
 
 
+def test_it_does_not_matter_which_block_is_missing():
+    ranges = [Ranges(ANCHORS[list(order)], 2.0) for order in ((0, 1), (1, 0))]
+    z = measured("ranges", outliers=False)[:1, :1, :2]
+    z[..., 0] = torch.nan
+    e, other = (presets.gpb(MOTION, sensor)(x, PRIOR) for sensor, x in zip(ranges, (z, z.flip(-1)), strict=True))
+    torch.testing.assert_close(e.covariance, other.covariance)
+
+
 def test_nothing_measured_is_a_prediction_that_jumps_nowhere():
     z = measured()
     z[:, 10:] = torch.nan

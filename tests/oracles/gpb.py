@@ -172,7 +172,7 @@ def told(
 ) -> tuple[float, Array, Array]:
     """The belief after one block, whose noise covariance is `size` times the stated one, and its log density.
 
-    What the points add to the noise counts for the first block alone.
+    What the points add to the noise counts for the first block that is measured alone.
     """
     alone = np.full(len(z), np.nan)
     alone[block] = z[block]
@@ -217,11 +217,16 @@ def deviations(mean: Array, P: Array, model: Model, k: int, rule: Any, seen: Any
     return moments(values, model.h(mean, k)[seen], angles, rule[1])
 
 
+def is_first(block: list[int], z: Array, q: Qualities) -> bool:
+    """Whether nothing in the blocks before one is measured."""
+    return all(math.isnan(z[i]) for other in q.blocks[: q.blocks.index(block)] for i in other)
+
+
 def clean(belief: Belief, z: Array, q: Qualities, model: Model, k: int) -> tuple[float, Belief]:
     """The measurement taken as stated: its log density, and the belief after it."""
     total = 0.0
     for block in q.blocks:
-        score, *after = told(belief, z, block, model, k, 1.0, block is q.blocks[0])
+        score, *after = told(belief, z, block, model, k, 1.0, is_first(block, z, q))
         belief, total = (after[0], after[1]), total + score
     return total, belief
 
@@ -235,7 +240,7 @@ def dirty(
         offsets = [0.0] * len(q.sizes) if q.offsets is None else q.offsets
         furthest = max(q.sizes[-1], asked_for(belief, z, block, model, k, offsets[-1]))
         chances = [1 - share] + [share * s for s in q.shares]
-        first, sizes = block is q.blocks[0], [1.0, *q.sizes[:-1], furthest]
+        first, sizes = is_first(block, z, q), [1.0, *q.sizes[:-1], furthest]
         parts = [
             told(belief, z, block, model, k, size, first, off) for size, off in zip(sizes, [0.0, *offsets], strict=True)
         ]

@@ -153,8 +153,8 @@ class Outliers(nn.Module):
         Blocks are independent, so they are taken one after the other: what they cost adds up.  Each is taken with its
         noise as stated and with that of outliers of all sizes, and these are merged at once, in the space of what is
         measured: beliefs are kept in units of the root of the prediction, ``N(0, I)`` at first.  What the points of a
-        sensor that bends add to its noise is much the same for all blocks, so the first one alone has it: counted for
-        each, as if it were independent, it makes a belief along an arc too sure.
+        sensor that bends add to its noise is much the same for all blocks, so the first one that is measured alone has
+        it: counted for each, as if it were independent, it makes a belief along an arc too sure.
 
         Args:
             predicted: ``(1, R, 2, ...)``.
@@ -181,12 +181,14 @@ class Outliers(nn.Module):
             torch.zeros_like(mean[..., 0]),
             [],
         )
-        only = len(self.blocks) == 1
+        only, first_one = len(self.blocks) == 1, torch.ones_like(missing[..., :1, None])
         for b, block in enumerate(self.blocks):
             share, gone = prior[..., b], missing[..., list(block)]
             so_far = Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril) if b else Gaussian(mean, root)
             whitened = _of_block(compare(so_far), block)
-            whitened = whitened._replace(spread=whitened.slope) if b else whitened
+            if b and whitened.rest.shape[-1]:
+                whitened = whitened._replace(spread=hstack(first_one * tria(whitened.rest), whitened.slope))
+            first_one = first_one * gone.amin(-1)[..., None, None]
             rows, cross, left, residual = _in_space_of(whitened, belief)
             adapted = self.adapted(sizes, residual[-1:], gone, offsets)
             updated, log_updated = sequential(rows[-1:], residual[-1:], adapted, gone, offsets)
