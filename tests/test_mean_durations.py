@@ -150,6 +150,20 @@ def test_rows_without_a_measurement_change_no_estimate_of_gpb_where_the_motion_h
     assert one.info.outlier[:, [5, 9]].min() > 0.5
 
 
+@pytest.mark.parametrize("sensor", [None, Position(2.0)], ids=["the first", "that of another sensor"])
+def test_what_no_measurement_foretells_is_an_outlier_as_often_as_in_the_long_run(sensor):
+    f = presets.gpb(ConstantVelocity(1.0), SENSOR, manoeuvres="none", outlier_durations=(60.0, 20.0))
+    state = f.init(Gaussian(torch.zeros(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64)))
+    if sensor is not None:
+        state, _ = f.step(state, tensor(0.0, 0.0))
+    view = f.with_sensor(sensor)
+    log_mode, block = view.outliers.ahead(*view.unremembered(state)[4:], torch.tensor(True))
+    torch.testing.assert_close(log_mode.exp()[:, 0, 0], tensor(0.75, 0.25))
+    assert (block == 1).all()
+    off, _ = f.step(state, tensor(300.0, 300.0), dt=0.0, sensor=sensor)
+    assert off.belief.mean.abs().max() < 20
+
+
 def test_regimes_over_a_gap_are_as_likely_whatever_the_steps():
     f = presets.gpb(BANK, SENSOR, **LEVELS, **WRONG)
     z, dt = measured()

@@ -61,6 +61,8 @@ class Qualities(NamedTuple):
         """The chain (2,2) between two measurements."""
         if self.durations is None:
             return self.chain
+        if math.isinf(seconds):  # before the first measurement: as in the long run
+            return np.tile(np.array(self.durations) / sum(self.durations), (2, 1))
         return exponential([[-1, 1], [1, -1]] / np.array(self.durations)[:, None] * seconds)
 
 
@@ -295,7 +297,7 @@ def start(mean: Array, P: Array, regimes: Regimes, q: Qualities, poor: float, fa
     count = max(regimes.motions) + 1
     beliefs = {(i, m): (mean, P * (factor if i else 1.0)) for i in QUALITIES for m in range(count)}
     log_regimes = np.log(np.array([share * regimes.first for share in (1 - poor, poor)]))
-    return Carried(beliefs, log_regimes, np.zeros(len(q.blocks)))
+    return Carried(beliefs, log_regimes, np.zeros(len(q.blocks)), math.inf)
 
 
 class Hypothesis(NamedTuple):

@@ -24,7 +24,7 @@ from torchfra.filters.gpb.hypotheses import (
     merge,
     to_state,
 )
-from torchfra.filters.gpb.outliers import Outliers, since
+from torchfra.filters.gpb.outliers import Outliers
 from torchfra.filters.gpb.regimes import Moves, Regimes, in_front
 from torchfra.filters.gpb.slopes import by_points_or_slope, exactly
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, Step
@@ -151,8 +151,8 @@ class GPB(Filter[GPBState]):
             log_weight.expand(*log_weight.shape[:3], *mean.shape[:-1]),
         )
         outlier = mean.new_zeros(*mean.shape[:-1], len(self.outliers.blocks))
-        unmeasured = None if self.outliers.outlier_durations is None else torch.zeros_like(mean[..., 0])
-        return GPBState(belief, belief, *to_state(every, (OUTLIER, MOTION)), outlier, unmeasured)
+        forgotten = None if self.outliers.outlier_durations is None else torch.ones_like(mean[..., 0])
+        return GPBState(belief, belief, *to_state(every, (OUTLIER, MOTION)), outlier, forgotten)
 
     def advance(self, state: GPBState, frame: Frame, mix: Mix | None = None) -> tuple[GPBState, Record]:
         """One step; ``mix`` is not looked at, as this filter mixes itself."""
@@ -161,7 +161,8 @@ class GPB(Filter[GPBState]):
         moves = regimes.moves(before.log_weight, frame.dt, measured)  # (1)
         mixed, mixing = self.mix(before.belief, moves)  # (2)
         predicted, nis = self.predict_regimes(mixed, moves.log_weight, frame)  # (3)
-        chances = self.outliers.ahead(state.outlier, since(state.unmeasured, frame.dt), measured)
+        forgotten = self.outliers.forgotten(state.forgotten, frame.dt)
+        chances = self.outliers.ahead(state.outlier, forgotten, measured)
         updated, outlier = self.update(predicted, frame, chances)  # (4)
         found = updated.posterior()  # (5)
         after = regimes.merged(updated, angles)  # (6)
@@ -176,12 +177,10 @@ class GPB(Filter[GPBState]):
         carried = *to_state(Hypotheses(after.belief, found.log_regimes), (OUTLIER, MOTION)), if_any
         expected = self.compare(self.expected(predicted), frame)
         info = Step(tree.Late(lagged), of_regimes, any_outlier * if_any)
-        unmeasured = None
-        if state.unmeasured is not None:
-            unmeasured = torch.where(measured, 0.0, since(state.unmeasured, frame.dt))
-        past = GPBPast(*carried, batch_first(nis, BEFORE), measured.to(nis).expand(nis.shape[3:]), unmeasured)
+        forgotten = None if forgotten is None else torch.where(measured, 0.0, forgotten)
+        past = GPBPast(*carried, batch_first(nis, BEFORE), measured.to(nis).expand(nis.shape[3:]), forgotten)
         record = Record(belief, expected.residual, *innovation(expected), info, found.log_likelihood, past=past)
-        return GPBState(belief, lagged, *carried, unmeasured), record
+        return GPBState(belief, lagged, *carried, forgotten), record
 
     def mix(self, before: Gaussian, moves: Moves) -> tuple[Gaussian, Mixing]:
         """What each motion starts from, ``(1, K, 2, ...)``: its own belief, or what is known where others end."""
@@ -274,13 +273,13 @@ class GPB(Filter[GPBState]):
 
     def unremembered(self, state: GPBState) -> GPBState:
         """A state whose last measurement says nothing of outliers in the next."""
-        return state._replace(
-            outlier=state.belief.mean.new_zeros((*state.belief.mean.shape[:-1], len(self.outliers.blocks)))
-        )
+        outlier = state.belief.mean.new_zeros((*state.belief.mean.shape[:-1], len(self.outliers.blocks)))
+        return self.remembering(state, state._replace(outlier=outlier))
 
     def remembering(self, state: GPBState, before: GPBState) -> GPBState:
         """A state without outliers before it: another sensor, of one ``before``, had the last measurement."""
-        return state._replace(outlier=torch.zeros_like(before.outlier))
+        forgotten = None if state.forgotten is None else torch.ones_like(state.forgotten)
+        return state._replace(outlier=torch.zeros_like(before.outlier), forgotten=forgotten)
 
     # ------------------------------------------------------------ smoothing
 

@@ -113,24 +113,38 @@ class Outliers(nn.Module):
         if bool((correlated & ~within).any()):
             raise ValueError(f"{name}: expected noise that is independent between blocks, received a correlation")
 
-    def ahead(self, outlier: Tensor, dt: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
+    def forgotten(self, before: Tensor | None, dt: Tensor) -> Tensor | None:
+        """How far ``(...)`` the last measurement says nothing of outliers any more, ``dt (...)`` seconds later.
+
+        Before the first measurement they are as likely as the chain has them in the long run.
+
+        Args:
+            before: 0 at a measurement, 1 before the first; None without durations, where it stays so.
+            dt: seconds.
+        """
+        if before is None:
+            return None
+        rate = (1 / self.outlier_durations(before)).sum(-1)  # type: ignore[misc]
+        later: Tensor = before - (1 - before) * torch.expm1(-dt * rate)
+        return later
+
+    def ahead(self, outlier: Tensor, forgotten: Tensor | None, measured: Tensor) -> tuple[Tensor, Tensor]:
         """What the outliers of a step say of those of the next; where nothing is measured in that, they stay.
 
         Args:
             outlier: ``(..., B)`` probability of each block that it was an outlier, if any was.
-            dt: ``(...)`` seconds from the last measurement to the next step.
-            measured: ``(...)`` whether anything is measured in it.
+            forgotten: ``(...)`` from ``forgotten``, None without durations.
+            measured: ``(...)`` whether anything is measured in the next step.
 
         Returns:
             Logs ``(2, 1, 2, ...)`` of the probability that the next step has no outlier or some, after one without and
             with some, and ``(1, 1, 2, ..., B)`` of each block that it is one if any is.
         """
-        if self.outlier_durations is None:
+        if forgotten is None:
             chain = self.outlier_transition(outlier)  # type: ignore[misc]
             begins, lasts = chain[..., 0, 1], chain[..., 1, 1]
         else:
-            without, wrong = self.outlier_durations(outlier).unbind(-1)
-            forgotten = -torch.expm1(-dt * (1 / without + 1 / wrong))
+            without, wrong = self.outlier_durations(outlier).unbind(-1)  # type: ignore[misc]
             begins, lasts = forgotten * wrong / (without + wrong), 1 - forgotten * without / (without + wrong)
         begins, lasts = begins.unsqueeze(-1), lasts.unsqueeze(-1)
         now = torch.stack([begins.expand_as(outlier), begins + outlier * (lasts - begins)])[None, None]
@@ -220,11 +234,6 @@ class Outliers(nn.Module):
         asked = residual.square().sum(-1) / (1 - missing).sum(-1).clamp_min(1.0)
         last = torch.maximum(sizes[-1:], asked)
         return torch.cat([sizes[:-1].expand(-1, *last.shape[1:]), last])
-
-
-def since(unmeasured: Tensor | None, dt: Tensor) -> Tensor:
-    """Seconds from the last measurement to the end of a step of ``dt``, which alone count if nothing says how many."""
-    return dt if unmeasured is None else unmeasured + dt
 
 
 def sequential(

@@ -19,7 +19,6 @@ from torchfra.filters.gpb.hypotheses import (
     models_last,
     to_state,
 )
-from torchfra.filters.gpb.outliers import since
 from torchfra.filters.gpb.states import GPBPast
 from torchfra.filters.interaction import for_each_model
 from torchfra.filters.model_smoothing import inside
@@ -90,6 +89,6 @@ def _prior(f: Any, past: GPBPast, nis: Tensor, dt: Tensor, measured: Tensor) -> 
     """Logs ``(2, R, 2, R, ...)`` of the probabilities of two steps: outliers and regimes, now and before."""
     log_weight = past.log_weights.movedim((-2, -1), (0, 1))  # (2, R, ...)
     regime = log_weight + f.regimes.transition(log_weight.transpose(0, 1), dt, measured)
-    log_mode, _ = f.outliers.ahead(past.outlier, since(past.unmeasured, dt), measured)
+    log_mode, _ = f.outliers.ahead(past.outlier, f.outliers.forgotten(past.forgotten, dt), measured)
     pairs: Tensor = log_mode.unsqueeze(MOTION_BEFORE) + f.regimes.rarer(regime.unsqueeze(0), nis)
     return pairs

@@ -27,8 +27,9 @@ class GPBState(NamedTuple):
     """``(..., 2, R)`` logs of the probabilities of that, and of the regimes."""
     outlier: Tensor
     """``(..., B)`` probability of each block that it was an outlier, if any was."""
-    unmeasured: Tensor | None = None
-    """``(...)`` seconds since the last measurement, where outliers have durations."""
+    forgotten: Tensor | None = None
+    """``(...)`` how far the last measurement says nothing of outliers any more, where they have durations: from 0 at a
+    measurement to 1, as before the first."""
 
 
 class GPBInfo(NamedTuple):
@@ -66,5 +67,5 @@ class GPBPast(NamedTuple):
     """``(..., 2)`` normalised innovation squared per element of the agile level, without and with an outlier before."""
     measured: Tensor
     """``(...)`` 1 where anything was, else 0."""
-    unmeasured: Tensor | None = None
+    forgotten: Tensor | None = None
     """As in ``GPBState``."""

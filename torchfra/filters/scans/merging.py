@@ -114,7 +114,7 @@ def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
         moment_match(states.hypotheses, shares, angles),
         log_sum(joint, 0),
         averaged(states.outlier, some),
-        None if states.unmeasured is None else averaged(states.unmeasured.unsqueeze(-1), log_weights).squeeze(-1),
+        None if states.forgotten is None else averaged(states.forgotten.unsqueeze(-1), log_weights).squeeze(-1),
     )
 
 
