@@ -96,6 +96,13 @@ def test_one_duration_is_the_same_for_all():
     torch.testing.assert_close(one.smooth(z, PRIOR, dt=dt).mean, three.smooth(z, PRIOR, dt=dt).mean)
 
 
+def test_each_track_may_have_its_own_models_after_one_that_ends():
+    (z, dt), other = measured(), torch.stack([tensor(0.0, 1, 0), tensor(0, 0, 1), tensor(1, 0, 0)])
+    f = presets.imm(BANK, SENSOR, durations=8.0, transition=torch.stack([FOLLOWS, other]))
+    second = presets.imm(BANK, SENSOR, durations=8.0, transition=other)
+    torch.testing.assert_close(f(z, PRIOR, dt=dt).mean[1], second(z[1], PRIOR, dt=dt[1]).mean)
+
+
 @pytest.mark.parametrize("make", [
     partial(presets.imm, durations=20.0),
     partial(presets.imm, durations=LAST, transition=FOLLOWS),

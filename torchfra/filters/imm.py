@@ -216,9 +216,8 @@ class IMM(Filter[IMMState]):
         if self.durations is None:
             return matrix
         durations = self.durations(like)
-        durations = (
-            durations if self.durations.event_dim else durations[..., None].expand(*durations.shape, len(matrix))
-        )
+        if not self.durations.event_dim:
+            durations = durations.unsqueeze(-1).expand(*durations.shape, len(self.motion))
         return over_seconds(rates(durations, matrix), dt)
 
     def log_transition(self, like: Tensor, dt: Tensor) -> Tensor:
