@@ -119,6 +119,16 @@ def test_rows_without_a_measurement_do_not_change_what_a_chain_says(make):
     near(four.mean[..., 3::4, :], one.mean)  # models alike, so that mixing loses nothing
 
 
+@pytest.mark.parametrize("run", ["forward", "smooth"])
+def test_gradients_of_a_subset_are_finite_where_no_time_passes(run):
+    (z, dt), f = measured(1, 6), presets.vsimm_srckf(
+        BANK, SENSOR, durations=LAST, neighbours=[[1], [2], [0]], first=[0, 1], learn=("durations",)
+    )  # fmt: skip
+    dt[:, 2] = 0
+    (slope,) = torch.autograd.grad(getattr(f, run)(z, PRIOR, dt=dt).mean.sum(), [f.durations.raw])
+    assert slope.isfinite().all()
+
+
 # ---------------------------------------------------------------- regimes and outliers
 
 

@@ -262,7 +262,7 @@ class IMM(Filter[IMMState]):
         was, now = step.past.active, step.next.active
         goes_on = (was * now).sum(-1)  # a model that goes on keeps its place
         every = self.probabilities(like, step.frame.dt)
-        matrix = over_time_step(self.subset.matrix(every, was, now, goes_on).log(), step.frame.dt)
+        matrix = over_time_step(safe_log(self.subset.matrix(every, was, now, goes_on)), step.frame.dt)
         return matrix, of_active(for_each_model(step.frame), now)
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: ModelsStep) -> ModelsPast:

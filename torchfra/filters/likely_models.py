@@ -12,7 +12,7 @@ from torchfra import tree
 from torchfra.filters.interaction import PER_MODEL, over_time_step
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value
-from torchfra.linalg.safe import safe_divide
+from torchfra.linalg.safe import safe_divide, safe_log
 from torchfra.motion.bank import Bank
 
 
@@ -95,7 +95,7 @@ class LikelyModels(nn.Module):
         instant = (dt == 0).unsqueeze(-1)
         after = torch.where(instant.unsqueeze(-1), active, after)
         goes_on = torch.where(instant, torch.ones_like(goes_on), goes_on)
-        return after, over_time_step(self.matrix(transition, active, after, goes_on).log(), dt)
+        return after, over_time_step(safe_log(self.matrix(transition, active, after, goes_on)), dt)
 
     def choose(self, active: Tensor, log_weights: Tensor) -> tuple[Tensor, Tensor]:
         """The set for the next step, ``(..., A, K)``, and ``(..., A)`` 1 where a model goes on running.
