@@ -180,21 +180,21 @@ class IMM(Filter[IMMState]):
         if self.subset is not None:
             active, matrix = self.subset(state.active, before, frame.dt, self.probabilities(before, frame.dt))
             return *interaction(before, matrix, motion), of_active(for_each_model(frame), active), active
-        goes_on = self.goes_on(frame.dt)
-        if goes_on is None:
+        ends = self.ends(frame.dt)
+        if ends is None:
             interacting = interaction(before, self.log_transition(before, frame.dt), motion)
         else:
-            interacting = even_interaction(state, goes_on, motion)
+            interacting = even_interaction(state, ends, motion)
         return *interacting, for_each_model(frame), None
 
-    def goes_on(self, dt: Tensor) -> Tensor | None:
-        """Probability ``(...)`` that a model goes on over a step, else the next is any; None where they differ."""
+    def ends(self, dt: Tensor) -> Tensor | None:
+        """Probability ``(...)`` that a model ends in a step, after which any is as likely; None where they differ."""
         count = len(self.motion)
         if self.stay is not None:
-            return torch.where(dt == 0, 1.0, (count * self.stay() - 1) / (count - 1))
+            return torch.where(dt == 0, 0.0, (1 - self.stay()) * count / (count - 1))
         if self.durations is None or self.durations.event_dim or self.transition is not None:
             return None
-        return torch.exp(-dt / self.durations() * (count / (count - 1)))
+        return -torch.expm1(-dt / self.durations() * (count / (count - 1)))
 
     def matrix(self, like: Tensor | None = None) -> Tensor:
         """The transition ``(..., K, K)``, ``[was, now]``, with the dtype and on the device of ``like`` if not None.

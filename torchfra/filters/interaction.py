@@ -20,7 +20,7 @@ from torchfra.gaussian.mixture import matched, models_first, moment_match, repea
 from torchfra.gaussian.model import canonical
 from torchfra.gaussian.update import density
 from torchfra.hyper import Hyper, Value
-from torchfra.linalg.safe import safe_log
+from torchfra.linalg.safe import safe_log, safe_log1p
 from torchfra.linalg.triangular import whiten
 from torchfra.motion.base import Motion
 from torchfra.types import Gaussian
@@ -75,21 +75,21 @@ def interaction(log_weights: Tensor, matrix: Tensor, motion: Motion) -> tuple[Te
     return predicted, interact
 
 
-def even_interaction(state: Any, goes_on: Tensor, motion: Motion) -> tuple[Tensor, Mix]:
+def even_interaction(state: Any, ends: Tensor, motion: Motion) -> tuple[Tensor, Mix]:
     """``interaction`` where a model stays with one probability and switches to the others with equal probability.
 
-    The transition is ``g I + (1 - g) / K``: with probability ``g`` the model goes on, else the next one is uniform over
+    The transition is ``(1 - e) I + e / K``: with probability ``e`` the model ends, and the next one is uniform over
     all.  So the mixed belief of each model has two components, its own belief and that of all models together,
     instead of K.  The moments are the same.  Angles count from the likelier of the two.
 
     Args:
         state: an ``IMMState``.
-        goes_on: ``g (...)``, from 0 to 1.
+        ends: ``e (...)``, from 0 to 1.
         motion: of the models.
     """
     before, count = state.log_weights, len(motion)  # type: ignore[arg-type]  # a Bank
-    own = safe_log(goes_on).to(before).unsqueeze(-1) + before
-    drawn = safe_log((1 - goes_on) / count).to(before).unsqueeze(-1)
+    own = safe_log1p(-ends).to(before).unsqueeze(-1) + before
+    drawn = safe_log(ends / count).to(before).unsqueeze(-1)
     roots, predicted = shared(torch.stack(torch.broadcast_tensors(own, drawn)))
 
     def interact(belief: Gaussian) -> Gaussian:
