@@ -179,7 +179,7 @@ def cells(runs: int, seed: int) -> dict[str, tuple[GPB, Tracks]]:
 
 
 def compare(f: GPB, tracks: Tracks, count: int, seed: int, *, progress: bool) -> dict[str, float]:
-    """Mean position RMSE of ``gpb``, of its settled estimate, and of the particles."""
+    """Mean position RMSE of ``gpb``, of its lagged estimate, and of the particles."""
     with torch.no_grad():
         merged = f(tracks.z, tracks.prior, u=tracks.u)
         roots = tracks.prior.scale_tril.expand(len(tracks.z), *tracks.prior.scale_tril.shape[-2:])
@@ -188,7 +188,7 @@ def compare(f: GPB, tracks: Tracks, count: int, seed: int, *, progress: bool) ->
             particle_filter(f, z, prior, tracks.u, count, seed + i, 1.0)
             for i, (z, prior) in enumerate(progress_bar(list(zip(tracks.z, priors, strict=True)), "run", progress))
         ]
-    found = {"gpb": merged.mean, "settled": merged.info.lagged.mean, "particles": torch.stack(each)}
+    found = {"gpb": merged.mean, "lagged": merged.info.lagged.mean, "particles": torch.stack(each)}
     return {name: metrics.rmse(mean, tracks.truth, slice(0, 2)).mean().item() for name, mean in found.items()}
 
 
@@ -215,7 +215,7 @@ def particles(options: argparse.Namespace) -> None:
     if not options.quiet:
         rows = [[name, *(f"{x:.1f}" for x in of.values()), f"{of['gpb'] / of['particles'] - 1:+.1%}"]
                 for name, of in results.items()]  # fmt: skip
-        print(text_table(["cell", "gpb m", "settled m", "particles m", "gpb above"], rows, align="<>>>>"), flush=True)
+        print(text_table(["cell", "gpb m", "lagged m", "particles m", "gpb above"], rows, align="<>>>>"), flush=True)
     if options.json is not None:
         settings = {"runs": options.runs, "seed": options.seed, "particles": options.particles}
         write_json(options.json, settings | {"versions": versions(), "cells": results})

@@ -12,7 +12,7 @@ outliers; tracks drawn from the models that are stated to filters, with and with
 measurement noise that is stated several times off (stated-*); and recorded ranges, where folders of them are given.
 
 Regret is the mean position RMSE divided by that of the best filter of the catalogue that is not compared, at its
-defaults, a bank of motions among them, minus 1.  There are two tables: of filtered estimates, and of settled ones,
+defaults, a bank of motions among them, minus 1.  There are two tables: of filtered estimates, and of lagged ones,
 where every filter that waits for a measurement before it decides has its later estimate, and the others the only one
 they have.  The 95 % interval is of a bootstrap over the runs, which are the same for all filters; a run is lost above
 2000 m, of ranges above 20 m.

@@ -229,7 +229,7 @@ def test_an_infinite_number_in_a_summary_of_an_experiment_is_found():
 
 
 def test_an_error_of_the_particles_that_is_not_finite_shows_in_the_exit_status(monkeypatch, capsys):
-    of = {"gpb": 1.0, "settled": 1.0, "particles": float("nan")}
+    of = {"gpb": 1.0, "lagged": 1.0, "particles": float("nan")}
     monkeypatch.setattr(particles, "cells", lambda runs, seed: {"a": (), "b": ()})
     monkeypatch.setattr(particles, "compare", lambda *cell, progress: of)
     assert particles.main(["--runs", "1", "--quiet"]) == 1

@@ -131,7 +131,7 @@ def test_the_error_of_a_single_run_is_the_root_mean_square_over_time_without_an_
 
 def test_estimates_are_told_apart_by_what_the_info_holds():
     mean, other, third = torch.zeros(3, 1)
-    for info, filtered, settled in (
+    for info, filtered, lagged in (
         (None, mean, None),
         (SimpleNamespace(lagged=None), mean, None),
         (SimpleNamespace(provisional=SimpleNamespace(mean=other)), other, mean),
@@ -141,7 +141,7 @@ def test_estimates_are_told_apart_by_what_the_info_holds():
     ):
         found = ratios.estimates_of(SimpleNamespace(mean=mean, info=info))
         assert found.pop("filtered") is filtered
-        assert found.get("settled") is settled
+        assert found.get("lagged") is lagged
 
 
 # ---------------------------------------------------------------- the command
@@ -156,8 +156,8 @@ def test_a_file_holds_every_filter_of_a_cell_and_what_it_was_compared_with(resul
     scenario = make_scenario("bearings-manoeuvre", outliers="std")
     assert (cell["scenario"], cell["runs"], cell["settings"]["limit"]) == (scenario.name, 3, 2000.0)
     assert cell["settings"]["outliers"] == "std"
-    assert cell["settling"] == ["gpb", "fra_srckf", "fra"]
-    for kind in ("filtered", "settled"):
+    assert cell["with_lag"] == ["gpb", "fra_srckf", "fra"]
+    for kind in ("filtered", "lagged"):
         of = cell[kind]["filters"]
         assert of.keys() == set(filters_for(scenario))
         best = min((name for name in of if name not in ("fra", "rsrckf")), key=lambda name: of[name]["rmse"])
@@ -175,10 +175,10 @@ def test_errors_are_those_of_evaluate_and_the_provisional_estimates_are_the_filt
     expected = evaluate(scenario, ["srckf", "fra", "imm_srckf"], runs=3, seed=3)
     (cell,) = result["cells"].values()
     for name, of in expected.items():
-        one = cell["settled"]["filters"][name]
+        one = cell["lagged"]["filters"][name]
         assert one["rmse"] == pytest.approx(of["mean_rmse_position"], rel=1e-9)
         assert one["lost"] == pytest.approx(of["divergence_rate"])
-    assert cell["filtered"]["filters"]["srckf"]["rmse"] == cell["settled"]["filters"]["srckf"]["rmse"]
+    assert cell["filtered"]["filters"]["srckf"]["rmse"] == cell["lagged"]["filters"]["srckf"]["rmse"]
     tracks = scenario.simulate(3, 3)
     info = presets.fra(scenario.motion, scenario.sensor)(tracks.z, tracks.prior, u=tracks.u).info
     provisional = metrics.rmse(info.provisional.mean, tracks.truth, scenario.position).mean().item()
@@ -188,8 +188,8 @@ def test_errors_are_those_of_evaluate_and_the_provisional_estimates_are_the_filt
 @pytest.mark.usefixtures("short_tracks")
 def test_tables_have_a_line_for_each_compared_filter_and_a_summary(capsys):
     assert regret.main(["--filters", "fra,srckf", *FEW]) == 0
-    filtered, settled = (block.splitlines() for block in capsys.readouterr().out.strip().split("\n\n"))
-    for kind, lines in (("filtered", filtered), ("settled", settled)):
+    filtered, lagged = (block.splitlines() for block in capsys.readouterr().out.strip().split("\n\n"))
+    for kind, lines in (("filtered", filtered), ("lagged", lagged)):
         assert lines[0].split("  ")[0] == f"{kind}: cell"
         assert [line.split()[3] for line in lines[1:3]] == ["fra", "srckf"]
         assert [line.split(",")[0] for line in lines[3:]] == ["fra", "srckf"]
@@ -303,12 +303,12 @@ def test_of_all_others_those_that_are_named_compete(tmp_path):
 
 
 def test_the_picture_has_every_ratio_in_its_place_and_leaves_what_is_missing_empty():
-    panels = {"filtered": (["a", "b"], [[1.0, 0.87], [math.nan, 123.4]]), "settled": (["a"], [[math.inf], [4567890.0]])}
+    panels = {"filtered": (["a", "b"], [[1.0, 0.87], [math.nan, 123.4]]), "lagged": (["a"], [[math.inf], [4567890.0]])}
     figure = plotting.ratios(panels, ["first", "second"], "title")
-    filtered, settled, _ = figure.axes
+    filtered, lagged, _ = figure.axes
     written = {(text.get_position(), text.get_text()) for text in filtered.texts}
     assert written == {((0, 0), "1.00"), ((1, 0), "0.87"), ((1, 1), "123")}
-    assert [text.get_text() for text in settled.texts] == [r"$\infty$", "$10^{7}$"]
+    assert [text.get_text() for text in lagged.texts] == [r"$\infty$", "$10^{7}$"]
     assert [label.get_text() for label in filtered.get_yticklabels()] == ["first", "second"]
     assert [label.get_text() for label in filtered.get_xticklabels()] == ["a", "b"]
 

@@ -73,7 +73,7 @@ def _errors(training: Training, quiet: bool) -> list[dict[str, Any]]:
 
 @torch.no_grad()
 def _regrets(training: Regrets, quiet: bool) -> list[dict[str, Any]]:
-    """For each task the best rival on unseen tracks, and errors before and after, filtered and settled."""
+    """For each task the best rival on unseen tracks, and errors before and after, filtered and lagged."""
     config, tasks = training.config, []
     learned = copy.deepcopy(training.filter.state_dict())
     for i in progress_bar(range(len(config.tasks)), "test", not quiet):
@@ -86,7 +86,7 @@ def _regrets(training: Regrets, quiet: bool) -> list[dict[str, Any]]:
         for when, state in (("before", training.start), ("after", learned)):
             training.filter.load_state_dict(state)
             both = training.errors([i], batch)
-            rmses = zip(("filtered", "settled"), both.squeeze(-1).tolist(), strict=True)
+            rmses = zip(("filtered", "lagged"), both.squeeze(-1).tolist(), strict=True)
             errors[when] = {kind: {"rmse_position": rmse, "regret": rmse / best - 1} for kind, rmse in rmses}
         tasks.append(errors)
     return tasks
@@ -136,7 +136,7 @@ def _regrets_text(result: dict[str, Any]) -> str:
         regrets = [f"{task[when][kind]['regret']:+.1%}" for when in ("before", "after") for kind in task["after"]]
         rival = [task["rival"]["filter"], f"{task['rival']['rmse_position']:.4g}"]
         rows.append([task["scenario"], options, task["models"], f"{task['weight']:g}", *rival, *regrets])
-    head = ("task", "options", "models", "weight", "best rival", "RMSE m", "before", "settled", "after", "settled")
+    head = ("task", "options", "models", "weight", "best rival", "RMSE m", "before", "lagged", "after", "lagged")
     text = text_table(head, rows, align="<<<><>") + "\n" if rows else ""
     text += "".join(f"{name} = {_short(value)}\n" for name, value in result["preset"].items())
     return text

@@ -18,8 +18,8 @@ from torchfra.scenarios import Scenario
 from torchfra.types import Estimate
 
 RESAMPLES = 1000
-"""Times that the runs are drawn anew, with replacement, for an interval."""
-KINDS = ("filtered", "settled")
+"""Bootstrap resamples of the runs, for an interval."""
+KINDS = ("filtered", "lagged")
 """Estimates of a step from the measurements up to it, and with the next one where a filter decides late."""
 _STEPS = 100_000
 """Steps of all runs that are filtered at once; bounds the memory."""
@@ -28,7 +28,7 @@ _LOST = 1e200
 
 
 def estimates_of(estimate: Estimate) -> dict[str, Tensor]:
-    """Means ``(..., T, n)`` by kind; ``"settled"`` only of a filter that has both.
+    """Means ``(..., T, n)`` by kind; ``"lagged"`` only of a filter that has both.
 
     What ``info`` does not hold of ``filtered`` (or ``provisional``) and ``lagged`` is the estimate itself.
     """
@@ -36,7 +36,7 @@ def estimates_of(estimate: Estimate) -> dict[str, Tensor]:
     filtered = held["filtered"] if held["provisional"] is None else held["provisional"]
     means = {"filtered": estimate.mean if filtered is None else filtered.mean}
     if filtered is not None or held["lagged"] is not None:
-        means["settled"] = estimate.mean if held["lagged"] is None else held["lagged"].mean
+        means["lagged"] = estimate.mean if held["lagged"] is None else held["lagged"].mean
     return means
 
 
@@ -141,7 +141,7 @@ def ratios(found: Mapping[str, Errors], compared: Collection[str], limit: float)
 
 
 def both_kinds(found: Mapping[str, Mapping[str, Errors]], compared: Collection[str], limit: float) -> dict[str, Any]:
-    """``ratios`` by kind; among the settled estimates are the filtered ones of filters that have no other."""
-    filtered, settled = found["filtered"], found["settled"]
-    of = {"filtered": filtered, "settled": {**filtered, **settled}}
-    return {kind: ratios(of[kind], compared, limit) for kind in KINDS} | {"settling": list(settled)}
+    """``ratios`` by kind; among the lagged estimates are the filtered ones of filters that have no other."""
+    filtered, lagged = found["filtered"], found["lagged"]
+    of = {"filtered": filtered, "lagged": {**filtered, **lagged}}
+    return {kind: ratios(of[kind], compared, limit) for kind in KINDS} | {"with_lag": list(lagged)}

@@ -68,13 +68,13 @@ def not_finite(cells: Cells) -> list[str]:
 
 
 def panels(cells: Cells, compared: Sequence[str]) -> dict[str, tuple[list[str], list[list[float]]]]:
-    """Columns and ratios of the picture: all filters filtered, and those that settle, settled."""
+    """Columns and ratios of the picture: all filters filtered, and those that have a lagged estimate, lagged."""
     found = {}
     for kind in KINDS:
         names = dict.fromkeys([*compared, *(name for result in cells.values() for name in result[kind]["filters"])])
-        if kind == "settled":
-            settling = {name for result in cells.values() for name in result["settling"]}
-            names = dict.fromkeys(name for name in names if name in settling)
+        if kind == "lagged":
+            with_lag = {name for result in cells.values() for name in result["with_lag"]}
+            names = dict.fromkeys(name for name in names if name in with_lag)
         nothing = {"ratio": float("nan")}
         values = [[r[kind]["filters"].get(name, nothing)["ratio"] for name in names] for r in cells.values()]
         if names:

@@ -36,7 +36,7 @@ def estimates(f: Filter, scenario: Scenario, tracks: Any) -> dict[str, Estimate]
 
 
 def as_filtered(estimate: Estimate) -> Estimate:
-    """What was known at each step itself, of a filter whose estimate may be settled later."""
+    """What was known at each step itself, of a filter whose estimate may be smoothed by the next step."""
     early = getattr(estimate.info, "provisional", getattr(estimate.info, "filtered", None))
     return estimate if early is None else estimate._replace(mean=early.mean, scale_tril=early.scale_tril)
 

@@ -86,7 +86,7 @@ def switched(weights: Array, lasts: Array, after: Array) -> Array:
 
 
 def renewing_chain(stay: list[float], renew: list[float]) -> Array:
-    """The chain of regimes that stay, each with its probability, or are drawn anew from odds that sum to one."""
+    """The chain of regimes that stay, each with its probability, or begin anew with odds that sum to one."""
     count = len(stay)
     chain = np.zeros((count, count))
     for i in range(count):
@@ -360,7 +360,7 @@ def step(
          for r in range(len(motion))]
         for now in QUALITIES
     ])  # fmt: skip
-    hindsight = matched([
+    lagged = matched([
         (sum(math.exp(h.log_weight) * shares[i, was, motion[h.regime]] for h in every if h.before == i), *belief)
         for (i, was), belief in c.beliefs.items()
     ])  # fmt: skip
@@ -373,8 +373,8 @@ def step(
     }  # fmt: skip
     if nothing:
         told_of["outlier"] = np.zeros(len(c.outlier))
-        return Carried(after, log_regimes, c.outlier, seconds), told_of, hindsight
-    return Carried(after, log_regimes, outlier / np.exp(log_regimes[1]).sum()), told_of, hindsight
+        return Carried(after, log_regimes, c.outlier, seconds), told_of, lagged
+    return Carried(after, log_regimes, outlier / np.exp(log_regimes[1]).sum()), told_of, lagged
 
 
 def gpb(

@@ -51,7 +51,7 @@ class NominalNoise(nn.Module):
         return None
 
     def learn(self, memory: Any, whitened: Whitened, measured: Tensor, when: str) -> Any:
-        """The memory after one more measurement, if ``when`` is when this side learns; else as it was.
+        """The memory after one more measurement, if ``when`` is when this side learns; else the memory before.
 
         Args:
             memory: before.

@@ -16,7 +16,7 @@ Solve = Callable[[Tensor, Tensor, Tensor, bool], tuple[Tensor, Tensor]]
 log probabilities ``(K, n, j + 1)`` and the log ``(K,)`` of the sum over all joint events."""
 
 
-class _Packed(NamedTuple):
+class _Table(NamedTuple):
     """K clusters, each as a table of n targets and j measurements at most; each is known by its first target."""
 
     first: Tensor
@@ -53,7 +53,7 @@ def associate_by_tables(
     return choose(chosen, _unpack(scans, packed, *solved), otherwise)
 
 
-def _pack(scans: GatedScans, chosen: Tensor, table: tuple[int, int]) -> _Packed:
+def _pack(scans: GatedScans, chosen: Tensor, table: tuple[int, int]) -> _Table:
     """The chosen clusters as tables; where code is traced, a table for every target, since shapes must be known."""
     runs, targets, _ = scans.log_ratio.shape
     first = scans.clusters.members.to(torch.int64).argmax(-1)
@@ -72,7 +72,7 @@ def _pack(scans: GatedScans, chosen: Tensor, table: tuple[int, int]) -> _Packed:
     log_ratio = scans.log_ratio[run.unsqueeze(-1), rows].gather(-1, columns.unsqueeze(-2).expand(-1, table[0], -1))
     log_ratio = torch.where(used.unsqueeze(-1), log_ratio, -torch.inf)
     log_miss = torch.where(used, scans.log_miss[run.unsqueeze(-1), rows], 0.0)
-    return _Packed(first, place, run, head, log_ratio, log_miss, gated)
+    return _Table(first, place, run, head, log_ratio, log_miss, gated)
 
 
 def _true_first(mask: Tensor, count: int) -> Tensor:
@@ -80,7 +80,7 @@ def _true_first(mask: Tensor, count: int) -> Tensor:
     return mask.to(torch.int8).sort(dim=-1, descending=True, stable=True)[1][..., :count]
 
 
-def _unpack(scans: GatedScans, packed: _Packed, log_weights: Tensor, log_total: Tensor) -> Association:
+def _unpack(scans: GatedScans, packed: _Table, log_weights: Tensor, log_total: Tensor) -> Association:
     """Each target looks up its cluster's table, its row there, and the column of each measurement."""
     runs, targets, _ = scans.log_ratio.shape
     slots, columns = log_weights.shape[-2], log_weights.shape[-1] - 1

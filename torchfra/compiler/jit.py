@@ -39,10 +39,10 @@ def load(source: str) -> Any:
 
 
 def load_whole(source: str) -> Any:
-    """Likewise the function ``whole`` of whole tracks.
+    """The function ``whole`` of a source, which runs whole tracks.
 
     Raises:
-        CompileError: likewise.
+        CompileError: it does not compile.
     """
     arguments = [ctypes.c_void_p, *[ctypes.c_int64] * 2, ctypes.c_int, *[ctypes.c_void_p] * 3, ctypes.c_int64]
     return _function(source, "whole", ctypes.c_int, arguments)

@@ -39,19 +39,19 @@ class Meanwhile:
         return self._call("step", f, given)
 
     def once(self, f: Any, *given: Any) -> Any:
-        """Likewise."""
+        """See ``filters.engine.Engine``."""
         return self._call("once", f, given)
 
     def scan(self, f: Any, *given: Any) -> Any:
-        """Likewise."""
+        """See ``filters.engine.Engine``."""
         return self._call("scan", f, given)
 
     def forward(self, f: Any, *given: Any) -> Any:
-        """Likewise."""
+        """See ``filters.engine.Engine``."""
         return self._call("forward", f, given)
 
     def backward(self, f: Any, *given: Any) -> Any:
-        """Likewise."""
+        """See ``filters.engine.Engine``."""
         return self._call("backward", f, given)
 
     def _call(self, name: str, f: Any, given: tuple[Any, ...]) -> Any:

@@ -94,7 +94,7 @@ def iaukf(
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
     Source: Chen, Zou & Wu, eqs. (10)-(24), with ``alpha=1, kappa=0`` and their psi of 2.  Differs: the points of the
-    measurement are drawn anew from the prediction, process noise included (errors 0.1 to 0.9 % smaller).
+    measurement are those of the prediction, process noise included (errors 0.1 to 0.9 % smaller).
     """
     estimator = SageHusa(
         sensor.blocks, forgetting=forgetting, confidence=confidence, confidence_in=confidence_in, lowest=lowest,

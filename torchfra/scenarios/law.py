@@ -49,7 +49,7 @@ def burst_information(steps: int, share: float = SHARE, size: float = SIZE) -> T
     """``(T,)`` what measurements tell where outliers come in bursts (``burst_factors``), if it is known when.
 
     Bursts last, so that a measurement says of the next one whether it is good, and the information of a mixture that
-    is drawn anew at each step would be too little.
+    is independent at each step would be too little.
     """
     age = torch.arange(1, steps + 1, dtype=torch.float64).clamp(max=LENGTH)
     inside = 1 - (1 - share / LENGTH) ** age

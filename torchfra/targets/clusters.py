@@ -23,7 +23,7 @@ class Group(NamedTuple):
     """``(C, J)`` numbers of the measurements; -1 for none."""
 
 
-class _Members(NamedTuple):
+class _Rows(NamedTuple):
     """Things in the order of their clusters."""
 
     number: Numbers
@@ -59,7 +59,7 @@ def clusters(reach: Tensor, scene: Tensor) -> list[Group]:
     return groups
 
 
-def _components(target: Numbers, measurement: Numbers, count: int) -> tuple[_Members, _Members]:
+def _components(target: Numbers, measurement: Numbers, count: int) -> tuple[_Rows, _Rows]:
     """Targets and measurements in the order of the connected components of the graph of these pairs."""
     used, place = np.unique(measurement, return_inverse=True)
     sparse, size = scipy("sparse"), count + len(used)
@@ -71,12 +71,12 @@ def _components(target: Numbers, measurement: Numbers, count: int) -> tuple[_Mem
     )
 
 
-def _ordered(number: Numbers, cluster: Numbers, count: int) -> _Members:
+def _ordered(number: Numbers, cluster: Numbers, count: int) -> _Rows:
     size = np.bincount(cluster, minlength=count)
-    return _Members(number[np.argsort(cluster, kind="stable")], np.cumsum(size) - size, size)
+    return _Rows(number[np.argsort(cluster, kind="stable")], np.cumsum(size) - size, size)
 
 
-def _table(members: _Members, chosen: Numbers, width: int) -> Any:
+def _table(members: _Rows, chosen: Numbers, width: int) -> Any:
     """The numbers ``(C, width)`` of these clusters; -1 where one has fewer."""
     place = np.arange(width)
     inside = place < members.size[chosen, None]

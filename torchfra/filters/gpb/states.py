@@ -60,9 +60,9 @@ class GPBPast(NamedTuple):
     hypotheses: Gaussian
     """As in ``GPBState``."""
     log_weights: Tensor
-    """Likewise."""
+    """As in ``GPBState``."""
     outlier: Tensor
-    """Likewise."""
+    """As in ``GPBState``."""
     nis: Tensor
     """``(..., 2)`` normalised innovation squared per element of the agile level, without and with an outlier before."""
     measured: Tensor
