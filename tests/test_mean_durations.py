@@ -221,6 +221,9 @@ def test_durations_learn_and_compile(make):
 
 @pytest.mark.parametrize(("make", "message"), [
     (lambda: presets.imm(BANK, SENSOR, durations=0.0), "durations: expected"),
+    (lambda: presets.imm(BANK, SENSOR, durations=torch.inf), "durations: expected finite"),
+    (lambda: presets.gpb(BANK, SENSOR, durations=(1.0,) * 5 + (torch.inf,)), "durations: expected finite"),
+    (lambda: presets.gpb(BANK, SENSOR, outlier_durations=(10.0, torch.inf)), "outlier_durations: expected finite"),
     (lambda: presets.imm(BANK, SENSOR, durations=tensor(1.0, 2.0)), r"durations: expected a number or \(3,\)"),
     (lambda: presets.imm(BANK[:1], SENSOR, durations=1.0), "durations: expected None for a single model"),
     (lambda: presets.imm(BANK, SENSOR, durations=1.0, transition=torch.full((3, 3), 1 / 3)), "a diagonal of 0"),

@@ -13,6 +13,7 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.base import Mix
+from torchfra.filters.markov import mean_durations
 from torchfra.filters.model_smoothing import ModelsStep
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
@@ -142,14 +143,14 @@ def as_durations(count: int, value: Value) -> Hyper:
     """Mean seconds until a model ends, one number or of each of so many.
 
     Raises:
-        ValueError: a single model, another number of them, or one that is not above 0.
+        ValueError: a single model, another number of them, or one that is not above 0 or infinite.
     """
     value = torch.as_tensor(value, dtype=torch.float64)
     if count < 2:
         raise ValueError(f"durations: expected None for a single model, received {value.tolist()}")
     if value.dim() and value.shape[-1] != count:
         raise ValueError(f"durations: expected a number or ({count},), received {tuple(value.shape)}")
-    return Hyper(value, constraints.positive, event_dim=min(value.dim(), 1), name="durations")
+    return mean_durations(value, min(value.dim(), 1), "durations")
 
 
 def as_stay(count: int, value: Value) -> Hyper:

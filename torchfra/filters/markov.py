@@ -5,10 +5,23 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_divide
 
 DOUBLINGS = 20
 """A step is halved so many times; one of more than two million of the shortest mean durations counts as that long."""
+
+
+def mean_durations(value: Value, event_dim: int, name: str) -> Hyper:
+    """Mean seconds until states end.
+
+    Raises:
+        ValueError: one that is not above 0, or infinite: a chain with such a state has no long run to start from.
+    """
+    value = torch.as_tensor(value, dtype=torch.float64)
+    if bool(value.isinf().any()):
+        raise ValueError(f"{name}: expected finite numbers of seconds, received {value.tolist()}")
+    return Hyper(value, event_dim=event_dim, name=name)
 
 
 def rates(durations: Tensor, follows: Tensor) -> Tensor:

@@ -68,7 +68,7 @@ class GPB(Filter[GPBState]):
     step they are merged into one Gaussian for each motion and for whether the step had an outlier in any block; these
     two are kept apart until the next measurement has said which of them was right.  So nothing is decided by a gate,
     and all is smooth: the next measurement weighs an outlier against a manoeuvre.  Over steps without any measurement,
-    however many, both are carried on, and the first motion keeps its regime.
+    however many, both are carried on, and the first motion keeps its regime, if regimes have no ``durations``.
 
     With ``o`` for an outlier in the step, ``r`` for its regime, ``k`` for the regime's motion, and a prime for the step
     before, a step is:

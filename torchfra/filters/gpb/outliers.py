@@ -12,6 +12,7 @@ from torch.nn.functional import pad
 
 from torchfra.filters.gpb.hypotheses import Hypotheses
 from torchfra.filters.gpb.regimes import in_front
+from torchfra.filters.markov import mean_durations
 from torchfra.gaussian.mixture import matched, shared, without_failed
 from torchfra.hyper import Hyper, Values, one_given
 from torchfra.linalg.safe import safe_divide, safe_log, safe_log1p
@@ -79,7 +80,7 @@ class Outliers(nn.Module):
         if name == "outlier_transition":
             self.outlier_transition = Hyper(chain, constraints.simplex, event_dim=2, name=name)
         else:
-            self.outlier_durations = Hyper(chain, event_dim=1, name=name)
+            self.outlier_durations = mean_durations(chain, 1, name)
         self.outlier_sizes = Hyper(sizes, constraints.greater_than(1.0), event_dim=1, name="outlier_sizes")
         self.outlier_shares = Hyper(shares, constraints.simplex, event_dim=1, name="outlier_shares")
         self.outlier_offsets = None

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 
 from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses
-from torchfra.filters.markov import over_seconds, rates
+from torchfra.filters.markov import mean_durations, over_seconds, rates
 from torchfra.gaussian.mixture import largest, log_sum
 from torchfra.gaussian.model import Carried
 from torchfra.hyper import Hyper, Values, one_given
@@ -107,7 +107,7 @@ class Regimes(nn.Module):
         self.jump_factors = Hyper(jumps, event_dim=1, name="jump_factors")
         self.self_transition = self.durations = None
         if ends == "durations":
-            self.durations = Hyper(last, event_dim=1, name=ends)
+            self.durations = mean_durations(last, 1, ends)
         else:
             self.self_transition = Hyper(last, constraints.unit_interval, event_dim=1, name=ends)
         self.restart = Hyper(begins, constraints.simplex, event_dim=1, name="restart")
