@@ -121,10 +121,13 @@ def no_compiler(monkeypatch):
 
 
 @pytest.fixture(scope="session", autouse=True)
-def kernels(tmp_path_factory):
-    """Kernels of this session alone."""
+def compiled_once(tmp_path_factory):
+    """Kernels of this session alone, and bytecode for its processes where Python is told to write none."""
+    folder = tmp_path_factory.getbasetemp()  # of one worker, where there are several
+    folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
     with pytest.MonkeyPatch.context() as patch:
-        folder = tmp_path_factory.getbasetemp()  # of one worker, where there are several
-        folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "kernels"
-        patch.setenv("TORCHFRA_CACHE", str(folder))
+        patch.setenv("TORCHFRA_CACHE", str(folder / "kernels"))
+        if os.environ.get("PYTHONDONTWRITEBYTECODE"):
+            patch.delenv("PYTHONDONTWRITEBYTECODE")
+            patch.setenv("PYTHONPYCACHEPREFIX", str(folder / "bytecode"))
         yield
