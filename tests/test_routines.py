@@ -6,6 +6,7 @@ import re
 import pytest
 import torch
 from test_compile import close
+from test_gpb import FEWER
 from torch.autograd import forward_ad
 
 from torchfra import Gaussian, presets
@@ -39,7 +40,8 @@ def written(monkeypatch):
 
 def gpb():
     """Of two motions on a line."""
-    return presets.gpb(Bank([ConstantVelocity(1.0, dims=1), ConstantVelocity(30.0, dims=1)]), Position(5.0, dims=1))
+    motions = Bank([ConstantVelocity(1.0, dims=1), ConstantVelocity(30.0, dims=1)])
+    return presets.gpb(motions, Position(5.0, dims=1), **FEWER)
 
 
 def measured(tracks, steps=6):
