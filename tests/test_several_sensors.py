@@ -5,6 +5,7 @@ import copy
 import numpy as np
 import pytest
 import torch
+from short_tracks import SMALL_GPB
 
 from torchfra import Gaussian, presets
 from torchfra.association import ChiSquare, Clutter
@@ -158,10 +159,10 @@ def test_a_compiled_filter_that_knows_tracks_of_the_same_shapes_still_asks_which
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["fra", "gpb"])
-def test_kernels_of_another_sensor_have_the_states_of_the_filter(name):
+@pytest.mark.parametrize(("name", "options"), [("fra", {}), ("gpb", SMALL_GPB)])
+def test_kernels_of_another_sensor_have_the_states_of_the_filter(name, options):
     z, found = measured(), []
-    for f in (made(name), made(name).compile()):
+    for f in (made(name, **options), made(name, **options).compile()):
         state, _ = f.step(f.init(prior_of(f)), z[:, 0], dt=0.5)
         after, innovation = f.step(state, z[:, 3, :1], dt=0.0, sensor=CAMERA)
         found.append([after, innovation, f.step(after, z[:, 4], dt=0.5)])
