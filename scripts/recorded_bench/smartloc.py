@@ -90,6 +90,7 @@ def read(path: Path) -> Track:
     start, axes = points[0, 1:4], _axes(points[0, 1:4])
     time, at = np.unique(ranges[:, 0], return_inverse=True)
     satellites, which = np.unique(ranges[:, [7, 6]], axis=0, return_inverse=True)  # by system and number
+    which = which.reshape(-1)  # NumPy 2.0 has one more dimension
     elevation = np.array([ranges[which == i, 8].mean() for i in range(len(satellites))])
     order = np.argsort(-elevation)
     which = np.argsort(order)[which]
