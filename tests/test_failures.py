@@ -53,6 +53,27 @@ def test_numbers_that_leave_their_range_and_values_that_are_nan_are_told_apart(c
     assert (set(failure.step.tolist()), set(failure.cause.tolist())) == ({0}, {Cause.VALUE})
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("how", ["forward", "smooth"])
+def test_gradients_of_shared_values_are_those_of_the_tracks_that_have_not_failed(how, compiled):
+    rng = torch.Generator().manual_seed(0)
+    z, dt = torch.randn(3, 6, 2, generator=rng).double(), torch.rand(3, 6, generator=rng).double() + 0.5
+    bad = z.index_put((torch.tensor(1), torch.tensor(3)), torch.tensor(torch.inf).double())
+    prior = Gaussian(torch.zeros(3, 4).double(), PRIOR.scale_tril)
+    found = []
+    for data, step, rows in ((bad, dt, [0, 2]), (z[[0, 2]], dt[[0, 2]], [0, 1])):
+        f = presets.srckf(ConstantVelocity(1.0), Position(2.0), learn=["q", "std"])
+        f = f.compile() if compiled else f
+        data = data.clone().requires_grad_()
+        of = Gaussian(prior.mean[: len(data)], prior.scale_tril)
+        estimate = getattr(f, how)(data, of, dt=step)
+        assert estimate.mean[1].isnan().any() == (len(data) == 3)
+        (estimate.mean[rows].square().sum() + estimate.log_likelihood[rows].sum()).backward()
+        found.append([estimate.mean.detach()[rows], data.grad[rows], *(p.grad for p in f.parameters())])
+    for one, other in zip(*found, strict=True):
+        torch.testing.assert_close(one, other)
+
+
 def test_failures_are_told_inside_transforms():
     f = presets.srckf(ConstantVelocity(1.0), Position(2.0))
     z = Z.clone()

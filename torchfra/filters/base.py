@@ -13,7 +13,7 @@ from typing_extensions import Self, TypeVar
 from torchfra.adaptive.fading import NoFading
 from torchfra.filters.checks import check_lengths, check_models, check_state, check_step, needed_inputs
 from torchfra.filters.engine import INTERPRETED, Engine
-from torchfra.filters.failures import diagnose
+from torchfra.filters.failures import diagnose, mended, spared
 from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
 from torchfra.filters.fusion import fused
 from torchfra.filters.other_sensors import SensorViews
@@ -338,8 +338,14 @@ class Filter(nn.Module, Generic[S]):
         measurements = Measurements(z, dt, u, std, noise)
         if f is self:
             measurements = needed_inputs(f, measurements, lambda: f._batch(measurements, prior))
-        arguments = measurements, prior, checkpoint, truncate
-        return f._remembered(*arguments) if past else f._forth(*arguments)[0]
+        if past:
+            return f._remembered(measurements, prior, checkpoint, truncate)
+        estimate = f._forth(measurements, prior, checkpoint, truncate)[0]
+        without = spared(f, estimate, measurements, prior)
+        if without is None:
+            return estimate
+        others = f._forth(without.measurements, without.prior, checkpoint, truncate)[0]
+        return mended(without.failed, estimate, others)
 
     if TYPE_CHECKING:  # what torch types as a call that may return anything
         __call__ = forward
@@ -398,13 +404,12 @@ class Filter(nn.Module, Generic[S]):
         measurements = Measurements(z, dt, u, std, noise)
         if f is self:
             measurements = needed_inputs(f, measurements, lambda: f._batch(measurements, prior))
-        filtered, past = f._filtered(measurements, prior, checkpoint, truncate, estimate)
-        rank = filtered.mean.dim() - 2
-        every = self.engine.backward(
-            self, past, measurements, rank, lambda: f._frames(measurements, rank)[0], checkpoint, lag, truncate
-        )
-        info = SmoothInfo(filtered, every.probabilities, every.outlier, every.repaired)
-        return Estimate(*every.belief, filtered.nis, filtered.log_likelihood, info)
+        smoothed = self._smoothed(f, measurements, prior, checkpoint, lag, truncate, estimate)
+        without = spared(f, smoothed.info.filtered, measurements, prior)
+        if without is None:
+            return smoothed
+        others = self._smoothed(f, without.measurements, without.prior, checkpoint, lag, truncate, None)
+        return mended(without.failed, smoothed, others)
 
     @in_full_precision
     def predict(self, state: Any, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None) -> Forecast:
@@ -564,6 +569,19 @@ class Filter(nn.Module, Generic[S]):
         self.check_smooths()
         estimate, past = self._filtered(measurements, prior, checkpoint, truncate, None)
         return estimate._replace(past=past)
+
+    def _smoothed(
+        self, f: Any, measurements: Measurements, prior: Gaussian, checkpoint: int | None, lag: int | None,
+        truncate: int | None, estimate: Estimate | None,
+    ) -> Estimate:  # fmt: skip
+        """The smoothed estimate, of tracks that the filter ``f`` is made for."""
+        filtered, past = f._filtered(measurements, prior, checkpoint, truncate, estimate)
+        rank = filtered.mean.dim() - 2
+        every = self.engine.backward(
+            self, past, measurements, rank, lambda: f._frames(measurements, rank)[0], checkpoint, lag, truncate
+        )
+        info = SmoothInfo(filtered, every.probabilities, every.outlier, every.repaired)
+        return Estimate(*every.belief, filtered.nis, filtered.log_likelihood, info)
 
     def _filtered(
         self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
