@@ -71,6 +71,8 @@ class Outliers(nn.Module):
         if sizes.shape[-1:] != shares.shape[-1:]:
             raise ValueError(f"outlier_shares: expected one for each of outlier_sizes, received {tuple(shares.shape)}")
         offsets = None if outlier_offsets is None else torch.as_tensor(outlier_offsets, dtype=torch.float64)
+        if offsets is not None and not bool(offsets.isfinite().all()):
+            raise ValueError(f"outlier_offsets: expected finite numbers, received {offsets.tolist()}")
         if offsets is not None and offsets.shape[-1:] != sizes.shape[-1:]:
             raise ValueError(
                 f"outlier_offsets: expected one for each of outlier_sizes, received {tuple(offsets.shape)}"
