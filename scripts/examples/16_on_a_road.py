@@ -41,9 +41,9 @@ class Road(Sensor):
         return left.gather(-1, nearest)
 
 
-def drives(runs: int) -> tuple[Tensor, Tensor]:
+def drives(runs: int, seed: int) -> tuple[Tensor, Tensor]:
     """Truths ``(runs, T, 2)`` once a second from end to end, and measured positions, one in twenty an outlier."""
-    rng = torch.Generator().manual_seed(0)
+    rng = torch.Generator().manual_seed(seed)
     length = BENDS.diff(dim=0).norm(dim=-1)
     way = torch.arange(0, float(length.sum()), SPEED, **LIKE)
     part = torch.searchsorted(length.cumsum(0), way)
@@ -59,7 +59,9 @@ def main(arguments: list[str] | None = None) -> None:
     """Compares filters that know the road with filters that do not."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=50, help="drives (default: 50)")
-    truth, z = drives(parser.parse_args(arguments).runs)
+    parser.add_argument("--seed", type=int, default=0, help="of the drives (default: 0)")
+    given = parser.parse_args(arguments)
+    truth, z = drives(given.runs, given.seed)
     motion, gps = ConstantVelocity(2.0, spectral=True), Position(STD)
     on_road = Stacked(gps, Road(BENDS, 2 * LANE))
     spread = torch.tensor([STD, STD, SPEED, SPEED], **LIKE)
