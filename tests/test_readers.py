@@ -219,11 +219,18 @@ def test_missing_altitudes_are_filled_and_counted(write: Write) -> None:
     assert track.filled.tolist() == [True, False, True, True, False]
 
 
-def test_geoaltitude_stands_in_for_baroaltitude_and_is_counted(write: Write) -> None:
-    rows = [f"{t},a,47.0{t},8.0,,{up},{t}" for t, up in enumerate(["500,550", ",560", ","])]
+def test_geoaltitude_stands_in_for_a_baroaltitude_that_is_missing_nearly_everywhere(write: Write) -> None:
+    rows = [f"{t},a,47.0{t},8.0,,{up},{t}" for t, up in enumerate(["500,550", ",560", ",570", ","])]
     track = only(write("s.csv", states(*rows)), origin=CENTRE)
-    assert track.repairs == {"altitudes taken from geoaltitude": 1, "altitudes missing": 1}
-    np.testing.assert_allclose(track.position[:, 2], [500, 560, 560], atol=0.5)
+    assert track.repairs == {"altitudes taken from geoaltitude": 3, "altitudes missing": 1}
+    np.testing.assert_allclose(track.position[:, 2], [550, 560, 570, 570], atol=1)
+
+
+def test_geoaltitude_does_not_mix_with_baroaltitude_from_which_it_differs_by_the_weather(write: Write) -> None:
+    rows = [f"{t},a,47.0{t},8.0,,{up},{t}" for t, up in enumerate(["500,550", ",560", "520,570"])]
+    track = only(write("s.csv", states(*rows)), origin=CENTRE)
+    assert track.repairs == {"altitudes missing": 1}
+    assert track.filled.tolist() == [False, True, False]
 
 
 def test_an_aircraft_with_one_fix_is_dropped_and_counted_with_the_others(write: Write) -> None:

@@ -162,18 +162,23 @@ class _Columns:
             )
 
     def heights(self, index: NDArray[np.intp], repairs: Counter[str]) -> tuple[Array | None, NDArray[np.bool_] | None]:
-        """Altitudes, those that are missing as at the fix before (or after), and which are; None if all are missing."""
-        known = np.isfinite(self.height[index]), np.isfinite(self.spare[index])
-        some = known[0] | known[1]
+        """Altitudes, those that are missing as at the fix before (or after), and which are; None if all are missing.
+
+        They are all of one column: the other one is taken where the first misses more than half of it.
+        """
+        own, spare = np.isfinite(self.height[index]), np.isfinite(self.spare[index])
+        # The two differ by the weather, up to hundreds of metres: where both were taken, one would be an outlier.
+        use_spare = 2 * own.sum() < spare.sum()
+        heights, some = (self.spare[index], spare) if use_spare else (self.height[index], own)
         if not some.any():
             return None, None
         before = np.maximum.accumulate(np.where(some, np.arange(len(index)), -1))
         row = np.where(before < 0, some.argmax(), before)
-        repairs["altitudes taken from geoaltitude"] = int((some & ~known[0]).sum())
+        repairs["altitudes taken from geoaltitude"] = int(some.sum()) if use_spare else 0
         placeholders = self.no_height[index] & ~some
         repairs["altitudes of a placeholder taken as missing"] = int(placeholders.sum())
         repairs["altitudes missing"] = int((~some & ~placeholders).sum())
-        return np.where(known[0], self.height[index], self.spare[index])[row], ~some
+        return heights[row], ~some
 
     def sigmas(self, index: NDArray[np.intp], repairs: Counter[str], dims: int) -> Array | None:
         """Standard deviations with those that are missing or not above 0 filled; None if the file has none."""
