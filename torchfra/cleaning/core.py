@@ -81,7 +81,7 @@ def clean_tracks(
         work = partial(work, compile=compile, fallback=fallback)
     if isinstance(bank, str):
         check_speeds(recordings, bank)
-    recordings = [_as_measured(recording) for recording in recordings]
+    given, recordings = recordings, [_as_measured(recording) for recording in recordings]
     mended = {}
     for i, recording in enumerate(recordings):
         if repair and smooth and not np.isinf(recording.position).any():
@@ -102,7 +102,7 @@ def clean_tracks(
             done[i] = as_recorded(done[i], recording, mended[i][1])
         elif not done[i].found.failure:
             done[i] = widened(done[i], _kind(recording, bank)[0])
-    return [done[i] for i in range(len(recordings))]
+    return [replace(done[i], recording=recording) for i, recording in enumerate(given)]
 
 
 def _kind(recording: Recording, bank: str | Bank | None) -> tuple[str, str]:

@@ -59,11 +59,11 @@ def _nested(values: Sequence[Any], pieces: list[NDArray[np.intp]]) -> list[Any]:
 
 
 def _line(place: Array, pieces: list[NDArray[np.intp]]) -> dict[str, Any]:
-    coordinates = _rounded(place)
+    coordinates = _rounded(place.tolist())
     kind = "LineString" if len(pieces) == 1 else "MultiLineString"
     return {"type": kind, "coordinates": _nested(coordinates, pieces)}
 
 
-def _rounded(place: Array) -> list[list[float]]:
+def _rounded(place: list[list[float]]) -> list[list[float]]:
     """Degrees to a millimetre, and metres too."""
-    return [[round(v, 8 if axis < 2 else 3) for axis, v in enumerate(point)] for point in place.tolist()]
+    return [[round(v, 8 if axis < 2 else 3) for axis, v in enumerate(point)] for point in place]

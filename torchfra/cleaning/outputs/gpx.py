@@ -49,7 +49,7 @@ def _add(file: Any, of: Points) -> None:
     track.segments.append(segment)
     track.extensions = [_element("manoeuvre", None, **manoeuvre._asdict()) for manoeuvre, _ in of.manoeuvres]
     file.tracks.append(track)
-    for place, row in zip(of.rejected.tolist(), of.rejected_rows, strict=True):
+    for place, row in zip(of.rejected, of.rejected_rows, strict=True):
         file.waypoints.append(GPXWaypoint(**_degrees(place), name=f"{name}: rejected, row {row}", symbol="Flag, Red"))
 
 

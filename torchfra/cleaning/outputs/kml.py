@@ -50,7 +50,7 @@ def _folder(document: Element, of: Points) -> None:
     for segment, steps in of.manoeuvres:
         mark = _placemark(folder, f"{segment.kind}, {segment.rate:.2g}", "manoeuvre")
         _line(mark, of.place[steps].tolist())
-    for place, row in zip(of.rejected.tolist(), of.rejected_rows, strict=True):
+    for place, row in zip(of.rejected, of.rejected_rows, strict=True):
         mark = _placemark(folder, f"rejected, row {row}", "rejected")
         point = _add(mark, "Point")
         _mode(point, len(place) == 3)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.cleaning import Cleaned, Segment
-from torchfra.cleaning.outputs.table import columns
+from torchfra.cleaning.outputs.table import columns, recorded
 from torchfra.cleaning.outputs.times import dates
 from torchfra.geodesy import Origin, to_geodetic
 from torchfra.readers.columns import Array
@@ -29,8 +30,8 @@ class Points(NamedTuple):
     """UTC, ISO 8601; None where the times of the input are no dates."""
     attributes: dict[str, list[Any]]
     """By name of ``ATTRIBUTES``; None is not known."""
-    rejected: Array
-    """``(K, 2 or 3)`` fixes that are outliers, where they were recorded."""
+    rejected: list[list[float]]
+    """``K`` fixes that are outliers, where they were recorded: longitude, latitude and, if it is known, altitude."""
     rejected_rows: list[int]
     """Their rows of the input."""
     manoeuvres: list[tuple[Segment, NDArray[np.intp]]]
@@ -58,7 +59,7 @@ def points(cleaned: Cleaned) -> Points:
         _place(cleaned.position[good], origin),
         None if stamps is None else [stamps[i] for i in at],
         attributes,
-        _place(cleaned.raw[rejected], origin),
+        [[lon, lat, *filter(isfinite, up)] for lat, lon, *up in recorded(cleaned, origin).T[rejected].tolist()],
         table["row"][rejected].tolist(),
         manoeuvres,
     )

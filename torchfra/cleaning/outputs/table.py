@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from torchfra.cleaning import Cleaned
 from torchfra.cleaning.outputs.course import course
-from torchfra.geodesy import to_geodetic
+from torchfra.geodesy import Origin, to_geodetic
+from torchfra.readers.columns import Array
 
 Table: TypeAlias = dict[str, NDArray[Any]]
 
@@ -47,7 +48,7 @@ def columns(cleaned: Cleaned) -> Table:
     }
     unit = recording.source.unit if recording.origin is None else 1.0
     for prefix, position in (("raw_", cleaned.raw), ("", cleaned.position)):
-        table |= _geodetic(cleaned, position, prefix)
+        table |= _geodetic(cleaned, prefix)
         table |= {prefix + axis: position[:, i] / unit for i, axis in enumerate(axes)}
     table |= {f"v{axis}": cleaned.velocity[:, i] for i, axis in enumerate(axes)} | _course(cleaned)
     table |= {"nis": cleaned.nis, "outlier": cleaned.outlier, "manoeuvre": cleaned.manoeuvre, "flag": cleaned.flag}
@@ -90,14 +91,25 @@ def _row(cleaned: Cleaned) -> NDArray[np.int64]:
     return cleaned.row if rows is None else np.where(cleaned.row < 0, -1, rows[cleaned.row])
 
 
-def _geodetic(cleaned: Cleaned, position: NDArray[np.float64], prefix: str) -> Table:
+def recorded(cleaned: Cleaned, origin: Origin) -> Array:
+    """Latitude and longitude in degrees, and altitude in m, of the fixes ``(2 or 3, T)``; NaN where missing."""
+    place, d = cleaned.raw.copy(), cleaned.raw.shape[1]
+    unknown = np.isnan(place[:, 2:]).any(1) & (cleaned.row >= 0)
+    # East and north of these are those at the altitude that the reader has filled in.
+    place[unknown, 2:] = cleaned.recording.position[cleaned.row[unknown], 2:]
+    found = np.stack(to_geodetic(place, origin)[:d])
+    found[2:, unknown] = np.nan
+    return found
+
+
+def _geodetic(cleaned: Cleaned, prefix: str) -> Table:
     """Latitude, longitude and altitude in the input's unit, where the input has them."""
     origin, unit = cleaned.recording.origin, cleaned.recording.source.unit
     if origin is None:
         return {}
-    latitude, longitude, altitude = to_geodetic(position, origin)
+    latitude, longitude, *altitude = recorded(cleaned, origin) if prefix else to_geodetic(cleaned.position, origin)
     table: Table = {f"{prefix}latitude": latitude, f"{prefix}longitude": longitude}
-    return table | ({f"{prefix}altitude": altitude / unit} if position.shape[1] == 3 else {})
+    return table | ({f"{prefix}altitude": altitude[0] / unit} if cleaned.raw.shape[1] == 3 else {})
 
 
 def _course(cleaned: Cleaned) -> Table:
