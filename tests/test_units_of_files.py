@@ -114,6 +114,17 @@ def test_frames_are_no_seconds(tmp_path):
         read(path(tmp_path, frame=np.arange(ROWS), **straight()))
 
 
+def test_frames_of_several_targets_are_no_seconds(tmp_path):
+    with pytest.raises(ValueError, match="looks like --time frame; frames must be divided by their rate"):
+        read(path(tmp_path, frame=np.arange(ROWS) // 2, player_id=np.arange(ROWS) % 2, **straight()))
+
+
+@pytest.mark.parametrize("names", [("range_m", "azimuth_deg", "elevation_deg"), ("Slant Range", "Bearing")])
+def test_ranges_and_bearings_are_no_x_and_y(tmp_path, names):
+    with pytest.raises(ValueError, match=f"; {names[0]} and {names[1]} must be turned into x and y"):
+        read(path(tmp_path, time=np.arange(ROWS), **{name: straight()["x"] for name in names}))
+
+
 @pytest.mark.parametrize(("east", "north"), [("utm_e", "utm_n"), ("UTM_Easting", "UTM_Northing"), ("x_utm", "y_utm")])
 def test_northings_are_north_wherever_they_stand(tmp_path, east, north):
     (track,) = read(path(tmp_path, time=np.arange(ROWS), **{north: straight()["y"], east: straight()["x"]}))

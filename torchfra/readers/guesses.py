@@ -19,6 +19,8 @@ _DEGREES = re.compile(r"\s*[+-]?[0-9]{1,3}[.,][0-9]{4,}\s*")
 """A latitude or longitude to 10 m or better."""
 _NORTH = re.compile(r"nor[dt]|(?:^|[^a-z])[yn](?:$|[^a-z])")
 """In the name of a column of northings."""
+_RANGE, _BEARING = re.compile("(?:slant|ground)?range|distance|rho$|r$"), re.compile("azimuth|bearing|azi?$|theta$")
+"""In the names of what a radar measures."""
 _WEEK = 604_800
 _FRAMES = {"frame", "frameid", "frames", "framenumber"}
 _FEW = 4
@@ -36,7 +38,8 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     cells = {name: [cell for cell in head.cells(name) if cell is not None and str(cell).strip()] for name in names}
     values = {name: column for name in names if len(column := _numbers(cells[name]))}
     time = next((name for name in names if name not in values and _is_time(cells[name])), "")
-    time = time or next((name for name, column in values.items() if _grows(column)), "")
+    likely = [name for name in values if plain(name) in _FRAMES]  # each comes once for every target
+    time = time or next(iter(likely + [name for name, column in values.items() if _grows(column)]), "")
     weeks = found(head.names, "week") and time in values and values[time].max() <= _WEEK
     form = "gps" if weeks else days_of(values[time], time) if time in values else ""
     frames = "; frames must be divided by their rate to be seconds" if plain(time) in _FRAMES else ""
@@ -44,6 +47,8 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     if known:
         when = f"; looks like --time {time}{option}{frames}"
         return when if time else "; rows need a time, such as seconds since the first of them"
+    if polar := _polar(values):
+        return polar
     places = _places({name: column for name, column in values.items() if name != time}, cells)
     return f"; looks like --time {time}{option} {places}{frames}" if time and places else ""
 
@@ -62,6 +67,17 @@ def _places(values: dict[str, Array], cells: dict[str, list[Any]]) -> str:
     x, y = moving[:2] if _NORTH.search(moving[1].lower()) or not _NORTH.search(moving[0].lower()) else moving[1::-1]
     miles = " --units nmi" if x.lower().endswith("nm") else ""
     return f"--x {x} --y {y}{miles}"
+
+
+def _polar(values: Collection[str]) -> str:
+    """What to do with columns of ranges and bearings; "" where there are none."""
+    ranges, bearings = ([name for name in values if form.match(plain(name))] for form in (_RANGE, _BEARING))
+    if not ranges or not bearings:
+        return ""
+    return (
+        f"; {ranges[0]} and {bearings[0]} must be turned into x and y: from north clockwise, x = range * sin(bearing), "
+        "y = range * cos(bearing), of the range on the ground; and their std, which grows with it, into a column sigma"
+    )
 
 
 def _is_length(name: str) -> bool:
