@@ -135,7 +135,8 @@ def numbers(cells: Sequence[Any] | NDArray[Any], kind: Kind, name: str, first: i
 
     def refused(i: int, advice: str = "") -> ValueError:
         where = f"in data row {first + i + 1}, column {name}"
-        return ValueError(f"expected {kind.said} {where}, received {short(cells[i])}{advice}")
+        cell = cells[i].item() if isinstance(cells[i], np.generic) else cells[i]
+        return ValueError(f"expected {kind.said} {where}, received {short(cell)}{advice}")
 
     values = _array(cells, kind) if isinstance(cells, np.ndarray) else _plain(cells, kind)
     if values is None or kind.words:

@@ -58,7 +58,8 @@ _LENGTHS = {
 }  # fmt: skip
 _SEVERAL = 5
 """Least rows of a value, in the mean, of a column that may say which target a row is of."""
-_WHOLE = re.compile(r"[+-]?[0-9]+")
+_WHOLE = re.compile(r"[+-]?([0-9]+)(?:\.0*)?")
+"""A whole number; in tables with gaps it has decimals, all 0."""
 _AUTOPILOT = 1e-7
 """Degrees in the numbers of autopilots, whose altitudes are in millimetres."""
 _SEMICIRCLE = 180 / 2**31
@@ -227,8 +228,9 @@ def _texts(head: Head, names: Sequence[str]) -> list[str]:
 
 def _is_whole(head: Head, name: str | None, digits: int) -> bool:
     """Whether a column has whole numbers, one of at least so many digits."""
-    texts = [] if name is None else [*filter(None, _texts(head, [name]))]
-    return max(map(len, texts), default=0) >= digits and all(map(_WHOLE.fullmatch, texts))
+    texts = [] if name is None else [text for text in _texts(head, [name]) if text.lower() not in ("", "nan")]
+    whole = [match[1] for text in texts if (match := _WHOLE.fullmatch(text))]
+    return max(map(len, whole), default=0) >= digits and len(whole) == len(texts)
 
 
 def _length(columns: Mapping[str, str], told: Told, word: str, head: Head) -> float:
