@@ -107,6 +107,14 @@ def test_altitudes_that_stand_for_none_are_missing(track):
     assert not track(lat=LATITUDE, lon=LONGITUDE, alt=np.where(gone, 9999, 9980)).repairs  # a level of aircraft
 
 
+def test_altitudes_that_are_all_0_are_missing(track):
+    found = track(lat=LATITUDE, lon=LONGITUDE, alt=np.zeros(ROWS))
+    assert found.position.shape == (ROWS, 2)
+    assert found.repairs == {"altitudes of a placeholder taken as missing": ROWS}
+    assert track(lat=LATITUDE, lon=LONGITUDE, alt=np.arange(ROWS) // 20).position.shape == (ROWS, 3)
+    assert track(x=LATITUDE, y=LONGITUDE, z=np.zeros(ROWS)).position.shape == (ROWS, 3)
+
+
 def test_arrays_keep_their_length_where_placeholders_stand_for_none():
     position = np.stack([10.0 * np.arange(ROWS), 3.0 * np.arange(ROWS)], 1)
     position[[3, 13]] = -999

@@ -28,6 +28,12 @@ def stand_for_none(values: Array) -> NDArray[np.bool_]:
     return gone
 
 
+def no_altitudes(values: Array) -> NDArray[np.bool_]:
+    """Which altitudes ``(rows,)`` are a placeholder, or 0 as all others, which KML has where there are none."""
+    zero: NDArray[np.bool_] = values == 0
+    return zero if (zero | np.isnan(values)).all() else stand_for_none(values)
+
+
 def nowhere(first: Array, second: Array, degrees: bool) -> NDArray[np.bool_]:
     """Which positions ``(rows,)`` are placeholders: the same one in both coordinates, or 0 degrees in both.
 

@@ -15,7 +15,7 @@ from torchfra.readers.clocks import YEAR_1980
 from torchfra.readers.columns import Array, grouped
 from torchfra.readers.layouts import Layout
 from torchfra.readers.noises import axes_of_ellipses
-from torchfra.readers.placeholders import nowhere, stand_for_none
+from torchfra.readers.placeholders import no_altitudes, nowhere, stand_for_none
 from torchfra.readers.spelling import MARKS
 from torchfra.readers.tables import Table
 
@@ -105,7 +105,8 @@ class _Columns:
         self.height, self.spare = column("altitude", "z"), column("second")
         unit = 1.0 if layout.degrees else layout.source.unit
         self.absent = nowhere(self.first / unit, self.second / unit, layout.degrees)
-        self.no_height = stand_for_none(self.height / layout.source.unit)
+        is_none = no_altitudes if layout.degrees else stand_for_none
+        self.no_height = is_none(self.height / layout.source.unit)
         self.height = np.where(self.no_height, np.nan, self.height)
         self.update = column("update")
         noise = [table.column(name) for name in layout.noise]
@@ -170,13 +171,13 @@ class _Columns:
         # The two differ by the weather, up to hundreds of metres: where both were taken, one would be an outlier.
         use_spare = 2 * own.sum() < spare.sum()
         heights, some = (self.spare[index], spare) if use_spare else (self.height[index], own)
+        placeholders = self.no_height[index] & ~some
+        repairs["altitudes of a placeholder taken as missing"] = int(placeholders.sum())
         if not some.any():
             return None, None
         before = np.maximum.accumulate(np.where(some, np.arange(len(index)), -1))
         row = np.where(before < 0, some.argmax(), before)
         repairs["altitudes taken from geoaltitude"] = int(some.sum()) if use_spare else 0
-        placeholders = self.no_height[index] & ~some
-        repairs["altitudes of a placeholder taken as missing"] = int(placeholders.sum())
         repairs["altitudes missing"] = int((~some & ~placeholders).sum())
         return heights[row], ~some
 
