@@ -184,6 +184,14 @@ def test_a_unit_that_cannot_be_does_not_win_over_the_size_of_the_numbers(tmp_pat
     assert np.diff(track.time) == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("name", ["down", "pos_d", "depth_m"])
+def test_what_grows_downwards_is_no_height(tmp_path, name):
+    file = path(tmp_path, time=np.arange(ROWS), **straight(), **{name: np.arange(ROWS)})
+    with pytest.raises(ValueError, match=f"z: expected heights, which grow upwards, received {name}: name its neg"):
+        read(file, z=name)
+    assert f"ignored: {name}" in read(file)[0].source.said
+
+
 @pytest.mark.parametrize("gap", [False, True])
 def test_semicircles_of_watches_are_degrees(tmp_path, gap):
     latitude, longitude = 47.0 + 1e-4 * np.arange(ROWS), 8.0 + 1e-4 * np.arange(ROWS)

@@ -22,6 +22,7 @@ from torchfra.readers.spelling import (
     AIRCRAFT,
     ANIMALS,
     COUNTERS,
+    DEPTHS,
     FLIGHT_LEVELS,
     MARKS,
     NAMES,
@@ -237,8 +238,11 @@ def _length(columns: Mapping[str, str], told: Told, word: str, head: Head) -> fl
     """Metres in the unit of x, y and z, or of altitudes.
 
     Raises:
-        ValueError: names say several units, or one that may be another.
+        ValueError: names say several units, or one that may be another, or that heights are depths.
     """
+    for role in ("altitude", "z"):
+        if plain(column := columns.get(role, "")) in DEPTHS:
+            raise ValueError(f"{role}: expected heights, which grow upwards, received {column}: name its negative")
     lengths = [columns[role] for role in ("altitude", "x", "y", "z") if role in columns]
     ends = {column: unit(column, asked=True) or "" for column in lengths}
     units = [METRES[ending] for ending in ends.values() if ending in METRES]

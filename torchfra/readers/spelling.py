@@ -71,6 +71,8 @@ PARTS = {"year", "month", "day", "hour", "hours", "minute", "minutes", "min", "s
 SINCE_1970 = {"timestamp", "utc", "timeutc", "utctime", "unixtime", "unix", "epoch", "unixtimestamp", "timestamputc"}
 """Names of times that are a date too."""
 AIRCRAFT = {"icao24", "icao", "hex", "callsign", "squawk", "lastposition", "lastposupdate", "baroaltitude", "altbaro"}
+DEPTHS = {"down", "posd", "pd", "depth"}
+"""Names of columns that grow downwards, as a drone's third of north, east and down does."""
 FLIGHT_LEVELS = {"flightlevel", "fl", "modec", "modecaltitude"}
 """Names of altitudes in hundreds of feet."""
 SHIPS = {"mmsi", "imo", "shiptype", "vesseltype", "typeofmobile", "vesselname", "shipname"}
