@@ -92,8 +92,8 @@ def _gpx_sheet(text: str) -> Sheet:
             for column, cell in zip(columns.values(), row, strict=True):
                 column.append(cell)
     others = len(gpx.waypoints) + sum(len(route.points) for route in gpx.routes)
-    left_out = f"; {others} waypoints and points of routes left out" if others else ""
-    return _timed(columns, (f"GPX: {len(gpx.tracks)} tracks{left_out}",), "GPX")
+    left_out = f"; waypoints and points of routes left out: {others}" if others else ""
+    return _timed(columns, (f"GPX: {len(gpx.tracks)} track{'s' * (len(gpx.tracks) != 1)}{left_out}",), "GPX")
 
 
 def _kml_sheet(text: str) -> Sheet:
