@@ -59,6 +59,10 @@ SMALL = {
         {"--trackers": "srckf"},
     ),
     "scripts/bounds.py": ({"--runs": "2", "--jobs": "1", "--cells": "bearings-manoeuvre"}, {"--filters": "srckf"}),
+    "scripts/lorenz.py": (
+        {"--runs": "2", "--network": "1"},
+        {"--settings": "as stated", "--filters": "srckf", "--fit": ""},
+    ),
     "scripts/certainty.py": ({"--fits": "2", "--iterations": "1", "--jobs": "1"}, {}),
     "scripts/particles.py": ({"--runs": "2", "--particles": "50"}, {}),
     "scripts/benchmark.py": ({"--batch": "1", "--passes": "1", "--modes": "eager"}, {"--filters": "srckf"}),

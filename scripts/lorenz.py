@@ -1,0 +1,174 @@
+"""Filters of stated and of fitted noise beside a network that learns the gain, on the attractor of Lorenz.
+
+    python scripts/lorenz.py --runs 200 --seed 1 --json out/lorenz.json
+    python scripts/lorenz.py --settings '5 %% outliers' --filters srckf,gpb --variances 0.001 --fit ''
+
+The system and its settings are those of KalmanNet (Revach et al. 2022): see ``scripts/learned/lorenz.py``.  Errors are
+root mean squares per component over all tracks and steps, in units of the standard deviation of the measurement noise.
+A fitted filter has learned process and measurement noise of each component from 200 other tracks (``torchfra.fit``):
+from the likelihood of their measurements, or from squared errors with a truth, as the OKF of Greenberg et al. (2023).
+The network has learned from batches of 64 tracks with their truth.
+
+In the setting "one step ahead" errors are not divided by anything, and those that filternet (Song et al.) has published
+stand beside them: the best of its four networks for each variance.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+
+import torch
+from learned.kalmannet import KalmanNet, trained
+from learned.lorenz import DT, SETTINGS, Setting, Tracks, models, simulate
+
+import torchfra
+from torchfra.catalogue import make_filter, track_filters
+from torchfra.cli.command import (
+    add_json_option,
+    add_quiet_option,
+    add_runs_options,
+    check_files,
+    check_list,
+    exit_status,
+    make_parser,
+)
+from torchfra.filters import Filter
+from torchfra.motion import Motion
+from torchfra.running.atomic_write import write_json
+from torchfra.running.progress import progress_bar
+from torchfra.running.versions import versions
+from torchfra.tables import formed_table, significant
+
+FILTERS, FITTED = "ekf,ukf,srckf,ghckf,rsrckf,gpb", "srckf,rsrckf"
+PUBLISHED = {1.0: 0.39873, 10.0: 0.82325, 100.0: 2.01605, 1000.0: 5.28136}
+"""Root mean square errors per component by the variance of the measurement noise: filternet's table, its best row."""
+LOSSES = {"fitted": "likelihood", "fitted to truth": "mse"}
+"""What noise is fitted by; the likelihood of the measurements needs no truth."""
+LEARNED_FROM, BATCH = 200, 64
+"""Tracks of a fit, and of an iteration of the network."""
+LEARNING = 1_000_000
+"""Added to the seed for tracks to learn from."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Prints the tables; returns the exit status: see ``torchfra.cli.command.exit_status``."""
+    p = make_parser(__doc__)
+    names = ",".join(SETTINGS)
+    p.add_argument(
+        "--settings", metavar="A,B", default=names, help=f"which (default: all of {names})".replace("%", "%%")
+    )
+    p.add_argument("--filters", metavar="A,B", default=FILTERS, help=f"with stated noise (default: {FILTERS})")
+    p.add_argument("--fit", metavar="A,B", default=FITTED, help=f"with fitted noise, or '' (default: {FITTED})")
+    p.add_argument("--variances", metavar="A,B", default="1,0.001", help="of the measurement noise (default: 1,0.001)")
+    p.add_argument("--network", type=int, default=200, metavar="N", help="iterations, or 0 (default: 200)")
+    add_runs_options(p, 200, seed=1)
+    add_json_option(p)
+    add_quiet_option(p)
+
+    def run() -> None:
+        options = p.parse_args(arguments)
+        check_list(p, "settings", options.settings, SETTINGS)
+        check_list(p, "filters", options.filters, track_filters())
+        check_list(p, "fit", options.fit, ["", *track_filters()])
+        compare(options)
+
+    return exit_status("lorenz", run)
+
+
+def compare(options: argparse.Namespace) -> None:
+    """All settings, and the tables when the last one is done.
+
+    Raises:
+        ValueError: variances that are no numbers above 0, fewer than 1 run or 0 iterations.
+    """
+    check_files({"json": options.json})
+    variances = numbers(options.variances)
+    for name, value, least in (("runs", options.runs, 1), ("network", options.network, 0)):
+        if value < least:
+            raise ValueError(f"{name}: expected {least} or more, received {value}")
+    cells = [
+        (name, variance)
+        for name in options.settings.split(",")
+        for variance in (PUBLISHED if SETTINGS[name].published else variances)
+    ]
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for name, variance in progress_bar(cells, "setting", not options.quiet):
+        found.setdefault(name, {})[f"{variance:g}"] = of_setting(SETTINGS[name], variance, options)
+    if not options.quiet:
+        print(table(found), flush=True)
+    if options.json is not None:
+        kept = {"runs": options.runs, "seed": options.seed, "iterations": options.network, "versions": versions()}
+        write_json(options.json, {**kept, "errors": found})
+
+
+def numbers(text: str) -> list[float]:
+    """Variances from text.
+
+    Raises:
+        ValueError: one that is no number above 0.
+    """
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if not values or not all(0 < value < math.inf for value in values):
+        raise ValueError(f"variances: expected numbers above 0, received {text}")
+    return values
+
+
+def of_setting(setting: Setting, variance: float, options: argparse.Namespace) -> dict[str, float]:
+    """Errors of all filters in a setting, by their names."""
+    motion, sensor = models(setting, variance)
+    tracks = simulate(setting, variance, options.runs, options.seed)
+    # What is learned of short tracks is used on long ones, as KalmanNet is.
+    short, seed = setting._replace(steps=min(setting.steps, 100)), options.seed + LEARNING
+    scale = 1.0 if setting.published else variance**0.5
+    errors = {}
+    for name in options.filters.split(","):
+        errors[name] = error(estimated(make_filter(name, motion, sensor), tracks, motion), tracks, scale)
+    others = simulate(short, variance, LEARNED_FROM, seed)
+    for name in filter(None, options.fit.split(",")):
+        for words, loss in LOSSES.items():
+            f = fitted(make_filter(name, motion, sensor), others, loss)
+            errors[f"{name}, {words}"] = error(estimated(f, tracks, motion), tracks, scale)
+    if options.network:
+        torch.manual_seed(options.seed)
+        network = KalmanNet(motion, sensor)
+        trained(network, lambda number: simulate(short, variance, BATCH, seed + 1 + number), options.network)
+        with torch.no_grad():
+            errors["KalmanNet, small"] = error(network.estimated(tracks).double(), tracks, scale)
+    if setting.published:
+        errors["published"] = PUBLISHED[variance]
+    return errors
+
+
+def estimated(f: Filter, tracks: Tracks, motion: Motion) -> torch.Tensor:
+    """Estimates ``(B, T, 3)`` of what is asked for."""
+    with torch.no_grad():
+        return tracks.asked(f(tracks.z, tracks.prior, dt=DT).mean, motion)
+
+
+def fitted(f: Filter, tracks: Tracks, loss: str) -> Filter:
+    """The filter with the noise that makes a loss of ``torchfra.fit`` smallest."""
+    truth = tracks.truth[:, : tracks.z.shape[1]]
+    data = {"z": tracks.z, "prior": tracks.prior, "truth": truth, "dt": torch.tensor(DT, dtype=torch.float64)}
+    return torchfra.fit(f, data, learn=("q", "std"), loss=loss, iterations=60, quiet=True).filter
+
+
+def error(means: torch.Tensor, tracks: Tracks, scale: float) -> float:
+    """Root mean square per component, in units of ``scale``."""
+    return float((means - tracks.truth).square().mean().sqrt()) / scale
+
+
+def table(found: dict[str, dict[str, dict[str, float]]]) -> str:
+    """Filters by settings and variances."""
+    cells = {f"{name}, {variance}": of for name, by in found.items() for variance, of in by.items()}
+    names = list(dict.fromkeys(name for of in cells.values() for name in of))
+    rows = [[name, *("" if name not in of else significant(of[name]) for of in cells.values())] for name in names]
+    return formed_table("markdown", ["error over noise", *cells], rows)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

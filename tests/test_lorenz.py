@@ -1,0 +1,110 @@
+"""The attractor of Lorenz beside a network that learns the gain: model, settings, network and command."""
+
+import json
+import math
+
+import lorenz
+import numpy as np
+import pytest
+import torch
+from learned.kalmannet import KalmanNet, trained
+from learned.lorenz import DEGREE, DT, SETTINGS, Lorenz, models, rotation, simulate
+
+from torchfra import presets
+
+SMALL = ["--runs", "3", "--fit", "", "--filters", "srckf", "--network", "1", "--variances", "1"]
+
+
+def by_hand(x, angle, order):
+    """One step of one state: the truncated exponential of a matrix, times the state."""
+    matrix = rotation(angle).numpy() @ np.array([[-10, 10, 0], [28, -1, -x[0]], [0, x[0], -8 / 3]]) * DT
+    powers = [np.linalg.matrix_power(matrix, j) / math.factorial(j) for j in range(order + 1)]
+    return sum(powers) @ x
+
+
+@pytest.mark.parametrize(("angle", "order"), [(0.0, 5), (DEGREE, 5), (0.0, 2)])
+def test_a_step_is_the_series_of_the_matrix_exponential(angle, order):
+    x = 10 * torch.randn(2, 4, 3, dtype=torch.float64)
+    after = Lorenz(order=order, angle=angle)(x, torch.full((2, 4), DT, dtype=torch.float64))
+    wanted = [by_hand(state, angle, order) for state in x.reshape(-1, 3).numpy()]
+    torch.testing.assert_close(after.reshape(-1, 3), torch.from_numpy(np.stack(wanted)))
+
+
+def test_where_models_hold_the_error_is_a_third_of_the_noise_and_honest():
+    setting = SETTINGS["as stated"]
+    tracks = simulate(setting, 1.0, 40, 0)
+    estimate = presets.ukf(*models(setting, 1.0))(tracks.z, tracks.prior, dt=DT)
+    error = estimate.mean - tracks.truth
+    assert error.square().mean().sqrt() < 0.35
+    nees = torch.linalg.solve_triangular(estimate.scale_tril, error.unsqueeze(-1), upper=False).square().mean()
+    assert 0.85 < nees < 1.15
+
+
+def test_one_step_ahead_the_last_state_is_predicted_and_the_first_known():
+    setting = SETTINGS["one step ahead"]
+    tracks = simulate(setting, 1.0, 2, 0)
+    assert tracks.z.shape == (2, 99, 3)
+    motion, _ = models(setting, 1.0)
+    asked = tracks.asked(tracks.truth[:, :-1], motion)
+    assert asked[:, 0].eq(0.0).all()
+    assert (asked - tracks.truth).square().mean().sqrt() == pytest.approx(0.01, rel=0.2)  # the process noise
+
+
+def test_settings_change_what_they_say_alone():
+    plain, turned, outlying, one = (
+        simulate(SETTINGS[name], 1.0, 30, 0)
+        for name in ("as stated", "sensor turned by 1 degree", "5 % outliers", "x alone measured")
+    )
+    assert plain.truth.equal(turned.truth)
+    assert one.z.equal(plain.z[..., :1])
+    torch.testing.assert_close(turned.z - plain.z, plain.truth @ rotation(DEGREE).mT - plain.truth)
+    factors = (outlying.z - plain.truth) / (plain.z - plain.truth)
+    large = (factors > 5).double().mean()
+    assert 0.03 < large < 0.07
+    torch.testing.assert_close(factors[factors > 5], torch.full_like(factors[factors > 5], 10.0))
+
+
+def test_before_it_has_learned_the_network_predicts_and_gradients_reach_all_of_it_soon():
+    setting = SETTINGS["as stated"]._replace(steps=5)
+    motion, sensor = models(setting, 1.0)
+    tracks, network = simulate(setting, 1.0, 4, 0), KalmanNet(motion, sensor)
+    state = tracks.prior.mean
+    for mean in network.estimated(tracks).unbind(1):
+        state = motion(state, torch.full((4,), DT, dtype=torch.float64))
+        torch.testing.assert_close(mean.double(), state, rtol=1e-4, atol=1e-4)
+    trained(network, lambda number: tracks, 2)
+    network.estimated(tracks).square().mean().backward()
+    assert all(p.grad is not None and p.grad.abs().sum() > 0 for p in network.parameters())
+
+
+def test_the_table_and_the_json_have_an_error_for_each_filter(tmp_path, capsys):
+    out = tmp_path / "r.json"
+    assert lorenz.main([*SMALL, "--settings", "as stated", "--json", str(out)]) == 0
+    errors = json.loads(out.read_text())["errors"]["as stated"]["1"]
+    assert errors.keys() == {"srckf", "KalmanNet, small"}
+    assert errors["srckf"] < 0.4
+    printed = capsys.readouterr().out
+    assert "| srckf" in printed
+    assert "as stated, 1" in printed
+
+
+@pytest.mark.slow
+def test_noise_fitted_to_truth_makes_up_for_a_part_of_a_turn_that_no_filter_knows(tmp_path, monkeypatch):
+    monkeypatch.setattr(lorenz, "LEARNED_FROM", 16)
+    monkeypatch.setattr(lorenz, "LOSSES", {"fitted to truth": "mse"})
+    out, name = tmp_path / "r.json", "sensor turned by 1 degree"
+    options = ["--runs", "20", "--fit", "ekf", "--filters", "ekf", "--network", "0", "--variances", "0.001"]
+    assert lorenz.main([*options, "--settings", name, "--json", str(out), "--quiet"]) == 0
+    errors = json.loads(out.read_text())["errors"][name]["0.001"]
+    assert errors["ekf, fitted to truth"] < 0.5 * errors["ekf"]
+
+
+@pytest.mark.parametrize(("options", "said"), [
+    (["--variances", "0"], "variances: expected numbers above 0, received 0"),
+    (["--variances", "one"], "variances: expected numbers above 0, received one"),
+    (["--runs", "0"], "runs: expected 1 or more, received 0"),
+    (["--network", "-1"], "network: expected 0 or more, received -1"),
+])  # fmt: skip
+def test_what_cannot_be_right_is_refused_before_any_work(options, said, capsys):
+    assert lorenz.main([*SMALL, *options]) == 2
+    assert said in capsys.readouterr().err
