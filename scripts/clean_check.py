@@ -44,7 +44,15 @@ from cleaning.show import bounds_table, cases_table, table
 from cleaning.truths import HARDER, KINDS, truths
 
 from torchfra.cleaning import Cleaned
-from torchfra.cli.command import Failures, add_json_option, add_quiet_option, check_files, exit_status, make_parser
+from torchfra.cli.command import (
+    Failures,
+    add_json_option,
+    add_quiet_option,
+    check_files,
+    exit_status,
+    make_parser,
+    numbers_in,
+)
 from torchfra.readers.recording import Recording
 from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
@@ -85,7 +93,7 @@ def parser() -> argparse.ArgumentParser:
 
 def check(options: argparse.Namespace) -> None:
     """Cleans all cases; tables when the last one is done."""
-    periods, noises = (_numbers(name, getattr(options, name)) for name in ("periods", "noises"))
+    periods, noises = (numbers_in(name, getattr(options, name)) for name in ("periods", "noises"))
     module, _, name = options.clean.partition(":")
     clean: Cleaner = getattr(importlib.import_module(module), name)
     check_files({"json": options.json, "plot": options.plot})
@@ -132,21 +140,6 @@ def judged(clean: Cleaner, cases: Sequence[Case], options: argparse.Namespace) -
         for run, one in zip(part, cleaned, strict=True):
             add(counts[run.case], run, one)
     return [figures(case, of, [r for r in runs if r.case is case]) for case, of in counts.items()], seconds
-
-
-def _numbers(name: str, listed: str) -> list[float]:
-    """The numbers in a comma-separated list.
-
-    Raises:
-        ValueError: one that is no number above 0.
-    """
-    try:
-        values = [float(value) for value in listed.split(",")]
-    except ValueError:
-        values = []
-    if not values or not all(0 < value < float("inf") for value in values):
-        raise ValueError(f"{name}: expected numbers above 0, separated by commas, received {listed!r}")
-    return values
 
 
 if __name__ == "__main__":

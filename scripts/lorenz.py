@@ -16,7 +16,6 @@ stand beside them: the best of its four networks for each variance.
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 
 import torch
@@ -33,6 +32,7 @@ from torchfra.cli.command import (
     check_list,
     exit_status,
     make_parser,
+    numbers_in,
 )
 from torchfra.filters import Filter
 from torchfra.motion import Motion
@@ -84,7 +84,7 @@ def compare(options: argparse.Namespace) -> None:
         ValueError: variances that are no numbers above 0, fewer than 1 run or 0 iterations.
     """
     check_files({"json": options.json})
-    variances = numbers(options.variances)
+    variances = numbers_in("variances", options.variances)
     for name, value, least in (("runs", options.runs, 1), ("network", options.network, 0)):
         if value < least:
             raise ValueError(f"{name}: expected {least} or more, received {value}")
@@ -101,21 +101,6 @@ def compare(options: argparse.Namespace) -> None:
     if options.json is not None:
         kept = {"runs": options.runs, "seed": options.seed, "iterations": options.network, "versions": versions()}
         write_json(options.json, {**kept, "errors": found})
-
-
-def numbers(text: str) -> list[float]:
-    """Variances from text.
-
-    Raises:
-        ValueError: one that is no number above 0.
-    """
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if not values or not all(0 < value < math.inf for value in values):
-        raise ValueError(f"variances: expected numbers above 0, received {text}")
-    return values
 
 
 def of_setting(setting: Setting, variance: float, options: argparse.Namespace) -> dict[str, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import re
 import sys
@@ -68,6 +69,21 @@ def check_list(parser: argparse.ArgumentParser, option: str, value: str, known: 
     if unknown:
         received = f"{', '.join(unknown)}{meant(unknown[0], known)}"
         parser.error(f"--{option}: expected names out of {', '.join(known)}, received {received}")
+
+
+def numbers_in(option: str, value: str) -> list[float]:
+    """The numbers in a comma-separated list.
+
+    Raises:
+        ValueError: one that is no number above 0.
+    """
+    try:
+        numbers = [float(number) for number in value.split(",")]
+    except ValueError:
+        numbers = []
+    if not numbers or not all(0 < number < math.inf for number in numbers):
+        raise ValueError(f"{option}: expected numbers above 0, separated by commas, received {value!r}")
+    return numbers
 
 
 # ---------------------------------------------------------------- outputs
