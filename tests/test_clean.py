@@ -192,3 +192,10 @@ def test_without_a_table_pandas_is_not_imported(walk, monkeypatch):
     time, _, measured = walk
     assert len(torchfra.clean((time, measured), **settings(filter="srckf")).time) == STEPS
     assert "pandas" not in sys.modules
+
+
+def test_a_wrong_number_of_a_frame_is_shown_as_it_is_written():
+    """A column of numpy's numbers would otherwise show its type."""
+    data = pandas.DataFrame({"time": [0.0, 1.0, 2.0], "lat": [47.0, 97.5, 47.0], "lon": [8.0, 8.0, 8.0]})
+    with pytest.raises(ValueError, match=r"column lat, received 97\.5"):
+        torchfra.clean(data)

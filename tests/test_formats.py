@@ -163,6 +163,14 @@ def test_columns_of_parquet_and_feather_are_read_too(tmp_path, name, zone):
     assert track.source.written(track.time[:1]) == ["2020-09-13T12:26:40Z"]
 
 
+@pytest.mark.parametrize(
+    ("points", "said"), [("", "GPX: 1 track"), ('<wpt lat="47" lon="8"/>', "points of routes left out: 1")]
+)
+def test_tracks_of_gpx_and_what_is_left_out_are_counted_in_words(write, points, said):
+    (track,) = read(write("a.gpx", gpx().replace("<trk>", f"{points}<trk>")))
+    assert any(line.endswith(said) for line in track.source.said)
+
+
 def test_a_file_without_its_reader_says_what_to_install(write, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "gpxpy", None)
     with pytest.raises(ImportError, match=r'GPX needs the package gpxpy: pip install "torchfra\[formats\]"'):

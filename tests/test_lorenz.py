@@ -17,7 +17,9 @@ SMALL = ["--runs", "3", "--fit", "", "--filters", "srckf", "--network", "1", "--
 
 def by_hand(x, angle, order):
     """One step of one state: the truncated exponential of a matrix, times the state."""
-    matrix = rotation(angle).numpy() @ np.array([[-10, 10, 0], [28, -1, -x[0]], [0, x[0], -8 / 3]]) * DT
+    axes = [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]]
+    x_turn, y_turn, z_turn = torch.linalg.matrix_exp(angle * torch.tensor(axes, dtype=torch.float64)).numpy()
+    matrix = z_turn @ y_turn @ x_turn @ np.array([[-10, 10, 0], [28, -1, -x[0]], [0, x[0], -8 / 3]]) * DT
     powers = [np.linalg.matrix_power(matrix, j) / math.factorial(j) for j in range(order + 1)]
     return sum(powers) @ x
 
@@ -100,8 +102,8 @@ def test_noise_fitted_to_truth_makes_up_for_a_part_of_a_turn_that_no_filter_know
 
 
 @pytest.mark.parametrize(("options", "said"), [
-    (["--variances", "0"], "variances: expected numbers above 0, received 0"),
-    (["--variances", "one"], "variances: expected numbers above 0, received one"),
+    (["--variances", "0"], "variances: expected numbers above 0, separated by commas, received '0'"),
+    (["--variances", "one"], "variances: expected numbers above 0, separated by commas, received 'one'"),
     (["--runs", "0"], "runs: expected 1 or more, received 0"),
     (["--network", "-1"], "network: expected 0 or more, received -1"),
 ])  # fmt: skip

@@ -219,7 +219,7 @@ def test_missing_altitudes_are_filled_and_counted(write: Write) -> None:
     assert track.filled.tolist() == [True, False, True, True, False]
 
 
-def test_geoaltitude_stands_in_for_a_baroaltitude_that_is_missing_nearly_everywhere(write: Write) -> None:
+def test_geoaltitude_stands_in_for_baroaltitude_where_there_is_more_than_twice_as_much_of_it(write: Write) -> None:
     rows = [f"{t},a,47.0{t},8.0,,{up},{t}" for t, up in enumerate(["500,550", ",560", ",570", ","])]
     track = only(write("s.csv", states(*rows)), origin=CENTRE)
     assert track.repairs == {"altitudes taken from geoaltitude": 3, "altitudes missing": 1}

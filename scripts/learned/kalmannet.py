@@ -4,8 +4,7 @@ The prediction is that of the stated motion, and the estimate is the prediction 
 network sees four differences, each over its norm: of the last two measurements, the innovation, the last update, and
 the change of the last estimate.  It learns from tracks with a truth, by the mean squared error.
 
-Source: Revach et al. (2022), section III, architecture 1; here with 64 units, where the paper has
-hundreds.
+Source: Revach et al. (2022), section III, architecture 1; here with 64 units, where the paper has hundreds.
 """
 
 from __future__ import annotations
@@ -63,6 +62,8 @@ class KalmanNet(nn.Module):
 
 def trained(network: KalmanNet, tracks: Callable[[int], Tracks], iterations: int) -> KalmanNet:
     """The network after so many steps of Adam on new tracks in each, in single precision.
+
+    A batch whose gradient is not finite, as tracks have run off the attractor, changes nothing.
 
     Args:
         network: that learns.

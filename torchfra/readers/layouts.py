@@ -60,7 +60,7 @@ _LENGTHS = {
 _SEVERAL = 5
 """Least rows of a value, in the mean, of a column that may say which target a row is of."""
 _WHOLE = re.compile(r"[+-]?([0-9]+)(?:\.0*)?")
-"""A whole number; in tables with gaps it has decimals, all 0."""
+"""A whole number; tables write it with decimals, all 0, where the column has gaps."""
 _AUTOPILOT = 1e-7
 """Degrees in the numbers of autopilots, whose altitudes are in millimetres."""
 _SEMICIRCLE = 180 / 2**31

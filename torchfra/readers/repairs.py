@@ -165,7 +165,7 @@ class _Columns:
     def heights(self, index: NDArray[np.intp], repairs: Counter[str]) -> tuple[Array | None, NDArray[np.bool_] | None]:
         """Altitudes, those that are missing as at the fix before (or after), and which are; None if all are missing.
 
-        They are all of one column: the other one is taken where the first misses more than half of it.
+        They are all of one column: of the spare one, if that has more than twice as many.
         """
         own, spare = np.isfinite(self.height[index]), np.isfinite(self.spare[index])
         # The two differ by the weather, up to hundreds of metres: where both were taken, one would be an outlier.

@@ -31,7 +31,7 @@ class Points(NamedTuple):
     attributes: dict[str, list[Any]]
     """By name of ``ATTRIBUTES``; None is not known."""
     rejected: list[list[float]]
-    """``K`` fixes that are outliers, where they were recorded: longitude, latitude and, if it is known, altitude."""
+    """Of each fix that is an outlier, where it was recorded: longitude, latitude and, if it is known, altitude."""
     rejected_rows: list[int]
     """Their rows of the input."""
     manoeuvres: list[tuple[Segment, NDArray[np.intp]]]
