@@ -109,13 +109,32 @@ def test_parts_of_a_time_in_several_columns_are_refused(tmp_path):
         read(path(tmp_path, hour=i // 3600, minute=i // 60, second=i % 60, **straight()))
 
 
+HINT = "looks like --time frame --time-format 25fps.*, if a second has 25 frames"
+
+
 def test_frames_are_no_seconds(tmp_path):
-    with pytest.raises(ValueError, match="looks like --time frame; frames must be divided by their rate"):
-        read(path(tmp_path, frame=np.arange(ROWS), **straight()))
+    file = path(tmp_path, frame=np.arange(ROWS), **straight())
+    with pytest.raises(ValueError, match=HINT):
+        read(file)
+    with pytest.raises(ValueError, match=r"column frame: .* received numbers of frames: say how many a second has"):
+        read(file, time="frame")
+
+
+def test_frames_are_read_and_written_by_how_many_a_second_has(tmp_path):
+    (track,) = read(path(tmp_path, frame=100 + np.arange(ROWS), **straight()), time="frame", time_format="12.5fps")
+    np.testing.assert_allclose(np.diff(track.time), 0.08)
+    assert track.source.written(track.time[:2]) == ["100", "101"]
+    assert any("frames, 12.5 a second" in line for line in track.source.said)
+
+
+@pytest.mark.parametrize("rate", ["0fps", "fps", "-25fps", "nanfps"])
+def test_a_second_has_some_frames(tmp_path, rate):
+    with pytest.raises(ValueError, match=f"time_format: expected .* or such as 25fps .*, received '{rate}'"):
+        read(path(tmp_path, frame=np.arange(ROWS), **straight()), time="frame", time_format=rate)
 
 
 def test_frames_of_several_targets_are_no_seconds(tmp_path):
-    with pytest.raises(ValueError, match="looks like --time frame; frames must be divided by their rate"):
+    with pytest.raises(ValueError, match=HINT):
         read(path(tmp_path, frame=np.arange(ROWS) // 2, player_id=np.arange(ROWS) % 2, **straight()))
 
 

@@ -20,7 +20,7 @@ _ABOUT = {
     "units": ("UNIT", "unit of x, y, z, or of altitudes: " + ", ".join(METRES)),
     "delimiter": ("SIGN", "sign between cells; or tab, space"),
     "decimal": ("SIGN", "sign before decimals: . or ,"),
-    "time_format": ("FORM", f"times as {', '.join(FORMS)} or such as %%d.%%m.%%Y %%H:%%M:%%S"),
+    "time_format": ("FORM", f"times as {', '.join(FORMS)}, or such as 25fps or %%d.%%m.%%Y %%H:%%M:%%S"),
 }  # fmt: skip
 """What each option is followed by, and what it is about."""
 READING = tuple(field.name for field in fields(Told))

@@ -23,6 +23,7 @@ from torchfra.readers.times import (
     SINCE_1970,
     form_of,
     is_clock,
+    per_second,
     seconds_of,
     written,
 )
@@ -41,6 +42,8 @@ _DAYS_SAID = {"excel": "days of Excel", "mjd": "modified Julian days", "matlab":
 _HALF_DAY = 43_200.0
 _OF_THE_WEEK = {"tow", "itow", "timeofweek", "sow", "secondsofweek"}
 """Names of what of the week of GPS has passed."""
+FRAMES = {"frame", "frameid", "frames", "framenumber"}
+"""Names of numbers of frames, which tell the time by how many a second has."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +61,8 @@ class Clock:
     @property
     def said(self) -> str:
         """A word or two for a person."""
-        if self.form in PER_SECOND:
-            return _SAID.get(self.form, self.form) + (" since 1970" if self.since_1970 else "")
+        if per_second(self.form):
+            return _unit_said(self.form) + (" since 1970" if self.since_1970 else "")
         if self.form in GPS:
             return f"week of GPS and {'ms' if self.form == 'gps_ms' else 'seconds'} of it"
         if self.form in DAY_OF_1970:
@@ -110,7 +113,7 @@ class Clock:
     @property
     def doubt(self) -> tuple[bool, bool]:
         """What to sort by: whether it lacks the date, and whether it is no text."""
-        return not self.since_1970, self.form in PER_SECOND
+        return not self.since_1970, per_second(self.form) > 0
 
 
 def clock_of(head: Head, told: Told) -> tuple[Clock, list[str]]:
@@ -174,6 +177,11 @@ def _clock(name: str, head: Head, told: Told) -> Clock:
         return _told_clock(name, told.time_format, head)
     if told.time is None and plain(name) in _OF_THE_WEEK and (weeks := found(head.names, "week")):
         return _gps_clock(weeks[0], name, "gps_ms" if unit(name) == "ms" else "gps")
+    if plain(name) in FRAMES:
+        raise ValueError(
+            f"column {name}: expected times, received numbers of frames: say how many a second has, such as "
+            "--time-format 25fps"
+        )
     values = _values(some)
     if len(values) < len(some) and (clock := _text_clock((name,), some, _is_danish(head))) is not None:
         return clock
@@ -211,7 +219,7 @@ def _told_clock(name: str, form: str, head: Head) -> Clock:
     Raises:
         ValueError: there is no column of weeks beside what of a week has passed.
     """
-    if form in PER_SECOND:
+    if per_second(form):
         return Clock((name,), _unit_kind(form, False), form, False)
     if form in DAY_OF_1970:
         said = _DAYS_SAID[form]
@@ -243,8 +251,8 @@ def _numeric(name: str, values: NDArray[np.float64], told: Told) -> Clock:
         ValueError: the name means times since 1970, and these are not.
     """
     fitting, early = {}, np.abs(values) < YEAR_1980
-    for form, per_second in SINCE_1970.items():
-        fits = (values >= YEAR_1980 * per_second) & (values < _YEAR_2286 * per_second)
+    for form, count in SINCE_1970.items():
+        fits = (values >= YEAR_1980 * count) & (values < _YEAR_2286 * count)
         fitting[form] = (fits.sum(), fits[:1].any())
     ending = unit(name, asked=told.time == name)
     if ending in SINCE_1970 and len(values) and np.abs(values).max() < _YEAR_2286 * PER_SECOND[ending]:
@@ -281,19 +289,22 @@ def days_of(values: NDArray[np.float64], name: str) -> str:
     return ""
 
 
+def _unit_said(form: str) -> str:
+    """The unit of numbers in words."""
+    return _SAID.get(form, form) if form in PER_SECOND else f"frames, {per_second(form):g} a second"
+
+
 def _unit_kind(form: str, since_1970: bool) -> Kind:
     """The kind of numbers in a unit."""
-    per_second = PER_SECOND[form]
+    count = per_second(form)
     if form == "seconds":
         return SECONDS
     if not since_1970:
-        return Kind(_SAID.get(form, form), limit=_YEAR_2286 * per_second, per_unit=per_second)
+        return Kind(_unit_said(form), limit=_YEAR_2286 * count, per_unit=count)
     if form == "ms":
         return INSTANT
-    smaller = (YEAR_1980, _YEAR_2286 * per_second / 1e3)  # of any smaller unit
-    return Kind(
-        f"{_SAID.get(form, form)} since 1970", limit=_YEAR_2286 * per_second, per_unit=per_second, between=smaller
-    )
+    smaller = (YEAR_1980, _YEAR_2286 * count / 1e3)  # of any smaller unit
+    return Kind(f"{_unit_said(form)} since 1970", limit=_YEAR_2286 * count, per_unit=count, between=smaller)
 
 
 def _dated(clock: Clock, head: Head) -> Clock:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from torchfra.readers.clocks import days_of
+from torchfra.readers.clocks import FRAMES, days_of
 from torchfra.readers.columns import Array, Head, number
 from torchfra.readers.spelling import found, plain, unit
 from torchfra.readers.times import form_of
@@ -22,7 +22,6 @@ _NORTH = re.compile(r"nor[dt]|(?:^|[^a-z])[yn](?:$|[^a-z])")
 _RANGE, _BEARING = re.compile("(?:slant|ground)?range|distance|rho$|r$"), re.compile("azimuth|bearing|azi?$|theta$")
 """In the names of what a radar measures."""
 _WEEK = 604_800
-_FRAMES = {"frame", "frameid", "frames", "framenumber"}
 _FEW = 4
 """Columns of numbers up to which the first two may be x and y."""
 
@@ -38,11 +37,13 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     cells = {name: [cell for cell in head.cells(name) if cell is not None and str(cell).strip()] for name in names}
     values = {name: column for name in names if len(column := _numbers(cells[name]))}
     time = next((name for name in names if name not in values and _is_time(cells[name])), "")
-    likely = [name for name in values if plain(name) in _FRAMES]  # each comes once for every target
+    likely = [name for name in values if plain(name) in FRAMES]  # each comes once for every target
     time = time or next(iter(likely + [name for name, column in values.items() if _grows(column)]), "")
     weeks = found(head.names, "week") and time in values and values[time].max() <= _WEEK
     form = "gps" if weeks else days_of(values[time], time) if time in values else ""
-    frames = "; frames must be divided by their rate to be seconds" if plain(time) in _FRAMES else ""
+    of_frames = plain(time) in FRAMES
+    frames = ", if a second has 25 frames" if of_frames else ""
+    form = "25fps" if of_frames else form
     option = f" --time-format {form}" if form else ""
     if known:
         when = f"; looks like --time {time}{option}{frames}"

@@ -10,7 +10,7 @@ from torchfra.readers.clocks import days_of
 from torchfra.readers.layouts import Layout
 from torchfra.readers.recording import Recording
 from torchfra.readers.repairs import plural
-from torchfra.readers.times import PER_SECOND, SINCE_1970
+from torchfra.readers.times import PER_SECOND, SINCE_1970, per_second
 
 _MANY = 25
 """Fixes from which on a track is judged."""
@@ -80,13 +80,13 @@ def _speed(recording: Recording) -> float:
 def _guess(recording: Recording, layout: Layout) -> str:
     """What the times may be instead, and what to do."""
     column, form, speed = layout.clock.column, layout.clock.form, _speed(recording)
-    per_second = PER_SECOND.get(form, 1e3 if form == "iso" else 1.0)
+    now = per_second(form) or (1e3 if form == "iso" else 1.0)
     if form == "seconds" and (days := days_of(recording.time, column)):
         return f"column {column} looks like days of {days}: use --time-format {days}"
     likely = []
     for unit, other in PER_SECOND.items():
-        seconds = (recording.time[-1] - recording.time[0]) * per_second / other
-        if other != per_second and _USUAL[0] < speed * other / per_second < _USUAL[1] and seconds >= _SHORTEST:
+        seconds = (recording.time[-1] - recording.time[0]) * now / other
+        if other != now and _USUAL[0] < speed * other / now < _USUAL[1] and seconds >= _SHORTEST:
             likely.append(unit)
     for unit in likely:
         if unit in SINCE_1970:

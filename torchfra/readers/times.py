@@ -19,7 +19,9 @@ DAY_OF_1970 = {"excel": 25_569.0, "mjd": 40_587.0, "matlab": 719_529.0}
 GPS = {"gps": 1.0, "gps_ms": 1e3}
 """Weeks of GPS and what of the week has passed, in seconds or ms: units in a second."""
 FORMS = (*PER_SECOND, *DAY_OF_1970, *GPS, "iso")
-"""What a ``time_format`` may be besides a form of ``datetime.strptime``."""
+"""What a ``time_format`` may be besides a form of ``datetime.strptime``, or numbers of frames such as ``25fps``."""
+_FRAMES = re.compile(r"(?P<rate>[0-9]+(?:\.[0-9]+)?)fps")
+"""Numbers of frames, so many of them a second."""
 _GPS_START, _WEEK = 315_964_800.0, 604_800.0
 _LEAPS = np.array([
     "1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01", "1992-07-01",
@@ -51,6 +53,12 @@ _USUAL = re.compile(
 _CLOCK = re.compile(r"[0-9]{1,2}:[0-9]{2}:[0-9]{2}(?:\.[0-9]{1,6})?(?P<half> ?[AaPp][Mm])?")
 _ZONED = re.compile(r"(?P<bare>.*[0-9](?: ?[AaPp][Mm])?)(?P<gap> ?)(?P<zone>[A-Z]{1,5}|[A-Z][a-z]+/[A-Za-z_/]+)")
 """A time with the name of a zone behind."""
+
+
+def per_second(form: str) -> float:
+    """How many of its unit a second has, where times are numbers in a unit or of frames; 0 of other forms."""
+    frames = _FRAMES.fullmatch(form)
+    return float(frames["rate"]) if frames else PER_SECOND.get(form, 0.0)
 
 
 def form_of(cells: Sequence[Any], *, day_first: bool = False) -> tuple[str, str] | None:
@@ -199,8 +207,8 @@ def written(time: NDArray[np.float64], form: str) -> list[str]:
         time: ``(k,)`` seconds, as ``Recording.time``.
         form: as ``Source.time``; parts of a second are added to all where a time has them.
     """
-    if form in PER_SECOND:
-        return _numbers(time * PER_SECOND[form], 6 if np.abs(time).max(initial=0.0) > 1e6 else 9, PER_SECOND[form])
+    if (count := per_second(form)) > 0:
+        return _numbers(time * count, 6 if np.abs(time).max(initial=0.0) > 1e6 else 9, count)
     if form in DAY_OF_1970:
         return _numbers(time / 86_400 + DAY_OF_1970[form], 6, 1 / 86_400)
     if form in GPS:

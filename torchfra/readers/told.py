@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from torchfra.readers.times import FORMS
+from torchfra.readers.times import FORMS, per_second
 
 METRES = {
     "m": 1.0, "ft": 0.3048, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "mi": 1609.344, "nmi": 1852.0, "yd": 0.9144,
@@ -38,7 +38,8 @@ class Told:
     time_format: str | None = None
     """``"seconds"``, ``"ms"``, ``"us"``, ``"ns"``, ``"minutes"``, ``"hours"``, ``"days"``; ``"excel"``, ``"mjd"`` and
     ``"matlab"`` for days since a date of theirs; ``"gps"`` and ``"gps_ms"`` for what of the week of GPS has passed,
-    beside a column of weeks; ``"iso"``; or a form of ``datetime.strptime``."""
+    beside a column of weeks; ``"25fps"`` for numbers of frames, here 25 a second; ``"iso"``; or a form of
+    ``datetime.strptime``."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -52,9 +53,11 @@ class Told:
                 f"delimiter: expected one sign or tab, space, comma, semicolon, received {self.delimiter!r}"
             )
         form = self.time_format
-        if form is not None and form not in FORMS and "%" not in form:
-            raise ValueError(f"time_format: expected one of {', '.join(FORMS)} or such as %d.%m.%Y %H:%M:%S, "
-                             f"received {form!r}")  # fmt: skip
+        if form is not None and form not in FORMS and "%" not in form and not per_second(form):
+            raise ValueError(
+                f"time_format: expected one of {', '.join(FORMS)}, or such as 25fps or %d.%m.%Y %H:%M:%S, "
+                f"received {form!r}"
+            )
         for one, other in (("x", "y"), ("lat", "lon")):
             if (getattr(self, one) is None) != (getattr(self, other) is None):
                 raise ValueError(f"{one}, {other}: expected both or neither, received only one of them")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from torchfra.cleaning import Cleaned
 from torchfra.cleaning.outputs.table import about, columns, united
-from torchfra.readers.times import PER_SECOND
+from torchfra.readers.times import per_second
 
 
 def encode(results: Sequence[Cleaned]) -> bytes:
@@ -25,7 +25,7 @@ def encode(results: Sequence[Cleaned]) -> bytes:
     from pyarrow import parquet
 
     table = united([columns(cleaned) for cleaned in results])
-    if all(cleaned.recording.source.time in PER_SECOND for cleaned in results):
+    if all(per_second(cleaned.recording.source.time) for cleaned in results):
         table["time"] = _numbers(table["time"])
     arrays = {
         name: pyarrow.array(values, from_pandas=True, mask=values < 0 if name == "row" else None)
