@@ -361,3 +361,34 @@ def test_two_levels_far_apart_are_no_steps_of_an_altimeter():
     cleaned = torchfra.clean((time, fixes))
     assert np.abs(cleaned.mean[:, 2] - 8534.4).max() < 1
     assert {*np.flatnonzero(cleaned.flag == "outlier")} == {*wild}
+
+
+def bird(rng, fixes=300):
+    """Fixes of a bird by Argos: times, the truth, measured positions, their stds, and which are outliers.
+
+    It rests for some 18 h and flies at 12 m/s for some 6 h; one fix in twenty is 30 to 300 km off.
+    """
+    hours = np.cumsum(rng.exponential(2.0, fixes).clip(0.1))
+    grid = np.arange(0.0, hours[-1] + 1.0, 0.1)
+    flies = np.cumsum(rng.random(len(grid)) < 0.1 / 12) % 2 == 1
+    course = np.cumsum(0.05 * rng.standard_normal(len(grid)))
+    velocity = np.stack([np.sin(course), np.cos(course)], 1) * 12 * flies[:, None]
+    truth = np.stack([np.interp(hours, grid, 360 * axis) for axis in np.cumsum(velocity, 0).T], 1)
+    std = rng.choice([325.0, 669.0, 2769.0, 6810.0], fixes)
+    z = truth + std[:, None] * rng.standard_normal((fixes, 2))
+    wrong = rng.random(fixes) < 0.05
+    angle, far = rng.uniform(0, 2 * np.pi, fixes), rng.uniform(3e4, 3e5, fixes)
+    z[wrong] += (far * np.stack([np.sin(angle), np.cos(angle)]))[:, wrong].T
+    return 3600 * hours, truth, z, std, wrong
+
+
+def test_birds_by_argos_are_nearer_to_the_truth_than_their_good_fixes():
+    rng = np.random.default_rng(0)
+    tracks = [bird(rng) for _ in range(6)]
+    told = [
+        Recording(f"{i}", t, z, None, {}, sigma=np.stack([std, std], 1)) for i, (t, _, z, std, _) in enumerate(tracks)
+    ]
+    ratio = []
+    for of, (_, truth, z, _, wrong) in zip(clean_tracks(told, bank="bird"), tracks, strict=True):
+        ratio.append(np.linalg.norm((of.position - truth)[~wrong]) / np.linalg.norm((z - truth)[~wrong]))
+    assert np.median(ratio) < 1

@@ -5,7 +5,7 @@ import oracles
 import pytest
 import torch
 
-from torchfra.cleaning.finding import levels_up_to
+from torchfra.cleaning.finding import Part, fitted, levels_up_to
 from torchfra.cleaning.ladder import Fixes, Levels, OutlierModel, filter_forward
 from torchfra.cleaning.two_filters import filtered, two_filters
 
@@ -90,3 +90,22 @@ def test_no_process_noise_changes_a_velocity_by_more_than_a_target_can(period, c
     levels = levels_up_to(acceleration, fastest, period, 8)
     assert (levels.q[-1] * period).sqrt().item() == pytest.approx(change)
     assert (levels.q.diff(dim=0) > 0).all()
+
+
+@pytest.mark.parametrize(("begins", "lasts"), [(0.1, 0.0), (0.03, 0.6), (0.0, 0.0)])
+def test_how_likely_outliers_are_after_clean_fixes_and_after_outliers_is_found(begins, lasts):
+    rng, steps, batch = np.random.default_rng(1), 200, 8
+    wrong = np.zeros((steps, batch), bool)
+    for k in range(1, steps):
+        wrong[k] = rng.random(batch) < np.where(wrong[k - 1], lasts, begins)
+    z = SIGMA * rng.standard_normal((steps, 2, batch)) * np.where(wrong, 100, 1)[:, None]
+    gap = torch.ones(steps, batch, dtype=torch.float64)
+    fixes = Fixes(torch.from_numpy(z), gap, gap, torch.zeros_like(gap))
+    part = Part(fixes, one_level(batch, 1e-4), torch.full_like(gap[0], SIGMA), torch.zeros_like(gap[0]))
+    owner = torch.zeros(batch, dtype=torch.long)  # one track in eight rows
+    (found,) = fitted([part], owner, find_sigma=False, find_q=False)
+    clean, after = (~wrong[:-1]).sum(), wrong[:-1].sum()
+    begun, lasted = (wrong[1:] & ~wrong[:-1]).sum(), (wrong[1:] & wrong[:-1]).sum()
+    expected = (1.5 + begun) / (100 + clean), (3.5 + lasted) / (10 + after)
+    assert found.model.begins[0].item() == pytest.approx(expected[0], rel=0.1, abs=0.005)
+    assert found.model.lasts[0].item() == pytest.approx(expected[1], rel=0.1, abs=0.05)

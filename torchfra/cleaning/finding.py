@@ -26,8 +26,8 @@ SHORT = 0
 """Owner of the rows of all tracks that are too short to be looked at alone."""
 _FEW = 2.0
 """Fixes that shares of levels are worth before any was seen."""
-_ALONE = DEFAULT._replace(same_offset=0.0)
-"""While sigma and the process noise are found: many outliers as far off as each other could stand for clean fixes."""
+_BEFORE = 100.0, 10.0
+"""Fixes that the default probabilities of an outlier after a clean fix, and after an outlier, are worth."""
 _ROUNDS = 2
 """Of finding."""
 _SLOWEST = 1e-5
@@ -52,6 +52,8 @@ class Part(NamedTuple):
     """``(B,)`` m."""
     least: Tensor
     """``(B,)`` m that sigma has at least."""
+    model: OutlierModel = DEFAULT
+    """How likely outliers are."""
 
     @property
     def scaled(self) -> Fixes:
@@ -80,18 +82,19 @@ def levels_up_to(
 
 def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood on a coarse grid below what third differences allow."""
-    return likeliest(fixes, levels, owner, _rough(fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1))
+    tried = _rough(fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1)
+    return likeliest(fixes, levels, owner, tried, DEFAULT.alone)
 
 
 def finer_sigma(part: Part, owner: Tensor) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood near those that are known."""
     factors = _FINE ** torch.arange(2, -3, -1, dtype=part.sigma.dtype)
     tried = part.sigma * factors.unsqueeze(1)
-    alone, usual = (likeliest(part.fixes, part.levels, owner, tried, model) for model in (_ALONE, DEFAULT))
+    alone, usual = (likeliest(part.fixes, part.levels, owner, tried, of) for of in (part.model.alone, part.model))
     return alone.maximum(usual)
 
 
-def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model: OutlierModel = _ALONE) -> Tensor:
+def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model: OutlierModel) -> Tensor:
     """Of standard deviations ``(G, B)`` that decrease by a factor, the ones ``(B,)`` of the largest likelihood.
 
     Between them by the parabola through the largest and its neighbours.
@@ -110,8 +113,9 @@ def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model:
     def repeated(x: Tensor) -> Tensor:
         return x.unsqueeze(-2).expand(*x.shape[:-1], count, x.shape[-1]).flatten(-2)
 
+    rows = model.of_rows(lambda x: repeated(x[looked_at]))
     tried = Fixes(repeated(part.z), repeated(part.gap), variance.flatten(1), repeated(part.odds))
-    found = filter_forward(tried, Levels(*(repeated(x[:, looked_at]) for x in levels)), model)
+    found = filter_forward(tried, Levels(*(repeated(x[:, looked_at]) for x in levels)), rows)
     seen = (~tried.missing).to(sigma)
     sums = torch.stack([found.log_likelihood * seen, found.outlier * seen, seen]).sum(1).unflatten(-1, (count, -1))
     fit, wrong, seen = sums.new_zeros(3, count, int(owner.max()) + 1).index_add(-1, owner[looked_at], sums)[..., owner]
@@ -164,8 +168,9 @@ def _third_differences(z: Tensor, gap: Tensor) -> Tensor:
 def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) -> list[Part]:
     """Parts with what is found of all of their fixes.
 
-    Each round takes the levels' shares as smoothing has found them, and what the axes across the ground say of an
-    outlier is told to the height, and the other way round.  The last takes the likeliest sigma nearby too.
+    Each round takes the levels' shares and how likely outliers are as smoothing has found them, and what the axes
+    across the ground say of an outlier is told to the height, and the other way round.  The last takes the likeliest
+    sigma nearby too.
 
     Args:
         parts: the axes; the first are those across the ground.
@@ -174,10 +179,10 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) 
         find_q: whether to find the shares of the levels.
     """
     for left in reversed(range(_ROUNDS)):
-        known = [two_filters(part.scaled, part.levels, _ALONE) for part in parts]
+        known = [two_filters(part.scaled, part.levels, part.model.alone) for part in parts]
         if find_q:
             parts = [_with_shares(part, of, owner) for part, of in zip(parts, known, strict=True)]
-        parts = _with_evidence(parts, known)
+        parts = _with_evidence(_with_chain(parts, known, owner), known)
         if find_sigma and not left:
             parts = [part._replace(sigma=finer_sigma(part, owner).maximum(part.least)) for part in parts]
     return parts
@@ -186,12 +191,31 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) 
 def estimated(parts: Sequence[Part], *, smooth: bool) -> tuple[list[Smoothed], Tensor]:
     """What is known of each part, from all fixes or those before; and ``(T, B)`` probabilities of outliers."""
     if smooth:
-        known = [two_filters(part.scaled, part.levels) for part in parts]
-    else:  # what other axes say of an outlier is of all fixes
+        known = [two_filters(part.scaled, part.levels, part.model) for part in parts]
+    else:  # what other axes say of an outlier, and how likely one is, is of all fixes
         alone = [part.scaled._replace(odds=torch.zeros_like(part.fixes.odds)) for part in parts]
         known = [filtered(filter_forward(x, part.levels), x) for x, part in zip(alone, parts, strict=True)]
+    return known, _outlier(parts, known)
+
+
+def _outlier(parts: Sequence[Part], known: Sequence[Smoothed]) -> Tensor:
+    """Probabilities ``(T, B)`` that fixes are outliers, from all axes; 0 where there is none."""
     odds = known[0].predictions.prior_outlier.logit() + torch.stack([of.evidence for of in known]).sum(0)
-    return known, torch.where(parts[0].fixes.missing, 0.0, odds.sigmoid())
+    return torch.where(parts[0].fixes.missing, 0.0, odds.sigmoid())
+
+
+def _with_chain(parts: Sequence[Part], known: Sequence[Smoothed], owner: Tensor) -> list[Part]:
+    """With the probabilities of an outlier after a clean fix and after an outlier that smoothing has found."""
+    wrong = _outlier(parts, known)
+    clean = torch.where(parts[0].fixes.missing, 0.0, 1 - wrong)
+    seen = wrong + clean
+
+    def pairs(x: Tensor, y: Tensor) -> Tensor:
+        return _summed((x[:-1] * y[1:]).sum(0), owner)
+
+    begins = (_BEFORE[0] * DEFAULT.begins + pairs(clean, wrong)) / (_BEFORE[0] + pairs(clean, seen))
+    lasts = (_BEFORE[1] * DEFAULT.lasts + pairs(wrong, wrong)) / (_BEFORE[1] + pairs(wrong, seen))
+    return [part._replace(model=part.model._replace(begins=begins, lasts=lasts)) for part in parts]
 
 
 def _with_evidence(parts: list[Part], known: list[Smoothed]) -> list[Part]:

@@ -9,6 +9,7 @@ batch of tracks is some elementwise operations a step.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -35,19 +36,36 @@ class Belief(NamedTuple):
 class OutlierModel(NamedTuple):
     """How likely outliers are."""
 
-    begins: float = 0.015
-    """Probability of an outlier after a fix that is none."""
-    lasts: float = 0.35
-    """Probability of an outlier after an outlier."""
+    begins: Tensor | float = 0.015
+    """Probability of an outlier after a fix that is none; one, or ``(B,)``."""
+    lasts: Tensor | float = 0.35
+    """Probability of an outlier after an outlier; one, or ``(B,)``."""
     least_size: float = 100.0
     """Least mean square error per axis of an outlier, in units of the variance of a clean fix."""
     same_offset: float = 0.5
     """Probability that an outlier after another is as far off in the same direction."""
 
     @property
-    def share(self) -> float:
-        """Of the fixes that are outliers in the long run."""
-        return self.begins / (self.begins + 1 - self.lasts)
+    def alone(self) -> OutlierModel:
+        """The same without outliers as far off as each other.
+
+        It is used while sigma and the process noise are found: many such outliers could stand for clean fixes.
+        """
+        return self._replace(same_offset=0.0)
+
+    def chain(self, like: Tensor) -> Tensor:
+        """Probabilities ``(2, 2, B)`` of a clean fix and an outlier, after either, for tracks ``like (B,)``."""
+        begins, lasts = (torch.zeros_like(like) + x for x in (self.begins, self.lasts))
+        return torch.stack([torch.stack([1 - begins, 1 - lasts]), torch.stack([begins, lasts])])
+
+    def share(self, like: Tensor) -> Tensor:
+        """Of the fixes that are outliers in the long run, for tracks ``like (B,)``."""
+        return torch.zeros_like(like) + self.begins / (self.begins + 1 - self.lasts)
+
+    def of_rows(self, rows: Callable[[Tensor], Tensor]) -> OutlierModel:
+        """The same for other tracks, as ``rows`` takes them from those ``(B,)`` there are."""
+        begins, lasts = (rows(x) if isinstance(x, Tensor) else x for x in (self.begins, self.lasts))
+        return self._replace(begins=begins, lasts=lasts)
 
 
 DEFAULT = OutlierModel()
@@ -129,9 +147,8 @@ def filter_forward(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) 
     Source: Blom & Bar-Shalom (1988) for interacting models; Harrison & Stevens (1976) for outliers as hypotheses.
     """
     belief, log_weights = _start(fixes, levels, model)
-    chain = torch.tensor([[1 - model.begins, 1 - model.lasts], [model.begins, model.lasts]], dtype=fixes.z.dtype)
-    log_chain, log_restart = chain.log()[:, :, None, None], levels.log_restart
-    outlier, last = torch.full_like(fixes.gap[0], model.share), torch.full_like(fixes.z[0], torch.nan)
+    log_chain, log_restart = model.chain(fixes.gap[0]).log().unsqueeze(2), levels.log_restart
+    outlier, last = model.share(fixes.gap[0]), torch.full_like(fixes.z[0], torch.nan)
     state: State = belief, log_weights, outlier, last
     kept: list[tuple[Belief, Tensor, Tensor, Tensor, Tensor]] = []
     rows = zip(fixes.z, fixes.variance, fixes.odds, fixes.missing, fixes.elapsed, strict=True)
@@ -190,7 +207,8 @@ def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> tuple[Belief, T
     shape = (2, *levels.q.shape)
     position = middle.nan_to_num()[:, None, None].expand(-1, *shape)
     pp, vv = (1e8 + apart.square()).expand(shape), z.new_full(shape, 1e5)
-    log_quality = z.new_tensor([1 - model.share, model.share]).log()[:, None, None]
+    share = model.share(fixes.gap[0])
+    log_quality = torch.stack([1 - share, share]).log().unsqueeze(1)
     belief = Belief(position, torch.zeros_like(position), pp, torch.zeros_like(pp), vv)
     return belief, log_quality + levels.log_share
 

@@ -120,7 +120,8 @@ def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]
         for b, row in enumerate(every):
             fixes.odds[: len(row.chosen), b] = torch.from_numpy(odds[row.track][row.chosen])
         levels = Levels(*(x[:, first] for x in part.levels))
-        more.append(Part(fixes, levels, part.sigma[first], part.least[first]))
+        model = part.model.of_rows(lambda x: x[first])
+        more.append(Part(fixes, levels, part.sigma[first], part.least[first], model))
     return every, more
 
 

@@ -46,7 +46,9 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
     """
     doubled = Levels(*(torch.cat([x, x], -1) for x in levels))
     every = filter_forward(
-        Fixes(*(torch.cat(x, -1) for x in zip(fixes, fixes.backwards(), strict=True))), doubled, model
+        Fixes(*(torch.cat(x, -1) for x in zip(fixes, fixes.backwards(), strict=True))),
+        doubled,
+        model.of_rows(lambda x: torch.cat([x, x])),
     )
     count = fixes.z.shape[-1]
     predictions = Predictions(Belief(*(x[..., :count] for x in every.belief)), *(x[..., :count] for x in every[1:]))
