@@ -236,7 +236,7 @@ def test_steps_without_a_fix_change_neither_what_is_found_nor_the_estimates_at_t
         clean_tracks([gaps], smooth=smooth),
     )
     for one, fix in ((dense, dense.row >= 0), (missing, ~np.isnan(position).any(1))):
-        assert (one.found.sigma, one.found.q) == (plain.found.sigma, plain.found.q)
+        assert (one.found.sigma, one.found.q) == pytest.approx((plain.found.sigma, plain.found.q), rel=1e-12)
         np.testing.assert_allclose(one.position[fix], plain.position, atol=1e-6)
         np.testing.assert_allclose(one.covariance[fix], plain.covariance, rtol=1e-6)
         np.testing.assert_allclose(one.outlier[fix], plain.outlier, atol=1e-9)
@@ -392,3 +392,16 @@ def test_birds_by_argos_are_nearer_to_the_truth_than_their_good_fixes():
     for of, (_, truth, z, _, wrong) in zip(clean_tracks(told, bank="bird"), tracks, strict=True):
         ratio.append(np.linalg.norm((of.position - truth)[~wrong]) / np.linalg.norm((z - truth)[~wrong]))
     assert np.median(ratio) < 1
+
+
+def test_a_wild_altitude_leaves_the_position_of_its_fix():
+    tracks = [recorded(seed, d=3, outliers=0.0, period=20.0) for seed in range(4)]
+    wild = np.random.default_rng(1).random((4, 200)) < 0.05
+    for (recording, *_), high in zip(tracks, wild, strict=True):
+        recording.position[high, 2] += 3000.0
+    cleaned = clean_tracks([recording for recording, *_ in tracks], bank="aircraft")
+    error = np.stack([of.position - truth for of, (_, truth, _) in zip(cleaned, tracks, strict=True)])
+    unsure = np.stack([of.std[:, 0] for of in cleaned])
+    assert (np.stack([of.flag for of in cleaned])[wild] == "outlier").all()
+    assert np.abs(error[wild, 2]).max() < SIGMA
+    assert np.median(unsure[wild]) < 1.1 * np.median(unsure[~wild])

@@ -27,7 +27,8 @@ SHORT = 0
 _FEW = 2.0
 """Fixes that shares of levels are worth before any was seen."""
 _BEFORE = 100.0, 10.0
-"""Fixes that the default probabilities of an outlier after a clean fix, and after an outlier, are worth."""
+"""Fixes that the default probabilities of an outlier where there is none beside or before it, and where there is, are
+worth."""
 _ROUNDS = 2
 """Of finding."""
 _SLOWEST = 1e-5
@@ -38,8 +39,6 @@ _LASTING = 300.0, 15.0
 """Mean time that the least and the largest process noise last, s."""
 _RARER = 3.0
 """Log of how much rarer the largest process noise is than the least, before a track has said."""
-_FAR = 20.0
-"""Log of the most that the axes across the ground say of the height's fix, and the other way round."""
 
 
 class Part(NamedTuple):
@@ -83,14 +82,16 @@ def levels_up_to(
 def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood on a coarse grid below what third differences allow."""
     tried = _rough(fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1)
-    return likeliest(fixes, levels, owner, tried, DEFAULT.alone)
+    return likeliest(fixes, levels, owner, tried, DEFAULT.of_any_offset)
 
 
 def finer_sigma(part: Part, owner: Tensor) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood near those that are known."""
     factors = _FINE ** torch.arange(2, -3, -1, dtype=part.sigma.dtype)
     tried = part.sigma * factors.unsqueeze(1)
-    alone, usual = (likeliest(part.fixes, part.levels, owner, tried, of) for of in (part.model.alone, part.model))
+    alone, usual = (
+        likeliest(part.fixes, part.levels, owner, tried, of) for of in (part.model.of_any_offset, part.model)
+    )
     return alone.maximum(usual)
 
 
@@ -179,10 +180,11 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) 
         find_q: whether to find the shares of the levels.
     """
     for left in reversed(range(_ROUNDS)):
-        known = [two_filters(part.scaled, part.levels, part.model.alone) for part in parts]
+        known = [two_filters(part.scaled, part.levels, part.model.of_any_offset) for part in parts]
         if find_q:
             parts = [_with_shares(part, of, owner) for part, of in zip(parts, known, strict=True)]
-        parts = _with_evidence(_with_chain(parts, known, owner), known)
+        parts = [_with_chain(part, of, owner) for part, of in zip(parts, known, strict=True)]
+        parts = _with_evidence(parts, known, owner)
         if find_sigma and not left:
             parts = [part._replace(sigma=finer_sigma(part, owner).maximum(part.least)) for part in parts]
     return parts
@@ -193,36 +195,71 @@ def estimated(parts: Sequence[Part], *, smooth: bool) -> tuple[list[Smoothed], T
     if smooth:
         known = [two_filters(part.scaled, part.levels, part.model) for part in parts]
     else:  # what other axes say of an outlier, and how likely one is, is of all fixes
-        alone = [part.scaled._replace(odds=torch.zeros_like(part.fixes.odds)) for part in parts]
-        known = [filtered(filter_forward(x, part.levels), x) for x, part in zip(alone, parts, strict=True)]
+        unsaid = [part.fixes._replace(odds=torch.zeros_like(part.fixes.odds)) for part in parts]
+        parts = [part._replace(fixes=fixes, model=DEFAULT) for part, fixes in zip(parts, unsaid, strict=True)]
+        known = [filtered(filter_forward(part.scaled, part.levels), part.scaled) for part in parts]
     return known, _outlier(parts, known)
 
 
 def _outlier(parts: Sequence[Part], known: Sequence[Smoothed]) -> Tensor:
-    """Probabilities ``(T, B)`` that fixes are outliers, from all axes; 0 where there is none."""
-    odds = known[0].predictions.prior_outlier.logit() + torch.stack([of.evidence for of in known]).sum(0)
-    return torch.where(parts[0].fixes.missing, 0.0, odds.sigmoid())
+    """Probabilities ``(T, B)`` that fixes are outliers, in position or height; 0 where there is none."""
+    odds, missing = known[0].predictions.prior_outlier.logit() + known[0].evidence, parts[0].fixes.missing
+    if len(parts) == 2:
+        model, height = parts[1].model, known[1].evidence
+        alone = torch.zeros_like(height) + model.alone
+        either = torch.logaddexp(odds + _mean(height, model.beside), alone.log() + height)
+        odds = torch.where(parts[1].fixes.missing, odds, either - torch.log1p(-alone))
+    return torch.where(missing, 0.0, odds.sigmoid())
 
 
-def _with_chain(parts: Sequence[Part], known: Sequence[Smoothed], owner: Tensor) -> list[Part]:
+def _mean(evidence: Tensor, share: Tensor | float) -> Tensor:
+    """Log of the mean of a factor, whose log is given, and of 1; the factor has this share."""
+    share = torch.zeros_like(evidence) + share
+    return torch.logaddexp(evidence + share.log(), torch.log1p(-share))
+
+
+def _with_chain(part: Part, known: Smoothed, owner: Tensor) -> Part:
     """With the probabilities of an outlier after a clean fix and after an outlier that smoothing has found."""
-    wrong = _outlier(parts, known)
-    clean = torch.where(parts[0].fixes.missing, 0.0, 1 - wrong)
-    seen = wrong + clean
-
-    def pairs(x: Tensor, y: Tensor) -> Tensor:
-        return _summed((x[:-1] * y[1:]).sum(0), owner)
-
-    begins = (_BEFORE[0] * DEFAULT.begins + pairs(clean, wrong)) / (_BEFORE[0] + pairs(clean, seen))
-    lasts = (_BEFORE[1] * DEFAULT.lasts + pairs(wrong, wrong)) / (_BEFORE[1] + pairs(wrong, seen))
-    return [part._replace(model=part.model._replace(begins=begins, lasts=lasts)) for part in parts]
+    there = ~(part.fixes.missing[1:] | part.fixes.missing[:-1])
+    begins, lasts = _rates(known.outlier[1:], known.outlier[:-1], there, owner, (DEFAULT.begins, DEFAULT.lasts))
+    return part._replace(model=part.model._replace(begins=begins, lasts=lasts))
 
 
-def _with_evidence(parts: list[Part], known: list[Smoothed]) -> list[Part]:
-    """Parts that know what the others say of outliers."""
-    evidence = torch.stack([of.evidence for of in known])
-    others = (evidence.sum(0) - evidence).clamp(-_FAR, _FAR)
-    return [part._replace(fixes=part.fixes._replace(odds=odds)) for part, odds in zip(parts, others, strict=True)]
+def _with_evidence(parts: Sequence[Part], known: Sequence[Smoothed], owner: Tensor) -> list[Part]:
+    """Parts that know what the other says of outliers, and how often one is where the other is."""
+    if len(parts) == 1:
+        return list(parts)
+    there, found = ~(parts[0].fixes.missing | parts[1].fixes.missing), []
+    for part, own, other in zip(parts, known, reversed(known), strict=True):
+        alone, beside = _rates(own.outlier, other.outlier, there, owner, (DEFAULT.alone, DEFAULT.beside))
+        found.append(part._replace(model=part.model._replace(alone=alone, beside=beside)))
+    told = [
+        _mean(of.evidence, part.model.beside) - _mean(of.evidence, part.model.alone)
+        for of, part in zip(known, found, strict=True)
+    ]
+    return [
+        part._replace(fixes=part.fixes._replace(odds=odds)) for part, odds in zip(found, reversed(told), strict=True)
+    ]
+
+
+def _rates(
+    wrong: Tensor, other: Tensor, there: Tensor, owner: Tensor, usual: tuple[Tensor | float, Tensor | float]
+) -> tuple[Tensor, Tensor]:
+    """How often fixes are outliers where another is clean, and where it is an outlier.
+
+    Args:
+        wrong: ``(T, B)`` probabilities of outliers.
+        other: ``(T, B)`` those of the others.
+        there: ``(T, B)`` which pairs there are.
+        owner: ``(B,)`` numbers; rows of the same one have the same rates.
+        usual: rates before any was seen.
+    """
+    seen = there.to(wrong)
+    rates = [
+        (worth * rate + _summed((of * wrong).sum(0), owner)) / (worth + _summed(of.sum(0), owner))
+        for rate, worth, of in zip(usual, _BEFORE, (seen * (1 - other), seen * other), strict=True)
+    ]
+    return rates[0], rates[1]
 
 
 def _with_shares(part: Part, known: Smoothed, owner: Tensor) -> Part:

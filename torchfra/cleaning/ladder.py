@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -44,9 +44,13 @@ class OutlierModel(NamedTuple):
     """Least mean square error per axis of an outlier, in units of the variance of a clean fix."""
     same_offset: float = 0.5
     """Probability that an outlier after another is as far off in the same direction."""
+    alone: Tensor | float = 0.01
+    """Probability of an outlier where other axes of the fix have none; one, or ``(B,)``."""
+    beside: Tensor | float = 0.5
+    """The same where they have one."""
 
     @property
-    def alone(self) -> OutlierModel:
+    def of_any_offset(self) -> OutlierModel:
         """The same without outliers as far off as each other.
 
         It is used while sigma and the process noise are found: many such outliers could stand for clean fixes.
@@ -64,8 +68,8 @@ class OutlierModel(NamedTuple):
 
     def of_rows(self, rows: Callable[[Tensor], Tensor]) -> OutlierModel:
         """The same for other tracks, as ``rows`` takes them from those ``(B,)`` there are."""
-        begins, lasts = (rows(x) if isinstance(x, Tensor) else x for x in (self.begins, self.lasts))
-        return self._replace(begins=begins, lasts=lasts)
+        of_rows: dict[str, Any] = {name: rows(x) for name, x in self._asdict().items() if isinstance(x, Tensor)}
+        return self._replace(**of_rows)
 
 
 DEFAULT = OutlierModel()
