@@ -58,6 +58,14 @@ def test_a_table_can_be_read_back_to_what_it_was_written_from():
             np.testing.assert_allclose(got, values, rtol=1e-5, atol=1e-7 if "itude" in name else 6e-4, equal_nan=True)
 
 
+def test_no_number_is_written_as_a_negative_zero():
+    of = straight(3)
+    of.mean[:, 5], of.mean[0, 0] = (-1e-4, -0.0, -6e-4), -0.0
+    table = rows([of])
+    assert [row["vz"] for row in table] == ["0.000", "0.000", "-0.001"]
+    assert not any(cell.startswith("-") and not cell.strip("-0.") for row in table for cell in row.values())
+
+
 def test_course_speed_and_climb_are_those_where_the_target_is_and_not_at_a_far_origin():
     # Level flight along the meridian of 11 east at 100 m/s, 1500 km north of the origin.
     latitude = 48.0 + 13.5 + np.array([0.0, 1e-5])

@@ -31,14 +31,12 @@ def _cells(name: str, values: NDArray[Any]) -> list[str]:
         return ["" if name == "row" and v < 0 else str(v) for v in values.tolist()]
     if values.dtype.kind != "f":
         return [str(v).replace("\0", r"\x00") for v in values.tolist()]  # csv of Python 3.10 writes and reads none
-    form = _form(name)
-    cells = [form % v for v in values.tolist()]
+    if name.startswith("cov_"):
+        cells = [f"{v + 0.0:.6g}" for v in values.tolist()]
+    else:
+        digits = max((_DIGITS.get(word, 3) for word in name.split("_")), default=3)
+        shown = np.where(np.abs(values) < 0.5 / 10**digits, 0.0, values)  # none is written as -0.000
+        cells = [f"{v:.{digits}f}" for v in shown.tolist()]
     for i in np.flatnonzero(~np.isfinite(values)):
         cells[i] = ""
     return cells
-
-
-def _form(name: str) -> str:
-    if name.startswith("cov_"):
-        return "%.6g"
-    return f"%.{max((_DIGITS.get(word, 3) for word in name.split('_')), default=3)}f"
