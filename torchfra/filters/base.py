@@ -50,6 +50,17 @@ def in_full_precision(method: Callable[P, R]) -> Callable[P, R]:
     return full
 
 
+def by_its_engine(method: Callable[P, R]) -> Callable[P, R]:
+    """A method for whole tracks that the filter's engine calls."""
+
+    @wraps(method)
+    def call(f: Any, *given: P.args, **options: P.kwargs) -> R:
+        made: R = f.engine.call(method, f, *given, **options)
+        return made
+
+    return call
+
+
 class Filter(nn.Module, Generic[S]):
     """Abstract: a subclass gives two functions, and a third for smoothing other than Rauch-Tung-Striebel's.
 
@@ -290,6 +301,7 @@ class Filter(nn.Module, Generic[S]):
         measurements = needed_inputs(self, measurements, lambda: check_step(self, state, measurements))
         return self.engine.step(self, state, measurements)
 
+    @by_its_engine
     @in_full_precision
     def forward(
         self,
@@ -350,6 +362,7 @@ class Filter(nn.Module, Generic[S]):
     if TYPE_CHECKING:  # what torch types as a call that may return anything
         __call__ = forward
 
+    @by_its_engine
     @in_full_precision
     def smooth(
         self,
