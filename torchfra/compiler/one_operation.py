@@ -129,14 +129,20 @@ def form(f: Any, method: str, names: Sequence[str], options: Sequence[tuple[str,
     return name
 
 
+def in_transform() -> bool:
+    """Whether a transform of ``torch.func`` is at work."""
+    return torch._C._functorch.peek_interpreter_stack() is not None
+
+
 # What torch.compiler.assume_constant_result does, which would import torch._dynamo.
-form._dynamo_marked_constant = True  # type: ignore[attr-defined]
+form._dynamo_marked_constant = in_transform._dynamo_marked_constant = True  # type: ignore[attr-defined]
 
 
 def takes(f: Any, given: Sequence[Any], options: dict[str, Any]) -> bool:
     """Whether ``torch.compile`` sees a call that can be one operation: of tracks, by one sensor, outside a transform."""
     apart = any(options.get(name) is not None for name in ("sensors", "which", "estimate")) or options.get("past")
-    return torch.compiler.is_dynamo_compiling() and IS_THERE and not (torch.compiler.is_exporting() or f.scans or apart)
+    traced = IS_THERE and torch.compiler.is_dynamo_compiling() and not torch.compiler.is_exporting()
+    return traced and not (f.scans or apart or in_transform())
 
 
 def call(method: str, f: Any, z: Tensor, prior: Gaussian, options: dict[str, Any]) -> Estimate:
@@ -144,7 +150,7 @@ def call(method: str, f: Any, z: Tensor, prior: Gaussian, options: dict[str, Any
     rest = {name: options[name] for name in _SMALL if options.get(name) is not None}
     others = [(name, x) for name, x in options.items() if name not in (*_SMALL, "dt")]
     dt = torch.as_tensor(options.get("dt", 1.0), dtype=torch.float64, device=z.device)
-    known = rest["u"].shape[-1] if "u" in rest else 0
+    known = len(range(rest["u"].shape[-1])) if "u" in rest else 0  # the range makes a constant of what may be a symbol
     name = form(f, method, tuple(rest), tuple(others), z.dtype, known)
     made = getattr(f.engine.forms, name)
     values = dict(f.named_parameters()) | dict(f.named_buffers())
@@ -194,9 +200,10 @@ def whole_tracks_gradient(
         given = [x.detach() for x in (*tensors, *values)]
         wanted = [given[i].requires_grad_() for i in needed]
         written = flatten(call.of(given[len(tensors) :], lambda: call.estimate(given[: len(tensors)])))
-        pairs = zip(places, grads, strict=True)
-        outputs, pulls = zip(*((written[i], grad) for i, grad in pairs if written[i].requires_grad), strict=True)
-        found = torch.autograd.grad(outputs, wanted, pulls, materialize_grads=True)
+        pulls = {i: grad for i, grad in zip(places, grads, strict=True) if written[i].requires_grad}
+        if not pulls:
+            return [torch.zeros_like(x, memory_format=torch.contiguous_format) for x in wanted]
+        found = torch.autograd.grad([written[i] for i in pulls], wanted, [*pulls.values()], materialize_grads=True)
     return [_own(x) for x in found]
 
 
