@@ -1,13 +1,16 @@
-"""A compiled filter inside of ``torch.compile`` is one operation: the graph of a network is not broken, nor unrolled."""
+"""A compiled filter inside of ``torch.compile`` is one operation: no break in a graph, and no unrolled loop."""
 
 import copy
+import gc
+import weakref
 
 import pytest
 import torch
 from one_graph import needs_one_graph
 from torch import nn
 
-from torchfra import Gaussian, presets
+from torchfra import Gaussian
+from torchfra.compiler import one_operation
 from torchfra.tree import flatten
 
 pytestmark = needs_one_graph
@@ -87,18 +90,18 @@ def test_gradients_of_the_network_and_of_the_filter_are_the_same(make, data):
 
 @pytest.mark.slow
 def test_the_operations_are_what_torch_asks_of_operations(make, data):
-    from torchfra.compiler import one_operation
-
     f = make("srckf", learn=("q",)).compile()
     z, prior, u = data
     graph, _ = graph_of(lambda z: f(z, prior, u=u).mean)
     graph(z)
-    (name,) = vars(f.engine.forms)
+    ((name, call),) = vars(f.engine.calls).items()
     values = dict(f.named_parameters()) | dict(f.named_buffers())
     tensors = [z.clone().requires_grad_(), *prior, torch.ones(()).double(), u]
-    given = name, tensors, [values[path] for path in getattr(f.engine.forms, name).values]
+    given = name, tensors, [values[path] for path in call.values]
     torch.library.opcheck(one_operation.whole_tracks, given)
-    assert torch.autograd.gradcheck(lambda x: one_operation.whole_tracks(name, [x, *tensors[1:]], given[2])[0], tensors[0])
+    assert torch.autograd.gradcheck(
+        lambda x: one_operation.whole_tracks(name, [x, *tensors[1:]], given[2])[0], tensors[0]
+    )
 
 
 def test_other_numbers_of_tracks_and_steps_and_other_values_need_no_graph_of_their_own(make, data):
@@ -142,9 +145,21 @@ def test_a_copy_has_a_graph_of_its_own(make, data):
         the_same(graph(z), g(z, prior, u=u))
 
 
-def test_a_shape_that_does_not_fit_is_named(make, data):
+def test_a_filter_that_nobody_needs_is_gone(make, data):
     f = make("srckf").compile()
     z, prior, u = data
+    graph_of(f)[0](z, prior, u=u)
+    calls, gone = [*one_operation._CALLS], weakref.ref(f)
+    del f
+    torch._dynamo.reset()
+    gc.collect()
+    assert gone() is None
+    assert not {*calls} & {*one_operation._CALLS}
+
+
+def test_a_shape_that_does_not_fit_is_named(make, data):
+    f = make("srckf").compile()
+    _, prior, u = data
     graph, _ = graph_of(lambda z: f(z, prior, u=u).mean)
     with pytest.raises(RuntimeError, match=r"z: expected \(\.\.\., T, 2\), received"):
         graph(torch.zeros(4, STEPS, 3).double())
@@ -170,6 +185,7 @@ def test_a_track_that_fails_is_told_and_leaves_gradients_of_the_others_alone(mak
     assert model.network.bias.grad.isfinite().all()
 
 
+@pytest.mark.slow
 def test_inside_a_transform_the_filter_is_traced_as_before(make, data):
     f = make("srckf").compile()
     z, prior, u = data

@@ -41,7 +41,7 @@ class Compiled:
 
     def __init__(self, otherwise: Any) -> None:
         """``otherwise`` is the engine that runs what kernels do not take."""
-        self._otherwise, self._versions, self.forms = otherwise, list[Version](), one_operation.Forms()
+        self._otherwise, self._versions, self.calls = otherwise, list[Version](), one_operation.Calls()
 
     def __reduce__(self) -> tuple[type[Compiled], tuple[Any]]:
         return Compiled, (self._otherwise,)  # kernels are no part of a copy
@@ -74,8 +74,8 @@ class Compiled:
 
     def call(self, method: Callable[..., Estimate], f: Any, *given: Any, **options: Any) -> Estimate:
         """What a method of the filter gives for whole tracks: to ``torch.compile`` it is one operation."""
-        if one_operation.takes(f, given, options):
-            return one_operation.call(method.__name__, f, *given, options)
+        if one_operation.takes(f, options):
+            return one_operation.call(method.__name__, f, *given, **options)
         return method(f, *given, **options)
 
     def forward(

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import weakref
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
+from weakref import WeakValueDictionary
 
 import torch
 from torch import Tensor, nn
@@ -25,25 +25,17 @@ from torchfra.linalg.tracing import elementary
 from torchfra.tree import flatten, map_tensors
 from torchfra.types import Estimate, Gaussian
 
-IS_THERE = torch.__version__ >= (2, 11)
+IS_THERE = torch.__version__ >= "2.11"  # compared as versions
 """Whether ``torch.compile`` follows named tuples into a filter and out of it."""
-_SMALL = {"u": 1, "std": 1, "noise": 2}
-"""Tensors that a call need not have, and the dimensions of what belongs to one step."""
-_CALLS: dict[str, Call] = {}
+_OPTIONAL = ("u", "std", "noise")
+"""Tensors that a call need not have."""
+_CALLS: WeakValueDictionary[str, Call] = WeakValueDictionary()
+"""By name; the engine of their filter keeps them."""
 _COUNT = itertools.count()
 
 
-class Form(NamedTuple):
-    """What the graph has to know of a call."""
-
-    values: tuple[str, ...]
-    """Of the filter, which are read when kernels run."""
-    estimate: Any
-    """Which tensor stands where: numbers in the place of tensors."""
-
-
-class Forms:
-    """The forms of the calls of a filter, as attributes, on which ``torch.compile`` has its guards."""
+class Calls:
+    """The calls of a filter that ``torch.compile`` has seen, by name: it has its guards on attributes."""
 
 
 class Call(nn.Module):
@@ -56,13 +48,16 @@ class Call(nn.Module):
         options: of the method.
     """
 
+    places: Any
+    """An estimate, with a number in the place of each tensor."""
+    leaves: list[tuple[torch.dtype, torch.Size]]
+    """Of each tensor of an estimate the dtype and, behind the batch, the shape for one step; none of a whole track."""
+
     def __init__(self, f: Any, method: str, names: Sequence[str], options: dict[str, Any]) -> None:
         super().__init__()
         self.filter, self.method, self.names, self.options = f, method, names, options
         read = {name for name, _ in f.named_parameters()} | {f"{path}.raw" for path in hypers(f)}
-        self.values = tuple(name for name, _ in (*f.named_parameters(), *f.named_buffers()) if name in read)
-        self.leaves: list[tuple[torch.dtype, torch.Size]] = []
-        """Of an estimate: the dtype, and the shape of what belongs to one step."""
+        self.values = tuple(name for name in _values(f) if name in read)
 
     def of(self, values: Sequence[Tensor], work: Callable[[], Any]) -> Any:
         """What ``work`` gives where the filter has these values."""
@@ -81,7 +76,7 @@ class Call(nn.Module):
         return made
 
     def batch(self, tensors: Sequence[Tensor]) -> torch.Size:
-        """The batch of tracks, whose values are not looked at.
+        """The batch of tracks, of whose numbers none is looked at.
 
         Raises:
             ValueError: a shape that does not fit.
@@ -92,40 +87,40 @@ class Call(nn.Module):
             batch: torch.Size = self.filter._batch(measurements, Gaussian(mean, root))
         return batch
 
-    @torch.no_grad()
-    def layout(self, dtype: torch.dtype, known: int) -> Any:
-        """The estimate with a number in the place of each tensor; it is tried out on a track of one step.
+    def try_out(self, dtype: torch.dtype, known: int) -> None:
+        """Finds out what an estimate holds, by an interpreted track of one step.
 
         Args:
             dtype: of ``z``.
             known: size of ``u``.
         """
-        n, m = self.filter.motion.size, self.filter.sensor.size
-        one = torch.ones((), dtype=dtype)
+        alone: Any = frozen(self.filter)
+        alone.engine, one = INTERPRETED, torch.ones(1, dtype=dtype)
+        n, m = alone.motion.size, alone.sensor.size
         rest = {"u": one.expand(1, known), "std": one.expand(1, m), "noise": torch.eye(m, dtype=dtype).unsqueeze(0)}
-        tensors = (one.expand(1, m), one.expand(n), torch.eye(n, dtype=dtype), one, *(rest[name] for name in self.names))
-        kept, self.filter = self.filter, frozen(self.filter)
-        self.filter.engine = INTERPRETED
-        made = self.estimate(tensors)
-        self.filter = kept
+        tensors = (
+            one.expand(1, m),
+            one.expand(n),
+            torch.eye(n, dtype=dtype),
+            one,
+            *(rest[name] for name in self.names),
+        )
+        with torch.no_grad():
+            made = Call(alone, self.method, self.names, self.options).estimate(tensors)
         rank, count = made.mean.dim() - 2, itertools.count()
         self.leaves = [(x.dtype, x.shape[rank:]) for x in flatten(made)]
-        return map_tensors(lambda x: next(count), made)
+        self.places = map_tensors(lambda x: next(count), made)
 
 
-def form(f: Any, method: str, names: Sequence[str], options: Sequence[tuple[str, Any]], *of: Any) -> str:
-    """The name of a form of calls, which the operations and the filter's engine know from now on.
-
-    ``of`` goes to ``Call.layout``.
-    """
+def known_call(f: Any, method: str, names: tuple[str, ...], options: tuple[Any, ...], *of: Any) -> str:
+    """The name by which the operations know calls of a form; ``of`` goes to ``Call.try_out``."""
     call = Call(f, method, names, dict(options))
-    estimate = call.layout(*of)
+    call.try_out(*of)
     # In the name are shapes: torch keeps what it has compiled, and a later process must not take it for another's.
     digest = hashlib.sha256(repr((method, names, options, call.values, call.leaves)).encode()).hexdigest()[:16]
-    name = f"form_{digest}_{next(_COUNT)}"
+    name = f"call_{digest}_{next(_COUNT)}"
     _CALLS[name] = call
-    setattr(f.engine.forms, name, Form(call.values, estimate))
-    weakref.finalize(f.engine, _CALLS.pop, name, None)
+    setattr(f.engine.calls, name, call)
     return name
 
 
@@ -135,28 +130,31 @@ def in_transform() -> bool:
 
 
 # What torch.compiler.assume_constant_result does, which would import torch._dynamo.
-form._dynamo_marked_constant = in_transform._dynamo_marked_constant = True  # type: ignore[attr-defined]
+known_call._dynamo_marked_constant = in_transform._dynamo_marked_constant = True  # type: ignore[attr-defined]
 
 
-def takes(f: Any, given: Sequence[Any], options: dict[str, Any]) -> bool:
-    """Whether ``torch.compile`` sees a call that can be one operation: of tracks, by one sensor, outside a transform."""
+def takes(f: Any, options: dict[str, Any]) -> bool:
+    """Whether ``torch.compile`` sees a call that can be one operation: tracks, one sensor, outside of transforms."""
     apart = any(options.get(name) is not None for name in ("sensors", "which", "estimate")) or options.get("past")
     traced = IS_THERE and torch.compiler.is_dynamo_compiling() and not torch.compiler.is_exporting()
     return traced and not (f.scans or apart or in_transform())
 
 
-def call(method: str, f: Any, z: Tensor, prior: Gaussian, options: dict[str, Any]) -> Estimate:
+def call(method: str, f: Any, z: Tensor, prior: Gaussian, **options: Any) -> Estimate:
     """What the method of this name gives, for ``torch.compile`` to trace."""
-    rest = {name: options[name] for name in _SMALL if options.get(name) is not None}
-    others = [(name, x) for name, x in options.items() if name not in (*_SMALL, "dt")]
+    rest = {name: options[name] for name in _OPTIONAL if options.get(name) is not None}
+    others = tuple((name, x) for name, x in options.items() if name not in (*_OPTIONAL, "dt"))
     dt = torch.as_tensor(options.get("dt", 1.0), dtype=torch.float64, device=z.device)
     known = len(range(rest["u"].shape[-1])) if "u" in rest else 0  # the range makes a constant of what may be a symbol
-    name = form(f, method, tuple(rest), tuple(others), z.dtype, known)
-    made = getattr(f.engine.forms, name)
-    values = dict(f.named_parameters()) | dict(f.named_buffers())
+    name = known_call(f, method, tuple(rest), others, z.dtype, known)
+    made, values = getattr(f.engine.calls, name), _values(f)
     written = whole_tracks(name, [z, *prior, dt, *rest.values()], [values[path] for path in made.values])
-    estimate: Estimate = _placed(made.estimate, written)
+    estimate: Estimate = _placed(made.places, written)
     return estimate
+
+
+def _values(f: nn.Module) -> dict[str, Tensor]:
+    return dict(f.named_parameters()) | dict(f.named_buffers())
 
 
 def _placed(places: Any, tensors: Sequence[Tensor]) -> Any:
@@ -227,9 +225,7 @@ def _back(ctx: Any, grads: list[Tensor | None]) -> tuple[None, list[Tensor | Non
     needed = [i for i, x in enumerate(itertools.chain(*ctx.needs_input_grad[1:])) if x]
     places = [i for i, grad in enumerate(grads) if grad is not None]
     tensors, values = given[: ctx.count], given[ctx.count :]
-    found = whole_tracks_gradient(
-        ctx.name, list(tensors), list(values), [grads[i] for i in places], places, needed
-    )
+    found = whole_tracks_gradient(ctx.name, list(tensors), list(values), [grads[i] for i in places], places, needed)
     every = dict(zip(needed, found, strict=True))
     whole = [every.get(i) for i in range(len(given))]
     return None, whole[: ctx.count], whole[ctx.count :]

@@ -54,8 +54,9 @@ def by_its_engine(method: Callable[P, R]) -> Callable[P, R]:
     """A method for whole tracks that the filter's engine calls."""
 
     @wraps(method)
-    def call(f: Any, *given: P.args, **options: P.kwargs) -> R:
-        made: R = f.engine.call(method, f, *given, **options)
+    def call(*given: P.args, **options: P.kwargs) -> R:
+        f: Any = given[0]
+        made: R = f.engine.call(method, *given, **options)
         return made
 
     return call
