@@ -481,8 +481,9 @@ class Filter(nn.Module, Generic[S]):
 
         It needs the package llvmlite (``pip install 'torchfra[compiler]'``), on a GPU torch's own NVRTC, and up to some
         seconds for a form of call that no earlier process has compiled.  Without llvmlite there is one warning, and the
-        filter runs interpreted on the CPU.  Gradients are of first order.  Under
-        ``torch.compile`` and in transforms of ``torch.func`` the filter runs as without.
+        filter runs interpreted on the CPU.  Gradients are of first order.  To
+        ``torch.compile`` a call for whole tracks is one operation (from torch 2.11 on, with one sensor, not of scans);
+        what else it sees, and transforms of ``torch.func``, runs as without.
         ``torchfra/compiler/README.md`` has the details.
 
         Args:
