@@ -30,6 +30,7 @@ ROOT = Path(__file__).parent.parent
 DOCUMENTS = [
     ROOT / "README.md",
     ROOT / ".github/CONTRIBUTING.md",
+    ROOT / "scripts/docs/layer.md",
     *(p for d in ("torchfra", "train", "scripts") for p in sorted((ROOT / d).rglob("README.md"))),
 ]
 NAMES = [str(path.relative_to(ROOT)) for path in DOCUMENTS]

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchfra.compiler import traced
+from torchfra.compiler import one_operation, traced
 from torchfra.compiler.backward import Given, cut, given, of_windows, windows
 from torchfra.compiler.guards import hooked
 from torchfra.compiler.llvm import is_installed
@@ -41,7 +41,7 @@ class Compiled:
 
     def __init__(self, otherwise: Any) -> None:
         """``otherwise`` is the engine that runs what kernels do not take."""
-        self._otherwise, self._versions = otherwise, list[Version]()
+        self._otherwise, self._versions, self.calls = otherwise, list[Version](), one_operation.Calls()
 
     def __reduce__(self) -> tuple[type[Compiled], tuple[Any]]:
         return Compiled, (self._otherwise,)  # kernels are no part of a copy
@@ -71,6 +71,12 @@ class Compiled:
             and torch._C._functorch.peek_interpreter_stack() is None
             and not (has_tangents() and torch.is_grad_enabled())
         )
+
+    def call(self, method: Callable[..., Estimate], f: Any, *given: Any, **options: Any) -> Estimate:
+        """What a method of the filter gives for whole tracks: to ``torch.compile`` it is one operation."""
+        if one_operation.takes(f, options):
+            return one_operation.call(method.__name__, f, *given, **options)
+        return method(f, *given, **options)
 
     def forward(
         self, f: Any, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,

@@ -25,6 +25,7 @@ class Meanwhile:
 
     def __init__(self, otherwise: Any) -> None:
         self._otherwise, self._compiled = otherwise, Compiled(otherwise)
+        self.call, self.calls = self._compiled.call, self._compiled.calls
         self._made: dict[Hashable, Future[Any]] = {}
 
     def __reduce__(self) -> tuple[type[Meanwhile], tuple[Any]]:

@@ -50,6 +50,18 @@ def in_full_precision(method: Callable[P, R]) -> Callable[P, R]:
     return full
 
 
+def by_its_engine(method: Callable[P, R]) -> Callable[P, R]:
+    """A method for whole tracks that the filter's engine calls."""
+
+    @wraps(method)
+    def call(*given: P.args, **options: P.kwargs) -> R:
+        f: Any = given[0]
+        made: R = f.engine.call(method, *given, **options)
+        return made
+
+    return call
+
+
 class Filter(nn.Module, Generic[S]):
     """Abstract: a subclass gives two functions, and a third for smoothing other than Rauch-Tung-Striebel's.
 
@@ -290,6 +302,7 @@ class Filter(nn.Module, Generic[S]):
         measurements = needed_inputs(self, measurements, lambda: check_step(self, state, measurements))
         return self.engine.step(self, state, measurements)
 
+    @by_its_engine
     @in_full_precision
     def forward(
         self,
@@ -350,6 +363,7 @@ class Filter(nn.Module, Generic[S]):
     if TYPE_CHECKING:  # what torch types as a call that may return anything
         __call__ = forward
 
+    @by_its_engine
     @in_full_precision
     def smooth(
         self,
@@ -467,8 +481,9 @@ class Filter(nn.Module, Generic[S]):
 
         It needs the package llvmlite (``pip install 'torchfra[compiler]'``), on a GPU torch's own NVRTC, and up to some
         seconds for a form of call that no earlier process has compiled.  Without llvmlite there is one warning, and the
-        filter runs interpreted on the CPU.  Gradients are of first order.  Under
-        ``torch.compile`` and in transforms of ``torch.func`` the filter runs as without.
+        filter runs interpreted on the CPU.  Gradients are of first order.  To
+        ``torch.compile`` a call for whole tracks is one operation (from torch 2.11 on, with one sensor, not of scans);
+        what else it sees, and transforms of ``torch.func``, runs as without.
         ``torchfra/compiler/README.md`` has the details.
 
         Args:

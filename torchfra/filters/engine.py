@@ -20,6 +20,9 @@ Function = Callable[[Any, Any, Frame], tuple[Any, Any]]
 class Engine(Protocol):
     """What runs the steps of one filter.  A filter holds one and asks it; ``Filter.compile`` gives it another."""
 
+    def call(self, method: Callable[..., Estimate], f: Any, *given: Any, **options: Any) -> Estimate:
+        """What a method of the filter gives for whole tracks, ``method(f, *given, **options)``."""
+
     def step(self, f: Any, state: Any, measurements: Measurements) -> tuple[Any, Innovation]:
         """The state after one measurement, and its innovation; shapes and values are checked."""
 
@@ -71,6 +74,10 @@ class Engine(Protocol):
 
 class Interpreted:
     """Runs a filter in Python, one step after the other."""
+
+    def call(self, method: Callable[..., Estimate], f: Any, *given: Any, **options: Any) -> Estimate:
+        """What a method of the filter gives for whole tracks."""
+        return method(f, *given, **options)
 
     def step(self, f: Any, state: Any, measurements: Measurements) -> tuple[Any, Innovation]:
         """The state after one measurement, and its innovation."""

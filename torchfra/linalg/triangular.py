@@ -234,7 +234,7 @@ def whiten(root: Tensor, vector: Tensor) -> Tensor:
 
 def hstack(*blocks: Tensor) -> Tensor:
     """Matrices ``(..., n, p_i)`` side by side; their batch dimensions are broadcast."""
-    if len({b.shape[:-2] for b in blocks}) > 1:
+    if any(b.shape[:-2] != blocks[0].shape[:-2] for b in blocks):  # a set would hash sizes, which symbols cannot
         batch = broadcast_shapes(*(b.shape[:-2] for b in blocks))
         blocks = tuple(b.expand(batch + b.shape[-2:]) for b in blocks)
     return torch.cat(blocks, -1)

@@ -1,0 +1,171 @@
+"""The patterns of the page about filters as layers do what it says of them."""
+
+import re
+import warnings
+from pathlib import Path
+
+import pytest
+import torch
+from one_graph import needs_one_graph
+from torch import distributed, nn
+from torch.nn.parallel import DistributedDataParallel
+from two_processes import run_in_two
+
+from torchfra import Gaussian, losses, presets, tree
+from torchfra.motion import ConstantVelocity
+from torchfra.running.distributed import share, team
+from torchfra.sensors import Position
+
+PAGE = Path(__file__).parent.parent / "scripts/docs/layer.md"
+DEFINITIONS = re.compile(r"^(?:import|from|def|class|[A-Z_]+ =).*\n(?:(?:    .*)?\n)*", re.M)
+
+
+@pytest.fixture(scope="module")
+def page():
+    """What the page defines, without the lines that use it."""
+    scope = {}
+    for block in re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(), re.S | re.M):
+        exec("".join(DEFINITIONS.findall(block)), scope)
+    return scope
+
+
+@pytest.fixture
+def model(page):
+    """A layer whose head has learned nothing in particular."""
+    made = page["layer"](presets.srckf(ConstantVelocity(q=0.1), Position(2.0)))
+    nn.init.normal_(made.head.last.weight, std=0.1)
+    return made
+
+
+def test_a_head_begins_with_the_data_sheet(page):
+    f = presets.srckf(ConstantVelocity(q=0.1), Position(2.0))
+    z, features, _, prior = page["simulate"](4, 6, 0)
+    torch.testing.assert_close(page["layer"](f)(z, features, prior).mean, f(z, prior).mean)
+
+
+def test_padded_tracks_are_what_they_are_alone(page, model):
+    z, features, _, prior = page["simulate"](3, 8, 0)
+    items = [(z[i, : 4 + 2 * i], features[i, : 4 + 2 * i]) for i in range(3)]
+    padded, with_features, dt, lengths = page["ragged"](items)
+    estimate = model(padded, with_features, prior, dt=dt)
+    for i, (one, of_one) in enumerate(items):
+        alone = model(one, of_one, prior)
+        torch.testing.assert_close(estimate.mean[i, -1], alone.mean[-1])
+        torch.testing.assert_close(estimate.log_likelihood[i].sum(), alone.log_likelihood.sum())
+        assert lengths[i] == len(one)
+
+
+def test_the_density_of_hidden_measurements_is_that_of_a_joint_gaussian(page, model):
+    """Conditional density of every fifth position given all others, from the joint covariance of positions."""
+    z, features, _, prior = page["simulate"](1, 7, 0)
+    std, bias = (x[0].detach().double() for x in model.head(features))
+    motion = model.filter.motion
+    one = torch.ones(()).double()
+    step, noise = motion.transition(one), motion.process_noise(one)
+    cov, crossed, rows = prior.covariance.double(), [], []
+    for _ in range(7):
+        cov = step @ cov @ step.mT + noise @ noise.mT
+        rows = [block @ step.mT for block in rows]
+        crossed.append([*rows, cov])
+        rows = [*rows, cov]
+    joint = torch.zeros(7, 2, 7, 2).double()
+    for k, blocks in enumerate(crossed):
+        for j, block in enumerate(blocks):
+            joint[j, :, k] = block[:2, :2]
+            joint[k, :, j] = block[:2, :2].mT
+    joint = joint.reshape(14, 14) + std.reshape(-1).square().diag()
+    hidden = torch.tensor([0, 1, 10, 11])
+    seen = torch.tensor([i for i in range(14) if i not in hidden.tolist()])
+    y = (z[0] - bias).reshape(-1)
+    gain = torch.linalg.solve(joint[seen][:, seen], joint[seen][:, hidden]).mT
+    rest = joint[hidden][:, hidden] - gain @ joint[seen][:, hidden]
+    parts = [
+        torch.distributions.MultivariateNormal((gain @ y[seen])[at], rest[at, at]).log_prob(y[hidden][at])
+        for at in (slice(0, 2), slice(2, 4))
+    ]
+    found = page["hidden_nll"](model, z, features, prior)
+    torch.testing.assert_close(found, -torch.stack(parts).mean().unsqueeze(0), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_an_exported_step_is_saved_and_runs_for_other_numbers_of_tracks(page, tmp_path):
+    model = page["layer"](presets.fra(ConstantVelocity(q=0.1), Position(2.0)))
+    z, features, _, prior = page["simulate"](5, 4, 0)
+    step = page["Step"](model, Gaussian(prior.mean.expand(5, -1), prior.scale_tril))
+    state, tracks = [x.clone() for x in tree.flatten(step.like)], {0: torch.export.Dim.AUTO}
+    given = (state, z[:, 0], features[:, 0])
+    program = torch.export.export(step, given, dynamic_shapes=([tracks] * len(state), tracks, tracks))
+    assert not [node for node in program.graph.nodes if "torchfra" in str(node.target)]
+    torch.export.save(program, tmp_path / "step.pt2")
+    run, state = torch.export.load(tmp_path / "step.pt2").module(), [x[:3] for x in state]
+    for k in range(4):
+        state = run(state, z[:3, k], features[:3, k])
+    expected = model(z[:3], features[:3], prior)
+    torch.testing.assert_close(tree.unflatten(step.like, iter(state)).belief.mean, expected.mean[:, -1])
+
+
+@needs_one_graph
+@pytest.mark.slow
+def test_torch_compile_and_half_precision_together_are_the_layer(page, model):
+    model.filter.compile()
+    z, features, _, prior = page["simulate"](4, 6, 0)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        expected = model(z, features, prior).mean
+        found = torch.compile(model, fullgraph=True, backend="aot_eager")(z, features, prior).mean
+    assert found.dtype == torch.float64
+    torch.testing.assert_close(found, expected, rtol=1e-2, atol=1e-2)  # of bfloat16 in the network
+
+
+def learn(arguments):
+    """Two steps of descent of the page's layer on the tracks of this process; the first one prints what it learned."""
+    scope = {}
+    for block in re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(), re.S | re.M):
+        exec("".join(DEFINITIONS.findall(block)), scope)
+    with team():
+        model = scope["layer"](presets.srckf(ConstantVelocity(q=0.1), Position(2.0), learn=("q",)))
+        replica = DistributedDataParallel(model) if distributed.is_initialized() else model
+        optimiser, mine = torch.optim.SGD(model.parameters(), lr=0.1), share(4)
+        z, features, truth, prior = scope["simulate"](4, 6, 0)
+        own = slice(mine.start, mine.stop)
+        for _ in range(2):
+            estimate = replica(z[own], features[own], prior)
+            optimiser.zero_grad()
+            losses.robust_mse(estimate.mean, truth[own], slice(0, 2), scale=10.0).mean().backward()
+            optimiser.step()
+        print(*(f"{x.detach().double().square().sum():.9g}" for x in model.parameters()))
+
+
+@pytest.mark.slow
+def test_two_processes_learn_the_layer_that_one_learns(capsys, tmp_path):
+    learn([])
+    alone = [float(x) for x in capsys.readouterr().out.split()]
+    run_in_two(learn, [], tmp_path / "out")
+    assert [float(x) for x in (tmp_path / "out").read_text().split()] == pytest.approx(alone, rel=1e-5)
+    assert len(alone) == 5
+
+
+def test_lightning_trains_a_layer_in_mixed_precision(page, model):
+    lightning = pytest.importorskip("lightning")
+
+    class Learner(lightning.LightningModule):
+        def __init__(self):
+            super().__init__()
+            self.layer = model
+
+        def training_step(self, batch, number):
+            z, features, truth = batch
+            prior = Gaussian(z.new_zeros(4), 6 * torch.eye(4).to(z))
+            return losses.robust_mse(self.layer(z, features, prior).mean, truth, slice(0, 2), scale=10.0).mean()
+
+        def configure_optimizers(self):
+            return torch.optim.Adam(self.parameters(), lr=0.02)
+
+    data = torch.utils.data.TensorDataset(*page["simulate"](16, 10, 0)[:3])
+    before = [x.clone() for x in model.parameters() if x.requires_grad]
+    quiet = dict.fromkeys(("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary"), False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of Lightning's own
+        trainer = lightning.Trainer(max_epochs=1, accelerator="cpu", precision="bf16-mixed", **quiet)
+        trainer.fit(Learner(), torch.utils.data.DataLoader(data, batch_size=8))
+    after = [x for x in model.parameters() if x.requires_grad]
+    assert all(x.isfinite().all() and not torch.equal(x, y) for x, y in zip(after, before, strict=True))
