@@ -1,8 +1,8 @@
-"""A target that turns, seen by a lidar, a Kalman filter of constant velocity with any noise, and the OKF that learns it.
+"""A target that turns, seen by a lidar, and the OKF: a Kalman filter whose noise learns from squared errors.
 
-The filter has a covariance of the process noise of a step ``(4, 4)`` and one of the measurement noise ``(2, 2)``.  They are the sample
-covariances of what steps and measurements of tracks with a truth are off (KF), or are learned by the squared error of
-positions from there (OKF).
+It is of constant velocity, with any covariance of the process noise of a step ``(4, 4)`` and of the measurement noise
+``(2, 2)``.  They are sample covariances of what the models are off in tracks with a truth (KF), or are learned from
+there by the squared error of positions (OKF).
 
 Source: Greenberg, Yannay & Mannor (2023), "Optimization or Architecture: How to Hack Kalman Filtering", for the target,
 the lidar, the start of a track and how the OKF learns; numbers that the paper does not print are those of the example
@@ -32,10 +32,10 @@ ALONG, ACROSS = 2.0, 15.0
 """Accelerations of a part, m/s^2: the standard deviation along the path, and the largest across."""
 RANGE, BEARING = 2.0, math.radians(1.5)
 """Standard deviations of the lidar, m and rad."""
-START = 1e3
-"""Variance of each component of the state at the first measurement, before it counts."""
+START, LEAST = 1e3, 1e-6
+"""Variances of each component: of the state at the first measurement, before it counts; added to those of samples."""
 BATCH, RATE, CLIP, HALVED, VALID = 10, 1e-2, 1.0, 150, 0.15
-"""Of the OKF: tracks of an iteration, Adam's rate, the largest norm of a gradient, iterations after which the rate is halved,
+"""Of the OKF: tracks of an iteration, Adam's rate, the largest norm of a gradient, iterations until the rate is halved,
 and the share of the tracks by which the best values are chosen."""
 VALIDATED = 30
 """Iterations between validations."""
@@ -55,8 +55,8 @@ class Tracks(NamedTuple):
 
     @property
     def polar(self) -> Tensor:
-        """``(B, T, 2)`` the same measurements as ranges, m, and bearings, rad."""
-        return torch.stack([self.z.norm(dim=-1), torch.atan2(self.z[..., 1], self.z[..., 0])], -1)
+        """``(B, T, 2)`` the same measurements as ranges, m, and bearings clockwise from +y, rad."""
+        return torch.stack([self.z.norm(dim=-1), torch.atan2(self.z[..., 0], self.z[..., 1])], -1)
 
 
 def simulate(runs: int, seed: int) -> Tracks:
@@ -97,7 +97,7 @@ def simulate(runs: int, seed: int) -> Tracks:
 
 
 class Cholesky(nn.Module):
-    """A covariance ``(n, n)`` by its lower root: the logarithms of its diagonal, and what is below, are free numbers."""
+    """A covariance ``(n, n)`` by its lower root: logarithms of the diagonal, and what is below, are free numbers."""
 
     def __init__(self, covariance: Tensor) -> None:
         super().__init__()
@@ -141,12 +141,16 @@ class AnyPosition(Position):
 
 
 def sampled(tracks: Tracks) -> tuple[Tensor, Tensor]:
-    """Sample covariances of process ``(4, 4)`` and measurement noise ``(2, 2)``."""
+    """Sample covariances of process ``(4, 4)`` and measurement noise ``(2, 2)``.
+
+    A position is off by half of what its velocity is, so that the first is singular but for ``LEAST``.
+    """
     truth = tracks.truth
     moved = torch.cat([truth[..., :2] + truth[..., 2:], truth[..., 2:]], -1)
     off, missed = truth[:, 1:] - moved[:, :-1], tracks.z - truth[..., :2]
     process, measured = (x[~x.isnan().any(-1)].mT.cov() for x in (off, missed))
-    return process, measured
+    least = LEAST * torch.eye(4, dtype=truth.dtype)
+    return process + least, measured + least[:2, :2]
 
 
 def prior(tracks: Tracks) -> Gaussian:
