@@ -335,7 +335,7 @@ def figure(found: dict[str, Any]) -> Figure:
         for words, row in found[system]["reach"].items():
             style = {**looks[words], "linestyle": dashes, "marker": "o", "markersize": 3}
             label = f"{words}, {system}"
-            reach.plot(list(row), [max(x["median"], 1e-12) for x in row.values()], label=label, **style)
+            reach.plot(list(row), [x["median"] for x in row.values()], label=label, **style)
     rows = found["chaotic"]["learned"]
     for name, style in line_styles(rows).items():
         row = rows[name]
@@ -344,7 +344,7 @@ def figure(found: dict[str, Any]) -> Figure:
     for (words, of), shift in zip(found["chaotic"]["cures"].items(), (-0.2, 0.2), strict=True):
         places = [i + shift for i in range(len(names))]
         cures.bar(places, [of[name]["std"] / max(of[name]["mean"], 1e-300) for name in names], 0.4, label=words)
-    cures.set_xticks(range(len(names)), names)
+    cures.set_xticks(range(len(names)), names, rotation=20)
     for system, style in line_styles(SYSTEMS).items():
         of = found[system]["gate"]
         soft = [of[f"temperature {t:g}"] for t in TEMPERATURES]
@@ -352,10 +352,10 @@ def figure(found: dict[str, Any]) -> Figure:
         gate.errorbar(TEMPERATURES, [x["slope"] for x in soft], label=f"{system}, soft", **bars, **style)
         hard = of["hard, by differences"]["slope"]
         gate.axhline(hard, label=f"{system}, hard by differences", **{**style, "linestyle": ":"})
-    reach.set(xlabel="steps", ylabel="gradient in the start, median", xscale="log", yscale="log")
+    reach.set(xlabel="steps", ylabel="gradient in the start, median", xscale="log", yscale="log", ylim=(1e-8, 1e4))
     learned.set(xlabel="steps", ylabel="standard deviation over tracks", xscale="log", yscale="log")
     cures.set(ylabel="standard deviation over mean, chaotic", yscale="log")
-    gate.set(xlabel="temperature", ylabel="slope in the logarithm of the gate", xscale="log")
+    gate.set(xlabel="temperature", ylabel="slope in the logarithm of the gate", xscale="log", ylim=(-0.006, 0.006))
     for axes in (reach, learned, cures, gate):
         finish(axes)
         axes.legend(fontsize="x-small")
