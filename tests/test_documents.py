@@ -30,6 +30,7 @@ ROOT = Path(__file__).parent.parent
 DOCUMENTS = [
     ROOT / "README.md",
     ROOT / ".github/CONTRIBUTING.md",
+    ROOT / "scripts/docs/gradients.md",
     ROOT / "scripts/docs/layer.md",
     *(p for d in ("torchfra", "train", "scripts") for p in sorted((ROOT / d).rglob("README.md"))),
 ]
@@ -63,6 +64,11 @@ SMALL = {
     "scripts/lorenz.py": (
         {"--runs": "2", "--network": "1"},
         {"--settings": "as stated", "--filters": "srckf", "--fit": ""},
+    ),
+    "scripts/gradients.py": ({"--runs": "2", "--steps": "1,3"}, {"--filters": "srckf"}),
+    "scripts/okf.py": (
+        {"--draws": "1", "--tracks": "40", "--iterations": "1"},
+        {"--filters": "OKF together"},
     ),
     "scripts/certainty.py": ({"--fits": "2", "--iterations": "1", "--jobs": "1"}, {}),
     "scripts/particles.py": ({"--runs": "2", "--particles": "50"}, {}),

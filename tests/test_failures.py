@@ -6,6 +6,8 @@ import pytest
 import torch
 
 from torchfra import Cause, Gaussian, learnable, presets
+from torchfra.adaptive import SageHusa
+from torchfra.filters import SRCKF
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
 
@@ -72,6 +74,47 @@ def test_gradients_of_shared_values_are_those_of_the_tracks_that_have_not_failed
         found.append([estimate.mean.detach()[rows], data.grad[rows], *(p.grad for p in f.parameters())])
     for one, other in zip(*found, strict=True):
         torch.testing.assert_close(one, other)
+
+
+ABSURD = [("fra", {}), ("fra", {"plain": 0.0}), ("fra_srckf", {}), ("fra", {"temperature": 1.0}), ("rsrckf", {})]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize(("name", "options"), ABSURD)
+def test_gradients_of_a_measurement_whose_square_no_number_holds_are_finite_beside_it_and_in_its_own_track(
+    name, options, dtype
+):
+    absurd = torch.finfo(dtype).max ** 0.6
+    f = getattr(presets, name)(ConstantVelocity(1.0), Position(2.0), learn="all", **options)
+    z = torch.randn(3, 8, 2, generator=torch.Generator().manual_seed(0)).to(dtype)
+    z[1, 4, 0] = absurd
+    estimate = f(z.requires_grad_(), Gaussian(torch.zeros(4, dtype=dtype), torch.eye(4, dtype=dtype)))
+    assert not estimate.failed[[0, 2]].any()
+    for loss in (estimate.mean.nansum(), estimate.log_likelihood.nansum(), estimate.mean[[0, 2]].sum()):
+        grads = torch.autograd.grad(loss, [z, *f.parameters()], retain_graph=True, allow_unused=True)
+        assert all(x is None or x.isfinite().all() for x in grads)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_fading_goes_on_after_a_measurement_whose_square_no_number_holds(compiled):
+    f = presets.fra(ConstantVelocity(1e-4), Position(2.0), memory="plain")
+    f = f.compile() if compiled else f
+    z = torch.zeros(2, 12, 2).double()
+    z[:, 8:, 0] = 40.0 * torch.arange(4)  # a manoeuvre
+    z[0, 3], z[1, 3] = torch.nan, 1e200
+    first, second = f(z, Gaussian(torch.zeros(4).double(), torch.eye(4).double())).info.fading[:, 8:]
+    assert first.max() > 1
+    assert ((first > 1) == (second > 1)).all()
+
+
+@pytest.mark.parametrize("adapt", ["innovation", "residual"])
+def test_an_estimate_of_the_noise_that_stands_at_its_bound_has_finite_gradients(adapt):
+    noise = SageHusa([[0, 1]], adapt=adapt, warmup=0)
+    f = learnable(SRCKF(ConstantVelocity(1.0), Position(2.0), noise=noise), "all")
+    z = Z.clone()
+    z[1, 3, 0] = 1e160
+    f(z, PRIOR).mean[[0, 2, 3, 4]].square().sum().backward()
+    assert all(p.grad.isfinite().all() for p in f.parameters())
 
 
 def test_failures_are_told_inside_transforms():

@@ -13,7 +13,7 @@ from torchfra.compiler.entries import Entries, as_entries
 from torchfra.compiler.expressions import Expressions
 from torchfra.compiler.program import Program, batch_first
 from torchfra.compiler.source import Port, Scan
-from torchfra.linalg import gram_pinv, hstack, safe_divide, safe_log, safe_sqrt, tria, tria_beside, whiten
+from torchfra.linalg import gram_pinv, hstack, safe_divide, safe_log, safe_sqrt, safe_square, tria, tria_beside, whiten
 from torchfra.linalg.tracing import elementary
 from torchfra.linalg.triangular import eliminated
 
@@ -209,9 +209,10 @@ def test_small_helpers():
     torch.testing.assert_close((root @ whiten(root, v).unsqueeze(-1)).squeeze(-1), v)
 
 
-# ---------------------------------------------------------------- roots, logarithms and quotients
+# ---------------------------------------------------------------- squares, roots, logarithms and quotients
 
 SAFE = {
+    "square": (safe_square, [3.0, 1e200, -math.inf], [9.0, math.inf, math.inf], [6.0, 0.0, 0.0]),
     "sqrt": (safe_sqrt, [4.0, 0.0, -1.0], [2.0, 0.0, 0.0], [0.25, 0.0, 0.0]),
     "log": (safe_log, [2.0, 0.0, -1.0], [math.log(2), -math.inf, -math.inf], [0.5, 0.0, 0.0]),
     "log of a subnormal": (safe_log, [1.0, 1e-310], [0.0, -math.inf], [1.0, 0.0]),

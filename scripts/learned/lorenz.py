@@ -19,8 +19,8 @@ from torchfra.motion import Motion
 from torchfra.sensors import Sensor
 from torchfra.types import Gaussian
 
-DT, ORDER, DEGREE = 0.02, 5, math.pi / 180
-"""Seconds of a step, order of the Taylor series, and the angle of a rotation, rad."""
+DT, ORDER, DEGREE, RHO = 0.02, 5, math.pi / 180, 28.0
+"""Seconds of a step, order of the Taylor series, the angle of a rotation, rad, and the number that makes it chaotic."""
 SHARE, SIZE = 0.05, 10.0
 """Share of the measurements that are outliers, and how many times as large their standard deviation is."""
 
@@ -32,17 +32,18 @@ class Lorenz(Motion):
         q: variance of the process noise of a step, a number or one for each component.
         order: of the Taylor series.
         angle: by which ``R`` turns around all three axes, rad.
+        rho: the Rayleigh number over its critical value; paths end at a point up to 24.7 or less, at 28 they never do.
     """
 
     still: Tensor
     moving: Tensor
 
-    def __init__(self, q: Value = 1.0, *, order: int = ORDER, angle: float = 0.0) -> None:
+    def __init__(self, q: Value = 1.0, *, order: int = ORDER, angle: float = 0.0, rho: float = RHO) -> None:
         super().__init__(3, 1, None)
         values = torch.as_tensor(q, dtype=torch.float64)
         self.q = Hyper(values, constraints.nonnegative, event_dim=int(values.dim() > 0), name="q")
         self.order = order
-        still, moving = [[-10, 10, 0], [28, -1, 0], [0, 0, -8 / 3]], [[0, 0, 0], [0, 0, -1], [0, 1, 0]]
+        still, moving = [[-10, 10, 0], [rho, -1, 0], [0, 0, -8 / 3]], [[0, 0, 0], [0, 0, -1], [0, 1, 0]]
         for name, part in (("still", still), ("moving", moving)):  # A(x) is one, plus x times the other
             turned = rotation(angle) @ torch.tensor(part, dtype=torch.float64)
             self.register_buffer(name, turned, persistent=False)
@@ -90,6 +91,7 @@ class Setting(NamedTuple):
     measured: int = 3
     """Leading components that are measured."""
     outliers: bool = False
+    rho: float = RHO
     published: bool = False
     """As others have published errors of networks: the process noise is 1e-4, whatever the measurement noise, a track
     starts at 0, which is known, and what is asked for is the state one step after the last measurement."""
@@ -139,14 +141,16 @@ def models(setting: Setting, variance: float) -> tuple[Lorenz, Linear]:
     """Motion and sensor as they are stated to filters, for a variance of the measurement noise."""
     q = 1e-4 if setting.published else variance / 100
     matrix = torch.eye(3, dtype=torch.float64)[: setting.measured]
-    return Lorenz(torch.full((3,), q), order=setting.order), Linear(matrix, torch.full((len(matrix),), variance**0.5))
+    return Lorenz(torch.full((3,), q), order=setting.order, rho=setting.rho), Linear(
+        matrix, torch.full((len(matrix),), variance**0.5)
+    )
 
 
 def simulate(setting: Setting, variance: float, runs: int, seed: int) -> Tracks:
     """Tracks of a setting; with one seed they have the same noise in all."""
     rng = torch.Generator().manual_seed(seed)
     stated, sensor = models(setting, variance)
-    motion = Lorenz(stated.q(), angle=DEGREE if setting.turned_motion else 0.0)
+    motion = Lorenz(stated.q(), angle=DEGREE if setting.turned_motion else 0.0, rho=setting.rho)
     dt = torch.tensor(DT, dtype=torch.float64)
     state = torch.full((runs, 3), 0.0 if setting.published else 1.0, dtype=torch.float64)
     prior = Gaussian(state, torch.zeros(3, 3, dtype=torch.float64))

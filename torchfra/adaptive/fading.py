@@ -12,7 +12,7 @@ from torch.distributions import constraints
 
 from torchfra.hyper import Hyper, Value, one_of
 from torchfra.linalg.gram import gram_pinv
-from torchfra.linalg.safe import safe_divide
+from torchfra.linalg.safe import in_range, safe_divide
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.motion.base import Motion
 from torchfra.tree import event_ranks
@@ -148,8 +148,14 @@ class Fading(NoFading):
         return Memory(nothing, nothing)
 
     def remember(self, memory: Any, residual: Tensor, measured: Tensor) -> Any:
-        """The memory after one more ``residual (..., m)``; entries not ``measured (..., m)`` stay as they were."""
+        """The memory after one more ``residual (..., m)``; entries not ``measured (..., m)`` stay as they were.
+
+        A residual whose square no number of its precision holds counts as not measured: its moment would be infinite
+        from then on, and so would gradients.
+        """
         moment, begun = memory
+        used = in_range(residual)
+        residual, measured = torch.where(used, residual, 0.0), measured * used
         square = residual.unsqueeze(-1) * residual.unsqueeze(-2)
         pair = measured.unsqueeze(-1) * measured.unsqueeze(-2)
         rho = self.forgetting(residual)[..., None, None]

@@ -155,7 +155,9 @@ class SageHusa(NominalNoise):
         """
         predicted = whitened.spread.square().sum(-1)
         predicted = predicted if whitened.subtracted is None else predicted - whitened.subtracted.square().sum(-1)
-        return whitened.residual.square() + (predicted if self.adapt == "residual" else -predicted)
+        # A finite number, however large: the estimate has a bound, and where it stands there 0 times infinity is NaN.
+        squared = whitened.residual.square().clamp_max(torch.finfo(predicted.dtype).max)
+        return squared + (predicted if self.adapt == "residual" else -predicted)
 
     def forward(self, memory: Any, excess: Tensor, weight: Tensor) -> Any:
         """The memory after one more ``excess (..., m)``.

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from torch import Tensor
 
 from torchfra.gaussian.update import density
+from torchfra.linalg.safe import safe_square
 from torchfra.types import Estimate, Gaussian
 
 
@@ -78,5 +79,5 @@ class Past(NamedTuple):
 
 def scores(normalised: Tensor, root: Tensor, log_norm: Tensor, log_density: Tensor | None) -> tuple[Tensor, Tensor]:
     """Normalised innovation squared and log density ``(...)``, constants and the units of the noise included."""
-    nis = normalised.square().sum(-1)
+    nis = safe_square(normalised).sum(-1)
     return nis, log_norm + (density(root, normalised) if log_density is None else log_density)

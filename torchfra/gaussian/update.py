@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from torchfra.linalg.gram import downdate
-from torchfra.linalg.safe import safe_log, safe_sqrt
+from torchfra.linalg.safe import safe_log, safe_sqrt, safe_square
 from torchfra.linalg.triangular import apply, hstack, tria, whiten
 from torchfra.types import Gaussian, Whitened
 
@@ -71,7 +71,7 @@ def down_weight(whitened: Whitened, weights: Tensor) -> Whitened:
 
 def density(root: Tensor, normalised: Tensor) -> Tensor:
     """Log density ``(...)`` of a residual with this root, both in units of the noise, constants left out."""
-    return -0.5 * normalised.square().sum(-1) - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+    return -0.5 * safe_square(normalised).sum(-1) - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
 
 def down_weighted_density(root: Tensor, normalised: Tensor, weights: Tensor) -> Tensor:

@@ -5,7 +5,7 @@ lower-triangular root with a non-negative diagonal, ``L = tria(A)``.
 """
 
 from torchfra.linalg.gram import downdate, gram_information, gram_pinv, gram_sqrt
-from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
+from torchfra.linalg.safe import in_range, safe_divide, safe_log, safe_sqrt, safe_square
 from torchfra.linalg.tracing import elementary, is_elementary, is_traced
 from torchfra.linalg.triangular import apply, hstack, tria, tria_beside, whiten
 
@@ -17,11 +17,13 @@ __all__ = [
     "gram_pinv",
     "gram_sqrt",
     "hstack",
+    "in_range",
     "is_elementary",
     "is_traced",
     "safe_divide",
     "safe_log",
     "safe_sqrt",
+    "safe_square",
     "tria",
     "tria_beside",
     "whiten",

@@ -1,4 +1,4 @@
-"""Square roots, logarithms and quotients whose gradient stays finite at the edge of their domain.
+"""Squares, square roots, logarithms and quotients whose gradient stays finite at the edge of their domain.
 
 The gradient of ``torch.where(x > 0, x.sqrt(), 0.0)`` at 0 is NaN: the branch that is not taken contributes zero times
 infinity.  Here the argument itself is replaced before the function sees it, so all derivatives are finite.
@@ -8,6 +8,17 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+
+
+def in_range(x: Tensor) -> Tensor:
+    """Where a number of the precision of ``x`` holds its square, bool; not where ``x`` is NaN."""
+    return x.abs() < torch.finfo(x.dtype).max ** 0.5
+
+
+def safe_square(x: Tensor) -> Tensor:
+    """Square where a number of its precision holds it; elsewhere the value is infinity, the gradient 0; NaN is NaN."""
+    beyond = ~in_range(x) & (x == x)
+    return torch.where(beyond, torch.inf, torch.where(beyond, 0.0, x).square())
 
 
 def safe_sqrt(x: Tensor) -> Tensor:
