@@ -149,14 +149,11 @@ class Tracker:
         stamp, window, newest = seconds("time", time), self._window, self._window.newest
         inside, jumped = self._clock.inside(stamp, newest)
         entry = self._intake.entry(inside, z, sensor, u, std, noise)
-        if window.holds(entry):
-            return self._report("duplicate")
-        if inside < newest - self.lag or window.precedes(inside):
-            if self.old == "refuse":
-                since = self._clock.outside(max(newest - self.lag, window.time))
-                bound = "after" if window.precedes(max(newest - self.lag, window.time)) else "since"
-                raise ValueError(f"time: expected seconds {bound} {since}, received {time}")
-            return self._report("old")
+        if inside <= newest:
+            if window.holds(entry):
+                return self._report("duplicate")
+            if inside < newest - self.lag or window.precedes(inside):
+                return self._old(time)
         innovation = self._put(entry)
         self._clock.tick(stamp, inside, newest, jumped)
         window.trim(window.newest - self.lag, self.steps)
@@ -227,6 +224,14 @@ class Tracker:
         again = restored(values, self._window, self.jump, self._intake.kind())
         self._window, self._clock, self._counts = again
 
+    def _old(self, time: Any) -> Report:
+        """Refuses a measurement that comes too late, or counts it."""
+        if self.old == "refuse":
+            first = max(self._window.newest - self.lag, self._window.time)
+            bound = "after" if self._window.precedes(first) else "since"
+            raise ValueError(f"time: expected seconds {bound} {self._clock.outside(first)}, received {time}")
+        return self._report("old")
+
     def _put(self, entry: Entry) -> Innovation:
         """Inserts an entry at its place, and filters it and all after it; gives its innovation."""
         window = self._window
@@ -236,7 +241,7 @@ class Tracker:
             z, dt, u, std, noise = each.after(time)
             sensor = self._intake.sensor(each)
             state, innovation = self.filter.step(state, z, dt=dt, u=u, std=std, noise=noise, sensor=sensor)
-            done.append(each._replace(state=state))
+            done.append(each.with_state(state))
             innovations.append(innovation)
             time = each.time
         window.entries[place:] = done
@@ -244,4 +249,5 @@ class Tracker:
 
     def _report(self, outcome: str, innovation: Innovation | None = None) -> Report:
         self._counts[outcome] += 1
-        return Report(self.time, self.belief, outcome, innovation)
+        time, state = self._window.before(len(self._window.entries))
+        return Report(self._clock.outside(time), self._intake.outward(state.belief), outcome, innovation)
