@@ -69,7 +69,7 @@ class Compiled:
             and not is_traced()
             and ((z.is_cpu and is_installed()) or (z.is_cuda and torch.version.hip is None))
             and torch._C._functorch.peek_interpreter_stack() is None
-            and not (has_tangents() and torch.is_grad_enabled())
+            and not (torch.is_grad_enabled() and has_tangents())
         )
 
     def forward(

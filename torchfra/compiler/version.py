@@ -172,7 +172,8 @@ class Version:
             return
         ready = plan.forwards.ready(plan.batch, 1, full)
         if ready is not None:
-            self.ready[whole].add(ReadyStep(ready, state, tensors, (step.state, step.record)), state, data)
+            given = state, data, tuple(self.read())
+            self.ready[whole].add(ReadyStep(ready, given, (step.state, step.record)), state, data)
 
     def get_tracks_ready(
         self, form: Hashable, plan: Plan, prior: Gaussian, state: Any, data: Data, past: bool, plain: bool

@@ -74,11 +74,13 @@ class Intake:
         measured = numbers("z", z, self.device, self.dtype if self.origin is None else torch.float64)
         if measured.shape[-1:] != (sensor.size,):
             raise ValueError(f"z: expected (..., {sensor.size}), received {tuple(measured.shape)}")
-        u, std, noise = self.inputs(u), self.tensor("std", std), self.tensor("noise", noise)
-        std = std.repeat(sensor.size) if std is not None and not std.dim() else std
-        for what, x, event in (("z", measured, 1), ("u", u, 1), ("std", std, 1), ("noise", noise, 2)):
-            if x is not None:
-                check_fits(what, x, event, self.batch)
+        check_fits("z", measured, 1, self.batch)
+        if not (u is std is noise is None):
+            u, std, noise = self.inputs(u), self.tensor("std", std), self.tensor("noise", noise)
+            std = std.repeat(sensor.size) if std is not None and not std.dim() else std
+            for what, x, event in (("u", u, 1), ("std", std, 1), ("noise", noise, 2)):
+                if x is not None:
+                    check_fits(what, x, event, self.batch)
         local = measured if self.origin is None else self.origin.measured(sensor, measured, u)
         check_finite("z", local, missing=True)
         return Entry(time, number, local, u, std, noise)
