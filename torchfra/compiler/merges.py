@@ -41,7 +41,10 @@ def with_merged(book: Expressions, steps: Sequence[Piece]) -> tuple[Expressions,
                 gone.add(number)
                 behind[other].append(number)
     parts = [
-        Piece([i for number in piece.numbers if number not in gone for i in (number, *behind.get(number, ()))], piece.guard)
+        Piece(
+            [i for number in piece.numbers if number not in gone for i in (number, *behind.get(number, ()))],
+            piece.guard,
+        )
         for piece in steps
     ]
     return new, [piece for piece in parts if piece.numbers], merged

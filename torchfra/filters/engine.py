@@ -11,7 +11,7 @@ import torch
 from torchfra import tree
 from torchfra.filters.records import Kept, Smoothed
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
-from torchfra.types import Estimate, Gaussian, Innovation
+from torchfra.types import Estimate, Gaussian
 
 Function = Callable[[Any, Any, Frame], tuple[Any, Any]]
 """From a filter, its state and a frame to the next state and what is said of the step."""
@@ -20,8 +20,15 @@ Function = Callable[[Any, Any, Frame], tuple[Any, Any]]
 class Engine(Protocol):
     """What runs the steps of one filter.  A filter holds one and asks it; ``Filter.compile`` gives it another."""
 
-    def step(self, f: Any, state: Any, measurements: Measurements) -> tuple[Any, Innovation]:
-        """The state after one measurement, and its innovation; shapes and values are checked."""
+    def step(self, f: Any, state: Any, measurements: Measurements, copied: bool = False) -> tuple[Any, Any]:
+        """The state after one measurement, and its innovation; shapes and values are checked.
+
+        Args:
+            f: the filter.
+            state: before it.
+            measurements: of the step.
+            copied: whether a pair comes in place of the innovation: that, and a copy of the state's belief.
+        """
 
     def once(self, f: Any, function: Function, state: Any, measurements: Measurements) -> tuple[Any, Any]:
         """What ``function(f, state, frame)`` gives for one measurement that has been checked."""
@@ -72,10 +79,10 @@ class Engine(Protocol):
 class Interpreted:
     """Runs a filter in Python, one step after the other."""
 
-    def step(self, f: Any, state: Any, measurements: Measurements) -> tuple[Any, Innovation]:
-        """The state after one measurement, and its innovation."""
-        stepped: tuple[Any, Innovation] = f.observe(state, f._frame(state, measurements))
-        return stepped
+    def step(self, f: Any, state: Any, measurements: Measurements, copied: bool = False) -> tuple[Any, Any]:
+        """The state after one measurement, and its innovation; ``copied``: with a copy of the belief."""
+        state, innovation = f.observe(state, f._frame(state, measurements))
+        return state, (innovation, tree.map_tensors(torch.clone, state.belief)) if copied else innovation
 
     def once(self, f: Any, function: Function, state: Any, measurements: Measurements) -> tuple[Any, Any]:
         """What ``function(f, state, frame)`` gives for one measurement."""

@@ -20,7 +20,7 @@ def is_traced(*tensors: Tensor) -> bool:
     """
     if torch.compiler.is_compiling() or _elementary.get():
         return True
-    return any(map(torch._C._functorch.is_functorch_wrapped_tensor, tensors))
+    return bool(tensors) and any(map(torch._C._functorch.is_functorch_wrapped_tensor, tensors))
 
 
 def has_tangents() -> bool:

@@ -108,8 +108,11 @@ class Intake:
 
     def outward(self, belief: Gaussian) -> Gaussian:
         """A belief of the filter, as it is outside."""
-        mean, root = belief
-        return Gaussian(mean.clone(), root.clone()) if self.origin is None else self.origin.outward(belief)
+        return self.told(Gaussian(*(x.clone() for x in belief)))
+
+    def told(self, belief: Gaussian) -> Gaussian:
+        """A copy of a belief of the filter, as it is outside."""
+        return belief if self.origin is None else self.origin.outward(belief)
 
     def kind(self) -> dict[str, Any]:
         """A description of filter, sensors and origin, by which a saved track is recognised as one of this tracker."""

@@ -166,13 +166,13 @@ class Tracker:
         entry = self._intake.entry(inside, z, sensor, u, std, noise)
         if inside <= newest:
             if window.holds(entry):
-                return self._report("duplicate")
+                return self._report("duplicate", self.belief)
             if inside < newest - self.lag or window.precedes(inside):
                 return self._old(time)
-        innovation = self._put(entry)
+        innovation, belief = self._put(entry)
         self._clock.tick(stamp, inside, newest, jumped)
         window.trim(window.newest - self.lag, self.steps)
-        return self._report("jumped" if jumped else "late" if inside < newest else "used", innovation)
+        return self._report("jumped" if jumped else "late" if inside < newest else "used", belief, innovation)
 
     @torch.no_grad()
     def predict(self, time: float, sensor: str | None = None, *, u: Any = None) -> Forecast:
@@ -245,23 +245,22 @@ class Tracker:
             first = max(self._window.newest - self.lag, self._window.time)
             bound = "after" if self._window.precedes(first) else "since"
             raise ValueError(f"time: expected seconds {bound} {self._clock.outside(first)}, received {time}")
-        return self._report("old")
+        return self._report("old", self.belief)
 
-    def _put(self, entry: Entry) -> Innovation:
-        """Inserts an entry at its place, and filters it and all after it; gives its innovation."""
+    def _put(self, entry: Entry) -> tuple[Innovation, Gaussian]:
+        """Inserts an entry at its place, filters it and all after it; gives its innovation and the new estimate."""
         window = self._window
         place = window.place(entry)
-        (time, state), done, innovations = window.before(place), [], []
+        (time, state), done, said = window.before(place), [], []
         for each in (entry, *window.entries[place:]):
             f = self.filter.with_sensor(self._intake.sensor(each))
-            state, innovation = f.engine.step(f, state, each.after(time))
+            state, told = f.engine.step(f, state, each.after(time), True)
             done.append(each.with_state(state))
-            innovations.append(innovation)
+            said.append(told)
             time = each.time
         window.entries[place:] = done
-        return innovations[0]
+        return said[0][0], self._intake.told(said[-1][1])
 
-    def _report(self, outcome: str, innovation: Innovation | None = None) -> Report:
+    def _report(self, outcome: str, belief: Gaussian, innovation: Innovation | None = None) -> Report:
         self._counts[outcome] += 1
-        time, state = self._window.before(len(self._window.entries))
-        return Report(self._clock.outside(time), self._intake.outward(state.belief), outcome, innovation)
+        return Report(self.time, belief, outcome, innovation)
