@@ -438,6 +438,34 @@ def test_a_buffer_that_is_written_anew_does_not_change_the_track(origin):
     close(t.belief, once.belief, 0)
 
 
+def test_what_a_compiled_filter_reports_is_the_callers_own():
+    f, every = made().compile(), [event for event in events(8) if event[2] == "gps"]
+    t, once = tracker(f), tracker(f)
+    for event in every[:3] + every[4:] + every[3:4]:  # one comes late
+        _ = [x.zero_() for x in t.update(*event).belief]
+        once.update(*event)
+    close(t.belief, once.belief, 0)
+
+
+KINDS = [(101.0, 80.0), [101, 80.0], [np.float64(101.0), 80.0], np.array([101, 80]), torch.tensor([101.0, 80.0])]
+
+
+@pytest.mark.parametrize("z", KINDS, ids=["floats", "whole", "of NumPy", "array", "tensor"])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_measurement_is_the_same_in_numbers_of_any_kind(z, dtype):
+    one, other = tracker(made(), dtype=dtype), tracker(made(), dtype=dtype)
+    one.update(1.0, [101.0, 80.0], "gps")
+    other.update(1.0, z, "gps")
+    torch.testing.assert_close(other.belief, one.belief, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("batch", [(), (2,)])
+def test_a_number_beyond_single_precision_is_refused_there(batch):
+    t, z = tracker(made(), *batch, dtype=torch.float32), [1e300, 80.0]
+    with pytest.raises(ValueError, match=r"z: expected finite numbers, or NaN for what is missing, in torch.float32"):
+        t.update(1.0, [z, z] if batch else z, "gps")
+
+
 def test_a_standard_deviation_that_is_a_number_is_that_of_each_element():
     one, other = tracker(made()), tracker(made())
     one.update(1.0, [101.0, 80.0], "gps", std=3.0)

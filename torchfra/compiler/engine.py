@@ -23,7 +23,7 @@ from torchfra.gaussian.arguments import check_seconds
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.linalg.tracing import has_tangents, is_traced
 from torchfra.tree import flatten, map_tensors
-from torchfra.types import Estimate, Gaussian, Innovation
+from torchfra.types import Estimate, Gaussian
 
 _VERSIONS = 4
 """How many are remembered: a filter may go back and forth, between soft decisions and hard ones say."""
@@ -69,7 +69,7 @@ class Compiled:
             and not is_traced()
             and ((z.is_cpu and is_installed()) or (z.is_cuda and torch.version.hip is None))
             and torch._C._functorch.peek_interpreter_stack() is None
-            and not (has_tangents() and torch.is_grad_enabled())
+            and not (torch.is_grad_enabled() and has_tangents())
         )
 
     def call(self, method: Callable[..., Estimate], f: Any, *given: Any, **options: Any) -> Estimate:
@@ -179,13 +179,13 @@ class Compiled:
             plan = now.plan(traced.Once(function, _whole(f, measurements)), state, data, (False,) * 5)
         return now.run(plan, 1, state, data)
 
-    def step(self, f: Any, state: Any, measurements: Measurements) -> tuple[Any, Innovation]:
-        """The state after one measurement, and its innovation.
+    def step(self, f: Any, state: Any, measurements: Measurements, copied: bool = False) -> tuple[Any, Any]:
+        """The state after one measurement, and its innovation; ``copied``: with a copy of the belief.
 
         Shapes are checked unless a call of the same shapes has passed before.
         """
         if not self.takes(measurements.z):
-            stepped: tuple[Any, Innovation] = self._otherwise.step(f, state, measurements)
+            stepped: tuple[Any, Any] = self._otherwise.step(f, state, measurements, copied)
             return stepped
         z, dt, u, std, noise = measurements
         if not isinstance(dt, (Tensor, float, int)):
@@ -193,27 +193,27 @@ class Compiled:
         now = self._now(f)
         data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype, f.instants), u, std, noise)
         checked = not isinstance(dt, Tensor) and std is None and noise is None
-        whole = _whole(f, measurements)
-        done = now.ready[whole](state, data, now.read(), None if checked else f.instants)
-        return self._prepare(f, now, state, measurements, data, whole) if done is None else done
+        kind = _whole(f, measurements), copied
+        done = now.ready[kind](state, data, now.read(), None if checked else f.instants)
+        return self._prepare(f, now, state, measurements, data, kind) if done is None else done
 
     @staticmethod
     def _prepare(
-        f: Any, now: Version, state: Any, measurements: Measurements, data: Data, whole: bool
-    ) -> tuple[Any, Innovation]:
+        f: Any, now: Version, state: Any, measurements: Measurements, data: Data, kind: tuple[bool, bool]
+    ) -> tuple[Any, Any]:
         """The same where no step is ready, which then becomes ready if it can."""
         tensors = (*data, *flatten(state), *now.read())
-        form = (type(state), whole, *((x.shape, x.dtype) if isinstance(x, Tensor) else type(x) for x in tensors))
+        form = (type(state), kind, *((x.shape, x.dtype) if isinstance(x, Tensor) else type(x) for x in tensors))
         plan = now.steps.get(form)
         if plan is None:
             f._frame(state, measurements)
             with BUILDING:
                 if len(now.steps) == _FORMS:
                     now.steps.clear()
-                plan = now.steps[form] = now.plan(traced.Observe(whole), state, data, (False,) * 5)
+                plan = now.steps[form] = now.plan(traced.Observe(*kind), state, data, (False,) * 5)
         else:
             check_changing(data, f.instants)
-        now.get_ready(plan, state, data, whole)
+        now.get_ready(plan, state, data, kind)
         return now.run(plan, 1, state, data)
 
 

@@ -50,7 +50,7 @@ def integer(book: Expressions, a: int) -> int:
 
 
 def _arithmetic(name: str) -> Function:
-    return lambda book, *args: book.apply(name, *(number(book, a) for a in args))
+    return lambda book, *args: book.apply(name, *[number(book, a) if a in book.truths else a for a in args])
 
 
 def _logic(name: str) -> Function:

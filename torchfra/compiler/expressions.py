@@ -44,6 +44,7 @@ class Expressions:
     """Expressions by number, each once: ``nodes[i]`` is an operation and the numbers of what it acts on.
 
     ``names`` has what some are called, ``origin[i]`` says where each was first written: what ``here`` was then.
+    ``truths`` are those that are true or false.
     A ``"call"`` is one of ``calls[i]``; each of its results is a ``"result"``, the one at ``places[i]``.
 
     Operations on constants are folded, and so are additions of 0 and products with 0 and 1.  (So 0 times NaN is 0
@@ -57,6 +58,7 @@ class Expressions:
         self._most = most
         self.nodes: list[tuple[str, tuple[int, ...]]] = []
         self.values: dict[int, float] = {}
+        self.truths: set[int] = set()
         self.names: dict[int, str] = {}
         self.origin: list[str] = []
         self.here = ""
@@ -109,17 +111,18 @@ class Expressions:
     def _append(self, op: str, args: tuple[int, ...]) -> None:
         if len(self.nodes) == self._most:
             raise TooManyError
+        if op in _BOOL or (op == "select" and self.truths.issuperset(args[1:])):
+            self.truths.add(len(self.nodes))
         self.nodes.append((op, args))
         self.origin.append(self.here)
 
     def is_bool(self, number: int) -> bool:
         """Whether it is true or false."""
-        op, args = self.nodes[number]
-        return op in _BOOL or (op == "select" and all(self.is_bool(a) for a in args[1:]))
+        return number in self.truths
 
     def apply(self, op: str, *args: int) -> int:
         """An operation on expressions."""
-        known = [self.values.get(a) for a in args]
+        known = [*map(self.values.get, args)]
         if op in _FOLD and None not in known:
             return self.constant(_FOLD[op](*known))
         if op in ("sqrt", "exp", "log", "sin", "cos") and known[0] is not None and known[0] > 0:
@@ -147,7 +150,8 @@ class Expressions:
         """A copy that can grow and change by itself, beyond any limit."""
         new = copy.copy(self)
         new._most = None
-        new.nodes, new.origin, new.values, new._known = [*self.nodes], [*self.origin], {**self.values}, {**self._known}
+        new.nodes, new.origin, new.truths = [*self.nodes], [*self.origin], {*self.truths}
+        new.values, new._known = {**self.values}, {**self._known}
         return new
 
     def sum(self, terms: Iterable[int]) -> int:

@@ -24,7 +24,8 @@ def with_merged(book: Expressions, steps: Sequence[Piece]) -> tuple[Expressions,
     users: dict[int, set[int]] = defaultdict(set)
     for number, k in made.items():
         for arg in book.nodes[number][1]:
-            users[arg] |= {number} if made.get(arg) != k else set()
+            if made.get(arg) != k:
+                users[arg].add(number)
     guards = {number: groups[k][0].guard for number, k in made.items()}
     new, merged, gone, behind = book.copied(), dict[int, int](), set[int](), defaultdict[int, list[int]](list)
     for number in made:
@@ -40,7 +41,10 @@ def with_merged(book: Expressions, steps: Sequence[Piece]) -> tuple[Expressions,
                 gone.add(number)
                 behind[other].append(number)
     parts = [
-        Piece([i for number in piece.numbers if number not in gone for i in (number, *behind[number])], piece.guard)
+        Piece(
+            [i for number in piece.numbers if number not in gone for i in (number, *behind.get(number, ()))],
+            piece.guard,
+        )
         for piece in steps
     ]
     return new, [piece for piece in parts if piece.numbers], merged

@@ -6,7 +6,7 @@ import ctypes
 import importlib
 import mmap
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import torch
@@ -70,11 +70,11 @@ def maker(like: Sequence[Tensor], device: torch.device) -> Callable[[], list[Ten
         new: Any = importlib.import_module("torch._C._dynamo.guards")._empty_strided_cpu
     except (ImportError, AttributeError):  # it is private: versions may differ
         new = None
+    if new is None or device.type != "cpu":
+        new = partial(_empty, device)
     columns = list(zip(*forms, strict=True))
 
     def make() -> list[Tensor]:
-        if new is None or device.type != "cpu":
-            return [torch.empty_strided(size, stride, dtype=dtype, device=device) for size, stride, dtype in forms]
         return list(map(new, *columns))
 
     def make_large() -> list[Tensor]:
@@ -84,6 +84,10 @@ def maker(like: Sequence[Tensor], device: torch.device) -> Callable[[], list[Ten
         return made
 
     return make_large if large else make
+
+
+def _empty(device: torch.device, size: Sequence[int], stride: Sequence[int], dtype: torch.dtype) -> Tensor:
+    return torch.empty_strided(size, stride, dtype=dtype, device=device)
 
 
 @lru_cache(maxsize=1)

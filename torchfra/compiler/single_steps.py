@@ -14,6 +14,7 @@ from torchfra.compiler.program import Ready
 from torchfra.compiler.trees import flattener, unflattener
 from torchfra.gaussian.arguments import PRECISIONS, check_values
 from torchfra.gaussian.inputs import Measurements, Time
+from torchfra.tree import flatten
 
 Data = tuple[Tensor, Tensor, Tensor | None, Tensor | None, Tensor | None]
 """``z``, ``dt``, ``u``, ``std``, ``noise`` of a step."""
@@ -28,26 +29,22 @@ class ReadyStep:
 
     Args:
         ready: the kernel.
-        state: one like those to come.
-        tensors: what the kernel reads: the leaves of the state, data, values.
+        given: a state, data and values like those to come.
         made: the state and the record that the kernel writes, of one track.
     """
 
-    def __init__(self, ready: Ready, state: Any, tensors: Sequence[Tensor], made: Any) -> None:
+    def __init__(self, ready: Ready, given: tuple[Any, Data, tuple[Tensor, ...]], made: Any) -> None:
         self.run, self.made = ready, unflattener(made)
-        self._leaves = flattener(state)
-        self._fit = guard(tensors)
+        self._leaves = flattener(given)
+        self._fit = guard(flatten(given))
 
-    def tensors(self, state: Any, others: Sequence[Tensor]) -> tuple[Tensor, ...] | None:
+    def tensors(self, *given: Any) -> tuple[Tensor, ...] | None:
         """What the kernel reads; None for tensors of another form."""
         try:
-            leaves = self._leaves(state)
+            leaves = self._leaves(given)
         except (IndexError, TypeError):  # another structure
             return None
-        if leaves is None:
-            return None
-        tensors = (*leaves, *others)
-        return tensors if self._fit(*tensors) else None
+        return leaves if leaves is not None and self._fit(*leaves) else None
 
 
 class ReadySteps:
@@ -70,10 +67,8 @@ class ReadySteps:
         Raises:
             ValueError: the time step or the noise has a bad value.
         """
-        steps = self._known.get(_kind(state, data), ())
-        others = [*(x for x in data if x is not None), *values] if steps else values
-        for step in steps:
-            tensors = step.tensors(state, others)
+        for step in self._known.get(_kind(state, data), ()):
+            tensors = step.tensors(state, data, values)
             if tensors is not None:
                 if instants is not None:
                     check_changing(data, instants)

@@ -58,13 +58,15 @@ class Keep:
 
 @dataclass(frozen=True)
 class Observe:
-    """One step of ``step``, of scans that are ``whole`` or not."""
+    """One step of ``step``, of scans that are ``whole`` or not; ``copied``: with the belief besides."""
 
     whole: bool = False
+    copied: bool = False
 
     def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
         """The next state, and the innovation."""
-        return f.observe(state, _frame(f, data, self.whole))
+        state, innovation = f.observe(state, _frame(f, data, self.whole))
+        return state, (innovation, state.belief) if self.copied else innovation
 
 
 @dataclass(frozen=True)

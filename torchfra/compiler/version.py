@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Hashable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -70,7 +71,7 @@ class Version:
     def __init__(self, f: nn.Module) -> None:
         self.kernels: dict[tuple[Any, ...], Kernels] = {}
         self.steps: dict[tuple[Any, ...], Plan] = {}
-        self.ready = {False: ReadySteps(), True: ReadySteps()}  # of scans that are whole, and of all else
+        self.ready: dict[tuple[bool, bool], ReadySteps] = defaultdict(ReadySteps)  # as ``traced.Observe`` is made of
         self.tracks = AllReadyTracks()
         self.frozen = frozen(f)
         self.scans = bool(getattr(f, "scans", False))
@@ -162,7 +163,7 @@ class Version:
         pairs = ((x, x.dim() - value.alone) for value, x in zip(self.values, self.read(), strict=True))
         return [x.unsqueeze(rank) if rank else x for x, rank in pairs]
 
-    def get_ready(self, plan: Plan, state: Any, data: Data, whole: bool) -> None:
+    def get_ready(self, plan: Plan, state: Any, data: Data, kind: tuple[bool, bool]) -> None:
         """Makes later steps like this one ready, if they need no gradient and all is read where it lies."""
         tensors = [*flatten(state), *(x for x in data if x is not None), *self.read()]
         if plan.counts or self._changes(tensors):
@@ -172,7 +173,8 @@ class Version:
             return
         ready = plan.forwards.ready(plan.batch, 1, full)
         if ready is not None:
-            self.ready[whole].add(ReadyStep(ready, state, tensors, (step.state, step.record)), state, data)
+            given = state, data, tuple(self.read())
+            self.ready[kind].add(ReadyStep(ready, given, (step.state, step.record)), state, data)
 
     def get_tracks_ready(
         self, form: Hashable, plan: Plan, prior: Gaussian, state: Any, data: Data, past: bool, plain: bool

@@ -300,7 +300,8 @@ class Filter(nn.Module, Generic[S]):
             return self.with_sensor(sensor).step(state, z, dt=dt, u=u, std=std, noise=noise)
         measurements = Measurements(z, dt, u, std, noise)
         measurements = needed_inputs(self, measurements, lambda: check_step(self, state, measurements))
-        return self.engine.step(self, state, measurements)
+        stepped: tuple[S, Innovation] = self.engine.step(self, state, measurements)
+        return stepped
 
     @by_its_engine
     @in_full_precision

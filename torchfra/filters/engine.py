@@ -11,7 +11,7 @@ import torch
 from torchfra import tree
 from torchfra.filters.records import Kept, Smoothed
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
-from torchfra.types import Estimate, Gaussian, Innovation
+from torchfra.types import Estimate, Gaussian
 
 Function = Callable[[Any, Any, Frame], tuple[Any, Any]]
 """From a filter, its state and a frame to the next state and what is said of the step."""
@@ -23,8 +23,15 @@ class Engine(Protocol):
     def call(self, method: Callable[..., Estimate], f: Any, *given: Any, **options: Any) -> Estimate:
         """What a method of the filter gives for whole tracks, ``method(f, *given, **options)``."""
 
-    def step(self, f: Any, state: Any, measurements: Measurements) -> tuple[Any, Innovation]:
-        """The state after one measurement, and its innovation; shapes and values are checked."""
+    def step(self, f: Any, state: Any, measurements: Measurements, copied: bool = False) -> tuple[Any, Any]:
+        """The state after one measurement, and its innovation; shapes and values are checked.
+
+        Args:
+            f: the filter.
+            state: before it.
+            measurements: of the step.
+            copied: whether a pair comes in place of the innovation: that, and a copy of the state's belief.
+        """
 
     def once(self, f: Any, function: Function, state: Any, measurements: Measurements) -> tuple[Any, Any]:
         """What ``function(f, state, frame)`` gives for one measurement that has been checked."""
@@ -79,10 +86,10 @@ class Interpreted:
         """What a method of the filter gives for whole tracks."""
         return method(f, *given, **options)
 
-    def step(self, f: Any, state: Any, measurements: Measurements) -> tuple[Any, Innovation]:
-        """The state after one measurement, and its innovation."""
-        stepped: tuple[Any, Innovation] = f.observe(state, f._frame(state, measurements))
-        return stepped
+    def step(self, f: Any, state: Any, measurements: Measurements, copied: bool = False) -> tuple[Any, Any]:
+        """The state after one measurement, and its innovation; ``copied``: with a copy of the belief."""
+        state, innovation = f.observe(state, f._frame(state, measurements))
+        return state, (innovation, tree.map_tensors(torch.clone, state.belief)) if copied else innovation
 
     def once(self, f: Any, function: Function, state: Any, measurements: Measurements) -> tuple[Any, Any]:
         """What ``function(f, state, frame)`` gives for one measurement."""

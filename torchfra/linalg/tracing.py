@@ -18,8 +18,9 @@ def is_traced(*tensors: Tensor) -> bool:
 
     There a Python branch must not depend on the values of tensors.
     """
-    wrapped = torch._C._functorch.is_functorch_wrapped_tensor
-    return bool(torch.compiler.is_compiling()) or is_elementary() or any(wrapped(t) for t in tensors)
+    if torch.compiler.is_compiling() or _elementary.get():
+        return True
+    return bool(tensors) and any(map(torch._C._functorch.is_functorch_wrapped_tensor, tensors))
 
 
 def has_tangents() -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Mapping
 from numbers import Integral
 from typing import Any
@@ -16,6 +17,8 @@ from torchfra.sensors.base import Sensor
 
 OWN = "sensor"
 """The name of the filter's own sensor, where there are no others."""
+_CODES = {torch.float32: "f", torch.float64: "d"}
+"""Of arrays, by dtype."""
 
 
 def check_sensors(filter: Any, sensors: Mapping[str, Sensor] | None) -> dict[str, Sensor]:
@@ -70,16 +73,20 @@ def _number(x: Any) -> float:
         return math.nan
 
 
-def numbers(name: str, x: Any, device: torch.device) -> Tensor:
-    """A copy of numbers as a tensor in double precision: the caller may write into its own later.
+def numbers(name: str, x: Any, device: torch.device, dtype: torch.dtype = torch.float64) -> Tensor:
+    """A copy of numbers as a tensor: the caller may write into its own later.
 
     Raises:
         ValueError: they are none, or complex.
     """
+    if isinstance(x, list | tuple) and {*map(type, x)} == {float} and device.type == "cpu":
+        return torch.frombuffer(array(_CODES[dtype], x), dtype=dtype)  # in a third of the time that torch.tensor takes
     if "complex" in str(getattr(x, "dtype", "")):
         raise ValueError(f"{name}: expected real numbers, received {x.dtype}")
     try:
-        return torch.as_tensor(x, dtype=torch.float64, device=device).clone()
+        if isinstance(x, Tensor):
+            return x.to(device, dtype, copy=True)
+        return torch.tensor(x, dtype=dtype, device=device)
     except (TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{name}: expected numbers, received {type(x).__name__}: {error}") from None
 
@@ -90,6 +97,8 @@ def check_fits(name: str, x: Tensor, event: int, batch: torch.Size) -> None:
     Raises:
         ValueError: they do not.
     """
+    if x.dim() == event:
+        return
     own = x.shape[: max(x.dim() - event, 0)]
     fits = x.dim() >= event and len(own) <= len(batch)
     if not fits or any(n not in (1, size) for n, size in zip(reversed(own), reversed(batch), strict=False)):
@@ -103,6 +112,10 @@ def check_finite(name: str, x: Tensor, *, missing: bool = False) -> None:
     Raises:
         ValueError: one is not.
     """
-    if bool((x.isinf() if missing else ~x.isfinite()).any()):
+    if x.dim() == 1:  # of one track, and few
+        bad = any(map(math.isinf, x.tolist())) if missing else not all(map(math.isfinite, x.tolist()))
+    else:
+        bad = bool((x.isinf() if missing else ~x.isfinite()).any())
+    if bad:
         expected = f"finite numbers{', or NaN for what is missing' if missing else ''}, in {x.dtype}"
         raise ValueError(f"{name}: expected {expected}, received {x.tolist()}")

@@ -69,22 +69,25 @@ class Intake:
         Raises:
             ValueError: no finite numbers, a shape that does not fit, or no such sensor.
         """
-        number, measured = self.number(name), numbers("z", z, self.device)
+        number = self.number(name)
         sensor = self.sensors[number]
+        measured = numbers("z", z, self.device, self.dtype if self.origin is None else torch.float64)
         if measured.shape[-1:] != (sensor.size,):
             raise ValueError(f"z: expected (..., {sensor.size}), received {tuple(measured.shape)}")
-        u, std, noise = self.inputs(u), self.tensor("std", std), self.tensor("noise", noise)
-        std = std.repeat(sensor.size) if std is not None and not std.dim() else std
-        for what, x, event in (("z", measured, 1), ("u", u, 1), ("std", std, 1), ("noise", noise, 2)):
-            if x is not None:
-                check_fits(what, x, event, self.batch)
-        local = measured.to(self.dtype) if self.origin is None else self.origin.measured(sensor, measured, u)
+        check_fits("z", measured, 1, self.batch)
+        if not (u is std is noise is None):
+            u, std, noise = self.inputs(u), self.tensor("std", std), self.tensor("noise", noise)
+            std = std.repeat(sensor.size) if std is not None and not std.dim() else std
+            for what, x, event in (("u", u, 1), ("std", std, 1), ("noise", noise, 2)):
+                if x is not None:
+                    check_fits(what, x, event, self.batch)
+        local = measured if self.origin is None else self.origin.measured(sensor, measured, u)
         check_finite("z", local, missing=True)
         return Entry(time, number, local, u, std, noise)
 
     def tensor(self, name: str, x: Any) -> Tensor | None:
         """Numbers in the filter's dtype, if there are any."""
-        return None if x is None else numbers(name, x, self.device).to(self.dtype)
+        return None if x is None else numbers(name, x, self.device, self.dtype)
 
     def inputs(self, u: Any) -> Tensor | None:
         """The inputs ``u`` of the models, if there are any.
@@ -105,7 +108,11 @@ class Intake:
 
     def outward(self, belief: Gaussian) -> Gaussian:
         """A belief of the filter, as it is outside."""
-        return Gaussian(*(x.clone() for x in belief)) if self.origin is None else self.origin.outward(belief)
+        return self.told(Gaussian(*(x.clone() for x in belief)))
+
+    def told(self, belief: Gaussian) -> Gaussian:
+        """A copy of a belief of the filter, as it is outside."""
+        return belief if self.origin is None else self.origin.outward(belief)
 
     def kind(self) -> dict[str, Any]:
         """A description of filter, sensors and origin, by which a saved track is recognised as one of this tracker."""

@@ -49,6 +49,10 @@ class Entry(NamedTuple):
         parts = zip(self[2:6], other[2:6], strict=True)
         return self[:2] == other[:2] and all(_equal(a, b) for a, b in parts)
 
+    def with_state(self, state: Any) -> Entry:
+        """The measurement with the state after it."""
+        return Entry(*self[:-1], state)
+
     def after(self, time: float) -> Measurements:
         """The inputs of a step from ``time`` to this measurement."""
         return Measurements(self.z, self.time - time, self.u, self.std, self.noise)
@@ -99,12 +103,13 @@ class Window:
 
     def trim(self, since: float, steps: int | None) -> None:
         """Forgets entries before a time, and all but the last ``steps``; those of the newest instant stay."""
+        entries, newest = self.entries, self.newest
         while (
-            self.entries
-            and self.entries[0].time < self.newest
-            and (self.entries[0].time < since or (steps is not None and len(self.entries) > steps))
+            entries
+            and entries[0].time < newest
+            and (entries[0].time < since or (steps is not None and len(entries) > steps))
         ):
-            first = self.entries.pop(0)
+            first = entries.pop(0)
             self.time, self.state, self.forgot = first.time, first.state, True
 
 
