@@ -79,6 +79,8 @@ class Filter(nn.Module, Generic[S]):
 
     scans = False
     """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
+    alarms = False
+    """Whether ``step`` says if the sensor is faulty: ``Innovation.alarm``."""
     instants = True
     """Whether a step may take no time, as that to a second measurement at the same instant."""
     mixes = False

@@ -12,12 +12,13 @@ from torchfra.filters.fixed_lag import go_back, remember
 from torchfra.filters.forecast import Forecast
 from torchfra.gaussian.arguments import check_belief
 from torchfra.sensors.base import Sensor
+from torchfra.stream.alarms import Known, measured, silent
 from torchfra.stream.arguments import check_counts, seconds
 from torchfra.stream.clock import Clock
 from torchfra.stream.intake import Intake
 from torchfra.stream.saved import restored, saved
 from torchfra.stream.window import At, Entry, Window
-from torchfra.types import Gaussian, Innovation
+from torchfra.types import Alarm, Gaussian, Innovation
 
 OUTCOMES = ("used", "late", "duplicate", "old", "jumped")
 
@@ -34,6 +35,8 @@ class Report(NamedTuple):
     used, after the clock had been set back."""
     innovation: Innovation | None
     """Of the measurement; None for one that was left out."""
+    alarm: Alarm | None = None
+    """Whether its sensor is faulty: ``Tracker.alarms``; None of filters that do not say."""
 
 
 class Tracker:
@@ -88,7 +91,9 @@ class Tracker:
         self._intake = Intake(filter, sensors, origin, like.dtype if dtype is None else dtype, like.device)
         self.filter, self.lag, self.steps, self.old, self.jump = filter, float(lag), steps, old, jump
         with torch.no_grad():
-            self._window = Window(seconds("time", time), self._intake.start(prior))
+            state = self._intake.start(prior)
+            alarms = tuple(silent(x, state.belief.mean) for x in self._intake.sensors if filter.alarms)
+            self._window = Window(seconds("time", time), Known(state, alarms))
         self._counts = dict.fromkeys(OUTCOMES, 0)
         self._clock = Clock(jump)
 
@@ -100,7 +105,13 @@ class Tracker:
     @property
     def state(self) -> Any:
         """The filter's state now."""
-        return self._window.before(len(self._window.entries))[1]
+        return self._now.state
+
+    @property
+    def _now(self) -> Known:
+        """What is known by all that has come in."""
+        known: Known = self._window.before(len(self._window.entries))[1]
+        return known
 
     @property
     def belief(self) -> Gaussian:
@@ -115,6 +126,14 @@ class Tracker:
             return None
         time, _ = self._window.before(len(entries) - 1)
         return At(self._clock.outside(time), self._intake.outward(state.lagged))
+
+    @property
+    def alarms(self) -> dict[str, Alarm]:
+        """Of each sensor whether it is faulty, since when, and by how much; empty of filters that do not say.
+
+        It is as of the sensor's last measurement; ``lasted`` goes on to now.
+        """
+        return dict(zip(self._intake.names, self._now.alarms, strict=False))
 
     @property
     def counts(self) -> dict[str, int]:
@@ -150,17 +169,17 @@ class Tracker:
         inside, jumped = self._clock.inside(stamp, newest)
         entry = self._intake.entry(inside, z, sensor, u, std, noise)
         if window.holds(entry):
-            return self._report("duplicate")
+            return self._report("duplicate", entry)
         if inside < newest - self.lag or window.precedes(inside):
             if self.old == "refuse":
                 since = self._clock.outside(max(newest - self.lag, window.time))
                 bound = "after" if window.precedes(max(newest - self.lag, window.time)) else "since"
                 raise ValueError(f"time: expected seconds {bound} {since}, received {time}")
-            return self._report("old")
+            return self._report("old", entry)
         innovation = self._put(entry)
         self._clock.tick(stamp, inside, newest, jumped)
         window.trim(window.newest - self.lag, self.steps)
-        return self._report("jumped" if jumped else "late" if inside < newest else "used", innovation)
+        return self._report("jumped" if jumped else "late" if inside < newest else "used", entry, innovation)
 
     @torch.no_grad()
     def predict(self, time: float, sensor: str | None = None, *, u: Any = None) -> Forecast:
@@ -180,9 +199,9 @@ class Tracker:
         if inside < self._window.time:
             since = self._clock.outside(self._window.time)
             raise ValueError(f"time: expected seconds since {since}, received {time}")
-        since, state = self._window.at(inside)
+        since, known = self._window.at(inside)
         u = intake.inputs(u)
-        forecast = self.filter.predict(state, inside - since, u=u, sensor=there)
+        forecast = self.filter.predict(known.state, inside - since, u=u, sensor=there)
         return forecast if intake.origin is None else intake.origin.forecast(there, forecast, u)
 
     @torch.no_grad()
@@ -198,7 +217,7 @@ class Tracker:
         around = [self.filter.with_sensor(sensor) for sensor in self._intake.sensors]
         if any(f is not self.filter for f in around):
             self.filter.check_smooths_several()
-        time, state, moments = self._window.time, self._window.state, []
+        time, state, moments = self._window.time, self._window.state.state, []
         for entry in self._window.entries:
             f = around[entry.sensor]
             state, _, moment = remember(f, state, entry.after(time))
@@ -231,17 +250,19 @@ class Tracker:
         """Inserts an entry at its place, and filters it and all after it; gives its innovation."""
         window = self._window
         place = window.place(entry)
-        (time, state), done, innovations = window.before(place), [], []
+        (time, known), done, innovations = window.before(place), [], []
         for each in (entry, *window.entries[place:]):
             z, dt, u, std, noise = each.after(time)
             sensor = self._intake.sensor(each)
-            state, innovation = self.filter.step(state, z, dt=dt, u=u, std=std, noise=noise, sensor=sensor)
-            done.append(each._replace(state=state))
+            state, innovation = self.filter.step(known.state, z, dt=dt, u=u, std=std, noise=noise, sensor=sensor)
+            known = Known(state, measured(known.alarms, each.sensor, innovation.alarm, z, each.time - time))
+            done.append(each._replace(state=known))
             innovations.append(innovation)
             time = each.time
         window.entries[place:] = done
         return innovations[0]
 
-    def _report(self, outcome: str, innovation: Innovation | None = None) -> Report:
+    def _report(self, outcome: str, entry: Entry, innovation: Innovation | None = None) -> Report:
         self._counts[outcome] += 1
-        return Report(self.time, self.belief, outcome, innovation)
+        alarm = self.alarms.get(self._intake.names[entry.sensor])
+        return Report(self.time, self.belief, outcome, innovation, alarm)
