@@ -235,6 +235,11 @@ class Filter(nn.Module, Generic[S]):
         return carried if factor is None else carried._replace(spread=self.fading.stretch(carried.spread, factor))
 
     @property
+    def frame_motion(self) -> Motion:
+        """The motion whose transition and process noise frames hold."""
+        return self.motion
+
+    @property
     def _may_repair(self) -> bool:
         """Whether a step back may have to repair a covariance."""
         return self.motion_rule.signed and not self.motion.linear
@@ -551,7 +556,7 @@ class Filter(nn.Module, Generic[S]):
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
         """A frame for each step, and the log norms of the measurement noise, time first."""
-        return make_frames(measurements, self.motion, self.sensor, rank)
+        return make_frames(measurements, self.frame_motion, self.sensor, rank)
 
     def _scores(self, record: Record, log_norm: Tensor) -> tuple[Tensor, Tensor]:
         """Normalised innovation squared and log likelihood."""
