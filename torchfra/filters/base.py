@@ -164,6 +164,11 @@ class Filter(nn.Module, Generic[S]):
         """A state after a measurement of another sensor, with what the one ``before`` remembers."""
         return state
 
+    def hypotheses(self, known: Any) -> tuple[Gaussian, Tensor]:
+        """Hypotheses ``(..., H, n)`` of a state, or of an estimate's past, and logs ``(..., H)`` of their weights."""
+        mean, root = known.belief
+        return Gaussian(mean.unsqueeze(-2), root.unsqueeze(-3)), torch.zeros_like(mean[..., :1])
+
     def predict_hypotheses(self, state: S, frame: Frame) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(K, ..., n)`` of the state after a step with nothing measured, and logs of their weights."""
         _, record = self.advance(state, frame)

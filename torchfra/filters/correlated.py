@@ -147,6 +147,11 @@ class WithErrors(Filter[WithErrorsState]):
         forecast = self.with_sensor(sensor).inner.predict(state.inner, dt, u=u)
         return forecast._replace(belief=self.own(forecast.belief))
 
+    def hypotheses(self, known: Any) -> tuple[Gaussian, Tensor]:
+        """Those of the filter inside."""
+        beliefs, log_weights = self.inner.hypotheses(known.inner if isinstance(known, WithErrorsState) else known)
+        return self.own(beliefs), log_weights
+
     # ------------------------------------------------------------ other sensors
 
     def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:

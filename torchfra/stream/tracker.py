@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import torch
+from torch import Tensor
 
 from torchfra.filters.base import Filter
 from torchfra.filters.fixed_lag import go_back, remember
 from torchfra.filters.forecast import Forecast
+from torchfra.filters.protection import protection_level
 from torchfra.gaussian.arguments import check_belief
 from torchfra.sensors.base import Sensor
 from torchfra.stream.alarms import Known, measured, silent
@@ -203,6 +205,18 @@ class Tracker:
         u = intake.inputs(u)
         forecast = self.filter.predict(known.state, inside - since, u=u, sensor=there)
         return forecast if intake.origin is None else intake.origin.forecast(there, forecast, u)
+
+    def protection_level(self, *, risk: float = 1e-3, fault: tuple[float, float] | None = None) -> Tensor:
+        """How far the position can be from the estimate now, ``(...)`` m: see ``filters.protection_level``.
+
+        Args:
+            risk: probability that it is farther.
+            fault: share of the time with a fault that nobody has noticed, and the standard deviation of its error, m.
+
+        Raises:
+            ValueError: a risk or a fault out of its range.
+        """
+        return protection_level(self.filter, self.state, risk=risk, fault=fault)
 
     @torch.no_grad()
     def smoothed(self) -> list[At]:

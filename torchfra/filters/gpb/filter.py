@@ -250,6 +250,12 @@ class GPB(Filter[GPBState]):
 
     # ------------------------------------------------------------ what is expected later
 
+    def hypotheses(self, known: GPBState | GPBPast) -> tuple[Gaussian, Tensor]:
+        """With and without outliers, each motion ``(..., 2 K, n)``, and logs of their weights."""
+        log_weights = self.regimes.log_by_motion(known.log_weights, -1)
+        mean, root = known.hypotheses
+        return Gaussian(mean.flatten(-3, -2), root.flatten(-4, -3)), log_weights.flatten(-2)
+
     def predict_hypotheses(self, state: GPBState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(2 R, ..., n)`` of the state after a step, and logs of their weights."""
         before = from_state(state.hypotheses, state.log_weights, (BEFORE, MOTION))
