@@ -194,7 +194,7 @@ def test_the_table_and_the_json_have_our_figures_and_those_of_others(tmp_path, c
     assert recordings.main(["nclt", *files, "--filters", "srckf", "--json", str(out)]) == 0
     result = json.loads(out.read_text())
     figures = result["nclt"]["2012-11-16"]["srckf"]
-    assert figures.keys() == {"rmse_axis", "nees", "smoothed", "nees_smoothed"}
+    assert figures.keys() == {"rmse_axis", "nees", "smoothed", "nees_smoothed", "beyond"}
     assert all(math.isfinite(value) for value in figures.values())
     assert result["published"]["2012-11-16"]["rmse_axis"] == {"EKF": 12.29, "KalmanNet": 5.61}
     printed = capsys.readouterr().out

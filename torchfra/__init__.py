@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from torchfra.version import __version__ as __version__
 
 __all__ = [
+    "Alarm",
     "Cause",
     "Estimate",
     "Failure",
@@ -82,10 +83,10 @@ if TYPE_CHECKING:
     from torchfra.presets.values import values
     from torchfra.running.memory import keep_memory
     from torchfra.testing.models import check_model
-    from torchfra.types import Cause, Estimate, Failure, Gaussian, Innovation
+    from torchfra.types import Alarm, Cause, Estimate, Failure, Gaussian, Innovation
 else:
     _MODULES = {
-        "types": ("Cause", "Estimate", "Failure", "Gaussian", "Innovation"),
+        "types": ("Alarm", "Cause", "Estimate", "Failure", "Gaussian", "Innovation"),
         "hyper": ("Hyper", "learnable", "summary"),
         "presets.values": ("values",),
         "testing.models": ("check_model",),

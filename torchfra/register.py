@@ -18,10 +18,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
 from torchfra.filters.base import Filter
+from torchfra.filters.correlated import with_errors
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -74,8 +75,10 @@ def filter(name: str, **traits: Any) -> Callable[[F], F]:
 
     def add(preset: F) -> F:
         _check(name, preset, FILTERS[name].preset if name in FILTERS else None)
-        FILTERS[name] = FilterEntry(preset, **traits)
-        return preset
+        entry = FilterEntry(preset, **traits)
+        made = with_errors(preset, takes=not (entry.scans or entry.constant_gains))
+        FILTERS[name] = replace(entry, preset=made)
+        return made
 
     return add
 

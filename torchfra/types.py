@@ -80,6 +80,21 @@ class Prediction(NamedTuple):
     """``(...)`` bool, of a rule with negative weights: the covariance was not positive definite and was repaired."""
 
 
+@event_ranks(probability=1, lasted=1, offset=1)
+class Alarm(NamedTuple):
+    """Whether a sensor is faulty now, since when, and by how much."""
+
+    probability: Tensor
+    """``(..., B)`` of each block of its elements that what it measures is wrong; over steps in which nothing is
+    measured that of the last measurement, or what its Markov chain in time says since."""
+    lasted: Tensor
+    """``(..., B)`` seconds since the first of the measurements in a row that are more likely wrong than right; 0 at
+    that one, and without such."""
+    offset: Tensor
+    """``(..., m)`` measured less what the estimate after it says, in the measurement's units, angles wrapped; 0 where
+    missing."""
+
+
 @event_ranks(residual=1, spread=2, subtracted=2)
 class Whitened(NamedTuple):
     """A measurement against its prediction, in units of the measurement noise (whose covariance is then the identity).
@@ -118,6 +133,9 @@ class Innovation(NamedTuple):
     """``(...)`` normalised innovation squared, of the elements that were measured."""
     log_likelihood: Tensor
     """``(...)`` log density of the elements that were measured."""
+    alarm: Alarm | None = None
+    """Whether the sensor is faulty, of another than the filter's own by this measurement alone; None of filters that
+    do not say."""
 
 
 class Cause(IntEnum):

@@ -27,7 +27,7 @@ from torchfra.sensors import Biased, Position
 from torchfra.types import Gaussian
 
 METRIC = "rmse_axis"
-PARTS = (METRIC, "smoothed", "nees", "nees_smoothed")
+PARTS = (METRIC, "smoothed", "nees", "nees_smoothed", "beyond")
 COLUMNS = ("time", "gps_x", "gps_y", "wheel_left", "wheel_right", "yaw", "truth_x", "truth_y")
 PUBLISHED: dict[str, Figures] = {
     "2012-11-04": {"EKF": 18.76, "KalmanNet": 12.46},
@@ -76,6 +76,10 @@ TRANSITION = (
     (0.999, 0.001, 0.0, 0.0, 0.0),
 )
 """Probabilities of what follows in 1 s on: no fault, a fault begins, is steady, moves, ends."""
+
+UNNOTICED = (0.05, 3 * ERROR)
+"""Of protection levels: share of the time with an error of positions that was believed, and its standard deviation, m:
+three times that of the error that is always there."""
 
 
 def read(path: Path) -> Track:

@@ -33,7 +33,7 @@ from torchfra.sensors import Biased, Ranges, Sensor
 from torchfra.types import Gaussian
 
 METRIC = "rmse_3d"
-PARTS = (METRIC, "smoothed", "nees", "nees_smoothed")
+PARTS = (METRIC, "smoothed", "nees", "nees_smoothed", "beyond")
 NOTE = (
     "libRSF (Pfeifer & Protzel): Gaussian, EM mixture and variational mixture, errors in space at the current time by "
     "its own tests"
@@ -49,6 +49,8 @@ FLATTENING_SQUARED = 0.00669438
 """Square of the first eccentricity of the Earth's ellipsoid."""
 STD = 2.0
 """Standard deviation of a pseudorange in line of sight, m."""
+UNNOTICED = (0.05, 3 * STD)
+"""Of protection levels, as of a robot on a campus."""
 LATE = (7.0, 14.0, 25.0, 45.0, 75.0, 120.0)
 """By how many metres reflections come late: each is as likely, and stands for what is within 30 % of it, or 4 m."""
 LASTS = 100.0

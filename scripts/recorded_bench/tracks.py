@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchfra import metrics
-from torchfra.filters import Filter
+from torchfra.filters import Filter, protection_level
 from torchfra.types import Estimate, Gaussian
 
 Figures = dict[str, Any]
@@ -47,7 +47,9 @@ class Found(NamedTuple):
     """``(T, dims)`` positions on line, m."""
 
 
-def measured(f: Filter, prior: Gaussian, track: Track, metric: str) -> Found:
+def measured(
+    f: Filter, prior: Gaussian, track: Track, metric: str, unnoticed: tuple[float, float] | None = None
+) -> Found:
     """Errors of a filter on a track, as it filters and smoothed.
 
     Args:
@@ -55,22 +57,27 @@ def measured(f: Filter, prior: Gaussian, track: Track, metric: str) -> Found:
         prior: its belief before the first step.
         track: the track.
         metric: what the error on line is called.
+        unnoticed: of the protection level: ``fault`` of ``filters.protection_level``.
 
     Returns:
         That error and ``smoothed``, m, over all steps whose truth is known, and the mean normalised estimation error
-        squared per dimension of both, ``nees`` and ``nees_smoothed``, which is 1 where covariances are honest.  No
-        number is finite where the track has failed.
+        squared per dimension of both, ``nees`` and ``nees_smoothed``, which is 1 where covariances are honest; and
+        ``beyond``, the percentage of steps on line whose error is beyond its protection level.  No number is finite
+        where the track has failed.
     """
     dims = track.truth.shape[-1]
     states = slice(0, dims)
     with torch.no_grad():
-        estimate = f(track.z, prior, dt=track.dt, u=track.u)
-        later = f.smooth(track.z, prior, dt=track.dt, u=track.u)
+        estimate = f(track.z, prior, dt=track.dt, u=track.u, past=True)
+        later = f.smooth(track.z, prior, dt=track.dt, u=track.u, estimate=estimate)
 
     def errors(of: Estimate) -> tuple[float, float]:
         rmse = metrics.track_rmse(of.mean, track.truth, states) / math.sqrt(dims if track.per_axis else 1)
         return float(rmse), float(metrics.nees(of, track.truth, states).nanmean()) / dims
 
     (rmse, nees), (smoothed, nees_smoothed) = errors(estimate), errors(later)
-    figures = {metric: rmse, "nees": nees, "smoothed": smoothed, "nees_smoothed": nees_smoothed}
+    off = (estimate.mean[..., states] - track.truth).norm(dim=-1)
+    level = protection_level(f, estimate, fault=unnoticed)
+    beyond = 100 * float(torch.where((off - level).isnan(), torch.nan, (off > level).to(off)).nanmean())
+    figures = {metric: rmse, "nees": nees, "smoothed": smoothed, "nees_smoothed": nees_smoothed, "beyond": beyond}
     return Found(figures, estimate.mean[..., states])

@@ -27,7 +27,7 @@ from torchfra.sensors import Ranges
 from torchfra.types import Gaussian
 
 METRIC = "rmse_2d"
-PARTS = (METRIC, "smoothed", "nees", "nees_smoothed")
+PARTS = (METRIC, "smoothed", "nees", "nees_smoothed", "beyond")
 RESULTS = "RMSD_results.txt"
 NOTE = (
     f"{RESULTS} of each recording: LS, least squares, and ESKF, an error-state filter that has an inertial sensor as "
@@ -73,6 +73,8 @@ ACCELERATION, SECONDS = 1.0, 1.0
 ERROR, LASTS = 0.1, 1.0
 """Of ranges, m, and for how long one is much like the one before, s.  As many in a row tell what one tells: they are
 taken for white errors whose variance is so many times as large."""
+UNNOTICED = (0.05, 3 * ERROR)
+"""Of protection levels, as of a robot on a campus."""
 OPTIONS: dict[str, dict[str, Any]] = {"gpb": {"manoeuvres": "none"}}
 """Arguments of presets, others than their defaults: who walks does nothing that the motion does not know."""
 OWN_PRESETS = ()

@@ -377,6 +377,32 @@ def step(
     return Carried(after, log_regimes, outlier / np.exp(log_regimes[1]).sum()), told_of, lagged
 
 
+def alarms(r: Result, z: Array, model: Model, blocks: list[list[int]], dt: Array, q: Qualities) -> Result:
+    """Of the results of `gpb` for z (T,m): whether blocks are faulty, since when (s), and by how much.
+
+    Keys: probability (T,B), lasted (T,B), offset (T,m).
+    """
+    probability, lasted = np.zeros(r["outlier"].shape), np.zeros(r["outlier"].shape)
+    offset = np.zeros(z.shape)
+    for b in range(len(blocks)):
+        found, last, began = 0.0, -math.inf, None
+        for k, now in enumerate(np.cumsum(dt)):
+            if not np.isnan(z[k]).all():
+                found, last = r["outlier"][k, b], now
+            chain = np.eye(2) if q.durations is None else q.over(now - last)
+            probability[k, b] = np.array([1 - found, found]) @ chain[:, 1]
+            if probability[k, b] <= 0.5:
+                began = None
+            elif began is None:
+                began = now
+            lasted[k, b] = 0.0 if began is None else now - began
+    for k in range(len(z)):
+        seen = present(z[k])
+        angles = np.asarray(model.angles, dtype=bool)[seen]
+        offset[k, seen] = difference(z[k][seen], model.h(r["mean"][k], k)[seen], angles)
+    return {"probability": probability, "lasted": lasted, "offset": offset}
+
+
 def gpb(
     z: Array, mean0: Array, P0: Array, motions: list[Carry], model: Model, regimes: Regimes, qualities: Qualities,
     poor: float, widened: float, position: slice = slice(0, 2),

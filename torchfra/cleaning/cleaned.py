@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from torchfra.filters.alarms import LIKELY
 from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
 
@@ -99,6 +100,27 @@ class Cleaned:
         d = self.raw.shape[1]
         variance: Array = np.diagonal(self.covariance, axis1=1, axis2=2)[:, :d]
         return np.sqrt(variance)
+
+    @property
+    def off(self) -> Array:
+        """``(T,)`` m from the fix to the cleaned position; NaN between fixes.  An altitude may be missing."""
+        apart = self.raw - self.position
+        distance: Array = np.linalg.norm(np.column_stack([apart[:, :2], np.nan_to_num(apart[:, 2:])]), axis=1)
+        return distance
+
+    @property
+    def wrong_for(self) -> Array:
+        """``(T,)`` seconds since the first of the fixes in a row that are more likely wrong than right.
+
+        NaN where the last fix is right, or the filter does not say.
+        """
+        step = np.arange(len(self.time))
+        last = np.maximum.accumulate(np.where(np.isnan(self.off), 0, step))
+        wrong = self.outlier[last] > LIKELY
+        begins = wrong & ~np.concatenate([[False], wrong[:-1]])
+        first = np.maximum.accumulate(np.where(begins, step, 0))
+        lasted: Array = np.where(wrong, self.time - self.time[first], np.nan)
+        return lasted
 
     @property
     def failed(self) -> NDArray[np.bool_]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from torchfra.filters.alarms import LIKELY
 from torchfra.readers.columns import Array
 
-_OUTLIER, _DOUBTFUL, _MANOEUVRE = 0.5, 0.2, 0.5
-"""Least probability of an outlier, of what may be one, and of a manoeuvre."""
+_DOUBTFUL, _MANOEUVRE = 0.2, 0.5
+"""Least probability of what may be an outlier, and of a manoeuvre."""
 
 
 def flags(
@@ -35,4 +36,4 @@ def flags(
     doubtful = np.where(np.isnan(outlier), nis > gate, wrong > _DOUBTFUL)
     flag = np.where(listed & (np.nan_to_num(manoeuvre, nan=1.0) > _MANOEUVRE), "manoeuvre", "")
     flag = np.where(fix & doubtful, "unclear", flag)
-    return np.where(fix & (wrong > _OUTLIER), "outlier", flag)
+    return np.where(fix & (wrong > LIKELY), "outlier", flag)

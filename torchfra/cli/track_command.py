@@ -41,8 +41,9 @@ _EXAMPLES = f"""examples:
   torchfra track flight.csv --dt 1 --html flight.html           # also every second, and a page to look around in
 
 A row of the table is a fix: its row in the input (from 0), its time as the input has it, the recorded and the cleaned
-position in the input's own coordinates, speed, course, climb, standard deviations along and across the course,
-probabilities of an outlier and of a manoeuvre, a flag, and the covariance."""
+position in the input's own coordinates, speed, course, climb, standard deviations along and across the course, the
+probability of an outlier, since when fixes are wrong and by how much, the probability of a manoeuvre, a flag, and the
+covariance."""
 
 WORTHWHILE = 5_000
 """Steps of the longest tracks that take an interpreted filter about as long as compiling it."""

@@ -135,7 +135,7 @@ def retreat(f: Any, like: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any
     """One step back of one track; at the last step, where it begins, what that says."""
     leaves = iter([x for name, x in data.items() if name.startswith("past")])
     past, following, carried = _lower(tree.unflatten(like, leaves))
-    dt, u, motion = data["dt"], data.get("u"), f.motion
+    dt, u, motion = data["dt"], data.get("u"), f.frame_motion
     models = motion.transition(dt) if motion.linear else None, motion.shift(dt, u)
     noise = motion.process_noise(dt), motion.adaptation(dt)
     frame = Frame(None, None, None, dt, u, *models, *noise)  # type: ignore[arg-type]  # nothing is measured

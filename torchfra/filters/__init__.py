@@ -10,6 +10,7 @@ from torchfra.filters.fra import FRA, FRAInfo, FRAState
 from torchfra.filters.gpb import GPB, GPBInfo, GPBState, Outliers, Regimes
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
 from torchfra.filters.likely_models import LikelyModels
+from torchfra.filters.protection import protection_level
 from torchfra.filters.records import Record, Smoothed, SmoothInfo
 from torchfra.filters.scans.hypotheses import JPDAInfo, JPDAState
 from torchfra.filters.scans.jpda import JPDA
@@ -44,4 +45,5 @@ __all__ = [
     "SmoothInfo",
     "Smoothed",
     "State",
+    "protection_level",
 ]

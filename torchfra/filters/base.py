@@ -91,6 +91,8 @@ class Filter(nn.Module, Generic[S]):
 
     scans = False
     """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
+    alarms = False
+    """Whether ``step`` says if the sensor is faulty: ``Innovation.alarm``."""
     instants = True
     """Whether a step may take no time, as that to a second measurement at the same instant."""
     mixes = False
@@ -174,6 +176,11 @@ class Filter(nn.Module, Generic[S]):
         """A state after a measurement of another sensor, with what the one ``before`` remembers."""
         return state
 
+    def hypotheses(self, known: Any) -> tuple[Gaussian, Tensor]:
+        """Hypotheses ``(..., H, n)`` of a state, or of an estimate's past, and logs ``(..., H)`` of their weights."""
+        mean, root = known.belief
+        return Gaussian(mean.unsqueeze(-2), root.unsqueeze(-3)), torch.zeros_like(mean[..., :1])
+
     def predict_hypotheses(self, state: S, frame: Frame) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(K, ..., n)`` of the state after a step with nothing measured, and logs of their weights."""
         _, record = self.advance(state, frame)
@@ -243,6 +250,11 @@ class Filter(nn.Module, Generic[S]):
         """A belief carried over a step, with the fading factor ``(...)`` that was chosen, if any."""
         carried = propagate(self.motion, self.motion_rule, belief, frame)
         return carried if factor is None else carried._replace(spread=self.fading.stretch(carried.spread, factor))
+
+    @property
+    def frame_motion(self) -> Motion:
+        """The motion whose transition and process noise frames hold."""
+        return self.motion
 
     @property
     def _may_repair(self) -> bool:
@@ -565,7 +577,7 @@ class Filter(nn.Module, Generic[S]):
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
         """A frame for each step, and the log norms of the measurement noise, time first."""
-        return make_frames(measurements, self.motion, self.sensor, rank)
+        return make_frames(measurements, self.frame_motion, self.sensor, rank)
 
     def _scores(self, record: Record, log_norm: Tensor) -> tuple[Tensor, Tensor]:
         """Normalised innovation squared and log likelihood."""

@@ -13,6 +13,7 @@ from torchfra.gaussian.inputs import Measurements
 from torchfra.linalg.tracing import is_traced
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
+from torchfra.sensors.correlated import Correlated
 from torchfra.types import Gaussian
 
 
@@ -27,6 +28,9 @@ def check_models(motion: Motion, sensor: Sensor) -> None:
         if not isinstance(model, kind):
             received = model.__name__ if isinstance(model, type) else type(model).__name__
             raise ValueError(f"{name}: expected an instance of torchfra's {kind.__name__}, received {received}")
+    if any(isinstance(part, Correlated) for part in sensor.modules()):
+        expected = "one without errors that last (a preset of single targets takes them, outermost or in Stacked)"
+        raise ValueError(f"sensor: expected {expected}, received {sensor.describe()}")
     if sensor.reads > motion.size:
         expected = f"one that reads at most {motion.size} states [{', '.join(motion.components)}]"
         raise ValueError(f"sensor: expected {expected}, this reads {sensor.reads}")

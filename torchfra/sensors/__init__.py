@@ -3,6 +3,7 @@
 from torchfra.sensors.base import MeasurementNoise, Sensor
 from torchfra.sensors.camera import Camera, facing
 from torchfra.sensors.composed import Biased, Stacked
+from torchfra.sensors.correlated import Correlated
 from torchfra.sensors.direction import Bearings, RangeBearing
 from torchfra.sensors.infrared import InfraredLaser
 from torchfra.sensors.position import Position
@@ -13,6 +14,7 @@ __all__ = [
     "Bearings",
     "Biased",
     "Camera",
+    "Correlated",
     "InfraredLaser",
     "MeasurementNoise",
     "Position",

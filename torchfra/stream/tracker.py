@@ -7,18 +7,21 @@ from functools import wraps
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import torch
+from torch import Tensor
 
 from torchfra.filters.base import Filter, in_full_precision
 from torchfra.filters.fixed_lag import go_back, remember
 from torchfra.filters.forecast import Forecast
+from torchfra.filters.protection import protection_level
 from torchfra.gaussian.arguments import check_belief
 from torchfra.sensors.base import Sensor
+from torchfra.stream.alarms import Known, measured, silent
 from torchfra.stream.arguments import check_counts, seconds
 from torchfra.stream.clock import Clock
 from torchfra.stream.intake import Intake
 from torchfra.stream.saved import restored, saved
 from torchfra.stream.window import At, Entry, Window
-from torchfra.types import Gaussian, Innovation
+from torchfra.types import Alarm, Gaussian, Innovation
 
 OUTCOMES = ("used", "late", "duplicate", "old", "jumped")
 P = ParamSpec("P")
@@ -48,6 +51,8 @@ class Report(NamedTuple):
     used, after the clock had been set back."""
     innovation: Innovation | None
     """Of the measurement; None for one that was left out."""
+    alarm: Alarm | None = None
+    """Whether its sensor is faulty: ``Tracker.alarms``; None of filters that do not say."""
 
 
 class Tracker:
@@ -102,7 +107,9 @@ class Tracker:
         self._intake = Intake(filter, sensors, origin, like.dtype if dtype is None else dtype, like.device)
         self.filter, self.lag, self.steps, self.old, self.jump = filter, float(lag), steps, old, jump
         with torch.no_grad():
-            self._window = Window(seconds("time", time), self._intake.start(prior))
+            state = self._intake.start(prior)
+            alarms = tuple(silent(x, state.belief.mean) for x in self._intake.sensors if filter.alarms)
+            self._window = Window(seconds("time", time), Known(state, alarms))
         self._counts = dict.fromkeys(OUTCOMES, 0)
         self._clock = Clock(jump)
 
@@ -114,7 +121,13 @@ class Tracker:
     @property
     def state(self) -> Any:
         """The filter's state now."""
-        return self._window.before(len(self._window.entries))[1]
+        return self._now.state
+
+    @property
+    def _now(self) -> Known:
+        """What is known by all that has come in."""
+        known: Known = self._window.before(len(self._window.entries))[1]
+        return known
 
     @property
     def belief(self) -> Gaussian:
@@ -129,6 +142,14 @@ class Tracker:
             return None
         time, _ = self._window.before(len(entries) - 1)
         return At(self._clock.outside(time), self._intake.outward(state.lagged))
+
+    @property
+    def alarms(self) -> dict[str, Alarm]:
+        """Of each sensor whether it is faulty, since when, and by how much; empty of filters that do not say.
+
+        It is as of the sensor's last measurement; ``lasted`` goes on to now.
+        """
+        return dict(zip(self._intake.names, self._now.alarms, strict=False))
 
     @property
     def counts(self) -> dict[str, int]:
@@ -166,13 +187,13 @@ class Tracker:
         entry = self._intake.entry(inside, z, sensor, u, std, noise)
         if inside <= newest:
             if window.holds(entry):
-                return self._report("duplicate", self.belief)
+                return self._report("duplicate", entry, self.belief)
             if inside < newest - self.lag or window.precedes(inside):
-                return self._old(time)
+                return self._old(time, entry)
         innovation, belief = self._put(entry)
         self._clock.tick(stamp, inside, newest, jumped)
         window.trim(window.newest - self.lag, self.steps)
-        return self._report("jumped" if jumped else "late" if inside < newest else "used", belief, innovation)
+        return self._report("jumped" if jumped else "late" if inside < newest else "used", entry, belief, innovation)
 
     @torch.no_grad()
     def predict(self, time: float, sensor: str | None = None, *, u: Any = None) -> Forecast:
@@ -192,10 +213,22 @@ class Tracker:
         if inside < self._window.time:
             since = self._clock.outside(self._window.time)
             raise ValueError(f"time: expected seconds since {since}, received {time}")
-        since, state = self._window.at(inside)
+        since, known = self._window.at(inside)
         u = intake.inputs(u)
-        forecast = self.filter.predict(state, inside - since, u=u, sensor=there)
+        forecast = self.filter.predict(known.state, inside - since, u=u, sensor=there)
         return forecast if intake.origin is None else intake.origin.forecast(there, forecast, u)
+
+    def protection_level(self, *, risk: float = 1e-3, fault: tuple[float, float] | None = None) -> Tensor:
+        """How far the position can be from the estimate now, ``(...)`` m: see ``filters.protection_level``.
+
+        Args:
+            risk: probability that it is farther.
+            fault: share of the time with a fault that nobody has noticed, and the standard deviation of its error, m.
+
+        Raises:
+            ValueError: a risk or a fault out of its range.
+        """
+        return protection_level(self.filter, self.state, risk=risk, fault=fault)
 
     @torch.no_grad()
     def smoothed(self) -> list[At]:
@@ -210,7 +243,7 @@ class Tracker:
         around = [self.filter.with_sensor(sensor) for sensor in self._intake.sensors]
         if any(f is not self.filter for f in around):
             self.filter.check_smooths_several()
-        time, state, moments = self._window.time, self._window.state, []
+        time, state, moments = self._window.time, self._window.state.state, []
         for entry in self._window.entries:
             f = around[entry.sensor]
             state, _, moment = remember(f, state, entry.after(time))
@@ -239,28 +272,31 @@ class Tracker:
         again = restored(values, self._window, self.jump, self._intake.kind())
         self._window, self._clock, self._counts = again
 
-    def _old(self, time: Any) -> Report:
+    def _old(self, time: Any, entry: Entry) -> Report:
         """Refuses a measurement that comes too late, or counts it."""
         if self.old == "refuse":
             first = max(self._window.newest - self.lag, self._window.time)
             bound = "after" if self._window.precedes(first) else "since"
             raise ValueError(f"time: expected seconds {bound} {self._clock.outside(first)}, received {time}")
-        return self._report("old", self.belief)
+        return self._report("old", entry, self.belief)
 
     def _put(self, entry: Entry) -> tuple[Innovation, Gaussian]:
         """Inserts an entry at its place, filters it and all after it; gives its innovation and the new estimate."""
         window = self._window
         place = window.place(entry)
-        (time, state), done, said = window.before(place), [], []
+        (time, known), done, said = window.before(place), [], []
         for each in (entry, *window.entries[place:]):
-            f = self.filter.with_sensor(self._intake.sensor(each))
-            state, told = f.engine.step(f, state, each.after(time), True)
-            done.append(each.with_state(state))
+            f, measurements = self.filter.with_sensor(self._intake.sensor(each)), each.after(time)
+            state, told = f.engine.step(f, known.state, measurements, True)
+            alarms = measured(known.alarms, each.sensor, told[0].alarm, measurements.z, each.time - time)
+            known = Known(state, alarms)
+            done.append(each.with_state(known))
             said.append(told)
             time = each.time
         window.entries[place:] = done
         return said[0][0], self._intake.told(said[-1][1])
 
-    def _report(self, outcome: str, belief: Gaussian, innovation: Innovation | None = None) -> Report:
+    def _report(self, outcome: str, entry: Entry, belief: Gaussian, innovation: Innovation | None = None) -> Report:
         self._counts[outcome] += 1
-        return Report(self.time, belief, outcome, innovation)
+        alarm = self.alarms.get(self._intake.names[entry.sensor])
+        return Report(self.time, belief, outcome, innovation, alarm)

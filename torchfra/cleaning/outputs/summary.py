@@ -27,8 +27,7 @@ _NOUNS = {"climbing": "climb", "descending": "descent", "speeding up": "accelera
 def summary(cleaned: Cleaned) -> dict[str, Any]:
     """Counts, distances in m and what was found of a track."""
     measured, rejected = cleaned.row >= 0, cleaned.flag == "outlier"
-    off, found, name = cleaned.raw - cleaned.position, cleaned.found, cleaned.recording.name
-    off = np.linalg.norm(np.column_stack([off[:, :2], np.nan_to_num(off[:, 2:])]), axis=1)  # altitudes may be missing
+    off, found, name = cleaned.off, cleaned.found, cleaned.recording.name
     counts = {flag or "usual": int((cleaned.flag[measured] == flag).sum()) for flag in FLAGS}
     of = course(cleaned)
     return {

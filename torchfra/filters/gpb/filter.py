@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 
 from torchfra import tree
+from torchfra.filters.alarms import lasting
 from torchfra.filters.base import Filter, Mix
 from torchfra.filters.gpb import smoothing
 from torchfra.filters.gpb.hypotheses import (
@@ -41,7 +42,7 @@ from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
-from torchfra.types import Gaussian, Whitened
+from torchfra.types import Alarm, Gaussian, Innovation, Whitened
 
 
 class Mixing(NamedTuple):
@@ -104,7 +105,7 @@ class GPB(Filter[GPBState]):
     Kirubarajan (2001), section 11.6, for GPB2 and IMM; Daeipour & Bar-Shalom (1995) for modes of the noise.
     """
 
-    keeps_past = True
+    keeps_past = alarms = True
 
     def __init__(
         self,
@@ -152,7 +153,7 @@ class GPB(Filter[GPBState]):
         )
         outlier = mean.new_zeros(*mean.shape[:-1], len(self.outliers.blocks))
         forgotten = None if self.outliers.outlier_durations is None else torch.ones_like(mean[..., 0])
-        return GPBState(belief, belief, *to_state(every, (OUTLIER, MOTION)), outlier, forgotten)
+        return GPBState(belief, belief, *to_state(every, (OUTLIER, MOTION)), outlier, outlier, forgotten)
 
     def advance(self, state: GPBState, frame: Frame, mix: Mix | None = None) -> tuple[GPBState, Record]:
         """One step; ``mix`` is not looked at, as this filter mixes itself."""
@@ -176,11 +177,13 @@ class GPB(Filter[GPBState]):
         of_regimes = batch_first(found.probability.sum((OUTLIER, BEFORE), keepdim=True), MOTION)
         carried = *to_state(Hypotheses(after.belief, found.log_regimes), (OUTLIER, MOTION)), if_any
         expected = self.compare(self.expected(predicted), frame)
-        info = Step(tree.Late(lagged), of_regimes, any_outlier * if_any)
         forgotten = None if forgotten is None else torch.where(measured, 0.0, forgotten)
+        now = GPBState(belief, lagged, *carried, state.lasted, forgotten)
+        alarm = self.alarm(state, now, frame)
+        info = Step(tree.Late(lagged), of_regimes, any_outlier * if_any, alarm)
         past = GPBPast(*carried, batch_first(nis, BEFORE), measured.to(nis).expand(nis.shape[3:]), forgotten)
         record = Record(belief, expected.residual, *innovation(expected), info, found.log_likelihood, past=past)
-        return GPBState(belief, lagged, *carried, forgotten), record
+        return now._replace(lasted=alarm.lasted), record
 
     def mix(self, before: Gaussian, moves: Moves) -> tuple[Gaussian, Mixing]:
         """What each motion starts from, ``(1, K, 2, ...)``: its own belief, or what is known where others end."""
@@ -225,9 +228,33 @@ class GPB(Filter[GPBState]):
         """The one-step smoothed estimate of each step comes with the next."""
         time = info.regimes.dim() - 2
         lagged = tree.one_earlier(info.lagged, state.belief, time, info.regimes.shape[time])
-        return lagged if self.lag else belief, GPBInfo(belief, lagged, info.regimes, info.outlier)
+        return lagged if self.lag else belief, GPBInfo(belief, lagged, info.regimes, info.outlier, info.alarm)
+
+    # ------------------------------------------------------------ whether the sensor is faulty
+
+    def faulty(self, state: GPBState) -> Tensor:
+        """Probability ``(..., B)`` of each block of the sensor's elements that what it measures is wrong now."""
+        any_outlier = state.log_weights[..., 1, :].exp().sum(-1, keepdim=True)
+        return self.outliers.now(any_outlier * state.outlier, state.forgotten)
+
+    def alarm(self, before: GPBState, now: GPBState, frame: Frame) -> Alarm:
+        """Which blocks are wrong after a step, since when, and by how much."""
+        was, wrong = self.faulty(before), self.faulty(now)
+        seen = self.sensor.at_points(now.belief.mean[None, ..., : self.sensor.reads], frame.u)[0]
+        offset = torch.where(frame.measured > 0, self.sensor.difference(frame.z, seen), 0.0)
+        return Alarm(wrong, lasting(before.lasted, was, wrong, frame.dt), offset)
+
+    def innovation_of(self, record: Record, frame: Frame) -> Innovation:
+        """What the measurement of a step said, in its own units."""
+        return super().innovation_of(record, frame)._replace(alarm=record.info.alarm)
 
     # ------------------------------------------------------------ what is expected later
+
+    def hypotheses(self, known: GPBState | GPBPast) -> tuple[Gaussian, Tensor]:
+        """With and without outliers, each motion ``(..., 2 K, n)``, and logs of their weights."""
+        log_weights = self.regimes.log_by_motion(known.log_weights, -1)
+        mean, root = known.hypotheses
+        return Gaussian(mean.flatten(-3, -2), root.flatten(-4, -3)), log_weights.flatten(-2)
 
     def predict_hypotheses(self, state: GPBState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(2 R, ..., n)`` of the state after a step, and logs of their weights."""
@@ -279,7 +306,8 @@ class GPB(Filter[GPBState]):
     def remembering(self, state: GPBState, before: GPBState) -> GPBState:
         """A state without outliers before it: another sensor, of one ``before``, had the last measurement."""
         forgotten = None if state.forgotten is None else torch.ones_like(state.forgotten)
-        return state._replace(outlier=torch.zeros_like(before.outlier), forgotten=forgotten)
+        none = torch.zeros_like(before.outlier)
+        return state._replace(outlier=none, lasted=none, forgotten=forgotten)
 
     # ------------------------------------------------------------ smoothing
 

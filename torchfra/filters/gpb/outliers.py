@@ -131,6 +131,20 @@ class Outliers(nn.Module):
         later: Tensor = before - (1 - before) * torch.expm1(-dt * rate)
         return later
 
+    def now(self, outlier: Tensor, forgotten: Tensor | None) -> Tensor:
+        """Probability ``(..., B)`` of each block that it is wrong now, from that at the last measurement.
+
+        Without durations the chain counts measurements, and what was wrong stays so until the next.
+
+        Args:
+            outlier: ``(..., B)`` at the last measurement.
+            forgotten: ``(...)`` from ``forgotten``, None without durations.
+        """
+        if forgotten is None:
+            return outlier
+        begins, lasts = self._chances(outlier, forgotten)
+        return begins + outlier * (lasts - begins)
+
     def ahead(self, outlier: Tensor, forgotten: Tensor | None, measured: Tensor) -> tuple[Tensor, Tensor]:
         """What the outliers of a step say of those of the next; where nothing is measured in that, they stay.
 
@@ -143,19 +157,22 @@ class Outliers(nn.Module):
             Logs ``(2, 1, 2, ...)`` of the probability that the next step has no outlier or some, after one without and
             with some, and ``(1, 1, 2, ..., B)`` of each block that it is one if any is.
         """
-        if forgotten is None:
-            chain = self.outlier_transition(outlier)  # type: ignore[misc]
-            begins, lasts = chain[..., 0, 1], chain[..., 1, 1]
-        else:
-            without, wrong = self.outlier_durations(outlier).unbind(-1)  # type: ignore[misc]
-            begins, lasts = forgotten * wrong / (without + wrong), 1 - forgotten * without / (without + wrong)
-        begins, lasts = begins.unsqueeze(-1), lasts.unsqueeze(-1)
+        begins, lasts = self._chances(outlier, forgotten)
         now = torch.stack([begins.expand_as(outlier), begins + outlier * (lasts - begins)])[None, None]
         none = safe_log1p(-now).sum(-1)
         some = -torch.expm1(none)
         share = torch.ones_like(now) if len(self.blocks) == 1 else safe_divide(now, some.unsqueeze(-1))
         same = torch.eye(2, dtype=now.dtype, device=now.device).log().reshape(2, 1, 2, *[1] * measured.dim())
         return torch.where(measured, torch.cat([none, safe_log(some)]), same), share
+
+    def _chances(self, like: Tensor, forgotten: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Probabilities ``(..., 1)`` of an outlier after none, and after one."""
+        if forgotten is None:
+            chain = self.outlier_transition(like)  # type: ignore[misc]
+            return chain[..., 0, 1].unsqueeze(-1), chain[..., 1, 1].unsqueeze(-1)
+        without, wrong = self.outlier_durations(like).unbind(-1)  # type: ignore[misc]
+        begins, lasts = forgotten * wrong / (without + wrong), 1 - forgotten * without / (without + wrong)
+        return begins.unsqueeze(-1), lasts.unsqueeze(-1)
 
     def update(
         self,

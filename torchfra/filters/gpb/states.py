@@ -7,7 +7,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 from torchfra.tree import Late
-from torchfra.types import Gaussian
+from torchfra.types import Alarm, Gaussian
 
 
 class GPBState(NamedTuple):
@@ -27,6 +27,8 @@ class GPBState(NamedTuple):
     """``(..., 2, R)`` logs of the probabilities of that, and of the regimes."""
     outlier: Tensor
     """``(..., B)`` probability of each block that it was an outlier, if any was."""
+    lasted: Tensor
+    """``(..., B)`` seconds, as in ``Alarm``."""
     forgotten: Tensor | None = None
     """``(...)`` how far the last measurement says nothing of outliers any more, where they have durations: from 0 at a
     measurement to 1, as before the first."""
@@ -44,6 +46,8 @@ class GPBInfo(NamedTuple):
     outlier: Tensor
     """``(..., T, B)`` of each block that it is an outlier; 0 where nothing is measured in a step.  Of a block that is
     missing among others it is what its Markov chain says."""
+    alarm: Alarm
+    """Whether the sensor is faulty now, since when, and by how much."""
 
 
 class Step(NamedTuple):
@@ -52,6 +56,7 @@ class Step(NamedTuple):
     lagged: Late
     regimes: Tensor
     outlier: Tensor
+    alarm: Alarm
 
 
 class GPBPast(NamedTuple):

@@ -114,6 +114,7 @@ def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
         moment_match(states.hypotheses, shares, angles),
         log_sum(joint, 0),
         averaged(states.outlier, some),
+        averaged(states.lasted, log_weights),
         None if states.forgotten is None else averaged(states.forgotten.unsqueeze(-1), log_weights).squeeze(-1),
     )
 
