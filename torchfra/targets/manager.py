@@ -228,10 +228,9 @@ class Targets(nn.Module):
         everyone = rows(after, stays)
         if len(newborn.scene):
             everyone = joined(everyone, self.filter.init(newborn.belief))
-        confirmed, given_up = self.confirmation(track)
-        track = track._replace(confirmed=track.confirmed | confirmed)
-        here = track.confirmed | ~given_up
-        return TargetsState(rows(everyone, here), rows(track, here), unassociated, next_identity, mapped)
+        confirmed, deleted = self.confirmation(track)
+        everyone, track = rows((everyone, track._replace(confirmed=confirmed)), ~deleted)
+        return TargetsState(everyone, track, unassociated, next_identity, mapped)
 
     def _not_missed(
         self, state: TargetsState, track: Track, after: Any, view: FieldOfView, scan: SceneScan

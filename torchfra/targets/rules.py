@@ -20,7 +20,7 @@ class Confirmation(nn.Module):
     """Whether it looks at the score."""
 
     def forward(self, track: Track) -> tuple[Tensor, Tensor]:
-        """Which tentative targets ``(N,)`` are confirmed, and which are deleted."""
+        """Which targets ``(N,)`` are confirmed, those that were among them, and which are deleted."""
         raise TypeError(f"{type(self).__name__} must define forward")
 
 
@@ -47,7 +47,7 @@ class MOfN(Confirmation):
         """By the number of scans in which each was measured, and missed, among the last N."""
         measured = track.hits[:, : self.window].sum(-1)
         missed = track.age.clamp_max(self.window) - measured
-        return measured >= self.m, missed > self.window - self.m
+        return track.confirmed | (measured >= self.m), ~track.confirmed & (missed > self.window - self.m)
 
     def extra_repr(self) -> str:
         """M of N."""
@@ -85,7 +85,7 @@ class SPRT(Confirmation):
 
     def forward(self, track: Track) -> tuple[Tensor, Tensor]:
         """By the bounds that the score has passed."""
-        return track.score >= self.upper, track.score <= self.lower
+        return track.confirmed | (track.score >= self.upper), ~track.confirmed & (track.score <= self.lower)
 
     def extra_repr(self) -> str:
         """Both bounds of the score."""
