@@ -11,7 +11,7 @@ from torchfra import presets
 from torchfra.association import ChiSquare, Clutter
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
-from torchfra.targets import SPRT, ClutterMap, Deletion, FieldOfView, MOfN, OnePoint, Targets, TwoPoint
+from torchfra.targets import SPRT, ClutterMap, Deletion, Existence, FieldOfView, MOfN, OnePoint, Targets, TwoPoint
 
 STD, Q, DT, PD, PG, WIDTH, RATE = 2.0, 0.25, 2.0, 0.8, 0.99, 150.0, 1.5
 BIRTHS = {"one point": (OnePoint(4.0), {"velocity": 4.0}), "two points": (TwoPoint(12.0), {"speed": 12.0})}
@@ -19,6 +19,10 @@ CONFIRMATIONS = {
     "3 of 5": (MOfN(3, 5), {"m": 3, "n": 5}),
     "2 of 2": (MOfN(2, 2), {"m": 2, "n": 2}),
     "score": (SPRT(1e-3, 0.02), {"false": 1e-3, "missed": 0.02}),
+    "existence": (
+        Existence(60.0, 0.2, confirmed=0.98, deleted=0.02),
+        {"lifetime": 60.0, "birth": 0.2, "confirmed": 0.98, "deleted": 0.02},
+    ),
 }
 DELETIONS = {"misses": (Deletion(3), {"misses": 3}), "drop": (Deletion(4, drop=0.01), {"misses": 4, "drop": 0.01})}
 

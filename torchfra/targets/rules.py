@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
+from torchfra.filters.scans.hypotheses import Presence
 from torchfra.numbers import as_number, is_integer
 from torchfra.targets.state import Track
 
@@ -18,6 +19,24 @@ class Confirmation(nn.Module):
     """How many scans back it looks."""
     scored = False
     """Whether it looks at the score."""
+    deletes = False
+    """Whether it deletes confirmed targets too."""
+
+    def first(self, free: Tensor) -> Tensor:
+        """Score of targets that begin.
+
+        Args:
+            free: ``(K,)`` probability that none of its measurements is of a target that exists already.
+        """
+        return torch.zeros_like(free)
+
+    def predicted(self, score: Tensor, dt: Tensor) -> Tensor:
+        """Scores ``(N,)`` after ``dt (N,)`` seconds, before the scan."""
+        return score
+
+    def presence(self, score: Tensor) -> Presence | None:
+        """How probably targets of these scores ``(N,)`` exist; None if all claim measurements as if they did."""
+        return None
 
     def forward(self, track: Track) -> tuple[Tensor, Tensor]:
         """Which targets ``(N,)`` are confirmed, those that were among them, and which are deleted."""
@@ -90,6 +109,63 @@ class SPRT(Confirmation):
     def extra_repr(self) -> str:
         """Both bounds of the score."""
         return f"lower={self.lower:.4g}, upper={self.upper:.4g}"
+
+
+class Existence(Confirmation):
+    """The probability that each target exists: tentative targets begin with one, scans change it, lives end.
+
+    A target claims measurements only as probably as it exists, so that tentative ones in dense clutter take little from
+    those that exist.  A new one exists with the probability ``birth``, times that its measurements are of no target
+    that is there already.  ``Track.score`` is the log of the probability over its complement.
+
+    Args:
+        lifetime: mean of the time that a target exists, s; it is exponential.
+        birth: probability that a new tentative target exists.
+        confirmed: probability of existence at which a target is confirmed.
+        deleted: probability of existence at which a target is deleted, confirmed or not.
+
+    Raises:
+        ValueError: a lifetime that is not finite and above 0, or not ``0 < deleted < birth < confirmed < 1``.
+
+    Source: Musicki & Evans (2004), "Joint Integrated Probabilistic Data Association: JIPDA".  Differs: the weight of
+    births, which there have one probability.
+    """
+
+    scored = deletes = True
+
+    def __init__(
+        self, lifetime: float = 300.0, birth: float = 0.1, *, confirmed: float = 0.999, deleted: float = 1e-3
+    ) -> None:
+        super().__init__()
+        if not 0 < as_number(lifetime) < math.inf:
+            raise ValueError(f"lifetime: expected finite seconds above 0, received {lifetime}")
+        if not 0 < as_number(deleted) < as_number(birth) < as_number(confirmed) < 1:
+            raise ValueError("deleted, birth, confirmed: expected probabilities above 0 and below 1 in that order, "
+                             f"received {deleted}, {birth}, {confirmed}")  # fmt: skip
+        self.lifetime, self.birth = float(lifetime), float(birth)
+        self.upper, self.lower = (math.log(x / (1 - x)) for x in (confirmed, deleted))
+
+    def first(self, free: Tensor) -> Tensor:
+        """By the probability of a birth, from measurements that are ``free (K,)``."""
+        return torch.logit(self.birth * free)
+
+    def predicted(self, score: Tensor, dt: Tensor) -> Tensor:
+        """Some have ended since."""
+        past = dt / self.lifetime
+        return -past - torch.logaddexp(-score, torch.log(-torch.expm1(-past)))
+
+    def presence(self, score: Tensor) -> Presence:
+        """As probably as they exist."""
+        return Presence(score.sigmoid())
+
+    def forward(self, track: Track) -> tuple[Tensor, Tensor]:
+        """By the bounds that the score has passed; who is confirmed stays so until it is deleted."""
+        return track.confirmed | (track.score >= self.upper), track.score <= self.lower
+
+    def extra_repr(self) -> str:
+        """What is assumed of lives, and both bounds of the score."""
+        bounds = f"lower={self.lower:.4g}, upper={self.upper:.4g}"
+        return f"lifetime={self.lifetime:g}, birth={self.birth:g}, {bounds}"
 
 
 class Deletion(nn.Module):

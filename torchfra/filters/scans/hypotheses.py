@@ -9,7 +9,9 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
+from torchfra.association.clusters import Association
 from torchfra.association.gates import Candidates
+from torchfra.association.joint import associate
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.model import add_counts
 from torchfra.gaussian.update import repaired_root
@@ -35,6 +37,30 @@ class JPDAState(NamedTuple):
         """``(..., N)``."""
         belief: Gaussian = self.inner.belief
         return belief
+
+
+class Presence(NamedTuple):
+    """That targets may not exist: association in which each claims measurements as probably as it is there.
+
+    Source: Musicki & Evans (2004), "Joint Integrated Probabilistic Data Association: JIPDA".
+    """
+
+    exists: Tensor
+    """``(..., N)`` probability that each target exists, before the scan."""
+
+    def associate(self, log_ratio: Tensor, log_miss: Tensor, **options: Any) -> Association:
+        """Whose measurements they are, of each target given that it exists itself.
+
+        Args:
+            log_ratio: ``(..., N, J)`` of targets that exist, as of ``torchfra.association.associate``.
+            log_miss: a number or ``(..., N)``, of targets that exist.
+            options: of ``associate``.
+        """
+        none = torch.log1p(self.exists * torch.expm1(log_miss))  # there, and missed, or not there
+        association = associate(log_ratio + self.exists.log().unsqueeze(-1), none, **options)
+        missed = association.log_weights[..., 0] + self.exists.log() + log_miss - none
+        both = torch.cat([missed.unsqueeze(-1), association.log_weights[..., 1:]], -1)
+        return association._replace(log_weights=both - both.logsumexp(-1, keepdim=True))
 
 
 class JPDAInfo(NamedTuple):
