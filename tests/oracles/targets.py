@@ -90,7 +90,8 @@ def manage(
         if "lifetime" in confirm:
             claimed = beta / (1 + np.exp([-t.score for t in targets]))
         targets = [t for t in targets if not ends(t, misses, drop)]
-        free = [(z[j], R, 0.0, 1 - claimed[j].sum()) for j in range(len(z)) if claimed[j].sum() < 0.5]
+        unclaimed = 1 - claimed.sum(1)
+        free = [(z[j], R, 0.0, unclaimed[j] * math.exp(-excess[j])) for j in range(len(z)) if unclaimed[j] > 0.5]
         waiting = {s: [(x, S, since + dt, w) for x, S, since, w in old] for s, old in waiting.items()}
         begun, waiting[sensor] = begin(birth, free, waiting[sensor])
         for mean, P, hits, weight in begun:
@@ -144,13 +145,13 @@ def stays(target: Target, how: dict[str, Any]) -> bool:
     return target.confirmed or possible
 
 
-Free = tuple[Array, Array, float, float]  # a position, its covariance, seconds since, and P(of no existing target)
+Free = tuple[Array, Array, float, float]  # a position, its covariance, seconds since, and P(nothing else explains it)
 
 
 def begin(
     how: dict[str, float], free: list[Free], before: list[Free]
 ) -> tuple[list[tuple[Array, Array, int, float]], list[Free]]:
-    """Births (mean, P, measurements, P(of no existing target)), and the measurements left for the next scan's."""
+    """Births (mean, P, measurements, P(nothing else explains them)), and the measurements left for the next scan's."""
     none = np.zeros((2, 2))
     if "velocity" in how:
         spread = how["velocity"] ** 2 * np.eye(2)

@@ -216,7 +216,7 @@ class Targets(nn.Module):
         state, presence = state._replace(track=state.track._replace(score=score)), self.confirmation.presence(score)
         after, log_missed, density, association, groups = filter_scan(filter, state.filter, scene, scan, presence)
         gained = log_miss(filter.detection, filter.gate, log_missed) - log_missed
-        located, mapped = _located(filter, scan), None
+        located, excess, mapped = _located(filter, scan), scan.z.new_zeros(scan.z.shape[:2]), None
         if self.clutter_map is not None:
             excess, mapped = self._mapped(state, scan, filter, number, located, association)
             gained = gained - (association * excess[scene]).sum(-1)
@@ -226,8 +226,8 @@ class Targets(nn.Module):
         stays = ~self._deleted(after.belief, track, groups)
         presence = self.confirmation.presence(track.score)
         claims = association if presence is None else association * presence.exists.unsqueeze(-1)
-        free = 1 - scan.z.new_zeros(scan.z.shape[:2]).index_add(0, scene, claims)
-        newborn, unassociated = self._births(state.unassociated, free, scan, located, number)
+        free = 1 - torch.zeros_like(excess).index_add(0, scene, claims)
+        newborn, unassociated = self._births(state.unassociated, free, excess, scan, located, number)
         begun, next_identity = _begun(newborn, self.confirmation, state.next_identity)
         track = joined(rows(track, stays), begun)
         everyone = rows(after, stays)
@@ -272,12 +272,13 @@ class Targets(nn.Module):
         return deleted if self.merging is None else deleted | self.merging(motion, belief, track, groups)
 
     def _births(
-        self, before: Unassociated, free: Tensor, scan: SceneScan, located: Located, sensor: int
+        self, before: Unassociated, free: Tensor, excess: Tensor, scan: SceneScan, located: Located, sensor: int
     ) -> tuple[Newborn, Unassociated]:
         """The newborn targets, and the unassociated measurements that the sensor's next scan may use."""
-        free = free[located.scene, located.number]
-        position, scene, free = rows((located.position, located.scene, free), free > self.free)
-        now = Unassociated(position, scene, scan.dt.new_zeros(len(scene)), free, torch.full_like(scene, sensor))
+        free, excess = (x[located.scene, located.number] for x in (free, excess))
+        new = free * torch.exp(-excess)
+        position, scene, new = rows((located.position, located.scene, new), free > self.free)
+        now = Unassociated(position, scene, scan.dt.new_zeros(len(scene)), new, torch.full_like(scene, sensor))
         before = before._replace(since=before.since + scan.dt[before.scene])
         own = before.sensor == sensor
         newborn, left = self.birth(self.filter.motion, now, rows(before, own))
@@ -362,7 +363,7 @@ def _begun(newborn: Newborn, confirmation: Confirmation, next_identity: Tensor) 
     count = torch.bincount(scene, minlength=len(next_identity))
     place = torch.arange(len(scene), device=scene.device) - (count.cumsum(0) - count)[scene]
     identity = (next_identity[scene] + place)[order.argsort()]
-    zero, score = torch.zeros_like(identity), confirmation.first(newborn.free)
+    zero, score = torch.zeros_like(identity), confirmation.first(newborn.new)
     hits = (torch.arange(confirmation.window, device=scene.device) < newborn.hits).expand(len(identity), -1)
     begun = Track(
         identity, newborn.scene, zero.bool(), hits, zero + newborn.hits, zero, score, score, torch.zeros_like(score)

@@ -22,13 +22,9 @@ class Confirmation(nn.Module):
     deletes = False
     """Whether it deletes confirmed targets too."""
 
-    def first(self, free: Tensor) -> Tensor:
-        """Score of targets that begin.
-
-        Args:
-            free: ``(K,)`` probability that none of its measurements is of a target that exists already.
-        """
-        return torch.zeros_like(free)
+    def first(self, new: Tensor) -> Tensor:
+        """Score ``(K,)`` of targets that begin, whose measurements nothing else explains with probability ``new``."""
+        return torch.zeros_like(new)
 
     def predicted(self, score: Tensor, dt: Tensor) -> Tensor:
         """Scores ``(N,)`` after ``dt (N,)`` seconds, before the scan."""
@@ -134,7 +130,7 @@ class Existence(Confirmation):
     scored = deletes = True
 
     def __init__(
-        self, lifetime: float = 300.0, birth: float = 0.1, *, confirmed: float = 0.999, deleted: float = 1e-3
+        self, lifetime: float = 300.0, birth: float = 0.1, *, confirmed: float = 0.99, deleted: float = 1e-3
     ) -> None:
         super().__init__()
         if not 0 < as_number(lifetime) < math.inf:
@@ -145,9 +141,9 @@ class Existence(Confirmation):
         self.lifetime, self.birth = float(lifetime), float(birth)
         self.upper, self.lower = (math.log(x / (1 - x)) for x in (confirmed, deleted))
 
-    def first(self, free: Tensor) -> Tensor:
-        """By the probability of a birth, from measurements that are ``free (K,)``."""
-        return torch.logit(self.birth * free)
+    def first(self, new: Tensor) -> Tensor:
+        """By the probability of a birth where nothing else explains the measurements."""
+        return torch.logit(self.birth * new)
 
     def predicted(self, score: Tensor, dt: Tensor) -> Tensor:
         """Some have ended since."""

@@ -44,8 +44,8 @@ class Unassociated(NamedTuple):
     """``(K,)``."""
     since: Tensor
     """``(K,)`` seconds since the measurement."""
-    free: Tensor
-    """``(K,)`` probability that the measurement is of no existing target."""
+    new: Tensor
+    """``(K,)`` probability that neither a target that is there nor the map of clutter explains the measurement."""
     sensor: Tensor
     """``(K,)`` number of the sensor that measured; 0 for the filter's own."""
 
