@@ -10,7 +10,7 @@ from oracles.events import joint_existence
 
 from torchfra import tree
 from torchfra.association import ChiSquare, Clutter, associate
-from torchfra.filters.scans.hypotheses import Presence
+from torchfra.filters.scans.hypotheses import associate_uncertain
 from torchfra.targets import SPRT, Deletion, Existence, FieldOfView, Merging, OnePoint, Targets, TwoPoint, collect
 
 FALSE, WIDTH, COUNT = 12, 200.0, 3
@@ -72,7 +72,7 @@ def test_association_is_the_sum_over_who_exists_and_who_is_measured():
         with np.errstate(divide="ignore"):
             ratio = torch.from_numpy(np.log(0.8 * L.T / density))
         miss = torch.tensor(math.log(1 - 0.8 * 0.9), dtype=torch.float64)
-        found = Presence(torch.from_numpy(exists)).associate(ratio, miss)
+        found = associate_uncertain(torch.from_numpy(exists), ratio, miss)
         np.testing.assert_allclose(found.probabilities.mT, beta / (1 - absent), rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(found.log_weights[:, 0].exp(), missed / (1 - absent), rtol=1e-9)
         odds = torch.from_numpy(exists).logit() + miss - found.log_weights[:, 0]
@@ -82,7 +82,7 @@ def test_association_is_the_sum_over_who_exists_and_who_is_measured():
 def test_targets_that_surely_exist_are_associated_as_ever():
     rng = torch.Generator().manual_seed(0)
     ratio, miss = torch.randn(5, 3, 4, generator=rng).double(), torch.tensor(-1.5).double()
-    sure, plain = Presence(torch.ones(5, 3).double()).associate(ratio, miss), associate(ratio, miss)
+    sure, plain = associate_uncertain(torch.ones(5, 3).double(), ratio, miss), associate(ratio, miss)
     for one, other in zip(sure, plain, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-9)
 

@@ -213,8 +213,8 @@ class Targets(nn.Module):
         """The next state, of a scan by the sensor of this filter and name."""
         scene, number = state.track.scene, 0 if sensor is None else 1 + list(self.sensors).index(sensor)
         score = self.confirmation.predicted(state.track.score, scan.dt[scene])
-        state, presence = state._replace(track=state.track._replace(score=score)), self.confirmation.presence(score)
-        after, log_missed, density, association, groups = filter_scan(filter, state.filter, scene, scan, presence)
+        state, exists = state._replace(track=state.track._replace(score=score)), self.confirmation.exists(score)
+        after, log_missed, density, association, groups = filter_scan(filter, state.filter, scene, scan, exists)
         gained = log_miss(filter.detection, filter.gate, log_missed) - log_missed
         located, excess, mapped = _located(filter, scan), scan.z.new_zeros(scan.z.shape[:2]), None
         if self.clutter_map is not None:
@@ -224,8 +224,8 @@ class Targets(nn.Module):
         if sensor in self.views:
             track, after = self._not_missed(state, track, after, self.views[sensor], scan)
         stays = ~self._deleted(after.belief, track, groups)
-        presence = self.confirmation.presence(track.score)
-        claims = association if presence is None else association * presence.exists.unsqueeze(-1)
+        exists = self.confirmation.exists(track.score)
+        claims = association if exists is None else association * exists.unsqueeze(-1)
         free = 1 - torch.zeros_like(excess).index_add(0, scene, claims)
         newborn, unassociated = self._births(state.unassociated, free, excess, scan, located, number)
         begun, next_identity = _begun(newborn, self.confirmation, state.next_identity)

@@ -7,7 +7,6 @@ import math
 import torch
 from torch import Tensor, nn
 
-from torchfra.filters.scans.hypotheses import Presence
 from torchfra.numbers import as_number, is_integer
 from torchfra.targets.state import Track
 
@@ -30,8 +29,8 @@ class Confirmation(nn.Module):
         """Scores ``(N,)`` after ``dt (N,)`` seconds, before the scan."""
         return score
 
-    def presence(self, score: Tensor) -> Presence | None:
-        """How probably targets of these scores ``(N,)`` exist; None if all claim measurements as if they did."""
+    def exists(self, score: Tensor) -> Tensor | None:
+        """Probability that targets of these scores ``(N,)`` exist; None if all claim measurements as if they did."""
         return None
 
     def forward(self, track: Track) -> tuple[Tensor, Tensor]:
@@ -75,7 +74,7 @@ class SPRT(Confirmation):
     The score of a scan is ``log(1 - P_D P_G) - log P(missed | scan)``: the density of the scan with the target over
     that without it, given that the others exist, where the number of false measurements is Poisson.  Tentative targets
     are associated as if they certainly existed: where many begin, a true target is deleted more often than ``missed``
-    says.
+    says.  ``Existence`` is for that.
 
     Args:
         false: probability that a track of false measurements is confirmed.
@@ -111,20 +110,23 @@ class Existence(Confirmation):
     """The probability that each target exists: tentative targets begin with one, scans change it, lives end.
 
     A target claims measurements only as probably as it exists, so that tentative ones in dense clutter take little from
-    those that exist.  A new one exists with the probability ``birth``, times that its measurements are of no target
-    that is there already.  ``Track.score`` is the log of the probability over its complement.
+    those that exist.  A new one exists with the probability ``birth``, times that nothing else explains its
+    measurements: no target that is there already, nor the map of clutter.  ``Track.score`` is the log of the
+    probability over its complement.
 
     Args:
-        lifetime: mean of the time that a target exists, s; it is exponential.
+        lifetime: mean of the time that a target exists, s; it is exponential, so that before a scan ``dt`` after the
+            last no target exists with more than ``1 - dt / lifetime``.
         birth: probability that a new tentative target exists.
-        confirmed: probability of existence at which a target is confirmed.
+        confirmed: probability of existence at which a target is confirmed; far above ``1 - dt / lifetime`` it is hardly
+            ever reached.
         deleted: probability of existence at which a target is deleted, confirmed or not.
 
     Raises:
         ValueError: a lifetime that is not finite and above 0, or not ``0 < deleted < birth < confirmed < 1``.
 
-    Source: Musicki & Evans (2004), "Joint Integrated Probabilistic Data Association: JIPDA".  Differs: the weight of
-    births, which there have one probability.
+    Source: Musicki & Evans (2004), "Joint Integrated Probabilistic Data Association: JIPDA".  Differs: births
+    are less probable where something else explains their measurements.
     """
 
     scored = deletes = True
@@ -150,9 +152,9 @@ class Existence(Confirmation):
         past = dt / self.lifetime
         return -past - torch.logaddexp(-score, torch.log(-torch.expm1(-past)))
 
-    def presence(self, score: Tensor) -> Presence:
-        """As probably as they exist."""
-        return Presence(score.sigmoid())
+    def exists(self, score: Tensor) -> Tensor:
+        """That of which the score is the log odds."""
+        return score.sigmoid()
 
     def forward(self, track: Track) -> tuple[Tensor, Tensor]:
         """By the bounds that the score has passed; who is confirmed stays so until it is deleted."""

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.scans.hypotheses import Presence
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.managed import Uncertain, among, among_uncertain, outlook, stepped
 from torchfra.gaussian.inputs import Measurements
@@ -34,7 +33,7 @@ class SceneScan(NamedTuple):
 
 
 def filter_scan(
-    filter: JPDA, state: Any, scene: Tensor, scan: SceneScan, presence: Presence | None = None
+    filter: JPDA, state: Any, scene: Tensor, scan: SceneScan, exists: Tensor | None = None
 ) -> tuple[Any, Tensor, Tensor, Tensor, list[Group]]:
     """One step of all targets.
 
@@ -43,7 +42,7 @@ def filter_scan(
         state: its state, rows of ``(N, ...)``.
         scene: ``(N,)`` of each target.
         scan: the scan.
-        presence: how probably each target exists, before the scan; None if they do.
+        exists: ``(N,)`` probability of each target, before the scan; None if all do.
 
     Returns:
         The next state; the log probability ``(N,)`` that each target was missed; each one's share ``(N,)`` of the log
@@ -58,7 +57,7 @@ def filter_scan(
     with torch.no_grad():
         groups = clusters(_reach(filter, state, scene, scan), scene)
     tables = _tables(scan)
-    function, everyone = (among, state) if presence is None else (among_uncertain, Uncertain(state, presence))
+    function, everyone = (among, state) if exists is None else (among_uncertain, Uncertain(state, exists))
     parts, missed, density = [], [], []
     for targets, measurements in groups:
         measured = _measured(scene[targets[:, 0]], scan, *rows(tables, measurements))
@@ -71,7 +70,8 @@ def filter_scan(
         missed.append(chances[..., 0].log().flatten())
         density.append(evidence.flatten())
     order = torch.cat([group.targets.flatten() for group in groups]).argsort()
-    state = tree.map_tensors(lambda *xs: torch.cat(xs)[order], *parts)
+    everyone = tree.map_tensors(lambda *xs: torch.cat(xs)[order], *parts)
+    state = everyone if exists is None else everyone.state
     return state, torch.cat(missed)[order], torch.cat(density)[order], association, groups
 
 

@@ -25,8 +25,8 @@ from torchfra.filters.scans.combined import learned, update, widen
 from torchfra.filters.scans.hypotheses import (
     JPDAInfo,
     JPDAState,
-    Presence,
     Scan,
+    associate_uncertain,
     combined,
     target_repairs,
 )
@@ -150,7 +150,7 @@ class JPDA(Soft, Filter[JPDAState]):
         return JPDAState(tree.map_tensors(lambda x: x.squeeze(rank), inner), nothing, nothing)
 
     def advance(
-        self, state: JPDAState, frame: Frame, mix: Mix | None = None, *, presence: Presence | None = None,
+        self, state: JPDAState, frame: Frame, mix: Mix | None = None, *, exists: Tensor | None = None,
         count_empty: bool = False,
     ) -> tuple[JPDAState, Record]:  # fmt: skip
         """One scan; ``mix`` is not used.
@@ -159,15 +159,15 @@ class JPDA(Soft, Filter[JPDAState]):
             state: before it.
             frame: of it.
             mix: not used.
-            presence: how probably the targets exist, None if they do: the state and the association of each are those
-                given that it exists.
+            exists: ``(..., N)`` probability of each target, before the scan; None if all do.  The next state and the
+                association of each are those given that it exists.
             count_empty: whether all targets are missed in a scan without any measurement.
         """
         miss, times, searched = log_miss(self.detection, self.gate, state.missed), None, state.searched
         if self.lost:
             times, searched = search(state.missed, state.searched, miss, self.lost)
         follow = self.by_innovations if isinstance(self.inner, SRCKF) else self.by_states
-        associate = partial(self.associate, miss=miss, presence=presence)
+        associate = partial(self.associate, miss=miss, exists=exists)
         inner, scan, association, info = follow(state.inner, times, associate, frame)
         innovation = combined(association.probabilities, scan.whitened.residual, scan.root, scan.normalised, frame)
         record = Record(inner.belief, *innovation, info, association.evidence, past=searched)
@@ -238,19 +238,19 @@ class JPDA(Soft, Filter[JPDAState]):
         temperature = self.heat if self.soft else 0.0
         return torch.where(measured, self.gate(candidates, self.sensor, temperature), -torch.inf)
 
-    def associate(self, scan: Scan, inside: Tensor, miss: Tensor, presence: Presence | None) -> Association:
+    def associate(self, scan: Scan, inside: Tensor, miss: Tensor, exists: Tensor | None) -> Association:
         """Which measurement is whose: eqs. (25)-(27).
 
         Args:
             scan: the measurements.
             inside: log membership ``(..., N, J)`` of gates.
             miss: log of the probability that a target has no measurement in its gate.
-            presence: see ``advance``.
+            exists: see ``advance``.
         """
         candidates, fit = scan.candidates, scan.log_density
         odds = self.detection(fit).log() - self.clutter(candidates, self.sensor)
         ratio = torch.where(inside > -torch.inf, fit + odds + inside, -torch.inf)
-        solve = associate if presence is None else presence.associate
+        solve = associate if exists is None else partial(associate_uncertain, exists)
         return solve(ratio, miss.to(fit), diffuse=self.clutter.rate is None, log_membership=inside, exact=self.exact)
 
     def finish(self, state: JPDAState, belief: Gaussian, info: JPDAInfo) -> tuple[Gaussian, JPDAInfo]:

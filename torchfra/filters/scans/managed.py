@@ -11,7 +11,7 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.filters.engine import INTERPRETED
 from torchfra.filters.scans.apart import missed, widened
-from torchfra.filters.scans.hypotheses import JPDAState, Presence
+from torchfra.filters.scans.hypotheses import JPDAState
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.lost_tracks import log_miss, search, wider
 from torchfra.filters.srckf import SRCKF
@@ -28,7 +28,8 @@ class Uncertain(NamedTuple):
 
     state: JPDAState
     """If they do."""
-    presence: Presence
+    exists: Tensor
+    """``(..., N)`` probability that they do."""
 
     @property
     def belief(self) -> Gaussian:
@@ -37,8 +38,8 @@ class Uncertain(NamedTuple):
 
 
 def stepped(
-    f: JPDA, function: Callable[[JPDA, S, Frame], tuple[JPDAState, Any]], state: S, measurements: Measurements
-) -> tuple[JPDAState, Any]:
+    f: JPDA, function: Callable[[JPDA, S, Frame], tuple[S, Any]], state: S, measurements: Measurements
+) -> tuple[S, Any]:
     """A ``function`` of this module on a checked scan ``z (C, J, m)``.
 
     Only an interpreted step can look for clusters: where a scan may be too large to sum over all its events as one, it
@@ -57,15 +58,16 @@ def among(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, tuple[Ten
     return _advanced(f, state, frame, None)
 
 
-def among_uncertain(f: JPDA, targets: Uncertain, frame: Frame) -> tuple[JPDAState, tuple[Tensor, Tensor]]:
+def among_uncertain(f: JPDA, targets: Uncertain, frame: Frame) -> tuple[Uncertain, tuple[Tensor, Tensor]]:
     """The same of targets that may not exist: state and association of each are those given that it exists."""
-    return _advanced(f, targets.state, frame, targets.presence)
+    state, said = _advanced(f, targets.state, frame, targets.exists)
+    return targets._replace(state=state), said
 
 
 def _advanced(
-    f: JPDA, state: JPDAState, frame: Frame, presence: Presence | None
+    f: JPDA, state: JPDAState, frame: Frame, exists: Tensor | None
 ) -> tuple[JPDAState, tuple[Tensor, Tensor]]:
-    state, record = f.advance(state, frame, presence=presence, count_empty=True)
+    state, record = f.advance(state, frame, exists=exists, count_empty=True)
     assert record.density is not None
     return state, (record.info.association, record.density)
 
