@@ -11,7 +11,7 @@ from torchfra import presets
 from torchfra.association import ChiSquare, Clutter
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
-from torchfra.targets import SPRT, ClutterMap, Deletion, FieldOfView, MOfN, OnePoint, Targets, TwoPoint
+from torchfra.targets import SPRT, ClutterMap, Deletion, Existence, FieldOfView, MOfN, OnePoint, Targets, TwoPoint
 
 STD, Q, DT, PD, PG, WIDTH, RATE = 2.0, 0.25, 2.0, 0.8, 0.99, 150.0, 1.5
 BIRTHS = {"one point": (OnePoint(4.0), {"velocity": 4.0}), "two points": (TwoPoint(12.0), {"speed": 12.0})}
@@ -19,6 +19,10 @@ CONFIRMATIONS = {
     "3 of 5": (MOfN(3, 5), {"m": 3, "n": 5}),
     "2 of 2": (MOfN(2, 2), {"m": 2, "n": 2}),
     "score": (SPRT(1e-3, 0.02), {"false": 1e-3, "missed": 0.02}),
+    "existence": (
+        Existence(60.0, 0.2, confirmed=0.98, deleted=0.02),
+        {"lifetime": 60.0, "birth": 0.2, "confirmed": 0.98, "deleted": 0.02},
+    ),
 }
 DELETIONS = {"misses": (Deletion(3), {"misses": 3}), "drop": (Deletion(4, drop=0.01), {"misses": 4, "drop": 0.01})}
 
@@ -87,8 +91,19 @@ def test_scans_of_two_sensors_at_one_instant_are_two_scans_of_plain_loops(birth)
     follow(targets, z, expected, options)
 
 
-@pytest.mark.parametrize("birth", BIRTHS)
-def test_a_map_of_clutter_and_a_field_of_view_are_those_of_plain_loops(birth):
+HASTY = {  # few targets at a time: clusters stay exact
+    "score": (SPRT(1e-3, 0.2), {"false": 1e-3, "missed": 0.2}),
+    "existence": (
+        Existence(60.0, 0.2, confirmed=0.98, deleted=0.03),
+        {"lifetime": 60.0, "birth": 0.2, "confirmed": 0.98, "deleted": 0.03},
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("birth", "confirmation"), [("one point", "score"), ("two points", "score"), ("two points", "existence")]
+)
+def test_a_map_of_clutter_and_a_field_of_view_are_those_of_plain_loops(birth, confirmation):
     """Two things stay where they are beside the targets; the second sensor sees 60 m far, from a place that moves."""
     still = np.array([[60.0, 55.0], [-65.0, -50.0]])
     rng = np.random.default_rng(5)
@@ -99,8 +114,7 @@ def test_a_map_of_clutter_and_a_field_of_view_are_those_of_plain_loops(birth):
     looks = [{"dt": DT, "sensor": k % 2, **(own if k % 2 == 0 else more)} for k in range(len(z))]
     for k in range(1, len(z), 2):
         looks[k] |= {"place": place[k], "farthest": 60.0}
-    how, born = BIRTHS[birth]
-    confirmation, when = SPRT(1e-3, 0.2), {"false": 1e-3, "missed": 0.2}  # few at a time: clusters stay exact
+    (how, born), (confirmation, when) = BIRTHS[birth], HASTY[confirmation]
     expected = manage(
         z, std=STD, q=Q, dt=DT, PD=PD, PG=PG, limit=-2 * math.log(1 - PG), density=RATE / WIDTH**2, birth=born,
         confirm=when, misses=4, drop=0.001, looks=looks, clutter_map=learned,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -15,18 +16,8 @@ def joint_events(L: Array, PD: float, c: Array, diffuse: bool, PG: float = 1.0) 
     L (J,N) likelihoods, 0 outside the gate; c (J,) density of false measurements at each; PD, PG probabilities of
     detection and of the gate; ``diffuse`` takes the number of false measurements as unknown, otherwise it is Poisson.
     """
-    J, N = L.shape
-    beta, missed = np.zeros((J, N)), np.zeros(N)
-    left = set(range(N))
-    while left:
-        cluster, edge = set(), {min(left)}
-        while edge:
-            cluster |= edge
-            touched = {j for j in range(J) for t in edge if L[j, t] > 0}
-            edge = {t for t in range(N) for j in touched if L[j, t] > 0} - cluster
-        left -= cluster
-        targets = sorted(cluster)
-        gated = [j for j in range(J) if any(L[j, t] > 0 for t in targets)]
+    beta, missed = np.zeros(L.shape), np.zeros(L.shape[1])
+    for targets, gated in clusters(L):
         total = 0.0
         for weight, chosen in every_event(targets, gated, L, PD, c, PG):
             false = len(gated) - sum(j is not None for j in chosen.values())
@@ -41,6 +32,47 @@ def joint_events(L: Array, PD: float, c: Array, diffuse: bool, PG: float = 1.0) 
             beta[:, t] /= total
             missed[t] /= total
     return beta, missed
+
+
+def clusters(L: Array) -> list[tuple[list[int], list[int]]]:
+    """Targets that share measurements, directly or through others, and the measurements in their gates."""
+    J, N = L.shape
+    found, left = [], set(range(N))
+    while left:
+        cluster, edge = set(), {min(left)}
+        while edge:
+            cluster |= edge
+            touched = {j for j in range(J) for t in edge if L[j, t] > 0}
+            edge = {t for t in range(N) for j in touched if L[j, t] > 0} - cluster
+        left -= cluster
+        found.append((sorted(cluster), [j for j in range(J) if any(L[j, t] > 0 for t in cluster)]))
+    return found
+
+
+def joint_existence(L: Array, PD: float, c: Array, PG: float, exists: list[float]) -> tuple[Array, Array, Array]:
+    """JIPDA, Musicki & Evans (2004), by going through everything that may be true of every cluster.
+
+    Arguments as above, and the probability that each target exists.  Probabilities (J,N) that a target exists and has a
+    measurement, (N,) that it exists and was missed, and (N,) that it does not exist.
+    """
+    beta, missed, absent = np.zeros(L.shape), np.zeros(L.shape[1]), np.zeros(L.shape[1])
+    for targets, gated in clusters(L):
+        total = 0.0
+        for there in itertools.product([False, True], repeat=len(targets)):
+            some = [t for t, is_there in zip(targets, there, strict=True) if is_there]
+            prior = math.prod(exists[t] if t in some else 1 - exists[t] for t in targets)
+            for weight, chosen in every_event(some, gated, L, PD, c, PG):
+                total += prior * weight
+                for t in targets:
+                    if t not in some:
+                        absent[t] += prior * weight
+                    elif chosen[t] is None:
+                        missed[t] += prior * weight
+                    else:
+                        beta[chosen[t], t] += prior * weight
+        for t in targets:
+            beta[:, t], missed[t], absent[t] = beta[:, t] / total, missed[t] / total, absent[t] / total
+    return beta, missed, absent
 
 
 def every_event(

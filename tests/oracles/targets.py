@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from oracles.basics import Array
-from oracles.events import joint_events
+from oracles.events import joint_events, joint_existence
 
 
 @dataclass
@@ -29,7 +29,7 @@ class Target:
 
 def manage(
     scans: list[Array], *, std: float, q: float, dt: float, PD: float, PG: float, limit: float, density: float,
-    birth: dict[str, float], confirm: dict[str, Any], misses: int, drop: float | None = None,
+    birth: dict[str, float], confirm: dict[str, Any], misses: int | None, drop: float | None = None,
     looks: list[dict[str, Any]] | None = None, clutter_map: dict[str, float] | None = None,
 ) -> list[list[Target]]:  # fmt: skip
     """After each scan (J, 2) copies of the targets that are there; constant velocity, positions, Poisson clutter.
@@ -57,7 +57,14 @@ def manage(
                 nis = e @ np.linalg.solve(S, e)
                 if nis <= limit:
                     likelihood[j, t] = math.exp(-nis / 2) / (2 * math.pi * math.sqrt(np.linalg.det(S)))
-        beta, missed = joint_events(likelihood, PD, np.full(len(z), density), False, PG)
+        if "lifetime" in confirm:
+            exists = [math.exp(-dt / confirm["lifetime"]) / (1 + math.exp(-t.score)) for t in targets]
+            beta, missed, absent = joint_existence(likelihood, PD, np.full(len(z), density), PG, exists)
+            beta, missed = beta / (1 - absent), missed / (1 - absent)  # given that it exists
+            scores = [(math.log(r / (1 - r)), math.log((1 - a) / a)) for r, a in zip(exists, absent, strict=True)]
+        else:
+            beta, missed = joint_events(likelihood, PD, np.full(len(z), density), False, PG)
+            scores = [(t.score, t.score + math.log((1 - PD * PG) / m)) for t, m in zip(targets, missed, strict=True)]
         excess, sensor = np.zeros(len(z)), look.get("sensor", 0)
         if clutter_map is not None:
             left = math.exp(-dt / clutter_map["seconds"])
@@ -73,20 +80,27 @@ def manage(
             counted[sensor] += 1
         for t, target in enumerate(targets):
             update(target, z, beta[:, t], missed[t], H, R)
-            hit = bool(missed[t] < 0.5)
+            hit, (target.score, score) = bool(missed[t] < 0.5), scores[t]
             if "farthest" in look and not hit and np.linalg.norm(target.mean[:2] - look["place"]) > look["farthest"]:
                 continue
-            target.score += math.log(1 - PD * PG) - math.log(missed[t]) - beta[:, t] @ excess
+            target.score = score - beta[:, t] @ excess
             target.best = max(target.best, target.score)
             target.hits.append(hit)
+        claimed = beta
+        if "lifetime" in confirm:
+            claimed = beta / (1 + np.exp([-t.score for t in targets]))
         targets = [t for t in targets if not ends(t, misses, drop)]
-        free = [(z[j], R, 0.0) for j in range(len(z)) if beta[j].sum() < 0.5]
-        waiting = {s: [(x, S, since + dt) for x, S, since in old] for s, old in waiting.items()}
+        unclaimed = 1 - claimed.sum(1)
+        free = [(z[j], R, 0.0, unclaimed[j] * math.exp(-excess[j])) for j in range(len(z)) if unclaimed[j] > 0.5]
+        waiting = {s: [(x, S, since + dt, w) for x, S, since, w in old] for s, old in waiting.items()}
         begun, waiting[sensor] = begin(birth, free, waiting[sensor])
-        for mean, P, hits in begun:
+        for mean, P, hits, weight in begun:
             targets.append(Target(number, mean, P, [True] * hits))
+            if "lifetime" in confirm:
+                r = weight * confirm["birth"]
+                targets[-1].score = targets[-1].best = math.log(r / (1 - r))
             number += 1
-        targets = [t for t in targets if t.confirmed or stays(t, confirm)]
+        targets = [t for t in targets if stays(t, confirm)]
         shown.append([Target(t.identity, t.mean, t.P, list(t.hits), t.score, t.best, t.confirmed) for t in targets])
     return shown
 
@@ -106,13 +120,21 @@ def update(target: Target, z: Array, beta: Array, missed: float, H: Array, R: Ar
     target.mean = mean
 
 
-def ends(target: Target, misses: int, drop: float | None) -> bool:
+def ends(target: Target, misses: int | None, drop: float | None) -> bool:
     """Missed so often in a row, or a score that has fallen too far."""
-    return not any(target.hits[-misses:]) or (drop is not None and target.score - target.best < math.log(drop))
+    return (misses is not None and not any(target.hits[-misses:])) or (
+        drop is not None and target.score - target.best < math.log(drop)
+    )
 
 
 def stays(target: Target, how: dict[str, Any]) -> bool:
-    """Whether a tentative target is confirmed, which is noted, or may yet be."""
+    """Whether a target is confirmed, which is noted, or may yet be."""
+    if "lifetime" in how:
+        exists = 1 / (1 + math.exp(-target.score))
+        target.confirmed = target.confirmed or exists >= how["confirmed"]
+        return exists > how["deleted"]
+    if target.confirmed:
+        return True
     if "m" in how:
         last = target.hits[-how["n"] :]
         target.confirmed = sum(last) >= how["m"]
@@ -123,26 +145,26 @@ def stays(target: Target, how: dict[str, Any]) -> bool:
     return target.confirmed or possible
 
 
-Free = tuple[Array, Array, float]  # a position, its covariance, and seconds since
+Free = tuple[Array, Array, float, float]  # a position, its covariance, seconds since, and P(nothing else explains it)
 
 
 def begin(
     how: dict[str, float], free: list[Free], before: list[Free]
-) -> tuple[list[tuple[Array, Array, int]], list[Free]]:
-    """Births (mean, P, measurements), and the measurements that are left for the next scan's."""
+) -> tuple[list[tuple[Array, Array, int, float]], list[Free]]:
+    """Births (mean, P, measurements, P(nothing else explains them)), and the measurements left for the next scan's."""
     none = np.zeros((2, 2))
     if "velocity" in how:
         spread = how["velocity"] ** 2 * np.eye(2)
-        return [(np.r_[z, 0, 0], np.block([[R, none], [none, spread]]), 1) for z, R, _ in free], []
+        return [(np.r_[z, 0, 0], np.block([[R, none], [none, spread]]), 1, w) for z, R, _, w in free], []
     old, left, begun = [x for x in before if x[2] > 0], [x for x in before if x[2] == 0], []
     reach = [
-        [how["speed"] * dt + 3 * (math.sqrt(np.trace(S)) + math.sqrt(np.trace(R))) for _, R, _ in free]
-        for _, S, dt in old
+        [how["speed"] * dt + 3 * (math.sqrt(np.trace(S)) + math.sqrt(np.trace(R))) for _, R, _, _ in free]
+        for _, S, dt, _ in old
     ]
-    pairs = nearest([x for x, _, _ in old], [x for x, _, _ in free], reach)
+    pairs = nearest([x[0] for x in old], [x[0] for x in free], reach)
     for i, j in pairs:
-        (x, S, dt), (z, R, _) = old[i], free[j]
-        begun.append((np.r_[z, (z - x) / dt], np.block([[R, R / dt], [R / dt, (R + S) / dt**2]]), 2))
+        (x, S, dt, v), (z, R, _, w) = old[i], free[j]
+        begun.append((np.r_[z, (z - x) / dt], np.block([[R, R / dt], [R / dt, (R + S) / dt**2]]), 2, v * w))
     return begun, left + [x for j, x in enumerate(free) if j not in {j for _, j in pairs}]
 
 

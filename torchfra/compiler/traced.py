@@ -19,15 +19,20 @@ from torchfra.linalg.triangular import tria
 from torchfra.types import Cause, Estimate, Gaussian
 
 
-def begin(f: Any, book: Expressions, targets: Sequence[int] = ()) -> Any:
-    """The state before the first measurement, of scans that of so many ``targets``."""
+def begin(f: Any, book: Expressions, targets: Sequence[int] = (), like: Any = None) -> Any:
+    """The state before the first measurement, of scans that of so many ``targets``.
+
+    A state ``like`` it may have more than the filter's own: numbers of each target beside that, which are unknown.
+    """
     n, dtype = f.motion.size, torch.float64
     root = Entries.inputs(book, (*targets, n, n), dtype).ids.tril()
     state = f.begin(Gaussian(Entries.inputs(book, (*targets, n), dtype), Entries(book, root, dtype)))
-    if f.home is f:
+    if f.home is not f:
+        # Steps of a view never change this memory, so that tracing would take it for constant zeros: it is unknown.
+        return f.remembering(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
+    if like is None or type(like) is type(state):
         return state
-    # Steps of a view never change this memory, so that tracing would take it for constant zeros: it is unknown.
-    return f.remembering(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
+    return type(like)(state, *(Entries.inputs(book, tuple(targets), dtype) for _ in like[1:]))
 
 
 def ends(step: Step) -> Ends:

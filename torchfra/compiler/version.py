@@ -146,7 +146,7 @@ class Version:
             shapes.append(batch + x.shape[rank:])
         key = (retreat if back else advance, dtype, targets, tuple(inputs.items()))
         if key not in self.kernels:
-            begin = back.begin if back else partial(traced.begin, targets=targets)
+            begin = back.begin if back else partial(traced.begin, targets=targets, like=state)
             with torch.inference_mode(False):  # in which torch does not take operations apart
                 step = Step(self.frozen, begin, advance, inputs, dtype, timed[0], back is not None)
             self.kernels[key] = Kernels(step)

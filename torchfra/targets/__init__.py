@@ -9,7 +9,7 @@ from torchfra.targets.manager import Targets
 from torchfra.targets.merging import Merging
 from torchfra.targets.poisson import PoissonBirths
 from torchfra.targets.records import collect
-from torchfra.targets.rules import SPRT, Confirmation, Deletion, MOfN
+from torchfra.targets.rules import SPRT, Confirmation, Deletion, Existence, MOfN
 from torchfra.targets.state import TargetsEstimate, TargetsState, Track
 from torchfra.targets.views import FieldOfView
 
@@ -19,6 +19,7 @@ __all__ = [
     "ClutterMap",
     "Confirmation",
     "Deletion",
+    "Existence",
     "FieldOfView",
     "MOfN",
     "Merging",

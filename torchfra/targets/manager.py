@@ -50,7 +50,7 @@ class Targets(nn.Module):
         birth: how targets begin, ``OnePoint()`` if None; needs a sensor that ``locates``.
         confirmation: when tentative targets are confirmed or deleted, ``SPRT()`` if None; scores need clutter of a
             Poisson rate.
-        deletion: when targets end, ``Deletion()`` if None.
+        deletion: when targets end, ``Deletion()`` if None, and if the confirmation deletes none that are confirmed.
         merging: which tracks are of one target; None for never.
         free: probability that a measurement is no target's above which it may begin one.
         sensors: others that scan the same targets, by name, each as a ``JPDA`` with its sensor, gate, clutter and
@@ -84,12 +84,12 @@ class Targets(nn.Module):
         self.filter = copy.deepcopy(filter)
         self.birth = OnePoint() if birth is None else birth
         self.confirmation = SPRT() if confirmation is None else confirmation
-        self.deletion = Deletion() if deletion is None else deletion
+        self.deletion = Deletion() if deletion is None and not self.confirmation.deletes else deletion
         self.merging, self.free, self.clutter_map = merging, free, clutter_map
         more = _of_sensors(self.filter, sensors)
         self.sensors, self.views = nn.ModuleDict(more), check_views(views, list(more), self.filter.motion.dims)
         rates = [f.clutter.rate for f in (self.filter, *more.values())]
-        if (self.confirmation.scored or self.deletion.drop is not None) and None in rates:
+        if (self.confirmation.scored or getattr(self.deletion, "drop", None) is not None) and None in rates:
             expected = "clutter of a Poisson rate for scores, as of Clutter(..., rate=), or MOfN and no drop"
             raise ValueError(f"confirmation, deletion: expected {expected}, received none")
         if clutter_map is not None and None in rates:
@@ -122,7 +122,7 @@ class Targets(nn.Module):
         empty = Gaussian(nothing.reshape(0, n), nothing.reshape(0, n, n))
         position = Gaussian(nothing.reshape(0, dims), nothing.reshape(0, dims, dims))
         next_identity = torch.zeros(scenes, dtype=torch.int64, device=device)
-        free, mapped = Unassociated(position, none, nothing, none), None
+        free, mapped = Unassociated(position, none, nothing, nothing, none), None
         if self.clutter_map is not None:
             mapped = self.clutter_map.begin(scenes, 1 + len(self.sensors), position.mean)
         return TargetsState(self.filter.begin(empty), track, free, next_identity, mapped)
@@ -212,9 +212,11 @@ class Targets(nn.Module):
     ) -> TargetsState:  # fmt: skip
         """The next state, of a scan by the sensor of this filter and name."""
         scene, number = state.track.scene, 0 if sensor is None else 1 + list(self.sensors).index(sensor)
-        after, log_missed, density, association, groups = filter_scan(filter, state.filter, scene, scan)
+        score = self.confirmation.predicted(state.track.score, scan.dt[scene])
+        state, exists = state._replace(track=state.track._replace(score=score)), self.confirmation.exists(score)
+        after, log_missed, density, association, groups = filter_scan(filter, state.filter, scene, scan, exists)
         gained = log_miss(filter.detection, filter.gate, log_missed) - log_missed
-        located, mapped = _located(filter, scan), None
+        located, excess, mapped = _located(filter, scan), scan.z.new_zeros(scan.z.shape[:2]), None
         if self.clutter_map is not None:
             excess, mapped = self._mapped(state, scan, filter, number, located, association)
             gained = gained - (association * excess[scene]).sum(-1)
@@ -222,16 +224,18 @@ class Targets(nn.Module):
         if sensor in self.views:
             track, after = self._not_missed(state, track, after, self.views[sensor], scan)
         stays = ~self._deleted(after.belief, track, groups)
-        associated = scan.z.new_zeros(scan.z.shape[:2]).index_add(0, scene, association)
-        newborn, unassociated = self._births(state.unassociated, associated, scan, located, number)
-        track, next_identity = _with_newborn(rows(track, stays), newborn, state.next_identity)
+        exists = self.confirmation.exists(track.score)
+        claims = association if exists is None else association * exists.unsqueeze(-1)
+        free = 1 - torch.zeros_like(excess).index_add(0, scene, claims)
+        newborn, unassociated = self._births(state.unassociated, free, excess, scan, located, number)
+        begun, next_identity = _begun(newborn, self.confirmation, state.next_identity)
+        track = joined(rows(track, stays), begun)
         everyone = rows(after, stays)
         if len(newborn.scene):
             everyone = joined(everyone, self.filter.init(newborn.belief))
-        confirmed, given_up = self.confirmation(track)
-        track = track._replace(confirmed=track.confirmed | confirmed)
-        here = track.confirmed | ~given_up
-        return TargetsState(rows(everyone, here), rows(track, here), unassociated, next_identity, mapped)
+        confirmed, deleted = self.confirmation(track)
+        everyone, track = rows((everyone, track._replace(confirmed=confirmed)), ~deleted)
+        return TargetsState(everyone, track, unassociated, next_identity, mapped)
 
     def _not_missed(
         self, state: TargetsState, track: Track, after: Any, view: FieldOfView, scan: SceneScan
@@ -264,16 +268,17 @@ class Targets(nn.Module):
         """Which targets ``(N,)`` are deleted: missed too often, or merged with others."""
         motion = self.filter.motion
         position = to_cartesian(motion, belief).scale_tril[:, known_components(motion)[: motion.dims]]
-        deleted: Tensor = self.deletion(track, position)
+        deleted = torch.zeros_like(track.confirmed) if self.deletion is None else self.deletion(track, position)
         return deleted if self.merging is None else deleted | self.merging(motion, belief, track, groups)
 
     def _births(
-        self, before: Unassociated, associated: Tensor, scan: SceneScan, located: Located, sensor: int
+        self, before: Unassociated, free: Tensor, excess: Tensor, scan: SceneScan, located: Located, sensor: int
     ) -> tuple[Newborn, Unassociated]:
         """The newborn targets, and the unassociated measurements that the sensor's next scan may use."""
-        free = associated[located.scene, located.number] < 1 - self.free
-        position, scene = rows((located.position, located.scene), free)
-        now = Unassociated(position, scene, scan.dt.new_zeros(len(scene)), torch.full_like(scene, sensor))
+        free, excess = (x[located.scene, located.number] for x in (free, excess))
+        new = free * torch.exp(-excess)
+        position, scene, new = rows((located.position, located.scene, new), free > self.free)
+        now = Unassociated(position, scene, scan.dt.new_zeros(len(scene)), new, torch.full_like(scene, sensor))
         before = before._replace(since=before.since + scan.dt[before.scene])
         own = before.sensor == sensor
         newborn, left = self.birth(self.filter.motion, now, rows(before, own))
@@ -352,23 +357,15 @@ def _where(condition: Tensor, a: Tensor, b: Tensor) -> Tensor:
     return torch.where(condition.reshape(-1, *[1] * (a.dim() - 1)), a, b)
 
 
-def _with_newborn(track: Track, newborn: Newborn, next_identity: Tensor) -> tuple[Track, Tensor]:
-    """The targets and those that begin, and the next identity ``(R,)`` of each scene."""
+def _begun(newborn: Newborn, confirmation: Confirmation, next_identity: Tensor) -> tuple[Track, Tensor]:
+    """The targets that begin, and the next identity ``(R,)`` of each scene."""
     scene, order = newborn.scene.sort(stable=True)
     count = torch.bincount(scene, minlength=len(next_identity))
     place = torch.arange(len(scene), device=scene.device) - (count.cumsum(0) - count)[scene]
     identity = (next_identity[scene] + place)[order.argsort()]
-    zero, scores = torch.zeros_like(identity), track.score.new_zeros(len(identity))
-    hits = torch.arange(track.hits.shape[-1], device=scene.device) < newborn.hits
+    zero, score = torch.zeros_like(identity), confirmation.first(newborn.new)
+    hits = (torch.arange(confirmation.window, device=scene.device) < newborn.hits).expand(len(identity), -1)
     begun = Track(
-        identity,
-        newborn.scene,
-        zero.bool(),
-        hits.expand(len(identity), -1),
-        zero + newborn.hits,
-        zero,
-        scores,
-        scores,
-        scores,
+        identity, newborn.scene, zero.bool(), hits, zero + newborn.hits, zero, score, score, torch.zeros_like(score)
     )
-    return joined(track, begun), next_identity + count
+    return begun, next_identity + count

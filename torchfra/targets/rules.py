@@ -18,9 +18,23 @@ class Confirmation(nn.Module):
     """How many scans back it looks."""
     scored = False
     """Whether it looks at the score."""
+    deletes = False
+    """Whether it deletes confirmed targets too."""
+
+    def first(self, new: Tensor) -> Tensor:
+        """Score ``(K,)`` of targets that begin, whose measurements nothing else explains with probability ``new``."""
+        return torch.zeros_like(new)
+
+    def predicted(self, score: Tensor, dt: Tensor) -> Tensor:
+        """Scores ``(N,)`` after ``dt (N,)`` seconds, before the scan."""
+        return score
+
+    def exists(self, score: Tensor) -> Tensor | None:
+        """Probability that targets of these scores ``(N,)`` exist; None if all claim measurements as if they did."""
+        return None
 
     def forward(self, track: Track) -> tuple[Tensor, Tensor]:
-        """Which tentative targets ``(N,)`` are confirmed, and which are deleted."""
+        """Which targets ``(N,)`` are confirmed, those that were among them, and which are deleted."""
         raise TypeError(f"{type(self).__name__} must define forward")
 
 
@@ -47,7 +61,7 @@ class MOfN(Confirmation):
         """By the number of scans in which each was measured, and missed, among the last N."""
         measured = track.hits[:, : self.window].sum(-1)
         missed = track.age.clamp_max(self.window) - measured
-        return measured >= self.m, missed > self.window - self.m
+        return track.confirmed | (measured >= self.m), ~track.confirmed & (missed > self.window - self.m)
 
     def extra_repr(self) -> str:
         """M of N."""
@@ -60,7 +74,7 @@ class SPRT(Confirmation):
     The score of a scan is ``log(1 - P_D P_G) - log P(missed | scan)``: the density of the scan with the target over
     that without it, given that the others exist, where the number of false measurements is Poisson.  Tentative targets
     are associated as if they certainly existed: where many begin, a true target is deleted more often than ``missed``
-    says.
+    says.  ``Existence`` is for that.
 
     Args:
         false: probability that a track of false measurements is confirmed.
@@ -85,11 +99,71 @@ class SPRT(Confirmation):
 
     def forward(self, track: Track) -> tuple[Tensor, Tensor]:
         """By the bounds that the score has passed."""
-        return track.score >= self.upper, track.score <= self.lower
+        return track.confirmed | (track.score >= self.upper), ~track.confirmed & (track.score <= self.lower)
 
     def extra_repr(self) -> str:
         """Both bounds of the score."""
         return f"lower={self.lower:.4g}, upper={self.upper:.4g}"
+
+
+class Existence(Confirmation):
+    """The probability that each target exists: tentative targets begin with one, scans change it, lives end.
+
+    A target claims measurements only as probably as it exists, so that tentative ones in dense clutter take little from
+    those that exist.  A new one exists with the probability ``birth``, times that nothing else explains its
+    measurements: no target that is there already, nor the map of clutter.  ``Track.score`` is the log of the
+    probability over its complement.
+
+    Args:
+        lifetime: mean of the time that a target exists, s; it is exponential, so that before a scan ``dt`` after the
+            last no target exists with more than ``1 - dt / lifetime``.
+        birth: probability that a new tentative target exists.
+        confirmed: probability of existence at which a target is confirmed; far above ``1 - dt / lifetime`` it is hardly
+            ever reached.
+        deleted: probability of existence at which a target is deleted, confirmed or not.
+
+    Raises:
+        ValueError: a lifetime that is not finite and above 0, or not ``0 < deleted < birth < confirmed < 1``.
+
+    Source: Musicki & Evans (2004), "Joint Integrated Probabilistic Data Association: JIPDA".  Differs: births
+    are less probable where something else explains their measurements.
+    """
+
+    scored = deletes = True
+
+    def __init__(
+        self, lifetime: float = 300.0, birth: float = 0.1, *, confirmed: float = 0.99, deleted: float = 1e-3
+    ) -> None:
+        super().__init__()
+        if not 0 < as_number(lifetime) < math.inf:
+            raise ValueError(f"lifetime: expected finite seconds above 0, received {lifetime}")
+        if not 0 < as_number(deleted) < as_number(birth) < as_number(confirmed) < 1:
+            raise ValueError("deleted, birth, confirmed: expected probabilities above 0 and below 1 in that order, "
+                             f"received {deleted}, {birth}, {confirmed}")  # fmt: skip
+        self.lifetime, self.birth = float(lifetime), float(birth)
+        self.upper, self.lower = (math.log(x / (1 - x)) for x in (confirmed, deleted))
+
+    def first(self, new: Tensor) -> Tensor:
+        """By the probability of a birth where nothing else explains the measurements."""
+        return torch.logit(self.birth * new)
+
+    def predicted(self, score: Tensor, dt: Tensor) -> Tensor:
+        """Some have ended since."""
+        past = dt / self.lifetime
+        return -past - torch.logaddexp(-score, torch.log(-torch.expm1(-past)))
+
+    def exists(self, score: Tensor) -> Tensor:
+        """That of which the score is the log odds."""
+        return score.sigmoid()
+
+    def forward(self, track: Track) -> tuple[Tensor, Tensor]:
+        """By the bounds that the score has passed; who is confirmed stays so until it is deleted."""
+        return track.confirmed | (track.score >= self.upper), track.score <= self.lower
+
+    def extra_repr(self) -> str:
+        """What is assumed of lives, and both bounds of the score."""
+        bounds = f"lower={self.lower:.4g}, upper={self.upper:.4g}"
+        return f"lifetime={self.lifetime:g}, birth={self.birth:g}, {bounds}"
 
 
 class Deletion(nn.Module):

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.filters.scans.jpda import JPDA
-from torchfra.filters.scans.managed import among, outlook, stepped
+from torchfra.filters.scans.managed import Uncertain, among, among_uncertain, outlook, stepped
 from torchfra.gaussian.inputs import Measurements
 from torchfra.targets.clusters import Group, clusters
 from torchfra.targets.gating import in_reach
@@ -33,7 +33,7 @@ class SceneScan(NamedTuple):
 
 
 def filter_scan(
-    filter: JPDA, state: Any, scene: Tensor, scan: SceneScan
+    filter: JPDA, state: Any, scene: Tensor, scan: SceneScan, exists: Tensor | None = None
 ) -> tuple[Any, Tensor, Tensor, Tensor, list[Group]]:
     """One step of all targets.
 
@@ -42,11 +42,13 @@ def filter_scan(
         state: its state, rows of ``(N, ...)``.
         scene: ``(N,)`` of each target.
         scan: the scan.
+        exists: ``(N,)`` probability of each target, before the scan; None if all do.
 
     Returns:
         The next state; the log probability ``(N,)`` that each target was missed; each one's share ``(N,)`` of the log
         density of the scan against one of false measurements alone; the probability ``(N, J)`` that each measurement of
-        its scene belongs to each target; and the clusters that share measurements.
+        its scene belongs to each target; and the clusters that share measurements.  Of a target that may not exist
+        they are those given that it exists, all but the density.
     """
     count = scan.z.shape[1]
     association = scan.z.new_zeros(len(scene), count)
@@ -55,10 +57,11 @@ def filter_scan(
     with torch.no_grad():
         groups = clusters(_reach(filter, state, scene, scan), scene)
     tables = _tables(scan)
+    function, everyone = (among, state) if exists is None else (among_uncertain, Uncertain(state, exists))
     parts, missed, density = [], [], []
     for targets, measurements in groups:
-        of, group = scene[targets[:, 0]], rows(state, targets)
-        after, (chances, evidence) = stepped(filter, among, group, _measured(of, scan, *rows(tables, measurements)))
+        measured = _measured(scene[targets[:, 0]], scan, *rows(tables, measurements))
+        after, (chances, evidence) = stepped(filter, function, rows(everyone, targets), measured)
         target, number = targets.unsqueeze(-1), measurements.unsqueeze(-2)
         inside = (number >= 0).expand(*targets.shape, number.shape[-1])
         place = (target.expand_as(inside)[inside], number.expand_as(inside)[inside] % count)
@@ -67,7 +70,8 @@ def filter_scan(
         missed.append(chances[..., 0].log().flatten())
         density.append(evidence.flatten())
     order = torch.cat([group.targets.flatten() for group in groups]).argsort()
-    state = tree.map_tensors(lambda *xs: torch.cat(xs)[order], *parts)
+    everyone = tree.map_tensors(lambda *xs: torch.cat(xs)[order], *parts)
+    state = everyone if exists is None else everyone.state
     return state, torch.cat(missed)[order], torch.cat(density)[order], association, groups
 
 

@@ -27,7 +27,8 @@ class Track(NamedTuple):
     misses: Tensor
     """Scans in a row in which each was missed."""
     score: Tensor
-    """Log likelihood ratio of the scans since the birth: that the target exists, over that it does not."""
+    """Log of the probability that the target exists over that it does not; of rules that know no such probability at
+    the birth, that of the scans since then."""
     best: Tensor
     """The highest score so far."""
     density: Tensor
@@ -43,6 +44,8 @@ class Unassociated(NamedTuple):
     """``(K,)``."""
     since: Tensor
     """``(K,)`` seconds since the measurement."""
+    new: Tensor
+    """``(K,)`` probability that neither a target that is there nor the map of clutter explains the measurement."""
     sensor: Tensor
     """``(K,)`` number of the sensor that measured; 0 for the filter's own."""
 

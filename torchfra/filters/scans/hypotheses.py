@@ -9,7 +9,9 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
+from torchfra.association.clusters import Association
 from torchfra.association.gates import Candidates
+from torchfra.association.joint import associate
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.model import add_counts
 from torchfra.gaussian.update import repaired_root
@@ -66,6 +68,27 @@ class Scan(NamedTuple):
     candidates: Candidates
     log_density: Tensor
     """``(..., N, J)`` of each measurement if it is the target's."""
+
+
+def associate_uncertain(exists: Tensor, log_ratio: Tensor, log_miss: Tensor, **options: Any) -> Association:
+    """Whose the measurements are, where targets claim them only as probably as they exist.
+
+    Args:
+        exists: ``(..., N)`` probability that each target exists, before the scan.
+        log_ratio: ``(..., N, J)`` of targets that exist, as of ``torchfra.association.associate``.
+        log_miss: a number or ``(..., N)``, of targets that exist.
+        options: of ``associate``.
+
+    Returns:
+        Of each target the association given that it exists; the evidence is that of targets that may not.
+
+    Source: Musicki & Evans (2004), "Joint Integrated Probabilistic Data Association: JIPDA".
+    """
+    none = torch.log1p(exists * torch.expm1(log_miss))  # there, and missed, or not there
+    association = associate(log_ratio + exists.log().unsqueeze(-1), none, **options)
+    missed = association.log_weights[..., 0] + exists.log() + log_miss - none
+    both = torch.cat([missed.unsqueeze(-1), association.log_weights[..., 1:]], -1)
+    return association._replace(log_weights=both - both.logsumexp(-1, keepdim=True))
 
 
 def missed_or_measured(predicted: Gaussian, each: Gaussian) -> Gaussian:

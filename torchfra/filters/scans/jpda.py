@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -25,6 +26,7 @@ from torchfra.filters.scans.hypotheses import (
     JPDAInfo,
     JPDAState,
     Scan,
+    associate_uncertain,
     combined,
     target_repairs,
 )
@@ -38,6 +40,9 @@ from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg.tracing import is_traced
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Innovation
+
+Associate = Callable[[Scan, Tensor], Association]
+"""From the measurements of a scan and their log membership ``(..., N, J)`` of gates to whose they are."""
 
 
 class ScanPast(NamedTuple):
@@ -145,30 +150,38 @@ class JPDA(Soft, Filter[JPDAState]):
         return JPDAState(tree.map_tensors(lambda x: x.squeeze(rank), inner), nothing, nothing)
 
     def advance(
-        self, state: JPDAState, frame: Frame, mix: Mix | None = None, *, count_empty: bool = False
-    ) -> tuple[JPDAState, Record]:
+        self, state: JPDAState, frame: Frame, mix: Mix | None = None, *, exists: Tensor | None = None,
+        count_empty: bool = False,
+    ) -> tuple[JPDAState, Record]:  # fmt: skip
         """One scan; ``mix`` is not used.
 
-        ``count_empty`` says whether all targets are missed in a scan without any measurement.
+        Args:
+            state: before it.
+            frame: of it.
+            mix: not used.
+            exists: ``(..., N)`` probability of each target, before the scan; None if all do.  The next state and the
+                association of each are those given that it exists.
+            count_empty: whether all targets are missed in a scan without any measurement.
         """
         miss, times, searched = log_miss(self.detection, self.gate, state.missed), None, state.searched
         if self.lost:
             times, searched = search(state.missed, state.searched, miss, self.lost)
         follow = self.by_innovations if isinstance(self.inner, SRCKF) else self.by_states
-        inner, scan, association, info = follow(state.inner, times, miss, frame)
+        associate = partial(self.associate, miss=miss, exists=exists)
+        inner, scan, association, info = follow(state.inner, times, associate, frame)
         innovation = combined(association.probabilities, scan.whitened.residual, scan.root, scan.normalised, frame)
         record = Record(inner.belief, *innovation, info, association.evidence, past=searched)
         return JPDAState(inner, missed_scans(state.missed, association, frame.measured, count_empty), searched), record
 
     def by_innovations(
-        self, state: State, times: Tensor | None, miss: Tensor, frame: Frame
+        self, state: State, times: Tensor | None, associate: Associate, frame: Frame
     ) -> tuple[State, Scan, Association, JPDAInfo]:
         """A scan of one motion: one gain for all measurements; equation numbers of Chen, Zou & Wu.
 
         Args:
             state: of the inner filter.
             times: factor ``(..., N)`` on the root of what is predicted; None for none.
-            miss: log of the probability that a target has no measurement in its gate.
+            associate: says whose the measurements of a scan in gates are.
             frame: of the scan.
         """
         f, (belief, fading, noise) = self.inner, tree.insert_batch_dimension(state)
@@ -176,7 +189,7 @@ class JPDA(Soft, Filter[JPDAState]):
         prediction = prediction if times is None else wider(prediction, times)
         scan = self.compare_scan(f, prediction.belief, noise, frame)
         repaired = target_repairs(prediction, scan.whitened)
-        association = self.associate(scan, self.inside(scan), miss)  # (25)-(27)
+        association = associate(scan, self.inside(scan))  # (25)-(27)
         learn = partial(learned, f.noise, association=association, frame=frame, share_noise=self.share_noise)
         noise = learn(noise, scan.whitened, "innovation")  # (19)
         known = f.noise.known(scan.whitened, noise)
@@ -190,7 +203,7 @@ class JPDA(Soft, Filter[JPDAState]):
         return inner, scan, association, info
 
     def by_states(
-        self, state: Any, times: Tensor | None, miss: Tensor, frame: Frame
+        self, state: Any, times: Tensor | None, associate: Associate, frame: Frame
     ) -> tuple[Any, Scan, Association, JPDAInfo]:
         """A scan of several models or regimes: a state for every measurement, merged; arguments as above."""
         f, state = self.inner, state if times is None else widened(self.inner, state, times)
@@ -199,7 +212,7 @@ class JPDA(Soft, Filter[JPDAState]):
         inside = self.inside(scan)
         each = measured(f, state, frame, inside > -torch.inf)
         scan = scan._replace(log_density=each.log_density)
-        association = self.associate(scan, inside, miss)
+        association = associate(scan, inside)
         inner, info = together(f, none, each, association)
         return inner, scan, association, JPDAInfo(association.log_weights.exp(), inner=info)
 
@@ -225,14 +238,20 @@ class JPDA(Soft, Filter[JPDAState]):
         temperature = self.heat if self.soft else 0.0
         return torch.where(measured, self.gate(candidates, self.sensor, temperature), -torch.inf)
 
-    def associate(self, scan: Scan, inside: Tensor, miss: Tensor) -> Association:
-        """Which measurement is whose: eqs. (25)-(27)."""
+    def associate(self, scan: Scan, inside: Tensor, miss: Tensor, exists: Tensor | None) -> Association:
+        """Which measurement is whose: eqs. (25)-(27).
+
+        Args:
+            scan: the measurements.
+            inside: log membership ``(..., N, J)`` of gates.
+            miss: log of the probability that a target has no measurement in its gate.
+            exists: see ``advance``.
+        """
         candidates, fit = scan.candidates, scan.log_density
         odds = self.detection(fit).log() - self.clutter(candidates, self.sensor)
         ratio = torch.where(inside > -torch.inf, fit + odds + inside, -torch.inf)
-        return associate(
-            ratio, miss.to(fit), diffuse=self.clutter.rate is None, log_membership=inside, exact=self.exact
-        )
+        solve = associate if exists is None else partial(associate_uncertain, exists)
+        return solve(ratio, miss.to(fit), diffuse=self.clutter.rate is None, log_membership=inside, exact=self.exact)
 
     def finish(self, state: JPDAState, belief: Gaussian, info: JPDAInfo) -> tuple[Gaussian, JPDAInfo]:
         """What the inner filter decides late."""

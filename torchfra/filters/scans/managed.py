@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -20,11 +20,26 @@ from torchfra.linalg.triangular import hstack, tria
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
+S = TypeVar("S", bound=Any)
+
+
+class Uncertain(NamedTuple):
+    """Targets that may not exist."""
+
+    state: JPDAState
+    """If they do."""
+    exists: Tensor
+    """``(..., N)`` probability that they do."""
+
+    @property
+    def belief(self) -> Gaussian:
+        """``(..., N)``."""
+        return self.state.belief
+
 
 def stepped(
-    f: JPDA, function: Callable[[JPDA, JPDAState, Frame], tuple[JPDAState, Any]], state: JPDAState,
-    measurements: Measurements,
-) -> tuple[JPDAState, Any]:  # fmt: skip
+    f: JPDA, function: Callable[[JPDA, S, Frame], tuple[S, Any]], state: S, measurements: Measurements
+) -> tuple[S, Any]:
     """A ``function`` of this module on a checked scan ``z (C, J, m)``.
 
     Only an interpreted step can look for clusters: where a scan may be too large to sum over all its events as one, it
@@ -40,7 +55,19 @@ def among(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, tuple[Ten
 
     In a scan without any measurement all targets were missed.
     """
-    state, record = f.advance(state, frame, count_empty=True)
+    return _advanced(f, state, frame, None)
+
+
+def among_uncertain(f: JPDA, targets: Uncertain, frame: Frame) -> tuple[Uncertain, tuple[Tensor, Tensor]]:
+    """The same of targets that may not exist: state and association of each are those given that it exists."""
+    state, said = _advanced(f, targets.state, frame, targets.exists)
+    return targets._replace(state=state), said
+
+
+def _advanced(
+    f: JPDA, state: JPDAState, frame: Frame, exists: Tensor | None
+) -> tuple[JPDAState, tuple[Tensor, Tensor]]:
+    state, record = f.advance(state, frame, exists=exists, count_empty=True)
     assert record.density is not None
     return state, (record.info.association, record.density)
 
