@@ -145,11 +145,11 @@ def started(rho: float, runs: int, steps: int, seed: int) -> Tracks:
     return Tracks(every.truth[:, BEFORE:], every.z[:, BEFORE:], prior)
 
 
-def made(name: str, rho: float, learn: tuple[str, ...], compiled: bool = False, **options: Any) -> Filter:
+def made(name: str, rho: float, learn: tuple[str, ...], compiled: bool = False) -> Filter:
     """A filter of a system whose values learn; ``name`` is one of ``FILTERS``."""
     motion, sensor = models(Setting(rho=rho), 1.0)
     f = make_filter(name.split(",")[0], motion, sensor)
-    for attribute, value in {**FILTERS[name], **options}.items():
+    for attribute, value in FILTERS[name].items():
         setattr(f, attribute, value)
     f = learnable(f, learn)
     return f.compile() if compiled else f
