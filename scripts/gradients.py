@@ -10,8 +10,9 @@ every step, at every 50th, or never.  The tables:
 - how far back an estimate looks: the norm of the gradient of the last one with respect to the start;
 - the gradient with respect to the noise of motion and sensor, unconstrained: the norm of its mean over tracks, its
   standard deviation over tracks (the root of the trace of their covariance) and the largest of a single track;
-- what truncation and clipping make of that: also the cosine between it and the whole gradient, and the cosine between
-  the means of two halves of the tracks, which is 1 where a batch of this size knows the direction;
+- what truncation and clipping make of that: also the cosine between its mean and the slope by differences of the loss
+  of other tracks, and that between the means of two halves of the tracks; both are 1 where a batch of this size knows
+  the direction;
 - the slope of the error of ``fra`` in the logarithm of its gate, by soft decisions and by differences of hard ones;
 - what checkpoints keep for the way back.
 
@@ -71,8 +72,10 @@ BEFORE = 500
 CUTS = (1, 10, 100)
 """Steps of ``truncate``."""
 TEMPERATURES = (0.1, 0.3, 1.0, 3.0, 10.0)
-SHORT, GATE_TRACKS, GATE_STEP = 100, 20, 0.2
-"""Steps for the last two tables; tracks for the gate per track of the others, half a difference of its logarithm."""
+SHORT, STEP = 100, 0.2
+"""Steps of tracks for the last two tables, and half a difference of an unconstrained value."""
+OTHERS, GATE_TRACKS, OTHER_SEED = 5, 20, 1_000_000
+"""Tracks for differences per track of the rest, and those for the gate; what is added to the seed for the former."""
 CLIPS = (10.0, 1.0)
 """Largest norms of a track's gradient, in medians."""
 
@@ -117,7 +120,8 @@ def gradients(options: argparse.Namespace) -> None:
     short, found = min(lengths[-1], SHORT), {}
     for system, rho in progress_bar(list(SYSTEMS.items()), "system", not options.quiet):
         tracks = started(rho, options.runs, lengths[-1], options.seed)
-        found[system] = of_system(make, rho, tracks, names, lengths)
+        others = started(rho, OTHERS * options.runs, lengths[-1], options.seed + OTHER_SEED)
+        found[system] = of_system(make, rho, tracks, others, names, lengths)
         more = started(rho, GATE_TRACKS * options.runs, short, options.seed)
         found[system]["gate"] = slopes(make, rho, more, short)
     found["kept"] = kept(made("srckf", 28.0, VALUES), tracks, short)
@@ -141,18 +145,18 @@ def started(rho: float, runs: int, steps: int, seed: int) -> Tracks:
     return Tracks(every.truth[:, BEFORE:], every.z[:, BEFORE:], prior)
 
 
-def made(name: str, rho: float, learn: tuple[str, ...], compiled: bool = False, **options: Any) -> Filter:
+def made(name: str, rho: float, learn: tuple[str, ...], compiled: bool = False) -> Filter:
     """A filter of a system whose values learn; ``name`` is one of ``FILTERS``."""
     motion, sensor = models(Setting(rho=rho), 1.0)
     f = make_filter(name.split(",")[0], motion, sensor)
-    for attribute, value in {**FILTERS[name], **options}.items():
+    for attribute, value in FILTERS[name].items():
         setattr(f, attribute, value)
     f = learnable(f, learn)
     return f.compile() if compiled else f
 
 
 def estimated(
-    f: Filter, tracks: Tracks, steps: int, every: int = 1, shift: float = 0.0, **options: Any
+    f: Filter, tracks: Tracks, steps: int, every: int = 1, shift: Tensor | None = None, **options: Any
 ) -> tuple[Estimate, list[Tensor], Tensor]:
     """Estimates of the first ``steps``, and what they have gradients in: values ``(B, ...)`` of each track, the start.
 
@@ -161,13 +165,17 @@ def estimated(
         tracks: with a measurement at each step.
         steps: how many.
         every: of so many measurements one counts.
-        shift: of all values, unconstrained.
+        shift: ``(P,)`` of the values, unconstrained.
         options: of the filter's call.
     """
     z = tracks.z[:, :steps].clone()
     z[:, torch.arange(1, steps + 1) % every != 0] = torch.nan
     names, shared = zip(*f.named_parameters(), strict=True)
-    own = [(p.detach() + shift).expand(len(z), *p.shape).clone().requires_grad_() for p in shared]
+    raw = torch.cat([p.detach().reshape(-1) for p in shared])
+    parts = (raw if shift is None else raw + shift).split([p.numel() for p in shared])
+    own = [
+        x.reshape(p.shape).expand(len(z), *p.shape).clone().requires_grad_() for x, p in zip(parts, shared, strict=True)
+    ]
     mean = tracks.prior.mean.clone().requires_grad_()
     call = (z, Gaussian(mean, tracks.prior.scale_tril))
     estimate = torch.func.functional_call(f, dict(zip(names, own, strict=True)), call, {"dt": DT, **options})
@@ -182,6 +190,17 @@ def of_tracks(f: Filter, tracks: Tracks, steps: int, every: int = 1, **options: 
     return losses.detach(), torch.cat([g.reshape(len(losses), -1) for g in found], 1)
 
 
+def differences(f: Filter, tracks: Tracks, steps: int, every: int = 1) -> Tensor:
+    """Slopes ``(B, P)`` of each track's loss in each value by differences, which see through what is chaotic."""
+    count = sum(p.numel() for p in f.parameters())
+    with torch.no_grad():
+        found = [
+            errors(estimated(f, tracks, steps, every, shift)[0], tracks)
+            for shift in STEP * torch.cat([torch.eye(count), -torch.eye(count)]).double()
+        ]
+    return torch.stack([(high - low) / (2 * STEP) for high, low in zip(found[:count], found[count:], strict=True)], -1)
+
+
 def errors(estimate: Estimate, tracks: Tracks) -> Tensor:
     """Mean squared error ``(B,)`` of each track."""
     return (estimate.mean - tracks.truth[:, : estimate.mean.shape[1]]).square().mean((-1, -2))
@@ -191,7 +210,7 @@ def errors(estimate: Estimate, tracks: Tracks) -> Tensor:
 
 
 def of_system(
-    make: Callable[..., Filter], rho: float, tracks: Tracks, names: list[str], lengths: list[int]
+    make: Callable[..., Filter], rho: float, tracks: Tracks, others: Tracks, names: list[str], lengths: list[int]
 ) -> dict[str, Any]:
     """How far back estimates look, the gradients of filters, and what cuts make of them."""
     plain = make("srckf", rho, VALUES)
@@ -202,7 +221,7 @@ def of_system(
         for words in list(EVERY)[: 2 if f is plain else 1]:
             row = name if words == next(iter(EVERY)) else f"{name}, {words}"
             learned[row] = {n: spread(of_tracks(f, tracks, n, EVERY[words])[1]) for n in lengths}
-    cures = {words: cut(plain, tracks, lengths[-1], EVERY[words]) for words in list(EVERY)[:2]}
+    cures = {words: cut(plain, tracks, others, lengths[-1], EVERY[words]) for words in list(EVERY)[:2]}
     return {"reach": reach, "learned": learned, "cures": cures}
 
 
@@ -224,16 +243,17 @@ def spread(gradient: Tensor) -> Numbers:
     }
 
 
-def cut(f: Filter, tracks: Tracks, steps: int, every: int) -> dict[str, Numbers]:
-    """The whole gradient, truncated ones and a clipped one, with their directions."""
+def cut(f: Filter, tracks: Tracks, others: Tracks, steps: int, every: int) -> dict[str, Numbers]:
+    """Slopes by differences, the whole gradient, truncated ones and clipped ones, with their directions."""
+    right = differences(f, others, steps, every)
     losses, whole = of_tracks(f, tracks, steps, every)
-    found = {"whole": whole}
+    found = {"differences": right, "whole": whole}
     for k in (k for k in CUTS if k < steps):
         found[f"truncate={k}"] = of_tracks(f, tracks, steps, every, truncate=k)[1]
     median = float(whole.norm(dim=-1).median())
     found |= {f"clip={clip:g}": bounded(losses, whole, clip * median)[0] for clip in CLIPS}
     return {
-        name: {**spread(g), "along": cosine(g.mean(0), whole.mean(0)), "halves": halves(g)} for name, g in found.items()
+        name: {**spread(g), "right": cosine(g.mean(0), right.mean(0)), "halves": halves(g)} for name, g in found.items()
     }
 
 
@@ -251,9 +271,7 @@ def cosine(a: Tensor, b: Tensor) -> float:
 def slopes(make: Callable[..., Filter], rho: float, tracks: Tracks, steps: int) -> dict[str, Numbers]:
     """Slope of the error of ``fra`` in the logarithm of its gate, with its standard error."""
     f = make("fra", rho, ("gate",))
-    with torch.no_grad():
-        low, high = (errors(estimated(f, tracks, steps, shift=s)[0], tracks) for s in (-GATE_STEP, GATE_STEP))
-    found = {"hard, by differences": with_error((high - low) / (2 * GATE_STEP))}
+    found = {"hard, by differences": with_error(differences(f, tracks, steps).squeeze(-1))}
     for temperature in TEMPERATURES:
         f.temperature = temperature
         found[f"temperature {temperature:g}"] = with_error(of_tracks(f, tracks, steps)[1].squeeze(-1))
@@ -340,10 +358,9 @@ def figure(found: dict[str, Any]) -> Figure:
     for name, style in line_styles(rows).items():
         row = rows[name]
         learned.plot(list(row), [x["std"] for x in row.values()], label=name, marker="o", markersize=3, **style)
-    names = list(next(iter(found["chaotic"]["cures"].values())))
+    names = [name for name in found["chaotic"]["cures"]["at every step"] if name != "differences"]
     for (words, of), shift in zip(found["chaotic"]["cures"].items(), (-0.2, 0.2), strict=True):
-        places = [i + shift for i in range(len(names))]
-        cures.bar(places, [of[name]["std"] / max(of[name]["mean"], 1e-300) for name in names], 0.4, label=words)
+        cures.bar([i + shift for i in range(len(names))], [of[name]["right"] for name in names], 0.4, label=words)
     cures.set_xticks(range(len(names)), names, rotation=20)
     for system, style in line_styles(SYSTEMS).items():
         of = found[system]["gate"]
@@ -354,7 +371,7 @@ def figure(found: dict[str, Any]) -> Figure:
         gate.axhline(hard, label=f"{system}, hard by differences", **{**style, "linestyle": ":"})
     reach.set(xlabel="steps", ylabel="gradient in the start, median", xscale="log", yscale="log", ylim=(1e-8, 1e4))
     learned.set(xlabel="steps", ylabel="standard deviation over tracks", xscale="log", yscale="log")
-    cures.set(ylabel="standard deviation over mean, chaotic", yscale="log")
+    cures.set(ylabel="cosine with the slope by differences, chaotic", ylim=(-1.05, 1.05))
     gate.set(xlabel="temperature", ylabel="slope in the logarithm of the gate", xscale="log", ylim=(-0.006, 0.006))
     for axes in (reach, learned, cures, gate):
         finish(axes)

@@ -65,7 +65,8 @@ PUBLISHED = {"KF": (808.0, 852.0), "OKF": (674.0, 749.0)}
 """Mean squared errors of two draws that the authors have published, m^2; 27 and 29 s to learn."""
 LEARNED = 0.7
 """Share of the tracks that are learned from."""
-HELD_OUT, ITERATIONS, STOP, RATE = 0.15, 40, 3, 0.1
+HELD_OUT, ITERATIONS, PATIENCE = 0.15, 40, 3
+"""Of a fit: share of its tracks that are not learned from, iterations at most, validations without improvement."""
 RATE_OF_TURN = 0.2
 """Standard deviation of the turn rate at the start, rad/s."""
 
@@ -165,7 +166,7 @@ def fitted(f: Any, tracks: Tracks, seen: Callable[[Tracks], Tensor], options: ar
         return squared(estimate.mean, batch) / steps  # type: ignore[arg-type]  # it has a truth as well
 
     found = torchfra.fit(
-        f, data, learn="all", loss=loss, iterations=options.iterations, lr=RATE, held_out=HELD_OUT, patience=STOP,
+        f, data, learn="all", loss=loss, iterations=options.iterations, held_out=HELD_OUT, patience=PATIENCE,
         polish=False, compile=False if options.no_compile else None, seed=options.seed, quiet=True,
     )  # fmt: skip
     return lambda test: found.filter(seen(test), started(f, test), dt=times(test)).mean

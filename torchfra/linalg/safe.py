@@ -12,8 +12,8 @@ from torch import Tensor
 
 def in_range(x: Tensor) -> Tensor:
     """Where a number of the precision of ``x`` holds its square, bool; not where ``x`` is NaN."""
-    within: Tensor = x.abs() < torch.finfo(x.dtype).max ** 0.5
-    return within
+    held: Tensor = x.abs() < torch.finfo(x.dtype).max ** 0.5
+    return held
 
 
 def safe_square(x: Tensor) -> Tensor:
