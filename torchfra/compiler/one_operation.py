@@ -18,7 +18,6 @@ from torch.func import functional_call
 from torch.library import custom_op
 
 from torchfra.compiler.copies import frozen
-from torchfra.filters.engine import INTERPRETED
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import hypers
 from torchfra.linalg.tracing import elementary
@@ -95,7 +94,7 @@ class Call(nn.Module):
             known: size of ``u``.
         """
         alone: Any = frozen(self.filter)
-        alone.engine, one = INTERPRETED, torch.ones(1, dtype=dtype)
+        alone.engine, one = alone.engine.otherwise, torch.ones(1, dtype=dtype)
         n, m = alone.motion.size, alone.sensor.size
         rest = {"u": one.expand(1, known), "std": one.expand(1, m), "noise": torch.eye(m, dtype=dtype).unsqueeze(0)}
         tensors = (
