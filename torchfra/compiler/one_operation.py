@@ -171,7 +171,9 @@ def _own(x: Tensor) -> Tensor:
     return x.detach().clone(memory_format=torch.contiguous_format)
 
 
-@custom_op("torchfra::whole_tracks", mutates_args=())
+@custom_op(
+    "torchfra::whole_tracks", mutates_args=(), schema="(str name, Tensor[] tensors, Tensor[] values) -> Tensor[]"
+)
 def whole_tracks(name: str, tensors: list[Tensor], values: list[Tensor]) -> list[Tensor]:
     """The tensors of an estimate."""
     call = _CALLS[name]
@@ -187,7 +189,11 @@ def _(name: str, tensors: list[Tensor], values: list[Tensor]) -> list[Tensor]:
     return [z.new_empty((*batch, *(steps if shape else ()), *shape[1:]), dtype=dtype) for dtype, shape in call.leaves]
 
 
-@custom_op("torchfra::whole_tracks_gradient", mutates_args=())
+@custom_op(
+    "torchfra::whole_tracks_gradient",
+    mutates_args=(),
+    schema="(str name, Tensor[] tensors, Tensor[] values, Tensor[] grads, int[] places, int[] needed) -> Tensor[]",
+)
 def whole_tracks_gradient(
     name: str, tensors: list[Tensor], values: list[Tensor], grads: list[Tensor], places: list[int], needed: list[int]
 ) -> list[Tensor]:
