@@ -41,14 +41,14 @@ class Compiled:
 
     def __init__(self, otherwise: Any) -> None:
         """``otherwise`` is the engine that runs what kernels do not take."""
-        self._otherwise, self._versions, self.calls = otherwise, list[Version](), one_operation.Calls()
+        self.otherwise, self._versions, self.calls = otherwise, list[Version](), one_operation.Calls()
 
     def __reduce__(self) -> tuple[type[Compiled], tuple[Any]]:
-        return Compiled, (self._otherwise,)  # kernels are no part of a copy
+        return Compiled, (self.otherwise,)  # kernels are no part of a copy
 
     def another(self) -> Compiled:
         """An engine of the same kind for another filter: kernels are of one."""
-        return Compiled(self._otherwise)
+        return Compiled(self.otherwise)
 
     def _now(self, f: nn.Module) -> Version:
         """The kernels that hold for the filter as it is; the version used last comes first."""
@@ -84,7 +84,7 @@ class Compiled:
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
         """Whole tracks from their prior: the estimate, and for a backward pass the last state and what is kept."""
         if not self.takes(measurements.z):
-            whole: tuple[Estimate, Any, Any] = self._otherwise.forward(
+            whole: tuple[Estimate, Any, Any] = self.otherwise.forward(
                 f, measurements, prior, checkpoint, truncate, past
             )
             return whole
@@ -130,7 +130,7 @@ class Compiled:
     ) -> tuple[Any, Any]:  # fmt: skip
         """The state after whole tracks that have been checked, and what ``f.keep`` keeps of each step."""
         if not self.takes(measurements.z):
-            scanned: tuple[Any, Any] = self._otherwise.scan(f, state, measurements, rank, checkpoint, truncate, past)
+            scanned: tuple[Any, Any] = self.otherwise.scan(f, state, measurements, rank, checkpoint, truncate, past)
             return scanned
         now, plan, data = self._plan(f, state, measurements, past)
         steps, rank = measurements.z.shape[-2 - f.scans], len(plan.batch)
@@ -151,7 +151,7 @@ class Compiled:
     ) -> Any:  # fmt: skip
         """The backward pass over a ``past``, time behind ``rank`` batch dimensions."""
         if not self.takes(measurements.z):
-            return self._otherwise.backward(f, past, measurements, rank, frames, checkpoint, lag, truncate)
+            return self.otherwise.backward(f, past, measurements, rank, frames, checkpoint, lag, truncate)
         measurements = f.for_each_target(measurements) if f.scans else measurements
         carried = cut(past, rank, truncate) if truncate and has_gradient(flatten(past)) else None
         if lag is None or lag >= flatten(past)[0].shape[rank] - 1:
@@ -172,7 +172,7 @@ class Compiled:
     ) -> tuple[Any, Any]:
         """What ``function(f, state, frame)`` gives for one measurement or scan that has been checked."""
         if not self.takes(measurements.z):
-            done: tuple[Any, Any] = self._otherwise.once(f, function, state, measurements)
+            done: tuple[Any, Any] = self.otherwise.once(f, function, state, measurements)
             return done
         data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
         with BUILDING:
@@ -185,7 +185,7 @@ class Compiled:
         Shapes are checked unless a call of the same shapes has passed before.
         """
         if not self.takes(measurements.z):
-            stepped: tuple[Any, Any] = self._otherwise.step(f, state, measurements, copied)
+            stepped: tuple[Any, Any] = self.otherwise.step(f, state, measurements, copied)
             return stepped
         z, dt, u, std, noise = measurements
         if not isinstance(dt, (Tensor, float, int)):

@@ -24,16 +24,16 @@ class Meanwhile:
     """
 
     def __init__(self, otherwise: Any) -> None:
-        self._otherwise, self._compiled = otherwise, Compiled(otherwise)
+        self.otherwise, self._compiled = otherwise, Compiled(otherwise)
         self.call, self.calls = self._compiled.call, self._compiled.calls
         self._made: dict[Hashable, Future[Any]] = {}
 
     def __reduce__(self) -> tuple[type[Meanwhile], tuple[Any]]:
-        return Meanwhile, (self._otherwise,)  # kernels are no part of a copy
+        return Meanwhile, (self.otherwise,)  # kernels are no part of a copy
 
     def another(self) -> Meanwhile:
         """An engine of the same kind for another filter: kernels are of one."""
-        return Meanwhile(self._otherwise)
+        return Meanwhile(self.otherwise)
 
     def step(self, f: Any, *given: Any) -> Any:
         """See ``filters.engine.Engine``."""
@@ -69,7 +69,7 @@ class Meanwhile:
         if made is None:
             made = self._made[form] = self._start(name, f, _copied(given))
         if not made.done():
-            return getattr(self._otherwise, name)(f, *given)
+            return getattr(self.otherwise, name)(f, *given)
         made.result()
         return getattr(self._compiled, name)(f, *given)
 

@@ -18,7 +18,6 @@ from torch.func import functional_call
 from torch.library import custom_op
 
 from torchfra.compiler.copies import frozen
-from torchfra.filters.engine import INTERPRETED
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import hypers
 from torchfra.linalg.tracing import elementary
@@ -95,7 +94,7 @@ class Call(nn.Module):
             known: size of ``u``.
         """
         alone: Any = frozen(self.filter)
-        alone.engine, one = INTERPRETED, torch.ones(1, dtype=dtype)
+        alone.engine, one = alone.engine.otherwise, torch.ones(1, dtype=dtype)
         n, m = alone.motion.size, alone.sensor.size
         rest = {"u": one.expand(1, known), "std": one.expand(1, m), "noise": torch.eye(m, dtype=dtype).unsqueeze(0)}
         tensors = (
@@ -172,7 +171,9 @@ def _own(x: Tensor) -> Tensor:
     return x.detach().clone(memory_format=torch.contiguous_format)
 
 
-@custom_op("torchfra::whole_tracks", mutates_args=())
+@custom_op(
+    "torchfra::whole_tracks", mutates_args=(), schema="(str name, Tensor[] tensors, Tensor[] values) -> Tensor[]"
+)
 def whole_tracks(name: str, tensors: list[Tensor], values: list[Tensor]) -> list[Tensor]:
     """The tensors of an estimate."""
     call = _CALLS[name]
@@ -188,7 +189,11 @@ def _(name: str, tensors: list[Tensor], values: list[Tensor]) -> list[Tensor]:
     return [z.new_empty((*batch, *(steps if shape else ()), *shape[1:]), dtype=dtype) for dtype, shape in call.leaves]
 
 
-@custom_op("torchfra::whole_tracks_gradient", mutates_args=())
+@custom_op(
+    "torchfra::whole_tracks_gradient",
+    mutates_args=(),
+    schema="(str name, Tensor[] tensors, Tensor[] values, Tensor[] grads, int[] places, int[] needed) -> Tensor[]",
+)
 def whole_tracks_gradient(
     name: str, tensors: list[Tensor], values: list[Tensor], grads: list[Tensor], places: list[int], needed: list[int]
 ) -> list[Tensor]:
