@@ -1,6 +1,7 @@
 """A filter that does not wait for its kernels answers at once, interpreted, and later by the kernels."""
 
 import copy
+import gc
 import threading
 import time
 
@@ -10,6 +11,8 @@ from test_compile import close
 
 from torchfra import presets, scenarios
 from torchfra.compiler import jit
+from torchfra.compiler.program import BUILDING
+from torchfra.compiler.step import Step
 from torchfra.types import CompileError
 
 
@@ -100,3 +103,24 @@ def test_copies_have_no_kernels_yet(tracks):
     assert type(again.engine) is type(f.engine)
     assert not again.engine._made
     finished(f)
+
+
+@pytest.mark.parametrize("collects", [True, False])
+def test_the_search_for_unreachable_cycles_rests_while_a_step_is_traced_and_is_then_as_it_was(
+    collects, tracks, monkeypatch
+):
+    seen, trace = [], Step._trace
+    monkeypatch.setattr(Step, "_trace", lambda *given, **more: seen.append(gc.isenabled()) or trace(*given, **more))
+    before = gc.isenabled()
+    (gc.enable if collects else gc.disable)()
+    try:
+        f = filters()[0].compile()
+        with pytest.raises(NotImplementedError), BUILDING:
+            raise NotImplementedError
+        f.step(f.init(tracks.prior), tracks.z[:, 0], u=tracks.u[0])
+        after = gc.isenabled()
+    finally:
+        (gc.enable if before else gc.disable)()
+    assert seen
+    assert not any(seen)
+    assert after == collects

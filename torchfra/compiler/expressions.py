@@ -77,8 +77,9 @@ class Expressions:
 
     def constant(self, value: float) -> int:
         """A known number; True is 1 and False is 0."""
-        number = self._new("constant", (), repr(float(value)))
-        self.values[number] = float(value)
+        value = float(value)
+        number = self._new("constant", (), repr(value))
+        self.values[number] = value
         return number
 
     def input(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 from array import array
 from collections.abc import Iterable, Sequence
@@ -14,7 +15,31 @@ from torchfra.compiler import cuda, jit
 from torchfra.compiler.pages import PAST, maker, rows_of_tracks
 from torchfra.compiler.source import Port, Scan
 
-BUILDING = threading.RLock()
+
+class Building:
+    """A lock that the same thread may take several times, while Python looks for no unreachable cycles.
+
+    Of the millions of objects that tracing makes nearly all stay: to look at them again and again takes a fifth of it.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._depth, self._collects = threading.RLock(), 0, False
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+        if self._depth == 0:
+            self._collects = gc.isenabled()
+            gc.disable()
+        self._depth += 1
+
+    def __exit__(self, *error: object) -> None:
+        self._depth -= 1
+        if self._depth == 0 and self._collects:
+            gc.enable()
+        self._lock.release()
+
+
+BUILDING = Building()
 """Held while caches of kernels are looked up and filled: threads that need the same kernels make them once.
 
 Tracing itself needs no lock: every trace has its own copy of the module.
