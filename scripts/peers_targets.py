@@ -2,6 +2,7 @@
 
     python scripts/peers_targets.py                                   10 targets, 30 false measurements per scan
     python scripts/peers_targets.py --targets 30 --clutter 100 --runs 3 --json targets.json
+    python scripts/peers_targets.py --trackers srckf --birth one --confirmation existence --seed 6 --runs 3
 
 Targets fly nearly straight in a square; positions are measured, some are missed, false ones lie anywhere.  All trackers
 know the models, the detection and the density of false measurements, and end a target after five scans without one,
@@ -37,7 +38,7 @@ from torchfra.running.atomic_write import write_json
 from torchfra.running.versions import versions
 from torchfra.sensors import Position
 from torchfra.tables import text_table
-from torchfra.targets import SPRT, Deletion, Targets, TwoPoint
+from torchfra.targets import SPRT, Deletion, Existence, OnePoint, Targets, TwoPoint
 
 WORKER = Path(__file__).parent / "benchmarks" / "stone_soup.py"
 Q, STD, SPEED, DETECTION, GATE, SIDE = 0.5, 10.0, 15.0, 0.95, 0.999, 2000.0
@@ -45,6 +46,9 @@ Q, STD, SPEED, DETECTION, GATE, SIDE = 0.5, 10.0, 15.0, 0.95, 0.999, 2000.0
 CUTOFF = 100.0
 """Of the GOSPA metric, m."""
 OURS = ("srckf", "imm", "gpb")
+BIRTHS = {"one": OnePoint(SPEED), "two": TwoPoint(speed=4 * SPEED)}
+CONFIRMATIONS = {"sprt": SPRT(1e-4), "existence": Existence()}
+"""Of torchfra's manager: from how many measurements targets begin, and how they are confirmed."""
 PEERS = {"stonesoup-jpda": "jpda", "stonesoup-mfa": "mfa"}
 
 
@@ -63,6 +67,9 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--seed", type=int, default=0, help="of the random numbers (default: 0)")
     p.add_argument("--points", type=int, default=5, help="measurements by which Stone Soup confirms a track (default: "
                    "5, which of 3 to 6 has the least GOSPA at the other defaults)")  # fmt: skip
+    p.add_argument("--birth", choices=BIRTHS, default="two", help="measurements that begin a target of torchfra's "
+                   "(default: two)")  # fmt: skip
+    p.add_argument("--confirmation", choices=CONFIRMATIONS, default="sprt", help="of torchfra's (default: sprt)")
     p.add_argument("--trackers", default=",".join((*OURS, *PEERS)), help="out of %(default)s")
     add_json_option(p)
     return p
@@ -86,7 +93,7 @@ def compare(options: argparse.Namespace) -> None:
     truth, z = simulated(options)
     rows: list[dict[str, Any]] = []
     for name in options.trackers.split(","):
-        found = here(name, z, options.clutter) if name in OURS else elsewhere(name, z, options)
+        found = here(name, z, options) if name in OURS else elsewhere(name, z, options)
         if found is not None:
             rows.append(scored(name, *found, truth))
     cells = [[f"{row[key]:.1f}" if isinstance(row[key], float) else row[key] for key in row] for row in rows]
@@ -120,20 +127,21 @@ def simulated(options: argparse.Namespace) -> tuple[Tensor, Tensor]:
     return torch.from_numpy(truth), torch.from_numpy(np.concatenate([own.swapaxes(1, 2), false], 2))
 
 
-def tracker(name: str, clutter: int) -> Targets:
+def tracker(name: str, options: argparse.Namespace) -> Targets:
     """Torchfra's manager around a filter."""
-    sensor, false = Position(STD), Clutter(SIDE**2, rate=float(clutter))
+    sensor, false = Position(STD), Clutter(SIDE**2, rate=float(options.clutter))
     motion: Any = ConstantVelocity(Q, spectral=True)
     inner: Callable[..., Any] = getattr(presets, name)
     if name == "imm":
         motion = Bank([motion, ConstantVelocity(16 * Q, spectral=True)])
     joint = presets.jpda(motion, sensor, inner=inner, clutter=false, detection=DETECTION, gate=ChiSquare(GATE))
-    return Targets(joint, birth=TwoPoint(speed=4 * SPEED), confirmation=SPRT(1e-4), deletion=Deletion(5, drop=1e-4))
+    birth, confirmation = BIRTHS[options.birth], CONFIRMATIONS[options.confirmation]
+    return Targets(joint, birth=birth, confirmation=confirmation, deletion=Deletion(5, drop=1e-4))
 
 
-def here(name: str, z: Tensor, clutter: int) -> tuple[list[Tensor], list[float]]:
+def here(name: str, z: Tensor, options: argparse.Namespace) -> tuple[list[Tensor], list[float]]:
     """Tracks ``(K, T, n)`` of each run, and the processor's seconds: one run after the other, scan by scan."""
-    targets, found, seconds = tracker(name, clutter), [], []
+    targets, found, seconds = tracker(name, options), [], []
     with torch.no_grad():
         targets(z[0, :5])  # warm
         for scans in z:

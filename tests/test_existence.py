@@ -8,7 +8,7 @@ import torch
 from joint import plane
 from oracles.events import joint_existence
 
-from torchfra import tree
+from torchfra import presets, tree
 from torchfra.association import ChiSquare, Clutter, associate
 from torchfra.filters.scans.hypotheses import associate_uncertain
 from torchfra.targets import SPRT, Deletion, Existence, FieldOfView, Merging, OnePoint, Targets, TwoPoint, collect
@@ -158,6 +158,12 @@ def test_gradients_are_those_of_finite_differences():
             p += 1e-6
         assert p.grad.abs() > 1e-3
         torch.testing.assert_close(p.grad, (above - below) / 2e-6, rtol=1e-5, atol=1e-6)
+
+
+def test_a_filter_of_regimes_has_targets_that_may_not_exist_too():
+    f = plane(Clutter(WIDTH**2, rate=4.0), detection=0.95, inner=presets.gpb)
+    estimate = Targets(f, birth=TwoPoint(10.0), confirmation=Existence())(dense(1, 7, 6)[:, :, : COUNT + 4])
+    assert estimate.confirmed[..., -1].sum() == COUNT
 
 
 def test_existence_alone_needs_no_other_rule_of_deletion():
