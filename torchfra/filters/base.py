@@ -29,7 +29,7 @@ from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
-from torchfra.types import Estimate, Gaussian, Innovation, Prediction, Whitened
+from torchfra.types import Alarm, Estimate, Gaussian, Innovation, Prediction, Whitened
 
 Mix = Callable[[Gaussian], Gaussian]
 S = TypeVar("S", default=Any)  # the states of a filter
@@ -80,7 +80,7 @@ class Filter(nn.Module, Generic[S]):
     scans = False
     """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
     alarms = False
-    """Whether ``step`` says if the sensor is faulty: ``Innovation.alarm``."""
+    """Whether it says if the sensor is faulty: ``watch``, and ``alarm`` in the ``info`` of its steps."""
     instants = True
     """Whether a step may take no time, as that to a second measurement at the same instant."""
     mixes = False
@@ -301,6 +301,43 @@ class Filter(nn.Module, Generic[S]):
         measurements = Measurements(z, dt, u, std, noise)
         measurements = needed_inputs(self, measurements, lambda: check_step(self, state, measurements))
         return self.engine.step(self, state, measurements)
+
+    @in_full_precision
+    def watch(
+        self,
+        state: S,
+        z: Tensor,
+        *,
+        dt: Time = 1.0,
+        u: Tensor | None = None,
+        std: Tensor | None = None,
+        noise: Tensor | None = None,
+        sensor: Sensor | None = None,
+    ) -> tuple[S, Innovation, Alarm | None]:
+        """``step``, and whether the sensor is faulty: of another than the filter's own by this measurement alone.
+
+        Args:
+            state: as of ``step``.
+            z: as of ``step``.
+            dt: as of ``step``.
+            u: as of ``step``.
+            std: as of ``step``.
+            noise: as of ``step``.
+            sensor: as of ``step``.
+
+        Returns:
+            The next state, what the measurement said, and the alarm; None of filters that do not say (``alarms``).
+
+        Raises:
+            ValueError: a shape or a value that does not fit.
+        """
+        f = self.with_sensor(sensor)
+        measurements = Measurements(z, dt, u, std, noise)
+        measurements = needed_inputs(f, measurements, lambda: check_step(f, state, measurements))
+        check_step(f, state, measurements)
+        measurements = measurements._replace(z=z.to(state.belief.mean))  # type: ignore[attr-defined]  # a state has one
+        after, (innovation, alarm) = f.engine.once(f, watched, state, measurements)
+        return after, innovation, alarm
 
     @in_full_precision
     def forward(
@@ -613,3 +650,9 @@ class Filter(nn.Module, Generic[S]):
         if estimate is None or self.keeps_past:
             estimate, state, steps = self._forth(measurements, prior, checkpoint, truncate, self.keeps_past)
         return estimate, self.past(Gaussian(estimate.mean, estimate.scale_tril), estimate.info, state, steps)
+
+
+def watched(f: Any, state: Any, frame: Frame) -> tuple[Any, tuple[Innovation, Alarm | None]]:
+    """One step on a prepared frame: the next state, what the measurement said, and whether the sensor is faulty."""
+    state, record = f.advance(state, frame)
+    return state, (f.innovation_of(record, frame), record.info.alarm if f.alarms else None)

@@ -266,15 +266,23 @@ class Tracker:
         place = window.place(entry)
         (time, known), done, innovations = window.before(place), [], []
         for each in (entry, *window.entries[place:]):
-            z, dt, u, std, noise = each.after(time)
-            sensor = self._intake.sensor(each)
-            state, innovation = self.filter.step(known.state, z, dt=dt, u=u, std=std, noise=noise, sensor=sensor)
-            known = Known(state, measured(known.alarms, each.sensor, innovation.alarm, z, each.time - time))
+            known, innovation = self._taken(known, each, time)
             done.append(each._replace(state=known))
             innovations.append(innovation)
             time = each.time
         window.entries[place:] = done
         return innovations[0]
+
+    def _taken(self, known: Known, entry: Entry, time: float) -> tuple[Known, Innovation]:
+        """What is known after a step from ``time`` to an entry, and the innovation of that."""
+        z, dt, u, std, noise = entry.after(time)
+        options: dict[str, Any] = {"dt": dt, "u": u, "std": std, "noise": noise, "sensor": self._intake.sensor(entry)}
+        if not self.filter.alarms:
+            state, innovation = self.filter.step(known.state, z, **options)
+            return Known(state, ()), innovation
+        state, innovation, alarm = self.filter.watch(known.state, z, **options)
+        assert alarm is not None
+        return Known(state, measured(known.alarms, entry.sensor, alarm, z, entry.time - time)), innovation
 
     def _report(self, outcome: str, entry: Entry, innovation: Innovation | None = None) -> Report:
         self._counts[outcome] += 1
