@@ -1,5 +1,6 @@
 """A sensor that is faulty is said, since when and by how much: of gpb, in a tracker, and in a table."""
 
+import copy
 import math
 from dataclasses import replace
 
@@ -95,6 +96,27 @@ def test_compiled_alarms_are_those_of_the_interpreted_filter():
     interpreted = f(z, PRIOR, dt=torch.as_tensor(DT)).info.alarm
     for a, b in zip(f.compile()(z, PRIOR, dt=torch.as_tensor(DT)).info.alarm, interpreted, strict=True):
         close(a, b)
+
+
+def test_a_step_has_the_alarm_that_a_whole_track_has_and_compiled_too():
+    case = with_a_fault(cases.position)
+    f = presets.gpb(ConstantVelocity(0.5), case.sensor, **CHAINS[0])
+    expected, z = f(torch.as_tensor(case.z), PRIOR, dt=torch.as_tensor(DT)).info.alarm, torch.as_tensor(case.z)
+    for g in (f, copy.deepcopy(f).compile()):
+        state = g.init(PRIOR)
+        for k, dt in enumerate(DT):
+            state, _, alarm = g.watch(state, z[k], dt=float(dt))
+            for a, b in zip(alarm, expected, strict=True):
+                close(a, b[k])
+
+
+def test_a_filter_without_outliers_watches_nothing():
+    f = presets.srckf(ConstantVelocity(0.5), Position(1.0))
+    state, innovation, alarm = f.watch(f.init(PRIOR), torch.tensor([1.0, 2.0], **F64))
+    assert alarm is None
+    for a, b in zip(innovation, f.step(f.init(PRIOR), torch.tensor([1.0, 2.0], **F64))[1], strict=True):
+        assert torch.equal(a, b)
+    assert state.belief.mean.shape == (4,)
 
 
 GPS, RADAR = Position(2.0), RangeBearing(torch.tensor([3.0, 0.02], **F64))

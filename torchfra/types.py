@@ -133,9 +133,6 @@ class Innovation(NamedTuple):
     """``(...)`` normalised innovation squared, of the elements that were measured."""
     log_likelihood: Tensor
     """``(...)`` log density of the elements that were measured."""
-    alarm: Alarm | None = None
-    """Whether the sensor is faulty, of another than the filter's own by this measurement alone; None of filters that
-    do not say."""
 
 
 class Cause(IntEnum):

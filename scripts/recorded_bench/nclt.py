@@ -77,9 +77,10 @@ TRANSITION = (
 )
 """Probabilities of what follows in 1 s on: no fault, a fault begins, is steady, moves, ends."""
 
-UNNOTICED = (0.05, 3 * ERROR)
+UNNOTICED = (0.05, 4 * ERROR)
 """Of protection levels: share of the time with an error of positions that was believed, and its standard deviation, m:
-three times that of the error that is always there."""
+four times that of the error that is always there, the least multiple at which the levels of ``imm`` and ``gpb`` hold on
+both days that values were chosen on."""
 
 
 def read(path: Path) -> Track:

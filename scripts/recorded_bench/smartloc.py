@@ -49,7 +49,7 @@ FLATTENING_SQUARED = 0.00669438
 """Square of the first eccentricity of the Earth's ellipsoid."""
 STD = 2.0
 """Standard deviation of a pseudorange in line of sight, m."""
-UNNOTICED = (0.05, 3 * STD)
+UNNOTICED = (0.05, 4 * STD)
 """Of protection levels, as of a robot on a campus."""
 LATE = (7.0, 14.0, 25.0, 45.0, 75.0, 120.0)
 """By how many metres reflections come late: each is as likely, and stands for what is within 30 % of it, or 4 m."""

@@ -73,7 +73,7 @@ ACCELERATION, SECONDS = 1.0, 1.0
 ERROR, LASTS = 0.1, 1.0
 """Of ranges, m, and for how long one is much like the one before, s.  As many in a row tell what one tells: they are
 taken for white errors whose variance is so many times as large."""
-UNNOTICED = (0.05, 3 * ERROR)
+UNNOTICED = (0.05, 4 * ERROR)
 """Of protection levels, as of a robot on a campus."""
 OPTIONS: dict[str, dict[str, Any]] = {"gpb": {"manoeuvres": "none"}}
 """Arguments of presets, others than their defaults: who walks does nothing that the motion does not know."""

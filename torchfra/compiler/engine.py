@@ -179,13 +179,13 @@ class Compiled:
             plan = now.plan(traced.Once(function, _whole(f, measurements)), state, data, (False,) * 5)
         return now.run(plan, 1, state, data)
 
-    def step(self, f: Any, state: Any, measurements: Measurements, copied: bool = False) -> tuple[Any, Any]:
-        """The state after one measurement, and its innovation; ``copied``: with a copy of the belief.
+    def step(self, f: Any, state: Any, measurements: Measurements, watched: bool = False) -> tuple[Any, Any]:
+        """The state after one measurement, and its innovation; ``watched``: with the alarm and a copy of the belief.
 
         Shapes are checked unless a call of the same shapes has passed before.
         """
         if not self.takes(measurements.z):
-            stepped: tuple[Any, Any] = self.otherwise.step(f, state, measurements, copied)
+            stepped: tuple[Any, Any] = self.otherwise.step(f, state, measurements, watched)
             return stepped
         z, dt, u, std, noise = measurements
         if not isinstance(dt, (Tensor, float, int)):
@@ -193,7 +193,7 @@ class Compiled:
         now = self._now(f)
         data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype, f.instants), u, std, noise)
         checked = not isinstance(dt, Tensor) and std is None and noise is None
-        kind = _whole(f, measurements), copied
+        kind = _whole(f, measurements), watched
         done = now.ready[kind](state, data, now.read(), None if checked else f.instants)
         return self._prepare(f, now, state, measurements, data, kind) if done is None else done
 

@@ -108,7 +108,7 @@ def _check(f: Any, name: str, u: int, inputs: Collection[str], dtype: torch.dtyp
 
 def _advance(f: Any, state: Any, data: dict[str, Tensor]) -> tuple[Any, Output]:
     state, innovation = traced.Observe()(f, state, data)
-    return state, Output(*state.belief, *innovation[:4])  # without the alarm
+    return state, Output(*state.belief, *innovation)
 
 
 def _begin(f: Any, dtype: torch.dtype) -> tuple[Scan, list[Field]]:

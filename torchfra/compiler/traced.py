@@ -63,15 +63,19 @@ class Keep:
 
 @dataclass(frozen=True)
 class Observe:
-    """One step of ``step``, of scans that are ``whole`` or not; ``copied``: with the belief besides."""
+    """One step of ``step``, of scans that are ``whole`` or not; ``watched``: with the alarm and the belief."""
 
     whole: bool = False
-    copied: bool = False
+    watched: bool = False
 
     def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
         """The next state, and the innovation."""
-        state, innovation = f.observe(state, _frame(f, data, self.whole))
-        return state, (innovation, state.belief) if self.copied else innovation
+        frame = _frame(f, data, self.whole)
+        if not self.watched:
+            stepped: tuple[Any, Any] = f.observe(state, frame)
+            return stepped
+        state, (innovation, alarm) = f.watched(state, frame)
+        return state, (innovation, alarm, state.belief)
 
 
 @dataclass(frozen=True)

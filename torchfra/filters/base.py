@@ -29,7 +29,7 @@ from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
-from torchfra.types import Estimate, Gaussian, Innovation, Prediction, Whitened
+from torchfra.types import Alarm, Estimate, Gaussian, Innovation, Prediction, Whitened
 
 Mix = Callable[[Gaussian], Gaussian]
 S = TypeVar("S", default=Any)  # the states of a filter
@@ -92,7 +92,7 @@ class Filter(nn.Module, Generic[S]):
     scans = False
     """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
     alarms = False
-    """Whether ``step`` says if the sensor is faulty: ``Innovation.alarm``."""
+    """Whether it says if the sensor is faulty: ``watch``, and ``alarm`` in the ``info`` of its steps."""
     instants = True
     """Whether a step may take no time, as that to a second measurement at the same instant."""
     mixes = False
@@ -317,6 +317,41 @@ class Filter(nn.Module, Generic[S]):
 
     @by_its_engine
     @in_full_precision
+    def watch(
+        self,
+        state: S,
+        z: Tensor,
+        *,
+        dt: Time = 1.0,
+        u: Tensor | None = None,
+        std: Tensor | None = None,
+        noise: Tensor | None = None,
+        sensor: Sensor | None = None,
+    ) -> tuple[S, Innovation, Alarm | None]:
+        """``step``, and whether the sensor is faulty: of another than the filter's own by this measurement alone.
+
+        Args:
+            state: as of ``step``.
+            z: as of ``step``.
+            dt: as of ``step``.
+            u: as of ``step``.
+            std: as of ``step``.
+            noise: as of ``step``.
+            sensor: as of ``step``.
+
+        Returns:
+            The next state, what the measurement said, and the alarm; None of filters that do not say (``alarms``).
+
+        Raises:
+            ValueError: a shape or a value that does not fit.
+        """
+        f = self.with_sensor(sensor)
+        measurements = Measurements(z, dt, u, std, noise)
+        measurements = needed_inputs(f, measurements, lambda: check_step(f, state, measurements))
+        after, (innovation, alarm, _) = f.engine.step(f, state, measurements, True)
+        return after, innovation, alarm
+
+    @in_full_precision
     def forward(
         self,
         z: Tensor,
@@ -538,6 +573,11 @@ class Filter(nn.Module, Generic[S]):
         """One step on a prepared frame: the next state, and what the measurement said."""
         state, record = self.advance(state, frame)
         return state, self.innovation_of(record, frame)
+
+    def watched(self, state: S, frame: Frame) -> tuple[S, tuple[Innovation, Alarm | None]]:
+        """The same, and whether the sensor is faulty; None of filters that do not say."""
+        state, record = self.advance(state, frame)
+        return state, (self.innovation_of(record, frame), record.info.alarm if self.alarms else None)
 
     def _forth(
         self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,

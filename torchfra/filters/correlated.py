@@ -23,7 +23,7 @@ from torchfra.motion.correlated import GaussMarkov
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.composed import Biased
 from torchfra.sensors.correlated import erring, errors_of, stationary, without_errors
-from torchfra.types import Gaussian, Innovation
+from torchfra.types import Gaussian
 
 P = TypeVar("P", bound=Callable[..., Any])
 
@@ -135,10 +135,6 @@ class WithErrors(Filter[WithErrorsState]):
     def finish(self, state: WithErrorsState, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
         """As the filter inside does, with the target's components."""
         return self.inner.finish(self.own(state.inner), belief, info)
-
-    def innovation_of(self, record: Record, frame: Frame) -> Innovation:
-        """What the measurement of a step said, in its own units."""
-        return self.inner.innovation_of(record, frame)
 
     def predict(
         self, state: WithErrorsState, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None

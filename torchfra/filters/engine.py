@@ -23,14 +23,14 @@ class Engine(Protocol):
     def call(self, method: Callable[..., Estimate], f: Any, *given: Any, **options: Any) -> Estimate:
         """What a method of the filter gives for whole tracks, ``method(f, *given, **options)``."""
 
-    def step(self, f: Any, state: Any, measurements: Measurements, copied: bool = False) -> tuple[Any, Any]:
+    def step(self, f: Any, state: Any, measurements: Measurements, watched: bool = False) -> tuple[Any, Any]:
         """The state after one measurement, and its innovation; shapes and values are checked.
 
         Args:
             f: the filter.
             state: before it.
             measurements: of the step.
-            copied: whether a pair comes in place of the innovation: that, and a copy of the state's belief.
+            watched: whether a triple comes in place of the innovation: that, the alarm, and a copy of the belief.
         """
 
     def once(self, f: Any, function: Function, state: Any, measurements: Measurements) -> tuple[Any, Any]:
@@ -86,10 +86,14 @@ class Interpreted:
         """What a method of the filter gives for whole tracks."""
         return method(f, *given, **options)
 
-    def step(self, f: Any, state: Any, measurements: Measurements, copied: bool = False) -> tuple[Any, Any]:
-        """The state after one measurement, and its innovation; ``copied``: with a copy of the belief."""
-        state, innovation = f.observe(state, f._frame(state, measurements))
-        return state, (innovation, tree.map_tensors(torch.clone, state.belief)) if copied else innovation
+    def step(self, f: Any, state: Any, measurements: Measurements, watched: bool = False) -> tuple[Any, Any]:
+        """The state after one measurement, and its innovation; ``watched``: with alarm and a copy of the belief."""
+        frame = f._frame(state, measurements)
+        if not watched:
+            stepped: tuple[Any, Any] = f.observe(state, frame)
+            return stepped
+        state, (innovation, alarm) = f.watched(state, frame)
+        return state, (innovation, alarm, tree.map_tensors(torch.clone, state.belief))
 
     def once(self, f: Any, function: Function, state: Any, measurements: Measurements) -> tuple[Any, Any]:
         """What ``function(f, state, frame)`` gives for one measurement."""

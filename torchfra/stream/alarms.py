@@ -29,7 +29,7 @@ def silent(sensor: Sensor, mean: Tensor) -> Alarm:
     return Alarm(blocks, blocks.clone(), elements)
 
 
-def measured(alarms: Alarms, number: int, said: Alarm | None, z: Tensor, dt: float) -> Alarms:
+def measured(alarms: Alarms, number: int, said: Alarm, z: Tensor, dt: float) -> Alarms:
     """All alarms after a measurement ``z (..., m)`` by the sensor of this number, ``dt`` seconds after the last one.
 
     Args:
@@ -39,8 +39,6 @@ def measured(alarms: Alarms, number: int, said: Alarm | None, z: Tensor, dt: flo
         z: NaN is missing; where all is, the alarm stays.
         dt: seconds.
     """
-    if said is None:
-        return alarms
     seen = ~z.isnan().all(-1, keepdim=True)
     after = []
     for i, (probability, lasted, offset) in enumerate(alarms):

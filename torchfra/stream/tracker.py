@@ -288,13 +288,16 @@ class Tracker:
         for each in (entry, *window.entries[place:]):
             f, measurements = self.filter.with_sensor(self._intake.sensor(each)), each.after(time)
             state, told = f.engine.step(f, known.state, measurements, True)
-            alarms = measured(known.alarms, each.sensor, told[0].alarm, measurements.z, each.time - time)
-            known = Known(state, alarms)
+            alarm = told[1]
+            if alarm is None:
+                known = Known(state, ())
+            else:
+                known = Known(state, measured(known.alarms, each.sensor, alarm, measurements.z, each.time - time))
             done.append(each.with_state(known))
             said.append(told)
             time = each.time
         window.entries[place:] = done
-        return said[0][0], self._intake.told(said[-1][1])
+        return said[0][0], self._intake.told(said[-1][2])
 
     def _report(self, outcome: str, entry: Entry, belief: Gaussian, innovation: Innovation | None = None) -> Report:
         self._counts[outcome] += 1

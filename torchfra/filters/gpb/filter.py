@@ -42,7 +42,7 @@ from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
-from torchfra.types import Alarm, Gaussian, Innovation, Whitened
+from torchfra.types import Alarm, Gaussian, Whitened
 
 
 class Mixing(NamedTuple):
@@ -243,10 +243,6 @@ class GPB(Filter[GPBState]):
         seen = self.sensor.at_points(now.belief.mean[None, ..., : self.sensor.reads], frame.u)[0]
         offset = torch.where(frame.measured > 0, self.sensor.difference(frame.z, seen), 0.0)
         return Alarm(wrong, lasting(before.lasted, was, wrong, frame.dt), offset)
-
-    def innovation_of(self, record: Record, frame: Frame) -> Innovation:
-        """What the measurement of a step said, in its own units."""
-        return super().innovation_of(record, frame)._replace(alarm=record.info.alarm)
 
     # ------------------------------------------------------------ what is expected later
 
