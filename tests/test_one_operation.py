@@ -13,7 +13,7 @@ from torchfra import Gaussian
 from torchfra.compiler import one_operation
 from torchfra.tree import flatten
 
-pytestmark = needs_one_graph
+pytestmark = [needs_one_graph, pytest.mark.slow]
 STEPS = 6
 
 
@@ -62,7 +62,6 @@ def test_the_whole_estimate_comes_out_as_without(name, options, make, data):
     assert len(operations) < 30
 
 
-@pytest.mark.slow
 def test_so_does_a_smoothed_one(make, data):
     f = make("rsrckf").compile()
     z, prior, u = data
@@ -72,7 +71,6 @@ def test_so_does_a_smoothed_one(make, data):
         assert seen[0].count("torchfra.whole_tracks.default") == 1
 
 
-@pytest.mark.slow
 def test_gradients_of_the_network_and_of_the_filter_are_the_same(make, data):
     model = Network(make("fra", learn=("threshold", "q")).compile(), truncate=4)
     graph, _ = graph_of(model)
@@ -88,7 +86,6 @@ def test_gradients_of_the_network_and_of_the_filter_are_the_same(make, data):
     torch.testing.assert_close(gradients(graph), expected, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.slow
 def test_the_operations_are_what_torch_asks_of_operations(make, data):
     f = make("srckf", learn=("q",)).compile()
     z, prior, u = data
@@ -185,7 +182,6 @@ def test_a_track_that_fails_is_told_and_leaves_gradients_of_the_others_alone(mak
     assert model.network.bias.grad.isfinite().all()
 
 
-@pytest.mark.slow
 def test_inside_a_transform_the_filter_is_traced_as_before(make, data):
     f = make("srckf").compile()
     z, prior, u = data
@@ -195,7 +191,6 @@ def test_inside_a_transform_the_filter_is_traced_as_before(make, data):
     assert "torchfra.whole_tracks.default" not in seen[0]
 
 
-@pytest.mark.slow
 def test_a_bank_of_hypotheses_is_one_operation_too(data):
     from test_gpb import FEWER, PRIOR, measured
     from test_gpb_promises import bank

@@ -6,6 +6,7 @@ that runs kernels, and its gradient is another, that runs the filter's kernels a
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import itertools
 from collections.abc import Callable, Sequence
@@ -17,7 +18,6 @@ from torch import Tensor, nn
 from torch.func import functional_call
 from torch.library import custom_op
 
-from torchfra.compiler.copies import frozen
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import hypers
 from torchfra.linalg.tracing import elementary
@@ -86,24 +86,19 @@ class Call(nn.Module):
             batch: torch.Size = self.filter._batch(measurements, Gaussian(mean, root))
         return batch
 
-    def try_out(self, dtype: torch.dtype, known: int) -> None:
+    def try_out(self, dtype: torch.dtype, device: torch.device, known: int) -> None:
         """Finds out what an estimate holds, by an interpreted track of one step.
 
         Args:
             dtype: of ``z``.
+            device: of ``z``.
             known: size of ``u``.
         """
-        alone: Any = frozen(self.filter)
-        alone.engine, one = alone.engine.otherwise, torch.ones(1, dtype=dtype)
-        n, m = alone.motion.size, alone.sensor.size
-        rest = {"u": one.expand(1, known), "std": one.expand(1, m), "noise": torch.eye(m, dtype=dtype).unsqueeze(0)}
-        tensors = (
-            one.expand(1, m),
-            one.expand(n),
-            torch.eye(n, dtype=dtype),
-            one,
-            *(rest[name] for name in self.names),
-        )
+        alone: Any = copy.copy(self.filter)
+        alone.engine = alone.engine.otherwise
+        n, m, one = alone.motion.size, alone.sensor.size, torch.ones(1, dtype=dtype, device=device)
+        rest = {"u": one.expand(1, known), "std": one.expand(1, m), "noise": one.expand(1, m).diag_embed()}
+        tensors = (one.expand(1, m), one.expand(n), one.expand(n).diag(), one, *(rest[name] for name in self.names))
         with torch.no_grad():
             made = Call(alone, self.method, self.names, self.options).estimate(tensors)
         rank, count = made.mean.dim() - 2, itertools.count()
@@ -145,7 +140,7 @@ def call(method: str, f: Any, z: Tensor, prior: Gaussian, **options: Any) -> Est
     others = tuple((name, x) for name, x in options.items() if name not in (*_OPTIONAL, "dt"))
     dt = torch.as_tensor(options.get("dt", 1.0), dtype=torch.float64, device=z.device)
     known = len(range(rest["u"].shape[-1])) if "u" in rest else 0  # the range makes a constant of what may be a symbol
-    name = known_call(f, method, tuple(rest), others, z.dtype, known)
+    name = known_call(f, method, tuple(rest), others, z.dtype, z.device, known)
     made, values = getattr(f.engine.calls, name), _values(f)
     written = whole_tracks(name, [z, *prior, dt, *rest.values()], [values[path] for path in made.values])
     estimate: Estimate = _placed(made.places, written)
