@@ -106,6 +106,6 @@ def test_how_likely_outliers_are_after_clean_fixes_and_after_outliers_is_found(b
     (found,) = fitted([part], owner, find_sigma=False, find_q=False)
     clean, after = (~wrong[:-1]).sum(), wrong[:-1].sum()
     begun, lasted = (wrong[1:] & ~wrong[:-1]).sum(), (wrong[1:] & wrong[:-1]).sum()
-    expected = (1.5 + begun) / (100 + clean), (3.5 + lasted) / (10 + after)
+    expected = (4.5 + begun) / (300 + clean), (10.5 + lasted) / (30 + after)
     assert found.model.begins[0].item() == pytest.approx(expected[0], rel=0.1, abs=0.005)
     assert found.model.lasts[0].item() == pytest.approx(expected[1], rel=0.1, abs=0.05)

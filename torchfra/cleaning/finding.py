@@ -26,7 +26,7 @@ SHORT = 0
 """Owner of the rows of all tracks that are too short to be looked at alone."""
 _FEW = 2.0
 """Fixes that shares of levels are worth before any was seen."""
-_BEFORE = 100.0, 10.0
+_BEFORE = 300.0, 30.0
 """Fixes that the default probabilities of an outlier where there is none beside or before it, and where there is, are
 worth."""
 _ROUNDS = 2

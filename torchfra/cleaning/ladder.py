@@ -44,9 +44,9 @@ class OutlierModel(NamedTuple):
     """Least mean square error per axis of an outlier, in units of the variance of a clean fix."""
     same_offset: float = 0.5
     """Probability that an outlier after another is as far off in the same direction."""
-    alone: Tensor | float = 0.01
+    alone: Tensor | float = 0.001
     """Probability of an outlier where other axes of the fix have none; one, or ``(B,)``."""
-    beside: Tensor | float = 0.5
+    beside: Tensor | float = 0.95
     """The same where they have one."""
 
     @property
