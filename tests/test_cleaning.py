@@ -51,6 +51,12 @@ def test_the_noise_is_found_and_said(cleaned):
         assert len(one.found.said) == one.raw.shape[1] - 1  # of the height, where there is one
 
 
+def test_a_result_prints_as_one_line(cleaned):
+    of = cleaned[1][0]
+    outliers = (of.flag == "outlier").sum()
+    assert repr(of) == f"Cleaned('track 0': 200 fixes, {outliers} outliers, sigma {of.found.sigma:.3g})"
+
+
 def test_outliers_are_found_and_nothing_else(cleaned):
     for (_, _, wrong), one in zip(*cleaned, strict=True):
         np.testing.assert_array_equal(one.flag == "outlier", wrong)

@@ -211,6 +211,14 @@ def test_what_grows_downwards_is_no_height(tmp_path, name):
     assert f"ignored: {name}" in read(file)[0].source.said
 
 
+@pytest.mark.parametrize("name", ["enhanced_altitude", "altitude"])
+def test_altitudes_of_watches_are_read(tmp_path, name):
+    latitude = 47.0 + 1e-4 * np.arange(ROWS)
+    columns = {"lat": latitude, "lon": np.full(ROWS, 8.0), name: 400.2 + np.arange(ROWS)}
+    (track,) = read(path(tmp_path, timestamp=1.7e9 + np.arange(ROWS), **columns))
+    assert np.diff(track.position[:, 2]) == pytest.approx(1.0, abs=0.01)
+
+
 @pytest.mark.parametrize("gap", [False, True])
 def test_semicircles_of_watches_are_degrees(tmp_path, gap):
     latitude, longitude = 47.0 + 1e-4 * np.arange(ROWS), 8.0 + 1e-4 * np.arange(ROWS)

@@ -54,7 +54,7 @@ class Found:
     """Why the track could not be cleaned at all; "" if it was."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Cleaned:
     """A recording after cleaning; ``T`` steps, ``d`` dimensions of space, ``R`` regimes."""
 
@@ -62,7 +62,7 @@ class Cleaned:
     time: Array
     """``(T,)`` seconds since the first fix; one step for each fix, and others between them where they were asked."""
     row: NDArray[np.int64]
-    """``(T,)`` which fix of the recording it is; -1 at steps between fixes."""
+    """``(T,)`` which fix of the recording it is, whose row in the file ``recording.row`` has; -1 between fixes."""
     raw: Array
     """``(T, d)`` positions as recorded, m; NaN at steps between fixes."""
     mean: Array
@@ -83,6 +83,12 @@ class Cleaned:
     """Names of the regimes."""
     regime: Array = field(default_factory=lambda: np.empty((0, 0)))
     """``(T, R)`` their probabilities."""
+
+    def __repr__(self) -> str:
+        """What was found, in a line."""
+        fixes, outliers = (int(x.sum()) for x in (self.row >= 0, self.flag == "outlier"))
+        found = self.found.failure or f"sigma {self.found.sigma:.3g}"
+        return f"Cleaned({self.recording.name!r}: {fixes} fixes, {outliers} outliers, {found})"
 
     @property
     def position(self) -> Array:

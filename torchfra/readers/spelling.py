@@ -38,7 +38,7 @@ NAMES = {
     "altitude": ("altitude", "alt", "baroaltitude", "geoaltitude", "altbaro", "altgeom", "height", "elevation", "ele",
                  "elev", "altitudemsl", "altmsl", "hae", "altitudeabovesealevel", "heightabovetakeoff", "z",
                  "flightlevel", "fl", "hohe", "hoehe", "altitud", "altura", "hauteur", "heightabovemsl",
-                 "heightaboveellipsoid"),
+                 "heightaboveellipsoid", "enhancedaltitude"),
     "id": ("icao24", "icao", "hex", "mmsi", "trackid", "tracknumber", "targetid", "objectid", "vesselid", "shipid",
            "flightid", "deviceid", "vehicleid", "individuallocalidentifier", "taglocalidentifier", "tagid", "uavid",
            "droneid", "target", "object", "vessel", "ship", "vehicle", "device", "individual", "trip", "tripid", "imo",
