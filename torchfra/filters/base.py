@@ -315,7 +315,6 @@ class Filter(nn.Module, Generic[S]):
         stepped: tuple[S, Innovation] = self.engine.step(self, state, measurements)
         return stepped
 
-    @by_its_engine
     @in_full_precision
     def watch(
         self,
@@ -351,6 +350,7 @@ class Filter(nn.Module, Generic[S]):
         after, (innovation, alarm, _) = f.engine.step(f, state, measurements, True)
         return after, innovation, alarm
 
+    @by_its_engine
     @in_full_precision
     def forward(
         self,
