@@ -308,11 +308,7 @@ class Filter(nn.Module, Generic[S]):
         Raises:
             ValueError: a shape or a value that does not fit.
         """
-        if sensor is not None and sensor is not self.sensor:
-            return self.with_sensor(sensor).step(state, z, dt=dt, u=u, std=std, noise=noise)
-        measurements = Measurements(z, dt, u, std, noise)
-        measurements = needed_inputs(self, measurements, lambda: check_step(self, state, measurements))
-        stepped: tuple[S, Innovation] = self.engine.step(self, state, measurements)
+        stepped: tuple[S, Innovation] = self._step(state, Measurements(z, dt, u, std, noise), sensor, watched=False)
         return stepped
 
     @in_full_precision
@@ -327,7 +323,9 @@ class Filter(nn.Module, Generic[S]):
         noise: Tensor | None = None,
         sensor: Sensor | None = None,
     ) -> tuple[S, Innovation, Alarm | None]:
-        """``step``, and whether the sensor is faulty: of another than the filter's own by this measurement alone.
+        """``step``, and whether the sensor is faulty.
+
+        Of another sensor than the filter's own only this measurement counts; ``stream.Tracker`` remembers each sensor.
 
         Args:
             state: as of ``step``.
@@ -344,11 +342,16 @@ class Filter(nn.Module, Generic[S]):
         Raises:
             ValueError: a shape or a value that does not fit.
         """
-        f = self.with_sensor(sensor)
-        measurements = Measurements(z, dt, u, std, noise)
-        measurements = needed_inputs(f, measurements, lambda: check_step(f, state, measurements))
-        after, (innovation, alarm, _) = f.engine.step(f, state, measurements, True)
+        after, said = self._step(state, Measurements(z, dt, u, std, noise), sensor, watched=True)
+        innovation, alarm, _ = said
         return after, innovation, alarm
+
+    def _step(self, state: S, measurements: Measurements, sensor: Sensor | None, *, watched: bool) -> tuple[Any, Any]:
+        """One step of the filter around the sensor that has measured: see ``Engine.step``."""
+        f = self.with_sensor(sensor)
+        measurements = needed_inputs(f, measurements, lambda: check_step(f, state, measurements))
+        stepped: tuple[Any, Any] = f.engine.step(f, state, measurements, watched)
+        return stepped
 
     @by_its_engine
     @in_full_precision

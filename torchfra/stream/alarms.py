@@ -29,16 +29,18 @@ def silent(sensor: Sensor, mean: Tensor) -> Alarm:
     return Alarm(blocks, blocks.clone(), elements)
 
 
-def measured(alarms: Alarms, number: int, said: Alarm, z: Tensor, dt: float) -> Alarms:
+def measured(alarms: Alarms, number: int, said: Alarm | None, z: Tensor, dt: float) -> Alarms:
     """All alarms after a measurement ``z (..., m)`` by the sensor of this number, ``dt`` seconds after the last one.
 
     Args:
         alarms: before it.
         number: of the sensor.
-        said: by the filter, of this measurement.
+        said: by the filter, of this measurement; None of filters that do not say.
         z: NaN is missing; where all is, the alarm stays.
         dt: seconds.
     """
+    if said is None:
+        return ()
     seen = ~z.isnan().all(-1, keepdim=True)
     after = []
     for i, (probability, lasted, offset) in enumerate(alarms):

@@ -111,7 +111,7 @@ class Intake:
         return self.told(Gaussian(*(x.clone() for x in belief)))
 
     def told(self, belief: Gaussian) -> Gaussian:
-        """A copy of a belief of the filter, as it is outside."""
+        """A belief that nobody else has, as it is outside."""
         return belief if self.origin is None else self.origin.outward(belief)
 
     def kind(self) -> dict[str, Any]:

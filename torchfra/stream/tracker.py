@@ -288,11 +288,7 @@ class Tracker:
         for each in (entry, *window.entries[place:]):
             f, measurements = self.filter.with_sensor(self._intake.sensor(each)), each.after(time)
             state, told = f.engine.step(f, known.state, measurements, True)
-            alarm = told[1]
-            if alarm is None:
-                known = Known(state, ())
-            else:
-                known = Known(state, measured(known.alarms, each.sensor, alarm, measurements.z, each.time - time))
+            known = Known(state, measured(known.alarms, each.sensor, told[1], measurements.z, each.time - time))
             done.append(each.with_state(known))
             said.append(told)
             time = each.time
@@ -301,5 +297,5 @@ class Tracker:
 
     def _report(self, outcome: str, entry: Entry, belief: Gaussian, innovation: Innovation | None = None) -> Report:
         self._counts[outcome] += 1
-        alarm = self.alarms.get(self._intake.names[entry.sensor])
-        return Report(self.time, belief, outcome, innovation, alarm)
+        alarms = self._now.alarms
+        return Report(self.time, belief, outcome, innovation, alarms[entry.sensor] if alarms else None)
