@@ -288,7 +288,9 @@ class Tracker:
         for each in (entry, *window.entries[place:]):
             f, measurements = self.filter.with_sensor(self._intake.sensor(each)), each.after(time)
             state, told = f.engine.step(f, known.state, measurements, True)
-            known = Known(state, measured(known.alarms, each.sensor, told[1], measurements.z, each.time - time))
+            alarm, alone = told[1], f is self.filter and len(known.alarms) == 1  # then the filter remembers all of it
+            after = (alarm,) if alone else measured(known.alarms, each.sensor, alarm, measurements.z, each.time - time)
+            known = Known(state, after)
             done.append(each.with_state(known))
             said.append(told)
             time = each.time
