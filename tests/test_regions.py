@@ -209,9 +209,7 @@ def test_a_filter_that_forks_is_the_same_however_many_steps_are_abnormal(make, s
         z = t.z[:, :8].clone()
         z[:, 4, 0] = z[0, 6] = torch.nan
         expected, found = f(z, t.prior, u=t.u[:8]), fast(z, t.prior, u=t.u[:8])
-        ties = expected.info.adaptive != found.info.adaptive  # rounding decides between branches that agree
-        assert ties.double().mean() < 0.01
-        close(expected, found._replace(info=found.info._replace(adaptive=expected.info.adaptive)))
+        close(expected, found)
         share = expected.info.abnormal.double().mean()
         assert share == 0 if gate > 1e8 else share > (0.8 if gate < 1e-8 else 0.2)
 

@@ -33,6 +33,8 @@ Branches = tuple[Gaussian, Gaussian, Gaussian]
 """The robust, the adaptive and the plain branch, in this order everywhere."""
 UNDECIDED = ("robust", "adaptive", "plain", "likeliest")
 """Which branch may be the estimate of an abnormal step that no measurement has decided."""
+_ROUNDING = 1e-9
+"""Share of scores by which rounding parts what is equal, in double precision."""
 
 
 class FRAState(NamedTuple):
@@ -319,17 +321,25 @@ class FRA(Soft, Filter[FRAState]):
 
 
 def best(scores: Tensor) -> Choice:
-    """The branch of the largest score; a tie goes to the first.
+    """The branch of the largest score; a tie goes to the first, also if rounding has parted the two.
+
+    (Where nothing is to be weighed less and nothing to be faded, branches are the same but for rounding.)
 
     Args:
         scores: ``(branches, ...)`` of robust, adaptive and, if there is one, plain.
     """
     robust, adaptive = scores[0], scores[1]
-    better = adaptive > robust
+    better = _exceeds(adaptive, robust)
     if len(scores) == 2:
         return Choice(better, torch.zeros_like(better))
-    plain = scores[2] > torch.maximum(robust, adaptive)
+    plain = _exceeds(scores[2], torch.maximum(robust, adaptive))
     return Choice(better & ~plain, plain)
+
+
+def _exceeds(a: Tensor, b: Tensor) -> Tensor:
+    """Whether ``a`` is larger than ``b`` by more than rounding; either may be minus infinity."""
+    exceeds: Tensor = a > b + _ROUNDING * (1 + torch.minimum(a.abs(), b.abs()))
+    return exceeds
 
 
 def chosen(kept: Choice, branches: Branches) -> Gaussian:
