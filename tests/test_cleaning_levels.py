@@ -5,7 +5,7 @@ import oracles
 import pytest
 import torch
 
-from torchfra.cleaning.finding import Part, fitted, levels_up_to
+from torchfra.cleaning.finding import Part, estimated, fitted, levels_up_to
 from torchfra.cleaning.ladder import Fixes, Levels, OutlierModel, filter_forward
 from torchfra.cleaning.two_filters import filtered, two_filters
 
@@ -109,3 +109,27 @@ def test_how_likely_outliers_are_after_clean_fixes_and_after_outliers_is_found(b
     expected = (4.5 + begun) / (300 + clean), (10.5 + lasted) / (30 + after)
     assert found.model.begins[0].item() == pytest.approx(expected[0], rel=0.1, abs=0.005)
     assert found.model.lasts[0].item() == pytest.approx(expected[1], rel=0.1, abs=0.05)
+
+
+def test_a_fix_is_an_outlier_where_its_position_or_its_height_is_one():
+    rng, steps = np.random.default_rng(5), 60
+    gap = torch.ones(steps, 1, dtype=torch.float64)
+    parts = []
+    for axes, alone, beside in ((2, 0.02, 0.7), (1, 0.05, 0.8)):
+        off = rng.choice([0.0, 2.0, 4.0, 8.0, 15.0], (steps, 1, 1))
+        z = SIGMA * (rng.standard_normal((steps, axes, 1)) + off)
+        fixes = Fixes(torch.from_numpy(z), gap, gap, torch.zeros_like(gap))
+        model = OutlierModel(alone=alone, beside=beside)
+        parts.append(Part(fixes, one_level(1), torch.full((1,), SIGMA).double(), torch.zeros(1).double(), model))
+    parts[1].fixes.z[::7] = torch.nan
+    (position, height), found = estimated(parts, smooth=True)
+    for k in range(steps):
+        prior = position.predictions.prior_outlier[k, 0].item()
+        ratio, other = (np.exp(of.evidence[k, 0].item()) for of in (position, height))
+        none, alone, beside = 1 - prior, 0.05, 0.8
+        if k % 7 == 0:  # there is no height
+            some = prior * ratio
+        else:
+            some = none * alone * other + prior * ratio * (1 - beside + beside * other)
+            none *= 1 - alone
+        assert found[k, 0].item() == pytest.approx(some / (none + some), rel=1e-9)

@@ -27,8 +27,8 @@ SHORT = 0
 _FEW = 2.0
 """Fixes that shares of levels are worth before any was seen."""
 _BEFORE = 300.0, 30.0
-"""Fixes that the default probabilities of an outlier where there is none beside or before it, and where there is, are
-worth."""
+"""How many fixes the default rates of outliers count for: where the other one, before or beside it, is clean; and where
+it is an outlier."""
 _ROUNDS = 2
 """Of finding."""
 _SLOWEST = 1e-5
