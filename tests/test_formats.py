@@ -266,7 +266,7 @@ def test_any_column_can_be_named(write):
     ({"units": "inch"}, "units: expected m, ft, km, .* received 'inch'"),
     ({"decimal": ";"}, "decimal: expected . or ,, received ';'"),
     ({"delimiter": "ab"}, "delimiter: expected one sign or tab, space, comma, semicolon, received 'ab'"),
-    ({"time_format": "weeks"}, "time_format: expected one of seconds, ms, us, ns, .* iso or such as"),
+    ({"time_format": "weeks"}, "time_format: expected one of seconds, ms, us, ns, .* iso, or such as"),
     ({"x": "lat"}, "x, y: expected both or neither"),
     ({"x": "lat", "y": "lon", "lat": "lat", "lon": "lon"}, "expected columns of metres or of degrees, received both"),
     ({"colour": "red"}, "colour: expected one of time, x, y"),
