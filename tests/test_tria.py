@@ -212,7 +212,7 @@ def test_small_helpers():
 # ---------------------------------------------------------------- squares, roots, logarithms and quotients
 
 SAFE = {
-    "square": (safe_square, [3.0, 1e200, -math.inf], [9.0, math.inf, math.inf], [6.0, 0.0, 0.0]),
+    "square": (safe_square, [3.0, 1e110, 1e200, -math.inf], [9.0, 1e220, math.inf, math.inf], [6.0, 0.0, 0.0, 0.0]),
     "sqrt": (safe_sqrt, [4.0, 0.0, -1.0], [2.0, 0.0, 0.0], [0.25, 0.0, 0.0]),
     "log": (safe_log, [2.0, 0.0, -1.0], [math.log(2), -math.inf, -math.inf], [0.5, 0.0, 0.0]),
     "log of a subnormal": (safe_log, [1.0, 1e-310], [0.0, -math.inf], [1.0, 0.0]),

@@ -17,9 +17,12 @@ def in_range(x: Tensor) -> Tensor:
 
 
 def safe_square(x: Tensor) -> Tensor:
-    """Square where a number of its precision holds it; elsewhere the value is infinity, the gradient 0; NaN is NaN."""
-    beyond = ~in_range(x) & (x == x)
-    return torch.where(beyond, torch.inf, torch.where(beyond, 0.0, x).square())
+    """Square, infinite where no number of its precision holds it; NaN is NaN.
+
+    The gradient is 0 where no number holds the cube: what a chain of derivatives multiplies it by would be infinite.
+    """
+    far = x.abs() >= torch.finfo(x.dtype).max ** (1 / 3)
+    return torch.where(far, x.detach().square(), torch.where(far, 0.0, x).square())
 
 
 def safe_sqrt(x: Tensor) -> Tensor:
