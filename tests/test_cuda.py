@@ -138,7 +138,7 @@ def test_gradients_flow(compiled, make, tracks):
     assert all(p.grad.isfinite().all() for p in f.parameters())
 
 
-@pytest.mark.parametrize(("name", "learn"), [("srckf", ("q",)), ("fra", ("q",)), ("gpb", ("levels",))])
+@pytest.mark.parametrize(("name", "learn"), [("srckf", ("q",)), ("fra", ("q",)), ("gpb", ("noise_levels",))])
 def test_gradients_of_kernels_are_those_on_the_cpu(name, learn, make, tracks):
     f, data, found = make(name, learn=learn), moved(tracks), []
     for g, t in ((copy.deepcopy(f).compile(), tracks), (there(f), data)):

@@ -29,6 +29,7 @@ BEFORE = """
 #define __global__
 #define __launch_bounds__(...)
 #define __grid_constant__
+#define __syncthreads()
 #define __noinline__ __attribute__((noinline))
 #define __forceinline__ inline
 static thread_local struct { unsigned x; } blockIdx, threadIdx, blockDim;

@@ -23,10 +23,11 @@ from torchfra.compiler.writer import Writer
 
 SCALARS = {torch.float64: "double", torch.float32: "float"}
 """The dtypes that kernels compute in, and what C++ calls them."""
-THREADS = 32
-"""Of a block on a GPU: few, as each holds the values of a step in registers."""
-_LONG = 6000
-"""Expressions of a function there, about, where it is slower to put values aside and no slower to compile."""
+THREADS = 128
+"""Of a block on a GPU."""
+_PIECE, _LONG = 6000, 20_000
+"""Expressions of a function there, about; and of a step from which on its functions are called, as compilers take too long
+to make one of all."""
 
 
 @dataclass
@@ -89,17 +90,19 @@ class Scan:
 
     def cuda(self) -> str:
         """The same in C++ for a GPU: a thread for each track, whose tensors come as an argument by value."""
-        writer = Writer(Plan(self.step(), True, _LONG))
+        plan = Plan(self.step(), True, _PIECE)
+        length = sum(len(piece.numbers) for piece in plan.steps)
+        writer = Writer(plan, length > _PIECE // 2)
         counts = {
             "INPUTS": len(self.carry + self.reads),
             "OUTPUTS": len(self.after + self.writes),
             "THREADS": THREADS,
-            "BLOCKS": 16 if writer.plan.guarded > 0.5 else 8,
+            "BLOCKS": 3 if length > _PIECE // 2 else 2,
         }
         run = file("cuda.cpp")
         for word, count in counts.items():
             run = run.replace(word, str(count))
-        return "".join((*self._parts(writer, "step"), run))
+        return "".join(("#define LONG\n" if length > _LONG else "", *self._parts(writer, "step"), run))
 
     def parts(self, name: str) -> tuple[str, str]:
         """In C++ for one track: what any scan of this dtype needs, and the namespace of this one with ``block``."""

@@ -9,7 +9,11 @@ using int64_t = long long;
 
 // Functions that are called once for each step, and those that are never called but written where they are used.
 #ifdef __CUDACC__
+#ifdef LONG
 #define NOINLINE static __device__ __noinline__
+#else
+#define NOINLINE static __device__ __forceinline__
+#endif
 #define INLINE __device__ __forceinline__
 #else
 #ifdef _MSC_VER

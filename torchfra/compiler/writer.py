@@ -17,16 +17,18 @@ class Writer:
 
     Args:
         plan: how the step is computed.
+        in_step: whether the threads of a GPU's block wait for each other at each step, so that they go through the same
+            instructions at the same time: a long step does not fit into the cache of instructions.
     """
 
-    def __init__(self, plan: Plan) -> None:
-        self.plan, self._step, self._book = plan, plan.step, plan.book
+    def __init__(self, plan: Plan, in_step: bool = False) -> None:
+        self.plan, self._step, self._book, self._in_step = plan, plan.step, plan.book, in_step
         self._before, self._steps, self._frame, self._behind = plan.before, plan.steps, plan.frame, plan.behind
 
     def texts(self) -> dict[str, str]:
         """What takes the place of each word of the template."""
         functions = {**texts(self._book, self._step.live), **self._begin()}
-        before, calls = ["begin(s, left, in, at);"], list[str]()
+        before, calls = ["begin(s, left, in, at);"], ["__syncthreads();"] if self._in_step else []
         for k, piece in enumerate(self._before):
             functions[f"before{k}(V* s, const Port* in, const Block& at)"] = self._body(piece)
             before.append(f"before{k}(s, in, at);")
