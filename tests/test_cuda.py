@@ -169,9 +169,14 @@ def test_single_steps_run(compiled, make, tracks):
 
 @pytest.mark.parametrize("loss", ["likelihood", "smoothed", "robust"])
 def test_values_are_fitted_there_to_tracks_from_the_cpu(loss):
-    truth = torch.randn(120, 30, 4, dtype=torch.float64).cumsum(1)
+    rng = torch.Generator().manual_seed(0)
+    truth = torch.randn(120, 30, 4, dtype=torch.float64, generator=rng).cumsum(1)
     prior = Gaussian(torch.zeros(4, dtype=torch.float64), 10 * torch.eye(4, dtype=torch.float64))
-    data = {"z": truth[..., :2] + 2 * torch.randn(120, 30, 2, dtype=torch.float64), "prior": prior, "truth": truth}
+    data = {
+        "z": truth[..., :2] + 2 * torch.randn(120, 30, 2, dtype=torch.float64, generator=rng),
+        "prior": prior,
+        "truth": truth,
+    }
     found = []
     for device in ("cpu", "cuda"):
         f = presets.srckf(ConstantVelocity(0.5), Position(6.0), learn=("q", "std")).to(device)

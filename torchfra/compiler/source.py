@@ -26,8 +26,8 @@ SCALARS = {torch.float64: "double", torch.float32: "float"}
 THREADS = 128
 """Of a block on a GPU."""
 _PIECE, _LONG = 6000, 20_000
-"""Expressions of a function there, about; and of a step from which on its functions are called, as compilers take too long
-to make one of all."""
+"""Expressions of a function there, about; and those of a step whose functions are called: one of all takes too long to
+compile."""
 
 
 @dataclass
