@@ -14,7 +14,7 @@ from torchfra import metrics, presets
 from torchfra.angles import near, wrap
 from torchfra.gaussian import tangent, third_degree, unscented
 from torchfra.hyper import Hyper, learnable
-from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn, Motion
+from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity, CoordinatedTurn, Motion
 from torchfra.presets import fra
 from torchfra.sensors import Bearings, Position, RangeBearing, Sensor
 from torchfra.types import Estimate, Gaussian
@@ -338,3 +338,10 @@ def test_an_estimate_that_is_nan_has_diverged():
     mean[2] = 1e4
     assert metrics.diverged(mean, truth, slice(0, 2)).tolist() == [False, True, True]
     assert metrics.rmse(mean, truth, slice(0, 2))[4].isinf()
+
+
+def test_a_bank_refuses_states_without_a_dimension_of_models():
+    bank = Bank([ConstantVelocity(1.0), ConstantVelocity(2.0)])
+    assert bank(torch.ones(3, 2, 4), torch.tensor(1.0)).shape == (3, 2, 4)
+    with pytest.raises(ValueError, match=r"x: expected states \(\.\.\., 2, 4\), received \(3, 5, 4\)"):
+        bank(torch.ones(3, 5, 4), torch.tensor(1.0))

@@ -83,7 +83,13 @@ class Bank(Motion):
         return [model.describe() for model in self._motions]
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
-        """States ``(..., K, n)``, each moved by the model of its place; ``dt (..., K)``, ``u (..., K, k)``."""
+        """States ``(..., K, n)``, each moved by the model of its place; ``dt (..., K)``, ``u (..., K, k)``.
+
+        Raises:
+            ValueError: the states have no dimension of models; ``bank[k]`` is the motion of one.
+        """
+        if x.dim() < 2 or x.shape[-2] != len(self):
+            raise ValueError(f"x: expected states (..., {len(self)}, {self.size}), received {tuple(x.shape)}")
         dt, u = dt.expand(x.shape[:-1]), u if u is None else u.expand(*x.shape[:-1], -1)
         moved = [
             model(x.select(-2, k), dt.select(-1, k), u if u is None else u.select(-2, k))
