@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from itertools import starmap
 from typing import Any, TypeVar
 
@@ -44,6 +47,7 @@ def finished(work: Callable[..., T], parts: Sequence[tuple[Any, ...]], jobs: int
 
     Raises:
         Exception: what ``work`` raises first; parts that have not begun are left out.
+        ChildProcessError: a process was ended from outside, as for want of memory.
     """
     if jobs == 1:
         yield from enumerate(starmap(work, parts))
@@ -54,11 +58,23 @@ def finished(work: Callable[..., T], parts: Sequence[tuple[Any, ...]], jobs: int
         numbers = {pool.submit(work, *part): number for number, part in enumerate(parts)}
         for future in as_completed(numbers):
             yield numbers[future], future.result()
+    except BrokenProcessPool as error:
+        raise ChildProcessError(
+            "jobs: expected processes that end by themselves, one was killed: out of memory?"
+        ) from error
     finally:
         pool.shutdown(cancel_futures=True)
 
 
 def _alone() -> None:
-    """Gives a worker process one thread."""
+    """Gives a worker process one thread, and lets it end with the process that started it, even if that is killed."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     torch.set_num_threads(1)
     keep_memory()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
