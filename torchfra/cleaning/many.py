@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -73,14 +73,17 @@ class Work:
             write_json(path, ours)
 
     def _plan(self) -> dict[str, Any]:
-        files = {str(path): rows for path, rows in zip(self.data.files, self.data.counts, strict=True)}
-        columns = self.data.reader.layout.source.columns
-        return {"version": __version__, "rows": self.rows, **self.settings, "columns": columns, "files": files}
+        reader = self.data.reader
+        reading = {name: said for name, said in asdict(reader.told).items() if said is not None}
+        files = {name: [rows, size] for _, name, rows, size in self.data.files}
+        return {
+            "version": __version__, "rows": self.rows, **self.settings, "reading": reading,
+            "columns": reader.layout.source.columns, "files": files,
+        }  # fmt: skip
 
     def is_done(self, part: int) -> bool:
         """Whether a part is there."""
-        facts, table = self._paths(part)
-        return facts.exists() and (table.exists() or not _read(facts)["steps"])
+        return all(path.exists() for path in self._paths(part))
 
     def facts(self) -> list[dict[str, Any]]:
         """What became of the parts that are there; see ``clean_part``."""

@@ -75,11 +75,11 @@ def run(options: argparse.Namespace) -> None:
     known: dict[str, Any] = {name: getattr(options, name) for name in ("bank", "sigma", "q", "dt")}
     check_settings(DEFAULT, **known)
     rank, size = distributed.launched()
-    check_files({"json": options.json}, [options.data])
     check_folder("out", options.out)
     if options.data.is_dir() and options.data.resolve() in (options.out / "part").resolve().parents:
         raise ValueError(f"out: expected a folder outside of {options.data}, received {options.out}")
     data = open_data(options.data, **reading_of(options))
+    check_files({"json": options.json}, [file.path for file in data.files])
     rows = options.rows or min(max(-(-data.rows // PARTS), FEWEST), MOST)
     work = Work(data, options.out, rows, known | {"smooth": not options.no_smooth, "repair": not options.no_repair})
     work.begin()

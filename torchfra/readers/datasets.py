@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,13 +24,22 @@ _HEAD = 1000
 """Rows by which it is told what columns hold."""
 
 
+class File(NamedTuple):
+    """A file of a data set."""
+
+    path: Path
+    name: str
+    """Its path below the folder of the data set."""
+    rows: int
+    bytes: int
+
+
 @dataclass(frozen=True)
 class DataSet:
     """The files of a data set, and what their columns hold."""
 
-    files: tuple[Path, ...]
-    counts: tuple[int, ...]
-    """Rows of each file."""
+    files: tuple[File, ...]
+    """In the order of their names."""
     reader: SheetReader
     """Reads some of the rows."""
     schema: Any
@@ -41,7 +50,7 @@ class DataSet:
     @property
     def rows(self) -> int:
         """Of all files."""
-        return sum(self.counts)
+        return sum(file.rows for file in self.files)
 
     def recordings(self, part: int, parts: int, together: int) -> Iterator[tuple[int, list[Recording], dict[str, str]]]:
         """Reads a part of the targets: those whose hash is ``part``, modulo ``parts``, wherever their rows are.
@@ -72,7 +81,7 @@ class DataSet:
         from pyarrow import parquet
 
         pieces, rows, first = [self.schema.empty_table()], list[NDArray[np.int64]](), 0
-        for path in self.files:
+        for path, *_ in self.files:
             try:
                 for batch in parquet.ParquetFile(path).iter_batches(
                     _ROWS, columns=self.schema.names, use_threads=False
@@ -89,7 +98,7 @@ class DataSet:
         return pyarrow.concat_tables(pieces).combine_chunks(), np.concatenate(rows)
 
     def _read(self, table: Any, rows: NDArray[np.int64]) -> tuple[list[Recording], dict[str, str]]:
-        """All targets of a table; each for itself where one of them cannot be read."""
+        """All targets of a table; each for itself, whose rows are then counted, where one of them cannot be read."""
         try:
             return [replace(one, row=rows[one.row]) for one in self.reader.read(table_sheet(table))], {}
         except ValueError as error:
@@ -123,34 +132,33 @@ def open_data(path: str | Path, **words: str | None) -> DataSet:
     except ImportError as error:
         raise needs("pyarrow", "Parquet") from error
     path = Path(path)
-    files = _files(path)
-    counts, schemas = [], []
-    for file in files:
+    files, schemas = [], []
+    for file in _paths(path):
         try:
             facts = parquet.ParquetFile(file)
         except (pyarrow.ArrowException, OSError) as error:
             raise ValueError(f"{file}: {damaged(error)}") from error
-        counts.append(facts.metadata.num_rows)
+        name = file.name if file == path else file.relative_to(path).as_posix()
+        files.append(File(file, name, facts.metadata.num_rows, file.stat().st_size))
         schemas.append(pyarrow.schema([field for field in facts.schema_arrow if is_flat(field.type)]))
     with naming(path):
-        if not sum(counts):
+        begin = next((i for i, file in enumerate(files) if file.rows), None)
+        if begin is None:
             raise ValueError("expected rows in Parquet files, received none")
-        begin = next(i for i, count in enumerate(counts) if count)
-        head = next(parquet.ParquetFile(files[begin]).iter_batches(_HEAD, columns=schemas[begin].names))
+        names = schemas[begin].names
+        head = next(parquet.ParquetFile(files[begin].path).iter_batches(_HEAD, columns=names))
         reader = SheetReader(table_sheet(pyarrow.Table.from_batches([head])), path.name, **words)
         if "id" not in reader.layout.columns:
-            raise ValueError(
-                f"id: expected a column that says which target a row is of, received {listed(schemas[begin].names)}"
-            )
-        schema = _plain(schemas[begin], reader.columns)
-        for file, of in zip(files, schemas, strict=True):
-            if missing := [name for name in schema.names if name not in of.names]:
-                raise ValueError(f"{file}: expected the columns of {files[begin].name}, missing {listed(missing)}")
-    return DataSet(tuple(files), tuple(counts), reader, schema, reader.layout.columns["id"])
+            raise ValueError(f"id: expected a column that says which target a row is of, received {listed(names)}")
+    schema = _plain(schemas[begin], reader.columns)
+    for other, of in zip(files, schemas, strict=True):
+        if missing := [name for name in schema.names if name not in of.names]:
+            raise ValueError(f"{other.path}: expected the columns of {files[begin].name}, missing {listed(missing)}")
+    return DataSet(tuple(files), reader, schema, reader.layout.columns["id"])
 
 
-def _files(path: Path) -> list[Path]:
-    """Those of a data set in the order of their names."""
+def _paths(path: Path) -> list[Path]:
+    """Those of the files of a data set in the order of their names."""
     if not path.is_dir():
         return [path]
     every = (file.relative_to(path) for file in path.rglob("*.parquet"))

@@ -84,6 +84,11 @@ class SheetReader:
         self._wanted = self._chosen(head_of(first, cells)[0])
 
     @property
+    def told(self) -> Told:
+        """What a caller says of them."""
+        return self._chosen.asked
+
+    @property
     def layout(self) -> Layout:
         """What the columns hold."""
         assert self._chosen.layout is not None
