@@ -290,6 +290,13 @@ def test_a_folder_with_other_files_is_refused(data, tmp_path, capsys):
     assert f"out: expected a new folder or an empty one, received {tmp_path / 'out'} with mine.txt" in said
 
 
+def test_a_file_that_another_process_is_writing_is_no_other_file(data, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/._run.json.part").write_text("")
+    many.Work(open_data(data), tmp_path / "out", 120, {}).begin()
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["_run.json"]
+
+
 def test_a_folder_within_the_data_is_refused(data, capsys):
     said = refused(capsys, data, data / "out")
     assert f"out: expected a folder outside of {data}, received {data / 'out'}" in said

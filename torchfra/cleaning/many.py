@@ -54,8 +54,10 @@ class Work:
             ValueError: it holds something else, or parts of other data or settings.
             OSError: it cannot be written.
         """
-        # Files first: those of another process that begins at the same moment are there only after what it says.
-        others = sorted({path.name for path in self.folder.iterdir()} - {_RUN, _FACTS}) if self.folder.exists() else []
+        # Files first: those of another process that begins at the same moment are there only after what it says; and
+        # hidden ones are unfinished.
+        there = [path.name for path in self.folder.iterdir()] if self.folder.exists() else []
+        others = sorted(name for name in there if name not in (_RUN, _FACTS) and not name.startswith("."))
         ours, path = self._plan(), self.folder / _RUN
         if path.exists():
             theirs = _read(path)
