@@ -22,6 +22,14 @@ def test_an_error_in_a_part_ends_the_work(jobs):
         list(finished(math.sqrt, [(4.0,), (-1.0,), (4.0,)], jobs))
 
 
+@pytest.mark.slow
+def test_a_part_that_has_not_begun_is_left_out_after_an_error(tmp_path):
+    wrong, last = ("raise ValueError('wrong')",), (f"open({str(tmp_path / 'begun')!r}, 'w')",)
+    with pytest.raises(ValueError, match="wrong"):
+        list(finished(exec, [wrong, wrong, last], 2))
+    assert not (tmp_path / "begun").exists()
+
+
 def test_fewer_processes_than_one_are_refused():
     with pytest.raises(ValueError, match="jobs: expected 1 or more, received 0"):
         check_jobs(0)

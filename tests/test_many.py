@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -179,7 +180,7 @@ def test_several_processes_that_are_killed_go_on_as_one(data, whole, tmp_path):
     command = [sys.executable, "-m", "torchfra", "many", str(data), "--out", str(tmp_path / "out"), "--rows", "120"]
     with subprocess.Popen([*command, "--jobs", "2"], stdout=subprocess.PIPE, start_new_session=True) as process:
         while process.poll() is None and not list((tmp_path / "out").glob("_parts/*.json")):
-            pass
+            time.sleep(0.05)
         os.killpg(process.pid, signal.SIGKILL)
     assert clean(data, tmp_path / "out") == 0
     check_equal(rows_of(tmp_path / "out"), rows_of(whole))

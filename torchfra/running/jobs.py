@@ -7,9 +7,9 @@ import multiprocessing
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from itertools import starmap
+from itertools import islice, starmap
 from typing import Any, TypeVar
 
 import torch
@@ -54,10 +54,16 @@ def finished(work: Callable[..., T], parts: Sequence[tuple[Any, ...]], jobs: int
         return
     spawn = multiprocessing.get_context("spawn")  # a fork would copy the threads of torch in any state
     pool = ProcessPoolExecutor(min(jobs, max(len(parts), 1)), spawn, initializer=_alone)
+    left, running = iter(enumerate(parts)), dict[Future[T], int]()
     try:
-        numbers = {pool.submit(work, *part): number for number, part in enumerate(parts)}
-        for future in as_completed(numbers):
-            yield numbers[future], future.result()
+        while True:
+            # No more than are worked on: Ctrl-C ends these, and a process would go on with what waits for it.
+            for number, part in islice(left, jobs - len(running)):
+                running[pool.submit(work, *part)] = number
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                yield running.pop(future), future.result()
     except BrokenProcessPool as error:
         raise ChildProcessError(
             "jobs: expected processes that end by themselves, one was killed: out of memory?"
