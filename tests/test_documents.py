@@ -52,6 +52,8 @@ SMALL = {
     "scripts/reproduce.py reentry": ({"--runs": "2", "--sizes": "1"}, {"--filters": "ghckf"}),
     "scripts/reproduce.py clutter": ({"--runs": "2"}, {"--filters": "ukf_jpda_safe"}),
     "scripts/regret.py": ({"--runs": "2", "--cells": "2-std"}, {}),
+    "torchfra many": ({"--jobs": "1"}, {}),
+    "scripts/many.py": ({"--tracks": "20", "--jobs": "1"}, {}),
     "scripts/clean_check.py": (
         {"--kinds": "ships", "--flights": "1", "--runs": "1", "--steps": "60", "--periods": "5", "--noises": "15"},
         {},
@@ -234,6 +236,18 @@ def walked(folder):
     Path(folder, "path.csv").write_text("\n".join(["t,x,y", *rows]))
 
 
+def as_data_set(folder, flights):
+    """Writes two flights as a data set of Parquet."""
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import csv, parquet
+
+    Path(folder).mkdir()
+    for name in flights[:2]:
+        table = csv.read_csv(name)
+        table = table.append_column("id", pyarrow.array([Path(name).stem] * table.num_rows))
+        parquet.write_table(table, Path(folder, f"{Path(name).stem}.parquet"))
+
+
 def filled(words, flights):
     """The words of a command with files in place of placeholders."""
     for word in words:
@@ -246,6 +260,9 @@ def filled(words, flights):
             yield from flights[: 1 if word == "FILE" else 2]
         elif word == "FOLDER":
             walked(word)
+            yield word
+        elif word == "FLIGHTS":
+            as_data_set(word, flights)
             yield word
         elif re.fullmatch(r"[\w-]+\.(csv|csv\.gz|json\.gz)", word):
             yield flights[0]
@@ -331,8 +348,8 @@ def understood(line, flights):
         assert words[0] == "python" or shutil.which("torchrun", path=beside)
         words = words[words.index("train.tune") + 1 :]
         return tune.main, [w.replace("RUN", "fra_bearings") for w in small_training(words, flights)], False
-    if words[:3] == ["python", "-m", "torchfra"]:
-        words = ["torchfra", *words[3:]]
+    if "-m" in words and words[words.index("-m") + 1] == "torchfra":
+        words = words[words.index("-m") + 1 :]  # of torchrun, one process: two are in test_many.py
     if words[:3] == ["python", "-m", "train.values"]:  # measures for minutes: run by test_values.py
         return values.main, [], True
     main, words = (cli.main, words[1:]) if words[0] == "torchfra" else (script(words[1]), words[2:])

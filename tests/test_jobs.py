@@ -1,6 +1,8 @@
 """Work is shared among processes: all of it is done, each part once, and an error ends it."""
 
 import math
+import subprocess
+import sys
 
 import pytest
 
@@ -20,6 +22,40 @@ def test_an_error_in_a_part_ends_the_work(jobs):
         list(finished(math.sqrt, [(4.0,), (-1.0,), (4.0,)], jobs))
 
 
+@pytest.mark.slow
+def test_a_part_that_has_not_begun_is_left_out_after_an_error(tmp_path):
+    wrong, last = ("raise ValueError('wrong')",), (f"open({str(tmp_path / 'begun')!r}, 'w')",)
+    with pytest.raises(ValueError, match="wrong"):
+        list(finished(exec, [wrong, wrong, last], 2))
+    assert not (tmp_path / "begun").exists()
+
+
 def test_fewer_processes_than_one_are_refused():
     with pytest.raises(ValueError, match="jobs: expected 1 or more, received 0"):
         check_jobs(0)
+
+
+WAITING = """
+from torchfra.running.jobs import finished
+
+if __name__ == "__main__":
+    wait = "import time; print('begun', flush=True); time.sleep(600)"
+    list(finished(exec, [(wait,), (wait,)], 2))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
+def test_processes_end_with_the_one_that_started_them_even_if_it_is_killed(tmp_path):
+    (tmp_path / "waiting.py").write_text(WAITING)
+    with subprocess.Popen([sys.executable, tmp_path / "waiting.py"], stdout=subprocess.PIPE) as process:
+        assert [process.stdout.readline() for _ in range(2)] == [b"begun\n"] * 2
+        process.kill()
+        process.communicate(timeout=300)  # what they print to is closed when the last of them has ended
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
+def test_a_process_that_is_killed_is_said():
+    with pytest.raises(ChildProcessError, match="jobs: expected processes that end by themselves, one was killed"):
+        list(finished(exec, [("import os, signal; os.kill(os.getpid(), signal.SIGKILL)",)] * 2, 2))

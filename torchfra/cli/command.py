@@ -212,11 +212,16 @@ def message(error: Exception) -> str | None:
     return str(error) if isinstance(error, known) else None
 
 
+def complain(program: str, *messages: str) -> None:
+    """A line on standard error for each message."""
+    for said in messages:
+        print(f"{program}: error: {printable(' '.join(said.split()), _LONGEST)}", file=sys.stderr)
+
+
 def _complain(program: str, *messages: str) -> None:
     """A line on standard error for each message; of the processes of ``torchrun`` the first one's."""
     if os.environ.get("RANK", "0") == "0":
-        for said in messages:
-            print(f"{program}: error: {printable(' '.join(said.split()), _LONGEST)}", file=sys.stderr)
+        complain(program, *messages)
 
 
 def _flush() -> None:

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from contextlib import nullcontext
 from importlib import import_module
 from typing import Any
 
 from torchfra.cli.command import Parser, exit_status, make_parser
 from torchfra.version import __version__
 
-COMMANDS = {"track": "clean a recorded track", "compare": "run a batch of tracks through several filters"}
+COMMANDS = {
+    "track": "clean a recorded track",
+    "many": "clean the tracks of a data set in Parquet, by several processes",
+    "compare": "run a batch of tracks through several filters",
+}
 """What each command does, in a line; its options and its work are in a module beside this, ``track_command`` say."""
 
 
@@ -33,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = parser.parse_args(arguments)
         from torchfra.running import distributed  # imports torch, which takes long and which no help needs
 
-        with distributed.team():
+        with distributed.team() if getattr(options, "together", True) else nullcontext():
             options.run(options)
 
     return exit_status("torchfra", work)

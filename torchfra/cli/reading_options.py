@@ -1,4 +1,4 @@
-"""Options of the commands that read tracks: which columns hold what, and how they are written."""
+"""Options of the commands that read and clean tracks: which columns hold what, how they are written, what is known."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Callable
 from dataclasses import fields
 
+from torchfra.cleaning.kinds import KINDS
 from torchfra.readers.bounded import MAX_BYTES
 from torchfra.readers.times import FORMS
 from torchfra.readers.told import METRES, Told
@@ -43,3 +44,15 @@ def add_bound_option(add: Callable[..., object], default: int | None = MAX_BYTES
     """Adds ``--max-bytes N`` by a parser's ``add_argument``; without a ``default`` one sees whether it was given."""
     about = f"text that a file may hold, unpacked: a row counts for 64 or more (default: {MAX_BYTES})"
     add("--max-bytes", type=int, default=default, metavar="N", help=about)
+
+
+def add_cleaning_options(add: Callable[..., object]) -> None:
+    """Adds ``--sigma`` and the others, by the ``add_argument`` of a parser or of a group."""
+    add("--bank", metavar="NAME", help=f"of what targets: {', '.join(KINDS)} (default: by the data)")
+    add("--sigma", type=float, metavar="M", help="std of a fix per axis, m; of fixes that have their own, a factor "
+        "(default: found from the data)")  # fmt: skip
+    add("--q", type=float, help="density of the process noise, m^2/s^3 (default: found from the data)")
+    add("--no-smooth", action="store_true", help="use only the fixes before and at each step, as a filter on line")
+    add("--no-repair", action="store_true", help="leave the fixes where they are, although their time stamps seem "
+        "to be off")  # fmt: skip
+    add("--dt", type=float, metavar="S", help="also estimate every S seconds between the fixes")

@@ -10,12 +10,11 @@ from typing import Any
 from torchfra import readers
 from torchfra.catalogue import track_filters
 from torchfra.cleaning import DEFAULT, Cleaned, check_settings, clean_tracks, outputs
-from torchfra.cleaning.kinds import KINDS
 from torchfra.cli import page
 from torchfra.cli import plan as plans
 from torchfra.cli.command import Failures, add_json_option, add_quiet_option, check_files
 from torchfra.cli.compiling import add_compile_option, choose, reporters
-from torchfra.cli.reading_options import add_bound_option, add_reading_options, reading_of
+from torchfra.cli.reading_options import add_bound_option, add_cleaning_options, add_reading_options, reading_of
 from torchfra.readers import Recording
 from torchfra.running import distributed
 from torchfra.running.atomic_write import write_json
@@ -67,25 +66,16 @@ def add_to(command: argparse.ArgumentParser) -> None:
         action="store_true",
         help="keep the page's script, of some 5 MB, in a file beside it, which all pages of a folder share",
     )
-    _add_cleaning(command.add_argument_group("cleaning").add_argument)
+    cleaning = command.add_argument_group("cleaning").add_argument
+    add_cleaning_options(cleaning)
+    cleaning("--filter", default=DEFAULT, metavar="NAME",
+             help=f"one of {', '.join(track_filters())} (default: {DEFAULT})")  # fmt: skip
     add_reading_options(command.add_argument_group("reading").add_argument)
     add_compile_option(command, f"for {WORTHWHILE:,} steps or more")
     add_bound_option(add)
     add_json_option(command)
     add_quiet_option(command)
     command.set_defaults(run=run)
-
-
-def _add_cleaning(add: Callable[..., object]) -> None:
-    add("--bank", metavar="NAME", help=f"of what targets: {', '.join(KINDS)} (default: by the data)")
-    add("--sigma", type=float, metavar="M", help="std of a fix per axis, m; of fixes that have their own, a factor "
-        "(default: found from the data)")  # fmt: skip
-    add("--q", type=float, help="density of the process noise, m^2/s^3 (default: found from the data)")
-    add("--filter", default=DEFAULT, metavar="NAME", help=f"one of {', '.join(track_filters())} (default: {DEFAULT})")
-    add("--no-smooth", action="store_true", help="use only the fixes before and at each step, as a filter on line")
-    add("--no-repair", action="store_true", help="leave the fixes where they are, although their time stamps seem "
-        "to be off")  # fmt: skip
-    add("--dt", type=float, metavar="S", help="also estimate every S seconds between the fixes")
 
 
 def run(options: argparse.Namespace) -> None:

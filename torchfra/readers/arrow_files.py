@@ -39,11 +39,18 @@ def arrow_sheet(path: Path, start: bytes, max_bytes: int) -> Sheet:
     try:
         schema, batches = (_parquet if start[:4] == b"PAR1" else _feather)(path, max_bytes)
     except (pyarrow.ArrowException, OSError, struct.error, IndexError) as error:
-        raise _damaged(error) from error
-    return Sheet([field.name for field in schema if _is_flat(field.type)], _parts(batches, max_bytes))
+        raise damaged(error) from error
+    return Sheet([field.name for field in schema if is_flat(field.type)], _parts(batches, max_bytes))
 
 
-def _damaged(error: Exception) -> ValueError:
+def table_sheet(table: Any) -> Sheet:
+    """The columns of numbers, moments and text of an Arrow table."""
+    parts = [(batch.num_rows, partial(_cells, batch)) for batch in table.combine_chunks().to_batches()]
+    return Sheet([field.name for field in table.schema if is_flat(field.type)], parts)
+
+
+def damaged(error: Exception) -> ValueError:
+    """The error for what is no complete file."""
     return ValueError(f"expected a complete Parquet or Feather file, received none ({' '.join(str(error).split())})")
 
 
@@ -51,7 +58,7 @@ def _too_large(max_bytes: int) -> ValueError:
     return too_large(max_bytes, f"of columns, of which a row counts for {BYTES_OF_A_ROW} or more")
 
 
-def _is_flat(kind: Any) -> bool:
+def is_flat(kind: Any) -> bool:
     """Whether a column has numbers, moments or text; others may unfold to any size."""
     from pyarrow import types
 
@@ -74,7 +81,7 @@ def _parquet(path: Path, max_bytes: int) -> tuple[Any, Iterator[Any]]:
     unpacked = sum(group.column(i).total_uncompressed_size for group in groups for i in range(group.num_columns))
     if max(facts.num_rows * BYTES_OF_A_ROW, unpacked) > max_bytes:
         raise _too_large(max_bytes)
-    flat = [field.name for field in schema if _is_flat(field.type)]
+    flat = [field.name for field in schema if is_flat(field.type)]
     # as dictionaries, so that a long text that comes again and again takes no more memory than it has in the file
     texts = [field.name for field in schema if types.is_string(field.type) or types.is_large_string(field.type)]
     return schema, parquet.ParquetFile(path, read_dictionary=texts).iter_batches(_ROWS, columns=flat)
@@ -149,7 +156,7 @@ def _parts(batches: Iterator[Any], max_bytes: int) -> Iterator[tuple[int, Cells]
                 raise _too_large(max_bytes)
             yield batch.num_rows, partial(_cells, batch)
     except (pyarrow.ArrowException, OSError) as error:
-        raise _damaged(error) from error
+        raise damaged(error) from error
 
 
 def _cells(batch: Any, name: str) -> Any:

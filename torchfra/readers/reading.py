@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from torchfra.readers.recording import Origin, Recording
 from torchfra.readers.repairs import Target, repaired_targets
 from torchfra.readers.sanity import possible
 from torchfra.readers.sheets import Sheet, listed
-from torchfra.readers.tables import Table, Wanted, naming, read_table, table_of
+from torchfra.readers.tables import Table, Wanted, head_of, naming, read_table, table_of
 from torchfra.readers.told import Told, told
 
 
@@ -65,6 +66,50 @@ def read_sheet(
         return _recordings(table_of(sheet, chosen, max_bytes), chosen, origin, name)
 
 
+class SheetReader:
+    """Reads sheets whose columns all hold what those of the first do, such as parts of a data set.
+
+    Args:
+        first: one or more of its rows, by which it is told what columns hold.
+        name: of the data set.
+        words: see ``Told``.
+
+    Raises:
+        ValueError: the columns are not understood.
+    """
+
+    def __init__(self, first: Sheet, name: str, **words: str | None) -> None:
+        self._chosen = _Choice(told(words), name)
+        _, cells = next(iter(first.parts))
+        self._wanted = self._chosen(head_of(first, cells)[0])
+
+    @property
+    def told(self) -> Told:
+        """What a caller says of them."""
+        return self._chosen.asked
+
+    @property
+    def layout(self) -> Layout:
+        """What the columns hold."""
+        assert self._chosen.layout is not None
+        return self._chosen.layout
+
+    @property
+    def columns(self) -> list[str]:
+        """Those that it reads."""
+        kinds = self._wanted.items()
+        return list(dict.fromkeys(name for one, kind in kinds for name in ((kind and kind.joined) or (one,))))
+
+    def read(self, sheet: Sheet) -> list[Recording]:
+        """As ``read_sheet``, but each recording is about its own first fix, however far apart targets are.
+
+        Raises:
+            ValueError: see ``read``.
+        """
+        table = table_of(sheet, lambda head: self._wanted, sys.maxsize)
+        return _recordings(table, self._chosen, None, self._chosen.name, apart=True)
+
+
 class _Choice:
     """Chooses the columns of a table, and keeps what they mean."""
 
@@ -77,16 +122,20 @@ class _Choice:
         return self.layout.wanted
 
 
-def _recordings(table: Table, chosen: _Choice, origin: Origin | None, stem: str) -> list[Recording]:
+def _recordings(
+    table: Table, chosen: _Choice, origin: Origin | None, stem: str, *, apart: bool = False
+) -> list[Recording]:
+    """The recordings of a table, about one origin, or each about its own first fix where they are ``apart``."""
     layout = chosen.layout
     if layout is None or not table.rows:
         raise ValueError(f"expected rows, received none under the columns {listed(table.names)}")
     if not layout.degrees and origin is not None:
         raise ValueError(f"origin: expected degrees to go with it, received the columns {listed(table.names)}")
     targets = repaired_targets(table, layout, stem)
-    if layout.degrees:
+    if layout.degrees and not apart:
         origin = _origin(targets[0], origin)
-    recordings = [_recording(target, layout, origin) for target in targets]
+    origins = [_origin(target, None) if layout.degrees and apart else origin for target in targets]
+    recordings = [_recording(target, layout, about) for target, about in zip(targets, origins, strict=True)]
     good = recordings if chosen.asked.time_format else possible(recordings, layout)
     return sorted(good, key=lambda recording: recording.name)
 

@@ -135,17 +135,22 @@ def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int) -> 
     first = next(parts, None)
     pair = None
     if sheet.names and first is not None:
-        cells = first[1]
-        begin = cache(lambda name: cells(name)[:_HEAD])
-        head = Head(sheet.names, begin, sheet.said, sheet.commas, sheet.json)
-        if (pair := pair_of(head)) is not None:
-            names = [*(name for name in sheet.names if name != pair), "latitude", "longitude"]
-            said = (*sheet.said, f"latitude, longitude: both in {pair}")
-            head = head._replace(names=names, cells=parted(head.cells, pair), said=said)
+        head, pair = head_of(sheet, first[1])
         growing.want(choose(head))
     for rows, cells in chain([first] if first else [], parts):
         growing.add(rows, cells if pair is None else parted(cells, pair))
     return growing.table()
+
+
+def head_of(sheet: Sheet, cells: Cells) -> tuple[Head, str | None]:
+    """How a sheet begins, by the cells of its first rows, and which column holds latitudes and longitudes at once."""
+    begin = cache(lambda name: cells(name)[:_HEAD])
+    head = Head(sheet.names, begin, sheet.said, sheet.commas, sheet.json)
+    if (pair := pair_of(head)) is not None:
+        names = [*(name for name in sheet.names if name != pair), "latitude", "longitude"]
+        said = (*sheet.said, f"latitude, longitude: both in {pair}")
+        head = head._replace(names=names, cells=parted(head.cells, pair), said=said)
+    return head, pair
 
 
 @contextmanager

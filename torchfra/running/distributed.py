@@ -19,7 +19,7 @@ def team() -> Iterator[None]:
 
     Tensors on the CPU go by gloo, those on a GPU by nccl; each process takes the GPU of its local rank.
     """
-    if int(os.environ.get("WORLD_SIZE", "1")) == 1 or distributed.is_initialized():
+    if launched()[1] == 1 or distributed.is_initialized():
         yield
         return
     gpu = torch.cuda.is_available() and distributed.is_nccl_available()
@@ -30,6 +30,19 @@ def team() -> Iterator[None]:
         yield
     finally:
         distributed.destroy_process_group()
+
+
+def launched() -> tuple[int, int]:
+    """Number of this process, from 0, and how many ``torchrun`` has started, whether or not they have joined.
+
+    Raises:
+        ValueError: the environment does not say so.
+    """
+    said = os.environ.get("RANK", "0"), os.environ.get("WORLD_SIZE", "1")
+    number, count = (int(text) if text.isdecimal() else -1 for text in said)
+    if not 0 <= number < count:
+        raise ValueError(f"RANK, WORLD_SIZE: expected a number from 0 and how many there are, received {said}")
+    return number, count
 
 
 def rank() -> int:

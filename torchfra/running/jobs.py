@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from itertools import starmap
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from itertools import islice, starmap
 from typing import Any, TypeVar
 
 import torch
@@ -44,21 +47,40 @@ def finished(work: Callable[..., T], parts: Sequence[tuple[Any, ...]], jobs: int
 
     Raises:
         Exception: what ``work`` raises first; parts that have not begun are left out.
+        ChildProcessError: a process was ended from outside, as for want of memory.
     """
     if jobs == 1:
         yield from enumerate(starmap(work, parts))
         return
     spawn = multiprocessing.get_context("spawn")  # a fork would copy the threads of torch in any state
     pool = ProcessPoolExecutor(min(jobs, max(len(parts), 1)), spawn, initializer=_alone)
+    left, running = iter(enumerate(parts)), dict[Future[T], int]()
     try:
-        numbers = {pool.submit(work, *part): number for number, part in enumerate(parts)}
-        for future in as_completed(numbers):
-            yield numbers[future], future.result()
+        while True:
+            # No more than are worked on: Ctrl-C ends these, and a process would go on with what waits for it.
+            for number, part in islice(left, jobs - len(running)):
+                running[pool.submit(work, *part)] = number
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                yield running.pop(future), future.result()
+    except BrokenProcessPool as error:
+        raise ChildProcessError(
+            "jobs: expected processes that end by themselves, one was killed: out of memory?"
+        ) from error
     finally:
         pool.shutdown(cancel_futures=True)
 
 
 def _alone() -> None:
-    """Gives a worker process one thread."""
+    """Gives a worker process one thread, and lets it end with the process that started it, even if that is killed."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     torch.set_num_threads(1)
     keep_memory()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -1,4 +1,4 @@
-"""A setting of the C library that makes large batches faster."""
+"""Memory: the most that a process has had, and a setting of the C library that makes large batches faster."""
 
 from __future__ import annotations
 
@@ -26,3 +26,13 @@ def keep_memory() -> bool:
         return bool(libc.mallopt(_MMAP_THRESHOLD, 1 << 30)) and bool(libc.mallopt(_TRIM_THRESHOLD, 2**31 - 1))
     except (OSError, AttributeError):
         return False
+
+
+def most_memory() -> int:
+    """The most memory that this process has had, bytes; 0 where the system does not say."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most if sys.platform == "darwin" else 1024 * most

@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from io import BytesIO
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.cleaning import Cleaned
-from torchfra.cleaning.outputs.table import about, columns, united
+from torchfra.cleaning.outputs.table import Table, about, columns, united
 from torchfra.readers.times import per_second
+
+_PACKED = "zstd"
 
 
 def encode(results: Sequence[Cleaned]) -> bytes:
@@ -21,20 +23,56 @@ def encode(results: Sequence[Cleaned]) -> bytes:
     Raises:
         ImportError: pyarrow is missing.
     """
-    import pyarrow
     from pyarrow import parquet
 
     table = united([columns(cleaned) for cleaned in results])
     if all(per_second(cleaned.recording.source.time) for cleaned in results):
         table["time"] = _numbers(table["time"])
+    file = BytesIO()
+    parquet.write_table(_arrow(table), file, compression=_PACKED)
+    return file.getvalue()
+
+
+class Growing:
+    """A file that grows by some targets at a time; files of the same data set have the same columns.
+
+    Args:
+        file: to write to.
+        like: any target of the data set, of as many dimensions as any.
+    """
+
+    def __init__(self, file: IO[bytes], like: Cleaned) -> None:
+        from pyarrow import parquet
+
+        self._empty = {name: values[:0] for name, values in columns(like).items()}
+        self._numbers = per_second(like.recording.source.time) > 0
+        self._schema = self._arrow([]).schema
+        self._writer = parquet.ParquetWriter(file, self._schema, compression=_PACKED)
+
+    def add(self, results: Sequence[Cleaned]) -> None:
+        """Adds the rows of some targets."""
+        self._writer.write_table(self._arrow(results))
+
+    def close(self) -> None:
+        """Ends the file."""
+        self._writer.close()
+
+    def _arrow(self, results: Sequence[Cleaned]) -> Any:
+        table = united([self._empty, *(columns(cleaned) for cleaned in results)])
+        if self._numbers:
+            table["time"] = table["time"].astype(np.float64)
+        return _arrow(table)
+
+
+def _arrow(table: Table) -> Any:
+    """A table of Arrow."""
+    import pyarrow
+
     arrays = {
         name: pyarrow.array(values, from_pandas=True, mask=values < 0 if name == "row" else None)
         for name, values in table.items()
     }
-    said = {"torchfra": json.dumps(about(list(table)))}
-    file = BytesIO()
-    parquet.write_table(pyarrow.table(arrays, metadata=said), file, compression="zstd")
-    return file.getvalue()
+    return pyarrow.table(arrays, metadata={"torchfra": json.dumps(about(list(table)))})
 
 
 def _numbers(texts: NDArray[np.str_]) -> NDArray[Any]:

@@ -1,0 +1,179 @@
+"""Tracks of a data set, cleaned part by part, each into a file of its own that is there completely or not at all.
+
+A part that is there is done, so that work which was ended at any moment goes on where it was.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchfra.cleaning import Cleaned, clean_tracks
+from torchfra.cleaning.outputs.parquet import Growing
+from torchfra.readers.datasets import DataSet
+from torchfra.readers.recording import Recording
+from torchfra.readers.sheets import listed
+from torchfra.running.atomic_write import write, write_json
+from torchfra.running.memory import most_memory
+from torchfra.version import __version__
+
+_TOGETHER = 25_000
+"""Rows that are cleaned at a time, about: some 350 MB."""
+_RUN, _FACTS = "_run.json", "_parts"
+"""What all parts have in common, and what became of each; readers of data sets leave out what begins so."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """All parts of a data set, and where they go."""
+
+    data: DataSet
+    folder: Path
+    rows: int
+    """Of a part, about."""
+    settings: Mapping[str, Any]
+    """Arguments of ``clean_tracks``."""
+
+    @property
+    def parts(self) -> int:
+        """How many there are."""
+        return -(-self.data.rows // self.rows)
+
+    def begin(self) -> None:
+        """Makes the folder, or finds there what another call has begun.
+
+        Raises:
+            ValueError: it holds something else, or parts of other data or settings.
+            OSError: it cannot be written.
+        """
+        # Files first: those of another process that begins at the same moment are there only after what it says; and
+        # hidden ones are unfinished.
+        there = [path.name for path in self.folder.iterdir()] if self.folder.exists() else []
+        others = sorted(name for name in there if name not in (_RUN, _FACTS) and not name.startswith("."))
+        ours, path = self._plan(), self.folder / _RUN
+        if path.exists():
+            theirs = _read(path)
+            for name in (name for name in ours if ours[name] != theirs.get(name)):
+                raise ValueError(
+                    f"out: expected what the parts in {self.folder} were made with, {name} "
+                    f"{_apart(theirs.get(name), ours[name])}, received {_apart(ours[name], theirs.get(name))}: "
+                    "name another folder, or remove that one"
+                )
+        elif others:
+            raise ValueError(
+                f"out: expected a new folder or an empty one, received {self.folder} with {listed(others)}"
+            )
+        else:
+            write_json(path, ours)
+
+    def _plan(self) -> dict[str, Any]:
+        reader = self.data.reader
+        reading = {name: said for name, said in asdict(reader.told).items() if said is not None}
+        files = {name: [rows, size] for _, name, rows, size in self.data.files}
+        return {
+            "version": __version__, "rows": self.rows, **self.settings, "reading": reading,
+            "columns": reader.layout.source.columns, "files": files,
+        }  # fmt: skip
+
+    def is_done(self, part: int) -> bool:
+        """Whether a part is there."""
+        return all(path.exists() for path in self._paths(part))
+
+    def facts(self) -> list[dict[str, Any]]:
+        """What became of the parts that are there; see ``clean_part``."""
+        return [_read(self._paths(part)[0]) for part in range(self.parts) if self.is_done(part)]
+
+    def _paths(self, part: int) -> tuple[Path, Path]:
+        """What is said of a part, which is written last, and its table."""
+        name = f"part-{part:05}"
+        return self.folder / _FACTS / f"{name}.json", self.folder / f"{name}.parquet"
+
+
+def clean_part(work: Work, part: int) -> dict[str, Any]:
+    """Cleans the targets of a part, some at a time, and writes them.
+
+    Returns:
+        What became of them: counts of ``targets``, ``rows``, ``fixes``, ``outliers``, ``steps`` in the table and
+        ``repairs``; ``failed``, names of targets and why; ``seconds`` that it took; and ``memory``, the most that this
+        process has had, in bytes.
+    """
+    begun, counts, repairs = time.perf_counter(), Counter[str](), Counter[str]()
+    failed: dict[str, str] = {}
+    facts, table = work._paths(part)
+
+    def fill(file: Any) -> None:
+        with closing(Growing(file, _like(work))) as growing:
+            for rows, recordings, wrong in work.data.recordings(part, work.parts, _TOGETHER):
+                failed.update(wrong)
+                results = _cleaned(recordings, work.settings, failed)
+                growing.add(results)
+                counts["rows"] += rows
+                for cleaned in results:
+                    fixes, rejected = int((cleaned.row >= 0).sum()), int((cleaned.flag == "outlier").sum())
+                    counts.update(targets=1, fixes=fixes, outliers=rejected, steps=len(cleaned.time))
+                    repairs.update(cleaned.recording.repairs)
+                    if unknown := int(cleaned.failed.sum()):
+                        failed[cleaned.recording.name] = f"NaN or infinity in {unknown} of {len(cleaned.time)} steps"
+
+    write(table, fill)
+    said: dict[str, Any] = {name: counts[name] for name in ("targets", "rows", "fixes", "outliers", "steps")}
+    said |= {"repairs": dict(+repairs), "failed": failed}
+    said |= {"seconds": time.perf_counter() - begun, "memory": most_memory()}
+    write_json(facts, said)
+    return said
+
+
+def _cleaned(recordings: Sequence[Recording], settings: Mapping[str, Any], failed: dict[str, str]) -> list[Cleaned]:
+    """Those that can be cleaned; why others cannot is added to ``failed``."""
+    try:
+        results = clean_tracks(recordings, **settings)
+    except ValueError as error:  # one that is too fast for its bank, which the others need not pay for
+        if len(recordings) == 1:
+            failed[recordings[0].name] = str(error)
+            return []
+        return [cleaned for one in recordings for cleaned in _cleaned([one], settings, failed)]
+    failed |= {cleaned.recording.name: cleaned.found.failure for cleaned in results if cleaned.found.failure}
+    return [cleaned for cleaned in results if not cleaned.found.failure]
+
+
+def _like(work: Work) -> Cleaned:
+    """A target with all columns that any target of the data set can have."""
+    layout, time = work.data.reader.layout, np.arange(3, dtype=np.float64)
+    d = 3 if {"altitude", "z"} & layout.columns.keys() else 2
+    position, origin = np.repeat(time[:, None], d, 1), (0.0, 0.0, 0.0) if layout.degrees else None
+    (cleaned,) = clean_tracks([Recording("", time, position, origin, {}, source=layout.source)], **work.settings)
+    return cleaned
+
+
+def _read(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text())
+    except ValueError as error:
+        raise ValueError(f"out: expected JSON of this command in {path}, received other text") from error
+
+
+def _apart(one: Any, other: Any) -> str:
+    """One of two things that differ; of two tables the first of the entries that do."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        return next((f"{key} {json.dumps(one[key])}" for key in one if one[key] != other.get(key)), "nothing more")
+    return json.dumps(one)
+
+
+def summed(every: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What became of all parts, from the facts of each; ``rows_per_second`` are those of one process."""
+    total: dict[str, Any] = {
+        name: sum(facts[name] for facts in every)
+        for name in ("targets", "rows", "fixes", "outliers", "steps", "seconds")
+    }
+    total["repairs"] = dict(sum((Counter(facts["repairs"]) for facts in every), Counter[str]()))
+    total["failed"] = {name: why for facts in every for name, why in facts["failed"].items()}
+    total["memory"] = max((facts["memory"] for facts in every), default=0)
+    return total | {"rows_per_second": total["rows"] / total["seconds"] if total["seconds"] else 0.0}

@@ -1,0 +1,130 @@
+"""``torchfra many``: cleans the tracks of a data set, part by part, by several processes."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from torchfra.cleaning import DEFAULT, check_settings
+from torchfra.cleaning.many import Work, clean_part, summed
+from torchfra.cli.command import (
+    IncompleteError,
+    add_json_option,
+    add_quiet_option,
+    check_files,
+    check_folder,
+    complain,
+)
+from torchfra.cli.compiling import reporters
+from torchfra.cli.reading_options import add_cleaning_options, add_reading_options, reading_of
+from torchfra.readers.datasets import open_data
+from torchfra.readers.repairs import in_words, plural
+from torchfra.running import distributed
+from torchfra.running.atomic_write import write_json
+from torchfra.running.jobs import add_jobs_option, check_jobs, finished
+from torchfra.running.progress import progress_bar
+from torchfra.running.versions import versions
+from torchfra.tables import duration, printable
+
+_ABOUT = """Clean the tracks of a data set in Parquet, a million of them say, as torchfra track does those of a file.
+
+DATA is a file or a folder with files below it, whose rows are in any order: a target may have rows in all of them.
+Targets are divided into parts by a hash of their ids, each part is read from all files, and its cleaned tracks go to
+OUT/part-00000.parquet and so on: OUT is a data set itself, and its column row counts through the files of DATA in the
+order of their names. Memory does not grow with the data. A part is there as a whole or not at all, and one that is
+there is done: after Ctrl-C, kill -9 or a power cut the same command goes on where it was."""
+
+_EXAMPLES = """examples:
+  torchfra many flights --out clean --jobs 8           # eight processes
+  torchfra many flights --out clean --no-smooth --json clean.json
+  torchrun --nproc-per-node 8 -m torchfra many flights --out clean     # or on several machines with one file system
+
+Where RANK and WORLD_SIZE are set, as by torchrun, each process takes every WORLD_SIZE-th part, from RANK on, and needs
+nothing of the others; the one that ends last sums up. The same command once more sums up what is there."""
+
+PARTS, FEWEST, MOST = 64, 100_000, 1_000_000
+"""Parts, and rows of one at least and at most: all files are read for each, and one is lost where its process ends."""
+_MOST_SAID = 5
+"""Targets that failed, of which each is said."""
+
+
+def add_to(command: argparse.ArgumentParser) -> None:
+    """Adds what the command is about, its options and its work to its parser."""
+    command.description, command.epilog = _ABOUT, _EXAMPLES
+    add = command.add_argument
+    add("data", metavar="DATA", type=Path)
+    add("--out", type=Path, required=True, metavar="FOLDER", help="a new folder, or one that this command has begun")
+    usual = f"a {PARTS}th of all, from {FEWEST:,} to {MOST:,}"
+    add("--rows", type=int, metavar="N", help=f"rows of a part, about (default: {usual})")
+    add_jobs_option(command)
+    add_cleaning_options(command.add_argument_group("cleaning").add_argument)
+    add_reading_options(command.add_argument_group("reading").add_argument)
+    add_json_option(command)
+    add_quiet_option(command)
+    command.set_defaults(run=run, together=False)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Runs the command; under ``torchrun`` in every process, each of which does its parts."""
+    check_jobs(options.jobs)
+    if options.rows is not None and options.rows < 1:
+        raise ValueError(f"rows: expected 1 or more, received {options.rows}")
+    known: dict[str, Any] = {name: getattr(options, name) for name in ("bank", "sigma", "q", "dt")}
+    check_settings(DEFAULT, **known)
+    rank, size = distributed.launched()
+    check_folder("out", options.out)
+    if options.data.is_dir() and options.data.resolve() in (options.out / "part").resolve().parents:
+        raise ValueError(f"out: expected a folder outside of {options.data}, received {options.out}")
+    data = open_data(options.data, **reading_of(options))
+    check_files({"json": options.json}, [file.path for file in data.files])
+    rows = options.rows or min(max(-(-data.rows // PARTS), FEWEST), MOST)
+    work = Work(data, options.out, rows, known | {"smooth": not options.no_smooth, "repair": not options.no_repair})
+    work.begin()
+    tell, _ = reporters(None, options.quiet or rank > 0)
+    for said in data.reader.layout.source.said:
+        tell(printable(said))
+    _clean(work, range(rank, work.parts, size), options.jobs, tell, not options.quiet and rank == 0)
+    every = work.facts()
+    if len(every) == work.parts:  # of several processes the one that ends last
+        _end(options, work, summed(every))
+    else:
+        tell(f"{len(every):,} of {work.parts:,} parts are done; the others are not of this process")
+
+
+def _clean(work: Work, mine: Sequence[int], jobs: int, tell: Callable[[str], None], show: bool) -> None:
+    """Cleans those of the parts that are not done."""
+    left = [(work, part) for part in mine if not work.is_done(part)]
+    before = len(mine) - len(left)
+    if before:
+        tell(f"{before:,} of {len(mine):,} parts were done before")
+    begun, rows = time.perf_counter(), 0
+    for _, facts in progress_bar(finished(clean_part, left, jobs), "part", show, total=len(mine), done=before):
+        rows += facts["rows"]
+    if left:
+        seconds = time.perf_counter() - begun
+        tell(f"{rows:,} rows in {duration(seconds)}: {rows / seconds:,.0f} a second")
+
+
+def _end(options: argparse.Namespace, work: Work, total: dict[str, Any]) -> None:
+    """Sums up: in the process that has ended last, of whatever rank."""
+    tell, _ = reporters(None, options.quiet)
+    word = plural(work.data.reader.layout.source.word)
+    tell(f"{total['targets']:,} {word}: {total['fixes']:,} fixes, {total['outliers']:,} rejected")
+    if total["repairs"]:
+        tell(f"Repaired: {in_words(total['repairs'])}")
+    if nobody := work.data.rows - total["rows"]:
+        tell(f"Left out: {nobody:,} rows that do not say whose they are")
+    tell(f"Each process: {total['rows_per_second']:,.0f} rows a second, {total['memory'] / 1e6:,.0f} MB at most")
+    tell(f"Written: {work.parts:,} parts in {printable(str(work.folder))}")
+    if options.json is not None:
+        settings = {"data": str(options.data), "rows": work.rows, **work.settings, **reading_of(options)}
+        write_json(options.json, {"versions": versions(), "settings": settings, "parts": work.parts, **total})
+    if failed := total["failed"]:
+        lines = [f"{name}: {why}" for name, why in list(failed.items())[:_MOST_SAID]]
+        if len(failed) > _MOST_SAID:
+            lines.append(f"{len(failed):,} {word} failed: --json names all")
+        complain("torchfra", *lines)
+        raise IncompleteError
