@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
 from torchfra.numbers import as_number
-from torchfra.targets.assignment import scipy
+from torchfra.targets.assignment import assigned
 from torchfra.targets.places import from_cartesian, known_components
 from torchfra.targets.state import Unassociated, joined, rows
 from torchfra.types import Gaussian
@@ -138,20 +138,17 @@ class TwoPoint(Birth):
         pairs = [torch.zeros(2, 0, dtype=torch.int64, device=now.scene.device)]
         for scene in before.scene.unique():
             old, new = ((x.scene == scene).nonzero().squeeze(-1) for x in (before, now))
-            cost, allowed = self._costs(rows(before, old), rows(now, new))
-            i, j = (torch.from_numpy(x).to(old) for x in scipy("optimize").linear_sum_assignment(cost))
-            pairs.append(torch.stack([old[i], new[j]])[:, allowed[i, j]])
+            i, j = assigned(*self._costs(rows(before, old), rows(now, new)))
+            pairs.append(torch.stack([old[i], new[j]]))
         old, new = torch.cat(pairs, 1)
         return old, new
 
-    def _costs(self, before: Unassociated, now: Unassociated) -> tuple[Any, Tensor]:
-        """Distances ``(K, L)``, with one large value for pairs that are too far apart, and which pairs are allowed."""
+    def _costs(self, before: Unassociated, now: Unassociated) -> tuple[Tensor, Tensor]:
+        """Distances ``(K, L)``, and which pairs are allowed."""
         distance = (before.position.mean.unsqueeze(1) - now.position.mean).norm(dim=-1)
         spread = [torch.linalg.matrix_norm(x.position.scale_tril) for x in (before, now)]
         reach = self.speed * before.since.unsqueeze(-1) + _SIGMAS * (spread[0].unsqueeze(-1) + spread[1])
-        allowed = (distance <= reach) & (before.since > 0).unsqueeze(-1)
-        far = distance.sum() + 1  # more than all that is allowed together
-        return torch.where(allowed, distance, far).numpy(force=True), allowed
+        return distance, (distance <= reach) & (before.since > 0).unsqueeze(-1)
 
     def extra_repr(self) -> str:
         """The highest speed."""

@@ -21,6 +21,7 @@ from torchfra.targets.births import Birth, Newborn, OnePoint
 from torchfra.targets.checks import check_filter, check_parts, check_scan, check_scans
 from torchfra.targets.clusters import Group
 from torchfra.targets.clutter_map import ClutterMap, Mapped
+from torchfra.targets.late import Passed, kept, put_in
 from torchfra.targets.merging import Merging
 from torchfra.targets.places import known_components, place, to_cartesian
 from torchfra.targets.records import collect
@@ -30,7 +31,7 @@ from torchfra.targets.state import TargetsEstimate, TargetsState, Track, Unassoc
 from torchfra.targets.views import FieldOfView, check_place, check_views
 from torchfra.types import Gaussian
 
-FORMAT = 1
+FORMAT = 2
 """Of saved states."""
 
 
@@ -58,6 +59,7 @@ class Targets(nn.Module):
             counts as one for confirmation and deletion; targets begin from the scans of each sensor that ``locates``.
         views: how far sensors see, by name, None for the filter's own: targets outside that are not measured have not
             been missed, whatever the ``detection`` of the sensor.
+        lag: seconds that a scan may come late; the scans of so long, and the states before them, are kept.
         clutter_map: learns where false measurements come again and again, each sensor's on its own that measures every
             direction of space; None for density that stays uniform.  It needs clutter of a Poisson rate.
 
@@ -74,6 +76,7 @@ class Targets(nn.Module):
         deletion: Deletion | None = None, merging: Merging | None = None, free: float = 0.5,
         sensors: Mapping[str, JPDA] | None = None,
         views: Mapping[str | None, FieldOfView] | None = None, clutter_map: ClutterMap | None = None,
+        lag: float = 0.0,
     ) -> None:  # fmt: skip
         super().__init__()
         check_filter(filter)
@@ -81,11 +84,13 @@ class Targets(nn.Module):
                     merging=(merging, Merging), clutter_map=(clutter_map, ClutterMap))  # fmt: skip
         if not 0 < as_number(free) < 1:
             raise ValueError(f"free: expected a probability above 0 and below 1, received {free}")
+        if not 0 <= as_number(lag) < math.inf:
+            raise ValueError(f"lag: expected finite seconds of 0 or more, received {lag}")
         self.filter = copy.deepcopy(filter)
         self.birth = OnePoint() if birth is None else birth
         self.confirmation = SPRT() if confirmation is None else confirmation
         self.deletion = Deletion() if deletion is None and not self.confirmation.deletes else deletion
-        self.merging, self.free, self.clutter_map = merging, free, clutter_map
+        self.merging, self.free, self.clutter_map, self.lag = merging, free, clutter_map, float(lag)
         more = _of_sensors(self.filter, sensors)
         self.sensors, self.views = nn.ModuleDict(more), check_views(views, list(more), self.filter.motion.dims)
         rates = [f.clutter.rate for f in (self.filter, *more.values())]
@@ -129,7 +134,11 @@ class Targets(nn.Module):
 
     def saved(self, state: TargetsState) -> dict[str, Any]:
         """A state as a dictionary for ``torch.save``, which ``torch.load`` reads with ``weights_only=True``."""
-        return {"format": FORMAT, "state": tree.flatten(state)}
+        past = [
+            {"before": tree.flatten(before), "scan": scan._asdict(), "sensor": sensor}
+            for before, scan, sensor in state.past
+        ]
+        return {"format": FORMAT, "state": tree.flatten(state._replace(past=())), "past": past}
 
     def restored(self, values: Mapping[str, Any]) -> TargetsState:
         """The state that was saved; a manager like the one that left it goes on to the same bits.
@@ -143,13 +152,18 @@ class Targets(nn.Module):
         received = values.get("format") if isinstance(values, Mapping) else None
         if received != FORMAT:
             raise ValueError(f"values: expected format {FORMAT}, received {received!r}")
+        past = (Passed(self._unsaved(x["before"]), SceneScan(**x["scan"]), x["sensor"]) for x in values["past"])
+        return self._unsaved(values["state"])._replace(past=tuple(past))
+
+    def _unsaved(self, tensors: list[Tensor]) -> TargetsState:
+        """The state of these tensors."""
         empty = self.init()
         expected, found = (
-            [(x.shape[1:], x.is_floating_point()) for x in each] for each in (tree.flatten(empty), values["state"])
+            [(x.shape[1:], x.is_floating_point()) for x in each] for each in (tree.flatten(empty), tensors)
         )
         if found != expected:
             raise ValueError(f"values: expected a state of {expected}, received {found}")
-        state: TargetsState = tree.unflatten(empty, iter(values["state"]))
+        state: TargetsState = tree.unflatten(empty, iter(tensors))
         return state
 
     def step(
@@ -161,7 +175,9 @@ class Targets(nn.Module):
         Args:
             state: from ``init`` or the step before; it is not changed.
             z: ``(J, m)``, or ``(R, J, m)`` of R scenes, of any J, also 0; NaN is missing.
-            dt: seconds since the last scan, a number or ``(R,)``; 0 for another scan at the same instant.
+            dt: seconds since the newest scan, a number or ``(R,)``; 0 for another scan at the same instant, below 0,
+                down to ``-lag``, for one that comes late: the state is then the one that the scans would have left in
+                the order of their times, but targets keep their identities.
             u: ``(k,)`` or ``(R, k)`` what the models need to know, such as where the sensor is.
             std: like ``z``: standard deviations of the noise of these measurements, instead of the sensor's.
             noise: like ``z`` with one more ``m``: roots of its covariances, instead of the sensor's.
@@ -172,12 +188,15 @@ class Targets(nn.Module):
             ImportError: scipy is not installed.
         """
         filter, measurements = self._of(sensor), Measurements(z, dt, u, std, noise)
-        scan = check_scan(filter, state, measurements, self.confirmation.window)
+        scan = check_scan(filter, state, measurements, self.confirmation.window, self.lag)
         if (state.clutter is None) != (self.clutter_map is None):
             expected, received = ("none", "one") if self.clutter_map is None else ("one", "none")
             raise ValueError(f"state: expected {expected} of a manager with a map of clutter, received {received}")
         check_place(self.views.get(sensor), scan.u, filter.motion.dims)
-        return self._step(state, scan, filter, sensor)
+        if bool((scan.dt < 0).any()):
+            return put_in(self._step, filter.motion, state, scan, sensor)
+        now = state._replace(past=())
+        return kept(self._step(now, scan, sensor), (*state.past, Passed(now, scan, sensor)), self.lag)
 
     def forward(self, z: Tensor, *, dt: Time = 1.0, u: Tensor | None = None) -> TargetsEstimate:
         """Whole sequences of scans, from no target on.
@@ -195,7 +214,7 @@ class Targets(nn.Module):
         check_place(self.views.get(None), scans[0].u, self.filter.motion.dims)
         state, states = self.init(len(scans[0].z), dtype=z.dtype, device=z.device), []
         for scan in scans:
-            state = self._step(state, scan, self.filter)
+            state = self._step(state, scan, None)
             states.append(state)
         return collect(states, z.shape[:-3])
 
@@ -207,11 +226,10 @@ class Targets(nn.Module):
             raise ValueError(f"sensor: expected one of {', '.join(self.sensors) or 'none'}, received {sensor!r}")
         return _around(self.filter, self.sensors[sensor])  # type: ignore[arg-type]  # torch knows modules only
 
-    def _step(
-        self, state: TargetsState, scan: SceneScan, filter: JPDA, sensor: str | None = None
-    ) -> TargetsState:  # fmt: skip
-        """The next state, of a scan by the sensor of this filter and name."""
+    def _step(self, state: TargetsState, scan: SceneScan, sensor: str | None) -> TargetsState:
+        """The next state, of a scan by the sensor of this name."""
         scene, number = state.track.scene, 0 if sensor is None else 1 + list(self.sensors).index(sensor)
+        filter = self._of(sensor)
         score = self.confirmation.predicted(state.track.score, scan.dt[scene])
         state, exists = state._replace(track=state.track._replace(score=score)), self.confirmation.exists(score)
         after, log_missed, density, association, groups = filter_scan(filter, state.filter, scene, scan, exists)

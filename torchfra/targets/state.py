@@ -61,6 +61,8 @@ class TargetsState(NamedTuple):
     """``(R,)`` of each scene."""
     clutter: Any = None
     """What the map of clutter has learned; None without one."""
+    past: tuple[Any, ...] = ()
+    """The last scans with the states before them, for those that come late; empty without a ``lag``."""
 
     @property
     def belief(self) -> Gaussian:
