@@ -32,6 +32,8 @@ class Newborn(NamedTuple):
     """Measurements that each begins with, in as many scans."""
     new: Tensor
     """``(K,)`` probability that nothing that was there explains any of its measurements: see ``Unassociated``."""
+    lived: Tensor
+    """``(K,)`` seconds since its first measurement."""
 
 
 class Birth(nn.Module):
@@ -93,7 +95,7 @@ class OnePoint(Birth):
         free = torch.eye(dims, dtype=root.dtype, device=root.device).expand_as(root) * self.velocity
         both = torch.cat([pad(root, (0, dims)), pad(free, (dims, 0))], -2)
         belief = self.belief(motion, pad(position, (0, dims)), both)
-        return Newborn(belief, now.scene, 1, now.new), rows(now, slice(0))
+        return Newborn(belief, now.scene, 1, now.new, now.since), rows(now, slice(0))
 
     def extra_repr(self) -> str:
         """The standard deviation of the velocity."""
@@ -131,7 +133,8 @@ class TwoPoint(Birth):
         left = torch.ones_like(now.scene, dtype=torch.bool).index_fill(0, new, False)
         belief = self.belief(motion, torch.cat([position, velocity], -1), both)
         same = rows(before, before.since == 0)
-        return Newborn(belief, now.scene[new], 2, before.new[old] * now.new[new]), joined(same, rows(now, left))
+        newborn = Newborn(belief, now.scene[new], 2, before.new[old] * now.new[new], before.since[old])
+        return newborn, joined(same, rows(now, left))
 
     def _pairs(self, now: Unassociated, before: Unassociated) -> tuple[Tensor, Tensor]:
         """Rows of the measurements before and now that belong together."""

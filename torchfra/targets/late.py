@@ -11,7 +11,7 @@ from torch import Tensor
 from torchfra.motion.base import Motion
 from torchfra.targets.assignment import assigned, chi_square, squared_distance
 from torchfra.targets.scan import SceneScan
-from torchfra.targets.state import TargetsState, Track, rows
+from torchfra.targets.state import Ended, TargetsState, Track, rows
 
 _SAME = 0.99
 """Probability of the gate in which a target of before and one of after a late scan are the same."""
@@ -88,7 +88,11 @@ def _same(motion: Motion, was: TargetsState, before: TargetsState, now: TargetsS
 
     The old ones are confirmed: nobody has seen the identities of others.
     """
-    old = (was.track.confirmed & ~_among(was.track, before.track) & ~_among(was.track, now.track)).nonzero()[:, 0]
+    others = before.track, now.track, *(() if now.ended is None else (now.ended,))
+    old = was.track.confirmed
+    for other in others:
+        old = old & ~_among(was.track, other)
+    old = old.nonzero()[:, 0]
     new = (now.track.identity >= was.next_identity[now.track.scene]).nonzero()[:, 0]
     one, other = rows(now.belief, new[:, None]), rows(was.belief, old[None])
     apart = squared_distance(motion, one, other)
@@ -97,7 +101,7 @@ def _same(motion: Motion, was: TargetsState, before: TargetsState, now: TargetsS
     return now.track.scene[new[i]], now.track.identity[new[i]], was.track.identity[old[j]]
 
 
-def _among(track: Track, others: Track) -> Tensor:
+def _among(track: Track, others: Track | Ended) -> Tensor:
     """Which targets ``(N,)`` are there among others."""
     same = (track.scene[:, None] == others.scene) & (track.identity[:, None] == others.identity)
     return same.any(-1)
@@ -105,7 +109,10 @@ def _among(track: Track, others: Track) -> Tensor:
 
 def _renamed(state: TargetsState, scene: Tensor, new: Tensor, old: Tensor) -> TargetsState:
     """The state with old identities for new ones."""
-    track = state.track
-    same = (track.scene[:, None] == scene) & (track.identity[:, None] == new)
-    identity = torch.where(same, old, 0).sum(-1) + torch.where(same.any(-1), 0, track.identity)
-    return state._replace(track=track._replace(identity=identity))
+
+    def name(of: Track | Ended) -> Tensor:
+        same = (of.scene[:, None] == scene) & (of.identity[:, None] == new)
+        return torch.where(same, old, 0).sum(-1) + torch.where(same.any(-1), 0, of.identity)
+
+    ended = None if state.ended is None else state.ended._replace(identity=name(state.ended))
+    return state._replace(track=state.track._replace(identity=name(state.track)), ended=ended)
