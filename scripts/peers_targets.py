@@ -3,12 +3,14 @@
     python scripts/peers_targets.py                                   10 targets, 30 false measurements per scan
     python scripts/peers_targets.py --targets 30 --clutter 100 --runs 3 --json targets.json
     python scripts/peers_targets.py --trackers srckf --birth one --confirmation existence --seed 6 --runs 3
+    python scripts/peers_targets.py --trackers srckf --hidden 12 --stitch 20 100 --seed 6 --runs 10
 
 Targets fly nearly straight in a square; positions are measured, some are missed, false ones lie anywhere.  All trackers
 know the models, the detection and the density of false measurements, and end a target after five scans without one,
 torchfra's also when its score has fallen by the log of 1e-4; none is told how many there are.  Prints for each tracker
 GOSPA (cutoff 100 m, mean over scans and runs) with the parts of its square, how often a target's track became another
-one per run, and milliseconds of the processor per scan, which others on the machine disturb least.  Each tracker of
+one and how often a target was lost and found again per run, and milliseconds of the processor per scan, which others
+on the machine disturb least.  Each tracker of
 Stone Soup runs in a process of its own, one after the other.
 """
 
@@ -38,7 +40,7 @@ from torchfra.running.atomic_write import write_json
 from torchfra.running.versions import versions
 from torchfra.sensors import Position
 from torchfra.tables import text_table
-from torchfra.targets import SPRT, Deletion, Existence, OnePoint, Targets, TwoPoint
+from torchfra.targets import SPRT, Deletion, Existence, OnePoint, Stitching, Targets, TwoPoint
 
 WORKER = Path(__file__).parent / "benchmarks" / "stone_soup.py"
 Q, STD, SPEED, DETECTION, GATE, SIDE = 0.5, 10.0, 15.0, 0.95, 0.999, 2000.0
@@ -70,6 +72,9 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--birth", choices=BIRTHS, default="two", help="measurements that begin a target of torchfra's "
                    "(default: two)")  # fmt: skip
     p.add_argument("--confirmation", choices=CONFIRMATIONS, default="sprt", help="of torchfra's (default: sprt)")
+    p.add_argument("--hidden", type=int, default=0, metavar="SCANS", help="nobody measures a target for so long, once "
+                   "in its life (default: 0)")  # fmt: skip
+    p.add_argument("--stitch", type=float, nargs=2, metavar=("SECONDS", "METRES"), help="stitch torchfra's tracks")
     p.add_argument("--trackers", default=",".join((*OURS, *PEERS)), help="out of %(default)s")
     add_json_option(p)
     return p
@@ -84,6 +89,10 @@ def checked(p: argparse.ArgumentParser, arguments: list[str] | None) -> argparse
             p.error(f"--{name}: expected 1 or more, received {getattr(options, name)}")
     if options.scans < 10:
         p.error(f"--scans: expected 10 or more, received {options.scans}")
+    if options.hidden < 0:
+        p.error(f"--hidden: expected 0 or more, received {options.hidden}")
+    if options.stitch is not None and min(options.stitch) <= 0:
+        p.error(f"--stitch: expected numbers above 0, received {options.stitch}")
     return options
 
 
@@ -121,6 +130,9 @@ def simulated(options: argparse.Namespace) -> tuple[Tensor, Tensor]:
     truth[~((step >= np.floor(first)) & (step <= last))] = np.nan
     own = truth[..., :2] + STD * rng.standard_normal((runs, count, steps, 2))
     own[rng.random(own.shape[:-1]) >= DETECTION] = np.nan
+    if options.hidden:
+        since = rng.integers(int(0.4 * steps), int(0.5 * steps), (runs, count, 1))
+        own[(step >= since) & (step < since + options.hidden)] = np.nan
     number = rng.poisson(options.clutter, (runs, steps, 1))
     false = rng.uniform(0, SIDE, (runs, steps, number.max(), 2))
     false[np.arange(number.max()) >= number] = np.nan
@@ -136,7 +148,8 @@ def tracker(name: str, options: argparse.Namespace) -> Targets:
         motion = Bank([motion, ConstantVelocity(16 * Q, spectral=True)])
     joint = presets.jpda(motion, sensor, inner=inner, clutter=false, detection=DETECTION, gate=ChiSquare(GATE))
     birth, confirmation = BIRTHS[options.birth], CONFIRMATIONS[options.confirmation]
-    return Targets(joint, birth=birth, confirmation=confirmation, deletion=Deletion(5, drop=1e-4))
+    stitching = None if options.stitch is None else Stitching(*options.stitch)
+    return Targets(joint, birth=birth, confirmation=confirmation, deletion=Deletion(5, drop=1e-4), stitching=stitching)
 
 
 def here(name: str, z: Tensor, options: argparse.Namespace) -> tuple[list[Tensor], list[float]]:
@@ -179,11 +192,13 @@ def scored(name: str, found: list[Tensor], seconds: list[float], truth: Tensor) 
         for part, power in (("distance", 1), ("localisation", 2), ("missed", 2), ("false", 2))
     )
     lives = [metrics.lives(mean, run, position, cutoff=CUTOFF) for mean, run in zip(found, truth, strict=True)]
-    switches = statistics.mean(float(life.switches.sum()) for life in lives)
+    switches, breaks = (
+        statistics.mean(float(getattr(life, part).sum()) for life in lives) for part in ("switches", "breaks")
+    )
     return {
         "tracker": name, "gospa_m": distance,
         **dict(zip(("localisation_m2", "missed_m2", "false_m2"), squares, strict=True)),
-        "switches": switches, "ms_per_scan": 1000 * statistics.median(seconds) / scans,
+        "switches": switches, "breaks": breaks, "ms_per_scan": 1000 * statistics.median(seconds) / scans,
     }  # fmt: skip
 
 

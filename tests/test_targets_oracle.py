@@ -11,7 +11,18 @@ from torchfra import presets
 from torchfra.association import ChiSquare, Clutter
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
-from torchfra.targets import SPRT, ClutterMap, Deletion, Existence, FieldOfView, MOfN, OnePoint, Targets, TwoPoint
+from torchfra.targets import (
+    SPRT,
+    ClutterMap,
+    Deletion,
+    Existence,
+    FieldOfView,
+    MOfN,
+    OnePoint,
+    Stitching,
+    Targets,
+    TwoPoint,
+)
 
 STD, Q, DT, PD, PG, WIDTH, RATE = 2.0, 0.25, 2.0, 0.8, 0.99, 150.0, 1.5
 BIRTHS = {"one point": (OnePoint(4.0), {"velocity": 4.0}), "two points": (TwoPoint(12.0), {"speed": 12.0})}
@@ -137,6 +148,28 @@ def test_a_map_of_clutter_and_a_field_of_view_are_those_of_plain_loops(birth, co
     for scan, option in zip(z, options, strict=True):
         state = plain.step(state, torch.from_numpy(scan), **option)
     assert len(state.identity) > sum(t.confirmed for t in expected[-1])  # it takes what stays for targets
+
+
+@pytest.mark.parametrize("confirmation", ["score", "existence"])
+@pytest.mark.parametrize("misses", [3, 9])
+def test_broken_tracks_are_stitched_as_in_plain_loops(confirmation, misses):
+    """Three targets side by side, which nobody sees for a while: after three misses they are lost, after nine not."""
+    rng, z = np.random.default_rng(7), []
+    for k in range(26):
+        there = [(4.0 * k - 50, y) for y in (-10.0, 12.0, 40.0)] if not 9 <= k < 13 else []
+        there += [(rng.uniform(-75, 75), rng.uniform(-75, 75))]
+        z.append(rng.permutation(np.array(there) + STD * rng.standard_normal((len(there), 2))))
+    born, (confirmation, when) = BIRTHS["two points"][1], CONFIRMATIONS[confirmation]
+    bounds = {"seconds": 14.0, "metres": 60.0}
+    expected = manage(
+        z, std=STD, q=Q, dt=DT, PD=PD, PG=PG, limit=-2 * math.log(1 - PG), density=RATE / WIDTH**2, birth=born,
+        confirm=when, misses=misses, stitch=bounds | {"limit": 13.276704135987623},
+    )  # fmt: skip
+    targets = manager(TwoPoint(12.0), confirmation, Deletion(misses), stitching=Stitching(**bounds, probability=0.99))
+    follow(targets, z, expected, [{"dt": DT}] * len(z))
+    first, last = ({t.identity for t in expected[k] if t.confirmed} for k in (8, -1))
+    assert len(first) == 3
+    assert first == last
 
 
 def follow(targets, z, expected, options):

@@ -29,7 +29,7 @@ from torchfra.cleaning.outputs.colours import APART, BLACK, GREY
 from torchfra.motion import ConstantVelocity
 from torchfra.plotting.style import TITLE, finish, words
 from torchfra.sensors import Position
-from torchfra.targets import SPRT, ClutterMap, Deletion, FieldOfView, Merging, OnePoint, Targets
+from torchfra.targets import SPRT, ClutterMap, Deletion, FieldOfView, Merging, OnePoint, Stitching, Targets
 
 METRIC = "gospa"
 PARTS = (METRIC, "followed", "switches", "false_per_minute")
@@ -132,8 +132,8 @@ def manager(name: str) -> Targets:
     both = name == "radar_lidar"
     return Targets(
         radar, birth=OnePoint(SPEED), confirmation=SPRT(false=1e-4), deletion=Deletion(5), merging=Merging(),
-        clutter_map=ClutterMap(STD[RADAR], 60.0), sensors={"lidar": lidar} if both else None,
-        views={"lidar": FieldOfView(REACH)} if both else None,
+        clutter_map=ClutterMap(STD[RADAR], 60.0), stitching=Stitching(30.0, 80.0),
+        sensors={"lidar": lidar} if both else None, views={"lidar": FieldOfView(REACH)} if both else None,
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from oracles.basics import Array
 from oracles.events import joint_events, joint_existence
 
 
-@dataclass
+@dataclass(eq=False)
 class Target:
     """One target: what it has been through."""
 
@@ -25,12 +25,16 @@ class Target:
     best: float = 0.0
     confirmed: bool = False
     history: list[Array] = field(default_factory=list)
+    since: float = 0.0
+    lived: float = 0.0
+    gone: float = 0.0
 
 
 def manage(
     scans: list[Array], *, std: float, q: float, dt: float, PD: float, PG: float, limit: float, density: float,
     birth: dict[str, float], confirm: dict[str, Any], misses: int | None, drop: float | None = None,
     looks: list[dict[str, Any]] | None = None, clutter_map: dict[str, float] | None = None,
+    stitch: dict[str, float] | None = None,
 ) -> list[list[Target]]:  # fmt: skip
     """After each scan (J, 2) copies of the targets that are there; constant velocity, positions, Poisson clutter.
 
@@ -43,6 +47,7 @@ def manage(
     waiting: dict[int, list[Free]] = {0: [], 1: []}  # of each sensor, measurements from which targets may begin
     seen: list[tuple[Array, float, int]] = []  # of the map: a position, its weight, the sensor
     counted = [0.0, 0.0]  # scans of each sensor
+    over: list[Target] = []  # confirmed targets that were deleted
     for z, look in zip(scans, looks or [{}] * len(scans), strict=True):
         std, dt = look.get("std", std), look.get("dt", dt)
         PD, density = look.get("PD", PD), look.get("density", density)
@@ -81,6 +86,7 @@ def manage(
         for t, target in enumerate(targets):
             update(target, z, beta[:, t], missed[t], H, R)
             hit, (target.score, score) = bool(missed[t] < 0.5), scores[t]
+            target.since, target.lived = 0.0 if hit else target.since + dt, target.lived + dt
             if "farthest" in look and not hit and np.linalg.norm(target.mean[:2] - look["place"]) > look["farthest"]:
                 continue
             target.score = score - beta[:, t] @ excess
@@ -89,20 +95,51 @@ def manage(
         claimed = beta
         if "lifetime" in confirm:
             claimed = beta / (1 + np.exp([-t.score for t in targets]))
+        for target in over:
+            target.since, target.gone = target.since + dt, target.gone + dt
+        over += [t for t in targets if t.confirmed and ends(t, misses, drop)]
         targets = [t for t in targets if not ends(t, misses, drop)]
         unclaimed = 1 - claimed.sum(1)
         free = [(z[j], R, 0.0, unclaimed[j] * math.exp(-excess[j])) for j in range(len(z)) if unclaimed[j] > 0.5]
         waiting = {s: [(x, S, since + dt, w) for x, S, since, w in old] for s, old in waiting.items()}
         begun, waiting[sensor] = begin(birth, free, waiting[sensor])
         for mean, P, hits, weight in begun:
-            targets.append(Target(number, mean, P, [True] * hits))
+            targets.append(Target(number, mean, P, [True] * hits, lived=dt * (hits - 1)))
             if "lifetime" in confirm:
                 r = weight * confirm["birth"]
                 targets[-1].score = targets[-1].best = math.log(r / (1 - r))
             number += 1
+        before = [t for t in targets if t.confirmed]
         targets = [t for t in targets if stays(t, confirm)]
+        over += [t for t in before if t not in targets]
+        if stitch is not None:
+            found = [t for t in targets if t.confirmed and t not in before]
+            targets, over = stitched(targets, over, found, q, stitch)
         shown.append([Target(t.identity, t.mean, t.P, list(t.hits), t.score, t.best, t.confirmed) for t in targets])
     return shown
+
+
+def stitched(
+    targets: list[Target], over: list[Target], found: list[Target], q: float, how: dict[str, float]
+) -> tuple[list[Target], list[Target]]:
+    """Targets and lost ones, after those ``found`` have taken the identities of lost ones that they agree with."""
+    one, none, candidates = np.eye(2), np.zeros((2, 2)), [t for t in targets if t.confirmed and t not in found] + over
+    cost: list[list[float | None]] = []
+    for lost in candidates:
+        dt = lost.gone
+        F, G = np.block([[one, dt * one], [none, one]]), np.vstack([dt**2 / 2 * one, dt * one])
+        mean, P = F @ lost.mean, F @ lost.P @ F.T + q * G @ G.T
+        cost.append([])
+        for target in found:
+            gap, between = target.mean - mean, lost.since - target.lived
+            squared = float(gap @ np.linalg.solve(P + target.P, gap))
+            near = np.linalg.norm(gap[:2]) <= how["metres"] and squared <= how["limit"]
+            cost[-1].append(squared if near and 0 < between <= how["seconds"] else None)
+    for i, j in cheapest(cost, len(found)):
+        found[j].identity = candidates[i].identity
+        targets = [t for t in targets if t is not candidates[i]]
+        over = [t for t in over if t is not candidates[i]]
+    return targets, over
 
 
 def update(target: Target, z: Array, beta: Array, missed: float, H: Array, R: Array) -> None:
@@ -170,13 +207,20 @@ def begin(
 
 def nearest(before: list[Array], now: list[Array], reach: list[list[float]]) -> list[tuple[int, int]]:
     """As many pairs within reach as possible, and of all such choices the one with the least sum."""
+    far = [[float(np.linalg.norm(z - x)) for z in now] for x in before]
+    return cheapest(
+        [[d if d <= r else None for d, r in zip(*row, strict=True)] for row in zip(far, reach, strict=True)], len(now)
+    )
+
+
+def cheapest(cost: list[list[float | None]], columns: int) -> list[tuple[int, int]]:
+    """As many pairs with a cost as possible, and of all such choices the one with the least sum."""
     best: tuple[int, float, list[tuple[int, int]]] = (0, 0.0, [])
-    for choice in itertools.product([None, *range(len(now))], repeat=len(before)):
+    for choice in itertools.product([None, *range(columns)], repeat=len(cost)):
         pairs = [(i, j) for i, j in enumerate(choice) if j is not None]
-        far = [float(np.linalg.norm(now[j] - before[i])) for i, j in pairs]
-        allowed = len({j for _, j in pairs}) == len(pairs) and all(
-            d <= reach[i][j] for d, (i, j) in zip(far, pairs, strict=True)
-        )
-        if allowed and (-len(pairs), sum(far)) < (-best[0], best[1]):
-            best = (len(pairs), sum(far), pairs)
+        costs = [cost[i][j] for i, j in pairs]
+        known = [c for c in costs if c is not None]
+        allowed = len({j for _, j in pairs}) == len(pairs) == len(known)
+        if allowed and (-len(pairs), sum(known)) < (-best[0], best[1]):
+            best = (len(pairs), sum(known), pairs)
     return best[2]

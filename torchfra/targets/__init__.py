@@ -11,6 +11,7 @@ from torchfra.targets.poisson import PoissonBirths
 from torchfra.targets.records import collect
 from torchfra.targets.rules import SPRT, Confirmation, Deletion, Existence, MOfN
 from torchfra.targets.state import TargetsEstimate, TargetsState, Track
+from torchfra.targets.stitching import Stitching
 from torchfra.targets.views import FieldOfView
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "Merging",
     "OnePoint",
     "PoissonBirths",
+    "Stitching",
     "Targets",
     "TargetsEstimate",
     "TargetsState",

@@ -1,9 +1,16 @@
-"""What scipy does here: neighbours, connected components, and the assignment of one set to another."""
+"""The assignment of one set to another, how far two beliefs are apart, and what scipy does for both."""
 
 from __future__ import annotations
 
 from importlib import import_module
 from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchfra.linalg.triangular import hstack, tria, whiten
+from torchfra.motion.base import Motion
+from torchfra.types import Gaussian
 
 
 def scipy(part: str) -> Any:
@@ -16,3 +23,36 @@ def scipy(part: str) -> Any:
         return import_module(f"scipy.{part}")
     except ImportError:
         raise ImportError("managing targets needs scipy: pip install torchfra[assignment]") from None
+
+
+def assigned(cost: Tensor, allowed: Tensor) -> tuple[Tensor, Tensor]:
+    """Rows and columns of pairs: as many as are ``allowed (K, L)``, and of all such choices the one of least ``cost``.
+
+    Args:
+        cost: ``(K, L)`` of each pair, 0 or more.
+        allowed: bool.
+
+    Raises:
+        ImportError: scipy is not installed.
+    """
+    cost = torch.where(allowed, cost.detach(), 0.0)
+    cost = torch.where(allowed, cost, 1 + 2 * cost.sum())  # more than all that are allowed together
+    found = scipy("optimize").linear_sum_assignment(cost.numpy(force=True))
+    i, j = (torch.from_numpy(x).to(cost.device) for x in found)
+    chosen = allowed[i, j]
+    return i[chosen], j[chosen]
+
+
+def squared_distance(motion: Motion, one: Gaussian, other: Gaussian) -> Tensor:
+    """Square ``(...)`` of the difference of two beliefs ``(..., n)``, by the sum of their covariances."""
+    gap = motion.difference(one.mean, other.mean)
+    return whiten(tria(hstack(one.scale_tril, other.scale_tril)), gap).square().sum(-1)
+
+
+def chi_square(probability: float, degrees: int) -> float:
+    """What chi square of so many degrees of freedom does not exceed with a probability.
+
+    Raises:
+        ImportError: scipy is not installed.
+    """
+    return float(scipy("special").gammainccinv(degrees / 2, 1 - probability) * 2)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
 from torchfra.numbers import as_number
-from torchfra.targets.assignment import scipy
+from torchfra.targets.assignment import assigned
 from torchfra.targets.places import from_cartesian, known_components
 from torchfra.targets.state import Unassociated, joined, rows
 from torchfra.types import Gaussian
@@ -32,6 +32,8 @@ class Newborn(NamedTuple):
     """Measurements that each begins with, in as many scans."""
     new: Tensor
     """``(K,)`` probability that nothing that was there explains any of its measurements: see ``Unassociated``."""
+    lived: Tensor
+    """``(K,)`` seconds since its first measurement."""
 
 
 class Birth(nn.Module):
@@ -93,7 +95,7 @@ class OnePoint(Birth):
         free = torch.eye(dims, dtype=root.dtype, device=root.device).expand_as(root) * self.velocity
         both = torch.cat([pad(root, (0, dims)), pad(free, (dims, 0))], -2)
         belief = self.belief(motion, pad(position, (0, dims)), both)
-        return Newborn(belief, now.scene, 1, now.new), rows(now, slice(0))
+        return Newborn(belief, now.scene, 1, now.new, now.since), rows(now, slice(0))
 
     def extra_repr(self) -> str:
         """The standard deviation of the velocity."""
@@ -131,27 +133,25 @@ class TwoPoint(Birth):
         left = torch.ones_like(now.scene, dtype=torch.bool).index_fill(0, new, False)
         belief = self.belief(motion, torch.cat([position, velocity], -1), both)
         same = rows(before, before.since == 0)
-        return Newborn(belief, now.scene[new], 2, before.new[old] * now.new[new]), joined(same, rows(now, left))
+        newborn = Newborn(belief, now.scene[new], 2, before.new[old] * now.new[new], before.since[old])
+        return newborn, joined(same, rows(now, left))
 
     def _pairs(self, now: Unassociated, before: Unassociated) -> tuple[Tensor, Tensor]:
         """Rows of the measurements before and now that belong together."""
         pairs = [torch.zeros(2, 0, dtype=torch.int64, device=now.scene.device)]
         for scene in before.scene.unique():
             old, new = ((x.scene == scene).nonzero().squeeze(-1) for x in (before, now))
-            cost, allowed = self._costs(rows(before, old), rows(now, new))
-            i, j = (torch.from_numpy(x).to(old) for x in scipy("optimize").linear_sum_assignment(cost))
-            pairs.append(torch.stack([old[i], new[j]])[:, allowed[i, j]])
+            i, j = assigned(*self._costs(rows(before, old), rows(now, new)))
+            pairs.append(torch.stack([old[i], new[j]]))
         old, new = torch.cat(pairs, 1)
         return old, new
 
-    def _costs(self, before: Unassociated, now: Unassociated) -> tuple[Any, Tensor]:
-        """Distances ``(K, L)``, with one large value for pairs that are too far apart, and which pairs are allowed."""
+    def _costs(self, before: Unassociated, now: Unassociated) -> tuple[Tensor, Tensor]:
+        """Distances ``(K, L)``, and which pairs are allowed."""
         distance = (before.position.mean.unsqueeze(1) - now.position.mean).norm(dim=-1)
         spread = [torch.linalg.matrix_norm(x.position.scale_tril) for x in (before, now)]
         reach = self.speed * before.since.unsqueeze(-1) + _SIGMAS * (spread[0].unsqueeze(-1) + spread[1])
-        allowed = (distance <= reach) & (before.since > 0).unsqueeze(-1)
-        far = distance.sum() + 1  # more than all that is allowed together
-        return torch.where(allowed, distance, far).numpy(force=True), allowed
+        return distance, (distance <= reach) & (before.since > 0).unsqueeze(-1)
 
     def extra_repr(self) -> str:
         """The highest speed."""

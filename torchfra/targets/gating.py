@@ -8,7 +8,7 @@ from torch import Tensor
 from torchfra.association.gates import Candidates, ChiSquare, Gate
 from torchfra.linalg.triangular import tria
 from torchfra.sensors.base import Sensor
-from torchfra.targets.assignment import scipy
+from torchfra.targets.assignment import chi_square
 from torchfra.types import Gaussian
 
 _WIDER = 1.25
@@ -53,7 +53,5 @@ def in_reach(gate: Gate, sensor: Sensor, predicted: Gaussian, scans: Tensor, sce
 
 def _quantiles(gate: ChiSquare, like: Tensor) -> Tensor:
     """``(m + 1,)`` largest normalised innovation squared in the gate, by the number of elements; none for 0."""
-    special = scipy("special")
     probability = gate.probability(like).item()
-    numbers = [special.gammainccinv(k / 2, 1 - probability) * 2 for k in range(1, like.shape[-1] + 1)]
-    return like.new_tensor([-1.0, *numbers])
+    return like.new_tensor([-1.0, *(chi_square(probability, k) for k in range(1, like.shape[-1] + 1))])

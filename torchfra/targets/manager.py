@@ -21,16 +21,18 @@ from torchfra.targets.births import Birth, Newborn, OnePoint
 from torchfra.targets.checks import check_filter, check_parts, check_scan, check_scans
 from torchfra.targets.clusters import Group
 from torchfra.targets.clutter_map import ClutterMap, Mapped
+from torchfra.targets.late import Passed, kept, put_in
 from torchfra.targets.merging import Merging
 from torchfra.targets.places import known_components, place, to_cartesian
 from torchfra.targets.records import collect
 from torchfra.targets.rules import SPRT, Confirmation, Deletion
 from torchfra.targets.scan import SceneScan, filter_scan
-from torchfra.targets.state import TargetsEstimate, TargetsState, Track, Unassociated, joined, rows
+from torchfra.targets.state import Ended, TargetsEstimate, TargetsState, Track, Unassociated, joined, rows
+from torchfra.targets.stitching import Parts, Stitching, lost
 from torchfra.targets.views import FieldOfView, check_place, check_views
 from torchfra.types import Gaussian
 
-FORMAT = 1
+FORMAT = 2
 """Of saved states."""
 
 
@@ -58,6 +60,8 @@ class Targets(nn.Module):
             counts as one for confirmation and deletion; targets begin from the scans of each sensor that ``locates``.
         views: how far sensors see, by name, None for the filter's own: targets outside that are not measured have not
             been missed, whatever the ``detection`` of the sensor.
+        lag: seconds that a scan may come late; the scans of so long, and the states before them, are kept.
+        stitching: when a target has the identity of one that was lost before; None for never.
         clutter_map: learns where false measurements come again and again, each sensor's on its own that measures every
             direction of space; None for density that stays uniform.  It needs clutter of a Poisson rate.
 
@@ -74,18 +78,23 @@ class Targets(nn.Module):
         deletion: Deletion | None = None, merging: Merging | None = None, free: float = 0.5,
         sensors: Mapping[str, JPDA] | None = None,
         views: Mapping[str | None, FieldOfView] | None = None, clutter_map: ClutterMap | None = None,
+        lag: float = 0.0, stitching: Stitching | None = None,
     ) -> None:  # fmt: skip
         super().__init__()
         check_filter(filter)
         check_parts(birth=(birth, Birth), confirmation=(confirmation, Confirmation), deletion=(deletion, Deletion),
-                    merging=(merging, Merging), clutter_map=(clutter_map, ClutterMap))  # fmt: skip
+                    merging=(merging, Merging), clutter_map=(clutter_map, ClutterMap),
+                    stitching=(stitching, Stitching))  # fmt: skip
         if not 0 < as_number(free) < 1:
             raise ValueError(f"free: expected a probability above 0 and below 1, received {free}")
+        if not 0 <= as_number(lag) < math.inf:
+            raise ValueError(f"lag: expected finite seconds of 0 or more, received {lag}")
         self.filter = copy.deepcopy(filter)
         self.birth = OnePoint() if birth is None else birth
         self.confirmation = SPRT() if confirmation is None else confirmation
         self.deletion = Deletion() if deletion is None and not self.confirmation.deletes else deletion
-        self.merging, self.free, self.clutter_map = merging, free, clutter_map
+        self.merging, self.free, self.clutter_map, self.lag = merging, free, clutter_map, float(lag)
+        self.stitching = stitching
         more = _of_sensors(self.filter, sensors)
         self.sensors, self.views = nn.ModuleDict(more), check_views(views, list(more), self.filter.motion.dims)
         rates = [f.clutter.rate for f in (self.filter, *more.values())]
@@ -118,18 +127,24 @@ class Targets(nn.Module):
         nothing = torch.zeros(0, dtype=dtype, device=device)
         none = torch.zeros(0, dtype=torch.int64, device=device)
         hits = none.bool().reshape(0, self.confirmation.window)
-        track = Track(none, none, none.bool(), hits, none, none, nothing, nothing, nothing)
+        track = Track(none, none, none.bool(), hits, none, none, *[nothing] * 5)
         empty = Gaussian(nothing.reshape(0, n), nothing.reshape(0, n, n))
         position = Gaussian(nothing.reshape(0, dims), nothing.reshape(0, dims, dims))
         next_identity = torch.zeros(scenes, dtype=torch.int64, device=device)
         free, mapped = Unassociated(position, none, nothing, nothing, none), None
         if self.clutter_map is not None:
             mapped = self.clutter_map.begin(scenes, 1 + len(self.sensors), position.mean)
-        return TargetsState(self.filter.begin(empty), track, free, next_identity, mapped)
+        begun = self.filter.begin(empty)
+        ended = None if self.stitching is None else Ended(begun, none, none, nothing, nothing)
+        return TargetsState(begun, track, free, next_identity, mapped, ended)
 
     def saved(self, state: TargetsState) -> dict[str, Any]:
         """A state as a dictionary for ``torch.save``, which ``torch.load`` reads with ``weights_only=True``."""
-        return {"format": FORMAT, "state": tree.flatten(state)}
+        past = [
+            {"before": tree.flatten(before), "scan": scan._asdict(), "sensor": sensor}
+            for before, scan, sensor in state.past
+        ]
+        return {"format": FORMAT, "state": tree.flatten(state._replace(past=())), "past": past}
 
     def restored(self, values: Mapping[str, Any]) -> TargetsState:
         """The state that was saved; a manager like the one that left it goes on to the same bits.
@@ -143,13 +158,18 @@ class Targets(nn.Module):
         received = values.get("format") if isinstance(values, Mapping) else None
         if received != FORMAT:
             raise ValueError(f"values: expected format {FORMAT}, received {received!r}")
+        past = (Passed(self._unsaved(x["before"]), SceneScan(**x["scan"]), x["sensor"]) for x in values["past"])
+        return self._unsaved(values["state"])._replace(past=tuple(past))
+
+    def _unsaved(self, tensors: list[Tensor]) -> TargetsState:
+        """The state of these tensors."""
         empty = self.init()
         expected, found = (
-            [(x.shape[1:], x.is_floating_point()) for x in each] for each in (tree.flatten(empty), values["state"])
+            [(x.shape[1:], x.is_floating_point()) for x in each] for each in (tree.flatten(empty), tensors)
         )
         if found != expected:
             raise ValueError(f"values: expected a state of {expected}, received {found}")
-        state: TargetsState = tree.unflatten(empty, iter(values["state"]))
+        state: TargetsState = tree.unflatten(empty, iter(tensors))
         return state
 
     def step(
@@ -161,7 +181,9 @@ class Targets(nn.Module):
         Args:
             state: from ``init`` or the step before; it is not changed.
             z: ``(J, m)``, or ``(R, J, m)`` of R scenes, of any J, also 0; NaN is missing.
-            dt: seconds since the last scan, a number or ``(R,)``; 0 for another scan at the same instant.
+            dt: seconds since the newest scan, a number or ``(R,)``; 0 for another scan at the same instant, below 0,
+                down to ``-lag``, for one that comes late: the state is then the one that the scans would have left in
+                the order of their times, but targets keep their identities.
             u: ``(k,)`` or ``(R, k)`` what the models need to know, such as where the sensor is.
             std: like ``z``: standard deviations of the noise of these measurements, instead of the sensor's.
             noise: like ``z`` with one more ``m``: roots of its covariances, instead of the sensor's.
@@ -172,12 +194,17 @@ class Targets(nn.Module):
             ImportError: scipy is not installed.
         """
         filter, measurements = self._of(sensor), Measurements(z, dt, u, std, noise)
-        scan = check_scan(filter, state, measurements, self.confirmation.window)
-        if (state.clutter is None) != (self.clutter_map is None):
-            expected, received = ("none", "one") if self.clutter_map is None else ("one", "none")
-            raise ValueError(f"state: expected {expected} of a manager with a map of clutter, received {received}")
+        scan = check_scan(filter, state, measurements, self.confirmation.window, self.lag)
+        parts = ("a map of clutter", state.clutter, self.clutter_map), ("stitching", state.ended, self.stitching)
+        for name, has, part in parts:
+            if (has is None) != (part is None):
+                expected, received = ("none", "one") if part is None else ("one", "none")
+                raise ValueError(f"state: expected {expected} of a manager with {name}, received {received}")
         check_place(self.views.get(sensor), scan.u, filter.motion.dims)
-        return self._step(state, scan, filter, sensor)
+        if bool((scan.dt < 0).any()):
+            return put_in(self._step, filter.motion, state, scan, sensor)
+        now = state._replace(past=())
+        return kept(self._step(now, scan, sensor), (*state.past, Passed(now, scan, sensor)), self.lag)
 
     def forward(self, z: Tensor, *, dt: Time = 1.0, u: Tensor | None = None) -> TargetsEstimate:
         """Whole sequences of scans, from no target on.
@@ -195,7 +222,7 @@ class Targets(nn.Module):
         check_place(self.views.get(None), scans[0].u, self.filter.motion.dims)
         state, states = self.init(len(scans[0].z), dtype=z.dtype, device=z.device), []
         for scan in scans:
-            state = self._step(state, scan, self.filter)
+            state = self._step(state, scan, None)
             states.append(state)
         return collect(states, z.shape[:-3])
 
@@ -207,11 +234,10 @@ class Targets(nn.Module):
             raise ValueError(f"sensor: expected one of {', '.join(self.sensors) or 'none'}, received {sensor!r}")
         return _around(self.filter, self.sensors[sensor])  # type: ignore[arg-type]  # torch knows modules only
 
-    def _step(
-        self, state: TargetsState, scan: SceneScan, filter: JPDA, sensor: str | None = None
-    ) -> TargetsState:  # fmt: skip
-        """The next state, of a scan by the sensor of this filter and name."""
+    def _step(self, state: TargetsState, scan: SceneScan, sensor: str | None) -> TargetsState:
+        """The next state, of a scan by the sensor of this name."""
         scene, number = state.track.scene, 0 if sensor is None else 1 + list(self.sensors).index(sensor)
+        filter = self._of(sensor)
         score = self.confirmation.predicted(state.track.score, scan.dt[scene])
         state, exists = state._replace(track=state.track._replace(score=score)), self.confirmation.exists(score)
         after, log_missed, density, association, groups = filter_scan(filter, state.filter, scene, scan, exists)
@@ -220,22 +246,49 @@ class Targets(nn.Module):
         if self.clutter_map is not None:
             excess, mapped = self._mapped(state, scan, filter, number, located, association)
             gained = gained - (association * excess[scene]).sum(-1)
-        track = _aged(state.track, log_missed, density, gained)
+        track = _aged(state.track, log_missed, density, gained, scan.dt[scene])
         if sensor in self.views:
             track, after = self._not_missed(state, track, after, self.views[sensor], scan)
-        stays = ~self._deleted(after.belief, track, groups)
+        gone, merged = self._deleted(after.belief, track, groups)
+        stays = ~(gone | merged)
         exists = self.confirmation.exists(track.score)
         claims = association if exists is None else association * exists.unsqueeze(-1)
         free = 1 - torch.zeros_like(excess).index_add(0, scene, claims)
         newborn, unassociated = self._births(state.unassociated, free, excess, scan, located, number)
         begun, next_identity = _begun(newborn, self.confirmation, state.next_identity)
-        track = joined(rows(track, stays), begun)
+        was, track = track, joined(rows(track, stays), begun)
         everyone = rows(after, stays)
         if len(newborn.scene):
             everyone = joined(everyone, self.filter.init(newborn.belief))
         confirmed, deleted = self.confirmation(track)
+        ended, found = state.ended, (confirmed & ~track.confirmed)[~deleted]
+        if self.stitching is not None and ended is not None:
+            over = lost(after, was, was.confirmed & gone & ~merged), lost(everyone, track, track.confirmed & deleted)
+            ended = joined(self.stitching.later(ended, track, scan.dt), *over)
         everyone, track = rows((everyone, track._replace(confirmed=confirmed)), ~deleted)
-        return TargetsState(everyone, track, unassociated, next_identity, mapped)
+        if ended is not None and bool(found.any()):
+            everyone, track, ended = self._stitched(everyone, track, found, ended, filter.inner, scan.u)
+        return TargetsState(everyone, track, unassociated, next_identity, mapped, ended)
+
+    def _stitched(
+        self, everyone: Any, track: Track, found: Tensor, ended: Ended, inner: Any, u: Tensor | None
+    ) -> tuple[Any, Track, Ended]:
+        """Targets, of which those that are ``found (N,)`` have the identities of lost ones, and who is still lost."""
+        assert self.stitching is not None
+        count, new = len(ended.scene), found.nonzero()[:, 0]
+        there = (track.confirmed & ~found).nonzero()[:, 0]  # one of them that is not measured may be lost as well
+        with torch.no_grad():
+            now = rows(everyone.belief, there)
+            if count:
+                own = None if u is None else u[ended.scene]
+                now = joined(inner.predict(ended.filter.inner, ended.deleted, u=own).belief, now)
+            scene, identity, since = joined(ended[1:4], rows((track.scene, track.identity, track.since), there))
+            begun = Parts(rows(everyone.belief, new), *rows((track.scene, track.lived), new))
+            i, j = self.stitching(self.filter.motion, Parts(now, scene, since), begun)
+        track = track._replace(identity=track.identity.index_put((new[j],), identity[i]))
+        left, stays = torch.ones_like(ended.scene, dtype=torch.bool), torch.ones_like(found)
+        left[i[i < count]], stays[there[i[i >= count] - count]] = False, False
+        return *rows((everyone, track), stays), rows(ended, left)
 
     def _not_missed(
         self, state: TargetsState, track: Track, after: Any, view: FieldOfView, scan: SceneScan
@@ -246,7 +299,7 @@ class Targets(nn.Module):
         counts = view(position, None if scan.u is None else scan.u[scene]) | (track.misses == 0)
         kept: Track = tree.map_tensors(lambda now, was: _where(counts, now, was), track, state.track)
         missed = torch.where(counts, after.missed, state.filter.missed)
-        return kept._replace(density=track.density), after._replace(missed=missed)
+        return kept._replace(density=track.density, since=track.since, lived=track.lived), after._replace(missed=missed)
 
     @torch.no_grad()
     def _mapped(
@@ -264,12 +317,13 @@ class Targets(nn.Module):
         claimed = torch.zeros_like(excess).index_add(0, state.track.scene, association * state.track.confirmed[:, None])
         return excess, clutter_map.learned(mapped, position.mean, scene, sensor, 1 - claimed[scene, j])
 
-    def _deleted(self, belief: Gaussian, track: Track, groups: list[Group]) -> Tensor:
-        """Which targets ``(N,)`` are deleted: missed too often, or merged with others."""
+    def _deleted(self, belief: Gaussian, track: Track, groups: list[Group]) -> tuple[Tensor, Tensor]:
+        """Which targets ``(N,)`` are deleted: missed too often, and merged with others."""
         motion = self.filter.motion
         position = to_cartesian(motion, belief).scale_tril[:, known_components(motion)[: motion.dims]]
-        deleted = torch.zeros_like(track.confirmed) if self.deletion is None else self.deletion(track, position)
-        return deleted if self.merging is None else deleted | self.merging(motion, belief, track, groups)
+        none = torch.zeros_like(track.confirmed)
+        gone = none if self.deletion is None else self.deletion(track, position)
+        return gone, none if self.merging is None else self.merging(motion, belief, track, groups)
 
     def _births(
         self, before: Unassociated, free: Tensor, excess: Tensor, scan: SceneScan, located: Located, sensor: int
@@ -335,7 +389,7 @@ def _around(filter: JPDA, other: JPDA) -> JPDA:
     return other
 
 
-def _aged(track: Track, log_missed: Tensor, density: Tensor, gained: Tensor) -> Track:
+def _aged(track: Track, log_missed: Tensor, density: Tensor, gained: Tensor, dt: Tensor) -> Track:
     """Targets after one more scan.
 
     Args:
@@ -343,12 +397,13 @@ def _aged(track: Track, log_missed: Tensor, density: Tensor, gained: Tensor) -> 
         log_missed: ``(N,)`` log probability that each was missed, given the scan.
         density: ``(N,)`` each one's share of the log density of the scan.
         gained: ``(N,)`` what the scan adds to the score.
+        dt: ``(N,)`` seconds since the last one.
     """
     hit, score = log_missed < math.log(0.5), track.score + gained
     return track._replace(
         hits=torch.cat([hit.unsqueeze(-1), track.hits[:, :-1]], -1), age=track.age + 1,
         misses=torch.where(hit, 0, track.misses + 1), score=score, best=torch.maximum(track.best, score),
-        density=density,
+        density=density, since=torch.where(hit, 0.0, track.since + dt), lived=track.lived + dt,
     )  # fmt: skip
 
 
@@ -365,7 +420,9 @@ def _begun(newborn: Newborn, confirmation: Confirmation, next_identity: Tensor) 
     identity = (next_identity[scene] + place)[order.argsort()]
     zero, score = torch.zeros_like(identity), confirmation.first(newborn.new)
     hits = (torch.arange(confirmation.window, device=scene.device) < newborn.hits).expand(len(identity), -1)
+    nothing = torch.zeros_like(score)
     begun = Track(
-        identity, newborn.scene, zero.bool(), hits, zero + newborn.hits, zero, score, score, torch.zeros_like(score)
-    )
+        identity, newborn.scene, zero.bool(), hits, zero + newborn.hits, zero, score, score, nothing, nothing,
+        newborn.lived,
+    )  # fmt: skip
     return begun, next_identity + count

@@ -7,11 +7,11 @@ import math
 import torch
 from torch import Tensor, nn
 
-from torchfra.linalg.triangular import hstack, tria, whiten
 from torchfra.motion.base import Motion
 from torchfra.numbers import as_number
+from torchfra.targets.assignment import squared_distance
 from torchfra.targets.clusters import Group
-from torchfra.targets.state import Track
+from torchfra.targets.state import Track, rows
 from torchfra.types import Gaussian
 
 
@@ -50,9 +50,8 @@ class Merging(nn.Module):
         deleted = torch.zeros_like(track.confirmed)
         for targets in (group.targets for group in groups if group.targets.shape[-1] > 1):
             one, other = targets[:, torch.combinations(torch.arange(targets.shape[-1]))].flatten(0, 1).unbind(-1)
-            gap = motion.difference(belief.mean[one], belief.mean[other])
-            root = tria(hstack(belief.scale_tril[one], belief.scale_tril[other]))
-            same = whiten(root, gap).square().mean(-1) < self.distance**2
+            apart = squared_distance(motion, rows(belief, one), rows(belief, other))
+            same = apart / motion.size < self.distance**2
             rank = [track.confirmed[x].to(torch.int64) for x in (one, other)]
             older = track.identity[one] < track.identity[other]
             stays = (rank[0] > rank[1]) | ((rank[0] == rank[1]) & older)

@@ -33,6 +33,23 @@ class Track(NamedTuple):
     """The highest score so far."""
     density: Tensor
     """Each one's share of the log density of the last scan against one of false measurements alone; 0 at the birth."""
+    since: Tensor
+    """Seconds since each was measured last."""
+    lived: Tensor
+    """Seconds since each was measured first."""
+
+
+class Ended(NamedTuple):
+    """Confirmed targets ``(E,)`` that were deleted of late, and may be found again."""
+
+    filter: Any
+    """State of the filter at the deletion."""
+    scene: Tensor
+    identity: Tensor
+    since: Tensor
+    """Seconds since each was measured last."""
+    deleted: Tensor
+    """Seconds since the deletion."""
 
 
 class Unassociated(NamedTuple):
@@ -61,6 +78,10 @@ class TargetsState(NamedTuple):
     """``(R,)`` of each scene."""
     clutter: Any = None
     """What the map of clutter has learned; None without one."""
+    ended: Ended | None = None
+    """Lost targets that may be found again; None without ``Stitching``."""
+    past: tuple[Any, ...] = ()
+    """The last scans with the states before them, for those that come late; empty without a ``lag``."""
 
     @property
     def belief(self) -> Gaussian:
