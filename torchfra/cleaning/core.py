@@ -18,7 +18,7 @@ from torchfra.cleaning.kinds import BANKS, check_kind, check_speeds, kind_of
 from torchfra.cleaning.others import GATE, Fallback, estimated, make, manoeuvre_of, outlier_of, regimes_of
 from torchfra.cleaning.positions import REGIMES, Answer, Settings, answers, period_of
 from torchfra.cleaning.segments import inside, segments
-from torchfra.cleaning.stamps import as_recorded, in_place, stamps_are_off
+from torchfra.cleaning.stamps import as_recorded, earlier, in_place, stamps_are_cut, stamps_are_off
 from torchfra.filters import Filter
 from torchfra.geodesy import to_geodetic
 from torchfra.motion.bank import Bank
@@ -82,10 +82,12 @@ def clean_tracks(
     if isinstance(bank, str):
         check_speeds(recordings, bank)
     given, recordings = recordings, [_as_measured(recording) for recording in recordings]
-    mended = {}
+    mended, cut = {}, []
     for i, recording in enumerate(recordings):
         if repair and smooth and not np.isinf(recording.position).any():
             kind, _ = _kind(recording, bank)
+            if stamps_are_cut(recording):
+                cut.append(i)
             if stamps_are_off(recording, kind):
                 mended[i] = in_place(recording, kind)
     placed = [mended[i][0] if i in mended else recording for i, recording in enumerate(recordings)]
@@ -100,6 +102,8 @@ def clean_tracks(
             done |= {i: _alone(placed[i], alone[i], filter, smooth) for i in group}
     for i, (_, variance) in mended.items():
         done[i] = as_recorded(done[i], recordings[i], variance)
+    for i in cut:
+        done[i] = earlier(done[i])
     return [replace(done[i], recording=recording) for i, recording in enumerate(given)]
 
 
