@@ -173,7 +173,7 @@ def test_ships_and_drones_move_as_such():
 
 @pytest.mark.parametrize("kind", truths.HARDER)
 def test_harder_kinds_have_the_errors_that_they_are_named_for(kind):
-    (truth,) = truths.truths([kind], 1)
+    truth = truths.truths([kind], 1)[-1]
     run = measured.measured(Case(truth, 1.0, 3.0), 600, 0)
     assert np.isfinite(run.recording().position).all()
     if kind == "late":
@@ -185,6 +185,9 @@ def test_harder_kinds_have_the_errors_that_they_are_named_for(kind):
     if kind == "lasting":
         kept = (run.noise[1:] * run.noise[:-1]).mean() / np.square(run.noise).mean()
         assert kept == pytest.approx(math.exp(-1 / 20.0), abs=0.03)
+    if kind == "slow":  # 40 s, as large as the white noise
+        kept = (run.noise[1:] * run.noise[:-1]).mean() / np.square(run.noise).mean()
+        assert kept == pytest.approx(math.exp(-1 / 40.0) / 2, abs=0.15)
     if kind == "heights":
         steps = (run.truth + run.noise)[:, 2] / (25 * 0.3048)
         np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
@@ -194,6 +197,21 @@ def test_harder_kinds_have_the_errors_that_they_are_named_for(kind):
         assert np.diff(run.time) == pytest.approx(1440.0)
         assert run.noise.std() == pytest.approx(100.0, rel=0.1)
         assert 0.2 < np.linalg.norm(np.diff(run.truth, axis=0), axis=1).mean() / 1440.0 < 0.8
+
+
+def test_who_goes_along_streets_moves_as_such():
+    for name, manner in simulated.MANNERS.items():
+        velocity = np.gradient(simulated.along_streets(np.random.default_rng(3), 1000, manner), axis=0)
+        speed = np.linalg.norm(velocity, axis=1)
+        low, high = manner.speeds
+        assert low / 2 < np.median(speed) < 1.2 * high, name
+        assert (np.abs(turn_rates(np.cumsum(velocity, 0), 1.0, 0.1)) > manner.rate[0]).any(), name
+
+
+def test_slow_errors_are_those_of_every_target_at_every_time_and_size():
+    every = truths.truths(["slow"], 1)
+    assert len(every) == 5 * len(truths.SLOW)
+    assert sum(truth.plain for truth in every) == 5
 
 
 def test_a_recorded_flight_is_moved_little_to_make_it_smooth():

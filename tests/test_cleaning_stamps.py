@@ -7,7 +7,7 @@ import pytest
 from cleaning.simulated import ship
 
 from torchfra.cleaning import clean_tracks
-from torchfra.cleaning.stamps import in_place, stamps_are_off
+from torchfra.cleaning.stamps import in_place, stamps_are_cut, stamps_are_off
 from torchfra.readers.recording import Recording, Source
 
 TIME = np.arange(0.0, 600.0, 5.0)
@@ -143,3 +143,54 @@ def test_a_bus_that_stops_and_goes_has_right_stamps():
         noise = std * np.random.default_rng(0).standard_normal((len(along), 2))
         fixes = np.stack([along, 0 * along], 1) + noise
         assert not stamps_are_off(Recording("bus", period * np.arange(len(along)) * 1.0, fixes, None, {}), "vehicle")
+
+
+# ---------------------------------------------------------------- times that are cut to whole seconds
+
+
+def reported(std, seed=0, word="ship", cut=np.floor):
+    """A ship that reports every 3 to 7 s, at times that are cut: the recording, and the truth at those times."""
+    rng = np.random.default_rng(seed)
+    route, time = 1.7 * ship(rng, 1300), 20.0 + np.cumsum(rng.uniform(3.0, 7.0, 240))
+
+    def at(seconds):
+        return np.stack([np.interp(seconds, np.arange(1301), axis) for axis in route.T], 1)
+
+    fixes = at(time) + std * rng.standard_normal((240, 2))
+    return Recording("ship", cut(time), fixes, None, {}, source=Source(word=word)), at(cut(time))
+
+
+@pytest.mark.parametrize("std", [1.0, 8.0])
+def test_bands_hold_where_times_are_cut(std):
+    several = [reported(std, seed) for seed in range(3)]
+    done = clean_tracks([recording for recording, _ in several])
+    held = [np.abs(one.position - truth) < one.std for one, (_, truth) in zip(done, several, strict=True)]
+    assert 0.6 < np.mean(held) < 0.9
+    assert all("Times are cut to whole seconds" in " ".join(one.found.said) for one in done)
+
+
+def test_path_and_fixes_are_half_a_second_apart_where_times_are_cut():
+    recording, truth = reported(1.0)
+    (one,), (plain,) = clean_tracks([recording]), clean_tracks([recording], repair=False)
+    course = one.velocity / np.linalg.norm(one.velocity, axis=1, keepdims=True)
+    speed = np.linalg.norm(one.velocity, axis=1).mean()
+    assert abs(((one.position - truth) * course).sum(1).mean()) < 0.1 * speed
+    assert ((plain.position - truth) * course).sum(1).mean() == pytest.approx(0.5 * speed, rel=0.2)
+    np.testing.assert_array_equal(one.raw, recording.position)
+
+
+def test_cut_times_are_seen_of_any_target():
+    assert stamps_are_cut(reported(1.0, word="target")[0])
+
+
+def test_times_with_fractions_regular_times_and_positions_that_are_where_they_should_be_are_not_cut():
+    recording, truth = reported(1.0)
+    rng = np.random.default_rng(3)
+    assert not stamps_are_cut(replace(recording, time=recording.time + 0.25))
+    assert not stamps_are_cut(voyage(0.2)[0])
+    assert not stamps_are_cut(replace(recording, position=truth + 1.0 * rng.standard_normal(truth.shape)))
+
+
+def test_where_noise_hides_whether_times_are_cut_only_ships_are_believed_to_cut_them():
+    assert stamps_are_cut(reported(15.0)[0])
+    assert not stamps_are_cut(reported(15.0, word="target")[0])

@@ -1,13 +1,16 @@
 """Errors that last from fix to fix are seen and said, and uncertainties know of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import torch
 from cleaning.simulated import lasting, ship
+from oracles import lasting as oracle
 
 from torchfra.cleaning import clean_tracks
-from torchfra.cleaning.correlation import _fitted, _of_a_mean, lasting_errors
+from torchfra.cleaning.correlation import Lasting, _of_a_mean, log_likelihood, widened
 from torchfra.cleaning.outputs import notes, overview
-from torchfra.cleaning.second import second_differences
 from torchfra.motion import ConstantVelocity
 from torchfra.motion.bank import Bank
 from torchfra.readers import Recording
@@ -33,18 +36,26 @@ def test_bands_hold_the_truth_where_errors_last():
     assert 0.55 < held([voyage(seed, 6.0, 20.0) for seed in range(3)]) < 0.8
 
 
+SEEN, ASSUMED = "Errors that last: those of neighbouring fixes are alike over about ", "Errors that last: hardly told "
+
+
+def said(recording, **settings):
+    """What is said of errors that last."""
+    (one,) = clean_tracks([recording], **settings)
+    return [line for line in one.found.said if line.startswith("Errors that last")]
+
+
 def test_errors_that_last_are_said_with_their_size_and_time():
-    recording, _ = voyage(0, 6.0, 15.0)
-    (one,) = clean_tracks([recording])
-    assert one.found.said[-1].startswith("Errors that last: those of neighbouring fixes are alike over about ")
-    found = lasting_errors(recording, "ship")
-    assert 3.0 < found.std < 12.0
-    assert 5.0 < found.seconds < 45.0
+    (line,) = said(voyage(0, 6.0, 15.0)[0])
+    assert line.startswith(SEEN)
+    seconds, metres = line.removeprefix(SEEN).split(";")[0].split(" s, by ")
+    assert 10.0 <= float(seconds) <= 40.0
+    assert 3.0 < float(metres.removesuffix(" m")) < 12.0
 
 
 def test_errors_that_last_are_counted_among_several_tracks_and_are_no_doubt_of_sigma():
     recording, _ = voyage(0, 6.0, 15.0)
-    results = clean_tracks([recording, voyage(1, 6.0, 0.0)[0]])
+    results = clean_tracks([recording, voyage(0, 1.0, 0.0, 25)[0]])
     assert "Errors that last: 1 of 2" in notes(results)
     assert not any(line.startswith("Sigma is unsure") for line in overview(results))
 
@@ -52,42 +63,59 @@ def test_errors_that_last_are_counted_among_several_tracks_and_are_no_doubt_of_s
 def test_errors_that_last_are_said_with_a_bank_of_ones_own_too():
     recording, _ = voyage(0, 6.0, 15.0, count=250)
     bank = Bank([ConstantVelocity(0.1, spectral=True, orders=3), ConstantVelocity(1.0, spectral=True, orders=3)])
-    (one,) = clean_tracks([recording], filter="srckf", bank=bank)
-    assert one.found.said[-1].startswith("Errors that last: those of neighbouring fixes are alike over about ")
+    (line,) = said(recording, filter="srckf", bank=bank)
+    assert line.startswith(SEEN)
 
 
-def test_white_noise_is_no_error_that_lasts():
-    assert [lasting_errors(voyage(seed, std)[0], "ship") for seed in range(5) for std in (1.0, 6.0)] == [None] * 10
+def test_white_noise_is_not_seen_as_errors_that_last():
+    several = [voyage(seed, std)[0] for seed in range(5) for std in (1.0, 6.0)]
+    assert not any(SEEN in line for one in clean_tracks(several) for line in one.found.said)
 
 
-def test_a_motion_is_no_error_that_lasts():
+def test_errors_of_a_target_that_turns_all_the_time_are_assumed_and_less_so_in_the_air():
     rng = np.random.default_rng(1)
-    velocity = np.cumsum(0.3 * rng.standard_normal((600, 2)), 0)
-    fixes = np.cumsum(velocity, 0) + rng.standard_normal((600, 2))
-    for kind in ("person", "vehicle"):
-        assert lasting_errors(Recording("walk", np.arange(600.0), fixes, None, {}), kind) is None
+    velocity = np.cumsum(0.3 * rng.standard_normal((300, 2)), 0)
+    fixes = np.cumsum(velocity, 0) + 3.0 * rng.standard_normal((300, 2))
+    walk = Recording("walk", np.arange(300.0), fixes, None, {})
+    on_the_ground, in_the_air = (clean_tracks([walk], bank=kind)[0].std for kind in ("vehicle", "aircraft"))
+    assert said(walk, bank="vehicle")[0].startswith(ASSUMED)
+    assert not said(walk, bank="aircraft")
+    assert np.median(in_the_air) < np.median(on_the_ground)
 
 
-def test_fixes_that_are_missing_or_few_do_no_harm():
+def test_fixes_that_are_missing_do_no_harm_and_few_say_nothing():
     recording, _ = voyage(0, 6.0, 15.0)
     gone = recording.position.copy()
     gone[100:120] = np.nan
-    assert lasting_errors(Recording("gap", recording.time, gone, None, {}), "ship") is not None
-    assert lasting_errors(Recording("few", recording.time[:90], recording.position[:90], None, {}), "ship") is None
+    assert said(replace(recording, position=gone))
+    assert not said(replace(recording, time=recording.time[:25], position=recording.position[:25]))
 
 
-def test_the_process_and_the_noise_are_found_of_exact_second_differences():
-    lag = 2.0 ** np.arange(7)
-    time = np.arange(0.0, 200.0)
-    covariance = 36.0 * np.exp(-np.abs(time[:, None] - time) / 12.0) + 4.0 * np.eye(200)
-    variance = []
-    for every in (2**i for i in range(7)):
-        row = second_differences(time[::every][:3], np.eye(200)[::every][:3])[0]  # of each fix what goes into one
-        variance.append(row @ covariance @ row)
-    found = _fitted(lag, np.array(variance))
-    assert found.std == pytest.approx(6.0, rel=0.1)
-    assert found.seconds == pytest.approx(12.0, rel=0.2)
-    assert found.white == pytest.approx(2.0, rel=0.1)
+def test_an_estimate_is_left_alone_and_its_variance_grows_by_that_of_the_errors_in_their_mean():
+    (one,) = clean_tracks([voyage(0, 6.0)[0]], bank="aircraft")
+    errors = Lasting(np.array([0.5]), np.array([4.0]), np.array([20.0]), one.found.sigma)
+    wider = widened(one, errors)
+    count = one.found.sigma**2 / one.covariance[200, 0, 0]
+    more = 0.5 * 4.0**2 * _of_a_mean(np.exp(-1 / 20), np.array([count]))[0]
+    assert wider.covariance[200, 0, 0] == pytest.approx(one.covariance[200, 0, 0] + more)
+    np.testing.assert_array_equal(wider.mean, one.mean)
+
+
+def test_the_likelihood_is_that_of_one_large_gaussian_given_the_first_two_fixes():
+    rng, count = np.random.default_rng(0), 12
+    gap, q, std = rng.uniform(0.5, 3.0, count), rng.uniform(0.01, 1.0, count), rng.uniform(1.0, 2.0)
+    z = np.cumsum(rng.standard_normal((count, 1)), 0)
+    z[5] = np.nan
+    F = [np.array([[1.0, dt], [0.0, 1.0]]) for dt in gap]
+    Q = [qk * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]) for qk, dt in zip(q, gap, strict=True)]
+    F[0], Q[0] = np.eye(2), np.zeros((2, 2))
+    given = {"mean": np.zeros(2), "P": np.diag([1e10, 1e5]), "H": np.array([[1.0, 0.0]]), "R": np.array([[std**2]]),
+             "std": np.array([1.5]), "time": np.array([8.0])}  # fmt: skip
+    of = [oracle.lasting_errors(z[:k], F=F[:k], Q=Q[:k], dt=gap[:k], **given)["log_likelihood"] for k in (2, count)]
+    columns = (torch.from_numpy(x).unsqueeze(-1) for x in (gap, np.full(count, std**2), q))
+    found = log_likelihood(torch.from_numpy(z).unsqueeze(-1), *columns, torch.tensor([1.5**2]), torch.tensor([8.0]))
+    constant = 0.5 * (count - 3) * np.log(2 * np.pi)
+    assert found.item() - constant == pytest.approx(of[1] - of[0], abs=1e-4)
 
 
 def test_the_variance_of_a_mean_is_the_sum_of_all_covariances():

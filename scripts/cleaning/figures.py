@@ -144,7 +144,7 @@ def figures(case: Case, counts: Counts, runs: Sequence[Measured]) -> dict[str, o
     """The figures of a case; None where there is nothing to divide by."""
     truth = runs[0].truth[:, :2]
     z = np.stack([run.truth[:, :2] + run.noise[:, :2] for run in runs])
-    sigma = case.sigma if case.truth.white else math.sqrt(np.mean([np.square(run.noise[:, :2]).mean() for run in runs]))
+    sigma = case.sigma if case.truth.plain else math.sqrt(np.mean([np.square(run.noise[:, :2]).mean() for run in runs]))
     to_beat = best(z, np.stack([~run.outlier for run in runs]), case.period * case.truth.pace, sigma, truth)
     rmse = math.sqrt(counts.squared / counts.steps)
     speed = float(np.median(np.linalg.norm(np.diff(truth, axis=0), axis=1))) / case.period / case.truth.pace

@@ -92,7 +92,7 @@ def measured(case: Case, steps: int, seed: int, ghosts: float = GHOSTS) -> Measu
     shape = len(window), case.truth.position.shape[1]
     noise = case.sigma * rng.standard_normal(shape)
     run = Measured(case, window, noise, case.truth.scale * _offsets(rng, ghosts, *shape))
-    return run if case.truth.white else _harder(run, rng)
+    return run if case.truth.plain else _harder(run, rng)
 
 
 def _harder(run: Measured, rng: np.random.Generator) -> Measured:
@@ -100,7 +100,8 @@ def _harder(run: Measured, rng: np.random.Generator) -> Measured:
     truth, noise, count = run.case.truth, run.noise, len(run.window)
     if truth.lasting:
         step = truth.dt * float(run.window[1] - run.window[0])
-        noise = run.case.sigma * lasting(rng, noise.shape, step, truth.lasting) + 0.1 * noise
+        slow = run.case.sigma * lasting(rng, noise.shape, step, truth.lasting)
+        noise = truth.size * slow + truth.white * noise
     if truth.late:
         late = truth.late * np.where(rng.random(count) < 0.2, 1.0, 0.1) * rng.standard_normal(count)
         seen = np.clip(run.window + late / truth.dt, 0, len(truth.position) - 1)

@@ -1,4 +1,4 @@
-"""Ships and drones, whose legs of steady turn, speed and climb follow each other; animals, whose velocity wanders."""
+"""What sails, flies, walks or drives in legs of steady turn, speed and climb; animals, whose velocity wanders."""
 
 from __future__ import annotations
 
@@ -60,6 +60,43 @@ def drone(rng: np.random.Generator, seconds: int) -> Array:
         return _turn(rng, rng.uniform(3.0, 20.0), rng.uniform(40.0, 270.0))
 
     return _moved(rng, seconds, rng.uniform(4.0, 15.0), leg, Handling(1.0, 1.0, 0.05))
+
+
+class Manner(NamedTuple):
+    """How somebody goes along a street, each from least to most."""
+
+    speed: tuple[float, float]
+    """M/s at first."""
+    speeds: tuple[float, float]
+    """M/s of later legs, some of which change it."""
+    straight: float
+    """Most seconds of a leg straight on; the least are 10."""
+    rate: tuple[float, float]
+    """Deg/s of turns."""
+    angle: tuple[float, float]
+    """Degrees of turns."""
+    pull: float
+    """Most that the speed changes, m/s^2."""
+
+
+MANNERS = {
+    "walk": Manner((1.0, 1.6), (0.8, 1.8), 60.0, (15.0, 60.0), (30.0, 120.0), 0.5),
+    "bike": Manner((3.0, 7.0), (3.0, 8.0), 90.0, (4.0, 25.0), (20.0, 110.0), 0.7),
+    "car": Manner((6.0, 16.0), (5.0, 20.0), 60.0, (3.0, 20.0), (10.0, 95.0), 1.8),
+}
+"""Of those who go along streets."""
+
+
+def along_streets(rng: np.random.Generator, seconds: int, manner: Manner) -> Array:
+    """Positions ``(seconds + 1, 2)``, m: legs straight on, of which two in five change the speed, and turns."""
+
+    def leg() -> Leg:
+        if rng.random() < 0.5:
+            speed = rng.uniform(*manner.speeds) if rng.random() < 0.4 else None
+            return Leg(rng.uniform(10.0, manner.straight), speed=speed)
+        return _turn(rng, rng.uniform(*manner.rate), rng.uniform(*manner.angle))
+
+    return _moved(rng, seconds, rng.uniform(*manner.speed), leg, Handling(1.0, manner.pull, 0.05))[:, :2]
 
 
 def animal(rng: np.random.Generator, steps: int, dt: float) -> Array:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cleaning.simulated import animal, drone, ship
+from cleaning.simulated import MANNERS, along_streets, animal, drone, ship
 from torchfra import readers
 from torchfra.readers.columns import Array
 from torchfra.readers.grid import hermite
@@ -24,9 +24,12 @@ GROUPS = {
 }
 """Kinds of flights, and the folders of the sample package that hold them."""
 KINDS = (*GROUPS, "ships", "drones", "ranges")
-HARDER = ("late", "lasting", "heights", "animals")
+HARDER = ("late", "lasting", "heights", "animals", "slow")
 """Kinds whose errors are more than white noise: ships with wrong time stamps and with errors that last, drones with the
-heights of a transponder; and animals, with hours and hundreds of metres in place of seconds and metres."""
+heights of a transponder; animals, with hours and hundreds of metres in place of seconds and metres; and who walks,
+cycles, drives, flies a drone or sails, with errors some of which are slow."""
+SLOW = ((0.0, 0.0), *((seconds, size) for size in (0.5, 1.0) for seconds in (10.0, 20.0, 40.0)))
+"""Seconds that slow errors last, and their standard deviation over that of the white noise beside them."""
 PER_FILE, FIXES = 3, 4000
 """Most flights of one file, and fixes of each that are looked at."""
 JERK, OWN = (0.3, 0.003), 5.0
@@ -66,12 +69,16 @@ class Truth:
     late: float = 0.0
     """Standard deviation of one time stamp in five, s; the others have a tenth of it."""
     lasting: float = 0.0
-    """Seconds that errors last; they are then accompanied by white noise of a tenth of them."""
+    """Seconds that errors last."""
+    size: float = 1.0
+    """Standard deviation of these over the noise that is asked for."""
+    white: float = 0.1
+    """The same of the white noise beside them."""
     coarse: float = 0.0
     """Metres between the heights that it can tell, of which one in ten is missing."""
 
     @property
-    def white(self) -> bool:
+    def plain(self) -> bool:
         """Whether its errors are white noise alone."""
         return not (self.late or self.lasting or self.coarse)
 
@@ -95,6 +102,8 @@ def truths(kinds: Sequence[str], most: int, folder: Path | None = None) -> list[
     for kind in kinds:
         if kind in GROUPS:
             found += _flights(kind, most)
+        elif kind == "slow":
+            found += [truth for i in range(most) for truth in _slow(i)]
         elif kind == "ranges":
             found += [] if folder is None else [_walked(place) for place in readers.range_folders(folder)][:most]
         else:
@@ -113,6 +122,19 @@ def _simulated(kind: str, name: str, rng: np.random.Generator) -> Truth:
     if kind == "late":  # as fast as a ferry, so that a second is many metres
         return Truth(kind, name, 1.0, 1.7 * path, word="ship", late=2.0)
     return Truth(kind, name, 1.0, path, lasting=20.0 if kind == "lasting" else 0.0)
+
+
+def _slow(number: int) -> list[Truth]:
+    """One of each who goes along, with errors that last for each of the times, and as large as each of the sizes."""
+    found = []
+    for who in (*MANNERS, "drone", "boat"):
+        rng = np.random.default_rng(number)
+        path = ship(rng, LONGEST) if who == "boat" else drone(rng, LONGEST)[:, :2] if who == "drone" else None
+        path = along_streets(rng, LONGEST, MANNERS[who]) if path is None else path
+        for seconds, size in SLOW:
+            kind = f"{seconds:g} s, {size:g}" if seconds else "white"
+            found.append(Truth(kind, f"{who}-{number}", 1.0, path, lasting=seconds, size=size, white=1.0))
+    return found
 
 
 def _flights(kind: str, most: int) -> list[Truth]:

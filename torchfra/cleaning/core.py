@@ -12,13 +12,13 @@ import torch
 
 from torchfra.cleaning.batches import Steps, groups, step_of_heights, steps_of
 from torchfra.cleaning.cleaned import Cleaned, Found
-from torchfra.cleaning.correlation import widened
+from torchfra.cleaning.correlation import lasting_errors, widened
 from torchfra.cleaning.flags import flags
 from torchfra.cleaning.kinds import BANKS, check_kind, check_speeds, kind_of
 from torchfra.cleaning.others import GATE, Fallback, estimated, make, manoeuvre_of, outlier_of, regimes_of
 from torchfra.cleaning.positions import REGIMES, Answer, Settings, answers, period_of
 from torchfra.cleaning.segments import inside, segments
-from torchfra.cleaning.stamps import as_recorded, in_place, stamps_are_off
+from torchfra.cleaning.stamps import as_recorded, earlier, in_place, stamps_are_cut, stamps_are_off
 from torchfra.filters import Filter
 from torchfra.geodesy import to_geodetic
 from torchfra.motion.bank import Bank
@@ -82,26 +82,28 @@ def clean_tracks(
     if isinstance(bank, str):
         check_speeds(recordings, bank)
     given, recordings = recordings, [_as_measured(recording) for recording in recordings]
-    mended = {}
+    mended, cut = {}, []
     for i, recording in enumerate(recordings):
         if repair and smooth and not np.isinf(recording.position).any():
             kind, _ = _kind(recording, bank)
+            if stamps_are_cut(recording):
+                cut.append(i)
             if stamps_are_off(recording, kind):
                 mended[i] = in_place(recording, kind)
     placed = [mended[i][0] if i in mended else recording for i, recording in enumerate(recordings)]
     coarse = [step_of_heights(recording) for recording in recordings]
     done: dict[int, Cleaned] = {}
     for group in groups(placed):
-        part, steps = [placed[i] for i in group], [coarse[i] for i in group]
+        part, steps, late = zip(*[(placed[i], coarse[i], i in mended) for i in group], strict=True)
         try:
-            done |= zip(group, work(part, coarse=steps), strict=True)
+            done |= zip(group, work(part, coarse=steps, moved=late), strict=True)
         except FAILURES:  # of one of them; the others shall not pay for it
-            done |= {i: _alone(placed[i], partial(work, coarse=[coarse[i]]), filter, smooth) for i in group}
-    for i, recording in enumerate(recordings):
-        if i in mended:
-            done[i] = as_recorded(done[i], recording, mended[i][1])
-        elif not done[i].found.failure:
-            done[i] = widened(done[i], _kind(recording, bank)[0])
+            alone = {i: partial(work, coarse=[coarse[i]], moved=[i in mended]) for i in group}
+            done |= {i: _alone(placed[i], alone[i], filter, smooth) for i in group}
+    for i, (_, variance) in mended.items():
+        done[i] = as_recorded(done[i], recordings[i], variance)
+    for i in cut:
+        done[i] = earlier(done[i])
     return [replace(done[i], recording=recording) for i, recording in enumerate(given)]
 
 
@@ -143,10 +145,11 @@ def check_settings(
 
 
 def _cleaned(
-    recordings: Sequence[Recording], *, coarse: Sequence[float], name: str, bank: str | Bank | None,
-    settings: Settings, dt: float | None, compile: bool = False, fallback: Fallback | None = None,
+    recordings: Sequence[Recording], *, coarse: Sequence[float], moved: Sequence[bool], name: str,
+    bank: str | Bank | None, settings: Settings, dt: float | None, compile: bool = False,
+    fallback: Fallback | None = None,
 ) -> list[Cleaned]:  # fmt: skip
-    """Recordings of the same dimensions as one batch."""
+    """Recordings of the same dimensions as one batch; of fixes that were moved errors are known."""
     if any(np.isinf(recording.position).any() for recording in recordings):
         raise ValueError("position: expected finite metres or NaN, received infinity")
     tracks = [steps_of(recording, dt) for recording in recordings]
@@ -156,14 +159,16 @@ def _cleaned(
     told = settings if default else settings._replace(smooth=False)
     found = answers(tracks, [kind for kind, _ in kinds], told, coarse)
     every = [_found(name, settings, own, kind, answer) for kind, answer in zip(kinds, found, strict=True)]
-    if not default:
-        return _by_filter(recordings, tracks, every, own, compile, fallback)
-    results = []
-    for recording, steps, answer, of in zip(recordings, tracks, found, every, strict=True):
-        mean, covariance, nis, outlier, manoeuvre, *_ = answer
-        regimes = np.stack([1 - manoeuvre, manoeuvre], 1)
-        results.append(_result(recording, steps, mean, covariance, nis, outlier, manoeuvre, of, REGIMES, regimes))
-    return results
+    lasting = lasting_errors(tracks, [kind for kind, _ in kinds], found)
+    errors = [None if known else of for known, of in zip(moved, lasting, strict=True)]
+    if default:
+        results = [
+            _result(recording, steps, *answer[:5], of, REGIMES, np.stack([1 - answer.manoeuvre, answer.manoeuvre], 1))
+            for recording, steps, answer, of in zip(recordings, tracks, found, every, strict=True)
+        ]
+    else:
+        results = _by_filter(recordings, tracks, every, own, compile, fallback)
+    return [widened(one, of) for one, of in zip(results, errors, strict=True)]
 
 
 def _result(

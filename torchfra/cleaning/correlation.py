@@ -1,129 +1,228 @@
-"""Errors that last from fix to fix, as of a phone between houses: they are seen, and uncertainties widened for them."""
+"""Errors that last from fix to fix, as of a phone between houses: how likely they are, and uncertainties with them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
 
+from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.cleaned import Cleaned
-from torchfra.cleaning.kinds import KINDS, USUAL
-from torchfra.cleaning.second import second_differences, spread
+from torchfra.cleaning.kinds import KINDS
+from torchfra.cleaning.positions import Answer, period_of
+from torchfra.filters.alarms import LIKELY
 from torchfra.readers.columns import Array
-from torchfra.readers.recording import Recording
 from torchfra.tables import duration, metres
 
-_LEAST = 100
-"""Fixes from which on errors that last can be told from a motion."""
-_LAGS = 7
-"""Most lags, each twice the one before, at which second differences are compared."""
-_STRAIGHT = 0.35
-"""Share of the second differences that hardly ever are of a turn, and from which the errors are found."""
-_GROWTH, _TWICE = (1.15, 1.9), 1.6
-"""By what second differences grow from each of the first lags to the next, and at least over two of them, where errors
-last: those of white noise do not grow, and those of a motion do by 2 or 2.8."""
-_NOISE = 1.75
-"""Growth from which on second differences are those of the motion."""
-_SECONDS = 4.0, 90.0, 14
-"""For how long errors may last: least, which fixes have to be within, most, and how many times in between are tried."""
-_USUALLY, _WEIGHT = 30.0, 1e-3
-"""For how long they usually last, and what the square of the log of another time costs."""
+_LEAST, _LONGEST = 30, 10.0
+"""Fewest fixes, and most seconds between most of them, with which errors that last are looked for."""
+_SECONDS = {10.0: 1.0, 20.0: 2.0, 40.0: 4.0}
+"""For how long errors last, and how likely each is."""
+_SIZES = {0.5: 1.0, 0.7: 1.0, 1.0: 1.0, 1.5: 0.5, 2.5: 0.2, 4.0: 0.1, 6.0: 0.05}
+"""Their standard deviation over the one that was found, and how likely each is."""
+_WHITE = (1.0, 0.9, 0.75, 0.5, 0.2)
+"""Standard deviations of the white noise beside them, over the one that was found; the last two only beside them."""
+_CALM = (1.0, 1 / 4, 1 / 16, 1 / 64)
+"""What is left of the process noise where a target goes straight on: what was found includes the errors."""
+_STRAIGHT = 3.0
+"""Times the median process noise below which a target goes straight on."""
+_STEPS, _ROWS = 256, 4
+"""Of each track that are looked at: fixes of a row, and rows."""
+_TOGETHER = 16
+"""Rows that are looked at together."""
+_SEEN = 1.1
+"""Factor on standard deviations from which on there is a word to say."""
+_SEEN_AS = 0.9
+"""Probability from which on errors that last are seen, and not assumed."""
+_ANYWHERE, _ANY_SPEED = 1e10, 1e5
+"""Variances of position and velocity before the first fix, m^2 and m^2/s^2."""
 
 
 class Lasting(NamedTuple):
-    """Errors of positions, per axis: a Gauss-Markov process, and white noise."""
+    """Hypotheses about errors of positions, per axis: Gauss-Markov processes that may be there or not."""
 
-    std: float
-    """Of the process, m."""
-    seconds: float
-    """After which it is forgotten to a share of 1 / e."""
-    white: float
-    """Standard deviation of the noise, m."""
+    probability: Array
+    """``(H,)`` of each; with what is missing to 1 there is none."""
+    std: Array
+    """``(H,)`` of the process, m."""
+    seconds: Array
+    """``(H,)`` after which it is forgotten to a share of 1 / e."""
+    sigma: float
+    """Standard deviation of a fix that was found for white noise alone, m."""
 
 
-def lasting_errors(recording: Recording, kind: str) -> Lasting | None:
-    """The errors of a track that last from fix to fix; None if there are none to be seen.
+class _Hypotheses(NamedTuple):
+    """What is tried of every track; each ``(H,)``."""
 
-    Second differences over a lag h, scaled so that white noise has its own variance, have that of a Gauss-Markov
-    process times 1 - 4/3 exp(-h/T) + 1/3 exp(-2 h/T), which is proportional to h at first.  Those of a motion grow
-    faster.  As errors that last for minutes look like a motion, a time of half a minute is taken for likely.
+    size: Tensor
+    seconds: Tensor
+    white: Tensor
+    calm: Tensor
+    log_prior: Tensor
+    """Of all with errors that last, and of all without: each sum to 1."""
+
+
+def _hypotheses() -> _Hypotheses:
+    without = [(0.0, 1.0, white, calm, 1.0, 1.0) for white, calm in product(_WHITE[:-2], _CALM)]
+    lasting = [
+        (size, seconds, white, calm, likely, often)
+        for (size, likely), (seconds, often), white, calm in product(_SIZES.items(), _SECONDS.items(), _WHITE, _CALM)
+    ]
+    size, seconds, white, calm, *prior = torch.tensor(without + lasting, dtype=torch.float64).T
+    weight, there = prior[0] * prior[1], size > 0
+    total = torch.where(there, weight[there].sum(), weight[~there].sum())
+    return _Hypotheses(size, seconds, white, calm, (weight / total).log())
+
+
+def lasting_errors(tracks: Sequence[Steps], kinds: Sequence[str], answers: Sequence[Answer]) -> list[Lasting | None]:
+    """How likely errors of each track last, by the likelihood of its fixes; None where that is not looked at.
+
+    Each hypothesis is a Gauss-Markov process beside white noise, and a motion of nearly constant velocity whose process
+    noise is the one that was found, or less where the target goes straight on.  Where a track does not tell, as of one
+    that turns as often as errors change, what is left is how usual they are of its kind.
 
     Args:
-        recording: of a target.
-        kind: name of its kind.
+        tracks: steps of each.
+        kinds: name of the kind of each.
+        answers: what is known of them with white noise alone.
     """
-    there = np.isfinite(recording.position[:, :2]).all(1)
-    time, path = recording.time[there], recording.position[there, :2]
-    step = float(np.median(np.diff(time))) if len(time) >= _LEAST else np.inf
-    if step > _SECONDS[0]:
-        return None
-    every = [second_differences(time, path, 2**lag) for lag in range(_LAGS) if 4 * 2**lag <= len(time)]
-    usual = np.array([spread(x, 0.5) for x in every[:4]])
-    growth = usual[1:] / usual[:-1].clip(1e-9)
-    lasts = _GROWTH[0] < growth.min() and growth.max() < _GROWTH[1] and usual[2] > _TWICE * usual[0]
-    if not lasts or np.sqrt(6) * usual[0] < USUAL * KINDS[kind].acceleration * step**2:
-        return None
-    found = np.array([spread(x, _STRAIGHT) for x in every])
-    fast = np.flatnonzero(found[1:] > _NOISE * found[:-1])
-    count = max(3, fast[0] + 1) if len(fast) else len(found)
-    fitted = _fitted(step * 2.0 ** np.arange(count), found[:count] ** 2)
-    return fitted if fitted.std > 0 else None
+    tried, found = _hypotheses(), list[Lasting | None]([None] * len(tracks))
+    seen = [np.flatnonzero(steps.measured & ~np.isnan(steps.raw[:, :2]).any(1)) for steps in tracks]
+    asked = [i for i, at in enumerate(seen) if len(at) >= _LEAST and period_of(tracks[i]) <= _LONGEST]
+    rows = [(i, part) for i in asked for part in _parts_of(seen[i])]
+    fit = [torch.zeros_like(tried.size) for _ in tracks]
+    for first in range(0, len(rows), _TOGETHER):
+        some = rows[first : first + _TOGETHER]
+        for (i, _), fits in zip(some, _fits(tracks, answers, some, tried), strict=True):
+            fit[i] += fits
+    there = tried.size > 0
+    for i in asked:
+        usual = KINDS[kinds[i]].lasting
+        prior = torch.where(there, usual, 1 - usual).log() + tried.log_prior
+        every = (fit[i] + prior).softmax(0)[there].unflatten(0, (-1, len(_WHITE) * len(_CALM)))
+        size, seconds = (x[there][:: every.shape[1]].numpy() for x in (tried.size, tried.seconds))
+        sigma = _usual(tracks[i], seen[i], answers[i])
+        found[i] = Lasting(every.sum(1).numpy(), sigma * size, seconds, sigma)
+    return found
 
 
-def _fitted(lag: Array, variance: Array) -> Lasting:
-    """The process and the noise that make the least relative squared error of variances ``(j,)`` at lags, s.
+def _parts_of(seen: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """Some stretches of the fixes of a track, all of them if it is short."""
+    parts = np.array_split(seen, max(1, round(len(seen) / _STEPS)))
+    chosen = np.linspace(0, len(parts) - 1, min(_ROWS, len(parts))).round().astype(int)
+    return [parts[k] for k in chosen]
 
-    A third part is proportional to the square of the lag, for the motion.
+
+def _fits(
+    tracks: Sequence[Steps], answers: Sequence[Answer], rows: Sequence[tuple[int, NDArray[np.intp]]], tried: _Hypotheses
+) -> Tensor:
+    """Log likelihoods ``(B, H)`` of rows."""
+    z, gap, std = padded([tracks[i].at(at) for i, at in rows])
+    q = torch.ones_like(gap)
+    for b, (i, at) in enumerate(rows):
+        z[b, : len(at), :2][torch.from_numpy(answers[i].outlier[at] > LIKELY)] = torch.nan
+        q[b, : len(at)] = torch.from_numpy(answers[i].density[at])
+    straight = q < _STRAIGHT * torch.stack([q[b, : len(at)].median() for b, (_, at) in enumerate(rows)]).unsqueeze(1)
+    variance = (std[..., 0] * torch.tensor([answers[i].sigma for i, _ in rows], dtype=z.dtype).unsqueeze(1)).square()
+    usual = torch.tensor([_usual(tracks[i], at, answers[i]) for i, at in rows], dtype=z.dtype)
+    density = torch.where(straight.unsqueeze(-1), tried.calm, 1.0) * q.unsqueeze(-1)
+    return log_likelihood(
+        z[..., :2].permute(1, 2, 0).unsqueeze(-1), gap.T.unsqueeze(-1),
+        variance.T.unsqueeze(-1) * tried.white.square(), density.movedim(1, 0),
+        (usual.unsqueeze(-1) * tried.size).square(), tried.seconds,
+    )  # fmt: skip
+
+
+def _usual(steps: Steps, at: NDArray[np.intp], answer: Answer) -> float:
+    """The usual standard deviation of a fix, m."""
+    return answer.sigma * float(np.median(steps.std[at, 0]))
+
+
+def log_likelihood(z: Tensor, gap: Tensor, variance: Tensor, q: Tensor, lasting: Tensor, seconds: Tensor) -> Tensor:
+    """Of fixes with white noise and a Gauss-Markov error, by a Kalman filter of position, velocity and error.
+
+    The axes are alike and independent, and the first two fixes, which tell where and how fast, do not count.
+
+    Args:
+        z: ``(T, d, ...)`` m; NaN where there is none.
+        gap: ``(T, ...)`` seconds since the step before.
+        variance: ``(T, ...)`` of the white noise, m^2.
+        q: ``(T, ...)`` density of the process noise up to each step, m^2/s^3.
+        lasting: ``(...)`` variance of the Gauss-Markov error, m^2.
+        seconds: ``(...)`` after which that is forgotten to a share of 1 / e.
+
+    Returns:
+        ``(...)``.
     """
-    best = np.inf, Lasting(0.0, 0.0, 0.0)
-    for seconds in np.geomspace(*_SECONDS[:2], _SECONDS[2]):
-        parts = [np.ones_like(lag), 1 - 4 / 3 * np.exp(-lag / seconds) + np.exp(-2 * lag / seconds) / 3, lag**2]
-        rest, (white, process, _) = _least_squares([part / variance for part in parts])
-        cost = rest + _WEIGHT * np.log(seconds / _USUALLY) ** 2
-        if cost < best[0]:
-            best = cost, Lasting(float(np.sqrt(process)), float(seconds), float(np.sqrt(white)))
-    return best[1]
+    missing = z.isnan().any(1)
+    seen, count = (~missing).to(z), (~missing).cumsum(0)
+    z = z.nan_to_num()
+    shape = torch.broadcast_shapes(variance.shape[1:], q.shape[1:], lasting.shape)
+    none = z.new_zeros(shape)
+    p, v, e = (z.new_zeros(z.shape[1], *shape) for _ in range(3))
+    pp, vv, ee = none + _ANYWHERE, none + _ANY_SPEED, none + lasting
+    pv = pe = ve = total = none
+    for k in range(len(z)):
+        if k:
+            dt, kept = gap[k], torch.exp(-gap[k] / seconds)
+            p, e = p + dt * v, kept * e
+            ahead = pv + dt * vv
+            pp, pv, vv = pp + dt * (pv + ahead) + q[k] * dt**3 / 3, ahead + q[k] * dt**2 / 2, vv + q[k] * dt
+            pe, ve, ee = kept * (pe + dt * ve), kept * ve, kept**2 * ee + (1 - kept**2) * lasting
+        hp, hv, he = pp + pe, pv + ve, pe + ee
+        spread = hp + he + variance[k]
+        residual = seen[k] * (z[k] - p - e)
+        fit = residual.square().sum(0) / spread + len(residual) * spread.log()
+        total = total - 0.5 * torch.where(count[k] > 2, seen[k] * fit, 0.0)
+        gp, gv, ge = (seen[k] * x / spread for x in (hp, hv, he))
+        p, v, e = p + gp * residual, v + gv * residual, e + ge * residual
+        pp, pv, vv, pe, ve, ee = pp - gp * hp, pv - gp * hv, vv - gv * hv, pe - gp * he, ve - gv * he, ee - ge * he
+    return total
 
 
-def _least_squares(parts: Sequence[Array]) -> tuple[float, Array]:
-    """How many of each part, 0 or more, make a sum that is nearest to 1; with what is left of the squared error."""
-    best, every = (np.inf, np.zeros(len(parts))), range(len(parts))
-    for chosen in (list(some) for count in every for some in combinations(every, count + 1)):
-        columns = np.stack([parts[i] for i in chosen], 1)
-        size = np.linalg.norm(columns, axis=0)
-        shares = np.linalg.lstsq(columns / size, np.ones(len(columns)), rcond=None)[0] / size
-        rest = float(np.square(columns @ shares - 1).sum())
-        if rest < best[0] and (shares >= 0).all():
-            best = rest, np.zeros(len(parts))
-            best[1][chosen] = shares
-    return best
+def widened(one: Cleaned, errors: Lasting | None) -> Cleaned:
+    """The result with covariances that know of errors that last, as far as they are likely.
 
-
-def widened(one: Cleaned, kind: str) -> Cleaned:
-    """The result with covariances that know of errors that last, if there are any.
-
-    An estimate that is as sure as the mean of m fixes of independent errors is as sure as the mean of m fixes whose
-    errors are those of the process.
+    An estimate that is as sure as the mean of m fixes of independent errors has the error, besides, of the mean of m
+    values of the process.
     """
-    errors = lasting_errors(one.recording, kind)
-    if errors is None:
+    if errors is None or one.found.failure:
         return one
     known = (one.covariance[:, 0, 0] + one.covariance[:, 1, 1]) / 2
-    count = (one.found.sigma**2 / known).clip(1.0)
-    step = np.median(np.diff(one.recording.time))
-    variance = errors.std**2 * _of_a_mean(np.exp(-step / errors.seconds), count) + errors.white**2 / count
-    factor = np.sqrt((variance / known).clip(1.0))
+    count, step = (errors.sigma**2 / known).clip(1.0), np.median(np.diff(one.recording.time))
+    kept = np.exp(-step / errors.seconds[:, None])
+    more = (errors.probability * errors.std**2) @ _of_a_mean(kept, count)
+    factor = np.sqrt(1 + more / known)
     covariance = one.covariance.copy()
     covariance[:, :2] *= factor[:, None, None]
     covariance[:, :, :2] *= factor[:, None, None]
-    said = (
-        f"Errors that last: those of neighbouring fixes are alike over about {duration(errors.seconds)}, by "
-        f"{metres(errors.std)}; standard deviations are larger for that"
+    said = _said(errors) if np.median(factor) > _SEEN else ()
+    return replace(one, covariance=covariance, found=replace(one.found, said=(*one.found.said, *said)))
+
+
+def _said(errors: Lasting) -> tuple[str]:
+    """How large errors that last are, and whether they are seen or assumed."""
+    likely = float(errors.probability.sum())
+    share = errors.probability / likely
+    std, seconds = (
+        metres(float(np.sqrt(share @ errors.std**2))),
+        duration(float(np.exp(share @ np.log(errors.seconds)))),
     )
-    return replace(one, covariance=covariance, found=replace(one.found, said=(*one.found.said, said)))
+    if likely > _SEEN_AS:
+        return (
+            f"Errors that last: those of neighbouring fixes are alike over about {seconds}, by {std}; "
+            "standard deviations are larger for that",
+        )
+    return (
+        f"Errors that last: hardly told from motion here; standard deviations assume {std} over about {seconds} "
+        f"with a probability of {100 * likely:.0f} %",
+    )
 
 
 def _of_a_mean(kept: float, count: Array) -> Array:

@@ -19,13 +19,15 @@ class Kind(NamedTuple):
     """The same in height, m/s^2."""
     fastest: float
     """Speed up to which a target may be of this kind, m/s; no process noise changes its velocity by more in a step."""
+    lasting: float = 0.4
+    """Probability that errors of its fixes last for 10 to 40 s, as those of reflections do, before a track has said."""
 
 
 KINDS = {
     "person": Kind(3.0, 1.0, 6.0),
     "ship": Kind(0.5, 0.5, 30.0),
     "vehicle": Kind(6.0, 2.0, 60.0),
-    "aircraft": Kind(10.0, 2.0, 1000.0),
+    "aircraft": Kind(10.0, 2.0, 1000.0, lasting=0.1),
     "marine": Kind(1.0, 1.0, 4.0),
     "animal": Kind(5.0, 2.0, 10.0),
     "bird": Kind(10.0, 3.0, 30.0),

@@ -64,6 +64,8 @@ class Answer(NamedTuple):
     height: float
     """Sigma of the height; NaN in the plane."""
     q: float
+    density: Array
+    """``(T,)`` mean of that of the process noise that led to each step, m^2/s^3."""
 
 
 def answers(tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[float]) -> list[Answer]:
@@ -175,13 +177,14 @@ def _joined(
     mean, covariance = _moments(known)
     share = parts[0].levels.log_share.exp()
     q = (share * parts[0].levels.q.log()).sum(0).exp()
+    density = (known[0].levels * parts[0].levels.q).sum(1)
     manoeuvre = (known[0].levels * (parts[0].levels.q > 10 * q.maximum(calm.square()))).sum(1)
     found = []
     for i in range(len(tracks)):
         first = next(b for b, row in enumerate(rows) if row.track == i)
         height = float(parts[1].sigma[first]) if len(parts) == 2 else math.nan
-        a, b, c, d, e = (_whole(x, rows, i) for x in (mean, covariance, nis, outlier, manoeuvre))
-        found.append(Answer(a, b, c, d, e, float(parts[0].sigma[first]), height, float(q[first])))
+        a, b, c, d, e, f = (_whole(x, rows, i) for x in (mean, covariance, nis, outlier, manoeuvre, density))
+        found.append(Answer(a, b, c, d, e, float(parts[0].sigma[first]), height, float(q[first]), f))
     return found
 
 

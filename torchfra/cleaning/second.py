@@ -7,25 +7,17 @@ import numpy as np
 from torchfra.readers.columns import Array
 from torchfra.readers.smoothing import differences
 
-_STD = {0.25: 0.3186, 0.35: 0.4538, 0.5: 0.6745, 0.8: 1.2816}
+_STD = {0.25: 0.3186, 0.5: 0.6745, 0.8: 1.2816}
 """Standard deviations below which so large a share of a normal distribution's absolute values is."""
 
 
-def second_differences(time: Array, path: Array, every: int = 1) -> Array:
+def second_differences(time: Array, path: Array) -> Array:
     """Second differences ``(j, d)`` of a path ``(k, d)``, scaled so that white noise has its own standard deviation.
 
     Args:
         time: ``(k,)`` seconds, increasing.
         path: ``(k, d)`` m.
-        every: of how many fixes one is taken, with each of them as the first.
     """
-    parts = [_scaled(time[first::every], path[first::every]) for first in range(every)]
-    return np.concatenate([part for part in parts if len(part)])
-
-
-def _scaled(time: Array, path: Array) -> Array:
-    if len(time) < 3:
-        return path[:0]
     rows = differences(time, 2)
     rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     return np.asarray(rows[:, :1] * path[:-2] + rows[:, 1:2] * path[1:-1] + rows[:, 2:] * path[2:])

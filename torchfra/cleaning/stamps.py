@@ -24,6 +24,14 @@ _GROWS = 1.3
 """Without every second fix, white errors of stamps do not grow so much; those of a motion do, by 1.4 or more."""
 _LEAST = 8, 60
 """Fixes from which on that can be seen of ADS-B, and of others, which do change their speed as they go."""
+_HALF = 0.5
+"""Seconds by which a target is ahead, in the mean, of where it was at a time that was cut to a whole second."""
+_CUT = 0.2, 0.45
+"""Standard deviations of stamps, s, between which they may be cut to whole seconds: even errors of 1 s have 0.29."""
+_HIDDEN = 0.4
+"""Seconds of the way that noise is as large as, from which on it hides whether times are cut."""
+_REGULAR = 0.95
+"""Share of the gaps that are alike from which on fixes came at whole seconds, and no time was cut."""
 _ASIDE = 5.0
 """Standard deviations that a fix lies beside the path of which not only the stamp is off."""
 
@@ -43,15 +51,53 @@ def stamps_are_off(recording: Recording, kind: str) -> bool:
     reported = _as_reported(recording)
     if len(time) < _LEAST[not reported]:
         return False
-    along, across, ahead = _along_and_across(time, path)
+    along, across, _ = _along_and_across(time, path)
     size = np.linalg.norm(differences(time, 2), axis=1)
     one, other = (float(np.quantile(np.abs(x * size), 0.8)) for x in (along, across))
     if not (one > USUAL * KINDS[kind].acceleration and one > _RATIO[not reported] * other):
         return False
     if reported:
         return True
-    fewer = np.concatenate([_along_and_across(time[first::2], path[first::2])[0] for first in (0, 1)])
-    return bool(2 * spread(along) < np.median(ahead) and spread(fewer) < _GROWS * spread(along))
+    return _white(time, path)
+
+
+def stamps_are_cut(recording: Recording) -> bool:
+    """Whether times are those of the fixes cut to whole seconds, so that a target was ahead by half a second.
+
+    All are whole though the fixes come irregularly, and errors along the path are larger than those across by what such
+    stamps make of its speed.  AIS says whole seconds, and is believed to cut them where noise hides that.
+
+    Args:
+        recording: of a target.
+    """
+    there = np.isfinite(recording.position[:, :2]).all(1)
+    time, path = recording.time[there], recording.position[there, :2]
+    if len(time) < _LEAST[1] or _as_reported(recording) or (time != np.round(time)).any():
+        return False
+    gaps = np.diff(time)
+    if (gaps == np.median(gaps)).mean() > _REGULAR:
+        return False
+    along, across, ahead = _along_and_across(time, path)
+    speed = running_median(ahead / (time[2:] - time[:-2]), 7)
+    fast = speed >= np.median(speed)
+    one, other = (spread(x[fast] / speed[fast].clip(1e-9), 0.5) for x in (along, across))
+    seen = bool(_CUT[0] ** 2 < one**2 - other**2 < _CUT[1] ** 2)
+    if other > _HIDDEN:
+        return recording.source.word == "ship"
+    return seen and (recording.source.word == "ship" or _white(time, path))
+
+
+def earlier(one: Cleaned) -> Cleaned:
+    """The result at stamps that were cut, half a second before the times of the fixes in the mean."""
+    if one.found.failure:
+        return one
+    d = one.raw.shape[1]
+    back = np.eye(2 * d)
+    back[:d, d:] = -_HALF * np.eye(d)
+    usual = metres(_HALF * float(np.nanmedian(np.linalg.norm(one.velocity[:, :2], axis=1))))
+    said = f"Times are cut to whole seconds: the path is {_HALF:g} s behind the fixes ({usual} in the median)"
+    return replace(one, mean=one.mean @ back.T, covariance=back @ one.covariance @ back.T,
+                   found=replace(one.found, said=(*one.found.said, said)))  # fmt: skip
 
 
 def _as_reported(recording: Recording) -> bool:
@@ -121,6 +167,13 @@ def as_recorded(one: Cleaned, recording: Recording, variance: Array) -> Cleaned:
     covariance[:, :d, :d] += more[:, None, None] * course[:, :, None] * course[:, None, :]
     return replace(one, recording=recording, raw=raw, covariance=covariance,
                    found=replace(one.found, said=(*one.found.said, said)))  # fmt: skip
+
+
+def _white(time: Array, path: Array) -> bool:
+    """Whether errors along a path are white, and smaller than the way between fixes; those of a motion are not."""
+    along, _, ahead = _along_and_across(time, path)
+    fewer = np.concatenate([_along_and_across(time[first::2], path[first::2])[0] for first in (0, 1)])
+    return bool(2 * spread(along) < np.median(ahead) and spread(fewer) < _GROWS * spread(along))
 
 
 def _along_and_across(time: Array, path: Array) -> tuple[Array, Array, Array]:
