@@ -358,7 +358,7 @@ def understood(line, flights):
     if no_gpu or line.startswith(tuple(HELP_ONLY)):
         return main, words, True
     known = help_of(main, words[:1] if main is cli.main else [])
-    words = list(filled(words, flights))
+    words = list(filled([*words, "FLIGHTS", "--out", "clean"] if words == ["many"] else words, flights))
     if main is cli.main and words and words[0] in ("track", "compare"):
         named = [w for w in words if w.endswith(".csv")]
         words += [] if named or {"--scenario", "--ranges"} & set(words) else flights[:1]
