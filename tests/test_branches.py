@@ -4,7 +4,7 @@ import copy
 
 import pytest
 import torch
-from conftest import STEPS
+from conftest import STEPS, without_acceleration
 from test_compile import close
 
 from torchfra import metrics, presets, scenarios
@@ -24,7 +24,7 @@ def estimate(f, tracks):
 @pytest.fixture(scope="module")
 def poor():
     """A poor start: many steps are abnormal, and every branch wins some."""
-    return scenarios.bearings_outliers("std").simulate(8, 3)
+    return without_acceleration(scenarios.bearings_outliers("std")).simulate(8, 3)
 
 
 # ---------------------------------------------------------------- what it does

@@ -115,7 +115,7 @@ def test_whatever_does_not_fit_is_refused_or_prepared(ready, prepared):
 def test_a_prior_with_any_root_is_made_triangular(ready):
     f, given = ready
     mean, root = given["prior"]
-    turned, _ = torch.linalg.qr(torch.randn(6, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(0)))
+    turned, _ = torch.linalg.qr(torch.randn(4, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0)))
     close(f(**given), f(**given | {"prior": Gaussian(mean, root @ turned)}), 1e-9)
 
 
@@ -151,8 +151,8 @@ def test_each_form_is_remembered_by_itself(ready, tracks, prepared):
     shorter = alone(tracks, 5)
     f(**shorter)
     prepared.clear()
-    assert f(**given).mean.shape == (8, 6)
-    assert f(**shorter).mean.shape == (5, 6)
+    assert f(**given).mean.shape == (8, 4)
+    assert f(**shorter).mean.shape == (5, 4)
     assert not prepared
 
 
