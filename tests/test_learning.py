@@ -244,19 +244,18 @@ def test_gradients_through_thirty_steps_are_those_of_finite_differences(name, op
 ])  # fmt: skip
 def test_a_thousand_tracks_of_outliers_have_gradients_without_a_nan(name, options, make):
     scenario = without_acceleration(scenarios.bearings_outliers("std", truth_noise=0.01))
-    for first in range(0, 1000, 500):
-        tracks = scenario.simulate(500, 77, first=first)
-        tracks = tracks._replace(z=tracks.z[:, :50], u=tracks.u[:50], truth=tracks.truth[:, :50])
-        f = make(name, learn="all", **options)
-        names, shared = zip(*f.named_parameters(), strict=True)
-        own = [p.detach().expand(500).clone().requires_grad_() for p in shared]  # each track its own gradient
-        call = (tracks.z, tracks.prior)
-        e = torch.func.functional_call(f, dict(zip(names, own, strict=True)), call, {"u": tracks.u})
-        loss = torchfra.losses.robust_mse(e.mean, tracks.truth, scenario.position, 100.0)
-        gradients = torch.autograd.grad(loss.sum(), own, allow_unused=True)
-        assert not e.failed.any()
-        for path, gradient in zip(names, gradients, strict=True):
-            assert gradient is None or gradient.isfinite().all(), path
+    tracks = scenario.simulate(1000, 77)
+    tracks = tracks._replace(z=tracks.z[:, :50], u=tracks.u[:50], truth=tracks.truth[:, :50])
+    f = make(name, learn="all", **options)
+    names, shared = zip(*f.named_parameters(), strict=True)
+    own = [p.detach().expand(1000).clone().requires_grad_() for p in shared]  # each track its own gradient
+    call = (tracks.z, tracks.prior)
+    e = torch.func.functional_call(f, dict(zip(names, own, strict=True)), call, {"u": tracks.u})
+    loss = torchfra.losses.robust_mse(e.mean, tracks.truth, scenario.position, 100.0)
+    gradients = torch.autograd.grad(loss.sum(), own, allow_unused=True)
+    assert not e.failed.any()
+    for path, gradient in zip(names, gradients, strict=True):
+        assert gradient is None or gradient.isfinite().all(), path
 
 
 def test_truncated_back_propagation_stops_gradients_and_changes_no_estimate(make, tracks):
@@ -306,9 +305,7 @@ def test_a_sensor_of_one_std_for_all_may_have_a_batch_of_them(scenario, tracks):
 
 
 def test_shares_without_states_are_of_position_velocity_and_acceleration():
-    filters = [
-        presets.fra(ConstantAcceleration(0.01), Position(1.0), **share) for share in ({"share": (1, 0.1, 0.1)}, {})
-    ]
-    every, one = (f.fading.states for f in filters)
+    models = ConstantAcceleration(0.01), Position(1.0)
+    every, one = (presets.fra(*models, **share).fading.states for share in ({"share": (1, 0.1, 0.1)}, {}))
     assert every == (slice(0, 2), slice(2, 4), slice(4, 6))
     assert one == (slice(0, 2),)
