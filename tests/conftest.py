@@ -1,7 +1,9 @@
 """What several test files share."""
 
 import copy
+import dataclasses
 import gc
+import math
 import os
 import sys
 
@@ -10,8 +12,10 @@ import torch
 from short_tracks import short
 
 from torchfra import presets, scenarios
-from torchfra.compiler import llvm
+from torchfra.compiler import jit, llvm
 from torchfra.compiler.engine import Compiled
+from torchfra.motion import Bank, ConstantVelocity, CoordinatedTurn
+from torchfra.types import Gaussian
 
 gc.disable()  # while modules are imported and tests are collected, of which nothing is garbage
 
@@ -36,10 +40,26 @@ def pytest_collection_finish():
     gc.enable()
 
 
+def without_acceleration(whole):
+    """A scenario of bearings whose filters know position and velocity alone: their kernels are small."""
+
+    def known(belief):
+        return Gaussian(belief.mean[..., :4].contiguous(), belief.scale_tril[..., :4, :4].contiguous())
+
+    def block(rng, numbers):
+        drawn = whole.block(rng, numbers)
+        return drawn._replace(truth=drawn.truth[..., :4].contiguous(), prior=known(drawn.prior))
+
+    motion = ConstantVelocity(0.1)
+    turns = [CoordinatedTurn(side * math.pi / 10, 0.1) for side in (1, -1)]
+    bank = Bank([motion, *turns], neighbours=((1, 2), (0, 2), (0, 1)), first=(0, 1, 2))
+    return dataclasses.replace(whole, motion=motion, prior=known(whole.prior), block=block, bank=bank, law=None)
+
+
 @pytest.fixture(scope="session")
 def scenario():
     """Outliers, and an initial state near the truth."""
-    return scenarios.bearings_outliers("std", initial="truth")
+    return without_acceleration(scenarios.bearings_outliers("std", initial="truth"))
 
 
 @pytest.fixture(scope="session")
@@ -122,11 +142,15 @@ def no_compiler(monkeypatch):
 
 @pytest.fixture(scope="session", autouse=True)
 def compiled_once(tmp_path_factory):
-    """Kernels of this session alone, and bytecode for its processes where Python is told to write none."""
+    """Kernels of this session alone, and bytecode for its processes where Python is told to write none.
+
+    LLVM does not optimise kernels, which takes it less than half the time; in test_battery.py it does.
+    """
     folder = tmp_path_factory.getbasetemp()  # of one worker, where there are several
     folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TORCHFRA_CACHE", str(folder / "kernels"))
+        patch.setattr(jit, "_LEVEL", 0)
         if os.environ.get("PYTHONDONTWRITEBYTECODE"):
             patch.delenv("PYTHONDONTWRITEBYTECODE")
             patch.setenv("PYTHONPYCACHEPREFIX", str(folder / "bytecode"))

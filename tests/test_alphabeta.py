@@ -128,7 +128,7 @@ def with_outliers(seed, steps=80, outliers=6):
     return z
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, 1])  # of which the first jumps for good
 @pytest.mark.parametrize(
     "options", [{}, {"hysteresis": 1.0, "dwell": 1.0}, {"flag_on_reject": "hold"}, {"votes": 4}, {"converged": 3}]
 )
@@ -155,13 +155,11 @@ def test_it_decides_as_the_paper_describes(seed, options):
 
 @pytest.mark.slow
 def test_some_of_those_tracks_restart_and_reject():
-    infos = [
-        presets.alphabeta(LINE, SENSOR, **OPTIONS)(torch.from_numpy(with_outliers(s))[:, None], PRIOR).info
-        for s in range(12)
-    ]
-    assert sum(int(i.restarted.sum()) for i in infos) >= 3
-    assert sum(int(i.rejected.sum()) for i in infos) >= 30
-    assert all(len(i.level.unique()) == 3 for i in infos)
+    z = torch.stack([torch.from_numpy(with_outliers(seed)) for seed in range(12)])
+    info = presets.alphabeta(LINE, SENSOR, **OPTIONS)(z[..., None], PRIOR).info
+    assert info.restarted.sum() >= 3
+    assert info.rejected.sum() >= 30
+    assert all(len(level.unique()) == 3 for level in info.level)
 
 
 def test_the_vote_is_the_majority_of_three():
@@ -176,7 +174,7 @@ def test_the_vote_is_the_majority_of_three():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("orders", "options"),
-    [(2, {"onset": "fastest"}), (3, {"detect": "polar"}), (3, {"temperature": 0.2})],
+    [(2, {"onset": "fastest"}), (3, {"detect": "polar", "temperature": 0.2})],
 )
 def test_a_batch_is_a_loop_streaming_is_the_batch_and_kernels_agree(orders, options):
     motion = (ConstantVelocity if orders == 2 else ConstantAcceleration)(1.0, 3)

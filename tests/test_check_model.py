@@ -181,7 +181,6 @@ class Needy(Sensor):
         (Augmented(Bicycle(2.7, 1.0, 0.1), RandomWalk(0.1, 1, kind="bias")), Biased(RANGES, 5), {"dt": 0.1}),
         (Bank([STRAIGHT, Drag()]), Stacked(Bearing(angle=True), RANGES), {}),
         (STRAIGHT, Needy(), {"u": torch.ones(2)}),
-        (Bank([Bicycle(2.7, 1.0, 0.01), Bicycle(2.7, 0.1, 0.1)]), Bearing(True), {"dt": 0.1}),
         (Augmented(ConstantVelocity(1.0, 3), Clock(1.0, 0.1)), Pseudoranges(2, 1.0, 0.1), {
             "u": [2e7, 0, 0, 0, 2e7, 0, 1e3, 0, 0, 0, 1e3, 0]}),
         (Heading(angles=(3,)), Bearing(True, place=(2e4, -3e4)), {}),

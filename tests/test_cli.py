@@ -41,12 +41,12 @@ def test_too_few_runs_for_the_processes_are_refused(monkeypatch):
 
 @pytest.mark.slow
 def test_compare_runs_interacting_models(tmp_path):
-    arguments = ["compare", "--scenario", "adsb-turns", "--filters", "srckf,imm_srckf,vsimm_srckf", "--runs"]
+    arguments = ["compare", "--scenario", "adsb-turns", "--filters", "srckf,vsimm_srckf", "--runs"]
     out = ["--json", str(tmp_path / "r.json"), "--figure", str(tmp_path / "f.png"), "--quiet"]
     assert cli.main([*arguments, "8", "--no-compile", *out]) == 0
     found = json.loads((tmp_path / "r.json").read_text())["filters"]
     assert found["vsimm_srckf"]["mean_rmse_position"] < found["srckf"]["mean_rmse_position"]
-    assert len(found["imm_srckf"]["rmse_x"]) == 448
+    assert len(found["vsimm_srckf"]["rmse_x"]) == 448
     weights = np.array(found["vsimm_srckf"]["probabilities"])
     assert weights.shape == (448, 5)
     np.testing.assert_allclose(weights.sum(1), 1)
@@ -76,7 +76,8 @@ def test_commands_compile_when_it_is_worthwhile_and_say_so(noisy_track, tmp_path
     monkeypatch.setattr("torchfra.cli.compare_command.WORTHWHILE", 10 * STEPS)
     assert compare(tmp_path, "--runs", "9", "--quiet") == 0
     assert compare(tmp_path, "--runs", "10", "--no-compile", "--quiet") == 0
-    track_it = ["track", str(noisy_track), "--no-plots", "--quiet", "--out", str(tmp_path / "out")]
+    told = ["--sigma", "25", "--q", "1", "--bank", "aircraft"]  # or each call looks for them
+    track_it = ["track", str(noisy_track), *told, "--no-plots", "--quiet", "--out", str(tmp_path / "out")]
     assert cli.main(track_it) == 0
     monkeypatch.setattr("torchfra.cli.track_command.WORTHWHILE", 80)
     assert cli.main([*track_it, "--filter", "fra", "--compile"]) == 0
@@ -211,7 +212,7 @@ def test_compare_takes_one_recording_in_files(walks, tmp_path):
         [*files, *more, "--height", "0.5"],
         [*files, *more, "--dt", ".2"],
     ):
-        out = ["--json", str(tmp_path / "r.json"), "--figure", str(tmp_path / "f.png"), "--quiet"]
+        out = ["--json", str(tmp_path / "r.json"), "--quiet"]
         assert cli.main(["compare", "--ranges", *arguments, "--filters", "rsrckf", *out]) == 0
         found.append(json.loads((tmp_path / "r.json").read_text())["filters"]["rsrckf"]["rmse_position"])
     assert found[0] == pytest.approx(found[1])

@@ -12,7 +12,7 @@ from one_graph import ONE_GRAPH
 from short_tracks import SMALL_GPB
 from torch import nn
 
-from torchfra import Hyper, learnable, presets, scenarios
+from torchfra import Hyper, learnable, presets
 from torchfra.compiler import jit, run
 from torchfra.compiler.entries import Entries, as_entries
 from torchfra.compiler.expressions import Expressions
@@ -58,7 +58,7 @@ def test_time_steps_and_noise_may_come_with_the_measurements(make, tracks):
         close(f(tracks.z, tracks.prior, u=tracks.u, **options), fast(tracks.z, tracks.prior, u=tracks.u, **options))
 
 
-def test_a_single_track_and_a_grid_of_tracks_and_a_batch_of_hyperparameters(make, tracks):
+def test_a_single_track_and_a_grid_of_tracks_and_a_batch_of_hyperparameters(make, tracks, scenario):
     f = make("rsrckf", threshold=torch.tensor([0.5, 1.345, 3.0], dtype=torch.float64).unsqueeze(-1))
     close(*both(f, tracks.z, tracks.prior, u=tracks.u))  # 3 thresholds, 4 tracks
     f = make("rsrckf")
@@ -68,7 +68,7 @@ def test_a_single_track_and_a_grid_of_tracks_and_a_batch_of_hyperparameters(make
     z, prior = tracks.z.unflatten(0, (2, 2)), Gaussian(mean.unflatten(0, (2, 2)), root)
     close(f(z, prior, u=tracks.u), fast(z, prior, u=tracks.u))
     close(f(z.mT.contiguous().mT, prior, u=tracks.u), fast(z.mT.contiguous().mT, prior, u=tracks.u))
-    many = scenarios.bearings_outliers().simulate(37, 5)  # no multiple of any register
+    many = scenario.simulate(37, 5)  # no multiple of any register
     close(f(many.z, many.prior, u=many.u), fast(many.z, many.prior, u=many.u))
 
 
@@ -82,9 +82,9 @@ def test_what_a_filter_begins_with_may_differ_between_tracks(make, tracks, scena
 
 
 def test_no_tracks_at_all_have_estimates_of_none(make, tracks):
-    nothing = Gaussian(*(x[:0] for x in (tracks.prior.mean, tracks.prior.scale_tril.expand(4, 6, 6))))
+    nothing = Gaussian(*(x[:0] for x in (tracks.prior.mean, tracks.prior.scale_tril.expand(4, 4, 4))))
     slow, fast = both(make("srckf"), tracks.z[:0], nothing, u=tracks.u)
-    assert fast.mean.shape == slow.mean.shape == (0, STEPS, 6)
+    assert fast.mean.shape == slow.mean.shape == (0, STEPS, 4)
 
 
 def test_a_track_that_fails_is_reported_and_leaves_the_others_alone(make, tracks):
@@ -550,7 +550,7 @@ def test_transforms_over_prior_and_values_see_the_filter_as_it_is(make, tracks):
 def test_a_state_of_ones_own_may_be_shared_by_the_batch(make, tracks):
     f = make("srckf")
     state = f.init(tracks.prior)
-    state = state._replace(belief=Gaussian(state.belief.mean, 3 * torch.eye(6, dtype=torch.float64)))
+    state = state._replace(belief=Gaussian(state.belief.mean, 3 * torch.eye(4, dtype=torch.float64)))
     slow = f.step(state, tracks.z[:, 0], u=tracks.u[0])
     close(slow, f.compile().step(state, tracks.z[:, 0], u=tracks.u[0]))
 

@@ -14,6 +14,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from conftest import without_acceleration
 from short_tracks import SMALL_GPB
 
 from torchfra import presets, scenarios
@@ -107,7 +108,9 @@ def on_the_cpu(source):
 def of_kind(name, **options):
     """A filter and tracks for it, with an outlier and gaps."""
     adsb = name == "alphabeta"
-    scenario = scenarios.adsb_turns() if adsb else scenarios.bearings_outliers("std", initial="truth")
+    scenario = (
+        scenarios.adsb_turns() if adsb else without_acceleration(scenarios.bearings_outliers("std", initial="truth"))
+    )
     tracks = scenario.simulate(4, 0)
     z = tracks.z[:, :12].clone()
     z[0, 3, 0], z[1, 5], z[2, 4, 1] = torch.nan, torch.nan, z[2, 4, 1] + 0.3

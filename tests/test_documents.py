@@ -206,12 +206,12 @@ def test_paths_in_docstrings_are_found_and_wrong_ones_are_told():
 
 @pytest.fixture(scope="session")
 def flights(tmp_path_factory):
-    """Five straight flights of 400 s with 25 m of measurement noise."""
+    """Five straight flights of 160 s with 25 m of measurement noise."""
     rng, paths = np.random.default_rng(0), []
-    time = np.arange(100) * 4.0
+    time = np.arange(40) * 4.0
     for i in range(5):
         paths.append(tmp_path_factory.mktemp("flights") / f"flight-{i}.csv")
-        xy = np.stack([100 * time, (10 * i - 20) * time], 1) + 25 * rng.standard_normal((100, 2))
+        xy = np.stack([100 * time, (10 * i - 20) * time], 1) + 25 * rng.standard_normal((40, 2))
         paths[-1].write_text("t,x,y\n" + "".join(f"{t},{x},{y}\n" for t, (x, y) in zip(time, xy, strict=True)))
     return [str(path) for path in paths]
 

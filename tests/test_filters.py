@@ -5,7 +5,7 @@ import torch
 from conftest import PRESETS, STEPS
 
 from torchfra import presets
-from torchfra.motion import ConstantAcceleration
+from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Bearings
 from torchfra.types import Gaussian
 
@@ -22,8 +22,8 @@ def one(prior, i):
 
 def test_shapes(name, make, tracks):
     e = make(name)(tracks.z, tracks.prior, u=tracks.u)
-    assert e.mean.shape == (4, STEPS, 6)
-    assert e.scale_tril.shape == (4, STEPS, 6, 6)
+    assert e.mean.shape == (4, STEPS, 4)
+    assert e.scale_tril.shape == (4, STEPS, 4, 4)
     assert e.nis.shape == e.log_likelihood.shape == (4, STEPS)
     assert not e.failed.any()
     for part in e.info:
@@ -65,13 +65,13 @@ def test_no_initial_uncertainty_has_finite_gradients(name, make, tracks):
 
 
 def test_it_maps_over_hyperparameters_and_takes_a_batch_of_them(name, make, tracks):
-    q = torch.tensor([0.001, 0.01, 0.3], dtype=torch.float64)
+    q = torch.tensor([0.001, 0.1, 0.3], dtype=torch.float64)
     sensor = Bearings(torch.tensor([0.01, 0.02, 0.03], dtype=torch.float64).reshape(3, 1, 1).expand(3, 1, 2))
     preset = getattr(presets, name)
-    batch = preset(ConstantAcceleration(q.unsqueeze(-1)), sensor)(tracks.z, tracks.prior, u=tracks.u)
-    assert batch.mean.shape == (3, 4, STEPS, 6)
+    batch = preset(ConstantVelocity(q.unsqueeze(-1)), sensor)(tracks.z, tracks.prior, u=tracks.u)
+    assert batch.mean.shape == (3, 4, STEPS, 4)
     for i in range(3):
-        alone = preset(ConstantAcceleration(float(q[i])), Bearings(0.01 * (i + 1)))
+        alone = preset(ConstantVelocity(float(q[i])), Bearings(0.01 * (i + 1)))
         same(batch.mean[i], alone(tracks.z, tracks.prior, u=tracks.u).mean, 1e-6)
     f = make(name)
     (path,) = (path for path in f.state_dict() if path.endswith(".q.raw"))
@@ -88,9 +88,9 @@ def test_it_maps_over_hyperparameters_and_takes_a_batch_of_them(name, make, trac
         ({"z": torch.zeros(2)}, "z: expected"),
         ({"z": torch.zeros(4, 0, 2)}, "z: expected"),
         ({"z": torch.zeros(4, STEPS, 2, dtype=torch.int64)}, "floating point"),
-        ({"prior": Gaussian(torch.zeros(4), torch.eye(4))}, r"prior.mean: expected \(\.\.\., 6\), received \(4,\)"),
-        ({"prior": Gaussian(torch.zeros(6), torch.eye(5))}, "prior.scale_tril"),
-        ({"prior": Gaussian(torch.zeros(3, 6), torch.eye(6))}, "broadcast"),
+        ({"prior": Gaussian(torch.zeros(6), torch.eye(6))}, r"prior.mean: expected \(\.\.\., 4\), received \(6,\)"),
+        ({"prior": Gaussian(torch.zeros(4), torch.eye(5))}, "prior.scale_tril"),
+        ({"prior": Gaussian(torch.zeros(3, 4), torch.eye(4))}, "broadcast"),
         ({"u": torch.zeros(5, 4)}, r"u: expected \(\.\.\., 12, k\), received \(5, 4\)"),
         ({"u": None}, "u: expected the positions of 2 stations"),
         ({"dt": -1.0}, "dt: expected seconds above 0"),

@@ -170,7 +170,7 @@ def test_a_regime_that_begins_and_never_ends_is_there_from_the_first_step_on():
     seed=st.integers(0, 1000), name=st.sampled_from(sorted(SENSORS)), spread=st.floats(1.0, 1e4),
     outlier=st.floats(0.001, 0.5), jump=st.floats(1e-8, 0.05),
 )  # fmt: skip
-@settings(deadline=None, max_examples=20)
+@settings(deadline=None, max_examples=10)
 def test_probabilities_are_probabilities(seed, name, spread, outlier, jump):
     noise = torch.randn(2, STEPS, 1, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
     z = measured(name, seed=seed)

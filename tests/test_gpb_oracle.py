@@ -36,7 +36,7 @@ def tensor(x):
 
 
 PRIOR = Gaussian(tensor([0.0, 100, 9, 0, 0, 0]), torch.diag(tensor([20, 20, 8, 8, 0.5, 0.5])))
-ANCHORS = [[-200.0, -100], [300, -150], [250, 400], [-150, 350]]
+ANCHORS = [[-200.0, -100], [300, -150], [250, 400]]
 STATIONS = [[-800.0, -500], [900, -600]]
 
 
@@ -83,8 +83,8 @@ def bearings():
 
 def ranges():
     places = np.array(ANCHORS)
-    noise = np.diag([2.0, 3.0, 2.5, 1.5])
-    sensor = Ranges(tensor(places), tensor([2.0, 3.0, 2.5, 1.5]))
+    noise = np.diag([2.0, 3.0, 2.5])
+    sensor = Ranges(tensor(places), tensor([2.0, 3.0, 2.5]))
     return Case(sensor, lambda x, k: np.hypot(*(x[:2] - places).T), noise)
 
 

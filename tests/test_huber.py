@@ -309,20 +309,16 @@ def test_mean_square_errors_of_the_growth_model_are_known(outliers):
     assert errors_of["hghckf2"][2] < 1.3 * errors_of["hghckf2"][0]
 
 
-REENTRY = {
-    "paper": {"ghckf": (595, 52.7, 0.155), "hghckf1": (452, 50.8, 0.164), "hghckf2": (442, 46.4, 0.130)},
-    "precise": {"ghckf": (30.0, 23.2, 0.125), "hghckf1": (32.5, 24.7, 0.125), "hghckf2": (28.6, 22.2, 0.113)},
-}
+REENTRY = {"ghckf": (595, 52.7, 0.155), "hghckf1": (452, 50.8, 0.164), "hghckf2": (442, 46.4, 0.130)}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("radar", ["paper", "precise"])
-def test_errors_of_the_reentry_are_known(radar):
+def test_errors_of_the_reentry_are_known():
     """Sets of 60 runs; the error of the parameter depends on a few runs, and differs by 10 % between sets."""
-    scenario = reentry(radar=radar)
+    scenario = reentry()
     tracks = scenario.simulate(180, 1)
     errors_of = {}
-    for name, known in REENTRY[radar].items():
+    for name, known in REENTRY.items():
         f = getattr(presets, name)(scenario.motion, scenario.sensor)
         with torch.no_grad():
             e = f(tracks.z, tracks.prior, u=tracks.u)

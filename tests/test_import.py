@@ -145,7 +145,7 @@ def test_filters_run_where_every_part_that_they_do_not_need_is_deleted(core):
 
 @pytest.mark.slow
 def test_tests_of_filters_pass_where_every_part_that_they_do_not_need_is_deleted(core):
-    files = [f"tests/test_{name}.py" for name in ("camera", "own_sides", "predict")]
+    files = [f"tests/test_{name}.py" for name in ("own_sides", "predict")]
     done = core("-m", "pytest", "--noconftest", "-p", "no:cacheprovider", "-k", "not compiled", *files)
     assert done.returncode == 0, done.stdout
 

@@ -54,7 +54,7 @@ def test_the_likelihood_of_the_scans_finds_how_often_targets_are_measured():
     """From 0.7 back to 0.9, from scans alone; false measurements are Poisson, as the model says."""
     f = plane(detection=0.7, clutter=Clutter(1e4, rate=3.0), learn=("detection",))
     rng = torch.Generator().manual_seed(0)
-    z, prior = scenes(rng, 200, 20, 0.9, 3)
+    z, prior = scenes(rng, 200, 12, 0.9, 3)
     optimiser = torch.optim.Adam(f.parameters(), lr=0.2)
     for _ in range(25):
         optimiser.zero_grad()

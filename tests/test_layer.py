@@ -89,7 +89,7 @@ def test_the_density_of_hidden_measurements_is_that_of_a_joint_gaussian(page, mo
 
 @pytest.mark.slow
 def test_an_exported_step_is_saved_and_runs_for_other_numbers_of_tracks(page, tmp_path):
-    model = page["layer"](presets.fra(ConstantVelocity(q=0.1), Position(2.0)))
+    model = page["layer"](presets.rsrckf(ConstantVelocity(q=0.1), Position(2.0)))
     z, features, _, prior = page["simulate"](5, 4, 0)
     step = page["Step"](model, Gaussian(prior.mean.expand(5, -1), prior.scale_tril))
     state, tracks = [x.clone() for x in tree.flatten(step.like)], {0: torch.export.Dim.AUTO}

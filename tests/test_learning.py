@@ -4,14 +4,14 @@ import copy
 
 import pytest
 import torch
-from conftest import PRESETS
+from conftest import PRESETS, without_acceleration
 
 import torchfra
 from torchfra import presets, scenarios
 from torchfra.hyper import Hyper, hypers, learnable, named
-from torchfra.motion import ConstantAcceleration
+from torchfra.motion import ConstantAcceleration, ConstantVelocity
 from torchfra.robust import Huber
-from torchfra.sensors import Bearings, RangeBearing
+from torchfra.sensors import Bearings, Position, RangeBearing
 from torchfra.types import Gaussian
 
 
@@ -73,7 +73,7 @@ def test_the_summary_is_a_table_of_names_values_ranges_and_what_learns(make, cap
     cells = {line[0].strip(): [c.strip() for c in line[1:] if c.strip()] for line in lines}
     assert cells["name"] == ["value", "range", "learning"]
     assert cells["robust.threshold"] == ["1.345, 1.345", "a value above 0", "learnable"]
-    assert cells["motion.q"] == ["0.01", "a value of 0 or more", "learnable"]
+    assert cells["motion.q"] == ["0.1", "a value of 0 or more", "learnable"]
     assert cells["fading.forgetting"] == ["0.95", "a value in [0, 1]", "fixed"]
     assert cells["preference"] == ["0", "a number", "fixed"]
 
@@ -132,7 +132,7 @@ def test_noise_for_each_element_learns_each(scenario):
     f = presets.srckf(scenario.motion, sensor, learn=("std",))
     assert f.sensor.std().shape == (2,)
     z = sensor(scenario.simulate(3, 0).truth) + torch.randn(3, 100, 2).double() * sensor.std()
-    prior = Gaussian(scenario.prior.mean, 100 * torch.eye(6).double())
+    prior = Gaussian(scenario.prior.mean, 100 * torch.eye(4).double())
     torchfra.losses.innovation_nll(f(z, prior)).mean().backward()
     assert (f.sensor.std.raw.grad != 0).all()
 
@@ -142,7 +142,7 @@ def test_noise_for_each_element_learns_each(scenario):
 
 @pytest.mark.parametrize("name", ["fra_srckf", "fra"])
 def test_a_soft_decision_becomes_the_hard_one_as_its_temperature_falls(name, make):
-    scenario = scenarios.bearings_outliers("std")
+    scenario = without_acceleration(scenarios.bearings_outliers("std"))
     tracks = scenario.simulate(8, 3)
     hard, soft = make(name), make(name, temperature=1e-7)
     a, b = estimate(hard, tracks), estimate(soft, tracks)
@@ -171,7 +171,7 @@ def test_only_a_soft_decision_has_a_gradient_in_its_gate_and_preference(make, tr
 
 @pytest.mark.slow
 def test_a_preference_moves_the_decision_to_its_side(make):
-    tracks = scenarios.bearings_outliers("std").simulate(8, 3)
+    tracks = without_acceleration(scenarios.bearings_outliers("std")).simulate(8, 3)
     kept = [estimate(make("fra", preference=p), tracks).info.adaptive.sum().item() for p in (-1e6, -2.0, 0.0, 2.0, 1e6)]
     assert kept == sorted(kept, reverse=True)
     assert kept[0] > kept[2] > kept[4] == 0
@@ -199,7 +199,7 @@ def test_a_temperature_below_zero_is_refused(scenario):
 
 def benign(steps=30):
     """No outliers, a start near the truth: no step sits on an edge."""
-    scenario = scenarios.bearings_outliers("none", initial="truth")
+    scenario = without_acceleration(scenarios.bearings_outliers("none", initial="truth"))
     tracks = scenario.simulate(3, 4)
     return tracks._replace(z=tracks.z[:, :steps], u=tracks.u[:steps], truth=tracks.truth[:, :steps])
 
@@ -243,20 +243,19 @@ def test_gradients_through_thirty_steps_are_those_of_finite_differences(name, op
     ("mr_ckf", {}), ("fra", {}), ("fra", {"temperature": 1.0}),
 ])  # fmt: skip
 def test_a_thousand_tracks_of_outliers_have_gradients_without_a_nan(name, options, make):
-    scenario = scenarios.bearings_outliers("std", truth_noise=0.01)
-    for first in range(0, 1000, 500):
-        tracks = scenario.simulate(500, 77, first=first)
-        tracks = tracks._replace(z=tracks.z[:, :50], u=tracks.u[:50], truth=tracks.truth[:, :50])
-        f = make(name, learn="all", **options)
-        names, shared = zip(*f.named_parameters(), strict=True)
-        own = [p.detach().expand(500).clone().requires_grad_() for p in shared]  # each track its own gradient
-        call = (tracks.z, tracks.prior)
-        e = torch.func.functional_call(f, dict(zip(names, own, strict=True)), call, {"u": tracks.u})
-        loss = torchfra.losses.robust_mse(e.mean, tracks.truth, scenario.position, 100.0)
-        gradients = torch.autograd.grad(loss.sum(), own, allow_unused=True)
-        assert not e.failed.any()
-        for path, gradient in zip(names, gradients, strict=True):
-            assert gradient is None or gradient.isfinite().all(), path
+    scenario = without_acceleration(scenarios.bearings_outliers("std", truth_noise=0.01))
+    tracks = scenario.simulate(1000, 77)
+    tracks = tracks._replace(z=tracks.z[:, :50], u=tracks.u[:50], truth=tracks.truth[:, :50])
+    f = make(name, learn="all", **options)
+    names, shared = zip(*f.named_parameters(), strict=True)
+    own = [p.detach().expand(1000).clone().requires_grad_() for p in shared]  # each track its own gradient
+    call = (tracks.z, tracks.prior)
+    e = torch.func.functional_call(f, dict(zip(names, own, strict=True)), call, {"u": tracks.u})
+    loss = torchfra.losses.robust_mse(e.mean, tracks.truth, scenario.position, 100.0)
+    gradients = torch.autograd.grad(loss.sum(), own, allow_unused=True)
+    assert not e.failed.any()
+    for path, gradient in zip(names, gradients, strict=True):
+        assert gradient is None or gradient.isfinite().all(), path
 
 
 def test_truncated_back_propagation_stops_gradients_and_changes_no_estimate(make, tracks):
@@ -296,15 +295,17 @@ def test_an_ensemble_of_hyperparameters_is_one_call_of_vmap(make, tracks):
 
 
 def test_a_sensor_of_one_std_for_all_may_have_a_batch_of_them(scenario, tracks):
-    f = presets.srckf(ConstantAcceleration(0.01), Bearings(0.02), learn=("std",))
+    f = presets.srckf(ConstantVelocity(0.1), Bearings(0.02), learn=("std",))
     raw = torch.tensor([0.01, 0.02, 0.03, 0.04]).double().log()
     batch = torch.func.functional_call(f, {"sensor.std.raw": raw}, (tracks.z, tracks.prior), {"u": tracks.u})
     for i in range(4):
-        alone = presets.srckf(ConstantAcceleration(0.01), Bearings(0.01 * (i + 1)))
+        alone = presets.srckf(ConstantVelocity(0.1), Bearings(0.01 * (i + 1)))
         prior = Gaussian(tracks.prior.mean[i], tracks.prior.scale_tril)
         torch.testing.assert_close(batch.mean[i], alone(tracks.z[i], prior, u=tracks.u).mean, rtol=1e-7, atol=1e-6)
 
 
-def test_shares_without_states_are_of_position_velocity_and_acceleration(make):
-    assert make("fra", share=(1.0, 0.1, 0.1)).fading.states == (slice(0, 2), slice(2, 4), slice(4, 6))
-    assert make("fra").fading.states == (slice(0, 2),)
+def test_shares_without_states_are_of_position_velocity_and_acceleration():
+    models = ConstantAcceleration(0.01), Position(1.0)
+    every, one = (presets.fra(*models, **share).fading.states for share in ({"share": (1, 0.1, 0.1)}, {}))
+    assert every == (slice(0, 2), slice(2, 4), slice(4, 6))
+    assert one == (slice(0, 2),)

@@ -157,7 +157,7 @@ def test_values_may_have_any_name(scenario, tracks, soon):
 
 def two_batches(tracks):
     """Two by two tracks."""
-    prior = Gaussian(tracks.prior.mean.expand(4, 6).unflatten(0, (2, 2)), tracks.prior.scale_tril)
+    prior = Gaussian(tracks.prior.mean.expand(4, 4).unflatten(0, (2, 2)), tracks.prior.scale_tril)
     return {"z": tracks.z[:, :8].unflatten(0, (2, 2)), "prior": prior, "u": tracks.u[:8]}
 
 

@@ -234,7 +234,7 @@ def test_values_learned_with_another_sensor_fit_where_models_stay_a_cells_own(tm
 
 @pytest.mark.slow
 def test_recorded_ranges_are_cells_of_one_run(tmp_path):
-    rng, time = np.random.default_rng(0), 0.1 * np.arange(60)
+    rng, time = np.random.default_rng(0), 0.1 * np.arange(30)
     path = np.stack([time, 0.2 * time**2], 1)
     anchors = np.array([[-5.0, -5.0], [9.0, -4.0], [2.0, 9.0]])
     for place in ("a", "b"):
@@ -242,7 +242,7 @@ def test_recorded_ranges_are_cells_of_one_run(tmp_path):
         rows = [f"{t:.1f},{x},{y}" for t, (x, y) in zip(time, path, strict=True)]
         (tmp_path / "ranges" / place / "path.csv").write_text("\n".join(["t,x,y", *rows]))
         for i, (x, y) in enumerate(anchors):
-            distance = np.linalg.norm(path - (x, y), axis=1) + 0.1 * rng.standard_normal(60)
+            distance = np.linalg.norm(path - (x, y), axis=1) + 0.1 * rng.standard_normal(30)
             rows = [f"{t:.1f},{r},{x},{y}" for t, r in zip(time, distance, strict=True)]
             (tmp_path / "ranges" / place / f"{i}.csv").write_text("\n".join(["t,range,x,y", *rows]))
     known = cells.all_cells(ranges=[tmp_path / "ranges"])

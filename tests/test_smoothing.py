@@ -193,7 +193,7 @@ def test_fra_smooths_what_it_has_decided_for(scenario, tracks, provisional, plai
         factor = torch.where(info.adaptive, info.fading, 1.0)[b].numpy()
 
         def ahead(mean, P, k, factor=factor):
-            stretched = np.diag([np.sqrt(factor[k])] * 2 + [1.0] * 4) @ F
+            stretched = np.diag([np.sqrt(factor[k])] * 2 + [1.0] * 2) @ F
             return F @ mean, stretched @ P @ stretched.T + SQ @ SQ.T, P @ stretched.T
 
         expected = oracles.smoother(filtered.mean[b].numpy(), filtered.covariance[b].numpy(), ahead)

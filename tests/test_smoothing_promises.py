@@ -132,7 +132,7 @@ def test_values_may_differ_by_track(make, tracks):
     thresholds = torch.tensor([[0.8], [1.5], [3.0]]).double()
     f, together = make("rsrckf"), make("rsrckf", threshold=thresholds)
     smoothed = together.smooth(tracks.z, tracks.prior, u=tracks.u)
-    assert smoothed.mean.shape == (3, 4, 12, 6)
+    assert smoothed.mean.shape == (3, 4, 12, 4)
     for i, threshold in enumerate(thresholds[:, 0]):
         f.robust.threshold.set(threshold)
         close([x[i] for x in smoothed[:2]], f.smooth(tracks.z, tracks.prior, u=tracks.u))

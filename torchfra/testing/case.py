@@ -208,6 +208,14 @@ def gradients(case: Case, dtype: torch.dtype = torch.float64, **options: Any) ->
     return dict(zip(leaves, zeros, strict=True))
 
 
+def own_gradients(case: Case) -> dict[str, Tensor]:
+    """``gradients(case)``; made once."""
+    if "gradients" not in case._kept:
+        case._kept["gradients"] = gradients(case)
+    found: dict[str, Tensor] = case._kept["gradients"]
+    return found
+
+
 def says(estimate: Estimate, prior: Gaussian) -> Tensor:
     """One number to which everything in an estimate contributes, in units of the prior."""
     mean, root, scores = estimate.mean, estimate.scale_tril, estimate.log_likelihood

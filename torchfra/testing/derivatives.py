@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torchfra.testing.case import STEPS, Case, check, gradients, says
+from torchfra.testing.case import STEPS, Case, check, gradients, own_gradients, says
 from torchfra.testing.expectations import LOOSER, expect, expect_finite, expect_same
 from torchfra.types import Gaussian
 
@@ -15,7 +15,7 @@ from torchfra.types import Gaussian
 @check("eager")
 def gradients_are_finite_and_none_comes_from_missing_data(case: Case) -> None:
     """With respect to data, prior and every value; exactly 0 where nothing was measured."""
-    found = gradients(case)
+    found = own_gradients(case)
     expect_finite(found, "gradient")
     missing = found["z"][case.z.isnan()]
     expect(not bool(missing.any()), "gradient of missing elements", 0, missing.abs().max().item())
@@ -24,7 +24,7 @@ def gradients_are_finite_and_none_comes_from_missing_data(case: Case) -> None:
 @check("eager")
 def gradients_are_those_of_small_differences(case: Case) -> None:
     """For each value that learns, and along the gradient of the data; not where a decision flips within them."""
-    found = gradients(case)
+    found = own_gradients(case)
     for name, value in case.filter.named_parameters():
         kept = value.detach().clone()
         along = torch.linspace(1.0, 2.0, value.numel(), dtype=value.dtype).reshape(value.shape)
@@ -72,7 +72,7 @@ def _expect_slope(moved: Callable[[float], Tensor], size: float, slope: Tensor, 
 @check("eager", "compiled")
 def checkpoints_leave_the_gradient_and_truncation_cuts_it(case: Case) -> None:
     """``checkpoint=`` changes no number; with ``truncate=`` the last estimate says nothing of the first steps."""
-    expect_same(gradients(case, checkpoint=2)["z"], gradients(case)["z"], "gradient with checkpoint=2")
+    expect_same(gradients(case, checkpoint=2)["z"], own_gradients(case)["z"], "gradient with checkpoint=2")
     truncated = gradients(case, truncate=STEPS - 1, checkpoint=2)
     expect_finite(truncated, "gradient with truncate")
     z = case.z.clone().requires_grad_()
@@ -90,7 +90,7 @@ def single_precision_has_finite_gradients(case: Case) -> None:
 def compiled_gradients_are_those_of_eager(case: Case) -> None:
     """With respect to data, prior and every value."""
     assert case.eager is not None
-    slow, fast = gradients(case.eager), gradients(case)
+    slow, fast = own_gradients(case.eager), own_gradients(case)
     nothing = 1e-14 * max(float(x.abs().nan_to_num().max()) for x in slow.values() if x.numel())
     for name, gradient in slow.items():
         # What a value that does not matter has is rounding of the others.
