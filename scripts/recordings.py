@@ -1,6 +1,7 @@
 """How far presets are from the truth on recordings for which others have published figures.
 
     python scripts/recordings.py nclt 2012-11-16.csv 2013-04-05.csv --json out/nclt.json --figure out/nclt.png
+    python scripts/recordings.py nclt 2012-11-16.csv --network 2013-02-23.csv --filters gpb
     python scripts/recordings.py uwb LOS/Trajectory_A/Case_1 NLOS/Trajectory_B/Case_3 --filters gpb,rsrckf
     python scripts/recordings.py autoferry scenario2_detections.json.gz --figure out/harbour.png
 
@@ -54,6 +55,8 @@ from torchfra.types import CompileError
 
 KINDS = {"nclt": nclt, "uwb": uwb, "smartloc": smartloc, "autoferry": autoferry}
 DEFAULT = "gpb,rsrckf,srckf"
+NETWORK = "gpb_network"
+"""What ``gpb`` is called with what a network says."""
 WORTHWHILE = 3000
 """Steps of all tracks from which on compiling saves time."""
 
@@ -64,6 +67,9 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("kind", choices=KINDS, help="what the recordings are")
     p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a recording each: a file, of uwb a folder")
     p.add_argument("--filters", metavar="A,B", help=f"presets (default: {DEFAULT}, and what a kind has besides)")
+    p.add_argument("--network", type=Path, metavar="FILE", help="nclt: the day that a network learns from how good "
+                   "positions and wheels are now; gpb has it too, as gpb_network")  # fmt: skip
+    p.add_argument("--seed", type=int, default=0, metavar="S", help="of the network (default: 0)")
     add_compile_option(p, f"for {WORTHWHILE:,} steps or more")
     p.add_argument("--figure", type=Path, metavar="FILE", help="PNG: path and error over time of each recording")
     add_json_option(p)
@@ -91,14 +97,28 @@ def compare(options: argparse.Namespace) -> None:
     if twice := {track.name for track in tracks if sum(other.name == track.name for other in tracks) > 1}:
         raise ValueError(f"files: expected each recording once, received {', '.join(sorted(twice))} several times")
     tell, _ = reporters(options.compile, options.quiet)
+    if options.network is not None and kind is not nclt:
+        raise ValueError(f"network: expected recordings of nclt, received {options.kind}")
     several = kind is autoferry
     compile = not several and choose(options.compile, sum(len(track.z) for track in tracks) >= WORTHWHILE, tell)
     found: dict[str, dict[str, Any]] = {track.name: {} for track in tracks}
+    if options.network is not None:
+        day = kind.read(options.network)
+        f, _ = kind.make("gpb", day)
+        told = nclt.trusting(
+            day,
+            ready(f, "gpb", options) if compile else f,
+            options.seed,
+            lambda steps: progress_bar(steps, "learning", not options.quiet),
+        )
+        names.append(NETWORK)
     for track, name in progress_bar([(t, n) for t in tracks for n in names], "filter", not options.quiet):
         if several:
             found[track.name][name] = autoferry.follow(name, track)
             continue
-        f, prior = kind.make(name, track)
+        if name == NETWORK:
+            track = told(track)
+        f, prior = kind.make("gpb" if name == NETWORK else name, track)
         found[track.name][name] = measured(
             ready(f, name, options) if compile else f, prior, track, kind.METRIC, kind.UNNOTICED
         )

@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 import recordings
 import torch
+from learned import campus
 from recorded_bench import autoferry, nclt, smartloc, uwb
 from recorded_bench.tracks import measured
+
+from torchfra import presets
+from torchfra.motion import Odometry
+from torchfra.sensors import Position
+from torchfra.types import Gaussian
 
 HEADER = "time,gps_x,gps_y,wheel_left,wheel_right,yaw,yaw_rate,truth_x,truth_y,truth_yaw"
 
@@ -97,6 +103,81 @@ def test_a_file_without_a_column_is_refused_by_its_name(tmp_path):
     path.write_text("time,gps_x\n0,1\n1,2\n")
     with pytest.raises(ValueError, match=r"a.csv: expected the columns time, .*received none called gps_y, wheel_left"):
         nclt.read(path)
+
+
+# ---------------------------------------------------------------- a network that says how good its signals are
+
+
+def simulated(seed, steps=240):
+    """A robot that turns slowly; in each second half minute its fixes are off by 30 m, else by 1 m."""
+    rng = torch.Generator().manual_seed(seed)
+    u = torch.stack([torch.ones(steps), torch.linspace(0, 3, steps)], -1).double()
+    truth = torch.stack([u[:, 1].cos(), u[:, 1].sin()], -1).cumsum(0)
+    std = torch.where(torch.arange(steps) // 30 % 2 == 0, 1.0, 30.0).unsqueeze(-1)
+    z = truth + std * torch.randn(steps, 2, generator=rng, dtype=torch.float64)
+    return campus.Day(z, u, truth, Gaussian(torch.zeros(4).double(), torch.eye(4).double() / 10))
+
+
+def error(f, day, **said):
+    """Root mean square error of positions, m."""
+    mean = f(day.z, day.prior, **{"u": day.u} | said).mean[..., :2]
+    return (mean - day.truth).square().sum(-1).mean().sqrt().item()
+
+
+def test_a_network_learns_through_the_filter_when_fixes_are_bad_and_says_it_on_another_day(monkeypatch):
+    for name, value in {"ITERATIONS": 15, "PIECES": 4, "LENGTH": 60, "RATE": 0.03, "MOVED": 0.0}.items():
+        monkeypatch.setattr(campus, name, value)
+    f = presets.srckf(Odometry(0.5, 1e-4, 1e-4), Position(10.0))
+    network, day = campus.learned(simulated(0), f, 10.0, 0.0), simulated(1)
+    with torch.no_grad():
+        std, u = (x[0] for x in network(day.z[None], day.u[None]))
+        assert error(f, day, std=std, u=u) < 0.8 * error(f, day)
+    bad = torch.arange(len(std)) // 30 % 2 == 1
+    assert std[bad].median() > 2 * std[~bad].median()
+
+
+def test_what_a_network_says_of_a_step_needs_no_later_signal():
+    network, day = campus.Quality(10.0, 0.0).eval(), simulated(0, 150)
+    for part in (network.positions, network.wheels):
+        torch.nn.init.normal_(part[-1].weight)
+    later = day.z.clone(), day.u.clone()
+    for x in later:
+        x[120:] += 7.0
+    now, other = (network(z[None], u[None]) for z, u in ((day.z, day.u), later))
+    for a, b in zip(now, other, strict=True):
+        torch.testing.assert_close(a[:, :120], b[:, :120], rtol=0, atol=0)
+        assert not a[:, 120:].equal(b[:, 120:])
+
+
+def test_a_network_that_has_learned_nothing_says_what_it_begins_with():
+    day = simulated(0, 40)
+    day.z[:10] = torch.nan
+    std, u = campus.Quality(10.0, 0.0)(day.z[None], day.u[None])
+    assert std.eq(10.0).all()
+    assert u[0].equal(day.u)
+
+
+def test_the_table_has_gpb_with_what_a_network_has_learned_on_another_day(tmp_path, monkeypatch, capsys):
+    for name, value in {"ITERATIONS": 1, "PIECES": 2}.items():
+        monkeypatch.setattr(campus, name, value)
+    out = tmp_path / "r.json"
+    options = ["--filters", "gpb", "--network", str(day(tmp_path, "2013-02-23")), "--json", str(out)]
+    assert recordings.main(["nclt", str(day(tmp_path)), *options]) == 0
+    assert "gpb_network rmse_axis" in capsys.readouterr().out
+    found = json.loads(out.read_text())["nclt"]["2012-11-16"]
+    assert {*found} == {"gpb", "gpb_network"}
+    assert found["gpb"] != found["gpb_network"]
+
+
+def test_a_network_is_refused_where_it_cannot_learn(tmp_path, capsys):
+    path, without = str(day(tmp_path)), str(day(tmp_path, "2013-02-23", replaced={(4, "truth_x"): ""}))
+    assert recordings.main(["nclt", path, "--filters", "gpb", "--network", without]) == 2
+    assert (
+        "network: expected a day with a truth at 2 steps or more, received 25 steps, 1 without"
+        in capsys.readouterr().err
+    )
+    assert recordings.main(["uwb", str(run_of_ranges(tmp_path)), "--network", path]) == 2
+    assert "network: expected recordings of nclt, received uwb" in capsys.readouterr().err
 
 
 # ---------------------------------------------------------------- pseudoranges to a car

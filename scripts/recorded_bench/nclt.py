@@ -10,11 +10,13 @@ dataset", as prepared by Song et al. (2024).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from learned.campus import Day, learned
 from torch import Tensor
 
 from recorded_bench.files import check_ascending, check_complete, read_columns, steps_between
@@ -62,6 +64,8 @@ OPTIONS: dict[str, dict[str, Any]] = {
 average."""
 OWN_PRESETS = ("imm",)
 """Presets that this kind has besides those that commands list."""
+FIRST = 10.0
+"""Standard deviation of a position that a network begins with, m."""
 WHITE, SLIP = 1.2, 0.1
 """Of ``imm``: the part of a position's error that is white, m, and the density of the position's walk, m^2/s."""
 ERROR, TIME = 4.0, 80.0
@@ -112,6 +116,26 @@ def read(path: Path) -> Track:
         published=PUBLISHED.get(name, {}),
         per_axis=True,
     )
+
+
+def trusting(
+    track: Track, f: Filter, seed: int, progress: Callable[[range], Iterable[int]]
+) -> Callable[[Track], Track]:
+    """From days to the same with what a network says of them; it has learned on one day, through a filter.
+
+    Raises:
+        ValueError: a day without a truth at all of its steps.
+    """
+    assert track.u is not None
+    network = learned(Day(track.z, track.u, track.truth, track.prior), f, FIRST, SCALE, seed, progress)
+
+    def told(day: Track) -> Track:
+        assert day.u is not None
+        with torch.no_grad():
+            std, u = (x.squeeze(0) for x in network(day.z.unsqueeze(0), day.u.unsqueeze(0)))
+        return day._replace(std=std, u=u)
+
+    return told
 
 
 def deviation(yaw: Tensor) -> Tensor:

@@ -35,6 +35,8 @@ class Track(NamedTuple):
     """Errors of others on this track, m, by the method's name."""
     per_axis: bool
     """Whether errors are per axis, as the published ones are: those of the distance by the root of the dimensions."""
+    std: Tensor | None = None
+    """``(T, m)`` standard deviations of the measurements; None for the sensor's."""
     groups: tuple[int, ...] = ()
     """Of each element of a measurement the number of what it has in common with others, such as a clock."""
 
@@ -68,8 +70,8 @@ def measured(
     dims = track.truth.shape[-1]
     states = slice(0, dims)
     with torch.no_grad():
-        estimate = f(track.z, prior, dt=track.dt, u=track.u, past=True)
-        later = f.smooth(track.z, prior, dt=track.dt, u=track.u, estimate=estimate)
+        estimate = f(track.z, prior, dt=track.dt, u=track.u, std=track.std, past=True)
+        later = f.smooth(track.z, prior, dt=track.dt, u=track.u, std=track.std, estimate=estimate)
 
     def errors(of: Estimate) -> tuple[float, float]:
         rmse = metrics.track_rmse(of.mean, track.truth, states) / math.sqrt(dims if track.per_axis else 1)
