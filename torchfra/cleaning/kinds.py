@@ -19,7 +19,7 @@ class Kind(NamedTuple):
     """The same in height, m/s^2."""
     fastest: float
     """Speed up to which a target may be of this kind, m/s; no process noise changes its velocity by more in a step."""
-    lasting: float = 0.4
+    lasting: float = 0.3
     """Probability that errors of its fixes last for 10 to 40 s, as those of reflections do, before a track has said."""
 
 
