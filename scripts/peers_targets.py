@@ -3,6 +3,7 @@
     python scripts/peers_targets.py                                   10 targets, 30 false measurements per scan
     python scripts/peers_targets.py --targets 30 --clutter 100 --runs 3 --json targets.json
     python scripts/peers_targets.py --trackers srckf --birth one --confirmation existence --seed 6 --runs 3
+    python scripts/peers_targets.py --trackers srckf --hull 60 --link 50 --seed 6 --runs 3
     python scripts/peers_targets.py --trackers srckf --hidden 12 --stitch 20 100 --seed 6 --runs 10
 
 Targets fly nearly straight in a square; positions are measured, some are missed, false ones lie anywhere.  All trackers
@@ -18,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import statistics
 import subprocess
@@ -75,6 +77,9 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--hidden", type=int, default=0, metavar="SCANS", help="nobody measures a target for so long, once "
                    "in its life (default: 0)")  # fmt: skip
     p.add_argument("--stitch", type=float, nargs=2, metavar=("SECONDS", "METRES"), help="stitch torchfra's tracks")
+    p.add_argument("--hull", type=float, default=0.0, metavar="METRES", help="a target that is measured has four "
+                   "detections, anywhere along a hull of that length (default: one, at its place)")  # fmt: skip
+    p.add_argument("--link", type=float, metavar="METRES", help="link detections of torchfra's scans up to so far")
     p.add_argument("--trackers", default=",".join((*OURS, *PEERS)), help="out of %(default)s")
     add_json_option(p)
     return p
@@ -91,6 +96,10 @@ def checked(p: argparse.ArgumentParser, arguments: list[str] | None) -> argparse
         p.error(f"--scans: expected 10 or more, received {options.scans}")
     if options.hidden < 0:
         p.error(f"--hidden: expected 0 or more, received {options.hidden}")
+    if not 0 <= options.hull < math.inf:
+        p.error(f"--hull: expected finite metres of 0 or more, received {options.hull}")
+    if options.link is not None and not 0 < options.link < math.inf:
+        p.error(f"--link: expected finite metres above 0, received {options.link}")
     if options.stitch is not None and min(options.stitch) <= 0:
         p.error(f"--stitch: expected numbers above 0, received {options.stitch}")
     return options
@@ -133,6 +142,11 @@ def simulated(options: argparse.Namespace) -> tuple[Tensor, Tensor]:
     if options.hidden:
         since = rng.integers(int(0.4 * steps), int(0.5 * steps), (runs, count, 1))
         own[(step >= since) & (step < since + options.hidden)] = np.nan
+    if options.hull:
+        place = options.hull * (rng.random((runs, 4 * count, steps, 1)) - 0.5)
+        more = STD * rng.standard_normal((runs, 3 * count, steps, 2)) + np.tile(truth[..., :2], (1, 3, 1, 1))
+        more[np.tile(np.isnan(own), (1, 3, 1, 1))] = np.nan
+        own = np.concatenate([own, more], 1) + place * np.array([1.0, 0.0])
     number = rng.poisson(options.clutter, (runs, steps, 1))
     false = rng.uniform(0, SIDE, (runs, steps, number.max(), 2))
     false[np.arange(number.max()) >= number] = np.nan
@@ -148,8 +162,11 @@ def tracker(name: str, options: argparse.Namespace) -> Targets:
         motion = Bank([motion, ConstantVelocity(16 * Q, spectral=True)])
     joint = presets.jpda(motion, sensor, inner=inner, clutter=false, detection=DETECTION, gate=ChiSquare(GATE))
     birth, confirmation = BIRTHS[options.birth], CONFIRMATIONS[options.confirmation]
-    stitching = None if options.stitch is None else Stitching(*options.stitch)
-    return Targets(joint, birth=birth, confirmation=confirmation, deletion=Deletion(5, drop=1e-4), stitching=stitching)
+    return Targets(
+        joint, birth=birth, confirmation=confirmation, deletion=Deletion(5, drop=1e-4),
+        stitching=None if options.stitch is None else Stitching(*options.stitch),
+        linkage=None if options.link is None else {None: options.link},
+    )  # fmt: skip
 
 
 def here(name: str, z: Tensor, options: argparse.Namespace) -> tuple[list[Tensor], list[float]]:

@@ -39,6 +39,19 @@ def test_scans_hold_the_targets_and_as_many_false_measurements_as_are_asked_for(
     assert torch.equal(peers_targets.simulated(options)[1].nan_to_num(), z.nan_to_num())
 
 
+def test_targets_are_hidden_for_as_long_and_have_hulls_as_wide_as_is_asked_for():
+    options = peers_targets.parser().parse_args(["--runs", "10", "--hidden", "12", "--hull", "60"])
+    truth, z = peers_targets.simulated(options)
+    own = z[:, :, :40].transpose(1, 2)  # four of each of ten targets
+    nobody = own.isnan().any(-1).reshape(10, 4, 10, 60).all(1)
+    there = ~truth.isnan().any(-1)
+    assert ((nobody & there).sum(-1) >= 12).all()
+    gap = own - truth[..., :2].repeat(1, 4, 1, 1)
+    along, across = (gap[..., i][~gap[..., i].isnan()].std().item() for i in (0, 1))
+    assert across == pytest.approx(peers_targets.STD, rel=0.03)
+    assert along**2 == pytest.approx(peers_targets.STD**2 + 60**2 / 12, rel=0.05)
+
+
 def test_a_peer_that_is_not_installed_is_named_and_runs_without_torch(tmp_path, monkeypatch, capsys):
     fake = "import sys\nassert 'torch' not in sys.modules\nraise ImportError('no stonesoup here')"
     (tmp_path / "stonesoup.py").write_text(fake)
@@ -58,7 +71,7 @@ def test_stone_soup_follows_the_same_targets(tmp_path):
 
 @pytest.mark.parametrize("argument", [
     ["--targets", "0"], ["--clutter", "0"], ["--runs", "0"], ["--scans", "5"], ["--points", "0"],
-    ["--trackers", "kalman"],
+    ["--trackers", "kalman"], ["--hidden", "-1"], ["--stitch", "0", "50"], ["--hull", "-1"], ["--link", "0"],
 ])  # fmt: skip
 def test_what_makes_no_sense_is_named(argument, capsys):
     with pytest.raises(SystemExit):

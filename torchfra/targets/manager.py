@@ -21,6 +21,7 @@ from torchfra.targets.births import Birth, Newborn, OnePoint
 from torchfra.targets.checks import check_filter, check_parts, check_scan, check_scans
 from torchfra.targets.clusters import Group
 from torchfra.targets.clutter_map import ClutterMap, Mapped
+from torchfra.targets.detections import check_linkage, linked
 from torchfra.targets.late import Passed, kept, put_in
 from torchfra.targets.merging import Merging
 from torchfra.targets.places import known_components, place, to_cartesian
@@ -61,6 +62,9 @@ class Targets(nn.Module):
         views: how far sensors see, by name, None for the filter's own: targets outside that are not measured have not
             been missed, whatever the ``detection`` of the sensor.
         lag: seconds that a scan may come late; the scans of so long, and the states before them, are kept.
+        linkage: of sensors that may measure a target several times in a scan, by name, None for the filter's own:
+            distance in metres up to which detections are linked, directly or through others, to one measurement, their
+            mean, whose noise grows by how far they are spread.
         stitching: when a target has the identity of one that was lost before; None for never.
         clutter_map: learns where false measurements come again and again, each sensor's on its own that measures every
             direction of space; None for density that stays uniform.  It needs clutter of a Poisson rate.
@@ -78,7 +82,7 @@ class Targets(nn.Module):
         deletion: Deletion | None = None, merging: Merging | None = None, free: float = 0.5,
         sensors: Mapping[str, JPDA] | None = None,
         views: Mapping[str | None, FieldOfView] | None = None, clutter_map: ClutterMap | None = None,
-        lag: float = 0.0, stitching: Stitching | None = None,
+        lag: float = 0.0, stitching: Stitching | None = None, linkage: Mapping[str | None, float] | None = None,
     ) -> None:  # fmt: skip
         super().__init__()
         check_filter(filter)
@@ -97,6 +101,7 @@ class Targets(nn.Module):
         self.stitching = stitching
         more = _of_sensors(self.filter, sensors)
         self.sensors, self.views = nn.ModuleDict(more), check_views(views, list(more), self.filter.motion.dims)
+        self.linkage = check_linkage(linkage, self.filter, more)
         rates = [f.clutter.rate for f in (self.filter, *more.values())]
         if (self.confirmation.scored or getattr(self.deletion, "drop", None) is not None) and None in rates:
             expected = "clutter of a Poisson rate for scores, as of Clutter(..., rate=), or MOfN and no drop"
@@ -238,6 +243,8 @@ class Targets(nn.Module):
         """The next state, of a scan by the sensor of this name."""
         scene, number = state.track.scene, 0 if sensor is None else 1 + list(self.sensors).index(sensor)
         filter = self._of(sensor)
+        if sensor in self.linkage:
+            scan = linked(filter.sensor, scan, self.linkage[sensor])
         score = self.confirmation.predicted(state.track.score, scan.dt[scene])
         state, exists = state._replace(track=state.track._replace(score=score)), self.confirmation.exists(score)
         after, log_missed, density, association, groups = filter_scan(filter, state.filter, scene, scan, exists)

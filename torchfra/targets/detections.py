@@ -1,0 +1,89 @@
+"""Several detections of one target in one scan, as of a hull by lidar, made one measurement."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchfra.filters.scans.jpda import JPDA
+from torchfra.linalg.triangular import tria
+from torchfra.numbers import as_number
+from torchfra.sensors.base import Sensor
+from torchfra.targets.assignment import scipy
+from torchfra.targets.scan import SceneScan
+
+
+def linked(sensor: Sensor, scan: SceneScan, metres: float) -> SceneScan:
+    """The scan with one measurement in the place of all that are linked: single linkage.
+
+    A measurement is the mean of its detections, where the first of them was; its noise has the moments of their
+    mixture: the mean of their covariances, and how far they are spread, since the target's centre may be anywhere among
+    them.  Without correlations in the sensor's noise it has none.
+
+    Args:
+        sensor: one that ``locates``.
+        scan: of it; detections with a missing element stay as they are.
+        metres: distance up to which two detections of a scene are linked.
+
+    Raises:
+        ImportError: scipy is not installed.
+    """
+    scene, j = (~scan.z.isnan().any(-1)).nonzero().unbind(-1)
+    z = scan.z[scene, j]
+    if not len(z):
+        return scan
+    members = _components(sensor.locate(z), scene, metres)
+    there, first = members >= 0, members[:, 0]
+    share = there.to(z) / there.sum(-1, keepdim=True)
+    gap = sensor.difference(z[members], z[first].unsqueeze(1))
+    mean = (share.unsqueeze(-1) * gap).sum(1)
+    own = (None if x is None else x[scene, j] for x in (scan.std, scan.noise))
+    unit = sensor.measurement_noise(z, *own).colour(torch.eye(sensor.size, dtype=z.dtype, device=z.device))
+    each = torch.cat([unit.expand(len(z), -1, -1)[members], (gap - mean.unsqueeze(1)).unsqueeze(-1)], -1)
+    columns = share.sqrt()[..., None, None] * each  # (C, K, m, m + 1)
+    root = tria(columns.movedim(1, 2).flatten(2))
+    place = scene[first], j[first]
+    centres = scan.z.index_put((scene, j), z.new_tensor(torch.nan)).index_put(place, z[first] + mean)
+    if scan.noise is None and sensor.std is not None:
+        std = scan.z.new_ones(scan.z.shape) if scan.std is None else scan.std
+        plain = sensor.std.elements().expand_as(std) if scan.std is None else std
+        return scan._replace(z=centres, std=plain.to(std).index_put(place, root.norm(dim=-1)))
+    whole = sensor.measurement_noise(scan.z, scan.std, scan.noise).colour(torch.eye(sensor.size).to(z))
+    return scan._replace(z=centres, std=None, noise=whole.expand(*scan.z.shape, sensor.size).index_put(place, root))
+
+
+def check_linkage(
+    linkage: Mapping[str | None, float] | None, own: JPDA, others: Mapping[str, JPDA]
+) -> dict[str | None, float]:
+    """Metres by the name of the sensor, None for the filter's own.
+
+    Raises:
+        ValueError: one of no sensor, or of one that does not locate, or no metres.
+    """
+    filters: dict[str | None, JPDA] = {None: own}
+    filters.update(others)
+    for name, metres in (linkage or {}).items():
+        if name not in filters:
+            expected = ", ".join(str(known) for known in filters)
+            raise ValueError(f"linkage: expected sensors out of {expected}, received {name!r}")
+        if not filters[name].sensor.locates:
+            received = filters[name].sensor.describe()
+            raise ValueError(f"linkage: expected a sensor that measures where a target is, received {received}")
+        if not 0 < as_number(metres) < math.inf:
+            raise ValueError(f"linkage: expected finite metres above 0 of {name!r}, received {metres}")
+    return dict(linkage or {})
+
+
+def _components(x: Tensor, scene: Tensor, metres: float) -> Tensor:
+    """Numbers ``(C, K)`` of the detections ``x (L, dims)`` of each measurement, the first one first; -1 for none."""
+    near = torch.cdist(x, x, compute_mode="donot_use_mm_for_euclid_dist") <= metres
+    near &= scene[:, None] == scene
+    label = scipy("sparse.csgraph").connected_components(near.numpy(force=True), directed=False)[1]
+    order, size = np.argsort(label, kind="stable"), np.bincount(label)
+    members = np.full((len(size), size.max()), -1)
+    members[label[order], np.arange(len(order)) - (size.cumsum() - size)[label[order]]] = order
+    return torch.from_numpy(members).to(scene)
