@@ -95,7 +95,7 @@ def test_one_that_was_lost_is_found_once():
 def test_a_target_that_is_measured_still_gives_its_identity_to_nobody():
     z = torch.cat([scans(ONE, hidden=()), scans((0.0, 12.0, 5.0, 0.0), seed=1)], 1)
     z[:18, 1] = math.nan
-    states = run(manager(Stitching(100.0, 100.0)), z)
+    states = run(manager(Stitching(100.0, 100.0, probability=1 - 1e-12)), z)
     first = dict(zip(states[-1].identity.tolist(), states[-1].confirmed.mean[:, 1].tolist(), strict=True))
     assert len(first) == 2
     assert first[0] == pytest.approx(0.0, abs=4.0)
