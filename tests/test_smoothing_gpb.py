@@ -6,6 +6,7 @@ import numpy as np
 import oracles
 import pytest
 import torch
+from test_gpb import measured
 from test_gpb_promises import FILTERS, PRIOR, STEPS
 from test_smoothing_models import START, models
 
@@ -137,7 +138,7 @@ def test_batches_vmap_lags_and_reruns_give_the_same():
 
 
 def test_the_filter_says_the_same_whether_it_will_go_back_or_not():
-    f, z = FILTERS["bank"]()
+    f, z = FILTERS["bank of ranges"]()
     torch.testing.assert_close(f.smooth(z, PRIOR).info.filtered, f(z, PRIOR), rtol=0, atol=0)
 
 
@@ -152,7 +153,7 @@ def test_a_compiled_filter_of_one_motion_smooths_as_one_that_is_not():
 
 
 def test_values_may_differ_by_track():
-    jumps, z = torch.tensor([[[10.0]], [[1000.0]]]).double(), FILTERS["bank"]()[1]
+    jumps, z = torch.tensor([[[10.0]], [[1000.0]]]).double(), measured("position", 3)
     make = partial(presets.gpb, ConstantAcceleration(0.1), Position(STD))
     together = make(jump_factors=jumps).smooth(z, Gaussian(PRIOR.mean.expand(2, 3, 6), PRIOR.scale_tril))
     assert together.mean.shape == (2, 3, STEPS, 6)
@@ -163,7 +164,7 @@ def test_values_may_differ_by_track():
 
 def test_gradients_are_exact():
     f = presets.gpb(ConstantAcceleration(0.1), Position(STD), learn=("noise_levels", "self_transition"))
-    z = FILTERS["bank"]()[1][:1, :4]
+    z = measured("position", 3)[:1, :4]
 
     def smooth(z, mean):
         smoothed = f.smooth(z, Gaussian(mean, PRIOR.scale_tril))

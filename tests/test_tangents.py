@@ -37,7 +37,7 @@ def test_derivatives_forwards_are_those_backwards(filter_name, options, make, tr
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("filter_name", "options"), [("srckf", {"learn": ("q",)}), ("fra", SOFT)])
+@pytest.mark.parametrize(("filter_name", "options"), [("srckf", {"learn": ("q",)})])
 def test_without_kernels_they_are_the_same(filter_name, options, make, tracks):
     f = make(filter_name, **options)
     for slow, fast in zip(*(along(g, "motion.q.raw", tracks) for g in (f, copy.deepcopy(f).compile())), strict=True):
