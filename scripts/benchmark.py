@@ -3,6 +3,7 @@
     python scripts/benchmark.py                                    filters, eager and compiled
     python scripts/benchmark.py --peers --filters srckf,fra        and JAX, dynamax, FilterPy, C++ in the same passes
     python scripts/benchmark.py --what step,training               one measurement at a time; forward and backward
+    python scripts/benchmark.py --what layer --peers               a network in front learns; the same in JAX
     python scripts/benchmark.py --what scaling --figure scaling.png
     python scripts/benchmark.py --what cores --filters srckf       on one thread, on two, in two processes
     python scripts/benchmark.py --what positions                   the alpha-beta bank on 100,000 tracks in space
@@ -25,6 +26,7 @@ from pathlib import Path
 
 import torch
 from benchmarks.cores import cores
+from benchmarks.layer import layer
 from benchmarks.positions import positions
 from benchmarks.roof import FILTERS, PRECISIONS, roof
 from benchmarks.scaling import draw, scaling
@@ -44,6 +46,7 @@ KINDS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
     "tracks": tracks,
     "step": step,
     "training": training,
+    "layer": layer,
     "scaling": scaling,
     "positions": positions,
     "cores": cores,
@@ -75,7 +78,9 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     p = make_parser(__doc__)
     p.add_argument("--what", default="tracks", help=f"out of {', '.join(KINDS)} (default: tracks)")
-    p.add_argument("--batch", help="tracks at once (default: 1,1000,10000; 64 for training, 100000 for positions)")
+    p.add_argument(
+        "--batch", help="tracks at once (default: 1,1000,10000; 64 for training and layer, 100000 for positions)"
+    )
     p.add_argument("--filters", default=FILTERS, help=f"out of {', '.join(track_filters())}")
     p.add_argument("--modes", default="compiled,eager", help="compiled, eager or both (default)")
     p.add_argument("--device", default="cpu", help="cpu (default) or cuda, for tracks and positions")
@@ -98,7 +103,7 @@ def benchmark(options: argparse.Namespace) -> None:
     print(f"torch {torch.__version__}, {threads} threads, {platform.machine()}, {device}")
     rows: list[Row] = []
     for kind in options.what.split(","):
-        with torch.set_grad_enabled(kind == "training"):
+        with torch.set_grad_enabled(kind in ("training", "layer")):
             done = KINDS[kind](options)
         print(f"\n{kind}, microseconds per track and step:\n{table(done)}", flush=True)
         if kind == "scaling" and options.figure is not None:

@@ -105,7 +105,7 @@ def compare(options: argparse.Namespace) -> None:
     if options.network is not None:
         day = kind.read(options.network)
         f, _ = kind.make("gpb", day)
-        told = nclt.trusting(
+        with_quality = nclt.learned_quality(
             day,
             ready(f, "gpb", options) if compile else f,
             options.seed,
@@ -117,7 +117,7 @@ def compare(options: argparse.Namespace) -> None:
             found[track.name][name] = autoferry.follow(name, track)
             continue
         if name == NETWORK:
-            track = told(track)
+            track = with_quality(track)
         f, prior = kind.make("gpb" if name == NETWORK else name, track)
         found[track.name][name] = measured(
             ready(f, name, options) if compile else f, prior, track, kind.METRIC, kind.UNNOTICED

@@ -84,6 +84,7 @@ SMALL_TRAINING = ["iterations=1", "batch=2", "validation_runs=2", "test_runs=2",
 HELP_ONLY = {
     "scripts/examples/": "run by test_examples.py",
     "scripts/export.py": "compiles a program for each filter: run by test_export.py",
+    "scripts/benchmark.py --what layer": "compiles a filter with gradients: run by test_scripts.py",
     "scripts/benchmark.py --what training": "compiles four filters with gradients: run by test_scripts.py",
     "scripts/benchmark.py --what roof": "compiles every filter: run by test_scripts.py",
     "scripts/recordings.py": "reads recordings that are not part of the project: run by test_recordings_script.py",

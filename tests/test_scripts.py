@@ -233,6 +233,19 @@ def test_the_benchmark_of_training_says_time_and_peak_memory(tmp_path):
     assert (fast["peak_mib"] is None) == (plain["peak_mib"] is None)
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("short_tracks")
+def test_the_benchmark_of_a_layer_has_filters_and_network_beside_the_compiled_one(tmp_path):
+    arguments = ["--what", "layer", "--batch", "4", "--passes", "1", "--json", str(tmp_path / "b.json")]
+    assert benchmark.main(arguments) == 0
+    rows = {row["system"]: row for row in json.loads((tmp_path / "b.json").read_text())["rows"]}
+    fast, eager, extended = (rows[name] for name in ("srckf, compiled", "srckf, eager", "EKF, eager, as torchfilter's"))
+    assert fast["ratio"] == 1.0
+    assert fast["error"] == pytest.approx(eager["error"], rel=1e-6)
+    assert fast["error"] == pytest.approx(extended["error"], rel=0.2)
+    assert "KalmanNet, small" in rows
+
+
 def test_plain_qr_is_the_same_filter(make, tracks):
     """The baseline of the benchmark computes what it is compared with."""
     f = make("srckf", learn="all")

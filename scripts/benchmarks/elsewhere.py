@@ -11,13 +11,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from torchfra.scenarios import Scenario, Tracks
 
@@ -25,6 +26,8 @@ WORKER = Path(__file__).parent.parent / "peers.py"
 LIMIT = Path(__file__).parent.parent / "limit.cpp"
 PEERS = {"jax": "JAX, hand-written SRCKF", "dynamax": "dynamax UKF", "filterpy": "FilterPy UKF"}
 """Names of ``peers.py``, and what rows call them."""
+LEARNERS = ("jax", "dynamax")
+"""Those that learn."""
 SIMD = "hand-written SIMD C++ SRCKF"
 LANES = 8
 """Tracks side by side in ``limit.cpp``."""
@@ -86,25 +89,47 @@ class Peer:
 def start_peers(scenario: Scenario, tracks: Tracks) -> Iterator[dict[str, Peer]]:
     """The peers that are installed, on these tracks, by the name in the rows; says which are missing."""
     batch = len(tracks.z)
-    python = os.environ.get("TORCHFRA_PEERS_PYTHON", sys.executable)
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         job = Path(folder) / "job.npz"
         np.savez(job, **job_arrays(scenario, tracks))
         peers: dict[str, Peer] = {}
-        for name, label in PEERS.items():
+        for name in PEERS:
             if name == "filterpy" and batch > 1:  # one track after the other: the time per track stays the same
                 continue
             means = Path(folder) / f"{name}.npy"
-            try:
-                peers[label] = Peer([python, str(WORKER), name, str(job), "--means", str(means)], means)
-                stack.callback(peers[label].close)
-            except ImportError as missing:
-                print(f"{label}: not installed ({missing}): pip install 'torchfra[bench]'")
+            start(peers, stack, name, [str(job), "--means", str(means)], means)
         program = build_limit(Path(folder)) if batch >= LANES else None
         if program is not None:
             peers[SIMD] = Peer([str(program), str(batch)])
             stack.callback(peers[SIMD].close)
         yield peers
+
+
+@contextmanager
+def start_learners(
+    scenario: Scenario, tracks: Tracks, features: Tensor, rate: float, weights: Sequence[np.ndarray]
+) -> Iterator[dict[str, Peer]]:
+    """Peers that learn a network in front of their filter: see ``benchmarks.layer``."""
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        job = Path(folder) / "job.npz"
+        peers: dict[str, Peer] = {}
+        given = {f"weight{i}": weight for i, weight in enumerate(weights)}
+        arrays = {"features": features.numpy(), "truth": tracks.truth.numpy(), "rate": np.array(rate), **given}
+        np.savez(job, **job_arrays(scenario, tracks), **arrays)
+        for name in LEARNERS:
+            start(peers, stack, name, [str(job)])
+        yield peers
+
+
+def start(peers: dict[str, Peer], stack: ExitStack, name: str, arguments: list[str], saved: Path | None = None) -> None:
+    """Adds a peer, which ends with the stack; says if it is not installed."""
+    python, label = os.environ.get("TORCHFRA_PEERS_PYTHON", sys.executable), PEERS[name]
+    try:
+        peers[label] = Peer([python, str(WORKER), name, *arguments], saved)
+    except ImportError as missing:
+        print(f"{label}: not installed ({missing}): pip install 'torchfra[bench]'")
+    else:
+        stack.callback(peers[label].close)
 
 
 def job_arrays(scenario: Scenario, tracks: Tracks) -> dict[str, np.ndarray]:

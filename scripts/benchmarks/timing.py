@@ -15,6 +15,7 @@ from torchfra.tables import text_table
 Row = dict[str, Any]
 _MEASURED = {
     "median": ("median us", ".3f"), "q1": ("q1 us", ".3f"), "q3": ("q3 us", ".3f"),
+    "ratio": ("ratio", ".2f"), "ratio_q1": ("q1", ".2f"), "ratio_q3": ("q3", ".2f"), "error": ("error", ".6g"),
     "first_call_s": ("first call s", ".1f"), "peak_mib": ("peak MiB", ".0f"),
 }  # fmt: skip
 """Keys of rows that are not labels: their titles and formats in a table."""
@@ -64,17 +65,21 @@ class Here:
         return one_pass(self, self.seconds)
 
 
-def timed(systems: Mapping[str, System], passes: int, count: int, **labels: Any) -> list[Row]:
+def timed(
+    systems: Mapping[str, System], passes: int, count: int, beside: str | None = None, **labels: Any
+) -> list[Row]:
     """Rows of the systems, with one pass of each in turn, so that a machine whose speed drifts treats all alike.
 
     Args:
         systems: by name.
         passes: how many of each.
         count: track steps in a call.
+        beside: system by whose time in the same pass those of all are divided too.
         labels: keys and values that every row has.
 
     Returns:
-        ``system``, the labels, ``median``, ``q1`` and ``q3`` in microseconds per track and step, ``first_call_s``.
+        ``system``, the labels, ``median``, ``q1`` and ``q3`` in microseconds per track and step, ``first_call_s``;
+        ``ratio``, ``ratio_q1`` and ``ratio_q3`` beside one.
     """
     first = {name: system.first_call() for name, system in systems.items()}
     seconds: dict[str, list[float]] = {name: [] for name in systems}
@@ -85,6 +90,9 @@ def timed(systems: Mapping[str, System], passes: int, count: int, **labels: Any)
     for name, values in seconds.items():
         q1, median, q3 = (float(x) for x in np.percentile(values, [25, 50, 75]) / count * 1e6)
         rows.append({"system": name, **labels, "median": median, "q1": q1, "q3": q3, "first_call_s": first[name]})
+        if beside is not None:
+            ratios = np.percentile(np.divide(values, seconds[beside]), [50, 25, 75])
+            rows[-1] |= dict(zip(("ratio", "ratio_q1", "ratio_q3"), map(float, ratios), strict=True))
     return rows
 
 

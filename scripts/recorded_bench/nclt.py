@@ -118,7 +118,7 @@ def read(path: Path) -> Track:
     )
 
 
-def trusting(
+def learned_quality(
     track: Track, f: Filter, seed: int, progress: Callable[[range], Iterable[int]]
 ) -> Callable[[Track], Track]:
     """From days to the same with what a network says of them; it has learned on one day, through a filter.
@@ -129,13 +129,13 @@ def trusting(
     assert track.u is not None
     network = learned(Day(track.z, track.u, track.truth, track.prior), f, FIRST, SCALE, seed, progress)
 
-    def told(day: Track) -> Track:
+    def with_quality(day: Track) -> Track:
         assert day.u is not None
         with torch.no_grad():
             std, u = (x.squeeze(0) for x in network(day.z.unsqueeze(0), day.u.unsqueeze(0)))
         return day._replace(std=std, u=u)
 
-    return told
+    return with_quality
 
 
 def deviation(yaw: Tensor) -> Tensor:
