@@ -19,6 +19,10 @@ from torchfra.types import Gaussian
 
 gc.disable()  # while modules are imported and tests are collected, of which nothing is garbage
 
+OPTIMISED = {"test_battery", "test_compile", "test_divisions", "test_every_filter_compiles", "test_generated_source",
+             "test_processors", "test_regions"}  # fmt: skip
+"""Tests whose kernels are those that users have; in others LLVM does not optimise them, which is twice as fast."""
+LEVEL = jit._LEVEL
 PRESETS = ["ekf", "ukf", "srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "iaukf", "fra_srckf", "fra", "gpb"]
 STEPS = 12
 
@@ -140,17 +144,21 @@ def no_compiler(monkeypatch):
         function.cache_clear()
 
 
+@pytest.fixture(scope="module", autouse=True)
+def optimised(request):
+    """Whether LLVM optimises kernels: see ``OPTIMISED``."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(jit, "_LEVEL", LEVEL if request.module.__name__ in OPTIMISED else 0)
+        yield
+
+
 @pytest.fixture(scope="session", autouse=True)
 def compiled_once(tmp_path_factory):
-    """Kernels of this session alone, and bytecode for its processes where Python is told to write none.
-
-    LLVM does not optimise kernels, which takes it less than half the time; in test_battery.py it does.
-    """
+    """Kernels of this session alone, and bytecode for its processes where Python is told to write none."""
     folder = tmp_path_factory.getbasetemp()  # of one worker, where there are several
     folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TORCHFRA_CACHE", str(folder / "kernels"))
-        patch.setattr(jit, "_LEVEL", 0)
         if os.environ.get("PYTHONDONTWRITEBYTECODE"):
             patch.delenv("PYTHONDONTWRITEBYTECODE")
             patch.setenv("PYTHONPYCACHEPREFIX", str(folder / "bytecode"))

@@ -8,7 +8,6 @@ from short_tracks import SMALL_GPB
 
 from torchfra import presets
 from torchfra.catalogue import FILTERS
-from torchfra.compiler import jit
 from torchfra.filters import SRCKF
 from torchfra.motion import Bank, ConstantVelocity
 from torchfra.sensors import Position, Sensor
@@ -21,15 +20,6 @@ COMPILED = ("gpb", "mr_ckf", "hghckf2", "iaukf", "fra", "imm_srckf", "alphabeta"
 HOLDS = "where_its_models_hold_it_is_no_worse_than_a_kalman_filter"
 ROBUST = ("fra", "fra_srckf", "rsrckf", "asrckf", "rmckf", "hghckf2", "hghckf", "alphabeta")
 """Filters that are worse than a Kalman filter where its models hold, for what they gain elsewhere."""
-
-
-LEVEL = jit._LEVEL
-
-
-@pytest.fixture(autouse=True)
-def optimised(monkeypatch):
-    """Kernels are those that users have: see ``compiled_once``."""
-    monkeypatch.setattr(jit, "_LEVEL", LEVEL)
 
 
 def preset(name, scenario, crossing, **options):
