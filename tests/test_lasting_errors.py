@@ -36,7 +36,10 @@ def test_bands_hold_the_truth_where_errors_last():
     assert 0.55 < held([voyage(seed, 6.0, 20.0) for seed in range(3)]) < 0.8
 
 
-SEEN, ASSUMED = "Errors that last: those of neighbouring fixes are alike over about ", "Errors that last: hardly told "
+SEEN, ASSUMED = (
+    "Errors that last: those of neighbouring fixes are alike over about ",
+    "Errors that last cannot be told ",
+)
 
 
 def said(recording, **settings):
@@ -70,6 +73,18 @@ def test_errors_that_last_are_said_with_a_bank_of_ones_own_too():
 def test_white_noise_is_not_seen_as_errors_that_last():
     several = [voyage(seed, std)[0] for seed in range(5) for std in (1.0, 6.0)]
     assert not any(SEEN in line for one in clean_tracks(several) for line in one.found.said)
+
+
+def test_a_stated_deviation_that_is_twice_the_noise_is_not_seen_as_errors_that_last():
+    several = [voyage(seed, 3.0)[0] for seed in range(3)]
+    assert not any(SEEN in line for one in clean_tracks(several, sigma=6.0) for line in one.found.said)
+
+
+def test_fixes_that_are_good_to_a_millimetre_have_bands():
+    recording, _ = voyage(0, 6.0, count=200)
+    (one,) = clean_tracks([replace(recording, position=recording.position / 6000)], sigma=0.001)
+    assert np.isfinite(one.std).all()
+    assert np.median(one.std) < 0.01
 
 
 def test_errors_of_a_target_that_turns_all_the_time_are_assumed_and_less_so_in_the_air():

@@ -284,6 +284,47 @@ def test_parts_of_other_settings_or_data_are_refused(data, whole, tmp_path, caps
     assert "files nothing more, received d.parquet [100, " in refused(capsys, more, whole)
 
 
+def test_a_file_of_as_many_rows_and_bytes_that_says_something_else_is_refused(data, tmp_path, capsys):
+    other = shutil.copytree(data, tmp_path / "other")
+    table, path = parquet.read_table(other / "a.parquet"), other / "a.parquet"
+
+    def write(value):  # one value again and again takes as many bytes, whatever it is
+        at = table.schema.get_field_index("geoaltitude")
+        parquet.write_table(table.set_column(at, "geoaltitude", pyarrow.array([value] * len(table))), path)
+        return path.stat().st_size
+
+    size = write(9000.0)
+    assert clean(other, tmp_path / "out") == 0
+    assert write(9001.0) == size
+    assert "files a.parquet" in refused(capsys, other, tmp_path / "out")
+
+
+def test_types_that_differ_between_files_are_those_that_hold_all(data, tmp_path):
+    other = shutil.copytree(data, tmp_path / "other")
+    table = parquet.read_table(other / "a.parquet")
+    for name, kind in (("lat", "float32"), ("lon", "float32")):
+        at = table.schema.get_field_index(name)
+        table = table.set_column(at, name, table.column(at).cast(kind, safe=False))
+    parquet.write_table(table, other / "a.parquet")
+    assert open_data(other).schema.field("lat").type == "double"
+
+
+def test_ids_that_are_numbers_here_and_text_there_are_refused(data, tmp_path, capsys):
+    other = shutil.copytree(data, tmp_path / "other")
+    table = parquet.read_table(other / "a.parquet")
+    at = table.schema.get_field_index("icao24")
+    parquet.write_table(table.set_column(at, "icao24", pyarrow.array([1] * len(table))), other / "a.parquet")
+    assert "expected columns of one type in all files, received others" in refused(capsys, other, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_each_process_says_what_is_wrong_with_it(data, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("RANK", "1")
+    assert "expected 1 or more" in refused(capsys, data, tmp_path / "out", rows="0")
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    assert "expected 1 or more" in refused(capsys, data, tmp_path / "out", rows="0")
+
+
 def test_a_folder_with_other_files_is_refused(data, tmp_path, capsys):
     (tmp_path / "out").mkdir()
     (tmp_path / "out/mine.txt").write_text("")

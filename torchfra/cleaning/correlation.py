@@ -27,9 +27,9 @@ _SECONDS = {10.0: 1.0, 20.0: 2.0, 40.0: 4.0}
 _SIZES = {0.5: 1.0, 0.7: 1.0, 1.0: 1.0, 1.5: 0.5, 2.5: 0.2, 4.0: 0.1, 6.0: 0.05}
 """Their standard deviation over the one that was found, and how likely each is."""
 _WHITE = (1.0, 0.9, 0.75, 0.5, 0.2)
-"""Standard deviations of the white noise beside them, over the one that was found; the last two only beside them."""
+"""Standard deviations of the white noise, alone or beside them, over the one that was found."""
 _CALM = (1.0, 1 / 4, 1 / 16, 1 / 64)
-"""What is left of the process noise where a target goes straight on: what was found includes the errors."""
+"""Factors on the process noise where a target goes straight on: that which was found includes the errors."""
 _STRAIGHT = 3.0
 """Times the median process noise below which a target goes straight on."""
 _STEPS, _ROWS = 256, 4
@@ -41,7 +41,7 @@ _SEEN = 1.1
 _SEEN_AS = 0.9
 """Probability from which on errors that last are seen, and not assumed."""
 _ANYWHERE, _ANY_SPEED = 1e10, 1e5
-"""Variances of position and velocity before the first fix, m^2 and m^2/s^2."""
+"""Variances of position and velocity before the first fix, in units of a fix and seconds."""
 
 
 class Lasting(NamedTuple):
@@ -69,7 +69,7 @@ class _Hypotheses(NamedTuple):
 
 
 def _hypotheses() -> _Hypotheses:
-    without = [(0.0, 1.0, white, calm, 1.0, 1.0) for white, calm in product(_WHITE[:-2], _CALM)]
+    without = [(0.0, 1.0, white, calm, 1.0, 1.0) for white, calm in product(_WHITE, _CALM)]
     lasting = [
         (size, seconds, white, calm, likely, often)
         for (size, likely), (seconds, often), white, calm in product(_SIZES.items(), _SECONDS.items(), _WHITE, _CALM)
@@ -122,7 +122,7 @@ def _parts_of(seen: NDArray[np.intp]) -> list[NDArray[np.intp]]:
 def _fits(
     tracks: Sequence[Steps], answers: Sequence[Answer], rows: Sequence[tuple[int, NDArray[np.intp]]], tried: _Hypotheses
 ) -> Tensor:
-    """Log likelihoods ``(B, H)`` of rows."""
+    """Log likelihoods ``(B, H)`` of rows, whose fixes are in units of their usual standard deviation."""
     z, gap, std = padded([tracks[i].at(at) for i, at in rows])
     q = torch.ones_like(gap)
     for b, (i, at) in enumerate(rows):
@@ -131,11 +131,11 @@ def _fits(
     straight = q < _STRAIGHT * torch.stack([q[b, : len(at)].median() for b, (_, at) in enumerate(rows)]).unsqueeze(1)
     variance = (std[..., 0] * torch.tensor([answers[i].sigma for i, _ in rows], dtype=z.dtype).unsqueeze(1)).square()
     usual = torch.tensor([_usual(tracks[i], at, answers[i]) for i, at in rows], dtype=z.dtype)
-    density = torch.where(straight.unsqueeze(-1), tried.calm, 1.0) * q.unsqueeze(-1)
+    density = torch.where(straight.unsqueeze(-1), tried.calm, 1.0) * (q / usual.square().unsqueeze(1)).unsqueeze(-1)
     return log_likelihood(
-        z[..., :2].permute(1, 2, 0).unsqueeze(-1), gap.T.unsqueeze(-1),
-        variance.T.unsqueeze(-1) * tried.white.square(), density.movedim(1, 0),
-        (usual.unsqueeze(-1) * tried.size).square(), tried.seconds,
+        (z[..., :2].permute(1, 2, 0) / usual).unsqueeze(-1), gap.T.unsqueeze(-1),
+        (variance.T / usual.square()).unsqueeze(-1) * tried.white.square(), density.movedim(1, 0),
+        tried.size.square(), tried.seconds,
     )  # fmt: skip
 
 
@@ -150,7 +150,7 @@ def log_likelihood(z: Tensor, gap: Tensor, variance: Tensor, q: Tensor, lasting:
     The axes are alike and independent, and the first two fixes, which tell where and how fast, do not count.
 
     Args:
-        z: ``(T, d, ...)`` m; NaN where there is none.
+        z: ``(T, d, ...)`` in any unit of length, m say; NaN where there is none.
         gap: ``(T, ...)`` seconds since the step before.
         variance: ``(T, ...)`` of the white noise, m^2.
         q: ``(T, ...)`` density of the process noise up to each step, m^2/s^3.
@@ -220,7 +220,7 @@ def _said(errors: Lasting) -> tuple[str]:
             "standard deviations are larger for that",
         )
     return (
-        f"Errors that last: hardly told from motion here; standard deviations assume {std} over about {seconds} "
+        f"Errors that last cannot be told from motion here; standard deviations assume {std} over about {seconds} "
         f"with a probability of {100 * likely:.0f} %",
     )
 

@@ -77,7 +77,7 @@ class Work:
     def _plan(self) -> dict[str, Any]:
         reader = self.data.reader
         reading = {name: said for name, said in asdict(reader.told).items() if said is not None}
-        files = {name: [rows, size] for _, name, rows, size in self.data.files}
+        files = {file.name: [file.rows, file.bytes, file.footer] for file in self.data.files}
         return {
             "version": __version__, "rows": self.rows, **self.settings, "reading": reading,
             "columns": reader.layout.source.columns, "files": files,

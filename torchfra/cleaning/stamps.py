@@ -30,6 +30,8 @@ _CUT = 0.2, 0.45
 """Standard deviations of stamps, s, between which they may be cut to whole seconds: even errors of 1 s have 0.29."""
 _HIDDEN = 0.4
 """Seconds of the way that noise is as large as, from which on it hides whether times are cut."""
+_SLOW = 5.0
+"""The same, from which on half a second is nothing beside the noise: a ship lies at anchor."""
 _REGULAR = 0.95
 """Share of the gaps that are alike from which on fixes came at whole seconds, and no time was cut."""
 _ASIDE = 5.0
@@ -83,7 +85,7 @@ def stamps_are_cut(recording: Recording) -> bool:
     one, other = (spread(x[fast] / speed[fast].clip(1e-9), 0.5) for x in (along, across))
     seen = bool(_CUT[0] ** 2 < one**2 - other**2 < _CUT[1] ** 2)
     if other > _HIDDEN:
-        return recording.source.word == "ship"
+        return recording.source.word == "ship" and other < _SLOW
     return seen and (recording.source.word == "ship" or _white(time, path))
 
 
@@ -95,7 +97,7 @@ def earlier(one: Cleaned) -> Cleaned:
     back = np.eye(2 * d)
     back[:d, d:] = -_HALF * np.eye(d)
     usual = metres(_HALF * float(np.nanmedian(np.linalg.norm(one.velocity[:, :2], axis=1))))
-    said = f"Times are cut to whole seconds: the path is {_HALF:g} s behind the fixes ({usual} in the median)"
+    said = f"Times are taken as cut to whole seconds: the path is {_HALF:g} s behind the fixes ({usual} in the median)"
     return replace(one, mean=one.mean @ back.T, covariance=back @ one.covariance @ back.T,
                    found=replace(one.found, said=(*one.found.said, said)))  # fmt: skip
 

@@ -159,12 +159,13 @@ class Failures:
             raise IncompleteError(*self.messages)
 
 
-def exit_status(program: str, work: Callable[[], object]) -> int:
+def exit_status(program: str, work: Callable[[], object], alone: Callable[[], bool] = lambda: False) -> int:
     """Runs ``work``, with memory kept for reuse.
 
     Args:
         program: name in front of an error message.
         work: what the command does, from its arguments on; under ``torchrun`` in every process.
+        alone: whether each process does work of its own, and says what is wrong with it; asked when something is.
 
     Returns:
         0; 1 after a line on standard error for each part of the work that failed, or result that is not finite, where
@@ -180,7 +181,7 @@ def exit_status(program: str, work: Callable[[], object]) -> int:
         finally:
             _flush()
     except IncompleteError as failures:
-        _complain(program, *failures.args)
+        _complain(program, alone(), *failures.args)
         return 1
     except KeyboardInterrupt:
         return 130
@@ -192,7 +193,7 @@ def exit_status(program: str, work: Callable[[], object]) -> int:
         if said is None:
             raise
         _discard_output()
-        _complain(program, said)
+        _complain(program, alone(), said)
         return 2
     return 0
 
@@ -218,9 +219,9 @@ def complain(program: str, *messages: str) -> None:
         print(f"{program}: error: {printable(' '.join(said.split()), _LONGEST)}", file=sys.stderr)
 
 
-def _complain(program: str, *messages: str) -> None:
-    """A line on standard error for each message; of the processes of ``torchrun`` the first one's."""
-    if os.environ.get("RANK", "0") == "0":
+def _complain(program: str, alone: bool, *messages: str) -> None:
+    """A line on standard error for each message; of processes that work together the first one's."""
+    if alone or "WORLD_SIZE" not in os.environ or os.environ.get("RANK", "0") == "0":
         complain(program, *messages)
 
 

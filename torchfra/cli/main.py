@@ -34,14 +34,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, about in COMMANDS.items():
         commands.add_parser(name, help=about, formatter_class=argparse.RawDescriptionHelpFormatter)
 
+    options = argparse.Namespace(together=True)
+
     def work() -> None:
-        options = parser.parse_args(arguments)
+        parser.parse_args(arguments, options)
         from torchfra.running import distributed  # imports torch, which takes long and which no help needs
 
-        with distributed.team() if getattr(options, "together", True) else nullcontext():
+        with distributed.team() if options.together else nullcontext():
             options.run(options)
 
-    return exit_status("torchfra", work)
+    return exit_status("torchfra", work, lambda: not options.together)
 
 
 class _Command(Parser):

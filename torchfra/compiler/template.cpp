@@ -7,7 +7,7 @@ using int64_t = long long;
 #include <cstdint>
 #endif
 
-// Functions that are called once for each step, and those that are never called but written where they are used.
+// Functions that are called once for each step (on a GPU only of long steps), and those that are written where they are used.
 #ifdef __CUDACC__
 #ifdef LONG
 #define NOINLINE static __device__ __noinline__

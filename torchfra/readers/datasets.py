@@ -32,6 +32,8 @@ class File(NamedTuple):
     """Its path below the folder of the data set."""
     rows: int
     bytes: int
+    footer: int
+    """A checksum of what the file says of its columns, their least and greatest values included."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class DataSet:
     reader: SheetReader
     """Reads some of the rows."""
     schema: Any
-    """Of the columns that are read, as the first file has them."""
+    """Of the columns that are read: types that hold those of all files."""
     id: str
     """The column that says which target a row is of."""
 
@@ -62,7 +64,7 @@ class DataSet:
 
         Yields:
             How many rows; their recordings, whose ``row`` counts through all files; and by their names why other
-            targets cannot be read.  Rows that do not say whose they are belong to no part.
+            targets cannot be read.  Rows without an id belong to no part.
 
         Raises:
             ValueError: a file is damaged.
@@ -123,7 +125,7 @@ def open_data(path: str | Path, **words: str | None) -> DataSet:
 
     Raises:
         ValueError: there are no rows, a file is damaged or has other columns than the first one, or no column says
-            which target a row is of.
+            which target a row is of; or a column is of numbers in one file and of text in another.
         ImportError: pyarrow is not installed.
     """
     try:
@@ -139,7 +141,7 @@ def open_data(path: str | Path, **words: str | None) -> DataSet:
         except (pyarrow.ArrowException, OSError) as error:
             raise ValueError(f"{file}: {damaged(error)}") from error
         name = file.name if file == path else file.relative_to(path).as_posix()
-        files.append(File(file, name, facts.metadata.num_rows, file.stat().st_size))
+        files.append(File(file, name, facts.metadata.num_rows, file.stat().st_size, _footer(file)))
         schemas.append(pyarrow.schema([field for field in facts.schema_arrow if is_flat(field.type)]))
     with naming(path):
         begin = next((i for i, file in enumerate(files) if file.rows), None)
@@ -150,11 +152,25 @@ def open_data(path: str | Path, **words: str | None) -> DataSet:
         reader = SheetReader(table_sheet(pyarrow.Table.from_batches([head])), path.name, **words)
         if "id" not in reader.layout.columns:
             raise ValueError(f"id: expected a column that says which target a row is of, received {listed(names)}")
-    schema = _plain(schemas[begin], reader.columns)
+    wanted = _plain(schemas[begin], reader.columns).names
     for other, of in zip(files, schemas, strict=True):
-        if missing := [name for name in schema.names if name not in of.names]:
+        if missing := [name for name in wanted if name not in of.names]:
             raise ValueError(f"{other.path}: expected the columns of {files[begin].name}, missing {listed(missing)}")
+    try:
+        schema = pyarrow.unify_schemas([_plain(of, wanted) for of in schemas], promote_options="permissive")
+    except pyarrow.ArrowException as error:
+        said = " ".join(str(error).split())
+        raise ValueError(f"{path}: expected columns of one type in all files, received others ({said})") from error
     return DataSet(tuple(files), reader, schema, reader.layout.columns["id"])
+
+
+def _footer(path: Path) -> int:
+    """The checksum of the end of a Parquet file."""
+    with path.open("rb") as file:
+        file.seek(-8, 2)
+        length = int.from_bytes(file.read(4), "little")
+        file.seek(-8 - length, 2)
+        return zlib.crc32(file.read(length))
 
 
 def _paths(path: Path) -> list[Path]:
@@ -190,4 +206,4 @@ def _codes(column: Any) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         column = column.dictionary_encode("encode")
     names = text(column.dictionary.to_pylist(), "", {})
     codes = np.fromiter((zlib.crc32(name.encode()) if name else -1 for name in (*names, "")), np.int64, len(names) + 1)
-    return codes, np.asarray(column.indices.fill_null(len(names)).to_numpy(), dtype=np.int64)
+    return codes, np.asarray(column.indices.cast("int64").fill_null(len(names)).to_numpy(), dtype=np.int64)

@@ -38,7 +38,9 @@ def launched() -> tuple[int, int]:
     Raises:
         ValueError: the environment does not say so.
     """
-    said = os.environ.get("RANK", "0"), os.environ.get("WORLD_SIZE", "1")
+    if "WORLD_SIZE" not in os.environ:
+        return 0, 1
+    said = os.environ.get("RANK", "0"), os.environ["WORLD_SIZE"]
     number, count = (int(text) if text.isdecimal() else -1 for text in said)
     if not 0 <= number < count:
         raise ValueError(f"RANK, WORLD_SIZE: expected a number from 0 and how many there are, received {said}")

@@ -20,7 +20,7 @@ from torchfra.targets.scan import SceneScan
 def linked(sensor: Sensor, scan: SceneScan, metres: float) -> SceneScan:
     """The scan with one measurement in the place of all that are linked: single linkage.
 
-    A measurement is the mean of its detections, where the first of them was; its noise has the moments of their
+    A measurement is the mean of its detections, in the row of the first of them; its noise has the moments of their
     mixture: the mean of their covariances, and how far they are spread, since the target's centre may be anywhere among
     them.  Without correlations in the sensor's noise it has none.
 
@@ -64,6 +64,8 @@ def check_linkage(
     Raises:
         ValueError: one of no sensor, or of one that does not locate, or no metres.
     """
+    if not isinstance(linkage, Mapping | None):
+        raise ValueError(f"linkage: expected a dict of metres by the name of a sensor, received {linkage!r}")
     filters: dict[str | None, JPDA] = {None: own}
     filters.update(others)
     for name, metres in (linkage or {}).items():
@@ -73,7 +75,7 @@ def check_linkage(
         if not filters[name].sensor.locates:
             received = filters[name].sensor.describe()
             raise ValueError(f"linkage: expected a sensor that measures where a target is, received {received}")
-        if not 0 < as_number(metres) < math.inf:
+        if isinstance(metres, bool) or not 0 < as_number(metres) < math.inf:
             raise ValueError(f"linkage: expected finite metres above 0 of {name!r}, received {metres}")
     return dict(linkage or {})
 

@@ -163,6 +163,8 @@ class Targets(nn.Module):
         received = values.get("format") if isinstance(values, Mapping) else None
         if received != FORMAT:
             raise ValueError(f"values: expected format {FORMAT}, received {received!r}")
+        if missing := {"state", "past"} - values.keys():
+            raise ValueError(f"values: expected state and past, received none of {', '.join(sorted(missing))}")
         past = (Passed(self._unsaved(x["before"]), SceneScan(**x["scan"]), x["sensor"]) for x in values["past"])
         return self._unsaved(values["state"])._replace(past=tuple(past))
 
