@@ -38,7 +38,7 @@ def test_bands_hold_the_truth_where_errors_last():
 
 SEEN, ASSUMED = (
     "Errors that last: those of neighbouring fixes are alike over about ",
-    "Errors that last cannot be told ",
+    "Errors that last: not told from motion ",
 )
 
 

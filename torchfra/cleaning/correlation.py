@@ -220,7 +220,7 @@ def _said(errors: Lasting) -> tuple[str]:
             "standard deviations are larger for that",
         )
     return (
-        f"Errors that last cannot be told from motion here; standard deviations assume {std} over about {seconds} "
+        f"Errors that last: not told from motion here; standard deviations assume {std} over about {seconds} "
         f"with a probability of {100 * likely:.0f} %",
     )
 
