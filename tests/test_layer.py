@@ -133,6 +133,7 @@ def learn(arguments):
             losses.robust_mse(estimate.mean, truth[own], slice(0, 2), scale=10.0).mean().backward()
             optimiser.step()
         print(*(f"{x.detach().double().square().sum():.9g}" for x in model.parameters()))
+        del replica, estimate  # before the group: who frees that last waits for its threads, at times for ever
 
 
 @pytest.mark.slow
