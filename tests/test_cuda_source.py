@@ -174,6 +174,22 @@ def test_a_step_that_calls_routines_too(monkeypatch):
     assert any("orthogonalise_r1(a, v" in source for source in source_of("imm_srckf", monkeypatch))
 
 
+@pytest.mark.parametrize(
+    ("name", "waits", "called"), [("srckf", False, False), ("fra", True, False), ("gpb", True, True)]
+)
+def test_threads_of_a_block_go_through_a_long_step_together_and_a_very_long_one_is_no_single_function(
+    name, waits, called, monkeypatch
+):
+    monkeypatch.setattr("torchfra.compiler.source._LONG", 10_000)
+    whole = scenarios.bearings_outliers("std", initial="truth")
+    tracks, found = whole.simulate(4, 0), []
+    monkeypatch.setattr(Scan, "source", lambda scan, narrow=False: found.append(scan.cuda()) or "")
+    monkeypatch.setattr(jit, "load", lambda source: lambda *_: None)
+    getattr(presets, name)(whole.motion, whole.sensor).compile()(tracks.z[:, :3], tracks.prior, u=tracks.u[:3])
+    assert ("    __syncthreads();" in found[-1]) == waits
+    assert found[-1].startswith("#define LONG") == called
+
+
 # ---------------------------------------------------------------- machine code for GPUs
 
 

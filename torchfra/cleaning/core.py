@@ -159,8 +159,9 @@ def _cleaned(
     told = settings if default else settings._replace(smooth=False)
     found = answers(tracks, [kind for kind, _ in kinds], told, coarse)
     every = [_found(name, settings, own, kind, answer) for kind, answer in zip(kinds, found, strict=True)]
-    lasting = lasting_errors(tracks, [kind for kind, _ in kinds], found)
-    errors = [None if known else of for known, of in zip(moved, lasting, strict=True)]
+    unknown = [i for i, known in enumerate(moved) if not known]
+    asked = zip(*[(tracks[i], kinds[i][0], found[i]) for i in unknown], strict=True) if unknown else ((), (), ())
+    errors = dict(zip(unknown, lasting_errors(*asked), strict=True))
     if default:
         results = [
             _result(recording, steps, *answer[:5], of, REGIMES, np.stack([1 - answer.manoeuvre, answer.manoeuvre], 1))
@@ -168,7 +169,7 @@ def _cleaned(
         ]
     else:
         results = _by_filter(recordings, tracks, every, own, compile, fallback)
-    return [widened(one, of) for one, of in zip(results, errors, strict=True)]
+    return [widened(one, errors.get(i)) for i, one in enumerate(results)]
 
 
 def _result(

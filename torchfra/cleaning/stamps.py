@@ -18,8 +18,8 @@ from torchfra.readers.smoothing import differences
 from torchfra.tables import metres
 
 _RATIO = 2.0, 1.5
-"""How much more of it there is along the track than across where stamps are off, in ADS-B and else: noise is alike in
-both."""
+"""How much larger accelerations are along the track than across where stamps are off, in ADS-B and else: those of
+noise are alike."""
 _GROWS = 1.3
 """Without every second fix, white errors of stamps do not grow so much; those of a motion do, by 1.4 or more."""
 _LEAST = 8, 60

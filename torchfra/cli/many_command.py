@@ -46,7 +46,7 @@ Where RANK and WORLD_SIZE are set, as by torchrun, each process takes every WORL
 nothing of the others; the one that ends last sums up. The same command once more sums up what is there."""
 
 PARTS, FEWEST, MOST = 64, 100_000, 1_000_000
-"""Parts, and rows of one at least and at most: all files are read for each, and one is lost where its process ends."""
+"""Parts, and rows of one at least and at most: all files are read for each, and one that is not done begins anew."""
 _MOST_SAID = 5
 """Targets that failed, of which each is said."""
 
@@ -116,7 +116,7 @@ def _end(options: argparse.Namespace, work: Work, total: dict[str, Any]) -> None
     if total["repairs"]:
         tell(f"Repaired: {in_words(total['repairs'])}")
     if nobody := work.data.rows - total["rows"]:
-        tell(f"Left out: {nobody:,} rows that do not say whose they are")
+        tell(f"Left out: {nobody:,} rows without an id")
     tell(f"Each process: {total['rows_per_second']:,.0f} rows a second, {total['memory'] / 1e6:,.0f} MB at most")
     tell(f"Written: {work.parts:,} parts in {printable(str(work.folder))}")
     if options.json is not None:

@@ -36,7 +36,7 @@ def launched() -> tuple[int, int]:
     """Number of this process, from 0, and how many ``torchrun`` has started, whether or not they have joined.
 
     Raises:
-        ValueError: the environment does not say so.
+        ValueError: ``RANK`` is no whole number from 0 that is below ``WORLD_SIZE``.
     """
     if "WORLD_SIZE" not in os.environ:
         return 0, 1

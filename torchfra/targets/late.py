@@ -60,11 +60,9 @@ def put_in(step: Step, motion: Motion, state: TargetsState, scan: SceneScan, sen
         raise ValueError(f"dt: expected {expected}, received {scan.dt.tolist()}")
     first, *others = past[int(place[0]) :]
     age = ages[int(place[0])]
+    since = (age + first.scan.dt - late).clamp_min(0.0)  # the first scan of all has nothing before it
     scans = [
-        (
-            scan._replace(dt=(age + first.scan.dt - late).clamp_min(0.0)),
-            sensor,
-        ),  # before the very first scan is no time
+        (scan._replace(dt=since), sensor),
         (first.scan._replace(dt=late - age), first.sensor),
         *((x.scan, x.sensor) for x in others),
     ]
@@ -84,7 +82,7 @@ def _ages(past: Sequence[Passed]) -> Tensor:
 
 
 def _same(motion: Motion, was: TargetsState, before: TargetsState, now: TargetsState) -> tuple[Tensor, Tensor, Tensor]:
-    """Scene, new identity and old one ``(S,)`` of targets that began ``before`` neither, and are the same.
+    """Scene, new identity and old one ``(S,)`` of targets that are the same and that nobody knew ``before``.
 
     The old ones are confirmed: nobody has seen the identities of others.
     """

@@ -67,7 +67,7 @@ class Stitching(nn.Module):
         return assigned(squared, allowed)
 
     def later(self, ended: Ended, track: Track, dt: Tensor) -> Ended:
-        """The lost targets ``dt (R,)`` seconds later, without those that nobody on a ``track`` may yet be."""
+        """The lost targets ``dt (R,)`` seconds later, without those for which any target would come too late."""
         past = dt[ended.scene]
         ended = ended._replace(since=ended.since + past, deleted=ended.deleted + past)
         tentative = torch.where(track.confirmed, 0.0, track.lived)
