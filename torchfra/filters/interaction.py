@@ -17,7 +17,7 @@ from torchfra.filters.markov import mean_durations
 from torchfra.filters.model_smoothing import ModelsStep
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, shared, wide, without_failed
+from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, share_roots, wide, without_failed
 from torchfra.gaussian.model import canonical
 from torchfra.gaussian.update import density
 from torchfra.hyper import Hyper, Value
@@ -48,7 +48,7 @@ def cycle(inner: Any, state: Any, predicted: Tensor, interact: Mix, frame: Frame
     assert record.residual is not None
     log_density = without_failed(density(record.root, record.normalised))
     log_weights = predicted + (log_density if record.evidence is None else without_failed(record.evidence))
-    roots, total = shared(log_weights.movedim(-1, 0))
+    roots, total = share_roots(log_weights.movedim(-1, 0))
     log_weights = log_weights - total.unsqueeze(-1)  # eq. (9)
     belief = canonical(motion, matched(models_first(record.belief), roots, motion.angles))  # eqs. (10), (11)
     innovation = moment_match(models_first(Gaussian(record.residual, record.root)), predicted.movedim(-1, 0))
@@ -67,7 +67,7 @@ def interaction(log_weights: Tensor, matrix: Tensor, motion: Motion) -> tuple[Te
         motion: of the models.
     """
     joint = (matrix + log_weights.unsqueeze(-1)).movedim(-2, 0)  # [was, ..., now]
-    roots, predicted = shared(joint)  # eqs. (6), by square roots, and (5): (..., K) before the measurement
+    roots, predicted = share_roots(joint)  # eqs. (6), by square roots, and (5): (..., K) before the measurement
 
     def interact(belief: Gaussian) -> Gaussian:
         """Eqs. (7), (8)."""
@@ -91,7 +91,7 @@ def even_interaction(state: Any, ends: Tensor, motion: Motion) -> tuple[Tensor, 
     before, count = state.log_weights, len(motion)  # type: ignore[arg-type]  # a Bank
     own = safe_log1p(-ends).to(before).unsqueeze(-1) + before
     drawn = safe_log(ends / count).to(before).unsqueeze(-1)
-    roots, predicted = shared(torch.stack(torch.broadcast_tensors(own, drawn)))
+    roots, predicted = share_roots(torch.stack(torch.broadcast_tensors(own, drawn)))
 
     def interact(belief: Gaussian) -> Gaussian:
         """Eqs. (7), (8)."""
@@ -107,7 +107,7 @@ def even_interaction(state: Any, ends: Tensor, motion: Motion) -> tuple[Tensor, 
 
 def pooled(belief: Gaussian, log_weights: Tensor, motion: Motion) -> Gaussian:
     """The Gaussian with the moments of all models ``(..., K)``."""
-    return matched(models_first(belief), shared(log_weights.movedim(-1, 0))[0], motion.angles)
+    return matched(models_first(belief), share_roots(log_weights.movedim(-1, 0))[0], motion.angles)
 
 
 def over_time_step(matrix: Tensor, dt: Tensor) -> Tensor:

@@ -68,7 +68,7 @@ def _moments(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> tuple[T
     return middle, [*spread.unbind(), *apart.unbind()]
 
 
-def shared(log_weights: Tensor) -> tuple[Tensor, Tensor]:
+def share_roots(log_weights: Tensor) -> tuple[Tensor, Tensor]:
     """Square roots ``(K, ...)`` of the normalised weights, and the log ``(...)`` of their sum."""
     if len(log_weights) == 1:
         return torch.ones_like(log_weights), log_weights[0]

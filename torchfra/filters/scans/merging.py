@@ -115,7 +115,7 @@ def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
         log_sum(joint, 0),
         averaged(states.outlier, some),
         averaged(states.lasted, log_weights),
-        None if states.forgotten is None else averaged(states.forgotten.unsqueeze(-1), log_weights).squeeze(-1),
+        None if states.relaxation is None else averaged(states.relaxation.unsqueeze(-1), log_weights).squeeze(-1),
     )
 
 
