@@ -322,7 +322,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
 
     def _above(self, x: Tensor, threshold: float) -> Tensor:
         """1 where ``x`` is larger, else 0; between the two where choices are soft."""
-        return torch.sigmoid((x - threshold) / self.heat) if self.soft else (x > threshold).to(x)
+        return torch.sigmoid((x - threshold) / self.temperature) if self.soft else (x > threshold).to(x)
 
     def _any(self, flags: Tensor) -> Tensor:
         """Decisions ``(..., g)`` from those of channels: one for each axis, or one for all."""
