@@ -91,7 +91,7 @@ def test_interacting_models_are_the_moment_form_with_that_chain():
 
 def test_models_that_hardly_ever_end_do_end_in_single_precision():
     f = presets.imm(BANK, SENSOR, durations=1e5).float()
-    torch.testing.assert_close(f.ends(torch.tensor([1e-4])).double(), tensor(1.5e-9), rtol=1e-6, atol=0)
+    torch.testing.assert_close(f.restart_probability(torch.tensor([1e-4])).double(), tensor(1.5e-9), rtol=1e-6, atol=0)
 
 
 def test_one_duration_is_the_same_for_all():
