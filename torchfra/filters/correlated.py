@@ -201,7 +201,7 @@ class WithErrors(Filter[WithErrorsState]):
 
 
 def with_errors(preset: P, takes: bool = True) -> P:
-    """A preset ``(motion, sensor, ...)`` that takes sensors with errors that last; without ``takes`` it refuses them."""
+    """A preset ``(motion, sensor, ...)`` that takes sensors with errors that last, or refuses them."""
     first, second = list(inspect.signature(preset).parameters)[:2]
 
     @wraps(preset)

@@ -48,7 +48,7 @@ class Odometry(Motion):
         self.walk_bias = None if bias is None else Hyper(bias, constraints.nonnegative, name="bias")
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
-        """The state ``(..., n)`` after ``dt (...)`` seconds at the speed and the heading or turn rate ``u (..., 2)``."""
+        """The state ``(..., n)`` after ``dt (...)`` seconds at the speed and heading or turn rate ``u (..., 2)``."""
         if u is None or u.shape[-1] != 2:
             expected = "(..., 2), speed and " + ("heading" if self.walk_bias is None else "turn rate")
             raise ValueError(f"u: expected {expected}, received {None if u is None else tuple(u.shape)}")
