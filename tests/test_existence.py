@@ -10,7 +10,7 @@ from oracles.events import joint_existence
 
 from torchfra import presets, tree
 from torchfra.association import ChiSquare, Clutter, associate
-from torchfra.filters.scans.hypotheses import associate_uncertain
+from torchfra.filters.scans.scan import associate_uncertain
 from torchfra.targets import SPRT, Deletion, Existence, FieldOfView, Merging, OnePoint, Targets, TwoPoint, collect
 
 FALSE, WIDTH, COUNT = 12, 200.0, 3

@@ -163,7 +163,7 @@ def test_several_targets_in_clutter_are_on_one_map():
 @given(st.lists(st.floats(-1, 2), min_size=1, max_size=12), st.floats(0.01, 0.3))
 @settings(deadline=None, max_examples=60)
 def test_labels_are_pushed_apart_no_more_than_they_must(places, gap):
-    spread = spread_apart(places, gap, 0.0, 1.0)
+    spread = spread_apart(places, gap)
     order = np.argsort(places, kind="stable")
     steps = np.diff(np.array(spread)[order])
     room = min(gap, 1.0 / max(len(places) - 1, 1))

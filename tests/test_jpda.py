@@ -101,7 +101,6 @@ def test_what_does_not_fit_is_named(crossing):
         (lambda: Euclidean(1.0, least=1.0), "least"),
         (lambda: presets.ukf_jpda(motion, sensor, clutter=clutter, detection=0.0), "detection: expected a prob"),
         (lambda: presets.ukf_jpda(motion, sensor, clutter=clutter, lost=1.0), "lost"),
-        (lambda: presets.ukf_jpda(motion, sensor, clutter=clutter, share_noise=True), "share_noise"),
         (lambda: presets.ukf_jpda(motion, sensor, clutter=clutter, exact=(8, 12)), "exact"),
         (lambda: presets.ukf_jpda(motion, sensor, clutter=clutter, temperature=-1.0), "temperature"),
         (lambda: scenarios.clutter_straight(detection=0.0), "detection"),

@@ -12,8 +12,8 @@ from torchfra.filters.imm import IMM, IMMInfo, IMMState
 from torchfra.filters.likely_models import LikelyModels
 from torchfra.filters.protection import protection_level
 from torchfra.filters.records import Record, Smoothed, SmoothInfo
-from torchfra.filters.scans.hypotheses import JPDAInfo, JPDAState
 from torchfra.filters.scans.jpda import JPDA
+from torchfra.filters.scans.scan import JPDAInfo, JPDAState
 from torchfra.filters.srckf import SRCKF, Info, State
 
 __all__ = [

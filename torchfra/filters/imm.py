@@ -14,9 +14,6 @@ from torch.distributions import constraints
 from torchfra import tree
 from torchfra.filters.base import Filter, Mix
 from torchfra.filters.interaction import (
-    as_durations,
-    as_stay,
-    as_transition,
     cycle,
     for_each_model,
     interaction,
@@ -24,7 +21,7 @@ from torchfra.filters.interaction import (
     uniform_interaction,
 )
 from torchfra.filters.likely_models import LikelyModels, of_active
-from torchfra.filters.markov import over_seconds, rates
+from torchfra.filters.markov import mean_durations, over_seconds, rates
 from torchfra.filters.model_smoothing import Models, ModelsPast, ModelsStep, remembered, retreat, together
 from torchfra.filters.records import Record, Smoothed
 from torchfra.gaussian.inputs import BackwardStep, Frame
@@ -130,9 +127,9 @@ class IMM(Filter[IMMState]):
             raise ValueError(f"initial: expected ({count},), received {tuple(initial.shape)}")
         self.transition = None
         if transition is not None:
-            self.transition = as_transition(count, transition, zero_diagonal=durations is not None)
-        self.stay = None if stay is None else as_stay(count, stay)
-        self.durations = None if durations is None else as_durations(count, durations)
+            self.transition = _as_transition(count, transition, zero_diagonal=durations is not None)
+        self.stay = None if stay is None else _as_stay(count, stay)
+        self.durations = None if durations is None else _as_durations(count, durations)
         self.initial = None if subset else Hyper(initial.double(), constraints.simplex, event_dim=1, name="initial")
         self.subset = subset
 
@@ -238,7 +235,7 @@ class IMM(Filter[IMMState]):
         """Replaces ``stay``, if there is one, by the same ``transition``, whose rows can learn."""
         if self.stay is not None:
             shared, self.stay.shared_dims = self.stay.shared_dims, 0
-            self.transition = as_transition(len(self.motion), self.matrix().detach())
+            self.transition = _as_transition(len(self.motion), self.matrix().detach())
             self.transition.shared_dims, self.stay = shared, None
 
     def provide(self, names: Collection[str]) -> None:
@@ -315,3 +312,44 @@ def _reachable(count: int, follows: Value | None) -> Tensor:
     """A matrix ``(count, count)`` above 0 where a model may follow another, or itself."""
     eye = torch.eye(count, dtype=torch.float64)
     return torch.ones_like(eye) if follows is None else torch.as_tensor(follows, dtype=torch.float64) + eye
+
+
+def _as_transition(count: int, value: Value, *, zero_diagonal: bool = False) -> Hyper:
+    """The transition ``(count, count)`` between models as a hyperparameter.
+
+    Raises:
+        ValueError: no such matrix, one that does not reach every model, or a diagonal against ``zero_diagonal``.
+    """
+    value = torch.as_tensor(value, dtype=torch.float64)
+    if value.shape[-2:] != (count, count) or not bool((value.sum(-2) > 0).all()):
+        expected = f"({count}, {count}) that reaches every model"
+        raise ValueError(f"transition: expected {expected}, received {value.tolist()}")
+    if zero_diagonal and bool((value.diagonal(dim1=-2, dim2=-1) != 0).any()):
+        expected = "a diagonal of 0 beside durations, as another model follows one that ends"
+        raise ValueError(f"transition: expected {expected}, received {value.tolist()}")
+    return Hyper(value, constraints.simplex, event_dim=2, name="transition")
+
+
+def _as_durations(count: int, value: Value) -> Hyper:
+    """Mean sojourn times of ``count`` models, s, one number or one for each, as a hyperparameter.
+
+    Raises:
+        ValueError: a single model, another number of values, or one that is not above 0 or infinite.
+    """
+    value = torch.as_tensor(value, dtype=torch.float64)
+    if count < 2:
+        raise ValueError(f"durations: expected None for a single model, received {value.tolist()}")
+    if value.dim() and value.shape[-1] != count:
+        raise ValueError(f"durations: expected a number or ({count},), received {tuple(value.shape)}")
+    return mean_durations(value, min(value.dim(), 1), "durations")
+
+
+def _as_stay(count: int, value: Value) -> Hyper:
+    """The self-transition probability of ``count`` models as a hyperparameter.
+
+    Raises:
+        ValueError: a single model, or a value out of its range.
+    """
+    if count < 2:
+        raise ValueError(f"stay: expected None for a single model, received {value}")
+    return Hyper(value, constraints.half_open_interval(1 / count, 1.0), name="stay")

@@ -9,18 +9,15 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.base import Mix
-from torchfra.filters.markov import mean_durations
 from torchfra.filters.model_smoothing import ModelsStep
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, share_roots, wide, without_failed
 from torchfra.gaussian.model import canonical
 from torchfra.gaussian.update import density
-from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_log, safe_log1p
 from torchfra.linalg.triangular import whiten
 from torchfra.motion.base import Motion
@@ -127,44 +124,3 @@ def for_each_model(frame: Frame) -> Frame:
     """The frame with a last dimension of models in its batch, which the matrices of a ``Bank`` have already."""
     each: Frame = tree.insert_batch_dimension(frame, only=[name for name in Frame._fields if name not in PER_MODEL])
     return each
-
-
-def as_transition(count: int, value: Value, *, zero_diagonal: bool = False) -> Hyper:
-    """The transition ``(count, count)`` between models as a hyperparameter.
-
-    Raises:
-        ValueError: no such matrix, one that does not reach every model, or a diagonal against ``zero_diagonal``.
-    """
-    value = torch.as_tensor(value, dtype=torch.float64)
-    if value.shape[-2:] != (count, count) or not bool((value.sum(-2) > 0).all()):
-        expected = f"({count}, {count}) that reaches every model"
-        raise ValueError(f"transition: expected {expected}, received {value.tolist()}")
-    if zero_diagonal and bool((value.diagonal(dim1=-2, dim2=-1) != 0).any()):
-        expected = "a diagonal of 0 beside durations, as another model follows one that ends"
-        raise ValueError(f"transition: expected {expected}, received {value.tolist()}")
-    return Hyper(value, constraints.simplex, event_dim=2, name="transition")
-
-
-def as_durations(count: int, value: Value) -> Hyper:
-    """Mean sojourn times of ``count`` models, s, one number or one for each, as a hyperparameter.
-
-    Raises:
-        ValueError: a single model, another number of values, or one that is not above 0 or infinite.
-    """
-    value = torch.as_tensor(value, dtype=torch.float64)
-    if count < 2:
-        raise ValueError(f"durations: expected None for a single model, received {value.tolist()}")
-    if value.dim() and value.shape[-1] != count:
-        raise ValueError(f"durations: expected a number or ({count},), received {tuple(value.shape)}")
-    return mean_durations(value, min(value.dim(), 1), "durations")
-
-
-def as_stay(count: int, value: Value) -> Hyper:
-    """The self-transition probability of ``count`` models as a hyperparameter.
-
-    Raises:
-        ValueError: a single model, or a value out of its range.
-    """
-    if count < 2:
-        raise ValueError(f"stay: expected None for a single model, received {value}")
-    return Hyper(value, constraints.half_open_interval(1 / count, 1.0), name="stay")

@@ -3,18 +3,25 @@
 Each function returns a figure that pyplot does not know of, so that nothing has to be closed; ``save`` writes it.
 """
 
-from torchfra.plotting.bands import bands
 from torchfra.plotting.cleaning import cleaned
 from torchfra.plotting.comparison import comparison
-from torchfra.plotting.curves import against, by_coordinate, innovations, rmse_curves, scaling
-from torchfra.plotting.models import probabilities
+from torchfra.plotting.curves import (
+    against,
+    bands,
+    by_coordinate,
+    by_target,
+    innovations,
+    learning_curve,
+    probabilities,
+    raw_and_filtered,
+    rmse_curves,
+    scaling,
+)
 from torchfra.plotting.overview import overview
 from torchfra.plotting.paths import in_space, tracks
 from torchfra.plotting.printed import printed
 from torchfra.plotting.ratios import ratios
 from torchfra.plotting.style import save
-from torchfra.plotting.targets import by_target, raw_and_filtered
-from torchfra.plotting.training import learning_curve
 from torchfra.running import home  # noqa: F401  # before matplotlib
 
 __all__ = [

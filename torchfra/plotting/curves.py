@@ -1,8 +1,9 @@
-"""Numbers of every filter over time, or over a setting."""
+"""Curves: errors, innovations, probabilities and learned values over time, or over a setting."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,15 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from torch import Tensor
 
-from torchfra.cleaning.outputs.colours import BLACK, BLUE
-from torchfra.plotting.labels import Array, name_lines
-from torchfra.plotting.style import TITLE, finish, line_styles, words
+from torchfra.cleaning.outputs.colours import BLACK, BLUE, PALE_BLUE, RED, REGIMES
+from torchfra.plotting.labels import Array, beside, name_lines
+from torchfra.plotting.style import TITLE, finish, line_styles, without_box, words
 
 _ROOM = 30.0
 """How far errors are followed beyond their median over all lines, as a factor; a name at the upper edge is beyond."""
+_ROW = 0.18
+"""Height of a name beside the values, inches."""
+_QUANTITIES = (("range", "m", 1.0), ("azimuth", "mrad", 1e3), ("elevation", "mrad", 1e3))
 
 
 def rmse_curves(results: dict[str, dict[str, Any]], quantity: str, dt: float, title: str) -> Figure:
@@ -143,3 +147,129 @@ def _limit(axes: Axes, curves: Sequence[Array]) -> None:
     known = values[np.isfinite(values) & (values > 0)]
     if len(known):
         axes.set_ylim(known.min() / 1.15, min(known.max(), _ROOM * float(np.median(known))) * 1.15)
+
+
+def bands(errors: Mapping[str, tuple[Tensor, Tensor]], dt: float, ylabel: str, title: str) -> Figure:
+    """Errors over time and bands of two standard deviations, a panel for each kind of estimate.
+
+    Args:
+        errors: by kind, the errors ``(T,)`` of one coordinate and their standard deviations ``(T,)``.
+        dt: seconds per step.
+        ylabel: what the errors are of, with the unit.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(8, 2 * len(errors)), layout="constrained")
+    panels = figure.subplots(len(errors), sharex=True, sharey=True, squeeze=False)[:, 0]
+    for axes, (kind, (error, std)) in zip(panels, errors.items(), strict=True):
+        time, wide = dt * np.arange(1, len(error) + 1), 2 * std.numpy()
+        axes.fill_between(time, -wide, wide, color=PALE_BLUE, linewidth=0)
+        axes.plot(time, error.numpy(), color=BLUE, linewidth=1)
+        axes.set(ylabel=f"{kind}\n{ylabel}")
+    panels[0].set_title(words(title, TITLE))
+    panels[-1].set_xlabel("time, s")
+    return figure
+
+
+def probabilities(of: dict[str, Any], models: Sequence[str], start: float, dt: float, title: str) -> Figure:
+    """Probabilities of models over time, stacked, one panel for each filter.
+
+    Args:
+        of: by name of the filter ``(T, K)``.
+        models: their names, K or more; a filter of fewer has the first of them.
+        start: seconds at the first step.
+        dt: seconds per step.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(9, 2.2 * len(of) + 0.6), layout="constrained")
+    rows = figure.subplots(len(of), 1, squeeze=False, sharex=True)[:, 0]
+    for (name, values), axes in zip(of.items(), rows, strict=True):
+        values = np.asarray(values, dtype=float)
+        time = start + dt * np.arange(len(values))
+        axes.stackplot(time, values.T, colors=REGIMES, linewidth=0)
+        axes.set(ylabel=words(name), ylim=(0, 1), xlim=(time[0], time[-1]))
+        beside(axes, dict(zip(models[: values.shape[1]], cycle(REGIMES), strict=False)))
+        without_box(axes)
+    rows[-1].set(xlabel="time, s")
+    figure.suptitle(words(title, TITLE))
+    return figure
+
+
+def by_target(of: dict[str, dict[str, Any]], dt: float, title: str) -> Figure:
+    """Root mean square errors of range, azimuth and elevation over time, one row for each target.
+
+    Args:
+        of: by name of the filter, ``"rmse_range"`` (m), ``"rmse_azimuth"`` and
+            ``"rmse_elevation"`` (rad), ``[N][T]``.
+        dt: seconds per step.
+        title: of the figure.
+    """
+    targets = len(next(iter(of.values()))["rmse_range"])
+    figure = Figure(figsize=(15, 3 * targets), layout="constrained")
+    grid = figure.subplots(targets, len(_QUANTITIES), squeeze=False, sharex=True)
+    lines, styles = {}, line_styles(of)
+    for i, row in enumerate(grid):
+        for axes, (key, unit, scale) in zip(row, _QUANTITIES, strict=True):
+            curves = {name: scale * np.array(values[f"rmse_{key}"][i], dtype=float) for name, values in of.items()}
+            lines[axes] = {
+                name: axes.plot(dt * np.arange(1, len(curve) + 1), curve, **styles[name])[0]
+                for name, curve in curves.items()
+            }
+            axes.set(ylabel=f"target {i + 1}: {key}, {unit}", yscale="log")
+            finish(axes)
+    for axes in grid[-1]:
+        axes.set(xlabel="time, s")
+    figure.suptitle(f"root mean square error, {words(title, TITLE)}")
+    name_lines(figure, lines)
+    return figure
+
+
+def raw_and_filtered(ranges: dict[str, tuple[Tensor, Tensor]], dt: float, title: str) -> Figure:
+    """Range errors of measurements and of estimates, one panel for each target.
+
+    Args:
+        ranges: by name of the target, measured and filtered errors ``(T,)``, m; NaN where missed.
+        dt: seconds per step.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(8, 2.6 * len(ranges)), layout="constrained")
+    panels = figure.subplots(len(ranges), 1, squeeze=False, sharex=True)[:, 0]
+    lines = {}
+    for axes, (name, (raw, filtered)) in zip(panels, ranges.items(), strict=True):
+        time = dt * np.arange(1, len(raw) + 1)
+        (dots,) = axes.plot(time, raw, ".", color=BLACK, markersize=4)
+        (line,) = axes.plot(time, filtered, color=RED, linewidth=1.4)
+        lines[axes] = {"measured": dots, "filtered": line}
+        axes.set(xlabel="time, s", ylabel=words(f"{name}: range error, m"))
+        finish(axes)
+    figure.suptitle(words(title, TITLE))
+    name_lines(figure, lines)
+    return figure
+
+
+def learning_curve(rows: list[dict[str, float]], start: dict[str, float], title: str) -> Figure:
+    """The losses over the iterations, and the learned values as multiples of where they started.
+
+    Args:
+        rows: one for each iteration, with ``"iteration"``, ``"loss"``, the values, and ``"validation"`` in some.
+        start: the values before the first.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(9, 3 + max(3.0, _ROW * len(start))), layout="constrained")
+    loss, values = figure.subplots(2, 1, sharex=True, height_ratios=[3, max(3.0, _ROW * len(start))])
+    time = [row["iteration"] for row in rows]
+    checked = [row for row in rows if "validation" in row]
+    at, validation = [row["iteration"] for row in checked], [row["validation"] for row in checked]
+    (batch,) = loss.plot(time, [row["loss"] for row in rows], color=BLUE, linewidth=0.8)
+    (valid,) = loss.plot(at, validation, "o-", color=RED, markersize=4)
+    learned, styles = {}, line_styles(start)
+    for name, first in start.items():
+        value = np.array([row[name] for row in rows])
+        # A value that began at 0 is a logarithm of odds: the odds are compared.
+        label, change = (name, value / first) if first else (f"exp({name})", np.exp(value))
+        (learned[label],) = values.plot([0, *time], [1.0, *change], **styles[name])
+    loss.set(ylabel="loss", title=words(title, TITLE))
+    values.set(xlabel="iteration", ylabel="times the start", yscale="log")
+    for axes in (loss, values):
+        finish(axes)
+    name_lines(figure, {loss: {"training batch": batch, "validation, hard decision": valid}, values: learned})
+    return figure

@@ -28,13 +28,13 @@ _SEPARATE = 25.0
 """Points of distance to everything else beyond which a line is told apart no better."""
 
 
-def spread_apart(places: Sequence[float], gap: float, low: float, high: float) -> list[float]:
-    """Places as near as possible to those given, in their order, ``gap`` or more apart, and from ``low`` to ``high``.
+def spread_apart(places: Sequence[float], gap: float) -> list[float]:
+    """Places from 0 to 1 as near as possible to ``places``, in the same order and ``gap`` or more apart.
 
-    Where there is no room for all, they are evenly apart from ``low`` to ``high``.
+    If there is not enough room, they are evenly spaced from 0 to 1.
     """
     count = len(places)
-    gap = min(gap, (high - low) / max(count - 1, 1))
+    gap = min(gap, 1 / max(count - 1, 1))
     order = np.argsort(places, kind="stable")
     groups: list[tuple[float, int]] = []  # of labels that touch: the mean of their offsets, and how many there are
     for rank, i in enumerate(order):
@@ -44,7 +44,7 @@ def spread_apart(places: Sequence[float], gap: float, low: float, high: float) -
             groups.append(((mean * size + before * others) / (size + others), size + others))
     offsets = np.repeat([mean for mean, _ in groups], [size for _, size in groups])
     spread = np.empty(count)
-    spread[order] = np.clip(offsets, low, high - gap * (count - 1)) + gap * np.arange(count)
+    spread[order] = np.clip(offsets, 0.0, 1.0 - gap * (count - 1)) + gap * np.arange(count)
     return [float(place) for place in spread]
 
 
@@ -60,7 +60,7 @@ def at_ends(axes: Axes, ends: Mapping[str, float], colours: Mapping[str, str]) -
     to_axes = axes.transData + axes.transAxes.inverted()
     level = [float(to_axes.transform((x, y))[1]) for y in inside]
     gap = _HIGH * axes.figure.dpi / 72 / axes.get_window_extent().height
-    for name, y, place in zip(ends, level, spread_apart(level, gap, 0.0, 1.0), strict=True):
+    for name, y, place in zip(ends, level, spread_apart(level, gap), strict=True):
         axes.annotate(words(name), (1.0, y), (1.025, place), xycoords="axes fraction", textcoords="axes fraction",
                       va="center", fontsize=SIZE, color=colours[name], annotation_clip=False,
                       arrowprops={"arrowstyle": "-", "color": colours[name], "linewidth": 0.7, "shrinkA": 0,

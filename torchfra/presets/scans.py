@@ -55,7 +55,7 @@ def jpda(
 @register.filter("ukf_jpda", words="ukf with data association", scans=True)
 def ukf_jpda(
     motion: Motion, sensor: Sensor, *, clutter: Clutter, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0,
-    gate: Gate | None = None, detection: Value = 0.95, lost: float = 0.0, share_noise: bool = False,
+    gate: Gate | None = None, detection: Value = 0.95, lost: float = 0.0,
     exact: tuple[int, int] = (4, 10), temperature: float = 0.0, learn: Collection[str] = (),
 ) -> JPDA:  # fmt: skip
     """``jpda`` with the unscented filter of ``iaukf`` under constant measurement noise.
@@ -72,7 +72,6 @@ def ukf_jpda(
         gate: measurements that may be a target's; ``Euclidean(100.0)``, in m, if None: ``torchfra.association``.
         detection: probability that a target is measured: ``filters.JPDA``.
         lost: probability of so many misses in a row below which a track is lost; 0 for never: ``filters.JPDA``.
-        share_noise: whether targets share their estimates of the measurement noise; refused, as it has none.
         exact: targets and measurements of a cluster up to which association is exact: ``filters.JPDA``.
         temperature: 0 for gates with a hard edge, above for a soft one, to train by: ``filters.JPDA``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
@@ -81,7 +80,7 @@ def ukf_jpda(
     """
     return jpda(
         motion, sensor, clutter=clutter, inner=partial(ukf, alpha=alpha, beta=beta, kappa=kappa),
-        gate=Euclidean(100.0) if gate is None else gate, detection=detection, lost=lost, share_noise=share_noise,
+        gate=Euclidean(100.0) if gate is None else gate, detection=detection, lost=lost,
         exact=exact, temperature=temperature, learn=learn,
     )  # fmt: skip
 

@@ -27,31 +27,26 @@ class Reentry(Motion):
 
     Args:
         q: spectral density of the random acceleration, m^2/s^3.
-        q_parameter: variance that a second adds to the logarithm of the ballistic parameter.
-        method: how a step is integrated: ``"euler"`` or ``"rk4"``.
-        substeps: parts that a step is integrated in.
+        q_parameter: variance per second of the logarithm of the ballistic parameter.
+        method: integration of each tenth of a step: ``"euler"`` or ``"rk4"``.
 
     Raises:
-        ValueError: an unknown method, or ``substeps`` below 1.
+        ValueError: an unknown method.
 
     Source: Austin & Leondes (1981); Julier & Uhlmann (2004); Sarkka (2007) for the process noise.
     """
 
-    def __init__(
-        self, q: Value = 240.64, q_parameter: Value = 0.0, *, method: str = "euler", substeps: int = SUBSTEPS
-    ) -> None:
+    def __init__(self, q: Value = 240.64, q_parameter: Value = 0.0, *, method: str = "euler") -> None:
         one_of(method=(method, ("euler", "rk4")))
-        if substeps < 1:
-            raise ValueError(f"substeps: expected 1 or more, received {substeps}")
         kinds = ("position", "position", "velocity", "velocity", "parameter")
         super().__init__(2, 2, q, size=5, components=("x", "y", "vx", "vy", "drag"), kinds=kinds)
         self.q_parameter = Hyper(q_parameter, constraints.nonnegative, name="q_parameter")
-        self.method, self.substeps = method, substeps
+        self.method = method
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """The state ``(..., 5)`` after ``dt`` seconds, without process noise."""
-        h = dt.unsqueeze(-1) / self.substeps
-        for _ in range(self.substeps):
+        h = dt.unsqueeze(-1) / SUBSTEPS
+        for _ in range(SUBSTEPS):
             slope = self.slope(x)
             if self.method == "rk4":
                 second = self.slope(x + h / 2 * slope)

@@ -12,7 +12,7 @@ from torchfra.filters.base import Filter
 from torchfra.tables import text_table
 from torchfra.testing import copies, derivatives, refusals, results, stated  # noqa: F401  they hold the checks
 from torchfra.testing.case import CHECKS, Case, SkipCheck, make_case, registered
-from torchfra.testing.lines import told
+from torchfra.testing.lines import unexpected
 from torchfra.types import Gaussian
 
 
@@ -108,5 +108,5 @@ def _outcome(case: Case, name: str, way: str) -> Outcome:
     except AssertionError as error:
         return Outcome(name, way, "failed", str(error))
     except Exception as error:
-        return Outcome(name, way, "failed", told(error))
+        return Outcome(name, way, "failed", unexpected(error))
     return Outcome(name, way, "passed")

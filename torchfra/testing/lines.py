@@ -1,4 +1,4 @@
-"""Which line of a user's something comes from."""
+"""The line of a user's code from which an error or a method comes."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from typing import Any
 import torch
 
 _OTHERS = tuple(f"{path}{os.sep}" for path in (Path(__file__).parents[1], Path(torch.__file__).parent))
-"""Folders whose lines are no user's."""
+"""Folders whose lines are not those of a user."""
 
 
 def line_of_error(error: BaseException) -> str:
-    """The innermost line of a user that an error, or what caused it, has come through; empty if there is none."""
+    """The innermost line of a user's code in the traceback of an error and of its causes; empty if there is none."""
     found = ""
     cause: BaseException | None = error
     while cause is not None:
@@ -27,18 +27,18 @@ def line_of_error(error: BaseException) -> str:
     return found
 
 
-def told(error: Exception, line: str = "", hint: str = "") -> str:
-    """An error that nobody expected, and the user's line, if it is known, or one that is known anyway."""
+def unexpected(error: Exception, line: str = "", hint: str = "") -> str:
+    """The message about an unexpected error, with the user's line in its traceback, or else ``line``."""
     return with_line(f"expected no error, received {type(error).__name__}: {error}{hint}", line_of_error(error) or line)
 
 
-def with_line(said: str, line: str) -> str:
+def with_line(sentence: str, line: str) -> str:
     """A sentence, and a line below it if there is one."""
-    return f"{said}\n     {line}" if line else said
+    return f"{sentence}\n     {line}" if line else sentence
 
 
 def line_of_method(method: Callable[..., Any]) -> str:
-    """Where a user has written a method; empty for those of the library."""
+    """File, line and head of a user's method; empty for those of the library."""
     try:
         path, (lines, number) = inspect.getfile(method), inspect.getsourcelines(method)
     except (OSError, TypeError):

@@ -23,7 +23,7 @@ from torchfra.testing import refusals
 from torchfra.testing.battery import Outcome, tried
 from torchfra.testing.case import CHECKS, STEPS, TRACKS, make_case
 from torchfra.testing.expectations import as_large_as
-from torchfra.testing.lines import line_of_error, told, with_line
+from torchfra.testing.lines import line_of_error, unexpected, with_line
 from torchfra.testing.part import Part, parts_of
 from torchfra.testing.parts import checks_of
 from torchfra.types import CompileError, Gaussian
@@ -141,7 +141,7 @@ def _by_itself(part: Part) -> Iterator[Outcome]:
             return
         except Exception as error:
             hint = " (if it needs a u, hand one in: u=)" if part.u is None and "NoneType" in str(error) else ""
-            yield Outcome(name, tried_on.name, "failed", told(error, tried_on.line, hint))
+            yield Outcome(name, tried_on.name, "failed", unexpected(error, tried_on.line, hint))
             return
         yield Outcome(name, part.name, "passed")
 
@@ -155,7 +155,7 @@ def _in_a_filter(
         known = None if u is None else u.double().expand(STEPS, -1)
         case = make_case(_filter(motion, sensor), z, prior, dt, known, seed, thorough=False)
     except Exception as error:
-        return (Outcome("a simulated track", "in a filter", "failed", told(error)),)
+        return (Outcome("a simulated track", "in a filter", "failed", unexpected(error)),)
     names = [name for name, check in CHECKS.items() if check.function.__module__ != refusals.__name__]
     way = {"eager": "in a filter", "compiled": "in a compiled filter"}
     without: tuple[Outcome, ...] = ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -12,7 +13,10 @@ from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.testing.expectations import expect
 from torchfra.testing.part import BATCH, Part
-from torchfra.testing.turns import angles, angles_of_states
+
+CIRCLES = (1e2, 1e4, 1e6, 1e8)
+"""Radii, m, of circles around the origin: the bearing from a station inside jumps, wherever the station is."""
+UNITS = ((2 * math.pi, "rad"), (360.0, "degrees"))
 
 
 def shapes(part: Part) -> None:
@@ -160,3 +164,44 @@ def checks_of(part: Part) -> Iterator[tuple[Callable[[Part], None], Part]]:
 def _rounded(x: Tensor) -> str:
     """Numbers in a few digits."""
     return "[" + ", ".join(f"{v:.4g}" for v in x.detach().flatten()[:8].tolist()) + ", ..." * (x.numel() > 8) + "]"
+
+
+def angles(part: Part) -> None:
+    """Elements of a sensor that jump by a turn while the target circles are declared as angles, in rad."""
+    sensor, x = part.model, part.x[:1]
+    assert isinstance(sensor, Sensor)
+    if sensor.reads < 2:
+        return
+    turn = torch.linspace(0, 2 * math.pi, 721, dtype=torch.float64)
+    u = None if part.u is None else part.u[:1].expand(len(turn), -1)
+    for radius in CIRCLES:
+        circle = radius * torch.stack([turn.cos(), turn.sin()], -1)
+        round_about = torch.cat([circle, x[:, 2:].expand(len(turn), -1)], -1)
+        measured = part.function(round_about, part.dt[:1].expand(len(turn)), u)
+        for i, declared in enumerate(sensor.angles.tolist()):
+            what = f"element {i} of a measurement, of a target that goes round"
+            for size, unit in UNITS:
+                right = not _jumps(measured[:, i], size) or (declared and unit == "rad")
+                expect(right, what, "an angle in rad, declared in angles=", f"a jump by a turn in {unit}")
+
+
+def angles_of_states(part: Part) -> None:
+    """Components of a motion that it keeps within one turn are declared as angles, in rad."""
+    motion = part.model
+    assert isinstance(motion, Motion)
+    u = None if part.u is None else part.u[:1]
+    for i in range(motion.size):
+        for size, unit in UNITS:
+            x = part.x[:1].repeat(721, 1)
+            x[:, i] = torch.linspace(-size, size, 721, dtype=torch.float64)
+            moved = part.function(x, part.dt[:1].expand(721), None if u is None else u.expand(721, -1))[:, i]
+            right = not _jumps(moved, size) or (i in motion.angles and unit == "rad")
+            what = f"component {i}, {motion.components[i]!r}, of a state that goes round"
+            expect(right, what, "an angle in rad, declared in angles=", f"a jump by a turn in {unit}")
+
+
+def _jumps(values: Tensor, size: float) -> bool:
+    """Whether successive values are near each other except for jumps by a turn."""
+    gaps = values.diff().abs()
+    jumps = (gaps - size).abs() < 0.01 * size
+    return bool(jumps.any()) and bool((gaps[~jumps] < 0.2 * size).all())

@@ -20,17 +20,16 @@ from torchfra.association.joint import associate
 from torchfra.filters.base import Filter
 from torchfra.filters.gpb import GPB
 from torchfra.filters.records import Past, Record, Smoothed
-from torchfra.filters.scans.combined import fade, learned, update
-from torchfra.filters.scans.hypotheses import (
+from torchfra.filters.scans.combined import combined, fade, learned, update
+from torchfra.filters.scans.lost_tracks import inflated, log_miss, missed_scans, search
+from torchfra.filters.scans.merging import check_merges
+from torchfra.filters.scans.scan import (
     JPDAInfo,
     JPDAState,
     Scan,
     associate_uncertain,
-    combined,
     target_repairs,
 )
-from torchfra.filters.scans.lost_tracks import inflated, log_miss, missed_scans, search
-from torchfra.filters.scans.merging import check_merges
 from torchfra.filters.scans.separate import core, inflated_state, measured, missed, together
 from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import SRCKF, State

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.filters.engine import INTERPRETED
-from torchfra.filters.scans.hypotheses import JPDAState
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.lost_tracks import inflated, log_miss, search
+from torchfra.filters.scans.scan import JPDAState
 from torchfra.filters.scans.separate import inflated_state, missed
 from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.inputs import Frame, Measurements

@@ -13,8 +13,8 @@ from torchfra.filters.base import Filter
 from torchfra.filters.imm import IMM, IMMState
 from torchfra.filters.interaction import pooled
 from torchfra.filters.records import Record
-from torchfra.filters.scans.hypotheses import chosen, gated_first
 from torchfra.filters.scans.merging import averaged, merged, on_beliefs
+from torchfra.filters.scans.scan import chosen, gated_first
 from torchfra.gaussian.inputs import Frame
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian

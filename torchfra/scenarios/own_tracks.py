@@ -1,4 +1,4 @@
-"""Tracks of one's own as a scenario."""
+"""A scenario made of your own tracks."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from torchfra.types import Gaussian
 
 
 def given(tracks: Tracks, motion: Motion, sensor: Sensor, *, dt: float = 1.0, name: str = "tracks") -> Scenario:
-    """A scenario whose runs are these tracks, one after the other.
+    """A scenario whose runs are the given tracks, one after the other.
 
     Args:
-        tracks: a batch, ``z (B, T, m)``; the truth may be NaN, which is not known.
-        motion: that filters use.
-        sensor: what was measured.
+        tracks: a batch, ``z (B, T, m)``; an unknown truth is NaN.
+        motion: the motion of filters.
+        sensor: the sensor that has measured.
         dt: seconds per step.
-        name: of the scenario.
+        name: name of the scenario.
 
     Raises:
         ValueError: measurements that are no batch of tracks, a truth of another number of tracks or steps, no prior.

@@ -15,7 +15,6 @@ from torchfra.association.joint import associate
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.model import add_counts
 from torchfra.gaussian.update import repaired_root
-from torchfra.linalg.safe import safe_divide
 from torchfra.linalg.tracing import is_elementary, is_traced
 from torchfra.types import Gaussian, Prediction, Whitened
 
@@ -92,32 +91,6 @@ def associate_uncertain(exists: Tensor, log_ratio: Tensor, log_miss: Tensor, **o
     return association._replace(log_weights=both - both.logsumexp(-1, keepdim=True))
 
 
-def missed_or_measured(predicted: Gaussian, each: Gaussian) -> Gaussian:
-    """Beliefs ``(J + 1, ..., N)`` of the association hypotheses: missed, or one of the measurements ``(..., N, J)``."""
-    mean = torch.cat([predicted.mean.expand_as(each.mean[..., :1, :]), each.mean], -2)
-    root = torch.cat([predicted.scale_tril.expand_as(each.scale_tril[..., :1, :, :]), each.scale_tril], -3)
-    return Gaussian(mean.movedim(-2, 0), root.movedim(-3, 0))
-
-
-def gated(log_weights: Tensor, whitened: Whitened) -> tuple[Tensor, Whitened]:
-    """The measurements ``(..., N, K)`` in each gate, where K is the number in the fullest gate.
-
-    While code is traced it is all of them.
-
-    Args:
-        log_weights: ``(..., N, J + 1)`` of a miss, and of each measurement.
-        whitened: the measurements.
-    """
-    inside = log_weights[..., 1:] > -torch.inf
-    if is_traced(log_weights):
-        return log_weights, whitened
-    order = gated_first(inside)
-    if order.shape == inside.shape:
-        return log_weights, whitened
-    associated = _taken(log_weights[..., 1:], 0, order, inside.shape)
-    return torch.cat([log_weights[..., :1], associated], -1), chosen(whitened, order, inside.shape)
-
-
 def gated_first(inside: Tensor) -> Tensor:
     """Numbers ``(..., N, K)`` of measurements, those ``inside (..., N, J)`` the gate first.
 
@@ -129,52 +102,6 @@ def gated_first(inside: Tensor) -> Tensor:
     if is_traced(inside) or inside.numel() == 0:
         return order
     return order[..., : max(int(inside.sum(-1).amax()), 1)]
-
-
-def likeliest(share: Tensor, whitened: Whitened) -> Whitened:
-    """The measurement ``(..., N, 1)`` with the largest ``share (..., N, J)``."""
-    return chosen(whitened, share.argmax(-1, keepdim=True), share.shape)
-
-
-def weighted_mean(x: Tensor, share: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean ``(..., N, 1, m)`` of ``x (..., N, J, m)``, weighted by association probabilities, and their sum.
-
-    The mean is 0 where the sum is below a half, so that nothing is learned from it.
-
-    Args:
-        x: values of each measurement.
-        share: ``(..., N, J)`` probability that it is the target's.
-        measured: ``(..., 1, J, m)`` 1 where measured.
-    """
-    weight = share.unsqueeze(-1) * measured
-    x = torch.where(weight > 0, x, 0.0)  # a value of zero weight may be infinite
-    total = weight.sum(-2, keepdim=True)
-    return safe_divide((weight * x).sum(-2, keepdim=True), torch.where(total >= 0.5, total, 0.0)), total
-
-
-def combined(
-    share: Tensor, residual: Tensor, root: Tensor, normalised: Tensor, frame: Frame
-) -> tuple[Tensor, Tensor, Tensor]:
-    """The combined innovation of each target, in the units of the measurement.
-
-    Args:
-        share: ``(..., N, J)`` association probability of each measurement.
-        residual: ``(..., N, J, m)`` in units of the measurement noise.
-        root: ``(..., N, J, m, m)`` root of its covariance, in units of the measurement noise.
-        normalised: ``(..., N, J, m)`` residual divided by its root.
-        frame: of the scan, with the measurement noise.
-
-    Returns:
-        The weighted innovation ``(..., N, m)``, the root of the likeliest one's covariance, and the weighted normalised
-        innovation.
-    """
-    noise = frame.measurement_noise
-    weight, best = share.unsqueeze(-1), share.argmax(-1)[..., None, None, None]
-    coloured, root = noise.colour(residual.unsqueeze(-1)).squeeze(-1), noise.colour(root)
-    if root.shape[-3] > 1:  # otherwise all measurements share it
-        root = root.expand(*share.shape, *root.shape[-2:])
-        root = root.gather(-3, best.expand(*share.shape[:-1], 1, *root.shape[-2:]))
-    return (weight * coloured).sum(-2), root.squeeze(-3), (weight * normalised).sum(-2)
 
 
 def target_repairs(prediction: Prediction, whitened: Whitened) -> Tensor | None:
