@@ -49,7 +49,7 @@ from torchfra.cli.command import (
 from torchfra.cli.compare_command import WORTHWHILE
 from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.filters import Filter
-from torchfra.fitting.bounded import bounded
+from torchfra.fitting.descent import bounded
 from torchfra.plotting.style import finish, line_styles
 from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar

@@ -32,7 +32,7 @@ from torch import Tensor
 from torchfra import plotting
 from torchfra.catalogue import FILTERS
 from torchfra.cli.command import Failures, check_files, check_folder, exit_status, make_parser
-from torchfra.fitting.bounded import bounded, falling
+from torchfra.fitting.descent import bounded, falling
 from torchfra.hyper import hypers
 from torchfra.running import distributed
 from torchfra.running.atomic_write import write_json

@@ -184,9 +184,9 @@ class Filter(nn.Module, Generic[S]):
         """A state after a measurement of another sensor, with the memory of the state ``before`` it."""
         return state
 
-    def hypotheses(self, known: Any) -> tuple[Gaussian, Tensor]:
+    def hypotheses(self, source: Any) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(..., H, n)`` of a state, or of an estimate's past, and logs ``(..., H)`` of their weights."""
-        mean, root = known.belief
+        mean, root = source.belief
         return Gaussian(mean.unsqueeze(-2), root.unsqueeze(-3)), torch.zeros_like(mean[..., :1])
 
     def predict_hypotheses(self, state: S, frame: Frame) -> tuple[Gaussian, Tensor]:

@@ -143,9 +143,9 @@ class WithErrors(Filter[WithErrorsState]):
         forecast = self.with_sensor(sensor).inner.predict(state.inner, dt, u=u)
         return forecast._replace(belief=self.own(forecast.belief))
 
-    def hypotheses(self, known: Any) -> tuple[Gaussian, Tensor]:
+    def hypotheses(self, source: Any) -> tuple[Gaussian, Tensor]:
         """The hypotheses of the inner filter, with the target's components alone."""
-        beliefs, log_weights = self.inner.hypotheses(known.inner if isinstance(known, WithErrorsState) else known)
+        beliefs, log_weights = self.inner.hypotheses(source.inner if isinstance(source, WithErrorsState) else source)
         return self.own(beliefs), log_weights
 
     # ------------------------------------------------------------ other sensors

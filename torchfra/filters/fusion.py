@@ -16,7 +16,7 @@ from torchfra.filters.engine import Interpreted
 from torchfra.filters.other_sensors import mixed, sharing
 from torchfra.filters.records import Kept
 from torchfra.gaussian.arguments import check
-from torchfra.gaussian.inputs import Frame, Measurements, Timed
+from torchfra.gaussian.inputs import Frame, Measurements, UnevenMeasurements
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.tracing import is_traced
 from torchfra.sensors.base import Sensor
@@ -124,7 +124,7 @@ def _part(measurements: Measurements, steps: list[int], size: int) -> Measuremen
     """The measurements of some steps, of their first ``size`` elements."""
     z, dt, u, std, noise = measurements
     timed = measurements.varying_dt
-    return (Timed if timed else Measurements)(
+    return (UnevenMeasurements if timed else Measurements)(
         z[..., steps, :size],
         dt[..., steps] if timed else dt,  # type: ignore[index]  # it is a tensor
         None if u is None else u[..., steps, :],

@@ -270,9 +270,9 @@ class IMM(Filter[IMMState]):
         matrix = over_time_step(safe_log(self.subset.matrix(every, was, now, goes_on)), step.frame.dt)
         return matrix, of_active(for_each_model(step.frame), now)
 
-    def hypotheses(self, known: Any) -> tuple[Gaussian, Tensor]:
+    def hypotheses(self, source: Any) -> tuple[Gaussian, Tensor]:
         """The models of a state, or of an estimate's past, and logs of their probabilities."""
-        return known.inner.belief, known.log_weights
+        return source.inner.belief, source.log_weights
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: ModelsStep) -> ModelsPast:
         """The past of every model."""

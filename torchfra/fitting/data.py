@@ -16,7 +16,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from torchfra.cleaning.batches import padded, steps_of
 from torchfra.filters import Filter
-from torchfra.fitting.starts import First, first_of, first_seen, started
+from torchfra.fitting.starts import First, first_measurements, from_first_measurement, started
 from torchfra.readers.recording import Recording
 from torchfra.scenarios.base import Scenario, Tracks
 from torchfra.tree import flatten, map_tensors
@@ -239,10 +239,10 @@ def _whole(f: Filter, given: dict[str, Any]) -> Batch:
 def _started(f: Filter, z: Tensor, dt: Tensor, u: Tensor | None, truth: Tensor | None) -> Batch:
     """Tracks without a prior: their first whole measurement becomes it."""
     if f.sensor.locates:
-        parts = iter(first_seen(z, dt, u, truth))
+        parts = iter(from_first_measurement(z, dt, u, truth))
         z, dt = next(parts), next(parts)
         u, truth = (None if x is None else next(parts) for x in (u, truth))
     with torch.no_grad():
-        first = first_of(f.motion, f.sensor, z, dt, u)
+        first = first_measurements(f.motion, f.sensor, z, dt, u)
     u, truth = (None if x is None else x[:, 1:] for x in (u, truth))
     return Batch(z[:, 1:], first, dt[:, 1:], u, truth)

@@ -11,7 +11,6 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchfra.fitting.bounded import bounded, falling
 from torchfra.fitting.data import Batch
 from torchfra.fitting.errors import KINDS as KINDS_OF_ERRORS
 from torchfra.fitting.objective import Objective
@@ -182,3 +181,26 @@ def starting_points(raw: Tensor, directions: Tensor, settings: Settings) -> Tens
 def key_of(settings: Settings, names: list[str], digest: str, starts: Tensor) -> str:
     """What tells one fit from another."""
     return f"{asdict(settings)} {names} {starts.tolist()} {digest}"
+
+
+def bounded(losses: Tensor, gradients: Tensor, clip: float | Tensor) -> tuple[Tensor, Tensor]:
+    """Gradients of single tracks with bounded norms, so that no track dominates a step of descent.
+
+    Args:
+        losses: ``(..., N)`` loss of each track.
+        gradients: ``(..., N, P)`` gradient of each track.
+        clip: largest norm of a gradient, a number or ``(..., 1 or N)``.
+
+    Returns:
+        The gradients ``(..., N, P)``, 0 for a track whose loss or gradient is NaN or infinite, and ``(..., N)`` bool,
+        which tracks are finite.
+    """
+    finite = losses.isfinite() & gradients.isfinite().all(-1)
+    norm = torch.linalg.vector_norm(gradients, dim=-1)
+    shorter = (clip / norm).clamp_max(1.0).unsqueeze(-1)
+    return torch.where(finite.unsqueeze(-1), gradients * shorter, 0.0), finite
+
+
+def falling(rate: float, progress: float) -> float:
+    """A learning rate that falls to a tenth along half a cosine; ``progress`` is the share of iterations done."""
+    return rate * (0.55 + 0.45 * math.cos(math.pi * progress))

@@ -1,4 +1,4 @@
-"""A prior for tracks that come without one: from the first measurement of each."""
+"""Priors for tracks without one, from the first measurement of each."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from torchfra.types import Gaussian
 
 
 class First(NamedTuple):
-    """The measurement that a track begins with, and that counts no more; a belief follows once the noise is known."""
+    """The first measurement of a track, from which its prior is made with the current noise; it is not used again."""
 
     z: Tensor
     """``(N, m)``."""
     u: Tensor | None
-    """``(N, k)`` what the sensor needs to know."""
+    """``(N, k)`` inputs of the sensor."""
     speed: Tensor
     """``(N,)`` m/s, the standard deviation of the velocity in each direction."""
 
 
-def first_seen(z: Tensor, *others: Tensor | None) -> tuple[Tensor, ...]:
-    """Tracks ``(N, T, ...)`` that begin with their first whole measurement, what was before it gone.
+def from_first_measurement(z: Tensor, *others: Tensor | None) -> tuple[Tensor, ...]:
+    """Tracks ``(N, T, ...)`` shifted so that they begin with their first complete measurement.
 
     Args:
-        z: ``(N, T, m)`` measurements; those moved forward end in NaN.
-        others: of the same steps, ``(N, T, ...)``; None stays out.  They end in copies of their last step.
+        z: ``(N, T, m)`` measurements; shifted ones are padded with NaN.
+        others: further values of the steps, ``(N, T, ...)``, padded with their last step; None is left out.
 
     Raises:
-        ValueError: a track without a whole measurement.
+        ValueError: a track without a complete measurement.
     """
-    seen = ~z.isnan().any(-1)
-    if not bool(seen.any(1).all()):
-        lacking = (~seen.any(1)).nonzero().flatten().tolist()
+    complete = ~z.isnan().any(-1)
+    if not bool(complete.any(1).all()):
+        lacking = (~complete.any(1)).nonzero().flatten().tolist()
         raise ValueError(f"data: expected a whole measurement in each track, received none in tracks {lacking[:5]}")
-    steps = torch.arange(z.shape[1], device=z.device) + seen.to(torch.int8).argmax(1, keepdim=True)  # (N, T)
+    steps = torch.arange(z.shape[1], device=z.device) + complete.to(torch.int8).argmax(1, keepdim=True)  # (N, T)
     over, steps = steps >= z.shape[1], steps.clamp_max(z.shape[1] - 1)
 
     def moved(x: Tensor) -> Tensor:
@@ -51,18 +51,18 @@ def first_seen(z: Tensor, *others: Tensor | None) -> tuple[Tensor, ...]:
     return torch.where(over.unsqueeze(-1), torch.nan, moved(z)), *parts
 
 
-def first_of(motion: Motion, sensor: Sensor, z: Tensor, dt: Tensor, u: Tensor | None) -> First:
-    """What tracks ``(N, T, m)`` begin with; the velocity is 0, give or take twice the speed of a typical first step.
+def first_measurements(motion: Motion, sensor: Sensor, z: Tensor, dt: Tensor, u: Tensor | None) -> First:
+    """The first measurements of tracks ``(N, T, m)``, with twice the speed of a typical first step.
 
     Args:
         motion: of the targets.
         sensor: one that ``locates``.
-        z: measurements, the first of each whole.
+        z: measurements, the first of each track complete.
         dt: ``(N, T)`` seconds.
-        u: ``(N, T, k)`` what the sensor needs to know.
+        u: ``(N, T, k)`` inputs of the sensor.
 
     Raises:
-        ValueError: the sensor does not tell where a target is, or tracks have one step.
+        ValueError: the sensor does not locate targets, or tracks have one step.
     """
     if not sensor.locates:
         expected = f"one belief per track, as {sensor.describe()} does not tell where a target is (locates, locate)"
@@ -76,9 +76,9 @@ def first_of(motion: Motion, sensor: Sensor, z: Tensor, dt: Tensor, u: Tensor | 
 
 
 def started(motion: Motion, sensor: Sensor, first: First) -> Gaussian:
-    """Beliefs ``(..., N, n)`` at the first measurements, with the sensor's noise as it is at the moment.
+    """Beliefs ``(..., N, n)`` at the first measurements, with the sensor's current noise and a velocity of 0.
 
-    Components beside position and velocity begin as births do (``torchfra.targets.births.OnePoint``).
+    All other components are those of a birth (``torchfra.targets.births.OnePoint``).
     """
     at = place(motion, sensor, first.z, first.u)
     dims = at.mean.shape[-1]

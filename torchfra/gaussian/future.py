@@ -84,8 +84,8 @@ def future(predicted: Gaussian, smoothed: Gaussian, difference: Difference = tor
     """
     root, certain = invertible(predicted.scale_tril, 4 * predicted.mean.shape[-1])
     gap = difference(smoothed.mean, predicted.mean).unsqueeze(-1)
-    known = torch.where(certain.unsqueeze(-1), 0.0, hstack(gap, smoothed.scale_tril))
-    inside = torch.linalg.solve_triangular(root, known, upper=False)
+    later = torch.where(certain.unsqueeze(-1), 0.0, hstack(gap, smoothed.scale_tril))
+    inside = torch.linalg.solve_triangular(root, later, upper=False)
     slope, weight = gram_information(inside[..., 1:])
     outside = torch.linalg.solve_triangular(root.mT, slope, upper=True).mT  # slope is symmetric
     return Future(predicted.mean, torch.where(certain.unsqueeze(-2), 0.0, outside), apply(weight, inside[..., 0]))

@@ -59,7 +59,7 @@ class Measurements(NamedTuple):
 
 
 @event_ranks(z=1, dt=0, u=1, std=1, noise=2)
-class Timed(Measurements):
+class UnevenMeasurements(Measurements):
     """Part of a track in which each step has its own ``dt``, even if the part is a single step."""
 
     varying_dt = True

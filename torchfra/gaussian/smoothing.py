@@ -51,8 +51,8 @@ def smooth_step(
     now = pad(belief.scale_tril.expand(*columns.shape[:-2], n, n), (columns.shape[-1] - n, 0))
     root, cross, left, certain = _split(torch.cat([columns, now], -2), n)
     gap = difference(after.mean, carried.mean).unsqueeze(-1)
-    known = torch.where(certain.unsqueeze(-1), 0.0, hstack(gap, after.scale_tril))
-    gained = cross @ torch.linalg.solve_triangular(root, known, upper=False)  # G [x_after - predicted, S_after]
+    later = torch.where(certain.unsqueeze(-1), 0.0, hstack(gap, after.scale_tril))
+    gained = cross @ torch.linalg.solve_triangular(root, later, upper=False)  # G [x_after - predicted, S_after]
     return Gaussian(belief.mean + gained[..., 0], tria(hstack(left, gained[..., 1:]))), repaired
 
 

@@ -121,13 +121,13 @@ def _scaled(kind: str, model: Any, record: dict[str, Any]) -> Any:
     if isinstance(model, Sequence) and not isinstance(model, Motion):
         model = Bank(model)
     own = copy.deepcopy(model)
-    known = hypers(own) if isinstance(own, torch.nn.Module) else {}
-    if missing := factors.keys() - known.keys():
+    own_values = hypers(own) if isinstance(own, torch.nn.Module) else {}
+    if missing := factors.keys() - own_values.keys():
         name = f"{record['values']!r} of {record['preset']}"
         expected = f"a {kind} with {', '.join(sorted(factors))} for {name}"
         raise ValueError(f"values: expected {expected}, received one without {', '.join(sorted(missing))}")
     for path, factor in factors.items():
-        known[path].set(known[path]().detach() * factor, path)
+        own_values[path].set(own_values[path]().detach() * factor, path)
     return own
 
 

@@ -255,10 +255,10 @@ class GPB(Filter[GPBState]):
 
     # ------------------------------------------------------------ what is expected later
 
-    def hypotheses(self, known: GPBState | GPBPast) -> tuple[Gaussian, Tensor]:
+    def hypotheses(self, source: GPBState | GPBPast) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(..., 2 K, n)``, each motion without and with an outlier, and logs of their weights."""
-        log_weights = self.regimes.log_by_motion(known.log_weights, -1)
-        mean, root = known.hypotheses
+        log_weights = self.regimes.log_by_motion(source.log_weights, -1)
+        mean, root = source.hypotheses
         return Gaussian(mean.flatten(-3, -2), root.flatten(-4, -3)), log_weights.flatten(-2)
 
     def predict_hypotheses(self, state: GPBState, frame: Frame) -> tuple[Gaussian, Tensor]:

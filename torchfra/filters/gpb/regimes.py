@@ -134,9 +134,9 @@ class Regimes(nn.Module):
             stationary: Tensor = weight / weight.sum(0)
             return stationary
         assert self.self_transition is not None
-        ends = 1 - self._by_regime(self.self_transition(like), rank)
-        absorbing = (ends == 0) & (restart > 0)
-        weight = torch.where(absorbing.any(0), torch.where(absorbing, restart, 0.0), safe_divide(restart, ends))
+        end = 1 - self._by_regime(self.self_transition(like), rank)
+        absorbing = (end == 0) & (restart > 0)
+        weight = torch.where(absorbing.any(0), torch.where(absorbing, restart, 0.0), safe_divide(restart, end))
         return weight / weight.sum(0)
 
     def discrete(self, like: Tensor, dt: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
