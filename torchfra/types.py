@@ -1,7 +1,7 @@
 """The tuples that all rooms share, the letters of shapes, and the vocabulary.
 
-Shapes: ``...`` any batch, ``T`` time, ``n`` state, ``m`` measurement, ``k`` what models need to know at a step, ``d``
-the leading state components that a sensor reads, ``p`` points of a rule, ``q`` columns of the process noise, ``K``
+Shapes: ``...`` any batch, ``T`` time, ``n`` state, ``m`` measurement, ``k`` inputs of the models at a step, ``d`` the
+leading state components that a sensor reads, ``p`` points of a rule, ``q`` columns of the process noise, ``K``
 motions of a bank, ``N`` targets, ``J`` measurements of a scan, ``R`` regimes, ``B`` blocks of a sensor's elements.
 Batch first, time before the vector, no trailing-one columns; SI units and radians.  A NaN in a measurement is missing
 data.
@@ -12,13 +12,15 @@ Words:
 - root: a matrix ``A`` with ``P = A A^T``; the lower root is triangular.
 - process noise: what the motion adds to the uncertainty of a state; root ``S_Q``.
 - measurement noise: of the sensor; ``std`` per element, or ``noise``, a root ``S_R``, where elements are correlated.
-- nominal: the measurement noise as the sensor states it; estimated: as a filter has found it to be.
+- nominal: the measurement noise that the sensor states; estimated: that of a filter's noise estimate.
 - whitened: in units of the measurement noise, whose covariance is then the identity.
 - innovation: measured minus predicted; NIS: its normalised square; NEES: that of the estimation error.
-- weight: what divides the measurement noise of an element, from 1 (as stated) down to 0 (left out).
-- fading factor: what multiplies the predicted covariance.
+- weight: divides the measurement noise of an element, from 1 (nominal noise) down to 0 (left out).
+- fading factor: multiplies the predicted covariance.
 - threshold: standard deviations from which on Huber's weights fall; gate: NIS above which a step is abnormal, or
-  how far from its prediction a target's measurement is looked for.
+  the region around its prediction in which a target's measurement may lie.
+- outlier mode: whether a measurement is an inlier, of nominal noise, or an outlier, of larger noise.
+- regime: how a target moves in a step: a motion of a bank, a level of process noise, a manoeuvre or a jump.
 - filtered: given the measurements up to a step; smoothed: given later ones too; lagged: given those of a fixed lag.
 - repaired: a covariance that was not positive definite and was made so; counted, never silent.
 - lost: a track whose error has passed a limit; failed: one that holds NaN or infinity.
@@ -68,16 +70,16 @@ class Gaussian(NamedTuple):
 class Prediction(NamedTuple):
     """A belief carried over one step, and its parts: ``P = spread spread^T + process_noise process_noise^T``.
 
-    Rules with negative weights have subtracted something from that.
+    For rules with negative weights a further part is subtracted in ``belief``.
     """
 
     belief: Gaussian
     spread: Tensor
-    """``(..., n, r)`` root of the part that came from the belief before, F P F^T."""
+    """``(..., n, r)`` root of the propagated covariance, F P F^T."""
     process_noise: Tensor
     """``(..., n, q)`` root of the process noise."""
     repaired: Tensor | None = None
-    """``(...)`` bool, of a rule with negative weights: the covariance was not positive definite and was repaired."""
+    """``(...)`` bool, for a rule with negative weights: the covariance was not positive definite and was repaired."""
 
 
 @event_ranks(probability=1, lasted=1, offset=1)
@@ -85,21 +87,21 @@ class Alarm(NamedTuple):
     """Whether a sensor is faulty now, since when, and by how much."""
 
     probability: Tensor
-    """``(..., B)`` of each block of its elements that what it measures is wrong; over steps in which nothing is
-    measured that of the last measurement, or what its Markov chain in time says since."""
+    """``(..., B)`` probability that each block of its elements is faulty; over steps without a measurement that of the
+    last measurement, or its prediction by a Markov chain in continuous time."""
     lasted: Tensor
-    """``(..., B)`` seconds since the first of the measurements in a row that are more likely wrong than right; 0 at
-    that one, and without such."""
+    """``(..., B)`` seconds since the first of successive measurements that are more likely wrong than right; 0 at the
+    first, and if the last measurement is more likely right."""
     offset: Tensor
-    """``(..., m)`` measured less what the estimate after it says, in the measurement's units, angles wrapped; 0 where
+    """``(..., m)`` measurement minus that of the estimate after it, in the measurement's units, angles wrapped; 0 where
     missing."""
 
 
 @event_ranks(residual=1, spread=2, subtracted=2)
 class Whitened(NamedTuple):
-    """A measurement against its prediction, in units of the measurement noise (whose covariance is then the identity).
+    """A measurement compared with its prediction, in units of the measurement noise, whose covariance is the identity.
 
-    A missing element is all zero, so that it changes nothing.
+    Values of a missing element are zero, so that it changes nothing.
     """
 
     residual: Tensor
@@ -107,7 +109,7 @@ class Whitened(NamedTuple):
     spread: Tensor
     """``(..., m, r + d)`` root of the covariance of the predicted measurement without its noise: ``[rest, H S]``."""
     reads: int
-    """``d``, number of the last columns of ``spread``, which are ``H S``."""
+    """``d``, the number of columns of ``H S``, the last ones of ``spread``."""
     subtracted: Tensor | None = None
     """``(..., m, k)`` root of what a rule with negative weights subtracts from that covariance."""
 
@@ -139,7 +141,7 @@ class Cause(IntEnum):
     """Why a track has failed."""
 
     NONE = 0
-    """It has not."""
+    """It has not failed."""
     PRIOR = 1
     """Its prior holds NaN or infinity."""
     MEASUREMENT = 2
@@ -149,7 +151,7 @@ class Cause(IntEnum):
     VALUE = 4
     """A hyperparameter of the filter is NaN."""
     ARITHMETIC = 5
-    """None of these: numbers have left the range of their precision."""
+    """None of these: numbers have overflowed."""
 
 
 @event_ranks(step=0, cause=0)
@@ -162,7 +164,7 @@ class Failure(NamedTuple):
     """``(...)`` the number of a ``Cause``."""
 
     def describe(self) -> list[str]:
-        """A line for each track that has failed."""
+        """One line for each track that has failed."""
         failed = self.step >= 0
         each = zip(failed.nonzero().tolist(), self.step[failed].tolist(), self.cause[failed].tolist(), strict=True)
         return [f"track {tuple(track)}: {Cause(cause).name.lower()}, step {step}" for track, step, cause in each]
@@ -182,9 +184,9 @@ class Estimate(NamedTuple):
     info: Any
     """Further results of the filter, a tuple of ``(..., T, ...)`` tensors: see the filter."""
     failure: Failure | None = None
-    """When and why tracks have failed; None for an estimate that no filter has made."""
+    """Steps and causes of failed tracks; None for an estimate that no filter has made."""
     past: Any = ()
-    """What the backward pass needs, where ``forward`` was asked to keep it: see ``smooth(estimate=)``."""
+    """The past for the backward pass, after ``forward(past=True)``: see ``smooth(estimate=)``."""
 
     @property
     def covariance(self) -> Tensor:
@@ -193,10 +195,7 @@ class Estimate(NamedTuple):
 
     @property
     def failed(self) -> Tensor:
-        """``(...)`` True for each track with NaN or infinity at some step; the others went on.
-
-        ``failure`` says at which step, and why.
-        """
+        """``(...)`` True for each track with NaN or infinity at some step; ``failure`` has the step and the cause."""
         finite = self.mean.isfinite().all(-1) & self.scale_tril.isfinite().flatten(-2).all(-1)
         return ~finite.all(-1)
 
@@ -206,4 +205,4 @@ class Estimate(NamedTuple):
 
 
 class CompileError(RuntimeError):
-    """A filter was to run compiled, and there is no compiler, or it failed."""
+    """A kernel is needed and cannot be compiled: there is no compiler, or it failed."""

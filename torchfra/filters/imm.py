@@ -107,7 +107,7 @@ class IMM(Filter[IMMState]):
         super().__init__()
         if not isinstance(inner.motion, Bank) or not getattr(inner, "mixes", False):
             received = f"{type(inner).__name__} around {type(inner.motion).__name__}"
-            expected = "SRCKF or FRA around a Bank, or a filter that says mixes = True"
+            expected = "SRCKF or FRA around a Bank, or a filter with mixes = True"
             raise ValueError(f"inner: expected {expected}, received {received}")
         self.inner, self.originals = copy.deepcopy(inner), (inner.sensor,)
         for part in self.inner.children():
